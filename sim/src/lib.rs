@@ -1,0 +1,32 @@
+//! What a camera should see: the physics of an image sensor, from light to digital number.
+//!
+//! The chain is that of Healey and Kondepudy, "Radiometric CCD Camera Calibration and Noise Estimation",
+//! IEEE PAMI 16(3), 1994, eq. (20):
+//!
+//! D(a,b) = (K(a,b) I(a,b) + N_DC(a,b) + N_S(a,b) + N_R(a,b)) A + N_Q(a,b)
+//!
+//! The modules stand in the order in which light travels. Nothing here reads a file, speaks to a camera or
+//! knows how a measurement is made.
+//!
+//! ```
+//! use radcam_sim::{Sensor, sensors};
+//!
+//! let sensor = Sensor::new(sensors::load("cmos12")?)?;
+//! let region = sensor.region();
+//! let mut frame = vec![0u16; (region.width * region.height) as usize];
+//! sensor.draw(0, &sensor.conditions(0.005), region, &mut frame); // codes in DN, row by row
+//! # Ok::<(), radcam_sim::ModelError>(())
+//! ```
+
+mod draw;
+mod maps;
+mod model;
+mod poisson;
+pub mod rng;
+mod scene;
+pub mod sensors;
+
+pub use draw::{Conditions, Expected, Region, Sensor};
+pub use maps::Maps;
+pub use model::{Base, Bench, Body, FORMAT, Model, ModelError};
+pub use scene::{PATCH_BACKGROUND, Scene};

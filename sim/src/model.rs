@@ -1,0 +1,241 @@
+//! A camera as a list of numbers: what a TOML file of `src/sensors/` holds.
+//!
+//! The base of every model is the paper's: D = (K I + N_DC + N_S + N_R) A + N_Q (Healey and Kondepudy 1994,
+//! eq. 6 and 20), with a black level added before conversion, which the paper's camera does not have.
+
+use serde::{Deserialize, Serialize};
+
+/// Name and major version of the file format.
+pub const FORMAT: &str = "radcam-model/1";
+
+/// A model: the camera, its physics, and the bench it stands on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Model {
+    /// [`FORMAT`].
+    pub format: String,
+    /// What this camera is, in a sentence.
+    #[serde(default)]
+    pub about: String,
+    /// What the camera says of itself.
+    pub camera: Body,
+    /// The paper's model.
+    pub base: Base,
+    /// Card and lamp.
+    pub bench: Bench,
+}
+
+/// Identity and geometry.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Body {
+    /// Maker.
+    pub vendor: String,
+    /// Model name.
+    pub model: String,
+    /// Columns, pixels.
+    pub width: u32,
+    /// Rows, pixels.
+    pub height: u32,
+    /// Bits b of the converter, 2 to 16; D runs from 0 to 2^b - 1.
+    pub bit_depth: u8,
+    /// Longest exposure, s.
+    pub exposure_max_s: f64,
+    /// Shortest exposure, s.
+    pub exposure_min_s: f64,
+    /// Step of the exposure, s.
+    pub exposure_increment_s: f64,
+    /// Largest gain above nominal, dB.
+    pub gain_max_db: f64,
+    /// Time to read a frame out, s; the shortest time between the end of an exposure and the next start.
+    pub readout_s: f64,
+}
+
+/// The parameters of eq. (6) and (20).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Base {
+    /// A, DN per electron, at 0 dB. The quantisation step q is 1 DN.
+    pub gain_dn_per_e: f64,
+    /// Standard deviation of N_R, electrons.
+    pub read_noise_e: f64,
+    /// Added before conversion, DN. The paper has none.
+    pub black_level_dn: f64,
+    /// Spatial standard deviation of the black level, DN.
+    pub offset_spread_dn: f64,
+    /// Photons to electrons.
+    pub quantum_efficiency: f64,
+    /// sigma_K, the spatial standard deviation of K, whose mean is 1.
+    pub sigma_k: f64,
+    /// Mean dark current at the reference temperature, electrons per second.
+    pub dark_current_e_per_s: f64,
+    /// Spatial standard deviation of the dark current over its mean (log-normal).
+    pub dark_current_spread: f64,
+    /// Temperature to which the dark current belongs, degrees Celsius.
+    pub dark_reference_c: f64,
+    /// Temperature step that doubles the dark current, kelvin.
+    pub dark_doubling_k: f64,
+    /// Share of pixels that are hot.
+    pub hot_pixel_fraction: f64,
+    /// Mean dark current of a hot pixel above the ordinary, in units of the mean (exponential).
+    pub hot_pixel_factor: f64,
+    /// Seed of the maps and of the noise.
+    pub seed: u64,
+}
+
+/// Card and lamp in front of the camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Bench {
+    /// Photons per pixel per second at illumination 1, in the middle of the card.
+    pub photon_flux_per_s: f64,
+    /// Relative fall of the light from the middle to the corners.
+    pub shading: f64,
+    /// Relative change of the light from one side to the other; its direction turns with the configuration.
+    pub gradient: f64,
+}
+
+/// Why a model cannot be used.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum ModelError {
+    /// The text is not TOML, or a key is missing, unknown or of the wrong type.
+    #[error("not a camera model: {0}")]
+    Syntax(String),
+    /// Another format or a later major version.
+    #[error("format is \"{0}\", and this program reads \"{FORMAT}\"")]
+    Format(String),
+    /// A value outside its physical bounds.
+    #[error("{field} is {value} {unit}, and must lie within {min} to {max} {unit}")]
+    OutOfRange {
+        /// Table and key.
+        field: &'static str,
+        /// What the file says.
+        value: f64,
+        /// Smallest value allowed.
+        min: f64,
+        /// Largest value allowed.
+        max: f64,
+        /// Unit of the three.
+        unit: &'static str,
+    },
+}
+
+impl Model {
+    /// Reads and checks a model.
+    ///
+    /// ```
+    /// let text = radcam_sim::sensors::get("xc77").unwrap();
+    /// let model = radcam_sim::Model::from_toml(text).unwrap();
+    /// assert_eq!(model.base.gain_dn_per_e, 0.003384);
+    /// ```
+    pub fn from_toml(text: &str) -> Result<Self, ModelError> {
+        let model: Self = toml::from_str(text).map_err(|e| {
+            let found = toml::from_str::<toml::Table>(text).ok();
+            match found.as_ref().and_then(|t| t.get("format")).and_then(|f| f.as_str()) {
+                Some(format) if format != FORMAT => ModelError::Format(format.into()),
+                _ => ModelError::Syntax(e.to_string().trim_end().into()),
+            }
+        })?;
+        model.check()?;
+        Ok(model)
+    }
+
+    /// The model as TOML.
+    pub fn to_toml(&self) -> Result<String, ModelError> {
+        toml::to_string(self).map_err(|e| ModelError::Syntax(e.to_string()))
+    }
+
+    /// Checks every value against its physical bounds.
+    pub fn check(&self) -> Result<(), ModelError> {
+        if self.format != FORMAT {
+            return Err(ModelError::Format(self.format.clone()));
+        }
+        let (c, b, l) = (&self.camera, &self.base, &self.bench);
+        let bounds = [
+            ("camera.width", f64::from(c.width), 1.0, 65_535.0, "px"),
+            ("camera.height", f64::from(c.height), 1.0, 65_535.0, "px"),
+            ("camera.bit_depth", f64::from(c.bit_depth), 2.0, 16.0, "bit"),
+            ("camera.exposure_min_s", c.exposure_min_s, 1e-9, 3600.0, "s"),
+            ("camera.exposure_max_s", c.exposure_max_s, c.exposure_min_s, 86_400.0, "s"),
+            ("camera.exposure_increment_s", c.exposure_increment_s, 1e-12, 1.0, "s"),
+            ("camera.gain_max_db", c.gain_max_db, 0.0, 72.0, "dB"),
+            ("camera.readout_s", c.readout_s, 0.0, 3600.0, "s"),
+            ("base.gain_dn_per_e", b.gain_dn_per_e, 1e-9, 1e6, "DN/e"),
+            ("base.read_noise_e", b.read_noise_e, 0.0, 1e6, "e"),
+            ("base.black_level_dn", b.black_level_dn, 0.0, 65_535.0, "DN"),
+            ("base.offset_spread_dn", b.offset_spread_dn, 0.0, 65_535.0, "DN"),
+            ("base.quantum_efficiency", b.quantum_efficiency, 0.0, 1.0, "e/photon"),
+            ("base.sigma_k", b.sigma_k, 0.0, 0.3, ""),
+            ("base.dark_current_e_per_s", b.dark_current_e_per_s, 0.0, 1e9, "e/s"),
+            ("base.dark_current_spread", b.dark_current_spread, 0.0, 10.0, ""),
+            ("base.dark_reference_c", b.dark_reference_c, -273.0, 200.0, "C"),
+            ("base.dark_doubling_k", b.dark_doubling_k, 1.0, 100.0, "K"),
+            ("base.hot_pixel_fraction", b.hot_pixel_fraction, 0.0, 1.0, ""),
+            ("base.hot_pixel_factor", b.hot_pixel_factor, 0.0, 1e6, ""),
+            ("bench.photon_flux_per_s", l.photon_flux_per_s, 0.0, 1e15, "photons/px/s"),
+            ("bench.shading", l.shading, 0.0, 1.0, ""),
+            ("bench.gradient", l.gradient, 0.0, 1.0, ""),
+        ];
+        for (field, value, min, max, unit) in bounds {
+            if !(min..=max).contains(&value) {
+                return Err(ModelError::OutOfRange { field, value, min, max, unit });
+            }
+        }
+        Ok(())
+    }
+
+    /// Largest code, 2^b - 1, DN (eq. 5).
+    pub fn full_scale_dn(&self) -> u16 {
+        ((1u32 << self.camera.bit_depth) - 1) as u16
+    }
+
+    /// A in DN per electron at a gain in dB above nominal.
+    pub fn gain_dn_per_e(&self, gain_db: f64) -> f64 {
+        self.base.gain_dn_per_e * libm::pow(10.0, gain_db / 20.0)
+    }
+
+    /// The constant noise of the model, A^2 sigma_R^2 + q^2/12 with q = 1 DN (eq. 27), DN^2.
+    pub fn constant_noise_var_dn2(&self, gain_db: f64) -> f64 {
+        (self.gain_dn_per_e(gain_db) * self.base.read_noise_e).powi(2) + 1.0 / 12.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensors;
+
+    #[test]
+    fn every_sensor_of_the_catalogue_is_sound_and_survives_a_round_trip() {
+        for (name, text) in sensors::ALL {
+            let model = Model::from_toml(text).unwrap_or_else(|e| panic!("{name}: {e}"));
+            assert_eq!(Model::from_toml(&model.to_toml().unwrap()).unwrap(), model);
+        }
+    }
+
+    #[test]
+    fn xc77_is_the_camera_of_section_vii() {
+        let model = sensors::load("xc77").unwrap();
+        assert_eq!(model.base.gain_dn_per_e, 0.003384);
+        assert!((model.constant_noise_var_dn2(0.0) - 1.1196).abs() < 5e-5);
+        let frame_s = 1.0 / 30.0;
+        let dark_dn = model.base.dark_current_e_per_s * frame_s * model.base.gain_dn_per_e;
+        assert!((dark_dn - 10.74).abs() < 5e-4);
+        assert!((dark_dn * model.base.dark_current_spread - 0.555).abs() < 5e-5);
+        assert_eq!(model.base.sigma_k, 3.72e-3);
+        assert_eq!(model.full_scale_dn(), 255);
+    }
+
+    #[test]
+    fn faults_are_named() {
+        let text = sensors::get("cmos12").unwrap();
+        let bad = text.replace("bit_depth = 12", "bit_depth = 17");
+        let message = Model::from_toml(&bad).unwrap_err().to_string();
+        assert_eq!(message, "camera.bit_depth is 17 bit, and must lie within 2 to 16 bit");
+        let bad = text.replace("radcam-model/1", "radcam-model/9");
+        assert_eq!(Model::from_toml(&bad).unwrap_err(), ModelError::Format("radcam-model/9".into()));
+        assert!(Model::from_toml("width = [").is_err());
+        let bad = text.replace("read_noise_e", "read_nosie_e");
+        assert!(Model::from_toml(&bad).unwrap_err().to_string().contains("read_nosie_e"));
+    }
+}
