@@ -1,0 +1,245 @@
+//! The bench: what lights the card, what closes the shutter, and who moves both.
+//!
+//! Three backends: the simulated bench, a camera's GenICam features, and a person at the terminal.
+
+use crate::camera::{Camera, CameraError, Value};
+use crate::dataset::BenchInfo;
+use radcam_sim::Scene;
+use serde::{Deserialize, Serialize};
+use std::io::{BufRead, Write};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+/// How the bench stands.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct BenchState {
+    /// Light relative to the campaign's unit; 0: dark, the lens covered.
+    pub illumination: f64,
+    /// Position of card and light (Section V of the paper).
+    pub configuration: u32,
+    /// What the camera looks at.
+    pub scene: Scene,
+}
+
+/// Why the bench is not as it should be.
+#[derive(Debug, thiserror::Error)]
+pub enum BenchError {
+    /// A feature of the camera refused.
+    #[error("bench: {0}")]
+    Camera(#[from] CameraError),
+    /// The person at the terminal cannot be asked or gave up.
+    #[error("bench: {0}")]
+    Person(String),
+}
+
+/// A bench that can be told how to stand.
+pub trait Illuminator {
+    /// Brings the bench into a state; returns when it stands there. `camera` is for benches that hang on it.
+    fn apply(&mut self, state: &BenchState, camera: &mut dyn Camera) -> Result<(), BenchError>;
+
+    /// What is known of the light, for `dataset.toml`.
+    fn info(&self) -> Option<BenchInfo>;
+}
+
+/// The state of a simulated bench, shared with the camera that looks at it.
+#[derive(Debug, Clone, Default)]
+pub struct SharedBench(Arc<Mutex<BenchState>>);
+
+impl SharedBench {
+    /// How it stands.
+    pub fn get(&self) -> BenchState {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Moves it.
+    pub fn set(&self, state: BenchState) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = state;
+    }
+}
+
+impl Illuminator for SharedBench {
+    fn apply(&mut self, state: &BenchState, _camera: &mut dyn Camera) -> Result<(), BenchError> {
+        self.set(*state);
+        Ok(())
+    }
+
+    /// The simulated lamp is exact.
+    fn info(&self) -> Option<BenchInfo> {
+        Some(BenchInfo { illumination_unit: "relative".into(), illumination_rel_std: Some(0.0) })
+    }
+}
+
+/// GenICam features that drive a bench, as a plan names them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GenicamBench {
+    /// Float or integer feature of the light, multiplied by `illumination_scale`.
+    pub illumination: String,
+    /// Value of the feature at illumination 1.
+    #[serde(default = "one")]
+    pub illumination_scale: f64,
+    /// Boolean feature that covers the lens; without it dark is illumination 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dark: Option<String>,
+    /// Integer feature of the configuration.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub configuration: Option<String>,
+    /// Enumeration feature of the scene, with the entries `Card` and `Patch`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scene: Option<String>,
+    /// Time after a change until the light is steady, s.
+    #[serde(default)]
+    pub settle_s: f64,
+    /// How well each level is known, relative.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub illumination_rel_std: Option<f64>,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+impl GenicamBench {
+    /// The features of a camera that `radcam serve` plays.
+    pub fn served() -> Self {
+        Self {
+            illumination: "BenchIllumination".into(),
+            illumination_scale: 1.0,
+            dark: Some("BenchDark".into()),
+            configuration: Some("BenchConfiguration".into()),
+            scene: Some("BenchScene".into()),
+            settle_s: 0.0,
+            illumination_rel_std: Some(0.0),
+        }
+    }
+}
+
+impl Illuminator for GenicamBench {
+    fn apply(&mut self, state: &BenchState, camera: &mut dyn Camera) -> Result<(), BenchError> {
+        let missing = |feature: &str| CameraError::NotAvailable {
+            camera: camera.identity().id.clone(),
+            feature: format!("{feature} (the plan needs one, and names none under [bench])"),
+        };
+        if state.configuration != 0 && self.configuration.is_none() {
+            return Err(missing("configuration").into());
+        }
+        if state.scene != Scene::Card && self.scene.is_none() {
+            return Err(missing("scene").into());
+        }
+        let light = state.illumination * self.illumination_scale;
+        camera.set_feature(&self.illumination, &Value::Float(light))?;
+        if let Some(name) = &self.dark {
+            camera.set_feature(name, &Value::Bool(state.illumination == 0.0))?;
+        }
+        if let Some(name) = &self.configuration {
+            camera.set_feature(name, &Value::Int(state.configuration.into()))?;
+        }
+        if let Some(name) = &self.scene {
+            camera.set_feature(name, &Value::Text(format!("{:?}", state.scene)))?;
+        }
+        std::thread::sleep(Duration::try_from_secs_f64(self.settle_s).unwrap_or_default());
+        Ok(())
+    }
+
+    fn info(&self) -> Option<BenchInfo> {
+        let illumination_rel_std = self.illumination_rel_std;
+        Some(BenchInfo { illumination_unit: "relative".into(), illumination_rel_std })
+    }
+}
+
+/// A person who is told what to do and presses Enter.
+pub struct PersonBench<R, W> {
+    input: R,
+    output: W,
+    now: Option<BenchState>,
+}
+
+impl<R: BufRead, W: Write> PersonBench<R, W> {
+    /// A person who reads `output` and answers on `input`.
+    pub fn new(input: R, output: W) -> Self {
+        Self { input, output, now: None }
+    }
+
+    fn ask(&mut self, what: &str) -> Result<(), BenchError> {
+        let person = |e: std::io::Error| BenchError::Person(format!("{what}: {e}"));
+        write!(self.output, "{what}, then press Enter (q gives up): ").map_err(person)?;
+        self.output.flush().map_err(person)?;
+        let mut answer = String::new();
+        let read = self.input.read_line(&mut answer).map_err(person)?;
+        if read == 0 {
+            let message = format!(
+                "nobody is at the terminal to \"{what}\"; name the bench's GenICam features in the plan"
+            );
+            return Err(BenchError::Person(message));
+        }
+        if answer.trim().eq_ignore_ascii_case("q") {
+            return Err(BenchError::Person(format!("given up at \"{what}\"")));
+        }
+        Ok(())
+    }
+}
+
+impl<R: BufRead, W: Write> Illuminator for PersonBench<R, W> {
+    fn apply(&mut self, state: &BenchState, _camera: &mut dyn Camera) -> Result<(), BenchError> {
+        let before = self.now;
+        if before == Some(*state) {
+            return Ok(());
+        }
+        let changed = |differs: &dyn Fn(&BenchState) -> bool| before.as_ref().is_none_or(differs);
+        if state.illumination == 0.0 {
+            if changed(&|b| b.illumination != 0.0) {
+                self.ask("Cover the lens")?;
+            }
+        } else {
+            if changed(&|b| b.scene != state.scene) {
+                self.ask(match state.scene {
+                    Scene::Card => "Put the uniform card before the camera",
+                    Scene::Patch => "Put a still scene with a bright patch in the middle before the camera",
+                })?;
+            }
+            if before.map_or(0, |b| b.configuration) != state.configuration {
+                let k = state.configuration;
+                self.ask(&format!("Move both card and light to a new place (configuration {k})"))?;
+            }
+            if changed(&|b| b.illumination != state.illumination) {
+                let percent = 100.0 * state.illumination;
+                self.ask(&format!("Uncover the lens and set the light to {percent:.4} % of its full level"))?;
+            }
+        }
+        self.now = Some(*state);
+        Ok(())
+    }
+
+    /// A level set by hand is nominal.
+    fn info(&self) -> Option<BenchInfo> {
+        Some(BenchInfo { illumination_unit: "relative".into(), illumination_rel_std: None })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::sim::SimCamera;
+    use radcam_sim::{Sensor, sensors};
+
+    #[test]
+    fn a_person_is_asked_for_what_changes_and_no_more() {
+        let sensor = Sensor::new(sensors::load("cmos12").unwrap()).unwrap();
+        let mut camera = SimCamera::new("cmos12", sensor.into(), SharedBench::default());
+        let mut said = Vec::new();
+        let mut person = PersonBench::new(&b"\n\n\n\n\nq\n"[..], &mut said);
+        let dark = BenchState::default();
+        let flat = BenchState { illumination: 0.5, ..dark };
+        for state in [dark, dark, flat, flat, BenchState { configuration: 2, ..flat }] {
+            person.apply(&state, &mut camera).unwrap();
+        }
+        let patch = BenchState { scene: Scene::Patch, ..flat };
+        person.apply(&patch, &mut camera).unwrap();
+        let bright = BenchState { illumination: 1.0, ..patch };
+        assert!(person.apply(&bright, &mut camera).unwrap_err().to_string().contains("given up"));
+        assert!(person.apply(&bright, &mut camera).unwrap_err().to_string().contains("nobody"));
+        let said = String::from_utf8(said).unwrap();
+        assert_eq!(said.matches("press Enter").count(), 7, "{said}");
+        assert!(said.contains("50.0000 %") && said.contains("configuration 2"), "{said}");
+    }
+}

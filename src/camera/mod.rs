@@ -1,0 +1,453 @@
+//! Cameras behind one trait: real ones, simulated ones, and recordings.
+//!
+//! A backend is one file here and one line below. What a camera cannot do answers
+//! [`CameraError::NotAvailable`], and [`Capabilities`] says so beforehand.
+
+#[cfg(feature = "aravis")]
+pub mod aravis;
+pub mod replay;
+pub mod sim;
+
+use crate::frame::{Frame, Region};
+use crate::pixel_format::PixelFormat;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::time::Duration;
+
+/// Who a camera is.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Identity {
+    /// How it is opened again, such as `aravis:192.168.1.5`.
+    pub id: String,
+    /// Maker.
+    pub vendor: String,
+    /// Model name.
+    pub model: String,
+    /// Serial number.
+    pub serial: String,
+    /// Firmware version, where the camera tells.
+    pub firmware: Option<String>,
+}
+
+impl fmt::Display for Identity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} {} {} ({})", self.vendor, self.model, self.serial, self.id)
+    }
+}
+
+/// What a number may be.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bounds {
+    /// Smallest value.
+    pub min: f64,
+    /// Largest value.
+    pub max: f64,
+    /// Step, where the camera has one.
+    pub increment: Option<f64>,
+}
+
+impl Bounds {
+    /// The nearest value that the camera can take.
+    pub fn nearest(&self, value: f64) -> f64 {
+        let value = value.clamp(self.min, self.max);
+        match self.increment {
+            Some(step) if step > 0.0 => {
+                let last = ((self.max - self.min) / step + 1e-9).floor();
+                self.min + ((value - self.min) / step).round().min(last) * step
+            }
+            _ => value,
+        }
+    }
+}
+
+/// What a camera can do. `None`: it has no such setting.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Capabilities {
+    /// Exposure, s.
+    pub exposure_s: Option<Bounds>,
+    /// Gain, dB.
+    pub gain_db: Option<Bounds>,
+    /// Black level, DN (or the camera's own unit where it has another).
+    pub black_level_dn: Option<Bounds>,
+    /// Frames per second.
+    pub frame_rate_hz: Option<Bounds>,
+    /// Width, pixels.
+    pub width: Bounds,
+    /// Height, pixels.
+    pub height: Bounds,
+    /// Step of the region's first column and first row, pixels.
+    pub offset_increment: (u32, u32),
+    /// Formats that radcam can unpack.
+    pub pixel_formats: Vec<PixelFormat>,
+    /// Whether single frames can be asked for.
+    pub software_trigger: bool,
+}
+
+/// Settings as the camera reports them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    /// Exposure, s.
+    pub exposure_s: f64,
+    /// Gain, dB.
+    pub gain_db: Option<f64>,
+    /// Black level, DN.
+    pub black_level_dn: Option<f64>,
+    /// Frames per second.
+    pub frame_rate_hz: Option<f64>,
+    /// Format.
+    pub pixel_format: PixelFormat,
+    /// Region of interest.
+    pub region: Region,
+    /// Sensor temperature, degrees Celsius.
+    pub temperature_c: Option<f64>,
+}
+
+/// When the camera exposes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Trigger {
+    /// One frame after another.
+    #[default]
+    FreeRun,
+    /// One frame for each [`FrameStream::trigger`].
+    Software,
+}
+
+/// An automatic function, and what became of it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Automatic {
+    /// GenICam name.
+    pub feature: String,
+    /// What it was.
+    pub before: String,
+    /// What it reads now.
+    pub now: String,
+    /// Whether it no longer touches the image.
+    pub off: bool,
+}
+
+/// The value of a feature that has no method of its own.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Value {
+    /// Boolean.
+    Bool(bool),
+    /// Integer.
+    Int(i64),
+    /// Floating point.
+    Float(f64),
+    /// String or enumeration entry.
+    Text(String),
+}
+
+impl fmt::Display for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Value::Bool(v) => v.fmt(f),
+            Value::Int(v) => v.fmt(f),
+            Value::Float(v) => v.fmt(f),
+            Value::Text(v) => v.fmt(f),
+        }
+    }
+}
+
+/// How a stream is set up.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StreamOptions {
+    /// Frames held ready for the camera to fill.
+    pub buffers: usize,
+    /// GigE Vision: bytes of a packet; `None` negotiates the largest that passes.
+    pub packet_size: Option<u32>,
+    /// GigE Vision: whether lost packets are asked for again.
+    pub packet_resend: bool,
+    /// GigE Vision: time until a packet counts as lost.
+    pub packet_timeout: Duration,
+    /// GigE Vision: time until an unfinished frame is given up.
+    pub frame_retention: Duration,
+    /// GigE Vision: receive buffer of the ordinary socket, bytes.
+    pub socket_buffer: usize,
+    /// GigE Vision: use the packet socket where the system allows it.
+    pub packet_socket: bool,
+}
+
+impl Default for StreamOptions {
+    fn default() -> Self {
+        Self {
+            buffers: 8,
+            packet_size: None,
+            packet_resend: true,
+            packet_timeout: Duration::from_millis(40),
+            frame_retention: Duration::from_millis(200),
+            socket_buffer: 8 << 20,
+            packet_socket: true,
+        }
+    }
+}
+
+/// What a stream counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct StreamCounts {
+    /// Whole frames handed out.
+    pub completed: u64,
+    /// Frames that arrived damaged or in part.
+    pub failures: u64,
+    /// Frames for which no buffer was free.
+    pub underruns: u64,
+    /// Frames that the numbers say were sent and that never arrived.
+    pub missing: u64,
+}
+
+impl StreamCounts {
+    /// Adds another stream's counts.
+    pub fn add(&mut self, other: StreamCounts) {
+        self.completed += other.completed;
+        self.failures += other.failures;
+        self.underruns += other.underruns;
+        self.missing += other.missing;
+    }
+}
+
+/// What went wrong with a camera.
+#[derive(Debug, thiserror::Error)]
+pub enum CameraError {
+    /// No such camera.
+    #[error("camera {camera}: {message}")]
+    Absent {
+        /// What was asked for.
+        camera: String,
+        /// What was found instead, and what to do.
+        message: String,
+    },
+    /// It was there and no longer answers.
+    #[error("camera {camera} was lost: {message}")]
+    Lost {
+        /// Which camera.
+        camera: String,
+        /// How that was noticed.
+        message: String,
+    },
+    /// It has no such feature.
+    #[error("camera {camera} has no {feature}")]
+    NotAvailable {
+        /// Which camera.
+        camera: String,
+        /// Which feature.
+        feature: String,
+    },
+    /// The value lies outside what the camera takes.
+    #[error("camera {camera}: {feature} = {value} {unit} lies outside {min} to {max} {unit}")]
+    OutOfRange {
+        /// Which camera.
+        camera: String,
+        /// Which feature.
+        feature: String,
+        /// What was asked for.
+        value: f64,
+        /// Smallest value.
+        min: f64,
+        /// Largest value.
+        max: f64,
+        /// Unit of the three.
+        unit: &'static str,
+    },
+    /// The camera took another value than the one asked for.
+    #[error("camera {camera}: {feature} was set to {asked} and reads {got}")]
+    ReadBack {
+        /// Which camera.
+        camera: String,
+        /// Which feature.
+        feature: String,
+        /// With its unit.
+        asked: String,
+        /// With its unit.
+        got: String,
+    },
+    /// No frame came.
+    #[error("camera {camera}: no frame within {seconds:.1} s ({counts})")]
+    Timeout {
+        /// Which camera.
+        camera: String,
+        /// How long was waited.
+        seconds: f64,
+        /// What did come.
+        counts: String,
+    },
+    /// The backend refused.
+    #[error("camera {camera}: {feature}: {message}")]
+    Backend {
+        /// Which camera.
+        camera: String,
+        /// Feature or action.
+        feature: String,
+        /// What it said.
+        message: String,
+    },
+}
+
+/// A running acquisition. Dropping it stops the camera.
+pub trait FrameStream {
+    /// Waits for the next frame and fills `frame` with it, without a new allocation where the size fits.
+    ///
+    /// A damaged frame is handed out with its status and counted; it must not be used.
+    fn next(&mut self, frame: &mut Frame, timeout: Duration) -> Result<(), CameraError>;
+
+    /// Asks for one frame, with [`Trigger::Software`].
+    fn trigger(&mut self) -> Result<(), CameraError>;
+
+    /// What was counted so far.
+    fn counts(&self) -> StreamCounts;
+}
+
+/// A camera.
+///
+/// Setters return what the camera then reports, which may be the nearest value that it can take.
+pub trait Camera: Send {
+    /// Who it is.
+    fn identity(&self) -> &Identity;
+
+    /// What it can do.
+    fn capabilities(&self) -> &Capabilities;
+
+    /// Reads every setting back.
+    fn settings(&mut self) -> Result<Settings, CameraError>;
+
+    /// Sets the exposure, s.
+    fn set_exposure_s(&mut self, value: f64) -> Result<f64, CameraError>;
+
+    /// Sets the gain, dB.
+    fn set_gain_db(&mut self, _value: f64) -> Result<f64, CameraError> {
+        Err(self.not_available("Gain"))
+    }
+
+    /// Sets the black level, DN.
+    fn set_black_level_dn(&mut self, _value: f64) -> Result<f64, CameraError> {
+        Err(self.not_available("BlackLevel"))
+    }
+
+    /// Sets the frame rate, 1/s.
+    fn set_frame_rate_hz(&mut self, _value: f64) -> Result<f64, CameraError> {
+        Err(self.not_available("AcquisitionFrameRate"))
+    }
+
+    /// Sets the pixel format.
+    fn set_pixel_format(&mut self, format: PixelFormat) -> Result<PixelFormat, CameraError>;
+
+    /// Sets the region of interest.
+    fn set_region(&mut self, region: Region) -> Result<Region, CameraError>;
+
+    /// Sets when the camera exposes.
+    fn set_trigger(&mut self, trigger: Trigger) -> Result<(), CameraError> {
+        match trigger {
+            Trigger::FreeRun => Ok(()),
+            Trigger::Software => Err(self.not_available("TriggerSoftware")),
+        }
+    }
+
+    /// Switches off what distorts radiometry, reads each setting back and tells what became of it.
+    fn disable_automatics(&mut self) -> Result<Vec<Automatic>, CameraError> {
+        Ok(Vec::new())
+    }
+
+    /// Whether there is a feature of this GenICam name.
+    fn has_feature(&mut self, _name: &str) -> bool {
+        false
+    }
+
+    /// Sets a feature by its GenICam name and reads it back.
+    fn set_feature(&mut self, name: &str, _value: &Value) -> Result<Value, CameraError> {
+        Err(self.not_available(name))
+    }
+
+    /// Settings worth keeping beside a capture, by GenICam name.
+    fn features(&mut self) -> BTreeMap<String, Value> {
+        BTreeMap::new()
+    }
+
+    /// Starts the acquisition.
+    fn stream(&mut self, options: &StreamOptions) -> Result<Box<dyn FrameStream + '_>, CameraError>;
+
+    /// The error for what this camera has not.
+    fn not_available(&self, feature: &str) -> CameraError {
+        CameraError::NotAvailable { camera: self.identity().id.clone(), feature: feature.into() }
+    }
+}
+
+/// Checks a value against the bounds of a feature that may be absent.
+pub(crate) fn check_bounds(
+    camera: &str,
+    feature: &str,
+    bounds: Option<Bounds>,
+    value: f64,
+    unit: &'static str,
+) -> Result<Bounds, CameraError> {
+    let bounds =
+        bounds.ok_or_else(|| CameraError::NotAvailable { camera: camera.into(), feature: feature.into() })?;
+    // A hair beyond the end is rounding, not a wish.
+    let slack = 1e-9 * bounds.max.abs().max(bounds.min.abs());
+    if value >= bounds.min - slack && value <= bounds.max + slack {
+        return Ok(bounds);
+    }
+    let (min, max) = (bounds.min, bounds.max);
+    Err(CameraError::OutOfRange { camera: camera.into(), feature: feature.into(), value, min, max, unit })
+}
+
+/// Takes the 16-bit frame numbers of GigE Vision, which run 1 .. 65535 and begin again, for ever longer ones.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct FrameCounter {
+    last: Option<u64>,
+}
+
+impl FrameCounter {
+    /// The running number of a frame, and how many were skipped before it. `bits16` tells a camera that wraps.
+    pub fn take(&mut self, id: u64, bits16: bool) -> (u64, u64) {
+        let Some(last) = self.last else {
+            self.last = Some(id);
+            return (id, 0);
+        };
+        const PERIOD: u64 = 65_535; // 0 is never used
+        let id = if bits16 && id <= PERIOD {
+            let mut long = last - last % PERIOD + id % PERIOD;
+            if long <= last {
+                long += PERIOD;
+            }
+            // A step of more than half the period is a frame that came late.
+            if long - last > PERIOD / 2 { long - PERIOD } else { long }
+        } else {
+            id
+        };
+        if id <= last {
+            return (id, 0);
+        }
+        self.last = Some(id);
+        (id, id - last - 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wrap_of_the_frame_number_is_no_loss() {
+        let mut counter = FrameCounter::default();
+        assert_eq!(counter.take(65_534, true), (65_534, 0));
+        assert_eq!(counter.take(65_535, true), (65_535, 0));
+        assert_eq!(counter.take(1, true), (65_536, 0));
+        assert_eq!(counter.take(4, true), (65_539, 2));
+        // Out of order: neither loss nor a lap.
+        assert_eq!(counter.take(3, true), (65_538, 0));
+        for lap in 0..200_000u64 {
+            let id = (4 + lap) % 65_535 + 1;
+            assert_eq!(counter.take(id, true), (65_540 + lap, 0));
+        }
+        let mut long = FrameCounter::default();
+        long.take(65_535, false);
+        assert_eq!(long.take(65_540, false), (65_540, 4));
+    }
+
+    #[test]
+    fn the_nearest_value_lies_on_the_grid_and_within_bounds() {
+        let bounds = Bounds { min: 1.0, max: 2.05, increment: Some(0.1) };
+        assert!((bounds.nearest(1.234) - 1.2).abs() < 1e-12);
+        assert_eq!(bounds.nearest(0.0), 1.0);
+        assert!((bounds.nearest(9.0) - 2.0).abs() < 1e-12);
+    }
+}

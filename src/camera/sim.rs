@@ -1,0 +1,266 @@
+//! The simulator as a camera.
+
+use super::{
+    Bounds, Camera, CameraError, Capabilities, FrameStream, Identity, Settings, StreamCounts, StreamOptions,
+    Trigger, Value, check_bounds,
+};
+use crate::bench::{BenchState, SharedBench};
+use crate::frame::{Frame, Region, Status};
+use crate::pixel_format::PixelFormat;
+use radcam_sim::{Conditions, Sensor};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// A camera that draws its frames.
+///
+/// Its clock is simulated: a frame takes its exposure and the sensor's read-out time, whatever the machine needs.
+#[derive(Debug)]
+pub struct SimCamera {
+    identity: Identity,
+    capabilities: Capabilities,
+    sensor: Arc<Sensor>,
+    bench: SharedBench,
+    settings: Settings,
+    trigger: Trigger,
+    clock: Clock,
+}
+
+/// Which frame is drawn next, and when.
+#[derive(Debug, Clone, Copy, Default)]
+struct Clock {
+    frame: u64,
+    time_s: f64,
+}
+
+/// Formats in which a converter of so many bits can hand out its codes.
+pub fn formats_of(bit_depth: u8) -> Vec<PixelFormat> {
+    let mono = |f: &PixelFormat| f.name().starts_with("Mono");
+    let native =
+        PixelFormat::all().filter(mono).find(|f| f.bits() >= bit_depth).map_or(16, PixelFormat::bits);
+    PixelFormat::all().filter(mono).filter(|f| f.bits() == native || f.bits() == 8).collect()
+}
+
+/// Codes of a `bit_depth` converter as a format of `bits` hands them out: the low bits are cut off where
+/// the format has fewer.
+pub fn narrow(dn: &mut [u16], bit_depth: u8, bits: u8) {
+    if bits < bit_depth {
+        dn.iter_mut().for_each(|d| *d >>= bit_depth - bits);
+    }
+}
+
+impl SimCamera {
+    /// A camera of this sensor before this bench.
+    pub fn new(name: &str, sensor: Arc<Sensor>, bench: SharedBench) -> Self {
+        let model = sensor.model();
+        let body = &model.camera;
+        let formats = formats_of(body.bit_depth);
+        let pixels = |max: u32| Bounds { min: 1.0, max: f64::from(max), increment: Some(1.0) };
+        let bounds = |min, max, increment| Some(Bounds { min, max, increment });
+        let identity = Identity {
+            id: format!("sim:{name}"),
+            vendor: body.vendor.clone(),
+            model: body.model.clone(),
+            serial: format!("SIM{}", model.base.seed),
+            firmware: Some(env!("CARGO_PKG_VERSION").into()),
+        };
+        let capabilities = Capabilities {
+            exposure_s: bounds(body.exposure_min_s, body.exposure_max_s, Some(body.exposure_increment_s)),
+            gain_db: bounds(0.0, body.gain_max_db, None),
+            black_level_dn: bounds(0.0, f64::from(model.full_scale_dn()), None),
+            frame_rate_hz: None,
+            width: pixels(body.width),
+            height: pixels(body.height),
+            offset_increment: (1, 1),
+            pixel_formats: formats.clone(),
+            software_trigger: true,
+        };
+        let settings = Settings {
+            exposure_s: 0.01_f64.clamp(body.exposure_min_s, body.exposure_max_s),
+            gain_db: Some(0.0),
+            black_level_dn: Some(model.base.black_level_dn),
+            frame_rate_hz: None,
+            pixel_format: formats
+                .into_iter()
+                .find(|f| f.bits() >= body.bit_depth)
+                .unwrap_or(PixelFormat::all().next().expect("the table of formats is not empty")),
+            region: sensor.region(),
+            temperature_c: Some(model.base.dark_reference_c),
+        };
+        Self {
+            identity,
+            capabilities,
+            sensor,
+            bench,
+            settings,
+            trigger: Trigger::FreeRun,
+            clock: Clock::default(),
+        }
+    }
+
+    /// The number of the next frame and the simulated time at which it starts, s.
+    pub fn set_clock(&mut self, frame: u64, time_s: f64) {
+        self.clock = Clock { frame, time_s };
+    }
+
+    /// The sensor.
+    pub fn sensor(&self) -> &Sensor {
+        &self.sensor
+    }
+
+    fn id(&self) -> &str {
+        &self.identity.id
+    }
+}
+
+/// The conditions of a frame from camera settings and bench.
+pub fn conditions(sensor: &Sensor, settings: &Settings, bench: &BenchState) -> Conditions {
+    let nominal = sensor.conditions(settings.exposure_s);
+    Conditions {
+        illumination: bench.illumination,
+        configuration: bench.configuration,
+        scene: bench.scene,
+        temperature_c: settings.temperature_c.unwrap_or(nominal.temperature_c),
+        gain_db: settings.gain_db.unwrap_or(0.0),
+        black_level_dn: settings.black_level_dn.unwrap_or(nominal.black_level_dn),
+        ..nominal
+    }
+}
+
+impl Camera for SimCamera {
+    fn identity(&self) -> &Identity {
+        &self.identity
+    }
+
+    fn capabilities(&self) -> &Capabilities {
+        &self.capabilities
+    }
+
+    fn settings(&mut self) -> Result<Settings, CameraError> {
+        Ok(self.settings.clone())
+    }
+
+    fn set_exposure_s(&mut self, value: f64) -> Result<f64, CameraError> {
+        let bounds = check_bounds(self.id(), "ExposureTime", self.capabilities.exposure_s, value, "s")?;
+        self.settings.exposure_s = bounds.nearest(value);
+        Ok(self.settings.exposure_s)
+    }
+
+    fn set_gain_db(&mut self, value: f64) -> Result<f64, CameraError> {
+        check_bounds(self.id(), "Gain", self.capabilities.gain_db, value, "dB")?;
+        self.settings.gain_db = Some(value);
+        Ok(value)
+    }
+
+    fn set_black_level_dn(&mut self, value: f64) -> Result<f64, CameraError> {
+        check_bounds(self.id(), "BlackLevel", self.capabilities.black_level_dn, value, "DN")?;
+        self.settings.black_level_dn = Some(value);
+        Ok(value)
+    }
+
+    fn set_pixel_format(&mut self, format: PixelFormat) -> Result<PixelFormat, CameraError> {
+        if !self.capabilities.pixel_formats.contains(&format) {
+            return Err(self.not_available(&format!("pixel format {format}")));
+        }
+        self.settings.pixel_format = format;
+        Ok(format)
+    }
+
+    fn set_region(&mut self, region: Region) -> Result<Region, CameraError> {
+        let all = self.sensor.region();
+        for (feature, value, max) in [
+            ("OffsetX", region.x, all.width.saturating_sub(region.width)),
+            ("OffsetY", region.y, all.height.saturating_sub(region.height)),
+            ("Width", region.width, all.width),
+            ("Height", region.height, all.height),
+        ] {
+            let min = if feature.starts_with("Offset") { 0.0 } else { 1.0 };
+            let bounds = Bounds { min, max: f64::from(max), increment: Some(1.0) };
+            check_bounds(self.id(), feature, Some(bounds), f64::from(value), "px")?;
+        }
+        self.settings.region = region;
+        Ok(region)
+    }
+
+    fn set_trigger(&mut self, trigger: Trigger) -> Result<(), CameraError> {
+        self.trigger = trigger;
+        Ok(())
+    }
+
+    fn has_feature(&mut self, name: &str) -> bool {
+        name == "DeviceTemperature"
+    }
+
+    fn set_feature(&mut self, name: &str, value: &Value) -> Result<Value, CameraError> {
+        match (name, value) {
+            ("DeviceTemperature", Value::Float(t)) => {
+                self.settings.temperature_c = Some(*t);
+                Ok(value.clone())
+            }
+            _ => Err(self.not_available(name)),
+        }
+    }
+
+    fn features(&mut self) -> BTreeMap<String, Value> {
+        BTreeMap::new()
+    }
+
+    fn stream(&mut self, _options: &StreamOptions) -> Result<Box<dyn FrameStream + '_>, CameraError> {
+        let pending = match self.trigger {
+            Trigger::FreeRun => None,
+            Trigger::Software => Some(0),
+        };
+        Ok(Box::new(SimStream { camera: self, counts: StreamCounts::default(), pending }))
+    }
+}
+
+struct SimStream<'a> {
+    camera: &'a mut SimCamera,
+    counts: StreamCounts,
+    /// Triggers not yet answered; `None` in free run.
+    pending: Option<u64>,
+}
+
+impl FrameStream for SimStream<'_> {
+    fn next(&mut self, frame: &mut Frame, timeout: Duration) -> Result<(), CameraError> {
+        let camera = &mut *self.camera;
+        match &mut self.pending {
+            None => {}
+            Some(0) => {
+                return Err(CameraError::Timeout {
+                    camera: camera.identity.id.clone(),
+                    seconds: timeout.as_secs_f64(),
+                    counts: "no trigger was given".into(),
+                });
+            }
+            Some(pending) => *pending -= 1,
+        }
+        let settings = &camera.settings;
+        let region = settings.region;
+        let conditions = conditions(&camera.sensor, settings, &camera.bench.get());
+        let body = &camera.sensor.model().camera;
+        let dn = frame.pixels_mut(region.width as usize, region.height as usize);
+        camera.sensor.draw(camera.clock.frame, &conditions, region, dn);
+        narrow(dn, body.bit_depth, settings.pixel_format.bits());
+        frame.status = Status::Complete;
+        frame.id = camera.clock.frame;
+        frame.timestamp_ns = (camera.clock.time_s * 1e9).round() as u64;
+        frame.temperature_c = settings.temperature_c;
+        camera.clock.frame += 1;
+        camera.clock.time_s += settings.exposure_s + body.readout_s;
+        self.counts.completed += 1;
+        Ok(())
+    }
+
+    fn trigger(&mut self) -> Result<(), CameraError> {
+        match &mut self.pending {
+            Some(pending) => *pending += 1,
+            None => return Err(self.camera.not_available("TriggerSoftware in free run")),
+        }
+        Ok(())
+    }
+
+    fn counts(&self) -> StreamCounts {
+        self.counts
+    }
+}

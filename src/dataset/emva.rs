@@ -1,0 +1,120 @@
+//! The descriptor file of the EMVA 1288 reference tool, so that its datasets work as they are.
+//!
+//! Lines: `v VERSION`, `n BITS WIDTH HEIGHT`, `b EXPOSURE_NS PHOTONS` and `d EXPOSURE_NS` begin a set,
+//! `i FILE` adds a frame to it; `#` begins a comment. Photons are per pixel and exposure; here they become
+//! photons per pixel per second. Files may be written with backslashes.
+
+use super::{BenchInfo, CameraInfo, Dataset, DatasetError, FrameRow, Kind, Manifest};
+use std::path::Path;
+
+/// Reads a descriptor.
+pub fn open(path: &Path) -> Result<Dataset, DatasetError> {
+    let text = std::fs::read_to_string(path).map_err(DatasetError::io(path))?;
+    let (camera, rows) =
+        parse(&text).map_err(|(line, message)| DatasetError::Row { path: path.into(), line, message })?;
+    let mut manifest = Manifest::new(camera);
+    manifest.bench = Some(BenchInfo { illumination_unit: "photons/px/s".into(), illumination_rel_std: None });
+    let root = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    Dataset::new(root.into(), manifest, rows, path)
+}
+
+type Parsed = (CameraInfo, Vec<(u64, FrameRow)>);
+
+fn parse(text: &str) -> Result<Parsed, (u64, String)> {
+    let mut camera = None;
+    let mut rows: Vec<(u64, FrameRow)> = Vec::new();
+    let mut current: Option<FrameRow> = None;
+    let mut next_set = 0;
+    for (i, line) in text.lines().enumerate() {
+        let number = i as u64 + 1;
+        let fault = |message: String| (number, message);
+        let line = line.split('#').next().unwrap_or("");
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let float = |word: &str| {
+            let value: f64 =
+                word.replace(',', ".").parse().map_err(|_| fault(format!("\"{word}\" is not a number")))?;
+            Ok(value)
+        };
+        let mut begin = |kind, exposure_ns: f64, photons: f64| {
+            let exposure_s = exposure_ns * 1e-9;
+            current = Some(FrameRow {
+                file: String::new(),
+                kind,
+                set: next_set,
+                index: 0,
+                exposure_s,
+                illumination: photons / exposure_s,
+                configuration: 0,
+                temperature_c: None,
+                timestamp_s: None,
+            });
+            next_set += 1;
+        };
+        match words.as_slice() {
+            [] | ["v", ..] => {}
+            ["n", bits, width, height] => {
+                let whole = |word: &str| {
+                    word.parse::<usize>().map_err(|_| fault(format!("\"{word}\" is not a whole number")))
+                };
+                let bit_depth = whole(bits)?;
+                if !(1..=16).contains(&bit_depth) {
+                    return Err(fault(format!("{bit_depth} bits; frames have 1 to 16")));
+                }
+                camera = Some(CameraInfo {
+                    width: whole(width)?,
+                    height: whole(height)?,
+                    bit_depth: bit_depth as u8,
+                    pixel_format: format!("Mono{bit_depth}"),
+                    ..Default::default()
+                });
+            }
+            ["b", exposure_ns, photons] => begin(Kind::Flat, float(exposure_ns)?, float(photons)?),
+            ["d", exposure_ns] => begin(Kind::Dark, float(exposure_ns)?, 0.0),
+            ["i", file] => {
+                let row =
+                    current.as_mut().ok_or_else(|| fault("a frame stands before any b or d line".into()))?;
+                row.file = file.replace('\\', "/");
+                rows.push((number, row.clone()));
+                row.index += 1;
+            }
+            [word, ..] => {
+                return Err(fault(format!(
+                    "\"{word}\" begins no line of an EMVA 1288 descriptor (v, n, b, d, i)"
+                )));
+            }
+        }
+    }
+    let camera = camera.ok_or_else(|| (1, "no line \"n BITS WIDTH HEIGHT\"; not a descriptor".into()))?;
+    Ok((camera, rows))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_descriptor_is_read() {
+        let text = "v 3.0\nn 12 640 480\n# darks\nd 1000000.0\ni images\\d0.png\ni images\\d1.png\n\
+                    b 1000000.0 250,5\ni images\\b0.png\n";
+        let (camera, rows) = parse(text).unwrap();
+        assert_eq!((camera.width, camera.height, camera.bit_depth), (640, 480, 12));
+        assert_eq!((rows[1].1.file.as_str(), rows[1].1.index), ("images/d1.png", 1));
+        let bright = &rows[2].1;
+        assert_eq!((bright.kind, bright.set, bright.index), (Kind::Flat, 1, 0));
+        assert!((bright.illumination * bright.exposure_s - 250.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn faults_are_named_by_line() {
+        for (text, line, part) in [
+            ("v 3\nn 12 640\n", 2, "begins no line"),
+            ("n 12 640 480\ni a.png\n", 2, "before any"),
+            ("n 33 640 480\n", 1, "33 bits"),
+            ("n 12 640 480\nb fast 3\n", 2, "fast"),
+            ("v 3\n", 1, "not a descriptor"),
+        ] {
+            let (found, message) = parse(text).unwrap_err();
+            assert!(found == line && message.contains(part), "{found}: {message}");
+        }
+    }
+}

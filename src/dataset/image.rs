@@ -1,0 +1,242 @@
+//! Grey images of 8 or 16 bits: TIFF (any page), PNG and FITS in; TIFF out.
+
+use ndarray::Array2;
+use std::fs::File;
+use std::io::{BufReader, Cursor, Seek, Write};
+use std::path::Path;
+use tiff::decoder::DecodingResult;
+use tiff::encoder::{TiffEncoder, colortype};
+
+/// Why an image cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum ImageError {
+    /// The file system refused.
+    #[error("{0}")]
+    Io(#[from] std::io::Error),
+    /// Not a sound TIFF.
+    #[error("not a sound TIFF: {0}")]
+    Tiff(#[from] tiff::TiffError),
+    /// Not a sound PNG.
+    #[error("not a sound PNG: {0}")]
+    Png(#[from] ::image::ImageError),
+    /// Not a sound FITS.
+    #[error("not a sound FITS: {0}")]
+    Fits(String),
+    /// Sound, but not a grey image of unsigned 8 or 16 bits.
+    #[error("is {0}; frames are grey, with 8 or 16 unsigned bits")]
+    NotGrey(String),
+    /// A page that the file has not.
+    #[error("has no page {0} (pages count from 0)")]
+    NoPage(usize),
+}
+
+/// Reads one page as (rows, columns) of DN. The kind of file is told by its first bytes, not by its name.
+pub fn read(path: &Path, page: usize) -> Result<Array2<u16>, ImageError> {
+    let mut start = [0u8; 8];
+    let read = std::io::Read::read(&mut File::open(path)?, &mut start)?;
+    let start = &start[..read];
+    if start.starts_with(b"\x89PNG") {
+        first_page_only(page)?;
+        read_png(path)
+    } else if start.starts_with(b"SIMPLE") {
+        first_page_only(page)?;
+        read_fits(&std::fs::read(path)?)
+    } else {
+        read_tiff(path, page)
+    }
+}
+
+fn first_page_only(page: usize) -> Result<(), ImageError> {
+    if page == 0 { Ok(()) } else { Err(ImageError::NoPage(page)) }
+}
+
+fn array(width: usize, height: usize, pixels: Vec<u16>) -> Result<Array2<u16>, ImageError> {
+    let found = pixels.len();
+    Array2::from_shape_vec((height, width), pixels)
+        .map_err(|_| ImageError::NotGrey(format!("{width} x {height} px with {found} values")))
+}
+
+fn read_tiff(path: &Path, page: usize) -> Result<Array2<u16>, ImageError> {
+    let mut decoder = tiff::decoder::Decoder::new(BufReader::new(File::open(path)?))?;
+    for _ in 0..page {
+        if !decoder.more_images() {
+            return Err(ImageError::NoPage(page));
+        }
+        decoder.next_image()?;
+    }
+    let (width, height) = decoder.dimensions()?;
+    match decoder.colortype()? {
+        tiff::ColorType::Gray(8 | 16) => {}
+        other => return Err(ImageError::NotGrey(format!("{other:?}"))),
+    }
+    let pixels = match decoder.read_image()? {
+        DecodingResult::U8(v) => v.into_iter().map(u16::from).collect(),
+        DecodingResult::U16(v) => v,
+        _ => return Err(ImageError::NotGrey("a TIFF of signed or floating-point values".into())),
+    };
+    array(width as usize, height as usize, pixels)
+}
+
+fn read_png(path: &Path) -> Result<Array2<u16>, ImageError> {
+    use ::image::DynamicImage::{ImageLuma8, ImageLuma16};
+    let mut reader = ::image::ImageReader::new(BufReader::new(File::open(path)?));
+    reader.set_format(::image::ImageFormat::Png);
+    match reader.decode()? {
+        ImageLuma8(i) => {
+            let (w, h) = i.dimensions();
+            array(w as usize, h as usize, i.into_raw().into_iter().map(u16::from).collect())
+        }
+        ImageLuma16(i) => {
+            let (w, h) = i.dimensions();
+            array(w as usize, h as usize, i.into_raw())
+        }
+        other => Err(ImageError::NotGrey(format!("{:?}", other.color()))),
+    }
+}
+
+/// Size of a FITS record, bytes, and of a card in it (FITS standard 4.0, section 3.1 and 4.1).
+const FITS_RECORD: usize = 2880;
+const FITS_CARD: usize = 80;
+
+/// Reads the primary image of a FITS file: two axes, BITPIX 8 or 16, BSCALE 1.
+///
+/// FITS has no unsigned 16-bit integers; they are written with BZERO = 32768 (section 5.2.5). Rows are kept in
+/// the order of the file.
+fn read_fits(bytes: &[u8]) -> Result<Array2<u16>, ImageError> {
+    let fault = |message: &str| ImageError::Fits(message.into());
+    let mut values = std::collections::HashMap::new();
+    let mut end = None;
+    for (i, card) in bytes.chunks_exact(FITS_CARD).enumerate() {
+        let card = std::str::from_utf8(card).map_err(|_| fault("the header is not text"))?;
+        let keyword = card.get(..8).unwrap_or(card).trim_end();
+        if keyword == "END" {
+            end = Some((i + 1) * FITS_CARD);
+            break;
+        }
+        if let Some(value) = card.get(8..).and_then(|rest| rest.strip_prefix("= ")) {
+            let value = value.split('/').next().unwrap_or(value).trim();
+            values.entry(keyword.to_string()).or_insert_with(|| value.to_string());
+        }
+    }
+    let data_at = end.ok_or_else(|| fault("the header has no END"))?.next_multiple_of(FITS_RECORD);
+    let number = |keyword: &str, default: Option<f64>| match values.get(keyword) {
+        Some(text) => text.parse::<f64>().map_err(|_| ImageError::Fits(format!("{keyword} is {text}"))),
+        None => default.ok_or_else(|| ImageError::Fits(format!("the header has no {keyword}"))),
+    };
+    let axes = number("NAXIS", None)?;
+    if axes != 2.0 {
+        return Err(ImageError::NotGrey(format!("a FITS of {axes} axes")));
+    }
+    let size = |keyword| {
+        let n = number(keyword, None)?;
+        if n.fract() == 0.0 && (1.0..=65_536.0).contains(&n) {
+            Ok(n as usize)
+        } else {
+            Err(ImageError::Fits(format!("{keyword} is {n}")))
+        }
+    };
+    let (width, height) = (size("NAXIS1")?, size("NAXIS2")?);
+    let (scale, zero) = (number("BSCALE", Some(1.0))?, number("BZERO", Some(0.0))?);
+    let bits = number("BITPIX", None)?;
+    if scale != 1.0 || !(bits == 8.0 || bits == 16.0) {
+        return Err(ImageError::NotGrey(format!("a FITS with BITPIX {bits} and BSCALE {scale}")));
+    }
+    let needed = width * height * (bits as usize / 8);
+    let data = bytes.get(data_at..data_at + needed).ok_or_else(|| {
+        let has = bytes.len().saturating_sub(data_at);
+        ImageError::Fits(format!("cut short: {needed} bytes of pixels are needed, {has} are there"))
+    })?;
+    let unsigned = |raw: f64| {
+        let value = raw + zero;
+        if (0.0..=65_535.0).contains(&value) {
+            Ok(value as u16)
+        } else {
+            Err(ImageError::NotGrey(format!("a FITS with the value {value}")))
+        }
+    };
+    let pixels = if bits == 8.0 {
+        data.iter().map(|&b| unsigned(b.into())).collect::<Result<Vec<_>, _>>()?
+    } else {
+        let (words, _) = data.as_chunks::<2>();
+        words.iter().map(|&w| unsigned(i16::from_be_bytes(w).into())).collect::<Result<Vec<_>, _>>()?
+    };
+    array(width, height, pixels)
+}
+
+/// Writes a frame as an uncompressed TIFF, 8 bits deep where `bit_depth` is at most 8, else 16.
+pub fn write_tiff<W: Write + Seek>(out: W, pixels: &Array2<u16>, bit_depth: u8) -> Result<(), ImageError> {
+    let (height, width) = pixels.dim();
+    let (width, height) = (width as u32, height as u32);
+    let mut encoder = TiffEncoder::new(out)?;
+    let standard = pixels.as_standard_layout();
+    let dn = standard.as_slice().unwrap_or_default();
+    if bit_depth <= 8 {
+        let bytes: Vec<u8> = dn.iter().map(|&d| d as u8).collect();
+        encoder.write_image::<colortype::Gray8>(width, height, &bytes)?;
+    } else {
+        encoder.write_image::<colortype::Gray16>(width, height, dn)?;
+    }
+    Ok(())
+}
+
+/// The bytes of [`write_tiff`].
+pub fn tiff_bytes(pixels: &Array2<u16>, bit_depth: u8) -> Result<Vec<u8>, ImageError> {
+    let mut out = Cursor::new(Vec::with_capacity(pixels.len() * 2 + 1024));
+    write_tiff(&mut out, pixels, bit_depth)?;
+    Ok(out.into_inner())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn fits(cards: &[&str], data: &[u8]) -> Vec<u8> {
+        let mut out = Vec::new();
+        for card in cards.iter().chain(&["END"]) {
+            out.extend(format!("{card:<80}").bytes());
+        }
+        out.resize(out.len().next_multiple_of(FITS_RECORD), b' ');
+        out.extend(data);
+        out
+    }
+
+    const HEAD: [&str; 4] =
+        ["SIMPLE  =                    T", "BITPIX  = 16", "NAXIS   = 2", "NAXIS1  = 2 / columns"];
+
+    #[test]
+    fn fits_of_unsigned_words_is_read() {
+        let mut cards = HEAD.to_vec();
+        cards.extend(["NAXIS2  = 1", "BZERO   =              32768.0"]);
+        let image = read_fits(&fits(&cards, &[0x80, 0x00, 0x7F, 0xFF])).unwrap();
+        assert_eq!(image, ndarray::array![[0u16, 65_535]]);
+        let cut = read_fits(&fits(&cards, &[0x80])).unwrap_err().to_string();
+        assert!(cut.contains("4 bytes of pixels are needed, 1 are there"), "{cut}");
+        // Without BZERO the values are signed.
+        assert!(read_fits(&fits(&[&HEAD[..], &["NAXIS2  = 1"]].concat(), &[0xFF; 4])).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_make_the_readers_panic(bytes in prop::collection::vec(any::<u8>(), 0..400), kind in 0usize..4) {
+            let start: &[u8] = [&b"SIMPLE  "[..], b"\x89PNG\r\n\x1a\n", b"II*\0", b""][kind];
+            let dir = tempfile::tempdir().unwrap();
+            let path = dir.path().join("x");
+            std::fs::write(&path, [start, &bytes].concat()).unwrap();
+            let _ = read(&path, 0);
+        }
+
+        #[test]
+        fn tiff_survives_a_round_trip(w in 1usize..9, h in 1usize..9, bits in 8u8..=16, seed in any::<u16>()) {
+            let mask = ((1u32 << bits) - 1) as u16;
+            let image = Array2::from_shape_fn((h, w), |(y, x)| {
+                seed.wrapping_mul(31).wrapping_add((y * 977 + x * 131) as u16) & mask
+            });
+            let dir = tempfile::tempdir().unwrap();
+            let path = dir.path().join("x.tiff");
+            std::fs::write(&path, tiff_bytes(&image, bits).unwrap()).unwrap();
+            prop_assert_eq!(read(&path, 0).unwrap(), image);
+            prop_assert!(matches!(read(&path, 1), Err(ImageError::NoPage(1))));
+        }
+    }
+}

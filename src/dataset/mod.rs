@@ -1,0 +1,422 @@
+//! A campaign on disk: a folder with `dataset.toml`, `frames.csv` and the frames.
+//!
+//! [`Dataset::open`] also reads the descriptor file of an EMVA 1288 test. A table of statistics, which has no
+//! frames, is [`table::Table`].
+
+mod emva;
+pub mod image;
+mod manifest;
+pub mod table;
+mod write;
+
+pub use manifest::{BenchInfo, CameraInfo, FORMAT, Manifest};
+pub use write::{Writer, write_whole};
+
+use ndarray::Array2;
+use serde::{Deserialize, Serialize};
+use std::collections::{HashMap, HashSet};
+use std::fmt;
+use std::path::{Component, Path, PathBuf};
+
+/// Header of `frames.csv`.
+pub const COLUMNS: [&str; 9] = [
+    "file",
+    "kind",
+    "set",
+    "index",
+    "exposure_s",
+    "illumination",
+    "configuration",
+    "temperature_c",
+    "timestamp_s",
+];
+
+/// What a frame shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Kind {
+    /// No light.
+    Dark,
+    /// A uniform card.
+    Flat,
+    /// Anything else of one still scene.
+    Scene,
+    /// A scene-variation surface.
+    Target,
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Kind::Dark => "dark",
+            Kind::Flat => "flat",
+            Kind::Scene => "scene",
+            Kind::Target => "target",
+        })
+    }
+}
+
+/// One row of `frames.csv`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FrameRow {
+    /// Path inside the folder; `name.tiff#3` is page 3, counted from 0.
+    pub file: String,
+    /// What the frame shows.
+    pub kind: Kind,
+    /// Frames of one set share every setting and follow one another in time.
+    pub set: u32,
+    /// Place within the set, from 0.
+    pub index: u32,
+    /// Commanded exposure, s.
+    pub exposure_s: f64,
+    /// Relative to the campaign's unit; 0 for darks.
+    pub illumination: f64,
+    /// Position of card and light (Section V of the paper).
+    pub configuration: u32,
+    /// Sensor temperature, degrees Celsius.
+    pub temperature_c: Option<f64>,
+    /// Start of the exposure, s from the start of the campaign.
+    pub timestamp_s: Option<f64>,
+}
+
+/// What is wrong with a dataset, and where.
+#[derive(Debug, thiserror::Error)]
+pub enum DatasetError {
+    /// The file system refused.
+    #[error("{path}: {source}")]
+    Io {
+        /// File or folder.
+        path: PathBuf,
+        /// What it said.
+        source: std::io::Error,
+    },
+    /// `dataset.toml` or the descriptor cannot be understood.
+    #[error("{path}: {message}")]
+    Manifest {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        message: String,
+    },
+    /// A row is wrong.
+    #[error("{path}, line {line}: {message}")]
+    Row {
+        /// `frames.csv`, the descriptor or the table.
+        path: PathBuf,
+        /// Line of that file, from 1.
+        line: u64,
+        /// What is wrong.
+        message: String,
+    },
+    /// A frame is wrong.
+    #[error("frame {file} (set {set}, index {index}): {message}")]
+    Frame {
+        /// Path as `frames.csv` has it.
+        file: String,
+        /// Its set.
+        set: u32,
+        /// Its place in the set.
+        index: u32,
+        /// What is wrong.
+        message: String,
+    },
+}
+
+impl DatasetError {
+    pub(crate) fn io(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Io { path, source }
+    }
+}
+
+/// Frames that share every setting, in the order of time.
+#[derive(Debug, Clone)]
+pub struct Set {
+    /// Number of the set in `frames.csv`.
+    pub number: u32,
+    /// Places of its frames in [`Dataset::rows`].
+    pub rows: Vec<usize>,
+}
+
+/// A campaign: its manifest and its rows; frames are read when asked for.
+#[derive(Debug, Clone)]
+pub struct Dataset {
+    root: PathBuf,
+    manifest: Manifest,
+    rows: Vec<FrameRow>,
+    sets: Vec<Set>,
+}
+
+impl Dataset {
+    /// Opens a dataset folder or an EMVA 1288 descriptor file, and checks every row of it.
+    ///
+    /// ```no_run
+    /// let dataset = radcam::dataset::Dataset::open("campaign".as_ref())?;
+    /// for set in dataset.sets() {
+    ///     let frames = dataset.read_set(set)?; // (rows, columns) in DN
+    ///     println!("set {}: {} frames", set.number, frames.len());
+    /// }
+    /// # Ok::<(), radcam::dataset::DatasetError>(())
+    /// ```
+    pub fn open(path: &Path) -> Result<Self, DatasetError> {
+        if path.is_file() {
+            return emva::open(path);
+        }
+        let manifest_path = path.join("dataset.toml");
+        let text = std::fs::read_to_string(&manifest_path).map_err(DatasetError::io(&manifest_path))?;
+        let manifest = Manifest::from_toml(&text)
+            .map_err(|message| DatasetError::Manifest { path: manifest_path, message })?;
+        let csv_path = path.join("frames.csv");
+        let text = std::fs::read_to_string(&csv_path).map_err(DatasetError::io(&csv_path))?;
+        Self::new(path.into(), manifest, parse_rows(&csv_path, &text)?, &csv_path)
+    }
+
+    /// Groups checked rows into sets.
+    fn new(
+        root: PathBuf,
+        manifest: Manifest,
+        rows: Vec<(u64, FrameRow)>,
+        rows_path: &Path,
+    ) -> Result<Self, DatasetError> {
+        let fault = |line, message| DatasetError::Row { path: rows_path.into(), line, message };
+        let mut files = HashSet::new();
+        let mut places = HashSet::new();
+        let mut set_places: HashMap<u32, usize> = HashMap::new();
+        let mut sets: Vec<Set> = Vec::new();
+        for (i, (line, row)) in rows.iter().enumerate() {
+            check_row(row).map_err(|message| fault(*line, message))?;
+            if !files.insert(&row.file) {
+                return Err(fault(*line, format!("file {} stands in an earlier row too", row.file)));
+            }
+            if !places.insert((row.set, row.index)) {
+                let message = format!("set {} index {} stands in an earlier row too", row.set, row.index);
+                return Err(fault(*line, message));
+            }
+            let place = *set_places.entry(row.set).or_insert_with(|| {
+                sets.push(Set { number: row.set, rows: Vec::new() });
+                sets.len() - 1
+            });
+            if let Some(&first) = sets[place].rows.first() {
+                same_settings(&rows[first].1, row).map_err(|message| fault(*line, message))?;
+            }
+            sets[place].rows.push(i);
+        }
+        let rows: Vec<FrameRow> = rows.into_iter().map(|(_, row)| row).collect();
+        for set in &mut sets {
+            set.rows.sort_by_key(|&i| rows[i].index);
+        }
+        Ok(Self { root, manifest, rows, sets })
+    }
+
+    /// What camera and bench said of themselves.
+    pub fn manifest(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    /// Every row, in the order of the file, which is the order of time.
+    pub fn rows(&self) -> &[FrameRow] {
+        &self.rows
+    }
+
+    /// Sets in the order of time.
+    pub fn sets(&self) -> &[Set] {
+        &self.sets
+    }
+
+    /// The first row of a set: its settings.
+    pub fn settings(&self, set: &Set) -> &FrameRow {
+        &self.rows[set.rows[0]]
+    }
+
+    /// Where the dataset lies.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Reads one frame, (rows, columns) in DN, and holds its size and range against the manifest.
+    pub fn read(&self, row: &FrameRow) -> Result<Array2<u16>, DatasetError> {
+        let fault = |message: String| DatasetError::Frame {
+            file: row.file.clone(),
+            set: row.set,
+            index: row.index,
+            message,
+        };
+        let (name, page) = split_page(&row.file).map_err(fault)?;
+        let path = self.root.join(name);
+        // A link inside the folder may point out of it.
+        let inside = match (path.canonicalize(), self.root.canonicalize()) {
+            (Ok(path), Ok(root)) => path.starts_with(root),
+            (Err(e), _) | (_, Err(e)) => return Err(fault(format!("{}: {e}", path.display()))),
+        };
+        if !inside {
+            return Err(fault("the path leaves the dataset folder".into()));
+        }
+        let pixels = image::read(&path, page).map_err(|e| fault(e.to_string()))?;
+        let camera = &self.manifest.camera;
+        if pixels.dim() != (camera.height, camera.width) {
+            let (h, w) = pixels.dim();
+            return Err(fault(format!(
+                "is {w} x {h} px, and dataset.toml says {} x {} px",
+                camera.width, camera.height
+            )));
+        }
+        let full_scale = camera.full_scale_dn();
+        if pixels.iter().fold(0, |a, &b| a | b) > full_scale {
+            let largest = pixels.iter().max().copied().unwrap_or(0);
+            return Err(fault(format!(
+                "holds {largest} DN, and bit_depth = {} in dataset.toml allows at most {full_scale} DN",
+                camera.bit_depth
+            )));
+        }
+        Ok(pixels)
+    }
+
+    /// Reads the frames of a set in the order of time.
+    pub fn read_set(&self, set: &Set) -> Result<Vec<Array2<u16>>, DatasetError> {
+        set.rows.iter().map(|&i| self.read(&self.rows[i])).collect()
+    }
+}
+
+/// Splits `name.tiff#3` into name and page.
+fn split_page(file: &str) -> Result<(&str, usize), String> {
+    match file.rsplit_once('#') {
+        Some((name, page)) => {
+            let page = page.parse().map_err(|_| format!("\"#{page}\" is not the number of a page"))?;
+            Ok((name, page))
+        }
+        None => Ok((file, 0)),
+    }
+}
+
+fn parse_rows(path: &Path, text: &str) -> Result<Vec<(u64, FrameRow)>, DatasetError> {
+    let fault = |line, message| DatasetError::Row { path: path.into(), line, message };
+    let mut reader = csv::ReaderBuilder::new().has_headers(true).from_reader(text.as_bytes());
+    let header = reader.headers().map_err(|e| fault(1, e.to_string()))?.clone();
+    if header.iter().ne(COLUMNS) {
+        return Err(fault(1, format!("the header must be exactly {}", COLUMNS.join(","))));
+    }
+    let mut rows = Vec::new();
+    for record in reader.records() {
+        let record = record.map_err(|e| fault(e.position().map_or(0, |p| p.line()), e.to_string()))?;
+        let line = record.position().map_or(0, |p| p.line());
+        let row = record.deserialize(Some(&header)).map_err(|e| {
+            let why = match e.kind() {
+                csv::ErrorKind::Deserialize { err, .. } => {
+                    let column = err.field().and_then(|i| COLUMNS.get(i as usize)).unwrap_or(&"row");
+                    format!("{column}: {}", err.kind())
+                }
+                _ => e.to_string(),
+            };
+            fault(line, why)
+        })?;
+        rows.push((line, row));
+    }
+    Ok(rows)
+}
+
+/// What must hold of one row by itself.
+fn check_row(row: &FrameRow) -> Result<(), String> {
+    let (name, _) = split_page(&row.file)?;
+    let path = Path::new(name);
+    let plain = |c| matches!(c, Component::Normal(_) | Component::CurDir);
+    if name.is_empty() || !path.components().all(plain) {
+        return Err(format!("file {} must be a path inside the dataset folder", row.file));
+    }
+    if !(row.exposure_s.is_finite() && row.exposure_s > 0.0) {
+        return Err(format!("exposure_s is {}, and must be above 0 s", row.exposure_s));
+    }
+    if !(row.illumination.is_finite() && row.illumination >= 0.0) {
+        return Err(format!("illumination is {}, and must not be below 0", row.illumination));
+    }
+    if row.kind == Kind::Dark && row.illumination != 0.0 {
+        return Err(format!("a dark frame has illumination 0, and this one {}", row.illumination));
+    }
+    for (name, value) in [("temperature_c", row.temperature_c), ("timestamp_s", row.timestamp_s)] {
+        if value.is_some_and(|v| !v.is_finite()) {
+            return Err(format!("{name} is not a finite number"));
+        }
+    }
+    Ok(())
+}
+
+/// Frames of one set share every setting.
+fn same_settings(first: &FrameRow, row: &FrameRow) -> Result<(), String> {
+    let differs = [
+        ("kind", first.kind != row.kind),
+        ("exposure_s", first.exposure_s != row.exposure_s),
+        ("illumination", first.illumination != row.illumination),
+        ("configuration", first.configuration != row.configuration),
+    ];
+    match differs.iter().find(|(_, differs)| *differs) {
+        Some((name, _)) => Err(format!("{name} differs from the first frame of set {}", row.set)),
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn rows(text: &str) -> Result<Dataset, DatasetError> {
+        let path = Path::new("frames.csv");
+        let header = COLUMNS.join(",");
+        let rows = parse_rows(path, &format!("{header}\n{text}"))?;
+        Dataset::new("/nowhere".into(), Manifest::new(CameraInfo::default()), rows, path)
+    }
+
+    #[test]
+    fn damaged_rows_are_named() {
+        let good = "a.tiff,flat,3,0,0.01,1,0,,0.5\n";
+        for (text, part) in [
+            ("../a.tiff,flat,0,0,0.01,1,0,,\n", "inside the dataset folder"),
+            ("/a.tiff,flat,0,0,0.01,1,0,,\n", "inside the dataset folder"),
+            ("a.tiff#x,flat,0,0,0.01,1,0,,\n", "page"),
+            ("a.tiff,flot,0,0,0.01,1,0,,\n", "flot"),
+            ("a.tiff,flat,0,0,fast,1,0,,\n", "exposure_s"),
+            ("a.tiff,flat,0,0,-1,1,0,,\n", "above 0 s"),
+            ("a.tiff,dark,0,0,1,1,0,,\n", "illumination 0"),
+            ("a.tiff,flat,0,0,1,nan,0,,\n", "illumination"),
+            ("a.tiff,flat,0\n", "found record with 3 fields"),
+            (&format!("{good}{good}"), "line 3: file a.tiff stands in an earlier row"),
+            (&format!("{good}b.tiff,flat,3,0,0.01,1,0,,\n"), "set 3 index 0"),
+            (&format!("{good}b.tiff,flat,3,1,0.02,1,0,,\n"), "exposure_s differs"),
+        ] {
+            let message = rows(text).expect_err(text).to_string();
+            assert!(message.contains(part) && message.contains("frames.csv, line"), "{message}");
+        }
+        assert!(parse_rows(Path::new("f"), "file,kind\n").unwrap_err().to_string().contains("exactly"));
+    }
+
+    #[test]
+    fn sets_come_in_the_order_of_time() {
+        let text = "b.tiff,flat,7,1,1,1,0,,\na.tiff,flat,7,0,1,1,0,20.5,\nc.tiff,dark,2,0,1,0,0,,\n";
+        let dataset = rows(text).unwrap();
+        let sets: Vec<_> = dataset.sets().iter().map(|s| (s.number, s.rows.clone())).collect();
+        assert_eq!(sets, [(7, vec![1, 0]), (2, vec![2])]);
+        assert_eq!(dataset.rows()[1].temperature_c, Some(20.5));
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_makes_the_reader_panic(text in "(\\PC|\n|,){0,200}") {
+            let _ = rows(&text);
+        }
+
+        #[test]
+        fn rows_survive_a_round_trip(
+            set in 0u32..99, index in 0u32..99, exposure_s in 1e-6f64..1e3, light in 0.0f64..2.0,
+            temperature_c in prop::option::of(-50.0f64..80.0), timestamp_s in prop::option::of(0.0f64..1e6),
+        ) {
+            let row = FrameRow {
+                file: "frames/a b,c.tiff#2".into(), kind: Kind::Flat, set, index, exposure_s,
+                illumination: light, configuration: 1, temperature_c, timestamp_s,
+            };
+            let mut out = csv::Writer::from_writer(Vec::new());
+            out.serialize(&row).unwrap();
+            let text = String::from_utf8(out.into_inner().unwrap()).unwrap();
+            let back = parse_rows(Path::new("f"), &text).unwrap();
+            prop_assert_eq!(&back[0].1, &row);
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! A table of statistics instead of frames: many laboratories keep only that.
+
+use super::DatasetError;
+use serde::Deserialize;
+use std::path::Path;
+
+/// One row: a level of light, black level removed.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+pub struct Level {
+    /// Mean above the level of zero charge, DN.
+    pub mean_dn: f64,
+    /// Temporal variance, DN^2.
+    pub var_dn2: f64,
+    /// Exposure, s.
+    #[serde(default)]
+    pub exposure_s: Option<f64>,
+    /// Illumination.
+    #[serde(default)]
+    pub illumination: Option<f64>,
+    /// Pixels behind the variance.
+    #[serde(default)]
+    pub pixels: Option<f64>,
+    /// Covariance with the next pixel of the same row, DN^2.
+    #[serde(default)]
+    pub cov_01: Option<f64>,
+    /// Covariance with the same column of the next row, DN^2.
+    #[serde(default)]
+    pub cov_10: Option<f64>,
+    /// Covariance with the diagonal neighbour, DN^2.
+    #[serde(default)]
+    pub cov_11: Option<f64>,
+}
+
+/// A table of statistics.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Table {
+    /// Its rows, in the order of the file.
+    pub levels: Vec<Level>,
+}
+
+impl Table {
+    /// Whether a file's first line that is not a comment looks like the header of a table.
+    pub fn is_table(path: &Path) -> bool {
+        std::fs::read_to_string(path).is_ok_and(|text| {
+            let header = text.lines().find(|l| !l.starts_with('#') && !l.trim().is_empty());
+            header.is_some_and(|h| h.split(',').any(|c| c.trim() == "mean_dn" || c.trim() == "var_dn2"))
+        })
+    }
+
+    /// Reads a table. Lines that begin with `#` are comments; columns that are not known are passed over.
+    pub fn open(path: &Path) -> Result<Self, DatasetError> {
+        let text = std::fs::read_to_string(path).map_err(DatasetError::io(path))?;
+        Self::parse(&text).map_err(|(line, message)| DatasetError::Row { path: path.into(), line, message })
+    }
+
+    fn parse(text: &str) -> Result<Self, (u64, String)> {
+        let mut reader =
+            csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(text.as_bytes());
+        let header = reader.headers().map_err(|e| (1, e.to_string()))?.clone();
+        for needed in ["mean_dn", "var_dn2"] {
+            if !header.iter().any(|name| name == needed) {
+                return Err((1, format!("the header has no column {needed}")));
+            }
+        }
+        let mut levels = Vec::new();
+        for record in reader.records() {
+            let record = record.map_err(|e| (e.position().map_or(0, |p| p.line()), e.to_string()))?;
+            let line = record.position().map_or(0, |p| p.line());
+            let level: Level = record.deserialize(Some(&header)).map_err(|e| (line, e.to_string()))?;
+            if !(level.mean_dn.is_finite() && level.var_dn2.is_finite() && level.var_dn2 >= 0.0) {
+                let message = format!(
+                    "mean_dn {} and var_dn2 {} must be finite, the variance not below 0",
+                    level.mean_dn, level.var_dn2
+                );
+                return Err((line, message));
+            }
+            if level.pixels.is_some_and(|p| !(p.is_finite() && p >= 2.0)) {
+                return Err((line, "pixels must be 2 or more".into()));
+            }
+            levels.push(level);
+        }
+        if levels.is_empty() {
+            return Err((1, "the table has no rows".into()));
+        }
+        Ok(Self { levels })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn optional_columns_may_be_absent_or_empty() {
+        let table = Table::parse("# a\nmean_dn,var_dn2,pixels,lamp\n10,5,,x\n20,9,1000,y\n").unwrap();
+        assert_eq!(table.levels[0].pixels, None);
+        assert_eq!(table.levels[1].pixels, Some(1000.0));
+        for (text, line, part) in [
+            ("mean_dn,pixels\n1,2\n", 1, "var_dn2"),
+            ("mean_dn,var_dn2\n1,x\n", 2, "invalid float"),
+            ("mean_dn,var_dn2\n1,-2\n", 2, "not below 0"),
+            ("mean_dn,var_dn2\n", 1, "no rows"),
+        ] {
+            let (found, message) = Table::parse(text).unwrap_err();
+            assert!(found == line && message.contains(part), "{found}: {message}");
+        }
+    }
+}

@@ -1,0 +1,156 @@
+//! Writing a campaign so that a crash loses at most the frame in flight.
+//!
+//! A frame is written aside, synchronised, renamed, and only then is its row appended and synchronised. The
+//! folder is locked while it is written to.
+
+use super::{COLUMNS, Dataset, DatasetError, FrameRow, Manifest, image};
+use ndarray::Array2;
+use std::fs::{self, File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// An open campaign.
+#[derive(Debug)]
+pub struct Writer {
+    root: PathBuf,
+    rows: File,
+    bit_depth: u8,
+    written: Vec<FrameRow>,
+}
+
+/// Writes a whole file aside, synchronises it and puts it in place: it is there whole or not at all.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), DatasetError> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let aside = folder.join(format!(".{name}.part"));
+    let fault = || DatasetError::io(path);
+    let mut file = File::create(&aside).map_err(fault())?;
+    file.write_all(bytes).map_err(fault())?;
+    file.sync_all().map_err(fault())?;
+    fs::rename(&aside, path).map_err(fault())?;
+    File::open(folder).and_then(|f| f.sync_all()).map_err(fault())
+}
+
+impl Writer {
+    /// Starts a campaign in a folder that is new or empty.
+    pub fn create(root: &Path, manifest: &Manifest) -> Result<Self, DatasetError> {
+        let fault = || DatasetError::io(root);
+        if root.exists() && fs::read_dir(root).map_err(fault())?.next().is_some() {
+            let message = "is not empty; choose a new folder, or continue it with --resume".into();
+            return Err(DatasetError::Manifest { path: root.into(), message });
+        }
+        fs::create_dir_all(root.join("frames")).map_err(fault())?;
+        let text = toml::to_string(manifest).map_err(|e| DatasetError::Manifest {
+            path: root.join("dataset.toml"),
+            message: e.to_string(),
+        })?;
+        write_whole(&root.join("frames.csv"), format!("{}\n", COLUMNS.join(",")).as_bytes())?;
+        write_whole(&root.join("dataset.toml"), text.as_bytes())?;
+        Self::append_to(root, manifest.camera.bit_depth, Vec::new())
+    }
+
+    /// Continues a campaign. A last row that a crash cut short is taken off; every whole row is kept.
+    pub fn resume(root: &Path) -> Result<(Self, Manifest), DatasetError> {
+        let path = root.join("frames.csv");
+        let text = fs::read(&path).map_err(DatasetError::io(&path))?;
+        let whole = text.iter().rposition(|&b| b == b'\n').map_or(0, |end| end + 1);
+        if whole < text.len() {
+            tracing::warn!(file = %path.display(), bytes = text.len() - whole, "cut off an unfinished row");
+            let file = OpenOptions::new().write(true).open(&path).map_err(DatasetError::io(&path))?;
+            file.set_len(whole as u64).and_then(|()| file.sync_all()).map_err(DatasetError::io(&path))?;
+        }
+        let dataset = Dataset::open(root)?;
+        for row in dataset.rows() {
+            dataset.read(row)?;
+        }
+        let manifest = dataset.manifest().clone();
+        let writer = Self::append_to(root, manifest.camera.bit_depth, dataset.rows().to_vec())?;
+        Ok((writer, manifest))
+    }
+
+    fn append_to(root: &Path, bit_depth: u8, written: Vec<FrameRow>) -> Result<Self, DatasetError> {
+        let path = root.join("frames.csv");
+        let rows = OpenOptions::new().append(true).open(&path).map_err(DatasetError::io(&path))?;
+        rows.try_lock().map_err(|_| DatasetError::Manifest {
+            path: root.into(),
+            message: "another program is writing to this dataset".into(),
+        })?;
+        Ok(Self { root: root.into(), rows, bit_depth, written })
+    }
+
+    /// Rows that are safely on disk.
+    pub fn written(&self) -> &[FrameRow] {
+        &self.written
+    }
+
+    /// Appends a frame. `row.file` is given a name of the writer's choice.
+    pub fn append(&mut self, mut row: FrameRow, pixels: &Array2<u16>) -> Result<(), DatasetError> {
+        row.file = format!("frames/{:05}.tiff", self.written.len());
+        let fault = |message: String| DatasetError::Frame {
+            file: row.file.clone(),
+            set: row.set,
+            index: row.index,
+            message,
+        };
+        let bytes = image::tiff_bytes(pixels, self.bit_depth).map_err(|e| fault(e.to_string()))?;
+        write_whole(&self.root.join(&row.file), &bytes)?;
+        let mut line = csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new());
+        line.serialize(&row).map_err(|e| fault(e.to_string()))?;
+        let line = line.into_inner().map_err(|e| fault(e.to_string()))?;
+        let path = self.root.join("frames.csv");
+        self.rows.write_all(&line).map_err(DatasetError::io(&path))?;
+        self.rows.sync_data().map_err(DatasetError::io(&path))?;
+        self.written.push(row);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::{CameraInfo, Kind};
+
+    fn row(set: u32, index: u32) -> FrameRow {
+        FrameRow {
+            file: String::new(),
+            kind: Kind::Flat,
+            set,
+            index,
+            exposure_s: 0.01,
+            illumination: 1.0,
+            configuration: 0,
+            temperature_c: None,
+            timestamp_s: Some(0.5),
+        }
+    }
+
+    #[test]
+    fn a_campaign_survives_a_crash_in_mid_row() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("c");
+        let camera = CameraInfo { width: 3, height: 2, bit_depth: 12, ..Default::default() };
+        let manifest = Manifest::new(camera);
+        let image = ndarray::array![[1u16, 2, 3], [4, 5, 4095]];
+        let mut writer = Writer::create(&root, &manifest).unwrap();
+        for i in 0..3 {
+            writer.append(row(0, i), &image).unwrap();
+        }
+        let second = Writer::resume(&root).unwrap_err().to_string();
+        assert!(second.contains("another program"), "{second}");
+        drop(writer);
+
+        // The crash: a frame without a row, and half a row.
+        fs::write(root.join("frames/00003.tiff"), b"II*").unwrap();
+        let mut csv = OpenOptions::new().append(true).open(root.join("frames.csv")).unwrap();
+        csv.write_all(b"frames/00003.ti").unwrap();
+
+        let (mut writer, manifest) = Writer::resume(&root).unwrap();
+        assert_eq!((writer.written().len(), manifest.camera.bit_depth), (3, 12));
+        writer.append(row(0, 3), &image).unwrap();
+        drop(writer);
+        let dataset = Dataset::open(&root).unwrap();
+        assert_eq!(dataset.sets()[0].rows.len(), 4);
+        assert_eq!(dataset.read_set(&dataset.sets()[0]).unwrap()[3], image);
+        assert!(Writer::create(&root, &manifest).unwrap_err().to_string().contains("--resume"));
+    }
+}

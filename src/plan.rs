@@ -1,0 +1,303 @@
+//! Plans: what to capture, as a TOML file a person can write.
+//!
+//! Exposures may be given in seconds (`exposure_s`) or relative to the exposure that brings the card at
+//! illumination 1 close to full scale (`exposure`); `capture` measures that one before it starts.
+
+use crate::bench::{BenchState, GenicamBench};
+use crate::dataset::Kind;
+use crate::frame::Region;
+use crate::pixel_format::PixelFormat;
+use radcam_sim::Scene;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Name and major version of the format.
+pub const FORMAT: &str = "radcam-plan/1";
+
+/// Part of full scale that relative exposure 1 at illumination 1 reaches.
+pub const FULL_EXPOSURE_LEVEL: f64 = 0.85;
+
+/// A plan.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Plan {
+    /// [`FORMAT`].
+    pub format: String,
+    /// What the plan is for.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub about: String,
+    /// Exposure that counts as 1, s; measured where absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub full_exposure_s: Option<f64>,
+    /// Settings of the camera for the whole campaign.
+    #[serde(default, skip_serializing_if = "CameraPlan::is_default")]
+    pub camera: CameraPlan,
+    /// GenICam features that drive the bench; without them a person is asked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bench: Option<GenicamBench>,
+    /// The sets, in the order of time.
+    #[serde(rename = "set")]
+    pub sets: Vec<SetPlan>,
+}
+
+/// Settings of the camera; what is absent stays as it is.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraPlan {
+    /// Gain, dB.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gain_db: Option<f64>,
+    /// Black level, DN.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub black_level_dn: Option<f64>,
+    /// PFNC name; absent: the deepest that the camera has.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pixel_format: Option<PixelFormat>,
+    /// First column, first row, width, height, pixels.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub region: Option<[u32; 4]>,
+    /// Frames per second.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame_rate_hz: Option<f64>,
+    /// Other features, by GenICam name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub features: BTreeMap<String, toml::Value>,
+}
+
+impl CameraPlan {
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// The region, where the plan names one.
+    pub fn region(&self) -> Option<Region> {
+        self.region.map(|[x, y, width, height]| Region { x, y, width, height })
+    }
+}
+
+/// Frames that share every setting.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SetPlan {
+    /// What the frames show.
+    pub kind: Kind,
+    /// Frames.
+    pub frames: u32,
+    /// Exposure, s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposure_s: Option<f64>,
+    /// Exposure relative to the full one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposure: Option<f64>,
+    /// Relative light; 0 for darks.
+    #[serde(default)]
+    pub illumination: f64,
+    /// Position of card and light.
+    #[serde(default)]
+    pub configuration: u32,
+}
+
+impl SetPlan {
+    fn new(kind: Kind, frames: u32, exposure: f64, illumination: f64) -> Self {
+        Self { kind, frames, exposure_s: None, exposure: Some(exposure), illumination, configuration: 0 }
+    }
+
+    /// How the bench must stand.
+    pub fn bench(&self) -> BenchState {
+        let scene = match self.kind {
+            Kind::Scene => Scene::Patch,
+            Kind::Dark | Kind::Flat | Kind::Target => Scene::Card,
+        };
+        BenchState { illumination: self.illumination, configuration: self.configuration, scene }
+    }
+}
+
+/// What is wrong with a plan.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PlanError {
+    /// Not TOML, or a key is missing, unknown or of the wrong type.
+    #[error("not a plan: {0}")]
+    Syntax(String),
+    /// A set that cannot be captured.
+    #[error("set {set}: {message}")]
+    Set {
+        /// Number of the set, from 0.
+        set: usize,
+        /// What is wrong.
+        message: String,
+    },
+    /// The plan as a whole.
+    #[error("{0}")]
+    Plan(String),
+}
+
+impl Plan {
+    fn of(about: &str, sets: Vec<SetPlan>) -> Self {
+        Self {
+            format: FORMAT.into(),
+            about: about.into(),
+            full_exposure_s: None,
+            camera: CameraPlan::default(),
+            bench: None,
+            sets,
+        }
+    }
+
+    /// A minute's look: two dark exposures and eight exposures of the card, four frames each.
+    pub fn quick() -> Self {
+        let mut sets = vec![SetPlan::new(Kind::Dark, 4, 0.05, 0.0), SetPlan::new(Kind::Dark, 4, 1.0, 0.0)];
+        sets.extend((1..=8).map(|i| SetPlan::new(Kind::Flat, 4, f64::from(i) / 8.0, 1.0)));
+        Self::of("A quick look: gain and constant noise", sets)
+    }
+
+    /// What a full characterisation needs: darks at four exposures, an exposure sweep of 12 levels, a light
+    /// sweep of 7, a reference at start, middle and end, bright-to-dark transitions and one still scene at
+    /// two exposures.
+    pub fn standard() -> Self {
+        let n = 8;
+        let dark = |exposure| SetPlan::new(Kind::Dark, n, exposure, 0.0);
+        let flat = |exposure, light| SetPlan::new(Kind::Flat, n, exposure, light);
+        let scene = |exposure| SetPlan::new(Kind::Scene, n, exposure, 1.0);
+        let reference = flat(1.0, 0.5);
+        let mut sets: Vec<_> = [0.02, 1.0, 4.0, 16.0].map(dark).into();
+        sets.push(reference.clone());
+        // Exposure sweep: five steps in equal ratios from 1/50, then seven in equal differences.
+        sets.extend((0..5).map(|i| flat(50f64.powf(f64::from(i) / 4.0 - 1.0), 1.0)));
+        sets.extend((2..=8).map(|i| flat(f64::from(i) / 8.0, 1.0)));
+        sets.push(reference.clone());
+        sets.extend([0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0].map(|light| flat(1.0, light)));
+        // From bright to dark, twice: after a flat and after the scene.
+        sets.extend([dark(1.0), scene(1.0), dark(1.0), scene(0.25), reference]);
+        Self::of("Full characterisation", sets)
+    }
+
+    /// `quick`, `standard`, or the text of a plan file.
+    pub fn named(name: &str) -> Option<Self> {
+        match name {
+            "quick" => Some(Self::quick()),
+            "standard" => Some(Self::standard()),
+            _ => None,
+        }
+    }
+
+    /// Reads and checks a plan.
+    ///
+    /// ```
+    /// use radcam::plan::Plan;
+    /// let text = Plan::standard().to_toml()?;
+    /// assert_eq!(Plan::from_toml(&text)?, Plan::standard());
+    /// # Ok::<(), radcam::plan::PlanError>(())
+    /// ```
+    pub fn from_toml(text: &str) -> Result<Self, PlanError> {
+        let table: toml::Table =
+            toml::from_str(text).map_err(|e| PlanError::Syntax(e.to_string().trim_end().into()))?;
+        match table.get("format").and_then(|f| f.as_str()) {
+            Some(FORMAT) => {}
+            other => {
+                let other = other.unwrap_or("missing");
+                return Err(PlanError::Plan(format!(
+                    "format is {other}, and this program reads \"{FORMAT}\""
+                )));
+            }
+        }
+        let plan: Self =
+            toml::from_str(text).map_err(|e| PlanError::Syntax(e.to_string().trim_end().into()))?;
+        plan.check()?;
+        Ok(plan)
+    }
+
+    /// The plan as TOML.
+    pub fn to_toml(&self) -> Result<String, PlanError> {
+        toml::to_string(self).map_err(|e| PlanError::Syntax(e.to_string()))
+    }
+
+    fn check(&self) -> Result<(), PlanError> {
+        let positive = |x: f64| x.is_finite() && x > 0.0;
+        if self.sets.is_empty() {
+            return Err(PlanError::Plan("the plan has no [[set]]".into()));
+        }
+        if self.full_exposure_s.is_some_and(|e| !positive(e)) {
+            return Err(PlanError::Plan("full_exposure_s must be above 0 s".into()));
+        }
+        for (set, plan) in self.sets.iter().enumerate() {
+            let fault = |message: &str| Err(PlanError::Set { set, message: message.into() });
+            match (plan.exposure_s, plan.exposure) {
+                (Some(e), None) | (None, Some(e)) if positive(e) => {}
+                (Some(_), None) | (None, Some(_)) => return fault("the exposure must be above 0"),
+                _ => return fault("give either exposure_s (seconds) or exposure (relative to the full one)"),
+            }
+            if plan.frames == 0 {
+                return fault("frames must be 1 or more");
+            }
+            if !(plan.illumination.is_finite() && plan.illumination >= 0.0) {
+                return fault("illumination must not be below 0");
+            }
+            if plan.kind == Kind::Dark && plan.illumination != 0.0 {
+                return fault("a dark set has illumination 0");
+            }
+            if plan.kind != Kind::Dark && plan.illumination == 0.0 {
+                return fault("only a dark set has illumination 0");
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether any exposure is relative, so that the full exposure must be known.
+    pub fn needs_full_exposure(&self) -> bool {
+        self.full_exposure_s.is_none() && self.sets.iter().any(|s| s.exposure_s.is_none())
+    }
+
+    /// The plan with every exposure in seconds, each the nearest that `nearest` allows.
+    pub fn absolute(&self, full_exposure_s: f64, nearest: impl Fn(f64) -> f64) -> Self {
+        let full = self.full_exposure_s.unwrap_or(full_exposure_s);
+        let mut plan = self.clone();
+        plan.full_exposure_s = Some(full);
+        for set in &mut plan.sets {
+            let wanted = set.exposure_s.unwrap_or(set.exposure.unwrap_or(1.0) * full);
+            set.exposure_s = Some(nearest(wanted));
+            set.exposure = None;
+        }
+        plan
+    }
+
+    /// Frames of the whole plan.
+    pub fn frames(&self) -> u64 {
+        self.sets.iter().map(|s| u64::from(s.frames)).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_standard_plan_has_what_the_readme_says() {
+        let plan = Plan::standard();
+        let count = |f: &dyn Fn(&&SetPlan) -> bool| plan.sets.iter().filter(f).count();
+        assert_eq!(plan.frames() as usize, 8 * plan.sets.len());
+        assert_eq!(count(&|s| s.kind == Kind::Dark), 4 + 2);
+        assert_eq!(count(&|s| s.kind == Kind::Scene), 2);
+        assert_eq!(count(&|s| s.illumination == 0.5), 3);
+        assert_eq!(count(&|s| s.kind == Kind::Flat), 3 + 12 + 7);
+    }
+
+    #[test]
+    fn faults_are_named() {
+        let good = "format = \"radcam-plan/1\"\n[[set]]\nkind = \"flat\"\nframes = 2\nexposure_s = 0.1\nillumination = 1.0\n";
+        Plan::from_toml(good).unwrap();
+        for (from, to, part) in [
+            ("plan/1", "plan/2", "radcam-plan/2"),
+            ("exposure_s = 0.1", "", "either exposure_s"),
+            ("exposure_s = 0.1", "exposure_s = 0.1\nexposure = 1.0", "either exposure_s"),
+            ("0.1", "-0.1", "above 0"),
+            ("frames = 2", "frames = 0", "1 or more"),
+            ("= 1.0", "= 0.0", "only a dark set"),
+            ("\"flat\"", "\"dark\"", "illumination 0"),
+            ("\"flat\"", "\"flot\"", "flot"),
+            ("frames", "farmes", "farmes"),
+        ] {
+            let message = Plan::from_toml(&good.replace(from, to)).expect_err(to).to_string();
+            assert!(message.contains(part), "{message}");
+        }
+    }
+}
