@@ -135,6 +135,10 @@ impl Capture<'_> {
         let before = writer.written().len() as u64;
         let start = writer.written().last().and_then(|r| r.timestamp_s).unwrap_or(0.0);
         let mut clock = DeviceClock { offset_s: start, zero_ns: None };
+        if resume {
+            // A thousand more than were kept: the pilot and damaged frames were drawn too.
+            self.camera.continue_after(before + 1000, start);
+        }
         for (number, set) in plan.sets.iter().enumerate() {
             let have = writer.written().iter().filter(|r| r.set as usize == number).count() as u32;
             if have < set.frames {
@@ -480,10 +484,8 @@ struct DeviceClock {
 
 impl DeviceClock {
     /// `None` where the camera tells no time.
-    fn seconds(&mut self, timestamp_ns: u64) -> Option<f64> {
-        if timestamp_ns == 0 && self.zero_ns.is_none_or(|z| z > 0) && self.zero_ns.is_some() {
-            return None;
-        }
+    fn seconds(&mut self, timestamp_ns: Option<u64>) -> Option<f64> {
+        let timestamp_ns = timestamp_ns?;
         let zero = *self.zero_ns.get_or_insert(timestamp_ns);
         let seconds = (timestamp_ns as f64 - zero as f64) * 1e-9 + self.offset_s;
         // Nanoseconds, and no rubbish behind them in the file.

@@ -22,8 +22,8 @@ pub struct Frame {
     pub status: Status,
     /// Number of the frame by the camera's own count; the 16 bits of GigE Vision are unwrapped.
     pub id: u64,
-    /// Device clock at the start of the frame, ns.
-    pub timestamp_ns: u64,
+    /// Device clock at the start of the frame, ns, where the camera tells.
+    pub timestamp_ns: Option<u64>,
     /// Sensor temperature when the frame was taken, degrees Celsius, where the camera tells.
     pub temperature_c: Option<f64>,
 }
@@ -35,7 +35,7 @@ impl Frame {
             pixels: Array2::zeros((height, width)),
             status: Status::Damaged("nothing received yet".into()),
             id: 0,
-            timestamp_ns: 0,
+            timestamp_ns: None,
             temperature_c: None,
         }
     }

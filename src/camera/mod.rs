@@ -361,6 +361,10 @@ pub trait Camera: Send {
         BTreeMap::new()
     }
 
+    /// Told before a campaign is continued: so many frames were taken, the last of them at this time, s.
+    /// A simulated camera must not draw the same noise twice.
+    fn continue_after(&mut self, _frames: u64, _time_s: f64) {}
+
     /// Starts the acquisition.
     fn stream(&mut self, options: &StreamOptions) -> Result<Box<dyn FrameStream + '_>, CameraError>;
 

@@ -162,7 +162,7 @@ impl FrameStream for ReplayStream<'_> {
         })?;
         frame.status = Status::Complete;
         frame.id = number as u64;
-        frame.timestamp_ns = row.timestamp_s.map_or(0, |t| (t * 1e9).round() as u64);
+        frame.timestamp_ns = row.timestamp_s.map(|t| (t * 1e9).round() as u64);
         frame.temperature_c = row.temperature_c;
         camera.played[set] += 1;
         self.counts.completed += 1;

@@ -8,7 +8,6 @@ use crate::bench::{BenchState, SharedBench};
 use crate::frame::{Frame, Region, Status};
 use crate::pixel_format::PixelFormat;
 use radcam_sim::{Conditions, Sensor};
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -96,11 +95,6 @@ impl SimCamera {
             trigger: Trigger::FreeRun,
             clock: Clock::default(),
         }
-    }
-
-    /// The number of the next frame and the simulated time at which it starts, s.
-    pub fn set_clock(&mut self, frame: u64, time_s: f64) {
-        self.clock = Clock { frame, time_s };
     }
 
     /// The sensor.
@@ -201,8 +195,8 @@ impl Camera for SimCamera {
         }
     }
 
-    fn features(&mut self) -> BTreeMap<String, Value> {
-        BTreeMap::new()
+    fn continue_after(&mut self, frames: u64, time_s: f64) {
+        self.clock = Clock { frame: frames, time_s };
     }
 
     fn stream(&mut self, _options: &StreamOptions) -> Result<Box<dyn FrameStream + '_>, CameraError> {
@@ -244,7 +238,7 @@ impl FrameStream for SimStream<'_> {
         narrow(dn, body.bit_depth, settings.pixel_format.bits());
         frame.status = Status::Complete;
         frame.id = camera.clock.frame;
-        frame.timestamp_ns = (camera.clock.time_s * 1e9).round() as u64;
+        frame.timestamp_ns = Some((camera.clock.time_s * 1e9).round() as u64);
         frame.temperature_c = settings.temperature_c;
         camera.clock.frame += 1;
         camera.clock.time_s += settings.exposure_s + body.readout_s;

@@ -1,0 +1,3 @@
+//! Estimators with covariance.
+
+pub mod line;

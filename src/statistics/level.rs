@@ -1,0 +1,208 @@
+//! A set of frames at one level of light: its mean, its temporal variance, and its pairs (Section IV).
+
+use super::moments::{Moments, SizeMismatch};
+
+/// One pair of frames, as the paper takes them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pair {
+    /// Mean over both frames, DN (eq. 37).
+    pub mean_dn: f64,
+    /// Variance of the noise, DN^2 (eq. 38).
+    pub var_dn2: f64,
+}
+
+/// What a set says.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Level {
+    /// Frames.
+    pub frames: u64,
+    /// Pixels used: those that are not clipped in every frame.
+    pub pixels: u64,
+    /// Mean over pixels and frames, DN.
+    pub mean_dn: f64,
+    /// Temporal variance pooled over pixels, DN^2, after each frame's own mean is taken off.
+    ///
+    /// For two frames it is eq. (38); for n it is the residual mean square of the two-way layout (pixel and
+    /// frame), with (n - 1)(M - 1) degrees of freedom. A lamp that flickers does not enter it.
+    pub var_dn2: f64,
+    /// Variance of the pixels' true means over the field, DN^2: shading, K, dark current.
+    pub spatial_var_dn2: f64,
+    /// Variance of the frames' means, DN^2: what the light does from frame to frame, and the noise.
+    pub frame_mean_var_dn2: f64,
+    /// Share of the samples at the largest code, without pixels that are there in every frame.
+    pub saturated: f64,
+    /// Share of the samples at code 0, without pixels that are there in every frame.
+    pub black: f64,
+    /// Share of the pixels left out because every frame has them at the largest code or at 0.
+    pub stuck: f64,
+    /// Frames 0 and 1, 2 and 3, and so on.
+    pub pairs: Vec<Pair>,
+}
+
+impl Level {
+    /// Degrees of freedom of [`var_dn2`](Self::var_dn2) for independent normal pixels.
+    pub fn dof(&self) -> f64 {
+        (self.frames as f64 - 1.0) * (self.pixels as f64 - 1.0)
+    }
+}
+
+/// Collects a set frame by frame; memory does not grow with the frames.
+#[derive(Debug, Clone)]
+pub struct LevelAccumulator {
+    full_scale: u16,
+    moments: Moments,
+    frame_sums: Vec<u64>,
+    saturated: u64,
+    black: u64,
+    previous: Option<Vec<u16>>,
+    pairs: Vec<Pair>,
+}
+
+impl LevelAccumulator {
+    /// For frames of (rows, columns) from a camera of so many bits.
+    pub fn new(shape: (usize, usize), bit_depth: u8) -> Self {
+        Self {
+            full_scale: ((1u32 << bit_depth.min(16)) - 1) as u16,
+            moments: Moments::new(shape, bit_depth),
+            frame_sums: Vec::new(),
+            saturated: 0,
+            black: 0,
+            previous: None,
+            pairs: Vec::new(),
+        }
+    }
+
+    /// Adds frames in the order of time, codes in DN row by row.
+    pub fn add(&mut self, frames: &[&[u16]]) -> Result<(), SizeMismatch> {
+        self.moments.add(frames)?;
+        for frame in frames {
+            let (mut sum, mut saturated, mut black) = (0u64, 0u64, 0u64);
+            // Rows of 4096: their counts fit into 16 bits and vectorise.
+            for part in frame.chunks(4096) {
+                sum += u64::from(part.iter().map(|&x| u32::from(x)).sum::<u32>());
+                saturated += u64::from(part.iter().map(|&x| u16::from(x >= self.full_scale)).sum::<u16>());
+                black += u64::from(part.iter().map(|&x| u16::from(x == 0)).sum::<u16>());
+            }
+            self.frame_sums.push(sum);
+            self.saturated += saturated;
+            self.black += black;
+            match self.previous.take() {
+                Some(first) => self.pairs.push(pair(&first, frame)),
+                None => self.previous = Some(frame.to_vec()),
+            }
+        }
+        Ok(())
+    }
+
+    /// The level; `None` with fewer than two frames or two pixels.
+    pub fn finish(&self) -> Option<Level> {
+        let frames = self.moments.frames();
+        let n = frames as f64;
+        let full = u64::from(self.full_scale);
+        let sums = self.moments.sums();
+        let stuck_high = sums.iter().filter(|&&s| s == frames * full).count() as u64;
+        let stuck_low = sums.iter().filter(|&&s| s == 0).count() as u64;
+        let pixels = sums.len() as u64 - stuck_high - stuck_low;
+        if frames < 2 || pixels < 2 {
+            return None;
+        }
+        let m = pixels as f64;
+        let samples = n * m;
+        // Stuck pixels do not vary: they leave the frame sums by a constant.
+        let frame_means: Vec<f64> =
+            self.frame_sums.iter().map(|s| (s - stuck_high * full) as f64 / m).collect();
+        let mean_dn = frame_means.iter().sum::<f64>() / n;
+        let between_frames: f64 = frame_means.iter().map(|f| (f - mean_dn).powi(2)).sum();
+        let within_pixels = self.moments.total_spread_dn2() / n;
+        let var_dn2 = (within_pixels - m * between_frames).max(0.0) / ((n - 1.0) * (m - 1.0));
+        let used = sums.iter().filter(|&&s| s != 0 && s != frames * full);
+        let between_pixels: f64 = used.map(|&s| (s as f64 / n - mean_dn).powi(2)).sum::<f64>() / (m - 1.0);
+        Some(Level {
+            frames,
+            pixels,
+            mean_dn,
+            var_dn2,
+            spatial_var_dn2: (between_pixels - var_dn2 / n).max(0.0),
+            frame_mean_var_dn2: between_frames / (n - 1.0),
+            saturated: (self.saturated - stuck_high * frames) as f64 / samples,
+            black: (self.black - stuck_low * frames) as f64 / samples,
+            stuck: (stuck_high + stuck_low) as f64 / sums.len() as f64,
+            pairs: self.pairs.clone(),
+        })
+    }
+}
+
+/// Eq. (37) and (38) for two frames.
+fn pair(first: &[u16], second: &[u16]) -> Pair {
+    let (mut sum, mut difference, mut square) = (0u64, 0i64, 0u64);
+    for (&a, &b) in first.iter().zip(second) {
+        let d = i64::from(a) - i64::from(b);
+        sum += u64::from(a) + u64::from(b);
+        difference += d;
+        square += (d * d) as u64;
+    }
+    let m = first.len() as f64;
+    let mean_difference = difference as f64 / m;
+    let spread = square as f64 - m * mean_difference * mean_difference;
+    Pair { mean_dn: sum as f64 / (2.0 * m), var_dn2: spread / (2.0 * (m - 1.0)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    fn noise(frame: u64, pixel: u32) -> f64 {
+        PixelRng::new(5, Stream::Frame, frame, pixel, 9).normal()
+    }
+
+    /// Two frames give eq. (38); flicker and a stuck pixel change nothing but their own figures.
+    #[test]
+    fn two_frames_give_the_pair_of_the_paper() {
+        let frame = |f: u64, light: f64| -> Vec<u16> {
+            (0..4000).map(|p| (1000.0 + light + f64::from(p % 50) + 8.0 * noise(f, p)) as u16).collect()
+        };
+        let mut plain = LevelAccumulator::new((40, 100), 12);
+        plain.add(&[&frame(0, 0.0), &frame(1, 0.0)]).unwrap();
+        let plain = plain.finish().unwrap();
+        assert!((plain.var_dn2 - plain.pairs[0].var_dn2).abs() < 1e-9);
+        assert!((plain.mean_dn - plain.pairs[0].mean_dn).abs() < 1e-9);
+
+        let (mut a, mut b) = (frame(0, 0.0), frame(1, 37.0));
+        (a[17], b[17]) = (4095, 4095);
+        (a[18], b[18]) = (0, 0);
+        let mut other = LevelAccumulator::new((40, 100), 12);
+        other.add(&[&a]).unwrap();
+        assert_eq!(other.finish(), None);
+        other.add(&[&b]).unwrap();
+        let other = other.finish().unwrap();
+        assert!((other.var_dn2 / plain.var_dn2 - 1.0).abs() < 2e-3);
+        assert_eq!((other.saturated, other.black, other.stuck), (0.0, 0.0, 2.0 / 4000.0));
+        assert!((other.frame_mean_var_dn2 - 37.0f64.powi(2) / 2.0).abs() < 20.0);
+    }
+
+    /// Over 300 sets of six frames the pooled variance has the expected mean and scatter, each within 5 sigma.
+    #[test]
+    fn the_pooled_variance_has_its_stated_degrees_of_freedom() {
+        let (sets, sigma) = (300, 8.0);
+        let z: Vec<f64> = (0..sets)
+            .map(|set| {
+                let mut level = LevelAccumulator::new((10, 20), 12);
+                for f in 0..6 {
+                    let frame: Vec<u16> = (0..200)
+                        .map(|p| (1000.5 + f64::from(p) + sigma * noise(set * 6 + f, p)) as u16)
+                        .collect();
+                    level.add(&[&frame]).unwrap();
+                }
+                let level = level.finish().unwrap();
+                let expected = sigma * sigma + 1.0 / 12.0;
+                (level.var_dn2 / expected - 1.0) * (level.dof() / 2.0).sqrt()
+            })
+            .collect();
+        let n = sets as f64;
+        let mean = z.iter().sum::<f64>() / n;
+        let var = z.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        assert!(mean.abs() < 5.0 / n.sqrt(), "{mean}");
+        assert!((var - 1.0).abs() < 5.0 * (2.0 / n).sqrt(), "{var}");
+    }
+}

@@ -1,0 +1,4 @@
+//! What frames tell: streaming accumulators that can be merged, one observable to a file.
+
+pub mod level;
+pub mod moments;
