@@ -1,1 +1,5 @@
-fn main() {}
+//! The program `radcam`.
+
+fn main() -> std::process::ExitCode {
+    radcam::cli::main()
+}

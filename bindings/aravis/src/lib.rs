@@ -1,1 +1,41 @@
-//! x
+//! What radcam needs of [libaravis](https://github.com/AravisProject/aravis), and the only `unsafe` of the project.
+//!
+//! Cameras that speak GigE Vision or USB3 Vision ([`Camera`], [`Stream`]), and a virtual GigE Vision camera whose
+//! frames are painted by a callback ([`VirtualCamera`]). A leaf: nothing here knows of frames, formats or physics.
+//!
+//! libaravis is LGPL and linked dynamically.
+
+mod camera;
+mod server;
+mod stream;
+
+pub use camera::{Camera, DeviceInfo, devices};
+pub use server::{Painter, Registers, Request, VirtualCamera, address};
+pub use stream::{Received, Stream, StreamCounts, StreamSetup};
+
+/// What libaravis refused.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{what}: {message}")]
+pub struct Error {
+    /// Feature or action.
+    pub what: String,
+    /// Its own words.
+    pub message: String,
+}
+
+impl Error {
+    fn new(what: &str, message: impl std::fmt::Display) -> Self {
+        Self { what: what.into(), message: message.to_string() }
+    }
+}
+
+/// Adds the feature's name to a refusal.
+trait Named<T> {
+    fn named(self, what: &str) -> Result<T, Error>;
+}
+
+impl<T> Named<T> for Result<T, aravis::glib::Error> {
+    fn named(self, what: &str) -> Result<T, Error> {
+        self.map_err(|e| Error::new(what, e.message()))
+    }
+}

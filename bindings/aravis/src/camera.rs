@@ -1,0 +1,306 @@
+//! A camera and its features.
+
+use crate::stream::{Stream, StreamSetup};
+use crate::{Error, Named};
+use aravis::prelude::*;
+use aravis::{AccessCheckPolicy, GvPacketSizeAdjustment, RangeCheckPolicy};
+use std::ffi::{CStr, c_char};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// A device on the network or on USB.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DeviceInfo {
+    /// What Aravis calls it.
+    pub id: String,
+    /// IP address or USB path.
+    pub address: String,
+    /// Maker.
+    pub vendor: String,
+    /// Model name.
+    pub model: String,
+    /// Serial number.
+    pub serial: String,
+    /// `GigEVision`, `USB3Vision`.
+    pub protocol: String,
+}
+
+/// Copies a string that libaravis owns.
+fn text(pointer: *const c_char) -> String {
+    if pointer.is_null() {
+        return String::new();
+    }
+    // SAFETY: libaravis returns either null or a NUL-terminated string that lives until the device list is next
+    // updated; it is copied here before anything else is called.
+    unsafe { CStr::from_ptr(pointer) }.to_string_lossy().into_owned()
+}
+
+/// Asks every network and USB for cameras. Takes about a second.
+pub fn devices() -> Vec<DeviceInfo> {
+    // The list belongs to the library: one look at it at a time.
+    static LIST: std::sync::Mutex<()> = std::sync::Mutex::new(());
+    let _one = LIST.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    // SAFETY: plain calls without arguments; the library initialises itself.
+    let count = unsafe {
+        aravis_sys::arv_update_device_list();
+        aravis_sys::arv_get_n_devices()
+    };
+    let info = |i| {
+        // SAFETY: i is below the number of devices just asked for, and the lock keeps the list as it is.
+        let [id, address, vendor, model, serial, protocol] = unsafe {
+            [
+                aravis_sys::arv_get_device_id(i),
+                aravis_sys::arv_get_device_address(i),
+                aravis_sys::arv_get_device_vendor(i),
+                aravis_sys::arv_get_device_model(i),
+                aravis_sys::arv_get_device_serial_nbr(i),
+                aravis_sys::arv_get_device_protocol(i),
+            ]
+        };
+        DeviceInfo {
+            id: text(id),
+            address: text(address),
+            vendor: text(vendor),
+            model: text(model),
+            serial: text(serial),
+            protocol: text(protocol),
+        }
+    };
+    (0..count).map(info).collect()
+}
+
+/// An open camera, controlled by this process.
+#[derive(Debug)]
+pub struct Camera {
+    inner: aravis::Camera,
+    lost: Arc<AtomicBool>,
+}
+
+impl Camera {
+    /// Opens a camera by IP address, or by the id that [`devices`] gives.
+    ///
+    /// By address is safer on a machine with several interfaces: opened by name, Aravis may listen for frames on
+    /// another one.
+    pub fn open(name: &str) -> Result<Self, Error> {
+        let inner = aravis::Camera::new(Some(name)).named("open")?;
+        // Both are off by default: gain 99 of at most 24 would be accepted.
+        inner.set_range_check_policy(RangeCheckPolicy::Enable);
+        inner.set_access_check_policy(AccessCheckPolicy::Enable);
+        let lost = Arc::new(AtomicBool::new(false));
+        if let Some(device) = inner.device() {
+            let flag = Arc::clone(&lost);
+            // Runs on the heartbeat's thread; dropping the last handle of the camera there would abort.
+            device.connect_control_lost(move |_| flag.store(true, Ordering::Release));
+        }
+        Ok(Self { inner, lost })
+    }
+
+    /// Whether the heartbeat has failed.
+    pub fn is_lost(&self) -> bool {
+        self.lost.load(Ordering::Acquire)
+    }
+
+    /// (vendor, model, serial number).
+    pub fn identity(&self) -> Result<(String, String, String), Error> {
+        let vendor = self.inner.vendor_name().named("DeviceVendorName")?;
+        let model = self.inner.model_name().named("DeviceModelName")?;
+        let serial = self.inner.device_serial_number().map(Into::into).unwrap_or_default();
+        Ok((vendor.into(), model.into(), serial))
+    }
+
+    /// Whether it is a GigE Vision camera.
+    pub fn is_gigevision(&self) -> bool {
+        self.inner.is_gv_device()
+    }
+
+    /// Whether there is such a feature and it can be used now.
+    pub fn has(&self, feature: &str) -> bool {
+        self.inner.is_feature_available(feature).unwrap_or(false)
+    }
+
+    /// Reads a float.
+    pub fn float(&self, feature: &str) -> Result<f64, Error> {
+        self.inner.float(feature).named(feature)
+    }
+
+    /// Smallest and largest value of a float.
+    pub fn float_bounds(&self, feature: &str) -> Result<(f64, f64), Error> {
+        self.inner.float_bounds(feature).named(feature)
+    }
+
+    /// Step of a float; `None` where it has none.
+    pub fn float_increment(&self, feature: &str) -> Option<f64> {
+        // Aravis says DBL_MIN where there is none.
+        self.inner.float_increment(feature).ok().filter(|step| *step > 1e-300)
+    }
+
+    /// Writes a float.
+    pub fn set_float(&self, feature: &str, value: f64) -> Result<(), Error> {
+        self.inner.set_float(feature, value).named(feature)
+    }
+
+    /// Reads an integer.
+    pub fn integer(&self, feature: &str) -> Result<i64, Error> {
+        self.inner.integer(feature).named(feature)
+    }
+
+    /// Smallest and largest value of an integer.
+    pub fn integer_bounds(&self, feature: &str) -> Result<(i64, i64), Error> {
+        self.inner.integer_bounds(feature).named(feature)
+    }
+
+    /// Step of an integer.
+    pub fn integer_increment(&self, feature: &str) -> i64 {
+        self.inner.integer_increment(feature).map_or(1, |step| step.max(1))
+    }
+
+    /// Writes an integer.
+    pub fn set_integer(&self, feature: &str, value: i64) -> Result<(), Error> {
+        self.inner.set_integer(feature, value).named(feature)
+    }
+
+    /// Reads a boolean.
+    pub fn boolean(&self, feature: &str) -> Result<bool, Error> {
+        self.inner.boolean(feature).named(feature)
+    }
+
+    /// Writes a boolean.
+    pub fn set_boolean(&self, feature: &str, value: bool) -> Result<(), Error> {
+        self.inner.set_boolean(feature, value).named(feature)
+    }
+
+    /// Reads a string or the entry of an enumeration.
+    pub fn string(&self, feature: &str) -> Result<String, Error> {
+        self.inner.string(feature).map(Into::into).named(feature)
+    }
+
+    /// Writes a string or the entry of an enumeration.
+    pub fn set_string(&self, feature: &str, value: &str) -> Result<(), Error> {
+        self.inner.set_string(feature, value).named(feature)
+    }
+
+    /// Entries of an enumeration that can be chosen now.
+    pub fn entries(&self, feature: &str) -> Result<Vec<String>, Error> {
+        let entries = self.inner.dup_available_enumerations_as_strings(feature).named(feature)?;
+        Ok(entries.into_iter().map(Into::into).collect())
+    }
+
+    /// Executes a command.
+    pub fn execute(&self, feature: &str) -> Result<(), Error> {
+        self.inner.execute_command(feature).named(feature)
+    }
+
+    /// Exposure, s, by whatever name the maker gave it.
+    pub fn exposure_s(&self) -> Result<f64, Error> {
+        self.inner.exposure_time().map(|us| us * 1e-6).named("ExposureTime")
+    }
+
+    /// Shortest and longest exposure, s.
+    pub fn exposure_bounds_s(&self) -> Result<(f64, f64), Error> {
+        let (min, max) = self.inner.exposure_time_bounds().named("ExposureTime")?;
+        Ok((min * 1e-6, max * 1e-6))
+    }
+
+    /// Sets the exposure, s.
+    pub fn set_exposure_s(&self, value: f64) -> Result<(), Error> {
+        self.inner.set_exposure_time(value * 1e6).named("ExposureTime")
+    }
+
+    /// Gain in the camera's unit, by whatever name the maker gave it.
+    pub fn gain(&self) -> Result<f64, Error> {
+        self.inner.gain().named("Gain")
+    }
+
+    /// Smallest and largest gain.
+    pub fn gain_bounds(&self) -> Result<(f64, f64), Error> {
+        self.inner.gain_bounds().named("Gain")
+    }
+
+    /// Sets the gain.
+    pub fn set_gain(&self, value: f64) -> Result<(), Error> {
+        self.inner.set_gain(value).named("Gain")
+    }
+
+    /// Whether there is a gain.
+    pub fn has_gain(&self) -> bool {
+        self.inner.is_gain_available().unwrap_or(false)
+    }
+
+    /// Frames per second.
+    pub fn frame_rate_hz(&self) -> Result<f64, Error> {
+        self.inner.frame_rate().named("AcquisitionFrameRate")
+    }
+
+    /// Smallest and largest frame rate.
+    pub fn frame_rate_bounds_hz(&self) -> Result<(f64, f64), Error> {
+        self.inner.frame_rate_bounds().named("AcquisitionFrameRate")
+    }
+
+    /// Sets the frame rate; this also puts the camera into free run.
+    pub fn set_frame_rate_hz(&self, value: f64) -> Result<(), Error> {
+        self.inner.set_frame_rate(value).named("AcquisitionFrameRate")
+    }
+
+    /// PFNC code of the pixel format.
+    pub fn pixel_format(&self) -> Result<u32, Error> {
+        self.inner.pixel_format().map(|f| f.raw()).named("PixelFormat")
+    }
+
+    /// PFNC codes of every pixel format that can be chosen now.
+    pub fn pixel_formats(&self) -> Result<Vec<u32>, Error> {
+        let codes = self.inner.dup_available_pixel_formats().named("PixelFormat")?;
+        Ok(codes.into_iter().map(|c| c as u32).collect())
+    }
+
+    /// Sets the pixel format by its PFNC code.
+    pub fn set_pixel_format(&self, code: u32) -> Result<(), Error> {
+        self.inner.set_pixel_format(aravis::PixelFormat::from_raw(code)).named("PixelFormat")
+    }
+
+    /// x, y, width, height of the region, pixels.
+    pub fn region(&self) -> Result<[i32; 4], Error> {
+        let (x, y, w, h) = self.inner.region().named("Width")?;
+        Ok([x, y, w, h])
+    }
+
+    /// Sets x, y, width, height of the region, pixels.
+    pub fn set_region(&self, [x, y, w, h]: [i32; 4]) -> Result<(), Error> {
+        self.inner.set_region(x, y, w, h).named("Width")
+    }
+
+    /// Puts the camera into software trigger mode.
+    pub fn set_software_trigger(&self) -> Result<(), Error> {
+        self.inner.set_trigger("Software").named("TriggerMode")
+    }
+
+    /// Puts the camera into free run.
+    pub fn clear_triggers(&self) -> Result<(), Error> {
+        self.inner.clear_triggers().named("TriggerMode")
+    }
+
+    /// Sends one software trigger.
+    pub fn software_trigger(&self) -> Result<(), Error> {
+        self.inner.software_trigger().named("TriggerSoftware")
+    }
+
+    /// Starts an acquisition. Settings cannot be changed until the stream is dropped.
+    pub fn stream(&mut self, setup: &StreamSetup) -> Result<Stream<'_>, Error> {
+        if self.is_gigevision() {
+            match setup.packet_size {
+                Some(size) => self.inner.gv_set_packet_size(size as i32).named("GevSCPSPacketSize")?,
+                None => {
+                    self.inner.gv_set_packet_size_adjustment(GvPacketSizeAdjustment::OnFailureOnce);
+                    if let Err(e) = self.inner.gv_auto_packet_size() {
+                        tracing::debug!(error = e.message(), "packet size left as it is");
+                    }
+                }
+            }
+        }
+        Stream::start(&self.inner, setup, Arc::clone(&self.lost))
+    }
+
+    /// Bytes of a GigE Vision packet.
+    pub fn packet_size(&self) -> Option<u32> {
+        self.is_gigevision().then(|| self.inner.gv_get_packet_size().ok()).flatten()
+    }
+}

@@ -1,0 +1,257 @@
+//! A virtual GigE Vision camera: Aravis answers the protocol, a [`Painter`] makes the frames.
+
+use crate::Error;
+use aravis::glib::translate::ToGlibPtr;
+use aravis_sys::{ArvBuffer, ArvFakeCamera};
+use std::ffi::c_void;
+use std::io::Write;
+use std::net::{IpAddr, UdpSocket};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// Port of the GigE Vision control protocol.
+const GVCP_PORT: u16 = 3956;
+
+/// Registers that the fake camera itself reads (arvfakecamera.h of libaravis 0.8).
+pub mod address {
+    /// Columns of the region.
+    pub const WIDTH: u32 = 0x100;
+    /// Rows of the region.
+    pub const HEIGHT: u32 = 0x104;
+    /// Columns of the sensor.
+    pub const SENSOR_WIDTH: u32 = 0x11c;
+    /// Rows of the sensor.
+    pub const SENSOR_HEIGHT: u32 = 0x118;
+    /// PFNC code.
+    pub const PIXEL_FORMAT: u32 = 0x128;
+    /// First column of the region.
+    pub const OFFSET_X: u32 = 0x130;
+    /// First row of the region.
+    pub const OFFSET_Y: u32 = 0x134;
+    /// Period of the frames, microseconds.
+    pub const FRAME_PERIOD_US: u32 = 0x138;
+    /// Maker, 32 bytes of text (GigE Vision bootstrap registers).
+    pub const VENDOR: u32 = 0x48;
+    /// Model, 32 bytes of text.
+    pub const MODEL: u32 = 0x68;
+    /// Device version, 32 bytes of text.
+    pub const VERSION: u32 = 0x88;
+}
+
+/// Bytes of register space; beyond it the description file begins.
+const REGISTER_SPACE: usize = 0x1_0000;
+
+/// The camera's registers, big endian, as any client reads and writes them.
+pub struct Registers(*mut ArvFakeCamera);
+
+impl Registers {
+    /// Reads bytes; zeros beyond the register space.
+    pub fn read<const N: usize>(&self, address: u32) -> [u8; N] {
+        let mut bytes = [0; N];
+        if address as usize + N <= REGISTER_SPACE {
+            // SAFETY: the camera lives as long as the VirtualCamera that owns these registers, N bytes at `bytes` are
+            // ours, and the range lies within the register space.
+            unsafe {
+                aravis_sys::arv_fake_camera_read_memory(self.0, address, N as u32, bytes.as_mut_ptr().cast());
+            }
+        }
+        bytes
+    }
+
+    /// Writes bytes; nothing beyond the register space.
+    pub fn write(&self, address: u32, bytes: &[u8]) {
+        if !bytes.is_empty() && address as usize + bytes.len() < REGISTER_SPACE {
+            // SAFETY: as in `read`; libaravis copies from `bytes` and does not write to it.
+            unsafe {
+                aravis_sys::arv_fake_camera_write_memory(
+                    self.0,
+                    address,
+                    bytes.len() as u32,
+                    bytes.as_ptr().cast_mut().cast(),
+                );
+            }
+        }
+    }
+
+    /// Reads a 32-bit register.
+    pub fn u32(&self, address: u32) -> u32 {
+        u32::from_be_bytes(self.read(address))
+    }
+
+    /// Reads a 64-bit floating-point register.
+    pub fn f64(&self, address: u32) -> f64 {
+        f64::from_be_bytes(self.read(address))
+    }
+
+    /// Writes a 32-bit register.
+    pub fn set_u32(&self, address: u32, value: u32) {
+        self.write(address, &value.to_be_bytes());
+    }
+
+    /// Writes a 64-bit floating-point register.
+    pub fn set_f64(&self, address: u32, value: f64) {
+        self.write(address, &value.to_be_bytes());
+    }
+
+    /// Writes text into a field of so many bytes, cut and filled with zeros.
+    pub fn set_text(&self, address: u32, field: usize, text: &str) {
+        let mut bytes = vec![0; field];
+        let length = text.len().min(field.saturating_sub(1));
+        bytes[..length].copy_from_slice(&text.as_bytes()[..length]);
+        self.write(address, &bytes);
+    }
+}
+
+/// The frame that is due.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Request {
+    /// Frames painted before this one.
+    pub number: u64,
+    /// x, y, width, height of the region, pixels.
+    pub region: [u32; 4],
+    /// PFNC code.
+    pub format: u32,
+}
+
+/// Makes frames. Runs on the thread that also answers the control protocol: be quick.
+pub trait Painter: Send {
+    /// Fills the bytes of a frame and returns its timestamp, ns.
+    fn paint(&mut self, registers: &Registers, request: Request, frame: &mut [u8]) -> u64;
+}
+
+/// What the callback finds behind its pointer.
+struct Context {
+    registers: Registers,
+    painter: Box<dyn Painter>,
+    number: u64,
+}
+
+/// A camera that answers on the network until it is dropped.
+pub struct VirtualCamera {
+    // Dropped by hand, in the order that `Drop` explains.
+    server: Option<aravis::GvFakeCamera>,
+    camera: aravis::FakeCamera,
+    context: *mut Context,
+}
+
+// SAFETY: the raw pointer is a Box that only the callback (on the server's thread, under the library's mutex) touches
+// until Drop has joined that thread; the two objects are reference-counted atomically.
+unsafe impl Send for VirtualCamera {}
+
+type Fill = unsafe extern "C" fn(*mut ArvBuffer, *mut c_void, u32, u32, u32);
+
+unsafe extern "C" {
+    /// Three arguments up to libaravis 0.8.26, a destroy notifier more in later ones. A fourth argument that the callee
+    /// does not look at is harmless in the C calling conventions of every platform that libaravis runs on, so that
+    /// one declaration fits both.
+    fn arv_fake_camera_set_fill_pattern(
+        camera: *mut ArvFakeCamera,
+        callback: Option<Fill>,
+        data: *mut c_void,
+        destroy: *mut c_void,
+    );
+}
+
+unsafe extern "C" fn fill(
+    buffer: *mut ArvBuffer,
+    data: *mut c_void,
+    _exposure: u32,
+    _gain: u32,
+    _format: u32,
+) {
+    // SAFETY: `data` is the Context that `start` boxed; it is freed only after the callback was taken off and the
+    // thread that calls it was joined. The library holds a mutex around the call, so that there is no second one.
+    let context = unsafe { &mut *data.cast::<Context>() };
+    let Context { registers, painter, number } = context;
+    let read = |address| registers.u32(address);
+    let request = Request {
+        number: *number,
+        region: [
+            read(address::OFFSET_X),
+            read(address::OFFSET_Y),
+            read(address::WIDTH),
+            read(address::HEIGHT),
+        ],
+        format: read(address::PIXEL_FORMAT),
+    };
+    *number += 1;
+    // SAFETY: the registers hold the camera, which outlives the callback.
+    let payload = unsafe { aravis_sys::arv_fake_camera_get_payload(registers.0) };
+    let mut received = 0;
+    // SAFETY: the library gives a valid buffer; its received length is 0 in here, and it has checked that at least
+    // `payload` bytes are allocated before calling. They were zeroed or filled before, so that they are initialised.
+    let bytes = unsafe {
+        let pointer = aravis_sys::arv_buffer_get_data(buffer, &mut received).cast::<u8>();
+        if pointer.is_null() || payload == 0 {
+            return;
+        }
+        pointer.write_bytes(0, payload);
+        std::slice::from_raw_parts_mut(pointer, payload)
+    };
+    // A panic must not cross into C. The frame stays as it is and the fault is in the log.
+    match catch_unwind(AssertUnwindSafe(|| painter.paint(registers, request, bytes))) {
+        // SAFETY: as above.
+        Ok(timestamp_ns) => unsafe { aravis_sys::arv_buffer_set_timestamp(buffer, timestamp_ns) },
+        Err(_) => tracing::error!(number = request.number, "painting a frame panicked"),
+    }
+}
+
+impl VirtualCamera {
+    /// Answers on `interface` (its IPv4 address) with the description file `xml`. `set_up` fills the registers before
+    /// the first client can see them.
+    pub fn start(
+        interface: IpAddr,
+        serial: &str,
+        xml: &str,
+        painter: Box<dyn Painter>,
+        set_up: impl FnOnce(&Registers),
+    ) -> Result<Self, Error> {
+        let fault = |message: String| Error::new(&format!("virtual camera on {interface}"), message);
+        if serial.is_empty() || serial.len() > 15 || !serial.is_ascii() {
+            return Err(fault(format!("serial \"{serial}\" must have 1 to 15 ASCII characters")));
+        }
+        // Aravis reports success where its port is taken.
+        UdpSocket::bind((interface, GVCP_PORT)).map_err(|e| {
+            fault(format!("port {GVCP_PORT} cannot be opened ({e}); is another camera served there?"))
+        })?;
+        let mut file =
+            tempfile::Builder::new().suffix(".xml").tempfile().map_err(|e| fault(e.to_string()))?;
+        file.write_all(xml.as_bytes()).map_err(|e| fault(e.to_string()))?;
+        let path = file.path().to_string_lossy().into_owned();
+        let server = aravis::GvFakeCamera::new_full(Some(&interface.to_string()), Some(serial), Some(&path));
+        let camera = server.fake_camera().ok_or_else(|| fault("libaravis made no camera".into()))?;
+        if !server.is_running() {
+            return Err(fault("no such network interface".into()));
+        }
+        // The library asks 25 times a second for a trigger; a thousand times make it prompt.
+        camera.set_trigger_frequency(1000.0);
+        let pointer: *mut ArvFakeCamera = camera.to_glib_none().0;
+        set_up(&Registers(pointer));
+        let context = Box::into_raw(Box::new(Context { registers: Registers(pointer), painter, number: 0 }));
+        // SAFETY: the camera is alive, and `context` is until Drop has taken the callback off.
+        unsafe {
+            arv_fake_camera_set_fill_pattern(pointer, Some(fill), context.cast(), std::ptr::null_mut());
+        }
+        Ok(Self { server: Some(server), camera, context })
+    }
+
+    /// Makes the camera lose this share of its packets, 0 to 1: a bad cable.
+    pub fn set_lost_packets(&self, share: f64) {
+        if let Some(server) = &self.server {
+            server.set_gvsp_lost_ratio(share);
+        }
+    }
+}
+
+impl Drop for VirtualCamera {
+    fn drop(&mut self) {
+        // First the server: dropping the only reference joins its thread. Then nobody calls the painter any more.
+        drop(self.server.take());
+        let pointer: *mut ArvFakeCamera = self.camera.to_glib_none().0;
+        // SAFETY: the camera is alive by our reference; null restores the library's own pattern; the context came from
+        // Box::into_raw, and its only other user, the callback, is gone.
+        unsafe {
+            arv_fake_camera_set_fill_pattern(pointer, None, std::ptr::null_mut(), std::ptr::null_mut());
+            drop(Box::from_raw(self.context));
+        }
+    }
+}

@@ -1,0 +1,202 @@
+//! A running acquisition.
+
+use crate::{Error, Named};
+use aravis::glib::prelude::*;
+use aravis::prelude::*;
+use aravis::{
+    Buffer, BufferPayloadType, BufferStatus, GvStream, GvStreamOption, GvStreamPacketResend,
+    GvStreamSocketBuffer,
+};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// How a stream is set up.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StreamSetup {
+    /// Buffers for the camera to fill.
+    pub buffers: usize,
+    /// GigE Vision: bytes of a packet; `None` lets Aravis find the largest that passes.
+    pub packet_size: Option<u32>,
+    /// GigE Vision: whether lost packets are asked for again.
+    pub packet_resend: bool,
+    /// GigE Vision: time until a packet counts as lost.
+    pub packet_timeout: Duration,
+    /// GigE Vision: time until an unfinished frame is given up.
+    pub frame_retention: Duration,
+    /// GigE Vision: receive buffer of the ordinary socket, bytes.
+    pub socket_buffer: usize,
+    /// GigE Vision: use the packet socket where the system allows it.
+    pub packet_socket: bool,
+}
+
+/// What Aravis says of a frame that came out of the stream.
+#[derive(Debug)]
+pub enum Received<'a> {
+    /// Every byte is there.
+    Complete {
+        /// Bytes as they came over the wire.
+        bytes: &'a [u8],
+        /// PFNC code.
+        format: u32,
+        /// x, y, width, height of the region, pixels.
+        region: [i32; 4],
+        /// Number of the frame as the camera counts; 16 bits in GigE Vision, where 0 is never used.
+        frame_id: u64,
+        /// Device clock, ns; 0 where the camera tells no time.
+        timestamp_ns: u64,
+    },
+    /// Something is missing; numbers in such a buffer are those of an older frame.
+    Damaged(String),
+}
+
+/// Counts of Aravis: completed buffers, failures, underruns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct StreamCounts {
+    /// Whole frames.
+    pub completed: u64,
+    /// Damaged frames.
+    pub failures: u64,
+    /// Frames for which no buffer was free.
+    pub underruns: u64,
+}
+
+/// Why no frame came.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Silence {
+    Timeout,
+    Lost,
+}
+
+/// A running acquisition; dropping it stops the camera.
+#[derive(Debug)]
+pub struct Stream<'a> {
+    camera: &'a aravis::Camera,
+    stream: aravis::Stream,
+    lost: Arc<AtomicBool>,
+    payload: usize,
+}
+
+impl<'a> Stream<'a> {
+    pub(crate) fn start(
+        camera: &'a aravis::Camera,
+        setup: &StreamSetup,
+        lost: Arc<AtomicBool>,
+    ) -> Result<Self, Error> {
+        if camera.is_gv_device() {
+            let options = if setup.packet_socket {
+                GvStreamOption::NONE
+            } else {
+                GvStreamOption::PACKET_SOCKET_DISABLED
+            };
+            camera.gv_set_stream_options(options);
+        }
+        let payload = camera.payload().named("PayloadSize")? as usize;
+        let stream = camera.create_stream().named("stream")?;
+        if let Some(gv) = stream.downcast_ref::<GvStream>() {
+            gv.set_packet_resend(if setup.packet_resend {
+                GvStreamPacketResend::Always
+            } else {
+                GvStreamPacketResend::Never
+            });
+            gv.set_packet_timeout(setup.packet_timeout.as_micros() as u32);
+            gv.set_frame_retention(setup.frame_retention.as_micros() as u32);
+            gv.set_socket_buffer(GvStreamSocketBuffer::Fixed);
+            gv.set_socket_buffer_size(setup.socket_buffer.min(i32::MAX as usize) as i32);
+        }
+        for _ in 0..setup.buffers.max(2) {
+            stream.push_buffer(Buffer::new_allocate(payload));
+        }
+        camera.start_acquisition().named("AcquisitionStart")?;
+        Ok(Self { camera, stream, lost, payload })
+    }
+
+    /// Bytes of a frame.
+    pub fn payload(&self) -> usize {
+        self.payload
+    }
+
+    /// Sends one software trigger.
+    pub fn trigger(&self) -> Result<(), Error> {
+        self.camera.software_trigger().named("TriggerSoftware")
+    }
+
+    /// Waits for the next frame and shows it to `take`. `Ok(None)`: none came in time. An error: control was lost.
+    pub fn next<T>(
+        &mut self,
+        timeout: Duration,
+        take: impl FnOnce(Received<'_>) -> T,
+    ) -> Result<Option<T>, Error> {
+        match self.pop(timeout) {
+            Ok(buffer) => {
+                let answer = take(self.look(&buffer));
+                // The bytes are not looked at any more: Aravis may fill them again.
+                self.stream.push_buffer(buffer);
+                Ok(Some(answer))
+            }
+            Err(Silence::Timeout) => Ok(None),
+            Err(Silence::Lost) => Err(Error::new("control", "the camera no longer answers the heartbeat")),
+        }
+    }
+
+    fn pop(&self, timeout: Duration) -> Result<Buffer, Silence> {
+        let end = Instant::now() + timeout;
+        loop {
+            // Slices of a tenth of a second: a lost camera is noticed in the middle of a long wait.
+            let left = end.saturating_duration_since(Instant::now()).min(Duration::from_millis(100));
+            if let Some(buffer) = self.stream.timeout_pop_buffer(left.as_micros() as u64) {
+                return Ok(buffer);
+            }
+            if self.lost.load(Ordering::Acquire) {
+                return Err(Silence::Lost);
+            }
+            if Instant::now() >= end {
+                return Err(Silence::Timeout);
+            }
+        }
+    }
+
+    /// A buffer with status Success can still be short: with the packet socket the first IP fragment of a packet
+    /// larger than the MTU passes for the whole. So the length is held against the payload.
+    fn look<'b>(&self, buffer: &'b Buffer) -> Received<'b> {
+        if buffer.status() != BufferStatus::Success {
+            return Received::Damaged(format!("{:?}", buffer.status()));
+        }
+        if buffer.payload_type() != BufferPayloadType::Image {
+            return Received::Damaged(format!("payload of type {:?}", buffer.payload_type()));
+        }
+        let (pointer, length) = buffer.data();
+        if pointer.is_null() || length != self.payload {
+            return Received::Damaged(format!("{length} bytes of {}", self.payload));
+        }
+        // SAFETY: Aravis owns `length` initialised bytes at `pointer` (checked above against the size that the buffer
+        // was allocated with). The buffer has been popped, so that no other thread writes to it until it is pushed
+        // back, which `next` does after the borrow has ended; buffers are never cloned.
+        let bytes = unsafe { std::slice::from_raw_parts(pointer.cast_const(), length) };
+        let (x, y, width, height) = buffer.image_region();
+        Received::Complete {
+            bytes,
+            format: buffer.image_pixel_format().raw(),
+            region: [x, y, width, height],
+            frame_id: buffer.frame_id(),
+            timestamp_ns: buffer.timestamp(),
+        }
+    }
+
+    /// What Aravis counted.
+    pub fn counts(&self) -> StreamCounts {
+        let (completed, failures, underruns) = self.stream.statistics();
+        StreamCounts { completed, failures, underruns }
+    }
+}
+
+impl Drop for Stream<'_> {
+    fn drop(&mut self) {
+        if self.lost.load(Ordering::Acquire) {
+            return; // the camera is gone; asking it to stop would wait for an answer
+        }
+        if let Err(e) = self.camera.stop_acquisition() {
+            tracing::warn!(error = e.message(), "the camera did not confirm the end of the acquisition");
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! `radcam capture`
+
+use super::common::{STOP, load_plan, open_camera};
+use super::{Outcome, progress::Show};
+use crate::bench::Illuminator;
+use crate::camera::{Camera, StreamOptions};
+use crate::capture::{Capture, Progress, Summary};
+use crate::plan::Plan;
+use anyhow::Result;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// aravis:ID (an IP address, an Aravis id or a serial number), sim:SENSOR or replay:DATASET
+    #[arg(long)]
+    camera: String,
+    /// quick, standard, or a plan file
+    #[arg(long, default_value = "standard")]
+    plan: String,
+    /// Folder of the new dataset
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Continue a capture that was interrupted
+    #[arg(long)]
+    resume: bool,
+    /// Exposure that brings the card at illumination 1 close to full scale, s; measured where not given
+    #[arg(long)]
+    full_exposure_s: Option<f64>,
+    #[command(flatten)]
+    stream: StreamArguments,
+}
+
+/// GigE Vision options.
+#[derive(Debug, Default, clap::Args)]
+pub struct StreamArguments {
+    /// Bytes of a GigE Vision packet; negotiated where not given
+    #[arg(long)]
+    packet_size: Option<u32>,
+    /// Do not ask for lost packets again
+    #[arg(long)]
+    no_resend: bool,
+    /// Milliseconds until a packet counts as lost
+    #[arg(long)]
+    packet_timeout_ms: Option<u64>,
+    /// Milliseconds until an unfinished frame is given up
+    #[arg(long)]
+    frame_retention_ms: Option<u64>,
+    /// Do not use the packet socket, even where the system allows it
+    #[arg(long)]
+    no_packet_socket: bool,
+    /// Frames held ready for the camera to fill
+    #[arg(long)]
+    buffers: Option<usize>,
+}
+
+impl StreamArguments {
+    fn options(&self) -> StreamOptions {
+        let default = StreamOptions::default();
+        let ms = |given: Option<u64>, or| given.map_or(or, Duration::from_millis);
+        StreamOptions {
+            buffers: self.buffers.unwrap_or(default.buffers),
+            packet_size: self.packet_size,
+            packet_resend: !self.no_resend,
+            packet_timeout: ms(self.packet_timeout_ms, default.packet_timeout),
+            frame_retention: ms(self.frame_retention_ms, default.frame_retention),
+            packet_socket: !self.no_packet_socket,
+            ..default
+        }
+    }
+}
+
+pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    let mut plan = load_plan(&arguments.plan)?;
+    if arguments.full_exposure_s.is_some() {
+        plan.full_exposure_s = arguments.full_exposure_s;
+    }
+    let (mut camera, mut bench) = open_camera(&arguments.camera, &plan)?;
+    let options = arguments.stream.options();
+    let summary = capture(&mut *camera, &mut *bench, options, &plan, &arguments.output, arguments.resume)?;
+    tell(&summary, &arguments.output);
+    Ok(Outcome::Agreement)
+}
+
+/// Captures with progress on standard error.
+pub fn capture(
+    camera: &mut dyn Camera,
+    bench: &mut dyn Illuminator,
+    options: StreamOptions,
+    plan: &Plan,
+    root: &Path,
+    resume: bool,
+) -> Result<Summary> {
+    let mut show = Show::new("capture");
+    let mut progress = |p: Progress| show.frames(p);
+    let mut capture = Capture { camera, bench, options, stop: &STOP, progress: &mut progress };
+    Ok(capture.run(plan, root, resume)?)
+}
+
+/// The result in words.
+pub fn tell(summary: &Summary, root: &Path) {
+    println!("{}: {} frames written", root.display(), summary.frames);
+    let c = summary.counts;
+    if c.failures + c.underruns + c.missing > 0 {
+        println!(
+            "  {} damaged frames thrown away, {} without a free buffer, {} never arrived",
+            c.failures, c.underruns, c.missing
+        );
+    }
+    let still_on: Vec<_> = summary.automatics.iter().filter(|a| !a.off).map(|a| &*a.feature).collect();
+    if !still_on.is_empty() {
+        println!("  could not be switched off: {}", still_on.join(", "));
+    }
+}

@@ -1,0 +1,122 @@
+//! What several verbs need: logs, interruption, cameras by name, plans by name.
+
+use crate::bench::{GenicamBench, Illuminator, PersonBench, SharedBench};
+use crate::camera::Camera;
+use crate::camera::replay::ReplayCamera;
+use crate::camera::sim::SimCamera;
+use crate::plan::Plan;
+use anyhow::{Context, Result, bail};
+use radcam_sim::{Model, Sensor, sensors};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Set by Ctrl-C; the second one ends the program at once.
+pub static STOP: AtomicBool = AtomicBool::new(false);
+
+pub fn start_logging(verbose: u8) {
+    use std::io::IsTerminal;
+    let level = match verbose {
+        0 => "warn",
+        1 => "info",
+        _ => "debug",
+    };
+    let filter = tracing_subscriber::EnvFilter::try_from_env("RADCAM_LOG").unwrap_or_else(|_| {
+        tracing_subscriber::EnvFilter::new(format!("radcam={level},radcam_aravis={level}"))
+    });
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .without_time()
+        .with_target(false)
+        .init();
+}
+
+pub fn catch_interrupts() {
+    let handler = || {
+        if STOP.swap(true, Ordering::SeqCst) {
+            std::process::exit(2);
+        }
+    };
+    if let Err(e) = ctrlc::set_handler(handler) {
+        tracing::debug!(error = %e, "Ctrl-C will end the program at once");
+    }
+}
+
+/// A sensor by name or from a model file, with another seed where wanted.
+pub fn load_model(name: &str, seed: Option<u64>) -> Result<Model> {
+    let mut model = if sensors::get(name).is_some() {
+        sensors::load(name)?
+    } else if Path::new(name).exists() {
+        let text = std::fs::read_to_string(name).with_context(|| name.to_string())?;
+        Model::from_toml(&text).with_context(|| name.to_string())?
+    } else {
+        let names: Vec<_> = sensors::ALL.iter().map(|(known, _)| *known).collect();
+        bail!("no sensor \"{name}\": neither a file nor one of {}", names.join(", "));
+    };
+    if let Some(seed) = seed {
+        model.base.seed = seed;
+    }
+    Ok(model)
+}
+
+/// A plan by name or from a file.
+pub fn load_plan(name: &str) -> Result<Plan> {
+    if let Some(plan) = Plan::named(name) {
+        return Ok(plan);
+    }
+    if !Path::new(name).exists() {
+        bail!("no plan \"{name}\": neither a file nor one of quick, standard");
+    }
+    let text = std::fs::read_to_string(name).with_context(|| name.to_string())?;
+    Plan::from_toml(&text).with_context(|| name.to_string())
+}
+
+/// A simulated camera with its bench.
+pub fn simulated(name: &str, seed: Option<u64>) -> Result<(SimCamera, SharedBench)> {
+    let sensor = Sensor::new(load_model(name, seed)?)?;
+    let bench = SharedBench::default();
+    Ok((SimCamera::new(name, Arc::new(sensor), bench.clone()), bench))
+}
+
+/// Opens `aravis:ID`, `sim:SENSOR` or `replay:DATASET`, with the bench that belongs to it.
+pub fn open_camera(name: &str, plan: &Plan) -> Result<(Box<dyn Camera>, Box<dyn Illuminator>)> {
+    match name.split_once(':') {
+        Some(("sim", sensor)) => {
+            let (camera, bench) = simulated(sensor, None)?;
+            Ok((Box::new(camera), Box::new(bench)))
+        }
+        Some(("replay", path)) => {
+            let bench = SharedBench::default();
+            Ok((Box::new(ReplayCamera::open(Path::new(path), bench.clone())?), Box::new(bench)))
+        }
+        Some(("aravis", id)) => {
+            let mut camera = open_aravis(id)?;
+            let bench: Box<dyn Illuminator> = match &plan.bench {
+                Some(features) => Box::new(features.clone()),
+                None if camera.has_feature("BenchIllumination") => Box::new(GenicamBench::served()),
+                None => Box::new(PersonBench::new(std::io::stdin().lock(), std::io::stderr())),
+            };
+            Ok((camera, bench))
+        }
+        _ => bail!(
+            "camera \"{name}\": write aravis:ID, sim:SENSOR or replay:DATASET; `radcam cameras` lists them"
+        ),
+    }
+}
+
+#[cfg(feature = "aravis")]
+fn open_aravis(id: &str) -> Result<Box<dyn Camera>> {
+    Ok(Box::new(crate::camera::aravis::AravisCamera::open(id)?))
+}
+
+#[cfg(not(feature = "aravis"))]
+fn open_aravis(id: &str) -> Result<Box<dyn Camera>> {
+    bail!("aravis:{id}: {NO_ARAVIS}")
+}
+
+/// What is missing where the program was built without libaravis.
+#[cfg(not(feature = "aravis"))]
+pub const NO_ARAVIS: &str = "this radcam was built without libaravis; install libaravis-dev and libusb-1.0-0-dev and \
+                             build with the feature \"aravis\" (on by default)";

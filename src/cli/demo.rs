@@ -1,0 +1,127 @@
+//! `radcam demo`
+
+use super::capture::capture;
+use super::common::load_model;
+use super::{Outcome, noise};
+use crate::camera::StreamOptions;
+use crate::dataset::write_whole;
+use crate::plan::Plan;
+use crate::report::noise::{Truth, html, pretty, sigmas};
+use crate::report::with_error;
+use anyhow::{Context, Result, bail};
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// A sensor (xc77, cmos12, ccd16) or a model file
+    #[arg(long, default_value = "cmos12")]
+    sensor: String,
+    /// Another specimen of the same camera: seed of its maps and its noise
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Folder for the dataset and the report; an earlier demo there is replaced
+    #[arg(short, long, default_value = "radcam-demo")]
+    output: PathBuf,
+    /// IPv4 address of the interface the camera is served on
+    #[arg(long, default_value = "127.0.0.1")]
+    interface: std::net::Ipv4Addr,
+}
+
+/// Largest side of the region that the demo captures: a campaign of some 40 MB.
+const REGION: (u32, u32) = (320, 256);
+
+pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    let model = load_model(&arguments.sensor, arguments.seed)?;
+    let truth = Truth {
+        gain_dn_per_e: model.base.gain_dn_per_e,
+        constant_noise_var_dn2: model.constant_noise_var_dn2(0.0),
+        read_noise_e: model.base.read_noise_e,
+    };
+    let (width, height) = (model.camera.width.min(REGION.0), model.camera.height.min(REGION.1));
+    let mut plan = Plan::standard();
+    plan.camera.region =
+        Some([(model.camera.width - width) / 8 * 4, (model.camera.height - height) / 8 * 4, width, height]);
+    let dataset = arguments.output.join("dataset");
+    clear(&arguments.output, &dataset)?;
+    let how = take(arguments, &plan, &dataset)?;
+    let report = noise::estimate(&dataset)?;
+
+    let camera = format!("{} {}", model.camera.vendor, model.camera.model);
+    println!("\n{camera}, {width} x {height} px, {}\n", how);
+    println!("  {:<16} {:<28} {:<12} difference", "", "measured", "truth");
+    let mut worst = 0.0_f64;
+    for (name, measured, truth) in truth.rows(&report) {
+        let z = sigmas(measured, truth);
+        worst = worst.max(z.abs());
+        let value = format!("{} {}", with_error(measured.value, measured.std_err), pretty(measured.unit));
+        println!("  {name:<16} {value:<28} {truth:<12.5} {z:+.1} σ");
+    }
+    println!("\n  χ² = {:.1} for {} degrees of freedom, Q = {:.3}", report.chi2, report.dof, report.q);
+    let path = arguments.output.join("report.html");
+    write_whole(
+        &path,
+        html("Gain and constant noise", &format!("{camera}, {how}"), &report, Some(&truth)).as_bytes(),
+    )?;
+    println!("\n  report:  {}\n  dataset: {} (try `radcam noise {0}`)", path.display(), dataset.display());
+    let agrees = worst <= 3.0 && report.consistent();
+    println!(
+        "\n{}",
+        if agrees { "The measurement agrees with the truth." } else { "THE MEASUREMENT DISAGREES." }
+    );
+    Ok(if agrees { Outcome::Agreement } else { Outcome::Disagreement })
+}
+
+/// Makes room for the demo, and touches nothing that is not a demo's.
+fn clear(output: &Path, dataset: &Path) -> Result<()> {
+    if dataset.exists() {
+        if !dataset.join("frames.csv").exists() {
+            bail!("{} is not a dataset of an earlier demo; choose another folder with -o", dataset.display());
+        }
+        std::fs::remove_dir_all(dataset).with_context(|| dataset.display().to_string())?;
+    }
+    std::fs::create_dir_all(output).with_context(|| output.display().to_string())
+}
+
+/// Captures through libaravis from a camera that another process serves.
+#[cfg(feature = "aravis")]
+fn take(arguments: &Arguments, plan: &Plan, dataset: &Path) -> Result<String> {
+    use std::io::{BufRead, BufReader};
+    use std::process::{Command, Stdio};
+
+    let interface = arguments.interface.to_string();
+    let mut serve = Command::new(std::env::current_exe()?);
+    serve.args(["serve", &arguments.sensor, "--interface", &interface, "--serial", "DEMO", "--while-stdin"]);
+    if let Some(seed) = arguments.seed {
+        serve.args(["--seed", &seed.to_string()]);
+    }
+    // Its end of standard input closes with this process, however that ends.
+    let mut child =
+        serve.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().context("cannot start the camera")?;
+    let mut said = String::new();
+    if let Some(out) = child.stdout.take() {
+        BufReader::new(out).read_line(&mut said)?;
+    }
+    if !said.starts_with("serving") {
+        child.wait()?;
+        bail!("the camera could not be served on {interface} (its own words stand above)");
+    }
+    eprintln!("{}", said.trim_end().trim_end_matches("; Ctrl-C ends"));
+    let outcome = (|| {
+        let (mut camera, mut bench) = super::common::open_camera(&format!("aravis:{interface}"), plan)?;
+        capture(&mut *camera, &mut *bench, StreamOptions::default(), plan, dataset, false)
+    })();
+    drop(child.stdin.take());
+    child.wait()?;
+    let summary = outcome?;
+    let c = summary.counts;
+    Ok(format!("{} frames over GigE Vision on {interface}, {} damaged", summary.frames, c.failures))
+}
+
+/// Captures from the simulator in this process.
+#[cfg(not(feature = "aravis"))]
+fn take(arguments: &Arguments, plan: &Plan, dataset: &Path) -> Result<String> {
+    eprintln!("{}; the demo uses the simulator in this process instead", super::common::NO_ARAVIS);
+    let (mut camera, mut bench) = super::common::simulated(&arguments.sensor, arguments.seed)?;
+    let summary = capture(&mut camera, &mut bench, StreamOptions::default(), plan, dataset, false)?;
+    Ok(format!("{} frames simulated in this process", summary.frames))
+}

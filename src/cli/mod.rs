@@ -1,0 +1,87 @@
+//! The program's verbs, one file each: parse, call the library, print.
+//!
+//! Results go to standard output, progress and logs to standard error. Exit codes: 0 done and in agreement, 1 done
+//! and the answer is a disagreement, 2 it could not be done.
+
+#![allow(clippy::print_stdout, clippy::print_stderr)] // printing is what a command line is for
+
+mod cameras;
+mod capture;
+mod common;
+mod demo;
+mod noise;
+mod progress;
+mod serve;
+mod simulate;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Whether the answer was an agreement.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Outcome {
+    Agreement,
+    Disagreement,
+}
+
+/// Radiometric camera calibration and noise estimation for machine vision.
+#[derive(Debug, Parser)]
+#[command(name = "radcam", version, propagate_version = true, max_term_width = 100)]
+#[command(
+    after_help = "Exit codes: 0 done and in agreement; 1 done, and the answer is a disagreement; 2 it could not \
+                        be done.\nLogs go to standard error: -v, -vv, or RADCAM_LOG=debug."
+)]
+struct Arguments {
+    /// Say more (twice: still more)
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    verbose: u8,
+
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Debug, Subcommand)]
+enum Verb {
+    /// List the cameras that answer, and the simulated ones
+    Cameras(cameras::Arguments),
+    /// Capture a plan with a camera into a dataset folder
+    Capture(capture::Arguments),
+    /// Draw a plan with a simulated camera into a dataset folder
+    Simulate(simulate::Arguments),
+    /// Serve a simulated camera over GigE Vision
+    Serve(serve::Arguments),
+    /// Estimate gain and constant noise (Section IV of Healey and Kondepudy)
+    Noise(noise::Arguments),
+    /// Serve, capture, measure and report a camera, all in one
+    Demo(demo::Arguments),
+}
+
+/// Runs the program with the arguments of the process.
+pub fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    common::start_logging(arguments.verbose);
+    common::catch_interrupts();
+    let outcome = match arguments.verb {
+        Verb::Cameras(a) => cameras::run(&a),
+        Verb::Capture(a) => capture::run(&a),
+        Verb::Simulate(a) => simulate::run(&a),
+        Verb::Serve(a) => serve::run(&a),
+        Verb::Noise(a) => noise::run(&a),
+        Verb::Demo(a) => demo::run(&a),
+    };
+    match outcome {
+        Ok(Outcome::Agreement) => ExitCode::SUCCESS,
+        Ok(Outcome::Disagreement) => ExitCode::from(1),
+        Err(error) => {
+            // A reader that went away (`| head`) is no fault of the run.
+            if error
+                .downcast_ref::<std::io::Error>()
+                .is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
+            {
+                return ExitCode::SUCCESS;
+            }
+            eprintln!("radcam: {error:#}");
+            ExitCode::from(2)
+        }
+    }
+}

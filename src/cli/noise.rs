@@ -1,0 +1,96 @@
+//! `radcam noise`
+
+use super::common::STOP;
+use super::{Outcome, progress::Show};
+use crate::dataset::table::Table;
+use crate::dataset::{Dataset, write_whole};
+use crate::noise::{NoiseReport, of_dataset, of_table};
+use crate::report::noise::pretty;
+use crate::report::{self, with_error};
+use anyhow::Result;
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// A dataset folder, an EMVA 1288 descriptor, or a table (CSV with mean_dn and var_dn2)
+    dataset: PathBuf,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    /// Also write a page with the photon-transfer plot
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
+}
+
+pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    let report = estimate(&arguments.dataset)?;
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
+    } else {
+        print(&arguments.dataset, &report);
+    }
+    if let Some(path) = &arguments.report {
+        let subtitle = arguments.dataset.display().to_string();
+        let page = report::noise::html("Gain and constant noise", &subtitle, &report, None);
+        write_whole(path, page.as_bytes())?;
+    }
+    Ok(if report.consistent() { Outcome::Agreement } else { Outcome::Disagreement })
+}
+
+/// Section IV on whatever the path is.
+pub fn estimate(path: &Path) -> Result<NoiseReport> {
+    if path.is_file() && Table::is_table(path) {
+        return Ok(of_table(&Table::open(path)?)?);
+    }
+    let dataset = Dataset::open(path)?;
+    let mut show = Show::new("noise");
+    Ok(of_dataset(&dataset, &STOP, &mut |done, of| show.step(done, of))?)
+}
+
+fn print(path: &Path, r: &NoiseReport) {
+    let used = r.levels.iter().filter(|l| l.used).count();
+    println!("{}: {used} of {} levels used\n", path.display(), r.levels.len());
+    for (name, q) in [
+        ("gain A", r.gain_dn_per_e),
+        ("constant noise", r.constant_noise_var_dn2),
+        ("read noise", r.read_noise_e),
+    ] {
+        println!("  {name:<16} {} {}", with_error(q.value, q.std_err), pretty(q.unit));
+    }
+    println!(
+        "  {:<16} {} DN ({})",
+        "zero level",
+        with_error(r.offset_dn.value, r.offset_dn.std_err),
+        r.offset_source
+    );
+    let verdict =
+        if r.consistent() { "the levels lie on the line" } else { "THE LEVELS DO NOT LIE ON A LINE" };
+    println!(
+        "  {:<16} {:.2} for {} degrees of freedom, Q = {:.4}: {verdict}",
+        "chi-square", r.chi2, r.dof, r.q
+    );
+
+    println!("\n  {:<12} {:<24} {:<24} {:>9} {:>4}  Q", "estimator", "A (DN/e⁻)", "σ_C² (DN²)", "χ²", "dof");
+    for e in &r.estimators {
+        let (a, c) = (e.gain_dn_per_e, e.constant_noise_var_dn2);
+        println!(
+            "  {:<12} {:<24} {:<24} {:>9.2} {:>4}  {:.4}",
+            format!("{:?}", e.method).to_lowercase(),
+            with_error(a.value, a.std_err),
+            with_error(c.value, c.std_err),
+            e.chi2,
+            e.dof,
+            e.q
+        );
+    }
+    println!("\n  {:>4} {:<5} {:>10}  {:<22} {:>7}", "set", "kind", "mean (DN)", "variance (DN²)", "z");
+    for l in &r.levels {
+        let kind = l.kind.to_string();
+        let variance = with_error(l.var_dn2, l.var_std_err_dn2);
+        let note = l.excluded_because.as_ref().map(|why| format!("  not used: {why}")).unwrap_or_default();
+        println!("  {:>4} {kind:<5} {:>10.2}  {variance:<22} {:>+7.2}{note}", l.set, l.mean_dn, l.z);
+    }
+    for note in &r.notes {
+        println!("\n  note: {note}");
+    }
+}

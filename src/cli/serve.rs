@@ -1,0 +1,54 @@
+//! `radcam serve`
+
+use super::Outcome;
+use anyhow::Result;
+
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// A sensor (xc77, cmos12, ccd16) or a model file
+    sensor: String,
+    /// IPv4 address of the network interface to answer on
+    #[arg(long, default_value = "127.0.0.1")]
+    interface: std::net::Ipv4Addr,
+    /// Serial number that the camera tells
+    #[arg(long, default_value = "SIM1")]
+    serial: String,
+    /// Another specimen of the same camera: seed of its maps and its noise
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Share of its packets that the camera loses, 0 to 1
+    #[arg(long, default_value_t = 0.0)]
+    lose_packets: f64,
+    /// End when standard input does
+    #[arg(long, hide = true)]
+    while_stdin: bool,
+}
+
+#[cfg(feature = "aravis")]
+pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    use super::common::{STOP, load_model};
+    use std::io::{Read, Write};
+    use std::sync::atomic::Ordering;
+
+    let sensor = radcam_sim::Sensor::new(load_model(&arguments.sensor, arguments.seed)?)?;
+    let served = crate::serve::serve(sensor.into(), arguments.interface.into(), &arguments.serial)?;
+    served.set_lost_packets(arguments.lose_packets.clamp(0.0, 1.0));
+    let (sensor, interface, serial) = (&arguments.sensor, arguments.interface, &arguments.serial);
+    println!("serving {sensor} as {serial} over GigE Vision on {interface}; Ctrl-C ends");
+    std::io::stdout().flush()?;
+    if arguments.while_stdin {
+        std::thread::spawn(|| {
+            let _ = std::io::stdin().read_to_end(&mut Vec::new());
+            STOP.store(true, Ordering::SeqCst);
+        });
+    }
+    while !STOP.load(Ordering::SeqCst) {
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
+    Ok(Outcome::Agreement)
+}
+
+#[cfg(not(feature = "aravis"))]
+pub fn run(_arguments: &Arguments) -> Result<Outcome> {
+    anyhow::bail!("serve: {}", super::common::NO_ARAVIS)
+}

@@ -1,0 +1,48 @@
+//! `radcam simulate`
+
+use super::Outcome;
+use super::capture::{capture, tell};
+use super::common::{load_plan, simulated};
+use crate::camera::StreamOptions;
+use anyhow::Result;
+use std::path::PathBuf;
+
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// A sensor (xc77, cmos12, ccd16) or a model file
+    sensor: String,
+    /// quick, standard, or a plan file
+    #[arg(long, default_value = "standard")]
+    plan: String,
+    /// Folder of the new dataset
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Continue where an interrupted run stopped
+    #[arg(long)]
+    resume: bool,
+    /// Another specimen of the same camera: seed of its maps and its noise
+    #[arg(long)]
+    seed: Option<u64>,
+    /// First column, first row, width, height of the region, pixels
+    #[arg(long, value_name = "X,Y,W,H", value_parser = region)]
+    region: Option<[u32; 4]>,
+}
+
+/// `x,y,w,h`.
+pub fn region(text: &str) -> Result<[u32; 4], String> {
+    let numbers: Vec<u32> = text
+        .split(',')
+        .map(|n| n.trim().parse().map_err(|_| format!("\"{n}\" is not a whole number")))
+        .collect::<Result<_, String>>()?;
+    numbers.try_into().map_err(|_| "write x,y,width,height".into())
+}
+
+pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    let mut plan = load_plan(&arguments.plan)?;
+    plan.camera.region = arguments.region.or(plan.camera.region);
+    let (mut camera, mut bench) = simulated(&arguments.sensor, arguments.seed)?;
+    let options = StreamOptions::default();
+    let summary = capture(&mut camera, &mut bench, options, &plan, &arguments.output, arguments.resume)?;
+    tell(&summary, &arguments.output);
+    Ok(Outcome::Agreement)
+}
