@@ -181,12 +181,14 @@ pub enum NoiseError {
     Dataset(#[from] DatasetError),
     /// Too few levels are left.
     #[error(
-        "the line needs two levels of light, and {usable} of {of} can be used{}",
+        "the line needs two levels, one of them lit, and {usable} of {of} can be used, {lit} of them lit{}",
         why.first().map(|w| format!(" ({w})")).unwrap_or_default()
     )]
     TooFewLevels {
         /// Levels left.
         usable: usize,
+        /// Flats among them.
+        lit: usize,
         /// Levels measured.
         of: usize,
         /// Why the others fell out.
@@ -564,10 +566,13 @@ pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, Nois
     }
     exclude_past_the_peak(&mut points);
     exclude_strays(&mut points);
-    let Some(line) = reweighted(&points) else {
+    let is_lit = |p: &&Point| p.excluded.is_none() && p.kind == Kind::Flat;
+    let lit = points.iter().filter(is_lit).count();
+    let Some(line) = reweighted(&points).filter(|_| lit > 0) else {
         let why = points.iter().filter_map(|p| p.excluded.as_ref().map(|e| format!("set {}: {e}", p.set)));
         return Err(NoiseError::TooFewLevels {
             usable: points.iter().filter(|p| p.excluded.is_none()).count(),
+            lit,
             of: points.len(),
             why: why.collect(),
         });

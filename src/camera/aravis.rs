@@ -16,6 +16,7 @@ pub struct AravisCamera {
     inner: arv::Camera,
     identity: Identity,
     capabilities: Capabilities,
+    trigger: Trigger,
     /// GigE Vision on this machine's own loopback, where packets may be as large as its MTU.
     loopback: bool,
 }
@@ -109,7 +110,7 @@ impl AravisCamera {
         let identity = Identity { id: format!("aravis:{address}"), vendor, model, serial, firmware };
         let capabilities = capabilities(&inner, &identity.id)?;
         let loopback = inner.is_gigevision() && address.starts_with("127.");
-        Ok(Self { inner, identity, capabilities, loopback })
+        Ok(Self { inner, identity, capabilities, trigger: Trigger::FreeRun, loopback })
     }
 
     fn refused(&self, e: arv::Error) -> CameraError {
@@ -287,9 +288,12 @@ impl Camera for AravisCamera {
     fn set_trigger(&mut self, trigger: Trigger) -> Result<(), CameraError> {
         match trigger {
             Trigger::FreeRun if !self.inner.has("TriggerMode") => Ok(()),
-            Trigger::FreeRun => self.inner.clear_triggers().map_err(|e| self.refused(e)),
-            Trigger::Software => self.inner.set_software_trigger().map_err(|e| self.refused(e)),
+            Trigger::FreeRun => self.inner.clear_triggers(),
+            Trigger::Software => self.inner.set_software_trigger(),
         }
+        .map_err(|e| self.refused(e))?;
+        self.trigger = trigger;
+        Ok(())
     }
 
     fn disable_automatics(&mut self) -> Result<Vec<Automatic>, CameraError> {
@@ -402,6 +406,7 @@ impl Camera for AravisCamera {
             stream,
             id,
             settings,
+            trigger: self.trigger,
             gigevision,
             counter: FrameCounter::default(),
             counts: StreamCounts::default(),
@@ -417,6 +422,7 @@ struct AravisStream<'a> {
     stream: arv::Stream<'a>,
     id: String,
     settings: Settings,
+    trigger: Trigger,
     gigevision: bool,
     counter: FrameCounter,
     counts: StreamCounts,
@@ -447,6 +453,10 @@ impl FrameStream for AravisStream<'_> {
     }
 
     fn trigger(&mut self) -> Result<(), CameraError> {
+        if self.trigger != Trigger::Software {
+            let feature = "TriggerSoftware in free run".into();
+            return Err(CameraError::NotAvailable { camera: self.id.clone(), feature });
+        }
         self.stream.trigger().map_err(|e| CameraError::Backend {
             camera: self.id.clone(),
             feature: e.what,

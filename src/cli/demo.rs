@@ -62,7 +62,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         &path,
         html("Gain and constant noise", &format!("{camera}, {how}"), &report, Some(&truth)).as_bytes(),
     )?;
-    println!("\n  report:  {}\n  dataset: {} (try `radcam noise {0}`)", path.display(), dataset.display());
+    let dataset = dataset.display();
+    println!("\n  report:   {}\n  dataset:  {dataset}\n  next:     radcam noise {dataset}", path.display());
     let agrees = worst <= 3.0 && report.consistent();
     println!(
         "\n{}",

@@ -1,0 +1,154 @@
+//! The real program: what it prints, its exit codes, and what it says of bad input.
+
+use crate::support::{expect, refused};
+use std::fs;
+use std::path::Path;
+
+fn simulate(root: &Path) {
+    let root = root.to_str().unwrap();
+    let out = expect(0, &["simulate", "cmos12", "--plan", "quick", "--region", "0,0,64,48", "-o", root]);
+    assert!(out.contains("40 frames written"), "{out}");
+}
+
+#[test]
+fn a_simulated_camera_is_measured() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    simulate(&root);
+    let page = dir.path().join("r.html");
+    let (root, page) = (root.to_str().unwrap(), page.to_str().unwrap());
+    let json: serde_json::Value =
+        serde_json::from_str(&expect(0, &["noise", root, "--json", "--report", page])).unwrap();
+    // The names of the contract.
+    for name in ["gain_dn_per_e", "constant_noise_var_dn2", "offset_dn"] {
+        for part in ["value", "std_err"] {
+            assert!(json[name][part].is_number(), "{name}.{part}");
+        }
+        assert!(json[name]["unit"].is_string());
+    }
+    assert!(json["chi2"].is_number() && json["dof"].is_number() && json["q"].is_number());
+    let level = &json["levels"][0];
+    for name in ["set", "mean_dn", "var_dn2", "var_std_err_dn2", "used", "excluded_because"] {
+        assert!(level.get(name).is_some(), "{name}");
+    }
+    let gain = json["gain_dn_per_e"]["value"].as_f64().unwrap();
+    let error = json["gain_dn_per_e"]["std_err"].as_f64().unwrap();
+    assert!((gain - 0.38).abs() < 5.0 * error, "{gain} +- {error}");
+    let html = fs::read_to_string(page).unwrap();
+    assert!(html.contains("<svg") && html.contains("</html>"));
+    let text = expect(0, &["noise", root]);
+    for method in ["paper", "reweighted", "likelihood"] {
+        assert!(text.contains(method), "{text}");
+    }
+}
+
+/// A real table that no line describes: the answer is a disagreement, not a failure.
+#[test]
+fn a_table_of_a_real_sensor_is_read() {
+    let Some(real) = crate::support::shared("real/lsst_r03_s11_c06_ptc.csv") else { return };
+    let json: serde_json::Value =
+        serde_json::from_str(&expect(1, &["noise", real.to_str().unwrap(), "--json"])).unwrap();
+    // Published gain of this amplifier: about 1.5 electrons per ADU.
+    let gain = json["gain_dn_per_e"]["value"].as_f64().unwrap();
+    assert!((0.5..0.8).contains(&gain), "{gain}");
+    let excluded = json["levels"].as_array().unwrap().iter().filter(|l| !l["used"].as_bool().unwrap());
+    assert!(excluded.clone().count() > 0);
+    assert!(excluded.clone().any(|l| l["excluded_because"].as_str().unwrap().contains("peak")));
+}
+
+#[test]
+fn the_reference_tools_descriptor_is_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    simulate(&root);
+    let dataset = radcam::dataset::Dataset::open(&root).unwrap();
+    let mut text = String::from("v 3.0\nn 12 64 48\n");
+    for set in dataset.sets() {
+        let row = dataset.settings(set);
+        let ns = row.exposure_s * 1e9;
+        text += &match row.kind {
+            radcam::dataset::Kind::Dark => format!("d {ns:.1}\n"),
+            _ => format!("b {ns:.1} {:.3}\n", row.illumination * row.exposure_s * 7e5),
+        };
+        for &i in &set.rows {
+            text += &format!("i c\\{}\n", dataset.rows()[i].file.replace('/', "\\"));
+        }
+    }
+    let descriptor = dir.path().join("EMVA1288_Data.txt");
+    fs::write(&descriptor, text).unwrap();
+    let of = |path: &Path| {
+        let out = expect(0, &["noise", path.to_str().unwrap(), "--json"]);
+        serde_json::from_str::<serde_json::Value>(&out).unwrap()["gain_dn_per_e"]["value"].as_f64().unwrap()
+    };
+    assert!((of(&descriptor) / of(&root) - 1.0).abs() < 1e-9);
+}
+
+#[test]
+fn bad_input_is_named_and_ends_with_2() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    simulate(&root);
+    let path = root.to_str().unwrap();
+    let noise = || refused(&["noise", path]);
+    let change = |file: &str, change: &dyn Fn(Vec<u8>) -> Vec<u8>, parts: &[&str]| {
+        let file = root.join(file);
+        let good = fs::read(&file).unwrap();
+        fs::write(&file, change(good.clone())).unwrap();
+        let said = noise();
+        for part in parts {
+            assert!(said.contains(part), "{part:?} is not in {said:?}");
+        }
+        fs::write(&file, good).unwrap();
+    };
+    let text = |f: fn(String) -> String| move |b: Vec<u8>| f(String::from_utf8(b).unwrap()).into_bytes();
+
+    // Frames: cut short, rubbish, of another size.
+    change("frames/00007.tiff", &|b| b[..200].to_vec(), &["frames/00007.tiff", "set 1", "index 3", "TIFF"]);
+    change("frames/00007.tiff", &|_| b"not an image".to_vec(), &["frames/00007.tiff"]);
+    change("dataset.toml", &text(|t| t.replace("width = 64", "width = 63")), &["64 x 48 px", "63 x 48 px"]);
+    change(
+        "dataset.toml",
+        &text(|t| t.replace("bit_depth = 12", "bit_depth = 8")),
+        &["bit_depth = 8", "255 DN"],
+    );
+    change("dataset.toml", &text(|t| t.replace("dataset/1", "dataset/2")), &["radcam-dataset/2"]);
+    change("dataset.toml", &|_| b"[[".to_vec(), &["dataset.toml"]);
+    // Rows.
+    change("frames.csv", &text(|t| t.replace("exposure_s", "exposure")), &["frames.csv", "line 1", "header"]);
+    change("frames.csv", &text(|t| t.replacen("flat", "flt", 1)), &["frames.csv, line 10", "flt"]);
+    change("frames.csv", &text(|t| t.clone() + t.lines().nth(1).unwrap()), &["line 42", "00000.tiff"]);
+    change("frames.csv", &text(|t| t.replacen("frames/", "../frames/", 1)), &["line 2", "inside"]);
+    change(
+        "frames.csv",
+        &text(|t| t.lines().take(9).map(|l| format!("{l}\n")).collect()),
+        &["two levels, one of them lit"],
+    );
+    fs::remove_file(root.join("frames/00012.tiff")).unwrap();
+    let said = noise();
+    assert!(said.contains("frames/00012.tiff") && said.contains("No such file"), "{said}");
+
+    let nowhere = dir.path().join("nowhere");
+    assert!(refused(&["noise", nowhere.to_str().unwrap()]).contains("nowhere"));
+    assert!(refused(&["noise", path, "--jsn"]).contains("--json"));
+    assert!(refused(&["simulate", "xc78", "-o", path]).contains("xc77, cmos12, ccd16"));
+    assert!(refused(&["simulate", "xc77", "--plan", "long", "-o", path]).contains("quick, standard"));
+    assert!(refused(&["simulate", "cmos12", "-o", path]).contains("not empty"));
+    assert!(refused(&["capture", "--camera", "webcam", "-o", path]).contains("sim:SENSOR"));
+    let region = refused(&["simulate", "cmos12", "--region", "0,0,9999,8", "-o", nowhere.to_str().unwrap()]);
+    assert!(region.contains("9999 px") && region.contains("1024 px"), "{region}");
+    assert!(!nowhere.exists());
+}
+
+/// One verb continues what another run left unfinished.
+#[test]
+fn resume_from_the_command_line() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    simulate(&root);
+    let csv = root.join("frames.csv");
+    let rows: Vec<String> = fs::read_to_string(&csv).unwrap().lines().map(Into::into).collect();
+    fs::write(&csv, rows[..20].join("\n") + "\nframes/000").unwrap();
+    let out = expect(0, &["simulate", "cmos12", "--resume", "-o", root.to_str().unwrap()]);
+    assert!(out.contains("21 frames written"), "{out}");
+    expect(0, &["noise", root.to_str().unwrap()]);
+}

@@ -1,0 +1,325 @@
+//! The simulator as a GigE Vision camera, over loopback through the real libaravis, and Aravis's own programs.
+
+use crate::conformance::suite;
+use crate::support::{expect, gige_port, refused, small};
+use radcam::bench::{BenchState, GenicamBench, Illuminator, SharedBench};
+use radcam::camera::aravis::AravisCamera;
+use radcam::camera::sim::SimCamera;
+use radcam::camera::{Camera, CameraError, StreamOptions, Value};
+use radcam::frame::{Frame, Region, Status};
+use radcam::serve::{Served, serve};
+use radcam_sim::{Conditions, Scene, Sensor};
+use std::net::Ipv4Addr;
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::time::Duration;
+
+const LOOPBACK: &str = "127.0.0.1";
+const TIMEOUT: Duration = Duration::from_secs(10);
+
+fn served(sensor: &Arc<Sensor>) -> Served {
+    serve(Arc::clone(sensor), Ipv4Addr::LOCALHOST.into(), "TEST1").unwrap()
+}
+
+fn sensor() -> Arc<Sensor> {
+    Arc::new(Sensor::new(small("cmos12", 128, 96)).unwrap())
+}
+
+#[test]
+fn aravis_against_the_served_camera_conforms() {
+    let _port = gige_port();
+    let _served = served(&sensor());
+    let mut camera = AravisCamera::open(LOOPBACK).unwrap();
+    assert_eq!((&*camera.identity().model, &*camera.identity().serial), ("cmos12", "TEST1"));
+    suite(&mut camera, &mut GenicamBench::served());
+}
+
+/// Same seed, same conditions: the same pixels, whether drawn here or received over the wire, for every bench state
+/// and format that the features can express.
+#[test]
+fn frames_over_the_wire_are_those_drawn_in_process() {
+    let _port = gige_port();
+    let sensor = sensor();
+    let _served = served(&sensor);
+    let mut camera = AravisCamera::open(LOOPBACK).unwrap();
+    let mut bench = GenicamBench::served();
+    let mut drawn = 0;
+    for (exposure_s, illumination, configuration, scene, gain_db, temperature_c, region) in [
+        (0.004, 0.7, 0, Scene::Card, 0.0, 40.0, [0, 0, 128, 96]),
+        (0.5, 0.0, 0, Scene::Card, 0.0, 60.0, [0, 0, 128, 96]),
+        (0.002, 1.0, 3, Scene::Card, 6.0, 40.0, [16, 8, 64, 32]),
+        (0.006, 0.9, 0, Scene::Patch, 0.0, 40.0, [0, 0, 128, 96]),
+    ] {
+        let [x, y, width, height] = region;
+        let region = Region { x, y, width, height };
+        camera.set_region(region).unwrap();
+        camera.set_exposure_s(exposure_s).unwrap();
+        camera.set_gain_db(gain_db).unwrap();
+        camera.set_feature("DeviceTemperature", &Value::Float(temperature_c)).unwrap();
+        bench.apply(&BenchState { illumination, configuration, scene }, &mut camera).unwrap();
+        let black_level_dn = sensor.model().base.black_level_dn;
+        let conditions = Conditions {
+            exposure_s,
+            illumination,
+            configuration,
+            scene,
+            temperature_c,
+            gain_db,
+            black_level_dn,
+        };
+        let mut stream = camera.stream(&StreamOptions::default()).unwrap();
+        for _ in 0..3 {
+            let mut frame = Frame::new(0, 0);
+            stream.next(&mut frame, TIMEOUT).unwrap();
+            assert_eq!(frame.status, Status::Complete);
+            // Aravis numbers the frames of its virtual camera from 65401, and 0 is left out.
+            let number = (frame.id + 65_535 - 65_401) % 65_535;
+            let mut here = vec![0; (width * height) as usize];
+            sensor.draw(number, &conditions, region, &mut here);
+            assert_eq!(frame.pixels.as_slice().unwrap(), here, "frame {number} at {conditions:?}");
+            drawn += 1;
+        }
+    }
+    assert_eq!(drawn, 12);
+}
+
+/// Lost packets make damaged frames; they are counted, and none is handed out as whole.
+#[test]
+fn damaged_frames_are_counted_and_never_used() {
+    let _port = gige_port();
+    let sensor = sensor();
+    let served = served(&sensor);
+    served.set_lost_packets(0.1);
+    let mut camera = AravisCamera::open(LOOPBACK).unwrap();
+    let options = StreamOptions {
+        packet_size: Some(1400),
+        packet_resend: false,
+        packet_timeout: Duration::from_millis(5),
+        frame_retention: Duration::from_millis(20),
+        ..Default::default()
+    };
+    let conditions = sensor.conditions(camera.settings().unwrap().exposure_s);
+    let mut stream = camera.stream(&options).unwrap();
+    let mut frame = Frame::new(0, 0);
+    let (mut whole, mut damaged) = (0, 0);
+    while damaged < 10 {
+        stream.next(&mut frame, TIMEOUT).unwrap();
+        match frame.status {
+            Status::Damaged(_) => damaged += 1,
+            Status::Complete => {
+                whole += 1;
+                let mut here = vec![0; 128 * 96];
+                let number = (frame.id + 65_535 - 65_401) % 65_535;
+                sensor.draw(number, &conditions, sensor.region(), &mut here);
+                assert_eq!(frame.pixels.as_slice().unwrap(), here);
+            }
+        }
+    }
+    let counts = stream.counts();
+    assert_eq!((counts.completed, counts.failures), (whole, damaged));
+}
+
+/// The camera dies in the middle of a campaign: exit code 2, its name, and every frame so far whole on disk.
+#[test]
+fn a_camera_lost_in_mid_capture_loses_nothing_on_disk() {
+    let _port = gige_port();
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    let mut camera = Command::new(env!("CARGO_BIN_EXE_radcam"))
+        .args(["serve", "cmos12", "--while-stdin"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut said = String::new();
+    std::io::BufRead::read_line(&mut std::io::BufReader::new(camera.stdout.take().unwrap()), &mut said)
+        .unwrap();
+    assert!(said.contains("serving cmos12 as SIM1"), "{said}");
+    let capture = Command::new(env!("CARGO_BIN_EXE_radcam"))
+        .args(["capture", "--camera", "aravis:127.0.0.1", "--plan", "standard", "-o", root.to_str().unwrap()])
+        .stderr(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let csv = root.join("frames.csv");
+    let lines = || std::fs::read_to_string(&csv).map_or(0, |t| t.lines().count());
+    let begun = std::time::Instant::now();
+    while lines() < 20 {
+        assert!(begun.elapsed() < Duration::from_secs(60), "the capture does not get on");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    camera.kill().unwrap();
+    camera.wait().unwrap();
+    let output = capture.wait_with_output().unwrap();
+    let err = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{err}");
+    assert!(err.contains("camera aravis:127.0.0.1"), "{err}");
+    let dataset = radcam::dataset::Dataset::open(&root).unwrap();
+    assert!(dataset.rows().len() >= 19);
+    dataset.rows().iter().for_each(|r| assert!(dataset.read(r).is_ok(), "{}", r.file));
+}
+
+#[test]
+fn an_absent_camera_and_a_taken_port_are_named() {
+    let _port = gige_port();
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    let root = root.to_str().unwrap();
+    let said = refused(&["capture", "--camera", "aravis:127.0.0.1", "-o", root]);
+    assert!(said.contains("aravis:127.0.0.1") && said.contains("radcam cameras"), "{said}");
+    let said = refused(&["capture", "--camera", "aravis:NO-SUCH-SERIAL", "-o", root]);
+    assert!(said.contains("NO-SUCH-SERIAL") && said.contains("not found"), "{said}");
+    let _served = served(&sensor());
+    let said = refused(&["serve", "xc77"]);
+    assert!(said.contains("127.0.0.1") && said.contains("3956"), "{said}");
+    assert!(refused(&["serve", "xc77", "--serial", ""]).contains("serial"));
+    assert!(refused(&["serve", "xc77", "--interface", "198.51.100.7"]).contains("198.51.100.7"));
+    let AravisError(said) = AravisError::of(AravisCamera::open(LOOPBACK).unwrap());
+    assert!(said.contains("NoSuchFeature"), "{said}");
+}
+
+struct AravisError(String);
+
+impl AravisError {
+    fn of(mut camera: AravisCamera) -> Self {
+        let error = camera.set_feature("NoSuchFeature", &Value::Int(1)).unwrap_err();
+        assert!(matches!(error, CameraError::NotAvailable { .. }));
+        // The bounds that Aravis would let pass by default.
+        assert!(camera.set_feature("Gain", &Value::Float(99.0)).is_err());
+        assert!(camera.set_feature("SensorWidth", &Value::Int(7)).is_err());
+        Self(error.to_string())
+    }
+}
+
+/// Whether a program of Debian's aravis-tools is installed; the test command of the README installs it.
+fn tool(name: &str) -> Option<Command> {
+    let found = Command::new("sh").args(["-c", &format!("command -v {name}")]).output().unwrap();
+    if found.status.success() {
+        return Some(Command::new(name));
+    }
+    println!("SKIPPED: {name} (Debian: aravis-tools, aravis-tools-cli) is not installed");
+    None
+}
+
+/// A client that we did not write drives camera and bench.
+#[test]
+fn aravis_own_tools_use_the_served_camera() {
+    let _port = gige_port();
+    let sensor = sensor();
+    let _served = served(&sensor);
+    let Some(mut arv_tool) = tool("arv-tool-0.8") else { return };
+    let out = arv_tool
+        .args(["--address=127.0.0.1", "control", "ExposureTime=4000", "Gain=3", "BenchIllumination=0.25"])
+        .args(["BenchScene=Patch", "Width=64", "ExposureTime", "Gain", "BenchIllumination", "PixelFormat"])
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr);
+    for part in ["ExposureTime = 4000", "Gain = 3", "BenchIllumination = 0.25", "PixelFormat = Mono12"] {
+        assert!(text.contains(part), "{part:?} is not in\n{text}");
+    }
+    // What it wrote is what we see, and what the physics uses.
+    let mut camera = AravisCamera::open(LOOPBACK).unwrap();
+    let settings = camera.settings().unwrap();
+    assert_eq!((settings.exposure_s, settings.gain_db, settings.region.width), (0.004, Some(3.0), 64));
+    let conditions = Conditions {
+        illumination: 0.25,
+        scene: Scene::Patch,
+        gain_db: 3.0,
+        ..sensor.conditions(settings.exposure_s)
+    };
+    let mut frame = Frame::new(0, 0);
+    camera.stream(&StreamOptions::default()).unwrap().next(&mut frame, TIMEOUT).unwrap();
+    let mut here = vec![0; 64 * 96];
+    sensor.draw((frame.id + 65_535 - 65_401) % 65_535, &conditions, settings.region, &mut here);
+    assert_eq!(frame.pixels.as_slice().unwrap(), here);
+    drop(camera);
+
+    let Some(mut test) = tool("arv-camera-test-0.8") else { return };
+    let out = test.args(["--name=127.0.0.1", "--duration=3", "--frequency=50"]).output().unwrap();
+    let text = String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.success(), "{text}");
+    let completed = text.lines().find_map(|l| l.strip_prefix("n_completed_buffers")).and_then(number);
+    assert!(completed.is_some_and(|n| n > 50), "{text}");
+}
+
+fn number(text: &str) -> Option<u64> {
+    text.trim_matches(|c: char| !c.is_ascii_digit()).parse().ok()
+}
+
+/// A camera that we did not write is captured.
+#[test]
+fn aravis_own_camera_is_captured() {
+    let _port = gige_port();
+    let Some(mut fake) = tool("arv-fake-gv-camera-0.8") else { return };
+    let mut fake =
+        fake.args(["--interface=127.0.0.1", "--serial=ARV1"]).stdout(Stdio::null()).spawn().unwrap();
+    std::thread::sleep(Duration::from_millis(500));
+    let dir = tempfile::tempdir().unwrap();
+    let plan = dir.path().join("plan.toml");
+    std::fs::write(
+        &plan,
+        "format = \"radcam-plan/1\"\n[camera]\npixel_format = \"Mono16\"\nregion = [0, 0, 320, 200]\n\
+         [[set]]\nkind = \"dark\"\nframes = 5\nexposure_s = 0.01\n",
+    )
+    .unwrap();
+    let root = dir.path().join("c");
+    let (plan, path) = (plan.to_str().unwrap(), root.to_str().unwrap());
+    // The only bench is a person; cover the lens, Enter.
+    let mut capture = Command::new(env!("CARGO_BIN_EXE_radcam"))
+        .args(["capture", "--camera", "aravis:127.0.0.1", "--plan", plan, "-o", path])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    std::io::Write::write_all(&mut capture.stdin.take().unwrap(), b"\n").unwrap();
+    let output = capture.wait_with_output().unwrap();
+    let cameras = expect(0, &["cameras"]);
+    fake.kill().unwrap();
+    fake.wait().unwrap();
+    let err = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{err}");
+    assert!(err.contains("Cover the lens"), "{err}");
+    assert!(cameras.contains("aravis:127.0.0.1") && cameras.contains("ARV1"), "{cameras}");
+    let dataset = radcam::dataset::Dataset::open(&root).unwrap();
+    assert_eq!(dataset.manifest().camera.serial, "ARV1");
+    // Its pattern is a ramp along the diagonal, 256 DN a step (before its exposure scale of 1).
+    for row in dataset.rows() {
+        let frame = dataset.read(row).unwrap();
+        let step = |a: u16, b: u16| b.wrapping_sub(a);
+        assert_eq!(step(frame[(5, 5)], frame[(6, 4)]), 0);
+        assert!(frame.iter().collect::<std::collections::HashSet<_>>().len() > 100);
+    }
+}
+
+/// Statistics, not only pixels: a campaign over the wire and one in process see the same camera.
+#[test]
+fn a_campaign_over_the_wire_measures_the_same_camera() {
+    let _port = gige_port();
+    let dir = tempfile::tempdir().unwrap();
+    let sensor = sensor();
+    let _served = served(&sensor);
+    let gain = |camera: &mut dyn Camera, bench: &mut dyn Illuminator, name: &str| {
+        let root = dir.path().join(name);
+        let mut capture = radcam::capture::Capture {
+            camera,
+            bench,
+            options: StreamOptions::default(),
+            stop: &std::sync::atomic::AtomicBool::new(false),
+            progress: &mut |_| {},
+        };
+        capture.run(&radcam::plan::Plan::quick(), &root, false).unwrap();
+        let json: serde_json::Value =
+            serde_json::from_str(&expect(0, &["noise", root.to_str().unwrap(), "--json"])).unwrap();
+        let a = &json["gain_dn_per_e"];
+        (a["value"].as_f64().unwrap(), a["std_err"].as_f64().unwrap())
+    };
+    let mut wire = AravisCamera::open(LOOPBACK).unwrap();
+    let wire = gain(&mut wire, &mut GenicamBench::served(), "wire");
+    let mut bench = SharedBench::default();
+    let mut camera = SimCamera::new("cmos12", Arc::clone(&sensor), bench.clone());
+    let here = gain(&mut camera, &mut bench, "here");
+    for (a, error) in [wire, here] {
+        assert!((a - 0.38).abs() < 4.0 * error, "{a} +- {error}");
+    }
+}

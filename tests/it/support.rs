@@ -1,0 +1,64 @@
+//! Helpers: the program, small cameras, fixtures, the one GigE Vision port.
+
+use radcam::bench::SharedBench;
+use radcam::camera::sim::SimCamera;
+use radcam_sim::{Model, Sensor, sensors};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::Arc;
+
+/// A sensor of the catalogue, cut down to a small frame.
+pub fn small(name: &str, width: u32, height: u32) -> Model {
+    let mut model = sensors::load(name).unwrap();
+    (model.camera.width, model.camera.height) = (width, height);
+    model
+}
+
+/// A simulated camera of a model, before a bench.
+pub fn camera(model: Model) -> (SimCamera, SharedBench) {
+    let bench = SharedBench::default();
+    (SimCamera::new("test", Arc::new(Sensor::new(model).unwrap()), bench.clone()), bench)
+}
+
+/// Runs the program.
+pub fn radcam(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_radcam")).args(arguments).output().unwrap()
+}
+
+/// Standard output of a run that must end with this exit code.
+pub fn expect(code: i32, arguments: &[&str]) -> String {
+    let output = radcam(arguments);
+    let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert_eq!(output.status.code(), Some(code), "radcam {arguments:?}\n{out}\n{err}");
+    out.into_owned()
+}
+
+/// Standard error of a run that must fail with exit code 2, and never by a panic.
+pub fn refused(arguments: &[&str]) -> String {
+    let output = radcam(arguments);
+    let err = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "radcam {arguments:?}\n{err}");
+    assert!(!err.contains("panicked"), "{err}");
+    err
+}
+
+/// A folder beside the repository that only some checkouts have; says so where it is missing.
+pub fn shared(folder: &str) -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared").join(folder);
+    if path.exists() {
+        return Some(path);
+    }
+    println!("SKIPPED: {} is not there", path.display());
+    None
+}
+
+/// The GigE Vision port of the loopback: one served camera at a time on this machine.
+///
+/// A file lock, so that it holds between processes too (some test runners start one for each test).
+#[cfg(feature = "aravis")]
+pub fn gige_port() -> std::fs::File {
+    let path = std::env::temp_dir().join("radcam-test-gige.lock");
+    let file = std::fs::File::create(path).unwrap();
+    file.lock().unwrap();
+    file
+}
