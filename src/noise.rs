@@ -223,9 +223,10 @@ pub fn measure(
         .filter(|s| matches!(dataset.settings(s).kind, Kind::Dark | Kind::Flat))
         .collect();
     let mut levels = Vec::new();
+    let mut level = LevelAccumulator::new((camera.height, camera.width), camera.bit_depth);
     for (done, set) in wanted.iter().enumerate() {
         let settings = dataset.settings(set);
-        let mut level = LevelAccumulator::new((camera.height, camera.width), camera.bit_depth);
+        level.reset();
         // Eight frames at a time: one trip through memory, and no more of it for a long set.
         for rows in set.rows.chunks(8) {
             if stop.load(Ordering::Relaxed) {

@@ -328,7 +328,7 @@ mod tests {
             format.unpack(&bytes, &mut back).unwrap();
             prop_assert_eq!(back, dn);
             bytes.push(0);
-            prop_assert!(format.unpack(&bytes, &mut vec![0; 3]).is_err() || format.payload(3) == bytes.len());
+            prop_assert!(format.unpack(&bytes, &mut [0; 3]).is_err() || format.payload(3) == bytes.len());
         }
     }
 }

@@ -11,7 +11,7 @@
 
 #![allow(clippy::needless_range_loop)] // lanes are indexed: the shape that vectorises
 
-use crate::rng::{LANES, NoiseLanes, PixelRng, Stream, floor};
+use crate::rng::{LANES, NoiseLanes, PixelRng, Stream, exp_minus, floor};
 
 /// The mean from which the modified normal method holds.
 const NORMAL_FROM: f64 = 10.0;
@@ -39,11 +39,24 @@ pub struct Site {
     pub first_pixel: u32,
 }
 
+impl Site {
+    fn pixel(self, i: usize) -> Self {
+        Self { first_pixel: self.first_pixel.wrapping_add(i as u32), ..self }
+    }
+}
+
 /// Poisson numbers of `mean` electrons for [`LANES`] consecutive pixels.
 ///
 /// A mean that is not above zero (or not a number) gives zero.
 #[inline(always)]
 pub fn poisson_lanes(mean: &[f64; LANES], noise: &NoiseLanes, site: Site) -> [f64; LANES] {
+    let mut brightest = 0.0;
+    for i in 0..LANES {
+        brightest = if mean[i] > brightest { mean[i] } else { brightest };
+    }
+    if brightest < NORMAL_FROM {
+        return invert_lanes(mean, &noise.bits, site);
+    }
     let mut k = [0.0; LANES];
     for i in 0..LANES {
         // mu + sqrt(mu) T with T = sqrt(square) cos: one root for both.
@@ -57,12 +70,28 @@ pub fn poisson_lanes(mean: &[f64; LANES], noise: &NoiseLanes, site: Site) -> [f6
     if !all {
         for i in 0..LANES {
             if !accepted(mean[i], k[i], noise.bits[i]) {
-                let site = Site { first_pixel: site.first_pixel.wrapping_add(i as u32), ..site };
-                k[i] = slow_draw(mean[i], k[i], noise.bits[i], site);
+                k[i] = slow_draw(mean[i], k[i], noise.bits[i], site.pixel(i));
             }
         }
     }
     k
+}
+
+/// A Poisson number of `mean` for one pixel, from the proposal `k` of its normal number and its 32 bits.
+#[inline(never)]
+fn slow_draw(mean: f64, k: f64, bits: f64, site: Site) -> f64 {
+    if mean >= NORMAL_FROM {
+        modified_normal(mean, k, bits, &mut more(site))
+    } else if mean > 0.0 {
+        invert(mean, bits, &mut more(site))
+    } else {
+        0.0
+    }
+}
+
+/// Further random numbers of a pixel.
+fn more(site: Site) -> PixelRng {
+    PixelRng::new(site.seed, Stream::Frame, site.frame, site.first_pixel, 1)
 }
 
 /// Steps I and S of the method: k is at least floor(mu - 1.1484), or passes the cubic squeeze.
@@ -75,33 +104,54 @@ fn accepted(mu: f64, k: f64, bits: f64) -> bool {
     (mu >= NORMAL_FROM) & ((below < 2.1484) | squeezed)
 }
 
-/// A Poisson number of `mean` for one pixel, from the proposal `k` of its normal number and its 32 bits.
-#[inline(never)]
-fn slow_draw(mean: f64, k: f64, bits: f64, site: Site) -> f64 {
-    if mean.is_nan() || mean <= 0.0 {
-        return 0.0;
+/// [`invert`] for every lane at once. Where the 32 bits of u do not decide, about once in 2^32 / k draws, the further
+/// ones are drawn.
+#[inline(always)]
+fn invert_lanes(mean: &[f64; LANES], bits: &[f64; LANES], site: Site) -> [f64; LANES] {
+    let (mut mu, mut u) = ([0.0; LANES], [0.0; LANES]);
+    let (mut p, mut below, mut k) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+    let mut unclear = [false; LANES];
+    for i in 0..LANES {
+        mu[i] = if mean[i] > 0.0 { mean[i] } else { 0.0 };
+        u[i] = bits[i] / TWO_32;
+        p[i] = exp_minus(mu[i]);
+        below[i] = p[i];
     }
-    let mut more = PixelRng::new(site.seed, Stream::Frame, site.frame, site.first_pixel, 1);
-    if mean < NORMAL_FROM { invert(mean, bits, &mut more) } else { modified_normal(mean, k, bits, &mut more) }
+    for reciprocal in &RECIPROCALS[1..] {
+        let mut open = false;
+        for i in 0..LANES {
+            let above = u[i] >= below[i];
+            unclear[i] |= !above & (u[i] + 2.0 / TWO_32 > below[i]);
+            k[i] += if above { 1.0 } else { 0.0 };
+            p[i] *= mu[i] * reciprocal;
+            below[i] += p[i];
+            open |= above;
+        }
+        if !open {
+            break;
+        }
+    }
+    for i in 0..LANES {
+        if unclear[i] && mu[i] > 0.0 {
+            k[i] = invert(mu[i], bits[i], &mut more(site.pixel(i)));
+        }
+    }
+    k
 }
 
 /// Inversion: the smallest k with P(K <= k) > u.
 ///
-/// `bits` are the first 32 binary digits of u. Further digits are drawn only where they decide.
+/// `bits` are the first 32 binary digits of u; further ones are drawn.
 fn invert(mean: f64, bits: f64, more: &mut PixelRng) -> f64 {
-    let none = libm::exp(-mean);
-    let search = |mut u: f64| {
-        let mut p = none;
-        let mut k = 0;
-        while u >= p && k < RECIPROCALS.len() - 1 {
-            u -= p;
-            k += 1;
-            p *= mean * RECIPROCALS[k];
-        }
-        (k as f64, p - u)
-    };
-    let (k, room) = search(bits / TWO_32);
-    if room > 2.0 / TWO_32 { k } else { search((bits + more.uniform()) / TWO_32).0 }
+    let u = (bits + more.uniform()) / TWO_32;
+    let mut p = libm::exp(-mean);
+    let (mut below, mut k) = (p, 0);
+    while u >= below && k < RECIPROCALS.len() - 1 {
+        k += 1;
+        p *= mean * RECIPROCALS[k];
+        below += p;
+    }
+    k as f64
 }
 
 /// Upper tail of the normal distribution.

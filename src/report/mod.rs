@@ -21,8 +21,8 @@ th { color: var(--soft); font-weight: 600; } th:first-child, td:first-child { te
 td.text, th.text { text-align: left; }
 tr.out td { color: var(--soft); } .good { color: var(--good); } .bad { color: var(--bad); }
 .cards { display: flex; flex-wrap: wrap; gap: .8rem; margin: 1rem 0; }
-.cards div { background: var(--card); border-radius: .5rem; padding: .7rem 1rem; flex: 1 1 11rem; }
-.cards b { display: block; font-size: 1.25rem; font-variant-numeric: tabular-nums; }
+.cards div { background: var(--card); border-radius: .5rem; padding: .7rem 1rem; flex: 1 1 12rem; }
+.cards b { display: block; font-size: 1.05rem; white-space: nowrap; font-variant-numeric: tabular-nums; }
 .cards span { color: var(--soft); font-size: .85rem; }
 svg { width: 100%; height: auto; } svg text { fill: var(--ink); font: 12px system-ui, sans-serif; }
 svg .soft { fill: var(--soft); }

@@ -57,8 +57,8 @@ pub fn html(title: &str, subtitle: &str, report: &NoiseReport, truth: Option<&Tr
     let body = html! {
         div.cards {
             div { span { "gain A" } b { (quantity(report.gain_dn_per_e)) } }
-            div { span { "constant noise σ_C²" } b { (quantity(report.constant_noise_var_dn2)) } }
-            div { span { "read noise σ_R" } b { (quantity(report.read_noise_e)) } }
+            div { span { "constant noise σ" sub { "C" } "²" } b { (quantity(report.constant_noise_var_dn2)) } }
+            div { span { "read noise σ" sub { "R" } } b { (quantity(report.read_noise_e)) } }
             div { span { "χ² = " (format!("{:.1}", report.chi2)) " for " (report.dof) " degrees of freedom, Q = "
                 (format!("{:.3}", report.q)) } (verdict) }
         }
@@ -81,7 +81,7 @@ pub fn html(title: &str, subtitle: &str, report: &NoiseReport, truth: Option<&Tr
         (plot(report))
         h2 { "Estimators" }
         table {
-            tr { th { "method" } th { "A (DN/e⁻)" } th { "σ_C² (DN²)" } th { "χ²" } th { "dof" } th { "Q" } }
+            tr { th { "method" } th { "A (DN/e⁻)" } th { "σ" sub { "C" } "² (DN²)" } th { "χ²" } th { "dof" } th { "Q" } }
             @for e in &report.estimators {
                 tr {
                     td { (format!("{:?}", e.method).to_lowercase()) }
@@ -139,7 +139,7 @@ pub fn plot(report: &NoiseReport) -> Markup {
         (top.axes("", "variance (DN²)", false))
         (top.line((from, a * from + c), (x.1, a * x.1 + c), "var(--fit)"))
         (top.marks(&points))
-        text x="100" y="38" { "σ² = A μ + σ_C²" }
+        text x="100" y="38" { "σ² = A μ + σ" tspan dy="4" font-size="9" { "C" } tspan dy="-4" { "²" } }
         (low.axes("mean above the level of zero charge (DN)", "residual (σ)", true))
         (low.band(-1.0, 1.0)) (low.band(-2.0, 2.0))
         (low.line((x.0, 0.0), (x.1, 0.0), "var(--fit)"))

@@ -78,7 +78,7 @@ impl Panel {
     pub fn axes(&self, x_title: &str, y_title: &str, numbers: bool) -> Markup {
         let [left, top, width, height] = self.frame;
         let (right, bottom) = (left + width, top + height);
-        let y_ticks = ticks(self.y, (height / 45.0).max(2.0));
+        let y_ticks = ticks(self.y, (height / 45.0).max(4.0));
         html! {
             @for y in y_ticks {
                 line x1=(left) x2=(right) y1=(self.py(y)) y2=(self.py(y)) stroke="var(--line)" {}

@@ -72,6 +72,14 @@ impl LevelAccumulator {
         }
     }
 
+    /// Forgets every frame and keeps the memory, for the next set.
+    pub fn reset(&mut self) {
+        self.moments.reset();
+        self.frame_sums.clear();
+        self.pairs.clear();
+        (self.saturated, self.black, self.previous) = (0, 0, None);
+    }
+
     /// Adds frames in the order of time, codes in DN row by row.
     pub fn add(&mut self, frames: &[&[u16]]) -> Result<(), SizeMismatch> {
         self.moments.add(frames)?;

@@ -18,8 +18,7 @@ pub struct Moments {
     frames: u64,
     sum: Vec<u64>,
     square: Vec<u64>,
-    /// Frames whose squares fit into 32 bits together.
-    narrow_batch: usize,
+    bit_depth: u8,
 }
 
 /// Frames of different sizes were put together.
@@ -33,12 +32,11 @@ pub struct SizeMismatch {
 }
 
 impl Moments {
-    /// For frames of (rows, columns) with codes of at most `bit_depth` bits.
+    /// For frames of (rows, columns) with codes of at most `bit_depth` bits. Larger codes give wrong sums.
     pub fn new(shape: (usize, usize), bit_depth: u8) -> Self {
         let pixels = shape.0 * shape.1;
-        // 2^(2b) * n <= 2^32
-        let narrow_batch = 1usize << (32 - 2 * u32::from(bit_depth.clamp(8, 16)));
-        Self { shape, frames: 0, sum: vec![0; pixels], square: vec![0; pixels], narrow_batch }
+        let bit_depth = bit_depth.clamp(1, 16);
+        Self { shape, frames: 0, sum: vec![0; pixels], square: vec![0; pixels], bit_depth }
     }
 
     /// Adds frames, each (rows * columns) codes in DN, row by row.
@@ -55,11 +53,11 @@ impl Moments {
         if let Some(wrong) = frames.iter().find(|f| f.len() != expected) {
             return Err(SizeMismatch { expected, found: wrong.len() });
         }
-        let narrow_batch = self.narrow_batch;
+        let bit_depth = self.bit_depth;
         let arch = pulp::Arch::new();
         self.sum.par_chunks_mut(CHUNK).zip(self.square.par_chunks_mut(CHUNK)).enumerate().for_each(
             |(chunk, (sum, square))| {
-                arch.dispatch(Chunk { frames, from: chunk * CHUNK, sum, square, narrow_batch });
+                arch.dispatch(Chunk { frames, from: chunk * CHUNK, sum, square, bit_depth });
             },
         );
         self.frames += frames.len() as u64;
@@ -75,7 +73,7 @@ impl Moments {
             a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
         }
         self.frames += other.frames;
-        self.narrow_batch = self.narrow_batch.min(other.narrow_batch);
+        self.bit_depth = self.bit_depth.max(other.bit_depth);
         Ok(())
     }
 
@@ -89,17 +87,42 @@ impl Moments {
         &self.sum
     }
 
+    /// Forgets every frame and keeps the memory, for the next set.
+    pub fn reset(&mut self) {
+        self.frames = 0;
+        self.sum.fill(0);
+        self.square.fill(0);
+    }
+
     /// Mean of each pixel, (rows, columns), DN; NaN before the first frame.
     pub fn mean_dn(&self) -> Array2<f64> {
         let n = self.frames as f64;
-        self.map(|s, _| s as f64 / n)
+        let mut out = Array2::zeros(self.shape);
+        self.map_into(&mut out, |s, _| s as f64 / n);
+        out
     }
 
     /// Variance of each pixel over the frames with n - 1 in the denominator, (rows, columns), DN^2; NaN with
     /// fewer than two frames.
     pub fn variance_dn2(&self) -> Array2<f64> {
+        let mut out = Array2::zeros(self.shape);
+        self.variance_into(&mut out);
+        out
+    }
+
+    /// [`variance_dn2`](Self::variance_dn2) into memory that is there; another shape is replaced.
+    pub fn variance_into(&self, out: &mut Array2<f64>) {
         let n = self.frames as f64;
-        self.map(|s, q| self.spread(s, q) / (n * (n - 1.0)))
+        let scale = 1.0 / (n * (n - 1.0));
+        match u32::try_from(self.frames) {
+            Ok(0 | 1) => self.map_into(out, |_, _| f64::NAN),
+            // n sum x^2 < n^2 2^32 fits into 64 bits.
+            Ok(frames) if frames < 1 << 16 => {
+                let n = u64::from(frames);
+                self.map_into(out, move |s, q| (n * q - s * s) as f64 * scale);
+            }
+            _ => self.map_into(out, |s, q| self.spread(s, q) * scale),
+        }
     }
 
     /// Sum over all pixels of n times the squared deviation from the pixel's own mean, DN^2: exact but for
@@ -113,12 +136,18 @@ impl Moments {
         (u128::from(self.frames) * u128::from(q)).saturating_sub(u128::from(s) * u128::from(s)) as f64
     }
 
-    fn map(&self, value: impl Fn(u64, u64) -> f64) -> Array2<f64> {
-        let (_, columns) = self.shape;
-        Array2::from_shape_fn(self.shape, |(y, x)| {
-            let i = y * columns + x;
-            value(self.sum[i], self.square[i])
-        })
+    fn map_into(&self, out: &mut Array2<f64>, value: impl Fn(u64, u64) -> f64 + Sync) {
+        if out.dim() != self.shape || !out.is_standard_layout() {
+            *out = Array2::zeros(self.shape);
+        }
+        if let Some(out) = out.as_slice_mut() {
+            let sums = self.sum.par_chunks(CHUNK).zip(self.square.par_chunks(CHUNK));
+            out.par_chunks_mut(CHUNK).zip(sums).for_each(|(out, (sum, square))| {
+                for ((o, &s), &q) in out.iter_mut().zip(sum).zip(square) {
+                    *o = value(s, q);
+                }
+            });
+        }
     }
 }
 
@@ -128,61 +157,78 @@ struct Chunk<'a> {
     from: usize,
     sum: &'a mut [u64],
     square: &'a mut [u64],
-    narrow_batch: usize,
+    bit_depth: u8,
 }
+
+/// Frames between two additions to the 64-bit sums.
+const BATCH: usize = 64;
 
 impl pulp::NullaryFnOnce for Chunk<'_> {
     type Output = ();
 
     #[inline(always)]
     fn call(self) {
-        let Self { frames, from, sum, square, narrow_batch } = self;
-        let mut sums = [0u32; TILE];
-        let mut squares = [0u32; TILE];
-        let tiles = sum.chunks_mut(TILE).zip(square.chunks_mut(TILE));
-        for (tile, (sum, square)) in tiles.enumerate() {
+        let Self { frames, from, sum, square, bit_depth } = self;
+        // Sums, squares and, where the squares of a batch could pass 32 bits, their upper halves by themselves.
+        let (mut sums, mut squares, mut uppers) = ([0u32; TILE], [0u32; TILE], [0u32; TILE]);
+        let wide = (BATCH as u64) << (2 * bit_depth) > 1 << 32;
+        for (tile, (sum, square)) in sum.chunks_mut(TILE).zip(square.chunks_mut(TILE)).enumerate() {
             let from = from + tile * TILE;
             let n = sum.len();
-            for batch in frames.chunks(narrow_batch.clamp(1, 64)) {
-                let (sums, squares) = (&mut sums[..n], &mut squares[..n]);
+            let (sums, squares, uppers) = (&mut sums[..n], &mut squares[..n], &mut uppers[..n]);
+            for batch in frames.chunks(BATCH) {
                 sums.fill(0);
                 squares.fill(0);
-                let (fours, rest) = batch.as_chunks::<4>();
-                if narrow_batch >= 4 {
-                    for four in fours {
-                        let [a, b, c, d] = four.map(|f| &f[from..from + n]);
-                        add_four(sums, squares, a, b, c, d);
+                // Four frames at once: a quarter of the trips to the sums. What is missing to four is zero.
+                for four in batch.chunks(4) {
+                    let [a, b, c, d] = std::array::from_fn(|i| match four.get(i) {
+                        Some(frame) => &frame[from..from + n],
+                        None => &ZEROS[..n],
+                    });
+                    if wide {
+                        add_wide(sums, squares, uppers, [a, b, c, d]);
+                    } else {
+                        add_narrow(sums, squares, [a, b, c, d]);
                     }
-                } else {
-                    fours.as_flattened().iter().for_each(|f| add_one(sums, squares, &f[from..from + n]));
                 }
-                rest.iter().for_each(|f| add_one(sums, squares, &f[from..from + n]));
                 for i in 0..n {
                     sum[i] += u64::from(sums[i]);
                     square[i] += u64::from(squares[i]);
+                }
+                if wide {
+                    for i in 0..n {
+                        square[i] += u64::from(uppers[i]) << 16;
+                    }
+                    uppers.fill(0);
                 }
             }
         }
     }
 }
 
-#[inline(always)]
-fn add_one(sums: &mut [u32], squares: &mut [u32], frame: &[u16]) {
-    for ((s, q), &x) in sums.iter_mut().zip(squares).zip(frame) {
-        let x = u32::from(x);
-        *s += x;
-        *q = q.wrapping_add(x * x);
-    }
-}
+static ZEROS: [u16; TILE] = [0; TILE];
 
-/// Four frames at once: a quarter of the trips to the sums.
+/// Up to 13 bits, 64 frames: their squares fit into 32 bits together.
 #[inline(always)]
-fn add_four(sums: &mut [u32], squares: &mut [u32], a: &[u16], b: &[u16], c: &[u16], d: &[u16]) {
+fn add_narrow(sums: &mut [u32], squares: &mut [u32], [a, b, c, d]: [&[u16]; 4]) {
     let pixels = a.iter().zip(b).zip(c.iter().zip(d));
     for ((s, q), ((&a, &b), (&c, &d))) in sums.iter_mut().zip(squares).zip(pixels) {
         let [a, b, c, d] = [a, b, c, d].map(u32::from);
         *s += a + b + c + d;
-        *q = q.wrapping_add(a * a + b * b + (c * c + d * d));
+        *q += a * a + b * b + (c * c + d * d);
+    }
+}
+
+/// Any depth: both halves of each square are summed by themselves.
+#[inline(always)]
+fn add_wide(sums: &mut [u32], squares: &mut [u32], uppers: &mut [u32], [a, b, c, d]: [&[u16]; 4]) {
+    let pixels = a.iter().zip(b).zip(c.iter().zip(d));
+    for (((s, q), u), ((&a, &b), (&c, &d))) in sums.iter_mut().zip(squares).zip(uppers).zip(pixels) {
+        let [a, b, c, d] = [a, b, c, d].map(u32::from);
+        *s += a + b + c + d;
+        let [a, b, c, d] = [a, b, c, d].map(|x| x * x);
+        *q += (a & 0xFFFF) + (b & 0xFFFF) + (c & 0xFFFF) + (d & 0xFFFF);
+        *u += (a >> 16) + (b >> 16) + (c >> 16) + (d >> 16);
     }
 }
 

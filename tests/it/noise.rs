@@ -36,7 +36,7 @@ fn kolmogorov(mut chances: Vec<f64>) -> f64 {
         .fold(0.0, f64::max);
     let t = d * (n.sqrt() + 0.12 + 0.11 / n.sqrt());
     (2.0 * (1..100)
-        .map(|k| f64::from(k))
+        .map(f64::from)
         .map(|k| (-1f64).powf(k - 1.0) * (-2.0 * k * k * t * t).exp())
         .sum::<f64>())
     .clamp(0.0, 1.0)

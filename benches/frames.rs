@@ -1,0 +1,80 @@
+//! The frame path: drawing frames and accumulating their moments.
+//!
+//! `benches/compare` runs these beside numpy and OpenCV and prints the ratios.
+
+#![allow(missing_docs, clippy::unwrap_used)] // criterion's macros; a bench may stop where it stumbles
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use radcam::statistics::moments::Moments;
+use radcam_sim::{Conditions, Sensor, sensors};
+use std::hint::black_box;
+
+/// All of the chain (fixed pattern, Poisson, read noise, conversion) for 12-bit flats, on one core.
+fn simulate(c: &mut Criterion) {
+    let model = sensors::load("cmos12").unwrap();
+    let flux = model.bench.photon_flux_per_s * model.base.quantum_efficiency;
+    let sensor = Sensor::new(model).unwrap();
+    let region = sensor.region();
+    let mut frame = vec![0u16; (region.width * region.height) as usize];
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let mut group = c.benchmark_group("simulate");
+    group.throughput(Throughput::Elements(frame.len() as u64));
+    for (name, electrons) in [("flat_5000_e", 5000.0), ("flat_5_e", 5.0), ("dark", 0.0)] {
+        let lit = sensor.conditions(f64::max(electrons, 1.0) / flux);
+        let conditions = Conditions { illumination: if electrons > 0.0 { 1.0 } else { 0.0 }, ..lit };
+        let mut n = 0;
+        group.bench_function(name, |b| {
+            b.iter(|| {
+                n += 1;
+                one.install(|| sensor.draw(n, &conditions, region, black_box(&mut frame)));
+            });
+        });
+    }
+}
+
+/// Mean and variance over 16 frames of a megapixel; the sum of the same bytes is what memory gives.
+fn moments(c: &mut Criterion) {
+    let (rows, columns, n) = (1024, 1024, 16);
+    let frames: Vec<Vec<u16>> =
+        (0..n).map(|f| (0..rows * columns).map(|p| ((p * 31 + f * 7919) % 4096) as u16).collect()).collect();
+    let slices: Vec<&[u16]> = frames.iter().map(|f| &f[..]).collect();
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let mut group = c.benchmark_group("moments");
+    group.throughput(Throughput::Elements((rows * columns * n) as u64));
+    for bits in [12, 16] {
+        // As a campaign goes: the memory of one set serves the next.
+        let mut moments = Moments::new((rows, columns), bits);
+        let mut variance = moments.variance_dn2();
+        let mut run = || {
+            moments.reset();
+            moments.add(black_box(&slices)).unwrap();
+            moments.variance_into(black_box(&mut variance));
+        };
+        group.bench_function(format!("stack_{bits}_bit"), |b| b.iter(&mut run));
+        group.bench_function(format!("stack_{bits}_bit_one_core"), |b| b.iter(|| one.install(&mut run)));
+        group.bench_function(format!("stack_{bits}_bit_new_memory"), |b| {
+            b.iter(|| {
+                let mut moments = Moments::new((rows, columns), bits);
+                moments.add(black_box(&slices)).unwrap();
+                black_box(moments.variance_dn2())
+            });
+        });
+    }
+    let mut moments = Moments::new((rows, columns), 12);
+    group.bench_function("accumulate_only", |b| b.iter(|| moments.add(black_box(&slices)).unwrap()));
+    group.bench_function("read_the_same_bytes", |b| {
+        use rayon::prelude::*;
+        let sum = |part: &[u16]| part.iter().map(|&x| u32::from(x)).fold(0u32, u32::wrapping_add);
+        b.iter(|| {
+            let all = slices.par_iter().flat_map(|f| f.par_chunks(65_536));
+            black_box(all.map(sum).reduce(|| 0, u32::wrapping_add))
+        });
+    });
+}
+
+criterion_group! {
+    name = benches;
+    config = Criterion::default().sample_size(20).measurement_time(std::time::Duration::from_secs(3));
+    targets = simulate, moments
+}
+criterion_main!(benches);
