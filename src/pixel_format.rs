@@ -1,6 +1,6 @@
 //! Pixel formats of the Pixel Format Naming Convention (PFNC), and the way from their bytes to DN.
 //!
-//! One row of [`TABLE`] is one format. A new format is a new row.
+//! One row of the table below is one format. A new format is a new row.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;

@@ -5,7 +5,7 @@
 //! thread or sixteen, in any order, and in any region of interest.
 //!
 //! The frame noise is drawn [`LANES`] pixels at a time by plain loops over arrays, which the compiler
-//! turns into whatever vector instructions the machine has (see [`crate::draw`]). No fused multiply-add
+//! turns into whatever vector instructions the machine has (see `draw.rs`). No fused multiply-add
 //! and no system mathematics library is used, so a seed gives the same pixels on every machine.
 #![allow(clippy::needless_range_loop)] // lanes are indexed: the shape that vectorises
 
