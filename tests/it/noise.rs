@@ -35,11 +35,8 @@ fn kolmogorov(mut chances: Vec<f64>) -> f64 {
         .map(|(i, p)| (p - i as f64 / n).max((i as f64 + 1.0) / n - p))
         .fold(0.0, f64::max);
     let t = d * (n.sqrt() + 0.12 + 0.11 / n.sqrt());
-    (2.0 * (1..100)
-        .map(f64::from)
-        .map(|k| (-1f64).powf(k - 1.0) * (-2.0 * k * k * t * t).exp())
-        .sum::<f64>())
-    .clamp(0.0, 1.0)
+    (2.0 * (1..100).map(f64::from).map(|k| (-1f64).powf(k - 1.0) * (-2.0 * k * k * t * t).exp()).sum::<f64>())
+        .clamp(0.0, 1.0)
 }
 
 /// Inverse of the information about (A, sigma_C^2) that normal noise of these variances holds: Cramer and Rao's

@@ -1,0 +1,60 @@
+//! Which levels the line cannot be asked to describe.
+
+use super::Point;
+use super::estimators::{reweighted, variance_of_variance};
+
+/// Marks levels beyond the variance's peak: there the wells are full, and what varies is not the light.
+pub(super) fn exclude_past_the_peak(points: &mut [Point]) {
+    let error = |p: &Point| (2.0 / ((p.frames - 1.0) * (p.pixels - 1.0))).sqrt() * p.var_dn2;
+    let usable = points.iter().filter(|p| p.excluded.is_none());
+    let Some(peak) = usable.max_by(|a, b| a.var_dn2.total_cmp(&b.var_dn2)).cloned() else { return };
+    // From the peak on, everything from the first significant fall.
+    let fallen = |p: &Point| {
+        let drop = peak.var_dn2 - p.var_dn2;
+        let noise = (error(p).powi(2) + error(&peak).powi(2)).sqrt();
+        p.mean_dn > peak.mean_dn && drop > 5.0 * noise && drop > 0.01 * peak.var_dn2
+    };
+    let first = points.iter().filter(|p| fallen(p)).map(|p| p.mean_dn).fold(f64::INFINITY, f64::min);
+    for p in points.iter_mut().filter(|p| p.excluded.is_none() && p.mean_dn >= first) {
+        p.excluded = Some(format!(
+            "past the variance's peak at {:.0} DN: the wells or the amplifier are full",
+            peak.mean_dn
+        ));
+    }
+}
+
+/// Marks single levels that stand off a line on which the others lie; a curve is left as it is.
+pub(super) fn exclude_strays(points: &mut [Point]) {
+    let most = points.iter().filter(|p| p.excluded.is_none()).count() / 5;
+    for _ in 0..most {
+        let used: Vec<usize> = (0..points.len()).filter(|&i| points[i].excluded.is_none()).collect();
+        if used.len() < 5 {
+            return;
+        }
+        // Each level against the line of the others.
+        let z: Vec<f64> = used
+            .iter()
+            .map(|&i| {
+                let mut others = points.to_vec();
+                others[i].excluded = Some(String::new());
+                reweighted(&others).map_or(0.0, |line| {
+                    let p = &points[i];
+                    let at = line.var_slope * p.mean_dn.powi(2)
+                        + line.var_intercept
+                        + 2.0 * line.covariance * p.mean_dn;
+                    let variance = variance_of_variance(p, line.slope, line.intercept) + at;
+                    (p.var_dn2 - line.at(p.mean_dn)) / variance.sqrt()
+                })
+            })
+            .collect();
+        let mut sizes: Vec<f64> = z.iter().map(|z| z.abs()).collect();
+        sizes.sort_by(f64::total_cmp);
+        let median = sizes[sizes.len() / 2];
+        let Some(worst) = (0..z.len()).max_by(|&a, &b| z[a].abs().total_cmp(&z[b].abs())) else { return };
+        if z[worst].abs() < 6.0 || z[worst].abs() < 5.0 * median {
+            return;
+        }
+        points[used[worst]].excluded =
+            Some(format!("{:+.0} standard errors off the line of the others", z[worst]));
+    }
+}

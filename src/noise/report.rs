@@ -1,0 +1,118 @@
+//! What an estimate says, in the names of the JSON.
+
+use crate::dataset::Kind;
+use serde::Serialize;
+
+/// How A and sigma_C^2 are estimated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Method {
+    /// As in the paper.
+    Paper,
+    /// Weights from the fitted line.
+    Reweighted,
+    /// Chi-square likelihood.
+    Likelihood,
+}
+
+/// A value with its standard error and unit.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Quantity {
+    /// The value.
+    #[serde(serialize_with = "finite")]
+    pub value: f64,
+    /// Its standard error.
+    #[serde(serialize_with = "finite")]
+    pub std_err: f64,
+    /// Unit of both.
+    pub unit: &'static str,
+}
+
+/// JSON has no NaN: it becomes null.
+pub(super) fn finite<S: serde::Serializer>(x: &f64, s: S) -> Result<S::Ok, S::Error> {
+    if x.is_finite() { s.serialize_f64(*x) } else { s.serialize_none() }
+}
+
+/// A and sigma_C^2 by one method.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Estimate {
+    /// Which method.
+    pub method: Method,
+    /// A, DN per electron.
+    pub gain_dn_per_e: Quantity,
+    /// sigma_C^2, DN^2.
+    pub constant_noise_var_dn2: Quantity,
+    /// Covariance of the two.
+    #[serde(serialize_with = "finite")]
+    pub covariance: f64,
+    /// Chi-square (deviance for the likelihood).
+    #[serde(serialize_with = "finite")]
+    pub chi2: f64,
+    /// Its degrees of freedom.
+    pub dof: usize,
+    /// Chance of a larger chi-square.
+    #[serde(serialize_with = "finite")]
+    pub q: f64,
+}
+
+/// One level as the report shows it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LevelReport {
+    /// Number of the set.
+    pub set: u32,
+    /// Dark or flat.
+    pub kind: Kind,
+    /// Mean above the level of zero charge, DN.
+    pub mean_dn: f64,
+    /// Temporal variance, DN^2.
+    pub var_dn2: f64,
+    /// Standard error of the variance at the fitted line, DN^2.
+    #[serde(serialize_with = "finite")]
+    pub var_std_err_dn2: f64,
+    /// Residual over its standard error.
+    #[serde(serialize_with = "finite")]
+    pub z: f64,
+    /// Whether it took part in the fit.
+    pub used: bool,
+    /// Why not.
+    pub excluded_because: Option<String>,
+}
+
+/// The whole answer.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct NoiseReport {
+    /// A by the reweighted estimator.
+    pub gain_dn_per_e: Quantity,
+    /// sigma_C^2 by the reweighted estimator.
+    pub constant_noise_var_dn2: Quantity,
+    /// Read noise with quantisation taken off, electrons: sqrt(sigma_C^2 - q^2/12) / A (eq. 27).
+    pub read_noise_e: Quantity,
+    /// The level of zero charge.
+    pub offset_dn: Quantity,
+    /// Where the zero comes from.
+    pub offset_source: &'static str,
+    /// Chi-square of the reweighted fit.
+    #[serde(serialize_with = "finite")]
+    pub chi2: f64,
+    /// Its degrees of freedom.
+    pub dof: usize,
+    /// Chance of a larger chi-square.
+    #[serde(serialize_with = "finite")]
+    pub q: f64,
+    /// Every estimator that the data allow.
+    pub estimators: Vec<Estimate>,
+    /// Every level.
+    pub levels: Vec<LevelReport>,
+    /// What a reader should know.
+    pub notes: Vec<String>,
+}
+
+/// Below this chance the line does not describe the levels.
+pub const Q_LIMIT: f64 = 1e-3;
+
+impl NoiseReport {
+    /// Whether the levels lie on the line. With no degrees of freedom nothing speaks against it.
+    pub fn consistent(&self) -> bool {
+        self.q.is_nan() || self.q >= Q_LIMIT
+    }
+}
