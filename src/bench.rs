@@ -2,24 +2,13 @@
 //!
 //! Three backends: the simulated bench, a camera's GenICam features, and a person at the terminal.
 
+pub use crate::camera::sim::{BenchState, SharedBench};
 use crate::camera::{Camera, CameraError, Value};
 use crate::dataset::BenchInfo;
 use radcam_sim::Scene;
 use serde::{Deserialize, Serialize};
 use std::io::{BufRead, Write};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-
-/// How the bench stands.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct BenchState {
-    /// Light relative to the campaign's unit; 0: dark, the lens covered.
-    pub illumination: f64,
-    /// Position of card and light (Section V of the paper).
-    pub configuration: u32,
-    /// What the camera looks at.
-    pub scene: Scene,
-}
 
 /// Why the bench is not as it should be.
 #[derive(Debug, thiserror::Error)]
@@ -39,22 +28,6 @@ pub trait Illuminator {
 
     /// What is known of the light, for `dataset.toml`.
     fn info(&self) -> Option<BenchInfo>;
-}
-
-/// The state of a simulated bench, shared with the camera that looks at it.
-#[derive(Debug, Clone, Default)]
-pub struct SharedBench(Arc<Mutex<BenchState>>);
-
-impl SharedBench {
-    /// How it stands.
-    pub fn get(&self) -> BenchState {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Moves it.
-    pub fn set(&self, state: BenchState) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = state;
-    }
 }
 
 impl Illuminator for SharedBench {

@@ -314,6 +314,7 @@ impl Capture<'_> {
             black_level_dn: settings.black_level_dn,
             temperature_c: settings.temperature_c,
             firmware: identity.firmware.clone(),
+            still_automatic: automatics.iter().filter(|a| !a.off).map(|a| a.feature.clone()).collect(),
             features: features
                 .into_iter()
                 .map(|(name, value)| {

@@ -1,9 +1,9 @@
 //! A recorded dataset as a camera: asking for a setting finds the sets that were taken with it.
 
+use super::sim::{BenchState, SharedBench};
 use super::{
     Bounds, Camera, CameraError, Capabilities, FrameStream, Identity, Settings, StreamCounts, StreamOptions,
 };
-use crate::bench::{BenchState, SharedBench};
 use crate::dataset::{Dataset, Kind};
 use crate::frame::{Frame, Region, Status};
 use crate::pixel_format::PixelFormat;

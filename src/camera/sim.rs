@@ -4,12 +4,38 @@ use super::{
     Bounds, Camera, CameraError, Capabilities, FrameStream, Identity, Settings, StreamCounts, StreamOptions,
     Trigger, Value, check_bounds,
 };
-use crate::bench::{BenchState, SharedBench};
 use crate::frame::{Frame, Region, Status};
 use crate::pixel_format::PixelFormat;
-use radcam_sim::{Conditions, Sensor};
-use std::sync::Arc;
+use radcam_sim::{Conditions, Scene, Sensor};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
+
+/// How the bench stands.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct BenchState {
+    /// Light relative to the campaign's unit; 0: dark, the lens covered.
+    pub illumination: f64,
+    /// Position of card and light (Section V of the paper).
+    pub configuration: u32,
+    /// What the camera looks at.
+    pub scene: Scene,
+}
+
+/// The state of a simulated bench, shared with the camera that looks at it.
+#[derive(Debug, Clone, Default)]
+pub struct SharedBench(Arc<Mutex<BenchState>>);
+
+impl SharedBench {
+    /// How it stands.
+    pub fn get(&self) -> BenchState {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Moves it.
+    pub fn set(&self, state: BenchState) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = state;
+    }
+}
 
 /// A camera that draws its frames.
 ///

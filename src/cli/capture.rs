@@ -101,12 +101,10 @@ pub fn capture(
 pub fn tell(summary: &Summary, root: &Path) {
     println!("{}: {} frames written", root.display(), summary.frames);
     let c = summary.counts;
-    if c.failures + c.underruns + c.missing > 0 {
-        println!(
-            "  {} damaged frames thrown away, {} without a free buffer, {} never arrived",
-            c.failures, c.underruns, c.missing
-        );
-    }
+    println!(
+        "  frames received {}, damaged and thrown away {}, without a free buffer {}, never arrived {}",
+        c.completed, c.failures, c.underruns, c.missing
+    );
     let still_on: Vec<_> = summary.automatics.iter().filter(|a| !a.off).map(|a| &*a.feature).collect();
     if !still_on.is_empty() {
         println!("  could not be switched off: {}", still_on.join(", "));

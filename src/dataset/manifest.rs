@@ -51,6 +51,9 @@ pub struct CameraInfo {
     /// Firmware version.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub firmware: Option<String>,
+    /// Automatic functions that could not be switched off, by their GenICam names.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub still_automatic: Vec<String>,
     /// Other settings by their GenICam names, as read back.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub features: BTreeMap<String, toml::Value>,

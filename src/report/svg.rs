@@ -47,7 +47,7 @@ pub fn ticks((min, max): (f64, f64), count: f64) -> Vec<f64> {
         return Vec::new();
     }
     let power = 10f64.powf(raw.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|s| *s >= raw).unwrap_or(raw);
+    let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|s| *s >= 0.75 * raw).unwrap_or(raw);
     let first = (min / step).ceil();
     (0..100).map(|i| (first + f64::from(i)) * step).take_while(|t| *t <= max + 1e-9 * step).collect()
 }
@@ -148,7 +148,7 @@ mod tests {
     #[test]
     fn ticks_are_round_and_inside() {
         assert_eq!(ticks((0.0, 10.0), 5.0), [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]);
-        assert_eq!(ticks((-0.3, 0.31), 3.0), [-0.2 - 0.0, 0.0, 0.2].map(|x: f64| x));
+        assert_eq!(ticks((-0.3, 0.31), 3.0), [-0.2, 0.0, 0.2]);
         assert!(ticks((1.0, 1.0), 5.0).is_empty() && ticks((f64::NAN, 1.0), 5.0).is_empty());
         let (a, b) = range([3.0, 3.0, f64::NAN].into_iter());
         assert!(a < 3.0 && b > 3.0);
