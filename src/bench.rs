@@ -23,17 +23,18 @@ pub enum BenchError {
 
 /// A bench that can be told how to stand.
 pub trait Illuminator {
-    /// Brings the bench into a state; returns when it stands there. `camera` is for benches that hang on it.
-    fn apply(&mut self, state: &BenchState, camera: &mut dyn Camera) -> Result<(), BenchError>;
+    /// Brings the bench into a state and returns the one it then has: a lamp may have steps. `camera` is for benches
+    /// that hang on it.
+    fn apply(&mut self, state: &BenchState, camera: &mut dyn Camera) -> Result<BenchState, BenchError>;
 
     /// What is known of the light, for `dataset.toml`.
     fn info(&self) -> Option<BenchInfo>;
 }
 
 impl Illuminator for SharedBench {
-    fn apply(&mut self, state: &BenchState, _camera: &mut dyn Camera) -> Result<(), BenchError> {
+    fn apply(&mut self, state: &BenchState, _camera: &mut dyn Camera) -> Result<BenchState, BenchError> {
         self.set(*state);
-        Ok(())
+        Ok(*state)
     }
 
     /// The simulated lamp is exact.
@@ -88,7 +89,7 @@ impl GenicamBench {
 }
 
 impl Illuminator for GenicamBench {
-    fn apply(&mut self, state: &BenchState, camera: &mut dyn Camera) -> Result<(), BenchError> {
+    fn apply(&mut self, state: &BenchState, camera: &mut dyn Camera) -> Result<BenchState, BenchError> {
         let missing = |feature: &str| CameraError::NotAvailable {
             camera: camera.identity().id.clone(),
             feature: format!("{feature} (the plan needs one, and names none under [bench])"),
@@ -100,7 +101,10 @@ impl Illuminator for GenicamBench {
             return Err(missing("scene").into());
         }
         let light = state.illumination * self.illumination_scale;
-        camera.set_feature(&self.illumination, &Value::Float(light))?;
+        let reached = match camera.set_feature(&self.illumination, &Value::Float(light))? {
+            Value::Float(light) => light / self.illumination_scale,
+            _ => state.illumination,
+        };
         if let Some(name) = &self.dark {
             camera.set_feature(name, &Value::Bool(state.illumination == 0.0))?;
         }
@@ -111,7 +115,7 @@ impl Illuminator for GenicamBench {
             camera.set_feature(name, &Value::Text(format!("{:?}", state.scene)))?;
         }
         std::thread::sleep(Duration::try_from_secs_f64(self.settle_s).unwrap_or_default());
-        Ok(())
+        Ok(BenchState { illumination: reached, ..*state })
     }
 
     fn info(&self) -> Option<BenchInfo> {
@@ -153,10 +157,10 @@ impl<R: BufRead, W: Write> PersonBench<R, W> {
 }
 
 impl<R: BufRead, W: Write> Illuminator for PersonBench<R, W> {
-    fn apply(&mut self, state: &BenchState, _camera: &mut dyn Camera) -> Result<(), BenchError> {
+    fn apply(&mut self, state: &BenchState, _camera: &mut dyn Camera) -> Result<BenchState, BenchError> {
         let before = self.now;
         if before == Some(*state) {
-            return Ok(());
+            return Ok(*state);
         }
         let changed = |differs: &dyn Fn(&BenchState) -> bool| before.as_ref().is_none_or(differs);
         if state.illumination == 0.0 {
@@ -180,7 +184,7 @@ impl<R: BufRead, W: Write> Illuminator for PersonBench<R, W> {
             }
         }
         self.now = Some(*state);
-        Ok(())
+        Ok(*state)
     }
 
     /// A level set by hand is nominal.

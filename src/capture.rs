@@ -98,6 +98,9 @@ pub struct Capture<'a> {
     pub progress: &'a mut dyn FnMut(Progress),
 }
 
+/// Name of the log inside a dataset: one line a run, with the buffer statistics.
+pub const LOG_FILE: &str = "capture.log";
+
 /// Name of the plan inside a dataset, exposures in seconds, by which it is continued.
 pub const PLAN_FILE: &str = "plan.toml";
 
@@ -128,30 +131,40 @@ impl Capture<'_> {
             self.set_up(plan)?;
             let plan = self.absolute(plan, &mut counts)?;
             let manifest = self.manifest(&automatics)?;
-            let writer = Writer::create(root, &manifest)?;
-            crate::dataset::write_whole(&root.join(PLAN_FILE), plan.to_toml()?.as_bytes())?;
+            let writer = Writer::create(root, &manifest, &[(PLAN_FILE, &plan.to_toml()?)])?;
             (writer, plan)
         };
         let before = writer.written().len() as u64;
         let start = writer.written().last().and_then(|r| r.timestamp_s).unwrap_or(0.0);
-        let mut clock = DeviceClock { offset_s: start, zero_ns: None };
-        if resume {
-            // A thousand more than were kept: the pilot and damaged frames were drawn too.
-            self.camera.continue_after(before + 1000, start);
-        }
-        for (number, set) in plan.sets.iter().enumerate() {
+        // A thousand frames more than were kept: the pilot and damaged frames were drawn too.
+        let mut clock = match resume {
+            false => DeviceClock::FromFirstFrame,
+            true if self.camera.continue_after(before + 1000, start + 1.0) => DeviceClock::Zero(0),
+            // How long the pause was is not known.
+            true => DeviceClock::Unknown,
+        };
+        let outcome = plan.sets.iter().enumerate().try_for_each(|(number, set)| {
             let have = writer.written().iter().filter(|r| r.set as usize == number).count() as u32;
-            if have < set.frames {
-                self.capture_set(number, set, &plan, &mut writer, &mut clock, &mut counts)?;
+            if have >= set.frames {
+                return Ok(());
             }
-        }
-        tracing::info!(
-            completed = counts.completed,
-            failures = counts.failures,
-            underruns = counts.underruns,
-            missing = counts.missing,
-            "buffer statistics"
+            self.capture_set(number, set, &plan, &mut writer, &mut clock, &mut counts)
+        });
+        let line = format!(
+            "completed {} failures {} underruns {} missing {} written {} outcome {}\n",
+            counts.completed,
+            counts.failures,
+            counts.underruns,
+            counts.missing,
+            writer.written().len() as u64 - before,
+            outcome.as_ref().map_or_else(|e| e.to_string(), |()| "done".into()),
         );
+        tracing::info!(counts = line.trim_end(), "buffer statistics");
+        let log = std::fs::OpenOptions::new().create(true).append(true).open(root.join(LOG_FILE));
+        if let Err(e) = log.and_then(|mut log| std::io::Write::write_all(&mut log, line.as_bytes())) {
+            tracing::warn!(error = %e, "the buffer statistics could not be kept");
+        }
+        outcome?;
         let frames = writer.written().len() as u64 - before;
         Ok(Summary { frames, counts, automatics, full_exposure_s: plan.full_exposure_s })
     }
@@ -213,6 +226,12 @@ impl Capture<'_> {
             None => 1.0,
         };
         let bounds = self.camera.capabilities().exposure_s;
+        if let Some(bounds) = bounds {
+            for exposure_s in plan.sets.iter().filter_map(|s| s.exposure_s) {
+                let id = &self.camera.identity().id;
+                crate::camera::check_bounds(id, "ExposureTime", Some(bounds), exposure_s, "s")?;
+            }
+        }
         let absolute = plan.absolute(full, |e| bounds.map_or(e, |b| b.nearest(e)));
         for (wanted, set) in plan.sets.iter().zip(&absolute.sets) {
             let wanted = wanted.exposure_s.unwrap_or(wanted.exposure.unwrap_or(1.0) * full);
@@ -380,13 +399,21 @@ impl Capture<'_> {
             return Err(CaptureError::Interrupted { frames: writer.written().len() as u64 });
         }
         let exposure_s = set.exposure_s.unwrap_or(1.0);
-        self.bench.apply(&set.bench(), self.camera)?;
+        let reached = self.bench.apply(&set.bench(), self.camera)?;
         let exposure_s = self.camera.set_exposure_s(exposure_s)?;
         let settings = self.camera.settings()?;
         let mut stream = self.camera.stream(&self.options)?;
         let outcome = take(
             &mut *stream,
-            &TakeSet { number, set, plan, exposure_s, settings: &settings, stop: self.stop },
+            &TakeSet {
+                number,
+                set,
+                plan,
+                exposure_s,
+                illumination: reached.illumination,
+                settings: &settings,
+                stop: self.stop,
+            },
             writer,
             clock,
             self.progress,
@@ -404,6 +431,8 @@ struct TakeSet<'a> {
     set: &'a SetPlan,
     plan: &'a Plan,
     exposure_s: f64,
+    /// As the bench says it stands.
+    illumination: f64,
     settings: &'a Settings,
     stop: &'a AtomicBool,
 }
@@ -415,10 +444,11 @@ fn take(
     clock: &mut DeviceClock,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<(), CaptureError> {
-    let TakeSet { number, set, plan, exposure_s, settings, stop } = *job;
+    let TakeSet { number, set, plan, exposure_s, illumination, settings, stop } = *job;
     let mut index = writer.written().iter().filter(|r| r.set as usize == number).count() as u32;
     let mut frame = Frame::new(settings.region.width as usize, settings.region.height as usize);
     let mut damaged = 0;
+    let mut settling = plan.camera.settle_frames;
     while index < set.frames {
         if stop.load(Ordering::Relaxed) {
             return Err(CaptureError::Interrupted { frames: writer.written().len() as u64 });
@@ -439,6 +469,10 @@ fn take(
             }
             continue;
         }
+        if settling > 0 {
+            settling -= 1;
+            continue;
+        }
         if !frame.fits(settings.pixel_format) {
             let largest = frame.pixels.iter().max().copied().unwrap_or(0);
             return Err(CameraError::Backend {
@@ -454,7 +488,7 @@ fn take(
             set: number as u32,
             index,
             exposure_s,
-            illumination: set.illumination,
+            illumination,
             configuration: set.configuration,
             temperature_c: frame.temperature_c.or(settings.temperature_c),
             timestamp_s: clock.seconds(frame.timestamp_ns),
@@ -478,18 +512,26 @@ fn timeout(exposure_s: f64) -> Duration {
 }
 
 /// Turns device time into seconds from the start of the campaign.
-struct DeviceClock {
-    offset_s: f64,
-    zero_ns: Option<u64>,
+enum DeviceClock {
+    FromFirstFrame,
+    /// Device time at the start of the campaign, ns.
+    Zero(u64),
+    Unknown,
 }
 
 impl DeviceClock {
-    /// `None` where the camera tells no time.
+    /// `None` where it is not known.
     fn seconds(&mut self, timestamp_ns: Option<u64>) -> Option<f64> {
-        let timestamp_ns = timestamp_ns?;
-        let zero = *self.zero_ns.get_or_insert(timestamp_ns);
-        let seconds = (timestamp_ns as f64 - zero as f64) * 1e-9 + self.offset_s;
+        let now = timestamp_ns?;
+        let zero = match *self {
+            DeviceClock::Unknown => return None,
+            DeviceClock::Zero(zero) => zero,
+            DeviceClock::FromFirstFrame => {
+                *self = DeviceClock::Zero(now);
+                now
+            }
+        };
         // Nanoseconds, and no rubbish behind them in the file.
-        Some((seconds * 1e9).round() * 1e-9)
+        Some((now as f64 - zero as f64).round() * 1e-9)
     }
 }

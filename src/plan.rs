@@ -56,12 +56,20 @@ pub struct CameraPlan {
     /// First column, first row, width, height, pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub region: Option<[u32; 4]>,
+    /// Frames thrown away at the start of each set, for a camera that takes a new setting up late. Such frames are
+    /// not there when lag is looked for.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub settle_frames: u32,
     /// Frames per second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame_rate_hz: Option<f64>,
     /// Other features, by GenICam name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub features: BTreeMap<String, toml::Value>,
+}
+
+fn is_zero(n: &u32) -> bool {
+    *n == 0
 }
 
 impl CameraPlan {
@@ -145,7 +153,7 @@ impl Plan {
 
     /// A minute's look: two dark exposures and eight exposures of the card, four frames each.
     pub fn quick() -> Self {
-        let mut sets = vec![SetPlan::new(Kind::Dark, 4, 0.05, 0.0), SetPlan::new(Kind::Dark, 4, 1.0, 0.0)];
+        let mut sets = vec![SetPlan::new(Kind::Dark, 4, 1.0, 0.0), SetPlan::new(Kind::Dark, 4, 6.0, 0.0)];
         sets.extend((1..=8).map(|i| SetPlan::new(Kind::Flat, 4, f64::from(i) / 8.0, 1.0)));
         Self::of("A quick look: gain and constant noise", sets)
     }
@@ -220,6 +228,9 @@ impl Plan {
             return Err(PlanError::Plan("full_exposure_s must be above 0 s".into()));
         }
         for (set, plan) in self.sets.iter().enumerate() {
+            if plan.exposure_s.or(plan.exposure).is_some_and(|e| e > 1e6) {
+                return Err(PlanError::Set { set, message: "the exposure must be at most 1e6".into() });
+            }
             let fault = |message: &str| Err(PlanError::Set { set, message: message.into() });
             match (plan.exposure_s, plan.exposure) {
                 (Some(e), None) | (None, Some(e)) if positive(e) => {}
@@ -229,8 +240,8 @@ impl Plan {
             if plan.frames == 0 {
                 return fault("frames must be 1 or more");
             }
-            if !(plan.illumination.is_finite() && plan.illumination >= 0.0) {
-                return fault("illumination must not be below 0");
+            if !(0.0..=1e6).contains(&plan.illumination) {
+                return fault("illumination must lie within 0 to 1e6");
             }
             if plan.kind == Kind::Dark && plan.illumination != 0.0 {
                 return fault("a dark set has illumination 0");

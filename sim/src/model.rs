@@ -8,6 +8,9 @@ use serde::{Deserialize, Serialize};
 /// Name and major version of the file format.
 pub const FORMAT: &str = "radcam-model/1";
 
+/// Pixels of the largest sensor: its maps take 4 GB.
+const MAX_PIXELS: f64 = 268_435_456.0;
+
 /// A model: the camera, its physics, and the bench it stands on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -180,6 +183,11 @@ impl Model {
             if !(min..=max).contains(&value) {
                 return Err(ModelError::OutOfRange { field, value, min, max, unit });
             }
+        }
+        let pixels = f64::from(c.width) * f64::from(c.height);
+        if pixels > MAX_PIXELS {
+            let (field, unit) = ("camera.width x height", "px");
+            return Err(ModelError::OutOfRange { field, value: pixels, min: 1.0, max: MAX_PIXELS, unit });
         }
         Ok(())
     }

@@ -80,6 +80,10 @@ pub fn poisson_lanes(mean: &[f64; LANES], noise: &NoiseLanes, site: Site) -> [f6
 /// A Poisson number of `mean` for one pixel, from the proposal `k` of its normal number and its 32 bits.
 #[inline(never)]
 fn slow_draw(mean: f64, k: f64, bits: f64, site: Site) -> f64 {
+    // Far beyond any well: the codes are clipped whatever stands here, and double precision has no such integers.
+    if mean > 1e14 {
+        return mean;
+    }
     if mean >= NORMAL_FROM {
         modified_normal(mean, k, bits, &mut more(site))
     } else if mean > 0.0 {
@@ -330,6 +334,9 @@ mod tests {
         means[1] = -5.0;
         means[2] = f64::NAN;
         means[3] = 1e-12;
+        let flood =
+            poisson_lanes(&[f64::INFINITY; LANES], &noise, Site { seed: 1, frame: 0, first_pixel: 0 });
+        assert!(flood.iter().all(|&k| k == f64::INFINITY));
         let k = poisson_lanes(&means, &noise, Site { seed: 1, frame: 0, first_pixel: 0 });
         assert_eq!(k, [0.0; LANES]);
     }

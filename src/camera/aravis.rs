@@ -135,19 +135,16 @@ impl AravisCamera {
         self.inner.float(name).ok().or_else(|| self.inner.integer(name).ok().map(|i| i as f64))
     }
 
+    /// Sets a float, or the nearest value of an integer.
     fn set_number(&self, name: &str, value: f64) -> Result<(), arv::Error> {
-        self.inner.set_float(name, value).or_else(|first| {
-            if value.fract() == 0.0 {
-                self.inner.set_integer(name, value as i64).map_err(|_| first)
-            } else {
-                Err(first)
-            }
-        })
+        let set = self.inner.set_float(name, value);
+        set.or_else(|first| self.inner.set_integer(name, value.round() as i64).map_err(|_| first))
     }
+}
 
-    fn black_level_name(&self) -> Option<&'static str> {
-        ["BlackLevel", "BlackLevelRaw"].into_iter().find(|name| self.inner.has(name))
-    }
+/// Whether a float feature is there and in this unit.
+fn in_unit(inner: &arv::Camera, feature: &str, unit: &str) -> bool {
+    inner.has(feature) && inner.unit(feature).is_some_and(|u| u.trim().eq_ignore_ascii_case(unit))
 }
 
 fn capabilities(inner: &arv::Camera, id: &str) -> Result<Capabilities, CameraError> {
@@ -160,13 +157,9 @@ fn capabilities(inner: &arv::Camera, id: &str) -> Result<Capabilities, CameraErr
     };
     let exposure_name = ["ExposureTime", "ExposureTimeAbs"].into_iter().find(|name| inner.has(name));
     let exposure_step = exposure_name.and_then(|n| inner.float_increment(n)).map(|us| us * 1e-6);
-    let black = ["BlackLevel", "BlackLevelRaw"].into_iter().find(|name| inner.has(name));
-    let black_level_dn = black.and_then(|name| {
-        inner
-            .float_bounds(name)
-            .ok()
-            .or_else(|| inner.integer_bounds(name).ok().map(|(a, b)| (a as f64, b as f64)))
-    });
+    // Only what is said to be in DN counts as such; makers have units of their own.
+    let black_level_dn =
+        in_unit(inner, "BlackLevel", "DN").then(|| inner.float_bounds("BlackLevel").ok()).flatten();
     // Width and height shrink with the offsets: the whole sensor is what the bounds are about.
     let sensor = |name: &str, region: &str| -> Result<Bounds, CameraError> {
         let mut b = pixels(region)?;
@@ -179,7 +172,10 @@ fn capabilities(inner: &arv::Camera, id: &str) -> Result<Capabilities, CameraErr
     let codes = inner.pixel_formats().map_err(fault)?;
     Ok(Capabilities {
         exposure_s: inner.exposure_bounds_s().ok().map(|b| bounds(b, exposure_step)),
-        gain_db: inner.has_gain().then(|| inner.gain_bounds().ok()).flatten().map(|b| bounds(b, None)),
+        gain_db: in_unit(inner, "Gain", "dB")
+            .then(|| inner.gain_bounds().ok())
+            .flatten()
+            .map(|b| bounds(b, None)),
         black_level_dn: black_level_dn.map(|b| bounds(b, None)),
         frame_rate_hz: inner.frame_rate_bounds_hz().ok().map(|b| bounds(b, None)),
         width: sensor("SensorWidth", "Width")?,
@@ -212,7 +208,9 @@ impl Camera for AravisCamera {
         Ok(Settings {
             exposure_s: self.inner.exposure_s().map_err(refused)?,
             gain_db: optional(self.capabilities.gain_db.is_some(), &|| self.inner.gain().ok()),
-            black_level_dn: self.black_level_name().and_then(|name| self.number(name)),
+            black_level_dn: optional(self.capabilities.black_level_dn.is_some(), &|| {
+                self.inner.float("BlackLevel").ok()
+            }),
             frame_rate_hz: optional(self.capabilities.frame_rate_hz.is_some(), &|| {
                 self.inner.frame_rate_hz().ok()
             }),
@@ -238,9 +236,8 @@ impl Camera for AravisCamera {
 
     fn set_black_level_dn(&mut self, value: f64) -> Result<f64, CameraError> {
         check_bounds(&self.identity.id, "BlackLevel", self.capabilities.black_level_dn, value, "DN")?;
-        let name = self.black_level_name().ok_or_else(|| self.not_available("BlackLevel"))?;
-        self.set_number(name, value).map_err(|e| self.refused(e))?;
-        self.number(name).ok_or_else(|| self.not_available("BlackLevel"))
+        self.inner.set_float("BlackLevel", value).map_err(|e| self.refused(e))?;
+        self.inner.float("BlackLevel").map_err(|e| self.refused(e))
     }
 
     fn set_frame_rate_hz(&mut self, value: f64) -> Result<f64, CameraError> {
@@ -341,20 +338,30 @@ impl Camera for AravisCamera {
         }
         let set = match value {
             Value::Bool(v) => self.inner.set_boolean(name, *v),
-            Value::Int(v) => self.inner.set_integer(name, *v),
+            // A plan may write `Gamma = 1` for a float.
+            Value::Int(v) => {
+                self.inner.set_integer(name, *v).or_else(|_| self.inner.set_float(name, *v as f64))
+            }
             Value::Float(v) => self.set_number(name, *v),
             Value::Text(v) => self.inner.set_string(name, v),
         };
         set.map_err(|e| self.refused(e))?;
         let now = match value {
             Value::Bool(_) => self.inner.boolean(name).map(Value::Bool),
-            Value::Int(_) => self.inner.integer(name).map(Value::Int),
+            Value::Int(v) => self.inner.integer(name).map(Value::Int).or_else(|_| {
+                self.inner
+                    .float(name)
+                    .map(|now| if now == *v as f64 { Value::Int(*v) } else { Value::Float(now) })
+            }),
             Value::Float(_) => self.number(name).map(Value::Float).ok_or_else(arv_lost),
             Value::Text(_) => self.inner.string(name).map(Value::Text),
         }
         .map_err(|e| self.refused(e))?;
         let same = match (value, &now) {
-            (Value::Float(a), Value::Float(b)) => (a - b).abs() <= 1e-3 * a.abs().max(1e-6),
+            // A float that the camera keeps as an integer comes back rounded.
+            (Value::Float(a), Value::Float(b)) => {
+                (a - b).abs() <= (1e-3 * a.abs()).max(0.5 * f64::from(b.fract() == 0.0))
+            }
             (a, b) => a == b,
         };
         if same {
@@ -375,6 +382,16 @@ impl Camera for AravisCamera {
                 Some((name.to_string(), value.ok()?))
             })
             .collect();
+        for (name, known) in [
+            ("Gain", self.capabilities.gain_db.is_some()),
+            ("GainRaw", false),
+            ("BlackLevel", self.capabilities.black_level_dn.is_some()),
+            ("BlackLevelRaw", false),
+        ] {
+            if let Some(value) = self.number(name).filter(|_| !known && self.inner.has(name)) {
+                features.insert(name.into(), Value::Float(value));
+            }
+        }
         if let Some(size) = self.inner.packet_size() {
             features.insert("GevSCPSPacketSize".into(), Value::Int(size.into()));
         }

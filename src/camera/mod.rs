@@ -49,7 +49,7 @@ pub struct Bounds {
 impl Bounds {
     /// The nearest value that the camera can take.
     pub fn nearest(&self, value: f64) -> f64 {
-        let value = value.clamp(self.min, self.max);
+        let value = value.min(self.max).max(self.min);
         match self.increment {
             Some(step) if step > 0.0 => {
                 let last = ((self.max - self.min) / step + 1e-9).floor();
@@ -362,8 +362,10 @@ pub trait Camera: Send {
     }
 
     /// Told before a campaign is continued: so many frames were taken, the last of them at this time, s.
-    /// A simulated camera must not draw the same noise twice.
-    fn continue_after(&mut self, _frames: u64, _time_s: f64) {}
+    /// A simulated camera must not draw the same noise twice. Whether the camera's clock shows campaign time from now.
+    fn continue_after(&mut self, _frames: u64, _time_s: f64) -> bool {
+        false
+    }
 
     /// Starts the acquisition.
     fn stream(&mut self, options: &StreamOptions) -> Result<Box<dyn FrameStream + '_>, CameraError>;

@@ -214,6 +214,8 @@ impl Camera for SimCamera {
     fn set_feature(&mut self, name: &str, value: &Value) -> Result<Value, CameraError> {
         match (name, value) {
             ("DeviceTemperature", Value::Float(t)) => {
+                let bounds = Bounds { min: -273.0, max: 200.0, increment: None };
+                check_bounds(self.id(), name, Some(bounds), *t, "C")?;
                 self.settings.temperature_c = Some(*t);
                 Ok(value.clone())
             }
@@ -221,8 +223,9 @@ impl Camera for SimCamera {
         }
     }
 
-    fn continue_after(&mut self, frames: u64, time_s: f64) {
+    fn continue_after(&mut self, frames: u64, time_s: f64) -> bool {
         self.clock = Clock { frame: frames, time_s };
+        true
     }
 
     fn stream(&mut self, _options: &StreamOptions) -> Result<Box<dyn FrameStream + '_>, CameraError> {

@@ -15,9 +15,9 @@ pub struct Arguments {
     /// aravis:ID (an IP address, an Aravis id or a serial number), sim:SENSOR or replay:DATASET
     #[arg(long)]
     camera: String,
-    /// quick, standard, or a plan file
-    #[arg(long, default_value = "standard")]
-    plan: String,
+    /// quick, standard (where not given), or a plan file; a resumed capture has its own
+    #[arg(long, conflicts_with = "resume")]
+    plan: Option<String>,
     /// Folder of the new dataset
     #[arg(short, long)]
     output: PathBuf,
@@ -25,7 +25,7 @@ pub struct Arguments {
     #[arg(long)]
     resume: bool,
     /// Exposure that brings the card at illumination 1 close to full scale, s; measured where not given
-    #[arg(long)]
+    #[arg(long, conflicts_with = "resume")]
     full_exposure_s: Option<f64>,
     #[command(flatten)]
     stream: StreamArguments,
@@ -71,7 +71,7 @@ impl StreamArguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
-    let mut plan = load_plan(&arguments.plan)?;
+    let mut plan = load_plan(arguments.plan.as_deref(), arguments.resume, &arguments.output)?;
     if arguments.full_exposure_s.is_some() {
         plan.full_exposure_s = arguments.full_exposure_s;
     }

@@ -4,6 +4,7 @@ use crate::bench::{GenicamBench, Illuminator, PersonBench, SharedBench};
 use crate::camera::Camera;
 use crate::camera::replay::ReplayCamera;
 use crate::camera::sim::SimCamera;
+use crate::capture::PLAN_FILE;
 use crate::plan::Plan;
 use anyhow::{Context, Result, bail};
 use radcam_sim::{Model, Sensor, sensors};
@@ -61,12 +62,14 @@ pub fn load_model(name: &str, seed: Option<u64>) -> Result<Model> {
     Ok(model)
 }
 
-/// A plan by name or from a file.
-pub fn load_plan(name: &str) -> Result<Plan> {
+/// A plan by name or from a file; the plan of a campaign that is continued.
+pub fn load_plan(name: Option<&str>, resume: bool, root: &Path) -> Result<Plan> {
+    let stored = root.join(PLAN_FILE).display().to_string();
+    let name = if resume { &*stored } else { name.unwrap_or("standard") };
     if let Some(plan) = Plan::named(name) {
         return Ok(plan);
     }
-    if !Path::new(name).exists() {
+    if !resume && !Path::new(name).exists() {
         bail!("no plan \"{name}\": neither a file nor one of quick, standard");
     }
     let text = std::fs::read_to_string(name).with_context(|| name.to_string())?;

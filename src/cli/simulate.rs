@@ -11,9 +11,9 @@ use std::path::PathBuf;
 pub struct Arguments {
     /// A sensor (xc77, cmos12, ccd16) or a model file
     sensor: String,
-    /// quick, standard, or a plan file
-    #[arg(long, default_value = "standard")]
-    plan: String,
+    /// quick, standard (where not given), or a plan file; a resumed run has its own
+    #[arg(long, conflicts_with = "resume")]
+    plan: Option<String>,
     /// Folder of the new dataset
     #[arg(short, long)]
     output: PathBuf,
@@ -24,7 +24,7 @@ pub struct Arguments {
     #[arg(long)]
     seed: Option<u64>,
     /// First column, first row, width, height of the region, pixels
-    #[arg(long, value_name = "X,Y,W,H", value_parser = region)]
+    #[arg(long, value_name = "X,Y,W,H", value_parser = region, conflicts_with = "resume")]
     region: Option<[u32; 4]>,
 }
 
@@ -38,7 +38,7 @@ pub fn region(text: &str) -> Result<[u32; 4], String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
-    let mut plan = load_plan(&arguments.plan)?;
+    let mut plan = load_plan(arguments.plan.as_deref(), arguments.resume, &arguments.output)?;
     plan.camera.region = arguments.region.or(plan.camera.region);
     let (mut camera, mut bench) = simulated(&arguments.sensor, arguments.seed)?;
     let options = StreamOptions::default();

@@ -70,7 +70,8 @@ fn parse(text: &str) -> Result<Parsed, (u64, String)> {
             }
             ["b", exposure_ns, photons] => begin(Kind::Flat, float(exposure_ns)?, float(photons)?),
             ["d", exposure_ns] => begin(Kind::Dark, float(exposure_ns)?, 0.0),
-            ["i", file] => {
+            ["i", _, ..] => {
+                let file = line.trim_start().trim_start_matches('i').trim();
                 let row =
                     current.as_mut().ok_or_else(|| fault("a frame stands before any b or d line".into()))?;
                 row.file = file.replace('\\', "/");
@@ -79,7 +80,8 @@ fn parse(text: &str) -> Result<Parsed, (u64, String)> {
             }
             [word, ..] => {
                 return Err(fault(format!(
-                    "\"{word}\" begins no line of an EMVA 1288 descriptor (v, n, b, d, i)"
+                    "\"{word}\" begins no line of an EMVA 1288 descriptor (v, n, b, d, i), and the file is no table \
+                     with mean_dn and var_dn2 either"
                 )));
             }
         }

@@ -20,7 +20,7 @@ pub struct Writer {
 
 /// Writes a whole file aside, synchronises it and puts it in place: it is there whole or not at all.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), DatasetError> {
-    let folder = path.parent().unwrap_or(Path::new("."));
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let aside = folder.join(format!(".{name}.part"));
     let fault = || DatasetError::io(path);
@@ -31,51 +31,86 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), DatasetError> {
     File::open(folder).and_then(|f| f.sync_all()).map_err(fault())
 }
 
+fn name(number: usize) -> String {
+    format!("frames/{number:05}.tiff")
+}
+
+/// Opens `frames.csv` for appending, and keeps other programs out while it is open.
+fn lock(root: &Path) -> Result<File, DatasetError> {
+    let path = root.join("frames.csv");
+    let rows = OpenOptions::new().append(true).open(&path).map_err(DatasetError::io(&path))?;
+    rows.try_lock().map_err(|_| DatasetError::Manifest {
+        path: root.into(),
+        message: "another program is writing to this dataset".into(),
+    })?;
+    Ok(rows)
+}
+
+/// Whether a folder holds nothing but the beginnings of a campaign that never got its manifest.
+fn unfinished_start(root: &Path, beside: &[(&str, &str)]) -> std::io::Result<bool> {
+    for entry in fs::read_dir(root)? {
+        let entry = entry?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let ours = match &*name {
+            "frames" => fs::read_dir(entry.path())?.next().is_none(),
+            "frames.csv" => fs::read_to_string(entry.path())?.lines().count() <= 1,
+            name => name.ends_with(".part") || beside.iter().any(|(known, _)| *known == name),
+        };
+        if !ours {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
 impl Writer {
     /// Starts a campaign in a folder that is new or empty.
-    pub fn create(root: &Path, manifest: &Manifest) -> Result<Self, DatasetError> {
+    ///
+    /// `beside` are further files, by name. The manifest comes last: a folder without one is no campaign yet and may
+    /// be started again.
+    pub fn create(root: &Path, manifest: &Manifest, beside: &[(&str, &str)]) -> Result<Self, DatasetError> {
         let fault = || DatasetError::io(root);
-        if root.exists() && fs::read_dir(root).map_err(fault())?.next().is_some() {
+        if root.exists() && !unfinished_start(root, beside).map_err(fault())? {
             let message = "is not empty; choose a new folder, or continue it with --resume".into();
             return Err(DatasetError::Manifest { path: root.into(), message });
         }
         fs::create_dir_all(root.join("frames")).map_err(fault())?;
+        for (name, text) in beside {
+            write_whole(&root.join(name), text.as_bytes())?;
+        }
         let text = toml::to_string(manifest).map_err(|e| DatasetError::Manifest {
             path: root.join("dataset.toml"),
             message: e.to_string(),
         })?;
         write_whole(&root.join("frames.csv"), format!("{}\n", COLUMNS.join(",")).as_bytes())?;
         write_whole(&root.join("dataset.toml"), text.as_bytes())?;
-        Self::append_to(root, manifest.camera.bit_depth, Vec::new())
+        Ok(Self {
+            root: root.into(),
+            rows: lock(root)?,
+            bit_depth: manifest.camera.bit_depth,
+            written: Vec::new(),
+        })
     }
 
     /// Continues a campaign. A last row that a crash cut short is taken off; every whole row is kept.
     pub fn resume(root: &Path) -> Result<(Self, Manifest), DatasetError> {
         let path = root.join("frames.csv");
+        // First the lock: another program may be in the middle of a row.
+        let rows = lock(root)?;
         let text = fs::read(&path).map_err(DatasetError::io(&path))?;
         let whole = text.iter().rposition(|&b| b == b'\n').map_or(0, |end| end + 1);
-        if whole < text.len() {
+        if (1..text.len()).contains(&whole) {
             tracing::warn!(file = %path.display(), bytes = text.len() - whole, "cut off an unfinished row");
-            let file = OpenOptions::new().write(true).open(&path).map_err(DatasetError::io(&path))?;
-            file.set_len(whole as u64).and_then(|()| file.sync_all()).map_err(DatasetError::io(&path))?;
+            rows.set_len(whole as u64).and_then(|()| rows.sync_all()).map_err(DatasetError::io(&path))?;
         }
         let dataset = Dataset::open(root)?;
         for row in dataset.rows() {
             dataset.read(row)?;
         }
         let manifest = dataset.manifest().clone();
-        let writer = Self::append_to(root, manifest.camera.bit_depth, dataset.rows().to_vec())?;
+        let bit_depth = manifest.camera.bit_depth;
+        let writer = Self { root: root.into(), rows, bit_depth, written: dataset.rows().to_vec() };
         Ok((writer, manifest))
-    }
-
-    fn append_to(root: &Path, bit_depth: u8, written: Vec<FrameRow>) -> Result<Self, DatasetError> {
-        let path = root.join("frames.csv");
-        let rows = OpenOptions::new().append(true).open(&path).map_err(DatasetError::io(&path))?;
-        rows.try_lock().map_err(|_| DatasetError::Manifest {
-            path: root.into(),
-            message: "another program is writing to this dataset".into(),
-        })?;
-        Ok(Self { root: root.into(), rows, bit_depth, written })
     }
 
     /// Rows that are safely on disk.
@@ -85,7 +120,12 @@ impl Writer {
 
     /// Appends a frame. `row.file` is given a name of the writer's choice.
     pub fn append(&mut self, mut row: FrameRow, pixels: &Array2<u16>) -> Result<(), DatasetError> {
-        row.file = format!("frames/{:05}.tiff", self.written.len());
+        // A frame whose row a crash has cut off keeps its name.
+        let mut number = self.written.len();
+        while self.root.join(name(number)).exists() {
+            number += 1;
+        }
+        row.file = name(number);
         let fault = |message: String| DatasetError::Frame {
             file: row.file.clone(),
             set: row.set,
@@ -131,7 +171,7 @@ mod tests {
         let camera = CameraInfo { width: 3, height: 2, bit_depth: 12, ..Default::default() };
         let manifest = Manifest::new(camera);
         let image = ndarray::array![[1u16, 2, 3], [4, 5, 4095]];
-        let mut writer = Writer::create(&root, &manifest).unwrap();
+        let mut writer = Writer::create(&root, &manifest, &[]).unwrap();
         for i in 0..3 {
             writer.append(row(0, i), &image).unwrap();
         }
@@ -151,6 +191,17 @@ mod tests {
         let dataset = Dataset::open(&root).unwrap();
         assert_eq!(dataset.sets()[0].rows.len(), 4);
         assert_eq!(dataset.read_set(&dataset.sets()[0]).unwrap()[3], image);
-        assert!(Writer::create(&root, &manifest).unwrap_err().to_string().contains("--resume"));
+        let rubbish = fs::read(root.join("frames/00003.tiff")).unwrap();
+        assert_eq!(rubbish, b"II*", "a frame without a row is left as it is");
+        // A start that never got its manifest may be made again; anything else in the folder may not.
+        let early = dir.path().join("early");
+        fs::create_dir_all(early.join("frames")).unwrap();
+        fs::write(early.join("plan.toml"), "x").unwrap();
+        drop(Writer::create(&early, &manifest, &[("plan.toml", "y")]).unwrap());
+        let other = dir.path().join("other");
+        fs::create_dir_all(&other).unwrap();
+        fs::write(other.join("thesis.txt"), "x").unwrap();
+        assert!(Writer::create(&other, &manifest, &[]).is_err());
+        assert!(Writer::create(&root, &manifest, &[]).unwrap_err().to_string().contains("--resume"));
     }
 }

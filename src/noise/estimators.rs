@@ -17,8 +17,19 @@ pub(super) fn variance_of_variance(p: &Point, gain: f64, constant: f64) -> f64 {
     let fourth = gain.powi(3) * mean - 1.0 / 120.0;
     let spread = sigma2 * sigma2 + gain * gain * p.spatial_var_dn2;
     let variance = 2.0 * spread / ((p.frames - 1.0) * (p.pixels - 1.0)) + fourth / (p.frames * p.pixels);
-    // A cumulant that eats the variance up means a model far from the data; the normal value then.
-    if variance > 0.0 { variance } else { 2.0 * spread / ((p.frames - 1.0) * (p.pixels - 1.0)) }
+    variance.max(spread / ((p.frames - 1.0) * (p.pixels - 1.0)))
+}
+
+/// Variance of a level's distance from the line, s^2 - A mean.
+///
+/// Mean and variance come from the same frames. For Poisson charge their covariance is k3 / (n M) with k3 = A^2 mu, so
+/// that of k4 - 2 A k3 + A^2 sigma^2 only A^2 sigma_C^2 - q^4 / 120 is left.
+pub(super) fn residual_variance(p: &Point, gain: f64, constant: f64) -> f64 {
+    let sigma2 = (gain * p.mean_dn.max(0.0) + constant).max(1e-12);
+    let spread = sigma2 * sigma2 + gain * gain * p.spatial_var_dn2;
+    let normal = 2.0 * spread / ((p.frames - 1.0) * (p.pixels - 1.0));
+    let rest = (gain * gain * constant.max(0.0) - 1.0 / 120.0) / (p.frames * p.pixels);
+    (normal + rest).max(0.5 * normal)
 }
 
 /// Eq. (42) with the weights of eq. (40).
@@ -37,7 +48,7 @@ pub(super) fn reweighted(points: &[Point]) -> Option<Line> {
     for _ in 0..50 {
         let next = fit(used
             .iter()
-            .map(|p| (p.mean_dn, p.var_dn2, variance_of_variance(p, line.slope, line.intercept))))?;
+            .map(|p| (p.mean_dn, p.var_dn2, residual_variance(p, line.slope, line.intercept))))?;
         let step = ((next.slope - line.slope) / next.slope).abs()
             + (next.intercept - line.intercept).abs() / next.var_intercept.sqrt();
         line = next;
@@ -55,8 +66,7 @@ pub(super) fn likelihood(points: &[Point], start: &Line) -> Option<Line> {
         .iter()
         .filter(|p| p.excluded.is_none())
         .map(|p| {
-            let dof =
-                2.0 * start.at(p.mean_dn).powi(2) / variance_of_variance(p, start.slope, start.intercept);
+            let dof = 2.0 * start.at(p.mean_dn).powi(2) / residual_variance(p, start.slope, start.intercept);
             (p.mean_dn, p.var_dn2, dof)
         })
         .collect();

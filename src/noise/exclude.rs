@@ -1,7 +1,7 @@
 //! Which levels the line cannot be asked to describe.
 
 use super::Point;
-use super::estimators::{reweighted, variance_of_variance};
+use super::estimators::{residual_variance, reweighted};
 
 /// Marks levels beyond the variance's peak: there the wells are full, and what varies is not the light.
 pub(super) fn exclude_past_the_peak(points: &mut [Point]) {
@@ -31,20 +31,18 @@ pub(super) fn exclude_strays(points: &mut [Point]) {
         if used.len() < 5 {
             return;
         }
-        // Each level against the line of the others.
+        let Some(line) = reweighted(points) else { return };
+        // Each level against the line of the others: the residual over the square root of its variance, both
+        // freed of the level's own pull h on the line.
         let z: Vec<f64> = used
             .iter()
             .map(|&i| {
-                let mut others = points.to_vec();
-                others[i].excluded = Some(String::new());
-                reweighted(&others).map_or(0.0, |line| {
-                    let p = &points[i];
-                    let at = line.var_slope * p.mean_dn.powi(2)
-                        + line.var_intercept
-                        + 2.0 * line.covariance * p.mean_dn;
-                    let variance = variance_of_variance(p, line.slope, line.intercept) + at;
-                    (p.var_dn2 - line.at(p.mean_dn)) / variance.sqrt()
-                })
+                let p = &points[i];
+                let variance = residual_variance(p, line.slope, line.intercept);
+                let x = p.mean_dn;
+                let of_line = line.var_slope * x * x + line.var_intercept + 2.0 * line.covariance * x;
+                let h = (of_line / variance).min(0.999);
+                (p.var_dn2 - line.at(x)) / (variance * (1.0 - h)).sqrt()
             })
             .collect();
         let mut sizes: Vec<f64> = z.iter().map(|z| z.abs()).collect();

@@ -68,10 +68,12 @@ pub fn measure(
         .filter(|s| matches!(dataset.settings(s).kind, Kind::Dark | Kind::Flat))
         .collect();
     let mut levels = Vec::new();
-    let mut level = LevelAccumulator::new((camera.height, camera.width), camera.bit_depth);
+    let mut accumulator: Option<LevelAccumulator> = None;
     for (done, set) in wanted.iter().enumerate() {
         let settings = dataset.settings(set);
-        level.reset();
+        if let Some(level) = &mut accumulator {
+            level.reset();
+        }
         // Eight frames at a time: one trip through memory, and no more of it for a long set.
         for rows in set.rows.chunks(8) {
             if stop.load(Ordering::Relaxed) {
@@ -80,10 +82,13 @@ pub fn measure(
             let frames: Vec<_> =
                 rows.iter().map(|&i| dataset.read(&dataset.rows()[i])).collect::<Result<_, _>>()?;
             let slices: Vec<&[u16]> = frames.iter().filter_map(|f| f.as_slice()).collect();
-            // Sizes were held against the manifest when the frames were read.
+            // Memory for what the frames are, not for what a damaged manifest says. Their sizes were held against it
+            // when they were read.
+            let shape = (camera.height, camera.width);
+            let level = accumulator.get_or_insert_with(|| LevelAccumulator::new(shape, camera.bit_depth));
             let _ = level.add(&slices);
         }
-        if let Some(level) = level.finish() {
+        if let Some(level) = accumulator.as_ref().and_then(LevelAccumulator::finish) {
             levels.push((set.number, settings.kind, settings.exposure_s, level));
         }
         progress(done + 1, wanted.len());
@@ -95,12 +100,23 @@ pub fn measure(
     })
 }
 
+/// Zero between the one dark level and `black_level_dn`.
+pub(super) const ONE_EXPOSURE_BOUNDED: &str = "between the darks of one exposure and black_level_dn";
+/// Zero from darks of one exposure alone.
+pub(super) const ONE_EXPOSURE: &str = "darks of one exposure";
+/// Variance below which the noise is narrower than half a step, DN^2.
+const COARSE_DN2: f64 = 0.25;
+
 /// Share of clipped samples from which a level's variance is off by more than its error.
 const CLIPPED: f64 = 1e-4;
 
 fn clipped_because(level: &Level) -> Option<String> {
     let percent = |share: f64| format!("{:.2} %", 100.0 * share);
-    if level.saturated > CLIPPED {
+    if level.pixels < 2 {
+        Some("every pixel is clipped in every frame".into())
+    } else if level.frames < 2 {
+        Some("one frame: a variance needs two".into())
+    } else if level.saturated > CLIPPED {
         Some(format!("{} of the samples are at full scale", percent(level.saturated)))
     } else if level.stuck > 0.5 {
         Some("most pixels are clipped in every frame".into())
@@ -121,7 +137,11 @@ pub fn zero(measured: &Measured) -> Zero {
     // Scatter of the frames' means, whatever makes it (read noise, row noise, a wandering black level).
     let n = darks.len() as f64;
     let scatter = darks.iter().map(|(.., l)| l.frame_mean_var_dn2).sum::<f64>() / n;
-    let variance = |l: &Level| (scatter / l.frames as f64).max(l.var_dn2 / (l.frames * l.pixels) as f64);
+    let variance = |l: &Level| {
+        // Codes that do not move hide their mean within the step: q^2/12, and no averaging helps.
+        let hidden = if l.var_dn2 < COARSE_DN2 { 1.0 / 12.0 } else { 0.0 };
+        (scatter / l.frames as f64).max(l.var_dn2 / (l.frames * l.pixels) as f64) + hidden
+    };
     let points = darks.iter().map(|(_, _, exposure_s, l)| (*exposure_s, l.mean_dn, variance(l)));
     if let Some(line) = fit(points.clone()) {
         // Means that scatter more than their frames do (temperature) widen the error.
@@ -133,7 +153,16 @@ pub fn zero(measured: &Measured) -> Zero {
         .map(|(_, mean, variance)| (1.0 / variance, mean / variance))
         .reduce(|a, b| (a.0 + b.0, a.1 + b.1))
     {
-        return Zero { dn: sum / weight, std_err_dn: weight.sqrt().recip(), source: "darks of one exposure" };
+        // Part of this dark mean is dark charge, and one exposure does not tell how much. A known black level bounds
+        // it: anything between the two is as likely.
+        let dark = sum / weight;
+        return match measured.black_level_dn {
+            Some(black) => {
+                let std_err_dn = ((dark - black).powi(2) / 12.0 + 1.0 / weight).sqrt();
+                Zero { dn: 0.5 * (dark + black), std_err_dn, source: ONE_EXPOSURE_BOUNDED }
+            }
+            None => Zero { dn: dark, std_err_dn: weight.sqrt().recip(), source: ONE_EXPOSURE },
+        };
     }
     match measured.black_level_dn {
         Some(dn) => Zero { dn, std_err_dn: f64::NAN, source: "black_level_dn of dataset.toml" },
@@ -147,7 +176,7 @@ pub fn points(measured: &Measured, zero: &Zero) -> Vec<Point> {
         .levels
         .iter()
         .map(|(set, kind, _, level)| {
-            let coarse = (level.var_dn2 < 0.25).then(|| {
+            let coarse = (level.var_dn2 < COARSE_DN2).then(|| {
                 format!(
                     "noise of {:.2} DN is below half a step: quantisation noise is not q^2/12 there",
                     level.var_dn2.sqrt()
@@ -184,10 +213,21 @@ pub fn table_points(table: &Table) -> Vec<Point> {
     table.levels.iter().enumerate().map(row).collect()
 }
 
-/// Gives rows without a pixel count the one that their own scatter about a smooth curve asks for. Returns it.
-pub(super) fn pixels_from_scatter(points: &mut [Point]) -> Option<f64> {
+/// What stands in for a pixel count that a table does not give.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Counts {
+    /// Every row has its own.
+    Given,
+    /// The count that the rows' own scatter asks for.
+    FromScatter(f64),
+    /// Too few rows to see a scatter: weights, but no errors.
+    Unknown,
+}
+
+/// Gives rows without a pixel count the one that their own scatter about a smooth curve asks for.
+pub(super) fn pixels_from_scatter(points: &mut [Point]) -> Counts {
     if points.iter().all(|p| p.pixels.is_finite()) {
-        return None;
+        return Counts::Given;
     }
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.sort_by(|&a, &b| points[a].mean_dn.total_cmp(&points[b].mean_dn));
@@ -203,11 +243,16 @@ pub(super) fn pixels_from_scatter(points: &mut [Point]) -> Option<f64> {
         })
         .collect();
     off.sort_by(f64::total_cmp);
-    // The median of |normal| is 0.6745 of the standard deviation; relative variance of s^2 is 2 / M.
-    let relative = off.get(off.len() / 2).map_or(0.01, |m| m / 0.6745).max(1e-6);
-    let pixels = 2.0 / (relative * relative) + 1.0;
+    let counts = if off.len() >= 4 {
+        // The median of |normal| is 0.6745 of the standard deviation; relative variance of s^2 is 2 / M.
+        let relative = (off[off.len() / 2] / 0.6745).max(1e-6);
+        Counts::FromScatter(2.0 / (relative * relative) + 1.0)
+    } else {
+        Counts::Unknown
+    };
+    let pixels = if let Counts::FromScatter(pixels) = counts { pixels } else { 1e4 };
     for p in points.iter_mut().filter(|p| !p.pixels.is_finite()) {
         p.pixels = pixels;
     }
-    Some(pixels)
+    counts
 }

@@ -26,9 +26,9 @@ pub use report::{Estimate, LevelReport, Method, NoiseReport, Q_LIMIT, Quantity};
 
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, DatasetError, Kind};
-use estimators::{estimate_of, likelihood, paper, reweighted, variance_of_variance};
+use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
 use exclude::{exclude_past_the_peak, exclude_strays};
-use levels::pixels_from_scatter;
+use levels::{Counts, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED, pixels_from_scatter};
 use report::finite;
 use std::sync::atomic::AtomicBool;
 
@@ -74,10 +74,14 @@ pub enum NoiseError {
 /// ```
 pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, NoiseError> {
     let mut notes = Vec::new();
-    if let Some(pixels) = pixels_from_scatter(&mut points) {
-        notes.push(format!(
-            "no pixel count: errors come from the rows' own scatter, as of {pixels:.0} pixels a row"
-        ));
+    let counts = pixels_from_scatter(&mut points);
+    match counts {
+        Counts::Given => {}
+        Counts::FromScatter(pixels) => notes.push(format!(
+            "no pixel count: errors come from the rows' own scatter about a smooth curve, as of {pixels:.0} pixels a \
+             row; Q then tells a bend, not noise of the wrong size"
+        )),
+        Counts::Unknown => notes.push("no pixel count, and too few rows to see their scatter: no errors".into()),
     }
     exclude_past_the_peak(&mut points);
     exclude_strays(&mut points);
@@ -102,7 +106,20 @@ pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, Nois
         estimators.push(estimate_of(Method::Likelihood, &line, zero));
     }
 
-    if !zero.std_err_dn.is_finite() && zero.source != TABLE_ZERO {
+    if counts == Counts::Unknown {
+        for e in &mut estimators {
+            e.forget_errors();
+        }
+    }
+    let best = estimators.iter().find(|e| e.method == Method::Reweighted).cloned().unwrap_or(best);
+
+    let from_one = zero.source == ONE_EXPOSURE || zero.source == ONE_EXPOSURE_BOUNDED;
+    if from_one {
+        notes.push(
+            "darks of one exposure do not tell the level of zero charge from the dark charge; take darks at two or more"
+                .into(),
+        );
+    } else if !zero.std_err_dn.is_finite() && zero.source != TABLE_ZERO {
         notes.push(format!(
             "level of zero charge: {}. If it is wrong by d DN, the constant noise is wrong by A d",
             zero.source
@@ -124,7 +141,7 @@ pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, Nois
                 mean_dn: p.mean_dn,
                 var_dn2: p.var_dn2,
                 var_std_err_dn2: std_err,
-                z: (p.var_dn2 - line.at(p.mean_dn)) / std_err,
+                z: (p.var_dn2 - line.at(p.mean_dn)) / residual_variance(p, line.slope, line.intercept).sqrt(),
                 used: p.excluded.is_none(),
                 excluded_because: p.excluded.clone(),
             }

@@ -55,6 +55,15 @@ pub struct Estimate {
     pub q: f64,
 }
 
+impl Estimate {
+    /// For data that hold no measure of their own noise.
+    pub(super) fn forget_errors(&mut self) {
+        self.gain_dn_per_e.std_err = f64::NAN;
+        self.constant_noise_var_dn2.std_err = f64::NAN;
+        (self.covariance, self.chi2, self.q) = (f64::NAN, f64::NAN, f64::NAN);
+    }
+}
+
 /// One level as the report shows it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LevelReport {
@@ -64,12 +73,13 @@ pub struct LevelReport {
     pub kind: Kind,
     /// Mean above the level of zero charge, DN.
     pub mean_dn: f64,
-    /// Temporal variance, DN^2.
+    /// Temporal variance, DN^2; not a number where the level has none.
+    #[serde(serialize_with = "finite")]
     pub var_dn2: f64,
     /// Standard error of the variance at the fitted line, DN^2.
     #[serde(serialize_with = "finite")]
     pub var_std_err_dn2: f64,
-    /// Residual over its standard error.
+    /// Distance from the line over its standard error.
     #[serde(serialize_with = "finite")]
     pub z: f64,
     /// Whether it took part in the fit.

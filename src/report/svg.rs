@@ -117,7 +117,7 @@ impl Panel {
     /// Points with error bars.
     pub fn marks(&self, marks: &[Mark]) -> Markup {
         html! {
-            @for m in marks {
+            @for m in marks.iter().filter(|m| m.x.is_finite() && m.y.is_finite()) {
                 @let colour = if m.out { "var(--soft)" } else { "var(--data)" };
                 g {
                     title { (m.title) }

@@ -102,7 +102,7 @@ impl LevelAccumulator {
         Ok(())
     }
 
-    /// The level; `None` with fewer than two frames or two pixels.
+    /// The level; `None` before the first frame. With one frame, or with every pixel clipped, the variance is NaN.
     pub fn finish(&self) -> Option<Level> {
         let frames = self.moments.frames();
         let n = frames as f64;
@@ -111,8 +111,23 @@ impl LevelAccumulator {
         let stuck_high = sums.iter().filter(|&&s| s == frames * full).count() as u64;
         let stuck_low = sums.iter().filter(|&&s| s == 0).count() as u64;
         let pixels = sums.len() as u64 - stuck_high - stuck_low;
-        if frames < 2 || pixels < 2 {
+        if frames == 0 {
             return None;
+        }
+        if frames < 2 || pixels < 2 {
+            let samples = n * sums.len() as f64;
+            return Some(Level {
+                frames,
+                pixels,
+                mean_dn: sums.iter().sum::<u64>() as f64 / samples,
+                var_dn2: f64::NAN,
+                spatial_var_dn2: f64::NAN,
+                frame_mean_var_dn2: f64::NAN,
+                saturated: self.saturated as f64 / samples,
+                black: self.black as f64 / samples,
+                stuck: (stuck_high + stuck_low) as f64 / sums.len() as f64,
+                pairs: Vec::new(),
+            });
         }
         let m = pixels as f64;
         let samples = n * m;
@@ -181,7 +196,7 @@ mod tests {
         (a[18], b[18]) = (0, 0);
         let mut other = LevelAccumulator::new((40, 100), 12);
         other.add(&[&a]).unwrap();
-        assert_eq!(other.finish(), None);
+        assert!(other.finish().unwrap().var_dn2.is_nan());
         other.add(&[&b]).unwrap();
         let other = other.finish().unwrap();
         assert!((other.var_dn2 / plain.var_dn2 - 1.0).abs() < 2e-3);

@@ -93,7 +93,7 @@ fn an_interrupted_campaign_is_continued_without_loss_or_repetition() {
 fn what_was_captured_before_a_fault_stays_whole() {
     struct Failing(SharedBench, u32);
     impl Illuminator for Failing {
-        fn apply(&mut self, state: &BenchState, camera: &mut dyn Camera) -> Result<(), BenchError> {
+        fn apply(&mut self, state: &BenchState, camera: &mut dyn Camera) -> Result<BenchState, BenchError> {
             self.1 += 1;
             if self.1 > 5 {
                 return Err(BenchError::Person("the lamp is broken".into()));

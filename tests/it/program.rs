@@ -128,6 +128,26 @@ fn bad_input_is_named_and_ends_with_2() {
     assert!(said.contains("frames/00012.tiff") && said.contains("No such file"), "{said}");
 
     let nowhere = dir.path().join("nowhere");
+    // Settings that no camera has.
+    for (settings, part) in [
+        ("[camera.features]\nDeviceTemperature = 1e300", "DeviceTemperature = 1"),
+        ("[camera.features]\nDeviceTemperature = nan", "DeviceTemperature"),
+        ("[camera]\ngain_db = 99.0", "Gain = 99 dB lies outside 0 to 24 dB"),
+        ("[camera]\npixel_format = \"RGB8\"", "RGB8"),
+    ] {
+        let plan = dir.path().join("plan.toml");
+        let set = "[[set]]\nkind = \"dark\"\nframes = 2\nexposure_s = 0.01\n";
+        fs::write(&plan, format!("format = \"radcam-plan/1\"\n{settings}\n{set}")).unwrap();
+        let said = refused(&[
+            "simulate",
+            "cmos12",
+            "--plan",
+            plan.to_str().unwrap(),
+            "-o",
+            nowhere.to_str().unwrap(),
+        ]);
+        assert!(said.contains(part), "{said}");
+    }
     assert!(refused(&["noise", nowhere.to_str().unwrap()]).contains("nowhere"));
     assert!(refused(&["noise", path, "--jsn"]).contains("--json"));
     assert!(refused(&["simulate", "xc78", "-o", path]).contains("xc77, cmos12, ccd16"));
@@ -137,6 +157,67 @@ fn bad_input_is_named_and_ends_with_2() {
     let region = refused(&["simulate", "cmos12", "--region", "0,0,9999,8", "-o", nowhere.to_str().unwrap()]);
     assert!(region.contains("9999 px") && region.contains("1024 px"), "{region}");
     assert!(!nowhere.exists());
+}
+
+/// Levels that say nothing are shown with the reason; nothing is left out in silence.
+#[test]
+fn saturated_and_single_frames_are_shown() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    let plan = dir.path().join("plan.toml");
+    let set = |kind, frames, exposure_s, light| {
+        format!(
+            "[[set]]\nkind = \"{kind}\"\nframes = {frames}\nexposure_s = {exposure_s}\nillumination = {light}\n"
+        )
+    };
+    let sets = [
+        set("dark", 3, "0.01", "0.0"),
+        set("flat", 3, "0.005", "1.0"),
+        set("flat", 3, "0.01", "1.0"),
+        set("flat", 3, "2.0", "1.0"),
+        set("flat", 1, "0.008", "1.0"),
+    ];
+    fs::write(&plan, format!("format = \"radcam-plan/1\"\n{}", sets.concat())).unwrap();
+    let path = root.to_str().unwrap();
+    expect(0, &["simulate", "cmos12", "--plan", plan.to_str().unwrap(), "--region", "0,0,64,48", "-o", path]);
+    let json: serde_json::Value = serde_json::from_str(&expect(0, &["noise", path, "--json"])).unwrap();
+    let because = |i: usize| json["levels"][i]["excluded_because"].as_str().unwrap_or_default().to_string();
+    assert_eq!(json["levels"].as_array().unwrap().len(), 5);
+    assert!(because(3).contains("clipped") && because(4).contains("one frame"), "{json}");
+    assert!(json["notes"].to_string().contains("darks of one exposure"), "{json}");
+    // A report beside the caller, by its bare name.
+    let status = std::process::Command::new(env!("CARGO_BIN_EXE_radcam"))
+        .args(["noise", path, "--report", "r.html"])
+        .current_dir(dir.path())
+        .output()
+        .unwrap()
+        .status;
+    assert!(status.success() && dir.path().join("r.html").exists());
+    let log = fs::read_to_string(root.join("capture.log")).unwrap();
+    assert!(log.contains("completed 13 failures 0 underruns 0 missing 0 written 13 outcome done"), "{log}");
+}
+
+/// The paper's camera has no black level and much dark current: the zero lies far below its darks.
+#[test]
+fn the_papers_camera_is_measured_with_the_quick_plan() {
+    let dir = tempfile::tempdir().unwrap();
+    for seed in ["1", "2", "3"] {
+        let root = dir.path().join(seed);
+        let path = root.to_str().unwrap();
+        let region = ["--region", "0,0,200,160"];
+        expect(
+            0,
+            &[&["simulate", "xc77", "--plan", "quick", "--seed", seed, "-o", path], &region[..]].concat(),
+        );
+        let json: serde_json::Value = serde_json::from_str(&expect(0, &["noise", path, "--json"])).unwrap();
+        for (name, truth) in
+            [("constant_noise_var_dn2", 1.1196), ("gain_dn_per_e", 0.003384), ("offset_dn", 0.0)]
+        {
+            let (value, error) =
+                (json[name]["value"].as_f64().unwrap(), json[name]["std_err"].as_f64().unwrap());
+            assert!((value - truth).abs() < 4.0 * error, "seed {seed}: {name} {value} +- {error}");
+        }
+    }
 }
 
 /// One verb continues what another run left unfinished.
@@ -150,5 +231,7 @@ fn resume_from_the_command_line() {
     fs::write(&csv, rows[..20].join("\n") + "\nframes/000").unwrap();
     let out = expect(0, &["simulate", "cmos12", "--resume", "-o", root.to_str().unwrap()]);
     assert!(out.contains("21 frames written"), "{out}");
+    let said = refused(&["simulate", "cmos12", "--plan", "quick", "--resume", "-o", root.to_str().unwrap()]);
+    assert!(said.contains("cannot be used with"), "{said}");
     expect(0, &["noise", root.to_str().unwrap()]);
 }

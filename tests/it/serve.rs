@@ -197,6 +197,10 @@ fn tool(name: &str) -> Option<Command> {
     if found.status.success() {
         return Some(Command::new(name));
     }
+    assert!(
+        std::env::var_os("RADCAM_TEST_TOOLS").is_none(),
+        "{name} is missing, and RADCAM_TEST_TOOLS asks for it"
+    );
     println!("SKIPPED: {name} (Debian: aravis-tools, aravis-tools-cli) is not installed");
     None
 }

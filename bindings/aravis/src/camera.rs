@@ -2,6 +2,7 @@
 
 use crate::stream::{Stream, StreamSetup};
 use crate::{Error, Named};
+use aravis::glib::prelude::*;
 use aravis::prelude::*;
 use aravis::{AccessCheckPolicy, GvPacketSizeAdjustment, RangeCheckPolicy};
 use std::ffi::{CStr, c_char};
@@ -132,6 +133,12 @@ impl Camera {
     pub fn float_increment(&self, feature: &str) -> Option<f64> {
         // Aravis says DBL_MIN where there is none.
         self.inner.float_increment(feature).ok().filter(|step| *step > 1e-300)
+    }
+
+    /// Unit of a float feature, where the camera tells.
+    pub fn unit(&self, feature: &str) -> Option<String> {
+        let node = self.inner.device()?.feature(feature)?;
+        node.downcast_ref::<aravis::GcFloatNode>()?.unit().map(Into::into)
     }
 
     /// Writes a float.
