@@ -66,15 +66,23 @@ fn read_tiff(path: &Path, page: usize) -> Result<Array2<u16>, ImageError> {
     }
     let (width, height) = decoder.dimensions()?;
     match decoder.colortype()? {
-        tiff::ColorType::Gray(8 | 16) => {}
+        tiff::ColorType::Gray(8 | 16 | 32) => {}
         other => return Err(ImageError::NotGrey(format!("{other:?}"))),
     }
     let pixels = match decoder.read_image()? {
         DecodingResult::U8(v) => v.into_iter().map(u16::from).collect(),
         DecodingResult::U16(v) => v,
+        // The EMVA reference tool keeps its codes in 32 bits.
+        DecodingResult::U32(v) => v.into_iter().map(narrow).collect::<Result<_, _>>()?,
+        DecodingResult::I32(v) => v.into_iter().map(narrow).collect::<Result<_, _>>()?,
         _ => return Err(ImageError::NotGrey("a TIFF of signed or floating-point values".into())),
     };
     array(width as usize, height as usize, pixels)
+}
+
+/// A code that fits into 16 bits.
+fn narrow<T: Copy + std::fmt::Display + TryInto<u16>>(code: T) -> Result<u16, ImageError> {
+    code.try_into().map_err(|_| ImageError::NotGrey(format!("a TIFF of 32 bits with the value {code}")))
 }
 
 fn read_png(path: &Path) -> Result<Array2<u16>, ImageError> {
@@ -214,6 +222,20 @@ mod tests {
         assert!(cut.contains("4 bytes of pixels are needed, 1 are there"), "{cut}");
         // Without BZERO the values are signed.
         assert!(read_fits(&fits(&[&HEAD[..], &["NAXIS2  = 1"]].concat(), &[0xFF; 4])).is_err());
+    }
+
+    #[test]
+    fn codes_kept_in_32_bits_are_read_where_they_fit() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("x.tiff");
+        let mut write = |codes: [i32; 2]| {
+            let mut encoder = TiffEncoder::new(File::create(&path).unwrap()).unwrap();
+            encoder.write_image::<colortype::GrayI32>(2, 1, &codes).unwrap();
+            read(&path, 0)
+        };
+        assert_eq!(write([0, 65_535]).unwrap(), ndarray::array![[0, 65_535]]);
+        assert!(write([0, 65_536]).unwrap_err().to_string().contains("65536"));
+        assert!(write([-1, 0]).is_err());
     }
 
     proptest! {
