@@ -27,6 +27,7 @@
 //! ```
 
 pub mod bench;
+pub mod calibrate;
 pub mod camera;
 pub mod capture;
 #[cfg(feature = "cli")]

@@ -228,7 +228,7 @@ mod tests {
     fn codes_kept_in_32_bits_are_read_where_they_fit() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("x.tiff");
-        let mut write = |codes: [i32; 2]| {
+        let write = |codes: [i32; 2]| {
             let mut encoder = TiffEncoder::new(File::create(&path).unwrap()).unwrap();
             encoder.write_image::<colortype::GrayI32>(2, 1, &codes).unwrap();
             read(&path, 0)

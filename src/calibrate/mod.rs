@@ -1,0 +1,5 @@
+//! Section V: what a camera adds to an even light, and how to take it off again.
+
+pub mod joint;
+pub mod pattern;
+pub mod window;
