@@ -32,6 +32,7 @@ pub mod camera;
 pub mod capture;
 #[cfg(feature = "cli")]
 pub mod cli;
+pub mod correct;
 pub mod dataset;
 pub mod fit;
 pub mod frame;

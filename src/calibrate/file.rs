@@ -1,0 +1,248 @@
+//! The calibration file: a multi-page TIFF of 32-bit floats with its meaning in the first page's description.
+//!
+//! Page 0 is the dark reference in DN, page 1 is K with mean 1, then the standard error of K, and the dark current in DN per
+//! second where it is known. ImageJ, OpenCV and tifffile open it.
+
+use crate::calibrate::dark::DarkReference;
+use crate::calibrate::pattern::FixedPattern;
+use crate::dataset::{CameraInfo, write_whole};
+use ndarray::Array2;
+use serde::{Deserialize, Serialize};
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+use tiff::decoder::{Decoder, DecodingResult};
+use tiff::encoder::{TiffEncoder, colortype::Gray32Float};
+use tiff::tags::Tag;
+
+/// Name and major version of the format.
+pub const FORMAT: &str = "radcam-calibration/1";
+
+/// The JSON object of the first page's ImageDescription.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Description {
+    /// [`FORMAT`].
+    pub format: String,
+    /// Camera and settings under which the calibration holds.
+    pub camera: CameraInfo,
+    /// What each page is.
+    pub pages: Vec<String>,
+    /// Exposure of the dark reference, s.
+    pub dark_exposure_s: f64,
+    /// A, DN per electron.
+    pub gain_dn_per_e: Option<f64>,
+    /// sigma_C^2, DN^2.
+    pub constant_noise_var_dn2: Option<f64>,
+    /// Level of zero charge, DN.
+    pub offset_dn: Option<f64>,
+    /// Configurations n1.
+    pub n1: usize,
+    /// Frames n2 averaged in each.
+    pub n2: usize,
+    /// Estimator of K.
+    pub estimator: String,
+    /// Where it comes from.
+    pub provenance: String,
+}
+
+/// A calibration in memory.
+#[derive(Debug, Clone)]
+pub struct Calibration {
+    /// What it is and where it holds.
+    pub description: Description,
+    /// Dark reference.
+    pub dark: DarkReference,
+    /// K, (rows, columns), mean 1.
+    pub k: Array2<f32>,
+    /// Standard error of K.
+    pub k_std_err: Array2<f32>,
+}
+
+/// Why a calibration file cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+#[error("{path}: {message}")]
+pub struct FileError {
+    path: PathBuf,
+    message: String,
+}
+
+const DARK: &str = "dark_reference_dn";
+const K: &str = "k";
+const K_ERROR: &str = "k_std_err";
+const CURRENT: &str = "dark_current_dn_per_s";
+
+impl Calibration {
+    /// Puts a calibration together; `description.format` and `.pages` are filled in.
+    pub fn new(mut description: Description, dark: DarkReference, pattern: FixedPattern) -> Self {
+        description.format = FORMAT.into();
+        description.dark_exposure_s = dark.exposure_s;
+        description.pages = vec![DARK.into(), K.into(), K_ERROR.into()];
+        if dark.current_dn_per_s.is_some() {
+            description.pages.push(CURRENT.into());
+        }
+        Self { description, dark, k: pattern.k, k_std_err: pattern.std_err }
+    }
+
+    /// Writes the file whole or not at all.
+    pub fn write(&self, path: &Path) -> Result<(), FileError> {
+        let fault = |message: String| FileError { path: path.into(), message };
+        let mut out = Cursor::new(Vec::new());
+        let mut encoder = TiffEncoder::new(&mut out).map_err(|e| fault(e.to_string()))?;
+        let text = serde_json::to_string(&self.description).map_err(|e| fault(e.to_string()))?;
+        let pages = [
+            Some(&self.dark.level_dn),
+            Some(&self.k),
+            Some(&self.k_std_err),
+            self.dark.current_dn_per_s.as_ref(),
+        ];
+        for (i, page) in pages.into_iter().flatten().enumerate() {
+            let (height, width) = page.dim();
+            let standard = page.as_standard_layout();
+            let mut image = encoder
+                .new_image::<Gray32Float>(width as u32, height as u32)
+                .map_err(|e| fault(e.to_string()))?;
+            if i == 0 {
+                let tag = image.encoder().write_tag(Tag::ImageDescription, text.as_str());
+                tag.map_err(|e| fault(e.to_string()))?;
+            }
+            image.write_data(standard.as_slice().unwrap_or_default()).map_err(|e| fault(e.to_string()))?;
+        }
+        write_whole(path, &out.into_inner()).map_err(|e| fault(e.to_string()))
+    }
+
+    /// Reads a file; one that was cut short, edited or is of another version is refused by name.
+    pub fn read(path: &Path) -> Result<Self, FileError> {
+        let fault = |message: String| FileError { path: path.into(), message };
+        let bytes = std::fs::read(path).map_err(|e| fault(e.to_string()))?;
+        let broken = |e: tiff::TiffError| fault(format!("not a sound calibration file: {e}"));
+        let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(broken)?;
+        let text = decoder
+            .get_tag_ascii_string(Tag::ImageDescription)
+            .map_err(|_| fault("has no ImageDescription; not a calibration file".into()))?;
+        let value: serde_json::Value = serde_json::from_str(text.trim_end_matches('\0')).map_err(|e| {
+            fault(format!("its ImageDescription is no JSON object ({e}); not a calibration file"))
+        })?;
+        match value.get("format").and_then(|f| f.as_str()) {
+            Some(FORMAT) => {}
+            other => {
+                let other = other.unwrap_or("missing");
+                return Err(fault(format!("format is \"{other}\", and this program reads \"{FORMAT}\"")));
+            }
+        }
+        let description: Description = serde_json::from_value(value)
+            .map_err(|e| fault(format!("its ImageDescription was changed: {e}")))?;
+        let size = (description.camera.height, description.camera.width);
+        let mut pages = std::collections::HashMap::new();
+        for (i, name) in description.pages.iter().enumerate() {
+            if i > 0 {
+                if !decoder.more_images() {
+                    return Err(fault(format!("page {i} ({name}) is missing")));
+                }
+                decoder.next_image().map_err(broken)?;
+            }
+            let (width, height) = decoder.dimensions().map_err(broken)?;
+            let DecodingResult::F32(values) = decoder.read_image().map_err(broken)? else {
+                return Err(fault(format!("page {i} ({name}) is not of 32-bit floats")));
+            };
+            let page = Array2::from_shape_vec((height as usize, width as usize), values)
+                .ok()
+                .filter(|page| page.dim() == size)
+                .ok_or_else(|| {
+                    fault(format!(
+                        "page {i} ({name}) is {width} x {height} px, and its camera {} x {} px",
+                        size.1, size.0
+                    ))
+                })?;
+            if !page.iter().all(|v| v.is_finite()) {
+                return Err(fault(format!("page {i} ({name}) holds values that are no numbers")));
+            }
+            pages.insert(name.clone(), page);
+        }
+        let mut take = |name: &str| pages.remove(name).ok_or_else(|| fault(format!("has no page {name}")));
+        let (level_dn, k, k_std_err) = (take(DARK)?, take(K)?, take(K_ERROR)?);
+        if k.iter().any(|&k| k <= 0.0) {
+            return Err(fault("holds a K that is not above 0".into()));
+        }
+        let dark = DarkReference {
+            exposure_s: description.dark_exposure_s,
+            level_dn,
+            current_dn_per_s: take(CURRENT).ok(),
+            std_err_dn: f64::NAN,
+            var_dn2: f64::NAN,
+        };
+        Ok(Self { description, dark, k, k_std_err })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn calibration(current: bool) -> Calibration {
+        let plane = |value: f32| Array2::from_shape_fn((3, 4), |(y, x)| value + 0.01 * (4 * y + x) as f32);
+        let dark = DarkReference {
+            exposure_s: 0.02,
+            level_dn: plane(64.0),
+            current_dn_per_s: current.then(|| plane(2.0)),
+            std_err_dn: 0.1,
+            var_dn2: 1.0,
+        };
+        let pattern = FixedPattern {
+            k: plane(0.9),
+            std_err: plane(0.001),
+            kept: Array2::from_elem((3, 4), 9),
+            pooled_sd: 0.003,
+        };
+        let description = Description {
+            format: String::new(),
+            camera: CameraInfo { width: 4, height: 3, bit_depth: 12, ..Default::default() },
+            pages: Vec::new(),
+            dark_exposure_s: 0.0,
+            gain_dn_per_e: Some(0.38),
+            constant_noise_var_dn2: Some(1.06),
+            offset_dn: None,
+            n1: 12,
+            n2: 18,
+            estimator: "joint".into(),
+            provenance: "a test".into(),
+        };
+        Calibration::new(description, dark, pattern)
+    }
+
+    #[test]
+    fn a_calibration_survives_a_round_trip() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("cal.tiff");
+        for current in [false, true] {
+            let written = calibration(current);
+            written.write(&path).unwrap();
+            let read = Calibration::read(&path).unwrap();
+            assert_eq!(read.description, written.description);
+            assert_eq!((&read.k, &read.k_std_err), (&written.k, &written.k_std_err));
+            assert_eq!(read.dark.level_dn, written.dark.level_dn);
+            assert_eq!(read.dark.current_dn_per_s, written.dark.current_dn_per_s);
+        }
+    }
+
+    #[test]
+    fn what_was_cut_or_edited_is_refused_by_name() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("cal.tiff");
+        calibration(true).write(&path).unwrap();
+        let good = std::fs::read(&path).unwrap();
+        let refused = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            Calibration::read(&path).unwrap_err().to_string()
+        };
+        let edit = |from: &str, to: &str| {
+            assert_eq!(from.len(), to.len());
+            let at = good.windows(from.len()).position(|w| w == from.as_bytes()).unwrap();
+            [&good[..at], to.as_bytes(), &good[at + from.len()..]].concat()
+        };
+        assert!(refused(&edit("calibration/1", "calibration/7")).contains("radcam-calibration/7"));
+        assert!(refused(&edit("\"width\":4", "\"width\":5")).contains("4 x 3 px, and its camera 5 x 3 px"));
+        assert!(refused(&edit("\"n1\":12", "\"n1\":-1")).contains("was changed"));
+        for cut in (0..good.len()).step_by(7) {
+            assert!(refused(&good[..cut]).contains("cal.tiff"), "cut at {cut}");
+        }
+    }
+}
