@@ -5,9 +5,11 @@
 
 #![allow(clippy::print_stdout, clippy::print_stderr)] // printing is what a command line is for
 
+mod calibrate;
 mod cameras;
 mod capture;
 mod common;
+mod correct;
 mod demo;
 mod noise;
 mod progress;
@@ -52,6 +54,10 @@ enum Verb {
     Serve(serve::Arguments),
     /// Estimate gain and constant noise (Section IV of Healey and Kondepudy)
     Noise(noise::Arguments),
+    /// Dark reference and fixed pattern K into a calibration file (Section V)
+    Calibrate(calibrate::Arguments),
+    /// Take dark reference and fixed pattern off frames (eq. 51)
+    Correct(correct::Arguments),
     /// Serve, capture, measure and report a camera, all in one
     Demo(demo::Arguments),
 }
@@ -67,6 +73,8 @@ pub fn main() -> ExitCode {
         Verb::Simulate(a) => simulate::run(&a),
         Verb::Serve(a) => serve::run(&a),
         Verb::Noise(a) => noise::run(&a),
+        Verb::Calibrate(a) => calibrate::run(&a),
+        Verb::Correct(a) => correct::run(&a),
         Verb::Demo(a) => demo::run(&a),
     };
     match outcome {

@@ -194,6 +194,16 @@ pub fn tiff_bytes(pixels: &Array2<u16>, bit_depth: u8) -> Result<Vec<u8>, ImageE
     Ok(out.into_inner())
 }
 
+/// The bytes of an uncompressed TIFF of 32-bit floats.
+pub fn tiff_f32_bytes(pixels: &Array2<f32>) -> Result<Vec<u8>, ImageError> {
+    let (height, width) = pixels.dim();
+    let mut out = Cursor::new(Vec::with_capacity(pixels.len() * 4 + 1024));
+    let standard = pixels.as_standard_layout();
+    let values = standard.as_slice().unwrap_or_default();
+    TiffEncoder::new(&mut out)?.write_image::<colortype::Gray32Float>(width as u32, height as u32, values)?;
+    Ok(out.into_inner())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

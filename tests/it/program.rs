@@ -220,6 +220,53 @@ fn the_papers_camera_is_measured_with_the_quick_plan() {
     }
 }
 
+/// From a campaign of several configurations to a calibration file and corrected frames.
+#[test]
+fn a_camera_is_calibrated_and_its_frames_corrected() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    let mut plan = String::from("format = \"radcam-plan/1\"\n[camera]\nregion = [400, 300, 96, 80]\n");
+    for exposure_s in [0.005, 0.5] {
+        plan += &format!("[[set]]\nkind = \"dark\"\nframes = 12\nexposure_s = {exposure_s}\n");
+    }
+    for k in 0..12 {
+        plan += &format!(
+            "[[set]]\nkind = \"flat\"\nframes = 12\nexposure_s = 0.005\nillumination = 1.0\nconfiguration = {k}\n"
+        );
+    }
+    fs::write(at("plan.toml"), plan).unwrap();
+    expect(0, &["simulate", "cmos12", "--plan", &at("plan.toml"), "-o", &at("c")]);
+    for estimator in ["paper", "joint"] {
+        let out = expect(0, &["calibrate", &at("c"), "-o", &at("cal.tiff"), "--estimator", estimator]);
+        assert!(out.contains("12 configurations of 12 frames"), "{out}");
+    }
+    // K against the maps that the simulator was made with.
+    let calibration = radcam::calibrate::file::Calibration::read(at("cal.tiff").as_ref()).unwrap();
+    let sensor = radcam_sim::Sensor::new(radcam_sim::sensors::load("cmos12").unwrap()).unwrap();
+    let truth = sensor.maps().uniformity.slice(ndarray::s![300..380, 400..496]).to_owned();
+    let mean = truth.mean().unwrap();
+    let n = truth.len() as f64;
+    let off = ndarray::Zip::from(&calibration.k).and(&truth).map_collect(|&k, &t| f64::from(k - t / mean));
+    let rms = (off.mapv(|x| x * x).sum() / n).sqrt();
+    let stated = f64::from(calibration.k_std_err.mean().unwrap());
+    assert!((rms / stated - 1.0).abs() < 0.1, "K is off by {rms}, stated {stated}");
+
+    let out = expect(0, &["correct", &at("cal.tiff"), &at("c"), "-o", &at("flat")]);
+    assert!(out.contains("168 frames corrected"), "{out}");
+    let frame = at("c/frames/00030.tiff");
+    expect(0, &["correct", &at("cal.tiff"), &frame, "-o", &at("one.tiff"), "--codes", "8,256"]);
+    assert!(fs::metadata(at("one.tiff")).unwrap().len() > 96 * 80 * 2);
+    // What it refuses.
+    let other = at("other");
+    expect(0, &["simulate", "cmos12", "--seed", "9", "--plan", &at("plan.toml"), "-o", &other]);
+    let said = refused(&["correct", &at("cal.tiff"), &other, "-o", &at("x")]);
+    assert!(said.contains("serial is SIM9, and was SIM12") && said.contains("--force"), "{said}");
+    fs::write(at("short.tiff"), &fs::read(at("cal.tiff")).unwrap()[..3000]).unwrap();
+    assert!(refused(&["correct", &at("short.tiff"), &frame, "-o", &at("x")]).contains("short.tiff"));
+    simulate(&dir.path().join("flat_only"));
+    assert!(refused(&["calibrate", &at("flat_only"), "-o", &at("y.tiff")]).contains("three configurations"));
+}
+
 /// One verb continues what another run left unfinished.
 #[test]
 fn resume_from_the_command_line() {

@@ -1,0 +1,67 @@
+//! `radcam calibrate`
+
+use super::Outcome;
+use super::common::STOP;
+use crate::calibrate::pattern::{Options, Start};
+use crate::calibrate::{Estimator, of_dataset};
+use crate::dataset::Dataset;
+use crate::noise;
+use anyhow::Result;
+use std::path::PathBuf;
+
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// A dataset folder or an EMVA 1288 descriptor, with darks and with flats of three configurations or more
+    dataset: PathBuf,
+    /// The calibration file
+    #[arg(short, long, value_name = "CAL.tiff")]
+    output: PathBuf,
+    /// joint: each light a smooth surface; paper: each light the mean over a window
+    #[arg(long, default_value = "joint", value_parser = ["joint", "paper"])]
+    estimator: String,
+    /// paper: side of the window, pixels
+    #[arg(long, default_value_t = 9)]
+    window: usize,
+    /// paper: keep slopes within p pooled deviations
+    #[arg(long, default_value_t = 1.5)]
+    p: f64,
+    /// paper: begin at the mean over the configurations, as printed, instead of the median
+    #[arg(long)]
+    start_at_mean: bool,
+}
+
+pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    let start = if arguments.start_at_mean { Start::Mean } else { Start::Median };
+    let estimator = match &*arguments.estimator {
+        "paper" => Estimator::Paper(Options { window: arguments.window, p: arguments.p, start }),
+        _ => Estimator::Joint,
+    };
+    let dataset = Dataset::open(&arguments.dataset)?;
+    // A calibration campaign may have one level only; then it says nothing of the noise.
+    let noise = noise::of_dataset(&dataset, &STOP, &mut |_, _| {}).ok();
+    let provenance = format!("radcam {} from {}", env!("CARGO_PKG_VERSION"), arguments.dataset.display());
+    let calibration = of_dataset(&dataset, estimator, noise.as_ref(), &provenance)?;
+    calibration.write(&arguments.output)?;
+    let d = &calibration.description;
+    let sd = |x: &ndarray::Array2<f32>| f64::from(x.std(0.0));
+    println!("{}: {} x {} px, {}", arguments.output.display(), d.camera.width, d.camera.height, d.estimator);
+    println!(
+        "  K                {} configurations of {} frames, standard deviation {:.5}",
+        d.n1,
+        d.n2,
+        sd(&calibration.k)
+    );
+    let error = calibration.k_std_err.mean().unwrap_or(f32::NAN);
+    println!("  error of K       {error:.5} a pixel");
+    let level = &calibration.dark.level_dn;
+    let mean = level.mean().unwrap_or(f32::NAN);
+    println!(
+        "  dark reference   {mean:.3} DN, standard deviation {:.3} DN, at {} s",
+        sd(level),
+        d.dark_exposure_s
+    );
+    if calibration.dark.current_dn_per_s.is_none() {
+        println!("  note: darks of one exposure: the dark reference holds at {} s only", d.dark_exposure_s);
+    }
+    Ok(Outcome::Agreement)
+}
