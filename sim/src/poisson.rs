@@ -50,11 +50,8 @@ impl Site {
 /// A mean that is not above zero (or not a number) gives zero.
 #[inline(always)]
 pub fn poisson_lanes(mean: &[f64; LANES], noise: &NoiseLanes, site: Site) -> [f64; LANES] {
-    let mut brightest = 0.0;
-    for i in 0..LANES {
-        brightest = if mean[i] > brightest { mean[i] } else { brightest };
-    }
-    if brightest < NORMAL_FROM {
+    // Which way a pixel is drawn does not change its number, so that a look at the first one is enough to guess.
+    if mean[0] < NORMAL_FROM && mean.iter().all(|&m| m < NORMAL_FROM) {
         return invert_lanes(mean, &noise.bits, site);
     }
     let mut k = [0.0; LANES];
@@ -323,6 +320,22 @@ mod tests {
                 let k = (mean + z * f64::sqrt(mean)).floor().max(0.0);
                 let (ours, theirs) = (probability(mean, k), exact.pmf(k as u64));
                 assert!((ours / theirs - 1.0).abs() < 1e-8, "mean {mean}, k {k}: {ours} {theirs}");
+            }
+        }
+    }
+
+    /// A dim pixel's number does not depend on whether its neighbours are bright.
+    #[test]
+    fn a_pixel_does_not_see_its_neighbours() {
+        for block in 0..2000 {
+            let site = Site { seed: 9, frame: 1, first_pixel: block * LANES as u32 };
+            let noise = noise_lanes(&Keys::new(9), 1, site.first_pixel);
+            let mut means: [f64; LANES] = std::array::from_fn(|i| 0.3 * i as f64);
+            let dim = poisson_lanes(&means, &noise, site);
+            for bright in [0, 17] {
+                means[bright] = 5000.0;
+                let mixed = poisson_lanes(&means, &noise, site);
+                assert!((0..LANES).filter(|&i| means[i] < 10.0).all(|i| mixed[i] == dim[i]), "block {block}");
             }
         }
     }

@@ -126,11 +126,11 @@ fn unit(bits: u64) -> f64 {
     f64::from_bits(ONE_BITS | (bits & MANTISSA)) - 1.0
 }
 
-/// Natural logarithm of a normal number in (0, 1], to 1e-12, in vectorisable steps.
+/// -2 ln x of a normal number in (0, 1], to 1e-12, in vectorisable steps.
 ///
 /// ln(m 2^e) = e ln 2 + 2 artanh((m - 1) / (m + 1)), with m in [sqrt(1/2), sqrt 2).
 #[inline(always)]
-fn ln(x: f64) -> f64 {
+fn minus_two_ln(x: f64) -> f64 {
     const ROOT_HALF_BITS: u64 = std::f64::consts::FRAC_1_SQRT_2.to_bits();
     // Moves the step from one exponent to the next from 1 to sqrt(1/2).
     let moved = x.to_bits() + (ONE_BITS - ROOT_HALF_BITS);
@@ -138,14 +138,14 @@ fn ln(x: f64) -> f64 {
     let m = f64::from_bits((moved & MANTISSA) + ROOT_HALF_BITS);
     let s = (m - 1.0) / (m + 1.0);
     let z = s * s;
-    let mut p = 2.0 / 13.0;
-    p = p * z + 2.0 / 11.0;
-    p = p * z + 2.0 / 9.0;
-    p = p * z + 2.0 / 7.0;
-    p = p * z + 2.0 / 5.0;
-    p = p * z + 2.0 / 3.0;
-    p = p * z + 2.0;
-    e * std::f64::consts::LN_2 + s * p
+    let mut p = -4.0 / 13.0;
+    p = p * z - 4.0 / 11.0;
+    p = p * z - 4.0 / 9.0;
+    p = p * z - 4.0 / 7.0;
+    p = p * z - 4.0 / 5.0;
+    p = p * z - 4.0 / 3.0;
+    p = p * z - 4.0;
+    e * (-2.0 * std::f64::consts::LN_2) + s * p
 }
 
 /// exp(-x) for 0 <= x < 700, to 1e-15, in vectorisable steps: 2^n times the Taylor series of exp over |r| <= ln 2 / 2.
@@ -214,7 +214,7 @@ fn cos_sin_quarter(f: f64) -> (f64, f64) {
 fn normal_polar(w0: u64, w1: u64, w2: u64) -> (f64, f64, f64) {
     // 52 bits for the distance, U in (0, 1].
     let u = 2.0 - f64::from_bits(ONE_BITS | (w0 & LOW32) | ((w1 & 0xF_FFFF) << 32));
-    let square = -2.0 * ln(u);
+    let square = minus_two_ln(u);
     // 44 bits for the direction: 42 for the angle within a quarter turn about the x axis, one that turns it
     // to the other side of the origin, one that swaps the axes.
     let f = f64::from_bits(ONE_BITS | ((w2 & LOW32) << 20) | ((w1 & LOW32) >> 22)) - 1.5;
@@ -327,9 +327,10 @@ mod tests {
         let mut worst = (0.0_f64, 0.0_f64);
         for i in 0..100_000 {
             let u = (f64::from(i) + 0.5) / 100_000.0;
-            worst.0 = worst.0.max((ln(u) - libm::log(u)).abs() / (1.0 + libm::log(u).abs()));
+            worst.0 = worst.0.max((minus_two_ln(u) / -2.0 - libm::log(u)).abs() / (1.0 + libm::log(u).abs()));
             let tiny = u * 2f64.powi(-50);
-            worst.0 = worst.0.max((ln(tiny) - libm::log(tiny)).abs() / libm::log(tiny).abs());
+            worst.0 =
+                worst.0.max((minus_two_ln(tiny) / -2.0 - libm::log(tiny)).abs() / libm::log(tiny).abs());
             let (c, s) = cos_sin_quarter(u - 0.5);
             let angle = std::f64::consts::FRAC_PI_2 * (u - 0.5);
             worst.1 = worst.1.max((c - libm::cos(angle)).abs()).max((s - libm::sin(angle)).abs());
