@@ -72,9 +72,76 @@ fn moments(c: &mut Criterion) {
     });
 }
 
+/// Correction of 5-megapixel frames, and a copy of the same number of bytes.
+fn correct(c: &mut Criterion) {
+    use radcam::calibrate::dark::DarkReference;
+    use radcam::calibrate::file::{Calibration, Description};
+    use radcam::correct::{Codes, Corrector};
+    use radcam::dataset::CameraInfo;
+    use rayon::prelude::*;
+    let (rows, columns) = (2048, 2448);
+    let plane = |from: f32, to: f32| {
+        ndarray::Array2::from_shape_fn((rows, columns), |(y, x)| {
+            from + (to - from) * ((y * 31 + x * 17) % 997) as f32 / 997.0
+        })
+    };
+    let info = CameraInfo { width: columns, height: rows, bit_depth: 12, ..Default::default() };
+    let calibration = Calibration {
+        description: Description::of(info),
+        dark: DarkReference {
+            exposure_s: 0.01,
+            level_dn: plane(60.0, 70.0),
+            current_dn_per_s: None,
+            std_err_dn: 0.1,
+            var_dn2: 1.0,
+        },
+        k: plane(0.95, 1.05),
+        k_std_err: plane(0.001, 0.001),
+        defects: ndarray::Array2::zeros((rows, columns)),
+    };
+    let corrector = Corrector::new(&calibration, 0.01).unwrap();
+    let frame: Vec<u16> = (0..rows * columns).map(|p| (p * 31 % 4096) as u16).collect();
+    let (mut codes, mut float) = (vec![0u16; frame.len()], vec![0f32; frame.len()]);
+    let to = Codes { scale: 12.0, offset: 100.0 };
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let mut group = c.benchmark_group("correct");
+    group.throughput(Throughput::Elements(frame.len() as u64));
+    let mut to_u16 = || corrector.to_u16(black_box(&frame), to, black_box(&mut codes)).unwrap();
+    group.bench_function("to_u16_one_core", |b| b.iter(|| one.install(&mut to_u16)));
+    group.bench_function("to_u16", |b| b.iter(&mut to_u16));
+    let mut to_f32 = || corrector.to_f32(black_box(&frame), black_box(&mut float)).unwrap();
+    group.bench_function("to_f32_one_core", |b| b.iter(|| one.install(&mut to_f32)));
+    group.bench_function("to_f32", |b| b.iter(&mut to_f32));
+    // What memory gives: four bytes read and four written for each pixel, in the same pieces.
+    let source = vec![1.5f32; frame.len()];
+    group.bench_function("copy_4_bytes", |b| {
+        b.iter(|| {
+            let out = black_box(&mut float).par_chunks_mut(65_536);
+            out.zip(black_box(&source).par_chunks(65_536)).for_each(|(to, from)| to.copy_from_slice(from));
+        });
+    });
+}
+
+/// K from 20 configurations of 5 megapixels.
+fn pattern(c: &mut Criterion) {
+    use radcam::calibrate::{joint::joint, pattern::Options, pattern::paper};
+    let (rows, columns) = (2048, 2448);
+    let images: Vec<ndarray::Array2<f32>> = (0..20)
+        .map(|i| {
+            ndarray::Array2::from_shape_fn((rows, columns), |(y, x)| {
+                1000.0 + ((y * 31 + x * 17 + i * 7) % 101) as f32 * 0.1
+            })
+        })
+        .collect();
+    let mut group = c.benchmark_group("pattern");
+    group.throughput(Throughput::Elements((rows * columns) as u64)).sample_size(10);
+    group.bench_function("paper", |b| b.iter(|| paper(black_box(&images), Options::default()).unwrap()));
+    group.bench_function("joint", |b| b.iter(|| joint(black_box(&images)).unwrap()));
+}
+
 criterion_group! {
     name = benches;
     config = Criterion::default().sample_size(20).measurement_time(std::time::Duration::from_secs(3));
-    targets = simulate, moments
+    targets = simulate, moments, correct, pattern
 }
 criterion_main!(benches);

@@ -58,7 +58,7 @@ pub struct GenicamBench {
     /// Integer feature of the configuration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub configuration: Option<String>,
-    /// Enumeration feature of the scene, with the entries `Card` and `Patch`.
+    /// Enumeration feature of the scene, with the entries `Card`, `Patch` and `Chart`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
     /// Time after a change until the light is steady, s.
@@ -172,6 +172,7 @@ impl<R: BufRead, W: Write> Illuminator for PersonBench<R, W> {
                 self.ask(match state.scene {
                     Scene::Card => "Put the uniform card before the camera",
                     Scene::Patch => "Put a still scene with a bright patch in the middle before the camera",
+                    Scene::Chart => "Put the surfaces to be told apart before the camera",
                 })?;
             }
             if before.map_or(0, |b| b.configuration) != state.configuration {

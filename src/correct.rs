@@ -1,6 +1,7 @@
 //! Correction of frames, eq. (51): D_C = (D - D_D) / K. The hot path: one pass, no allocation per frame.
 
 use crate::calibrate::dark::DarkError;
+use crate::calibrate::defects::replacements;
 use crate::calibrate::file::Calibration;
 use crate::dataset::CameraInfo;
 use ndarray::Array2;
@@ -17,6 +18,8 @@ pub struct Corrector {
     dark_dn: Vec<f32>,
     /// 1 / K.
     gain: Vec<f32>,
+    /// Pixels to replace, and the sound ones whose mean replaces them.
+    replace: Vec<(usize, Vec<usize>)>,
 }
 
 /// How corrected values become 16-bit codes: code = scale * D_C + offset, rounded, clipped to 0 and 65535.
@@ -77,7 +80,19 @@ impl Corrector {
             shape: dark.dim(),
             dark_dn: dark.iter().copied().collect(),
             gain: calibration.k.iter().map(|&k| 1.0 / k).collect(),
+            replace: Vec::new(),
         })
+    }
+
+    /// Also replaces the flagged pixels of the calibration by the mean of the nearest sound ones.
+    pub fn replacing_defects(mut self, calibration: &Calibration) -> Self {
+        self.replace = replacements(&calibration.defects);
+        self
+    }
+
+    /// Pixels that are replaced.
+    pub fn replaced(&self) -> usize {
+        self.replace.len()
     }
 
     /// Rows and columns.
@@ -103,6 +118,9 @@ impl Corrector {
                 arch.dispatch(ToFloat { frame, dark, gain, out });
             },
         );
+        for (at, from) in &self.replace {
+            out[*at] = from.iter().map(|&i| out[i]).sum::<f32>() / from.len() as f32;
+        }
         Ok(())
     }
 
@@ -116,6 +134,11 @@ impl Corrector {
                 arch.dispatch(ToCodes { frame, dark, gain, codes, out });
             },
         );
+        for (at, from) in &self.replace {
+            let sum: u64 = from.iter().map(|&i| u64::from(out[i])).sum();
+            let n = from.len() as u64;
+            out[*at] = ((sum + n / 2) / n) as u16;
+        }
         Ok(())
     }
 
@@ -185,22 +208,6 @@ mod tests {
         CameraInfo { width: info.1, height: info.0, bit_depth: 12, ..Default::default() }
     }
 
-    fn describe(info: (usize, usize)) -> Description {
-        Description {
-            format: String::new(),
-            camera: camera(info),
-            pages: Vec::new(),
-            dark_exposure_s: 0.0,
-            gain_dn_per_e: None,
-            constant_noise_var_dn2: None,
-            offset_dn: None,
-            n1: 0,
-            n2: 0,
-            estimator: "joint".into(),
-            provenance: String::new(),
-        }
-    }
-
     /// A corrected flat at high light has the spatial variance of shot and constant noise alone, within 3 % at eight
     /// levels, while the raw one's grows as intensity squared. The light itself is even here, so that what is left of
     /// the pattern is the camera's.
@@ -235,7 +242,7 @@ mod tests {
         let reference = dark.at(flat_s).unwrap().mapv(f64::from);
         let flats: Vec<_> =
             (0..16).map(|_| (average(&at(flat_s, 0.9), 20).0 - &reference).mapv(|x| x as f32)).collect();
-        let calibration = Calibration::new(describe(shape), dark, joint(&flats).unwrap());
+        let calibration = Calibration::new(Description::of(camera(shape)), dark, joint(&flats).unwrap(), &[]);
 
         let variance = |x: &Array2<f64>| {
             let mean = x.mean().unwrap();
@@ -270,7 +277,12 @@ mod tests {
 
     #[test]
     fn codes_round_and_clip_and_sizes_are_checked() {
-        let corrector = Corrector { shape: (1, 4), dark_dn: vec![10.0; 4], gain: vec![2.0, 1.0, 1.0, 1.0] };
+        let corrector = Corrector {
+            shape: (1, 4),
+            dark_dn: vec![10.0; 4],
+            gain: vec![2.0, 1.0, 1.0, 1.0],
+            replace: vec![],
+        };
         let mut out = [0u16; 4];
         let codes = Codes { scale: 16.0, offset: 100.0 };
         corrector.to_u16(&[20, 10, 0, 65_535], codes, &mut out).unwrap();
@@ -279,6 +291,11 @@ mod tests {
         corrector.to_f32(&[20, 10, 0, 11], &mut float).unwrap();
         assert_eq!(float, [20.0, 0.0, -10.0, 1.0]);
         assert!(corrector.to_f32(&[1, 2], &mut float).is_err());
+        let replacing = Corrector { replace: vec![(1, vec![0, 3])], ..corrector };
+        replacing.to_f32(&[20, 10, 0, 12], &mut float).unwrap();
+        assert_eq!(float, [20.0, 11.0, -10.0, 2.0]);
+        replacing.to_u16(&[20, 10, 0, 12], codes, &mut out).unwrap();
+        assert_eq!(out[1], (420 + 132) / 2);
     }
 
     #[test]

@@ -27,6 +27,7 @@
 //! ```
 
 pub mod bench;
+pub mod budget;
 pub mod calibrate;
 pub mod camera;
 pub mod capture;
@@ -40,6 +41,9 @@ pub mod noise;
 pub mod pixel_format;
 pub mod plan;
 pub mod report;
+pub mod reproduce;
+pub mod scene_variation;
 #[cfg(feature = "aravis")]
 pub mod serve;
 pub mod statistics;
+pub mod surfaces;

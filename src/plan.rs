@@ -114,7 +114,8 @@ impl SetPlan {
     pub fn bench(&self) -> BenchState {
         let scene = match self.kind {
             Kind::Scene => Scene::Patch,
-            Kind::Dark | Kind::Flat | Kind::Target => Scene::Card,
+            Kind::Target => Scene::Chart,
+            Kind::Dark | Kind::Flat => Scene::Card,
         };
         BenchState { illumination: self.illumination, configuration: self.configuration, scene }
     }

@@ -97,6 +97,10 @@ fn set_up(model: &Model, r: &Registers) {
     r.set_u32(register::SCENE, 0);
 }
 
+/// Entries of `BenchScene`.
+const SCENES: [(&str, u32, Scene); 3] =
+    [("Card", 0, Scene::Card), ("Patch", 1, Scene::Patch), ("Chart", 2, Scene::Chart)];
+
 /// What the registers ask for.
 fn conditions(sensor: &Sensor, r: &Registers) -> Conditions {
     let body = &sensor.model().camera;
@@ -111,7 +115,7 @@ fn conditions(sensor: &Sensor, r: &Registers) -> Conditions {
     let bench = BenchState {
         illumination: if dark { 0.0 } else { sound(r.f64(register::ILLUMINATION), 0.0, 1e6, 0.0) },
         configuration: r.u32(register::CONFIGURATION),
-        scene: if r.u32(register::SCENE) == 1 { Scene::Patch } else { Scene::Card },
+        scene: SCENES.iter().find(|(_, n, _)| *n == r.u32(register::SCENE)).map_or(Scene::Card, |s| s.2),
     };
     let full_scale = f64::from(sensor.model().full_scale_dn());
     Conditions {
@@ -122,6 +126,7 @@ fn conditions(sensor: &Sensor, r: &Registers) -> Conditions {
         temperature_c: sound(r.f64(register::TEMPERATURE_C), -273.0, 200.0, 25.0),
         gain_db: sound(r.f64(register::GAIN_DB), 0.0, body.gain_max_db, 0.0),
         black_level_dn: sound(r.f64(register::BLACK_LEVEL), 0.0, full_scale, 0.0),
+        time_s: 0.0,
     }
 }
 
@@ -185,7 +190,7 @@ impl Painter for Artist {
             );
             return now_ns;
         };
-        let conditions = conditions(&self.sensor, registers);
+        let conditions = Conditions { time_s: self.time_s - 1.0, ..conditions(&self.sensor, registers) };
         let job = Job { number: request.number, conditions, region: Region { x, y, width, height } };
 
         let mut dn = std::mem::take(&mut self.spare);
@@ -206,7 +211,8 @@ impl Painter for Artist {
         }
         self.time_s += conditions.exposure_s + readout_s;
         // Most likely the next frame is asked for under the same conditions.
-        let next = Job { number: request.number + 1, ..job };
+        let conditions = Conditions { time_s: self.time_s - 1.0, ..conditions };
+        let next = Job { number: request.number + 1, conditions, ..job };
         match self.jobs.try_send((next, dn)) {
             Ok(()) => self.ahead = true,
             Err(std::sync::mpsc::TrySendError::Full((_, memory)))
@@ -358,7 +364,7 @@ fn description(model: &Model) -> String {
     d.boolean("BenchControl", "BenchDark", register::DARK);
     let configurations = "<Min>0</Min><Max>1000000</Max>";
     d.integer("BenchControl", "BenchConfiguration", register::CONFIGURATION, configurations);
-    d.enumeration("BenchControl", "BenchScene", register::SCENE, &[("Card", 0), ("Patch", 1)]);
+    d.enumeration("BenchControl", "BenchScene", register::SCENE, &SCENES.map(|(name, n, _)| (name, n)));
 
     d.list("TransportLayerControl", "PayloadSize");
     d.nodes.push_str(

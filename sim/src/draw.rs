@@ -41,6 +41,8 @@ pub struct Conditions {
     pub gain_db: f64,
     /// Black level, DN.
     pub black_level_dn: f64,
+    /// Time since the camera was switched on, s.
+    pub time_s: f64,
 }
 
 /// Expected statistics of each pixel, (rows, columns).
@@ -215,6 +217,7 @@ impl Sensor {
             temperature_c: self.model.base.dark_reference_c,
             gain_db: 0.0,
             black_level_dn: self.model.base.black_level_dn,
+            time_s: 0.0,
         }
     }
 
@@ -224,7 +227,7 @@ impl Sensor {
         match &*kept {
             Some((known, map)) if *known == key => Arc::clone(map),
             _ => {
-                let map = Arc::new(light_map(&self.model.camera, &self.model.bench, scene, configuration));
+                let map = Arc::new(light_map(&self.model, scene, configuration));
                 *kept = Some((key, Arc::clone(&map)));
                 map
             }
@@ -242,6 +245,7 @@ impl Sensor {
             light_e: self.model.bench.photon_flux_per_s
                 * base.quantum_efficiency
                 * c.illumination
+                * (1.0 + self.model.bench.lamp_drift_per_h * c.time_s / 3600.0)
                 * c.exposure_s,
             dark_e: base.dark_current_e_per_s * warmth * c.exposure_s,
             read_noise_dn: base.read_noise_e * gain_dn_per_e,
@@ -389,7 +393,7 @@ mod tests {
         let sd = (k.iter().map(|&v| (f64::from(v) - mean).powi(2)).sum::<f64>() / n).sqrt();
         assert!((mean - 1.0).abs() < 1e-7);
         // Five standard errors of a standard deviation.
-        assert!((sd / 3.72e-3 - 1.0).abs() < 5.0 / (2.0 * n).sqrt());
+        assert!((sd / sensor.model().base.sigma_k - 1.0).abs() < 5.0 / (2.0 * n).sqrt());
     }
 
     #[test]

@@ -21,12 +21,16 @@
 mod draw;
 mod maps;
 mod model;
+mod optics;
 mod poisson;
 pub mod rng;
 mod scene;
 pub mod sensors;
+mod surface;
 
 pub use draw::{Conditions, Expected, Region, Sensor};
 pub use maps::Maps;
 pub use model::{Base, Bench, Body, FORMAT, Model, ModelError};
-pub use scene::{PATCH_BACKGROUND, Scene};
+pub use optics::{Band, Optics};
+pub use scene::{PATCH_BACKGROUND, Scene, Square};
+pub use surface::{Spectrum, Texture};

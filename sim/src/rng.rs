@@ -27,6 +27,10 @@ pub enum Stream {
     HotPixels = 3,
     /// The map of offsets at zero charge.
     Offset = 4,
+    /// Grain of the card and of painted squares.
+    Card = 5,
+    /// Spots on them.
+    Spots = 6,
 }
 
 const M0: u64 = 0xD251_1F53;

@@ -111,7 +111,11 @@ impl DarkReference {
             Some(current) => {
                 Ok(Zip::from(&self.level_dn).and(current).map_collect(|&l, &c| l + c * reach as f32))
             }
-            None => Err(DarkError::Exposure { measured_s: self.exposure_s, wanted_s: exposure_s }),
+            None => {
+                // To a nanosecond: what lies below is arithmetic.
+                let tidy = |s: f64| (s * 1e9).round() / 1e9;
+                Err(DarkError::Exposure { measured_s: tidy(self.exposure_s), wanted_s: tidy(exposure_s) })
+            }
         }
     }
 }

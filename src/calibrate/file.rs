@@ -1,9 +1,10 @@
 //! The calibration file: a multi-page TIFF of 32-bit floats with its meaning in the first page's description.
 //!
-//! Page 0 is the dark reference in DN, page 1 is K with mean 1, then the standard error of K, and the dark current in DN per
-//! second where it is known. ImageJ, OpenCV and tifffile open it.
+//! Page 0 is the dark reference in DN, page 1 is K with mean 1, then the standard error of K, the flags of defects, and the
+//! dark current in DN per second where it is known. ImageJ, OpenCV and tifffile open it.
 
 use crate::calibrate::dark::DarkReference;
+use crate::calibrate::defects::Defect;
 use crate::calibrate::pattern::FixedPattern;
 use crate::dataset::{CameraInfo, write_whole};
 use ndarray::Array2;
@@ -34,6 +35,15 @@ pub struct Description {
     pub constant_noise_var_dn2: Option<f64>,
     /// Level of zero charge, DN.
     pub offset_dn: Option<f64>,
+    /// Variance of A, covariance of A and sigma_C^2, variance of sigma_C^2.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise_covariance: Option<[f64; 3]>,
+    /// Standard error of the dark reference, DN.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dark_std_err_dn: Option<f64>,
+    /// Pixels with a flag in the map of defects.
+    #[serde(default)]
+    pub defects: usize,
     /// Configurations n1.
     pub n1: usize,
     /// Frames n2 averaged in each.
@@ -55,6 +65,8 @@ pub struct Calibration {
     pub k: Array2<f32>,
     /// Standard error of K.
     pub k_std_err: Array2<f32>,
+    /// Flags of [`super::defects`], 0 where the pixel is sound.
+    pub defects: Array2<u8>,
 }
 
 /// Why a calibration file cannot be read or written.
@@ -69,17 +81,51 @@ const DARK: &str = "dark_reference_dn";
 const K: &str = "k";
 const K_ERROR: &str = "k_std_err";
 const CURRENT: &str = "dark_current_dn_per_s";
+const DEFECTS: &str = "defects";
+
+impl Description {
+    /// A description of nothing but the camera.
+    pub fn of(camera: CameraInfo) -> Self {
+        Self {
+            format: FORMAT.into(),
+            camera,
+            pages: Vec::new(),
+            dark_exposure_s: 0.0,
+            gain_dn_per_e: None,
+            constant_noise_var_dn2: None,
+            offset_dn: None,
+            noise_covariance: None,
+            dark_std_err_dn: None,
+            defects: 0,
+            n1: 0,
+            n2: 0,
+            estimator: String::new(),
+            provenance: String::new(),
+        }
+    }
+}
 
 impl Calibration {
     /// Puts a calibration together; `description.format` and `.pages` are filled in.
-    pub fn new(mut description: Description, dark: DarkReference, pattern: FixedPattern) -> Self {
+    pub fn new(
+        mut description: Description,
+        dark: DarkReference,
+        pattern: FixedPattern,
+        found: &[Defect],
+    ) -> Self {
         description.format = FORMAT.into();
+        description.dark_std_err_dn = Some(dark.std_err_dn).filter(|e| e.is_finite());
+        let mut defects = Array2::zeros(pattern.k.dim());
+        for d in found {
+            defects[(d.y, d.x)] = d.flags;
+        }
+        description.defects = found.len();
         description.dark_exposure_s = dark.exposure_s;
-        description.pages = vec![DARK.into(), K.into(), K_ERROR.into()];
+        description.pages = vec![DARK.into(), K.into(), K_ERROR.into(), DEFECTS.into()];
         if dark.current_dn_per_s.is_some() {
             description.pages.push(CURRENT.into());
         }
-        Self { description, dark, k: pattern.k, k_std_err: pattern.std_err }
+        Self { description, dark, k: pattern.k, k_std_err: pattern.std_err, defects }
     }
 
     /// Writes the file whole or not at all.
@@ -88,10 +134,12 @@ impl Calibration {
         let mut out = Cursor::new(Vec::new());
         let mut encoder = TiffEncoder::new(&mut out).map_err(|e| fault(e.to_string()))?;
         let text = serde_json::to_string(&self.description).map_err(|e| fault(e.to_string()))?;
+        let defects = self.defects.mapv(f32::from);
         let pages = [
             Some(&self.dark.level_dn),
             Some(&self.k),
             Some(&self.k_std_err),
+            Some(&defects),
             self.dark.current_dn_per_s.as_ref(),
         ];
         for (i, page) in pages.into_iter().flatten().enumerate() {
@@ -166,10 +214,14 @@ impl Calibration {
             exposure_s: description.dark_exposure_s,
             level_dn,
             current_dn_per_s: take(CURRENT).ok(),
-            std_err_dn: f64::NAN,
+            std_err_dn: description.dark_std_err_dn.unwrap_or(f64::NAN),
             var_dn2: f64::NAN,
         };
-        Ok(Self { description, dark, k, k_std_err })
+        let defects = match take(DEFECTS) {
+            Ok(flags) => flags.mapv(|f| f as u8),
+            Err(_) => Array2::zeros(k.dim()),
+        };
+        Ok(Self { description, dark, k, k_std_err, defects })
     }
 }
 
@@ -191,21 +243,19 @@ mod tests {
             std_err: plane(0.001),
             kept: Array2::from_elem((3, 4), 9),
             pooled_sd: 0.003,
+            mean_before: 1.0,
         };
+        let camera = CameraInfo { width: 4, height: 3, bit_depth: 12, ..Default::default() };
         let description = Description {
-            format: String::new(),
-            camera: CameraInfo { width: 4, height: 3, bit_depth: 12, ..Default::default() },
-            pages: Vec::new(),
-            dark_exposure_s: 0.0,
             gain_dn_per_e: Some(0.38),
             constant_noise_var_dn2: Some(1.06),
-            offset_dn: None,
+            noise_covariance: Some([1e-8, 0.0, 1e-4]),
             n1: 12,
             n2: 18,
-            estimator: "joint".into(),
-            provenance: "a test".into(),
+            ..Description::of(camera)
         };
-        Calibration::new(description, dark, pattern)
+        let defect = Defect { y: 1, x: 2, flags: 5, dark_excess_dn: 9.0, k: 1.0, variance_ratio: 6.0 };
+        Calibration::new(description, dark, pattern, &[defect])
     }
 
     #[test]
@@ -218,6 +268,7 @@ mod tests {
             let read = Calibration::read(&path).unwrap();
             assert_eq!(read.description, written.description);
             assert_eq!((&read.k, &read.k_std_err), (&written.k, &written.k_std_err));
+            assert_eq!((&read.defects, read.defects[(1, 2)]), (&written.defects, 5));
             assert_eq!(read.dark.level_dn, written.dark.level_dn);
             assert_eq!(read.dark.current_dn_per_s, written.dark.current_dn_per_s);
         }

@@ -27,22 +27,63 @@ pub fn joint(configurations: &[Array2<f32>]) -> Result<FixedPattern, PatternErro
     let blocks = Blocks::new(shape);
     let mut k = Array2::<f32>::ones(shape);
     let order = blocks.order(configurations, &k);
-    let mut pooled_sd = 0.0;
+    let (mut pooled_sd, mut mean_before) = (0.0, 1.0);
     let mut kept = Array2::zeros(shape);
     // The first round's K takes the grain out of the second's surfaces; a third changes nothing that matters.
     for _ in 0..2 {
         let light: Vec<Array2<f32>> =
             configurations.par_iter().map(|e| blocks.surface(&blocks.medians(e, &k), order)).collect();
-        (pooled_sd, kept) = common(configurations, &light, &mut k);
+        (pooled_sd, kept, mean_before) = common(configurations, &light, &mut k);
     }
     let variance = efficiency(configurations.len());
     let n1 = configurations.len() as f64;
     let std_err = kept.mapv(|kept: u16| (pooled_sd * (variance * n1 / f64::from(kept.max(1))).sqrt()) as f32);
-    Ok(FixedPattern { k, std_err, kept, pooled_sd })
+    Ok(FixedPattern { k, std_err, kept, pooled_sd, mean_before })
 }
 
-/// K as the robust mean of e_i / L_i at every pixel, mean 1; returns the pooled deviation and the points with weight.
-fn common(configurations: &[Array2<f32>], light: &[Array2<f32>], k: &mut Array2<f32>) -> (f64, Array2<u16>) {
+/// K where nothing was moved: the mean image over a smooth surface. What the card and the lamp have at a finer scale than
+/// the surface is taken for the camera's: no frame can tell.
+///
+/// `noise` is (A, sigma_C^2) and `frames` their number in each image: the standard error holds the temporal noise alone.
+pub fn smooth(
+    images: &[Array2<f32>],
+    noise: Option<(f64, f64)>,
+    frames: u64,
+) -> Result<FixedPattern, PatternError> {
+    let Some(first) = images.first() else { return Err(PatternError::TooFew(0)) };
+    super::pattern::check_images(images)?;
+    let shape = first.dim();
+    let blocks = Blocks::new(shape);
+    let even = Array2::<f32>::ones(shape);
+    let order = blocks.order(images, &even);
+    let mut k = Array2::<f32>::zeros(shape);
+    let mut level = 0.0;
+    for e in images {
+        let light = blocks.surface(&blocks.medians(e, &even), order);
+        Zip::from(&mut k).and(e).and(&light).for_each(|k, &e, &l| *k += e / l.max(1e-6));
+        level += light.mean().map_or(0.0, f64::from) / images.len() as f64;
+    }
+    let mean = k.iter().map(|&k| f64::from(k)).sum::<f64>() / k.len() as f64;
+    k.mapv_inplace(|k| (f64::from(k) / mean) as f32);
+    let (gain, constant) = noise.unwrap_or((0.0, 1.0 / 12.0));
+    let samples = (frames.max(1) * images.len() as u64) as f64;
+    let error = ((gain * level + constant) / samples).sqrt() / level;
+    Ok(FixedPattern {
+        std_err: Array2::from_elem(shape, error as f32),
+        kept: Array2::from_elem(shape, images.len() as u16),
+        pooled_sd: error * (images.len() as f64).sqrt(),
+        mean_before: mean,
+        k,
+    })
+}
+
+/// K as the robust mean of e_i / L_i at every pixel, mean 1; returns the pooled deviation, the points with weight and the
+/// mean before it was brought to 1.
+fn common(
+    configurations: &[Array2<f32>],
+    light: &[Array2<f32>],
+    k: &mut Array2<f32>,
+) -> (f64, Array2<u16>, f64) {
     let (rows, columns) = k.dim();
     let n1 = configurations.len();
     let slopes = |at: (usize, usize), m: &mut Vec<f64>| {
@@ -66,7 +107,7 @@ fn common(configurations: &[Array2<f32>], light: &[Array2<f32>], k: &mut Array2<
     });
     let mean = k.iter().map(|&k| f64::from(k)).sum::<f64>() / k.len() as f64;
     k.mapv_inplace(|k| (f64::from(k) / mean) as f32);
-    (s, kept)
+    (s, kept, mean)
 }
 
 /// Tukey's biweight location with a known scale, from the median; and the number of points with weight.
@@ -276,6 +317,18 @@ mod tests {
         assert!((c - 1.0).abs() < 0.05, "chi-square per pixel {c}");
         let windows = paper(&images, Options::default()).unwrap();
         assert!(rms(&windows.k, &|_, _| true) > 1.2 * rms(&found.k, &|_, _| true));
+    }
+
+    /// One configuration: lamp and slope are taken off, the card's grain stays in K.
+    #[test]
+    fn one_configuration_keeps_the_card() {
+        let (images, truth) = bench(1, 0.0, 0.10, (128, 144));
+        let found = smooth(&images, None, 20).unwrap();
+        let off = Zip::from(&found.k).and(&truth).map_collect(|&k, &t| f64::from(k) - t);
+        let rms = off.mapv(|x| x * x).mean().unwrap().sqrt();
+        // 18,432 pixels: 3 % is more than five standard errors.
+        assert!((rms / GRAIN - 1.0).abs() < 0.03, "{rms}");
+        assert_eq!(smooth(&[], None, 1).unwrap_err(), PatternError::TooFew(0));
     }
 
     #[test]

@@ -1,15 +1,18 @@
 //! Section V: what a camera adds to an even light, and how to take it off again.
 
 pub mod dark;
+pub mod defects;
 pub mod file;
 pub mod joint;
 pub mod pattern;
+pub mod plan;
 pub mod window;
 
 use crate::dataset::{Dataset, DatasetError, Kind, Set};
-use crate::noise::NoiseReport;
+use crate::noise::{Method, NoiseReport};
 use crate::statistics::moments::Moments;
 use dark::{DarkError, DarkMean, DarkReference};
+use defects::Defect;
 use file::{Calibration, Description};
 use ndarray::Array2;
 use pattern::{Options, PatternError};
@@ -22,6 +25,9 @@ pub enum Estimator {
     Joint,
     /// Light as the mean over a window ([`pattern::paper`]).
     Paper(Options),
+    /// One configuration is enough: its light as a smooth surface. K then contains the card and all of the lamp that the
+    /// surface does not follow ([`joint::smooth`]).
+    Smooth,
 }
 
 /// Why a dataset gives no calibration.
@@ -63,52 +69,62 @@ fn average(dataset: &Dataset, sets: &[&Set]) -> Result<Moments, DatasetError> {
     Ok(moments)
 }
 
-/// Dark reference and K from a dataset: darks at any exposures, and flats of three configurations or more at one exposure
-/// and light.
-///
-/// Of flats with several exposures the one with the most configurations is taken, of equal ones the longest.
-pub fn of_dataset(
-    dataset: &Dataset,
-    estimator: Estimator,
-    noise: Option<&NoiseReport>,
-    provenance: &str,
-) -> Result<Calibration, CalibrateError> {
+/// Flats of one exposure and light, by configuration.
+struct Level<'a> {
+    exposure_s: f64,
+    illumination: f64,
+    configurations: BTreeMap<u32, Vec<&'a Set>>,
+}
+
+/// The exposure and light with the most configurations; of equal ones the longest.
+fn most_configurations(dataset: &Dataset) -> Option<Level<'_>> {
     // Exposures and light levels as bits: equal settings are equal to the last digit.
-    let mut darks: BTreeMap<u64, Vec<&Set>> = BTreeMap::new();
     let mut flats: BTreeMap<(u64, u64), BTreeMap<u32, Vec<&Set>>> = BTreeMap::new();
     for set in dataset.sets() {
         let row = dataset.settings(set);
-        let exposure = row.exposure_s.to_bits();
-        match row.kind {
-            Kind::Dark => darks.entry(exposure).or_default().push(set),
-            Kind::Flat => {
-                let level = flats.entry((exposure, row.illumination.to_bits())).or_default();
-                level.entry(row.configuration).or_default().push(set);
-            }
-            Kind::Scene | Kind::Target => {}
+        if row.kind == Kind::Flat {
+            let level = flats.entry((row.exposure_s.to_bits(), row.illumination.to_bits())).or_default();
+            level.entry(row.configuration).or_default().push(set);
         }
     }
-    let best = flats.iter().max_by(|(a, x), (b, y)| x.len().cmp(&y.len()).then(a.cmp(b)));
-    let Some((&(exposure, _), configurations)) = best else { return Err(CalibrateError::NoFlats) };
-    let exposure_s = f64::from_bits(exposure);
-    // Before anything is read.
-    if configurations.len() < 3 {
-        return Err(PatternError::TooFew(configurations.len()).into());
+    let best = flats.into_iter().max_by(|(a, x), (b, y)| x.len().cmp(&y.len()).then(a.cmp(b)));
+    best.map(|((exposure, light), configurations)| Level {
+        exposure_s: f64::from_bits(exposure),
+        illumination: f64::from_bits(light),
+        configurations,
+    })
+}
+
+/// Exposure, s, and light of the flats with the most configurations.
+fn best_level(dataset: &Dataset) -> Option<(f64, f64)> {
+    most_configurations(dataset).map(|l| (l.exposure_s, l.illumination))
+}
+
+/// The means of the darks, one for each exposure.
+pub(crate) fn dark_means(dataset: &Dataset) -> Result<Vec<DarkMean>, DatasetError> {
+    let mut darks: BTreeMap<u64, Vec<&Set>> = BTreeMap::new();
+    for set in dataset.sets() {
+        let row = dataset.settings(set);
+        if row.kind == Kind::Dark {
+            darks.entry(row.exposure_s.to_bits()).or_default().push(set);
+        }
     }
+    let mean = |(exposure, sets): (u64, Vec<&Set>)| {
+        let m = average(dataset, &sets)?;
+        let (mean_dn, var_dn2) = (m.mean_dn(), m.variance_dn2());
+        Ok(DarkMean { exposure_s: f64::from_bits(exposure), frames: m.frames(), mean_dn, var_dn2 })
+    };
+    darks.into_iter().map(mean).collect()
+}
 
-    let means = darks
-        .iter()
-        .map(|(&exposure, sets)| {
-            let m = average(dataset, sets)?;
-            let (mean_dn, var_dn2) = (m.mean_dn(), m.variance_dn2());
-            Ok(DarkMean { exposure_s: f64::from_bits(exposure), frames: m.frames(), mean_dn, var_dn2 })
-        })
-        .collect::<Result<Vec<_>, DatasetError>>()?;
-    let dark = DarkReference::fit(&means, exposure_s)?;
-    let level = dark.at(exposure_s)?;
-
+/// The e_i of eq. (46), and the frames in the smallest of them.
+fn images(
+    dataset: &Dataset,
+    configurations: &BTreeMap<u32, Vec<&Set>>,
+    dark_dn: &Array2<f32>,
+) -> Result<(Vec<Array2<f32>>, u64), CalibrateError> {
     let full = f64::from(dataset.manifest().camera.full_scale_dn());
-    let mut images: Vec<Array2<f32>> = Vec::new();
+    let mut images = Vec::new();
     let mut fewest = u64::MAX;
     for (&configuration, sets) in configurations {
         let moments = average(dataset, sets)?;
@@ -118,27 +134,78 @@ pub fn of_dataset(
         if clipped > 1e-3 {
             return Err(CalibrateError::Saturated { configuration, percent: 100.0 * clipped });
         }
-        images.push(ndarray::Zip::from(&mean).and(&level).map_collect(|&m, &d| m as f32 - d));
+        images.push(ndarray::Zip::from(&mean).and(dark_dn).map_collect(|&m, &d| m as f32 - d));
     }
+    Ok((images, fewest))
+}
+
+/// The e_i of a pilot.
+fn pilot_images(dataset: &Dataset) -> Result<(Vec<Array2<f32>>, u64), CalibrateError> {
+    let Some(level) = most_configurations(dataset) else { return Err(CalibrateError::NoFlats) };
+    let dark = DarkReference::fit(&dark_means(dataset)?, level.exposure_s)?.at(level.exposure_s)?;
+    images(dataset, &level.configurations, &dark)
+}
+
+/// A calibration, and the pixels that it flags.
+#[derive(Debug, Clone)]
+pub struct Calibrated {
+    /// What goes into the file.
+    pub calibration: Calibration,
+    /// Every defect with its reason.
+    pub defects: Vec<Defect>,
+}
+
+/// Dark reference and K from a dataset: darks at any exposures, and flats of three configurations or more at one exposure
+/// and light (one is enough for [`Estimator::Smooth`]). Frames are read one at a time: memory holds one mean image for each
+/// configuration, however many frames went into it.
+///
+/// Of flats with several exposures the one with the most configurations is taken, of equal ones the longest.
+pub fn of_dataset(
+    dataset: &Dataset,
+    estimator: Estimator,
+    noise: Option<&NoiseReport>,
+    provenance: &str,
+) -> Result<Calibrated, CalibrateError> {
+    let Some(Level { exposure_s, configurations, .. }) = most_configurations(dataset) else {
+        return Err(CalibrateError::NoFlats);
+    };
+    // Before anything is read.
+    if configurations.len() < 3 && estimator != Estimator::Smooth {
+        return Err(PatternError::TooFew(configurations.len()).into());
+    }
+
+    let means = dark_means(dataset)?;
+    let dark = DarkReference::fit(&means, exposure_s)?;
+    let level = dark.at(exposure_s)?;
+
+    let (images, fewest) = images(dataset, &configurations, &level)?;
     let (pattern, name) = match estimator {
         Estimator::Joint => (joint::joint(&images)?, "joint".to_string()),
         Estimator::Paper(o) => {
             let name = format!("paper: window {}, p {}, start {:?}", o.window, o.p, o.start);
             (pattern::paper(&images, o)?, name)
         }
+        Estimator::Smooth => {
+            let name = "smooth: one configuration; K contains the card and the lamp's fine structure";
+            let noise = noise.map(|n| (n.gain_dn_per_e.value, n.constant_noise_var_dn2.value));
+            (joint::smooth(&images, noise, fewest)?, name.to_string())
+        }
     };
     let description = Description {
-        format: String::new(),
-        camera: dataset.manifest().camera.clone(),
-        pages: Vec::new(),
-        dark_exposure_s: 0.0,
         gain_dn_per_e: noise.map(|n| n.gain_dn_per_e.value),
         constant_noise_var_dn2: noise.map(|n| n.constant_noise_var_dn2.value),
         offset_dn: noise.map(|n| n.offset_dn.value),
+        noise_covariance: noise.and_then(|n| {
+            let line = n.estimators.iter().find(|e| e.method == Method::Reweighted)?;
+            let (a, c) = (line.gain_dn_per_e.std_err, line.constant_noise_var_dn2.std_err);
+            Some([a * a, line.covariance, c * c]).filter(|v| v.iter().all(|v| v.is_finite()))
+        }),
         n1: images.len(),
         n2: fewest as usize,
         estimator: name,
         provenance: provenance.into(),
+        ..Description::of(dataset.manifest().camera.clone())
     };
-    Ok(Calibration::new(description, dark, pattern))
+    let defects = defects::find(&means, &pattern.k, description.gain_dn_per_e);
+    Ok(Calibrated { calibration: Calibration::new(description, dark, pattern, &defects), defects })
 }

@@ -7,6 +7,7 @@
 use super::window;
 use ndarray::{Array2, Zip};
 use radcam_sim::rng::{PixelRng, Stream};
+use rayon::prelude::*;
 
 /// Where the search for outliers starts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -47,6 +48,8 @@ pub struct FixedPattern {
     pub kept: Array2<u16>,
     /// Pooled deviation s of the slopes over the configurations.
     pub pooled_sd: f64,
+    /// Mean of K as it came out, before it was brought to 1.
+    pub mean_before: f64,
 }
 
 /// Why there is no K.
@@ -54,7 +57,8 @@ pub struct FixedPattern {
 pub enum PatternError {
     /// One configuration cannot tell K from the card.
     #[error(
-        "K needs three configurations or more, and there are {0}: with fewer it would contain the card and the lamp"
+        "K needs three configurations or more, and there are {0}: with fewer it contains the card and the lamp; \
+         --estimator smooth makes such a K, and takes off what of the light is smooth"
     )]
     TooFew(usize),
     /// Images of different sizes.
@@ -77,6 +81,11 @@ pub(super) fn check(configurations: &[Array2<f32>]) -> Result<(), PatternError> 
     if configurations.len() < 3 {
         return Err(PatternError::TooFew(configurations.len()));
     }
+    check_images(configurations)
+}
+
+/// Refuses images of different sizes and images without light.
+pub(super) fn check_images(configurations: &[Array2<f32>]) -> Result<(), PatternError> {
     let expected = configurations[0].dim();
     for (index, image) in configurations.iter().enumerate() {
         if image.dim() != expected {
@@ -109,24 +118,29 @@ pub fn paper(configurations: &[Array2<f32>], options: Options) -> Result<FixedPa
     };
     let pooled_sd = pooled_deviation(shape, n1, slopes);
     let reach = options.p * pooled_sd;
-    let (mut k, mut kept) = (Array2::zeros(shape), Array2::zeros(shape));
-    let mut m = Vec::with_capacity(n1);
-    let mut sorted = Vec::with_capacity(n1);
-    Zip::indexed(&mut k).and(&mut kept).for_each(|at, k: &mut f32, kept: &mut u16| {
-        slopes(at, &mut m);
-        let middle = start(&m, &mut sorted, options.start);
-        let (mut sum_e, mut sum_l, mut count) = (0.0, 0.0, 0);
-        for (i, &slope) in m.iter().enumerate() {
-            if (slope - middle).abs() <= reach {
-                sum_e += f64::from(configurations[i][at]);
-                sum_l += f64::from(light[i][at]);
-                count += 1;
+    let (mut k, mut kept) = (Array2::<f32>::zeros(shape), Array2::<u16>::zeros(shape));
+    let columns = shape.1.max(1);
+    let rows = k.as_slice_mut().unwrap_or_default().par_chunks_mut(columns);
+    rows.zip(kept.as_slice_mut().unwrap_or_default().par_chunks_mut(columns)).enumerate().for_each(
+        |(y, row)| {
+            let (mut m, mut sorted) = (Vec::with_capacity(n1), Vec::with_capacity(n1));
+            for (x, (k, kept)) in row.0.iter_mut().zip(row.1).enumerate() {
+                slopes((y, x), &mut m);
+                let middle = start(&m, &mut sorted, options.start);
+                let (mut sum_e, mut sum_l, mut count) = (0.0, 0.0, 0);
+                for (i, &slope) in m.iter().enumerate() {
+                    if (slope - middle).abs() <= reach {
+                        sum_e += f64::from(configurations[i][(y, x)]);
+                        sum_l += f64::from(light[i][(y, x)]);
+                        count += 1;
+                    }
+                }
+                // Nothing kept: the start is all there is, and the count says so.
+                *k = if count > 0 { (sum_e / sum_l) as f32 } else { middle as f32 };
+                *kept = count;
             }
-        }
-        // Nothing kept: the start is all there is, and the count says so.
-        *k = if count > 0 { (sum_e / sum_l) as f32 } else { middle as f32 };
-        *kept = count;
-    });
+        },
+    );
     let n = k.len() as f64;
     let mean = k.iter().map(|&k| f64::from(k)).sum::<f64>() / n;
     k.mapv_inplace(|k| (f64::from(k) / mean) as f32);
@@ -134,12 +148,13 @@ pub fn paper(configurations: &[Array2<f32>], options: Options) -> Result<FixedPa
     // Variance of the procedure itself for normal slopes, in units of s^2, and the points it keeps of n1.
     let (variance, usual) = efficiency(n1, options);
     let scatter = pooled_sd * pooled_sd * variance;
-    let of_window = (spread - scatter).max(0.0) / (options.window * options.window) as f64;
-    let std_err = kept.mapv(|kept| {
+    let sigma_k2 = (spread - scatter).max(0.0);
+    let std_err = Zip::indexed(&kept).map_collect(|at, &kept: &u16| {
         let share = if kept > 0 { usual / f64::from(kept) } else { usual };
+        let of_window = sigma_k2 * window::variance(at, shape, options.window);
         (scatter * share + of_window).sqrt() as f32
     });
-    Ok(FixedPattern { k, std_err, kept, pooled_sd })
+    Ok(FixedPattern { k, std_err, kept, pooled_sd, mean_before: mean })
 }
 
 fn start(m: &[f64], sorted: &mut Vec<f64>, start: Start) -> f64 {
@@ -150,7 +165,7 @@ fn start(m: &[f64], sorted: &mut Vec<f64>, start: Start) -> f64 {
 }
 
 /// Median; `sorted` is memory that is used again. NaN of nothing.
-pub(super) fn median(m: &[f64], sorted: &mut Vec<f64>) -> f64 {
+pub(crate) fn median(m: &[f64], sorted: &mut Vec<f64>) -> f64 {
     sorted.clear();
     sorted.extend_from_slice(m);
     sorted.sort_unstable_by(f64::total_cmp);

@@ -1,10 +1,13 @@
-//! Means over a window centred at every pixel (eq. 47), at a cost that does not depend on the window's size.
+//! Means over a window centred at every pixel (eq. 47), at a cost that does not depend on the window's size (but for a rim
+//! of half a window).
 
 use ndarray::{Array2, ArrayView2};
 use rayon::prelude::*;
+use std::ops::Range;
 
-/// Mean over an `m` x `m` window centred at each pixel, (rows, columns). At the edges the window is cut off and the
-/// mean taken over what is left, so that an even image stays even there.
+/// Mean over an `m` x `m` window centred at each pixel, (rows, columns). At the edges the window is cut off, and the plane of
+/// least squares through what is left is taken at the pixel: its mean would belong to another place, and light that falls
+/// towards the edges would pass for a K below 1.
 ///
 /// `m` is taken as the odd number not below it. Sums are kept in `f64`, added and taken off along the way.
 ///
@@ -24,13 +27,14 @@ pub fn mean(image: ArrayView2<'_, f32>, m: usize) -> Array2<f32> {
     let pixels = out.as_slice_mut().unwrap_or_default();
     pixels.par_chunks_mut(band * columns).enumerate().for_each(|(i, out)| {
         let first = i * band;
-        let window = |row: usize| row.saturating_sub(reach)..(row + reach + 1).min(rows);
         let mut sums = vec![0.0f64; columns];
+        // Column sums of the slope along y, for rows whose window is cut.
+        let mut tilted = vec![0.0f64; columns];
         let mut held = 0..0;
         for (y, out) in out.chunks_mut(columns).enumerate() {
-            let wanted = window(first + y);
-            let add = |sums: &mut [f64], row: usize, sign: f64| {
-                sums.iter_mut().zip(image.row(row)).for_each(|(s, &x)| *s += sign * f64::from(x));
+            let wanted = window(first + y, reach, rows);
+            let add = |sums: &mut [f64], row: usize, weight: f64| {
+                sums.iter_mut().zip(image.row(row)).for_each(|(s, &x)| *s += weight * f64::from(x));
             };
             if held.is_empty() {
                 wanted.clone().for_each(|row| add(&mut sums, row, 1.0));
@@ -39,24 +43,102 @@ pub fn mean(image: ArrayView2<'_, f32>, m: usize) -> Array2<f32> {
                 (held.start..wanted.start).for_each(|row| add(&mut sums, row, -1.0));
             }
             held = wanted.clone();
+            let y_lever = Lever::new(&wanted, first + y);
+            if y_lever.cut {
+                tilted.fill(0.0);
+                wanted.clone().for_each(|row| add(&mut tilted, row, y_lever.weight(row)));
+            }
             // Along the row, the same with the column sums.
             let height = wanted.len() as f64;
-            let (mut sum, mut from, mut to) = (0.0, 0, 0);
+            let (mut sum, mut tilt, mut from, mut to) = (0.0, 0.0, 0, 0);
             for (x, out) in out.iter_mut().enumerate() {
-                let (start, end) = (x.saturating_sub(reach), (x + reach + 1).min(columns));
+                let across = window(x, reach, columns);
+                let (start, end) = (across.start, across.end);
                 sum += sums[to..end].iter().sum::<f64>() - sums[from..start].iter().sum::<f64>();
+                if y_lever.cut {
+                    tilt += tilted[to..end].iter().sum::<f64>() - tilted[from..start].iter().sum::<f64>();
+                }
                 (from, to) = (start, end);
-                *out = (sum / (height * (end - start) as f64)) as f32;
+                let width = across.len() as f64;
+                let mut value = sum / (height * width) + if y_lever.cut { tilt / width } else { 0.0 };
+                let x_lever = Lever::new(&across, x);
+                if x_lever.cut {
+                    value += across.map(|x| x_lever.weight(x) * sums[x]).sum::<f64>() / height;
+                }
+                *out = value as f32;
             }
         }
     });
     out
 }
 
+/// Places of a window about `at` that lie inside.
+fn window(at: usize, reach: usize, n: usize) -> Range<usize> {
+    at.saturating_sub(reach)..(at + reach + 1).min(n)
+}
+
+/// Along one axis of a window that an edge cuts: what each place adds for the slope of a line through the window, evaluated at
+/// the pixel.
+struct Lever {
+    cut: bool,
+    middle: f64,
+    /// (pixel - middle) / sum (place - middle)^2
+    slope: f64,
+}
+
+impl Lever {
+    fn new(window: &Range<usize>, at: usize) -> Self {
+        let n = window.len() as f64;
+        let middle = 0.5 * (window.start + window.end - 1) as f64;
+        let off = at as f64 - middle;
+        // Of n equally spaced places.
+        let spread = n * (n * n - 1.0) / 12.0;
+        let cut = off != 0.0 && spread > 0.0;
+        Self { cut, middle, slope: if cut { off / spread } else { 0.0 } }
+    }
+
+    fn weight(&self, place: usize) -> f64 {
+        self.slope * (place as f64 - self.middle)
+    }
+
+    /// Sum of the squares of all weights along this axis.
+    fn square(&self, n: usize) -> f64 {
+        let n = n as f64;
+        self.slope * self.slope * n * (n * n - 1.0) / 12.0
+    }
+}
+
+/// Variance of [`mean`] at a pixel for independent pixels of variance 1: 1/m^2 inside, more where an edge cuts the window.
+pub fn variance((y, x): (usize, usize), (rows, columns): (usize, usize), m: usize) -> f64 {
+    let (down, across) = (window(y, m / 2, rows), window(x, m / 2, columns));
+    let (h, w) = (down.len(), across.len());
+    let (of_y, of_x) = (Lever::new(&down, y).square(h), Lever::new(&across, x).square(w));
+    1.0 / (h * w) as f64 + of_y / w as f64 + of_x / h as f64
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    /// A plane is its own mean everywhere, edges and corners included; the stated variance is that of the weights.
+    #[test]
+    fn a_slope_is_not_bent_at_the_edges() {
+        let plane = Array2::from_shape_fn((30, 40), |(y, x)| 100.0 + 3.0 * y as f32 - 2.0 * x as f32);
+        for (a, b) in mean(plane.view(), 9).iter().zip(&plane) {
+            assert!((a - b).abs() < 1e-3, "{a} {b}");
+        }
+        for at in [(15, 20), (0, 0), (1, 38), (29, 7)] {
+            let square: f64 = (0..30 * 40)
+                .map(|i| {
+                    let mut one = Array2::zeros((30, 40));
+                    one[(i / 40, i % 40)] = 1.0;
+                    f64::from(mean(one.view(), 9)[at]).powi(2)
+                })
+                .sum();
+            assert!((square / variance(at, (30, 40), 9) - 1.0).abs() < 1e-4, "{at:?}: {square}");
+        }
+    }
 
     proptest! {
         /// Against the definition, over sizes smaller and larger than the window.
@@ -74,8 +156,20 @@ mod tests {
                         y.saturating_sub(reach)..(y + reach + 1).min(rows),
                         x.saturating_sub(reach)..(x + reach + 1).min(columns)
                     ]);
-                    let expected = part.mapv(f64::from).mean().unwrap();
-                    prop_assert!((f64::from(means[(y, x)]) - expected).abs() < 1e-3, "{y} {x}");
+                    // The plane of least squares through the window, at the pixel: x and y are orthogonal over a rectangle.
+                    let values = part.mapv(f64::from);
+                    let (h, w) = values.dim();
+                    let (from_y, from_x) = (y.saturating_sub(reach) as f64, x.saturating_sub(reach) as f64);
+                    let (mid_y, mid_x) = (from_y + 0.5 * (h as f64 - 1.0), from_x + 0.5 * (w as f64 - 1.0));
+                    let mut expected = values.mean().unwrap();
+                    let (mut yy, mut xx, mut ye, mut xe) = (0.0, 0.0, 0.0, 0.0);
+                    for ((b, a), v) in values.indexed_iter() {
+                        let (dy, dx) = (from_y + b as f64 - mid_y, from_x + a as f64 - mid_x);
+                        (yy, xx, ye, xe) = (yy + dy * dy, xx + dx * dx, ye + dy * v, xe + dx * v);
+                    }
+                    expected += if yy > 0.0 { ye / yy * (y as f64 - mid_y) } else { 0.0 };
+                    expected += if xx > 0.0 { xe / xx * (x as f64 - mid_x) } else { 0.0 };
+                    prop_assert!((f64::from(means[(y, x)]) - expected).abs() < 4e-3, "{y} {x}");
                 }
             }
         }

@@ -5,6 +5,7 @@
 
 #[cfg(feature = "aravis")]
 pub mod aravis;
+pub mod corrected;
 pub mod replay;
 pub mod sim;
 

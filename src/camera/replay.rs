@@ -79,7 +79,8 @@ impl ReplayCamera {
         let kind = match row.kind {
             Kind::Dark => dark,
             Kind::Flat => !dark && bench.scene == Scene::Card,
-            Kind::Scene | Kind::Target => !dark && bench.scene != Scene::Card,
+            Kind::Scene => !dark && bench.scene == Scene::Patch,
+            Kind::Target => !dark && bench.scene == Scene::Chart,
         };
         kind && close(row.exposure_s, self.settings.exposure_s)
             && close(row.illumination, bench.illumination)

@@ -260,7 +260,8 @@ impl FrameStream for SimStream<'_> {
         }
         let settings = &camera.settings;
         let region = settings.region;
-        let conditions = conditions(&camera.sensor, settings, &camera.bench.get());
+        let now = conditions(&camera.sensor, settings, &camera.bench.get());
+        let conditions = Conditions { time_s: camera.clock.time_s, ..now };
         let body = &camera.sensor.model().camera;
         let dn = frame.pixels_mut(region.width as usize, region.height as usize);
         camera.sensor.draw(camera.clock.frame, &conditions, region, dn);

@@ -3,11 +3,14 @@
 use super::Outcome;
 use super::common::STOP;
 use crate::calibrate::pattern::{Options, Start};
-use crate::calibrate::{Estimator, of_dataset};
+use crate::calibrate::{Calibrated, Estimator, of_dataset};
 use crate::dataset::Dataset;
 use crate::noise;
 use anyhow::Result;
 use std::path::PathBuf;
+
+/// Defects named on the terminal.
+const LISTED: usize = 10;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
@@ -16,8 +19,9 @@ pub struct Arguments {
     /// The calibration file
     #[arg(short, long, value_name = "CAL.tiff")]
     output: PathBuf,
-    /// joint: each light a smooth surface; paper: each light the mean over a window
-    #[arg(long, default_value = "joint", value_parser = ["joint", "paper"])]
+    /// joint: each light a smooth surface; paper: each light the mean over a window; smooth: one configuration is enough,
+    /// and K then contains the card and the lamp's fine structure
+    #[arg(long, default_value = "joint", value_parser = ["joint", "paper", "smooth"])]
     estimator: String,
     /// paper: side of the window, pixels
     #[arg(long, default_value_t = 9)]
@@ -34,13 +38,14 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let start = if arguments.start_at_mean { Start::Mean } else { Start::Median };
     let estimator = match &*arguments.estimator {
         "paper" => Estimator::Paper(Options { window: arguments.window, p: arguments.p, start }),
+        "smooth" => Estimator::Smooth,
         _ => Estimator::Joint,
     };
     let dataset = Dataset::open(&arguments.dataset)?;
     // A calibration campaign may have one level only; then it says nothing of the noise.
     let noise = noise::of_dataset(&dataset, &STOP, &mut |_, _| {}).ok();
     let provenance = format!("radcam {} from {}", env!("CARGO_PKG_VERSION"), arguments.dataset.display());
-    let calibration = of_dataset(&dataset, estimator, noise.as_ref(), &provenance)?;
+    let Calibrated { calibration, defects } = of_dataset(&dataset, estimator, noise.as_ref(), &provenance)?;
     calibration.write(&arguments.output)?;
     let d = &calibration.description;
     let sd = |x: &ndarray::Array2<f32>| f64::from(x.std(0.0));
@@ -60,6 +65,16 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         sd(level),
         d.dark_exposure_s
     );
+    println!("  defects          {} of {} pixels", defects.len(), calibration.k.len());
+    for d in defects.iter().take(LISTED) {
+        println!("    x {:>5}  y {:>5}  {}", d.x, d.y, d.reason());
+    }
+    if defects.len() > LISTED {
+        println!("    ... and {} more; page \"defects\" of the file has all", defects.len() - LISTED);
+    }
+    if estimator == Estimator::Smooth {
+        println!("  note: nothing was moved: K contains the card, and of the lamp what is not smooth");
+    }
     if calibration.dark.current_dn_per_s.is_none() {
         println!("  note: darks of one exposure: the dark reference holds at {} s only", d.dark_exposure_s);
     }

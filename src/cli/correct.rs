@@ -7,6 +7,7 @@ use crate::dataset::{CameraInfo, Dataset, image, write_whole};
 use anyhow::{Context, Result, bail};
 use ndarray::Array2;
 use std::path::{Path, PathBuf};
+use tiff::encoder::colortype::{Gray16, Gray32Float};
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
@@ -24,6 +25,9 @@ pub struct Arguments {
     /// 16-bit codes, SCALE times DN plus OFFSET, instead of 32-bit floats in DN
     #[arg(long, value_name = "SCALE,OFFSET", value_parser = codes)]
     codes: Option<Codes>,
+    /// Replace hot, dead and unstable pixels of the calibration by the mean of the nearest sound ones
+    #[arg(long)]
+    replace_defects: bool,
     /// Correct although the calibration was made under other settings
     #[arg(long)]
     force: bool,
@@ -46,22 +50,34 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let exposure_s = arguments.exposure_s.unwrap_or(calibration.dark.exposure_s);
     let single = arguments.input.len() == 1 && arguments.input[0].is_file();
     let mut done = 0;
+    let make = |exposure_s| {
+        let corrector = Corrector::new(&calibration, exposure_s)?;
+        let replacing = arguments.replace_defects;
+        Ok::<_, CorrectError>(if replacing { corrector.replacing_defects(&calibration) } else { corrector })
+    };
+    let codes = arguments.codes;
     for input in &arguments.input {
         if input.is_dir() {
             let dataset = Dataset::open(input)?;
             check(&calibration, &dataset.manifest().camera, arguments.force)?;
             for set in dataset.sets() {
-                let corrector = Corrector::new(&calibration, dataset.settings(set).exposure_s)?;
+                let corrector = make(dataset.settings(set).exposure_s)?;
                 for &row in &set.rows {
                     let row = &dataset.rows()[row];
                     let out =
                         arguments.output.join(Path::new(&row.file.replace('#', "_")).with_extension("tiff"));
-                    write(&corrector, &dataset.read(row)?, arguments.codes, &out)?;
+                    write(
+                        &corrector,
+                        &dataset.read(row)?,
+                        codes,
+                        &description(&arguments.calibration, codes, &corrector),
+                        &out,
+                    )?;
                     done += 1;
                 }
             }
         } else {
-            let corrector = Corrector::new(&calibration, exposure_s)?;
+            let corrector = make(exposure_s)?;
             let frame = image::read(input, 0).with_context(|| input.display().to_string())?;
             let (height, width) = frame.dim();
             // A plain frame tells its size, and nothing else.
@@ -72,7 +88,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             if out == *input {
                 bail!("{} would be overwritten; choose another output", input.display());
             }
-            write(&corrector, &frame, arguments.codes, &out)?;
+            write(&corrector, &frame, codes, &description(&arguments.calibration, codes, &corrector), &out)?;
             done += 1;
         }
     }
@@ -83,7 +99,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     Ok(Outcome::Agreement)
 }
 
-fn check(calibration: &Calibration, now: &CameraInfo, force: bool) -> Result<()> {
+pub fn check(calibration: &Calibration, now: &CameraInfo, force: bool) -> Result<()> {
     let found = differences(&calibration.description.camera, now);
     let size = (now.height, now.width) != calibration.k.dim();
     if found.is_empty() || (force && !size) {
@@ -93,12 +109,31 @@ fn check(calibration: &Calibration, now: &CameraInfo, force: bool) -> Result<()>
     Err(CorrectError::Settings(found.join("; ") + advice).into())
 }
 
-fn write(corrector: &Corrector, frame: &Array2<u16>, codes: Option<Codes>, path: &Path) -> Result<()> {
+/// What a corrected image says of itself.
+fn description(calibration: &Path, codes: Option<Codes>, corrector: &Corrector) -> String {
+    serde_json::json!({
+        "format": "radcam-corrected/1",
+        "calibration": calibration.display().to_string(),
+        "value": if codes.is_some() { "scale * DN + offset" } else { "DN above the dark reference" },
+        "scale": codes.map(|c| c.scale),
+        "offset": codes.map(|c| c.offset),
+        "replaced_defects": corrector.replaced(),
+    })
+    .to_string()
+}
+
+fn write(
+    corrector: &Corrector,
+    frame: &Array2<u16>,
+    codes: Option<Codes>,
+    description: &str,
+    path: &Path,
+) -> Result<()> {
     if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
     let bytes = match codes {
-        None => image::tiff_f32_bytes(&corrector.image(frame)?)?,
+        None => image::described_bytes::<Gray32Float>(&corrector.image(frame)?, description)?,
         Some(codes) => {
             let mut out = Array2::zeros(corrector.shape());
             let frame = frame.as_standard_layout();
@@ -107,7 +142,7 @@ fn write(corrector: &Corrector, frame: &Array2<u16>, codes: Option<Codes>, path:
                 codes,
                 out.as_slice_mut().unwrap_or_default(),
             )?;
-            image::tiff_bytes(&out, 16)?
+            image::described_bytes::<Gray16>(&out, description)?
         }
     };
     Ok(write_whole(path, &bytes)?)

@@ -5,6 +5,7 @@
 
 #![allow(clippy::print_stdout, clippy::print_stderr)] // printing is what a command line is for
 
+mod budget;
 mod calibrate;
 mod cameras;
 mod capture;
@@ -12,9 +13,14 @@ mod common;
 mod correct;
 mod demo;
 mod noise;
+mod plan_calibration;
 mod progress;
+mod region;
+mod reproduce;
+mod scene;
 mod serve;
 mod simulate;
+mod surface;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -54,10 +60,20 @@ enum Verb {
     Serve(serve::Arguments),
     /// Estimate gain and constant noise (Section IV of Healey and Kondepudy)
     Noise(noise::Arguments),
+    /// Say how many configurations, frames and darks a calibration needs, and write the plan
+    PlanCalibration(plan_calibration::Arguments),
     /// Dark reference and fixed pattern K into a calibration file (Section V)
     Calibrate(calibrate::Arguments),
     /// Take dark reference and fixed pattern off frames (eq. 51)
     Correct(correct::Arguments),
+    /// Scene variation of a region: a surface's own number, whatever the light (Section VI)
+    Scene(scene::Arguments),
+    /// Learn surfaces and name them by their scene variation
+    Surface(surface::Arguments),
+    /// Parts of a region's variance against intensity (Fig. 4)
+    Budget(budget::Arguments),
+    /// Run the paper's experiments again and hold its numbers against ours (Section VII)
+    Reproduce(reproduce::Arguments),
     /// Serve, capture, measure and report a camera, all in one
     Demo(demo::Arguments),
 }
@@ -73,8 +89,13 @@ pub fn main() -> ExitCode {
         Verb::Simulate(a) => simulate::run(&a),
         Verb::Serve(a) => serve::run(&a),
         Verb::Noise(a) => noise::run(&a),
+        Verb::PlanCalibration(a) => plan_calibration::run(&a),
         Verb::Calibrate(a) => calibrate::run(&a),
         Verb::Correct(a) => correct::run(&a),
+        Verb::Scene(a) => scene::run(&a),
+        Verb::Surface(a) => surface::run(&a),
+        Verb::Budget(a) => budget::run(&a),
+        Verb::Reproduce(a) => reproduce::run(&a),
         Verb::Demo(a) => demo::run(&a),
     };
     match outcome {

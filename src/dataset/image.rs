@@ -194,13 +194,22 @@ pub fn tiff_bytes(pixels: &Array2<u16>, bit_depth: u8) -> Result<Vec<u8>, ImageE
     Ok(out.into_inner())
 }
 
-/// The bytes of an uncompressed TIFF of 32-bit floats.
-pub fn tiff_f32_bytes(pixels: &Array2<f32>) -> Result<Vec<u8>, ImageError> {
+/// The bytes of an uncompressed TIFF of one page, with an ImageDescription that says what the numbers mean.
+pub fn described_bytes<C: colortype::ColorType>(
+    pixels: &Array2<C::Inner>,
+    description: &str,
+) -> Result<Vec<u8>, ImageError>
+where
+    C::Inner: Clone,
+    [C::Inner]: tiff::encoder::TiffValue,
+{
     let (height, width) = pixels.dim();
-    let mut out = Cursor::new(Vec::with_capacity(pixels.len() * 4 + 1024));
+    let mut out = Cursor::new(Vec::with_capacity(pixels.len() * size_of::<C::Inner>() + 1024));
     let standard = pixels.as_standard_layout();
-    let values = standard.as_slice().unwrap_or_default();
-    TiffEncoder::new(&mut out)?.write_image::<colortype::Gray32Float>(width as u32, height as u32, values)?;
+    let mut encoder = TiffEncoder::new(&mut out)?;
+    let mut image = encoder.new_image::<C>(width as u32, height as u32)?;
+    image.encoder().write_tag(tiff::tags::Tag::ImageDescription, description)?;
+    image.write_data(standard.as_slice().unwrap_or_default())?;
     Ok(out.into_inner())
 }
 

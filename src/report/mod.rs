@@ -1,6 +1,8 @@
 //! Reports as single HTML files: no scripts, no fonts, nothing fetched.
 
+pub mod budget;
 pub mod noise;
+pub mod reproduce;
 pub mod svg;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -25,6 +27,7 @@ tr.out td { color: var(--soft); } .good { color: var(--good); } .bad { color: va
 .cards b { display: block; font-size: 1.05rem; white-space: nowrap; font-variant-numeric: tabular-nums; }
 .cards span { color: var(--soft); font-size: .85rem; }
 svg { width: 100%; height: auto; } svg text { fill: var(--ink); font: 12px system-ui, sans-serif; }
+span.note { color: var(--soft); font-size: .85rem; }
 svg .soft { fill: var(--soft); }
 ";
 

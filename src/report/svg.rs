@@ -105,6 +105,18 @@ impl Panel {
         }
     }
 
+    /// A curve through points in data coordinates.
+    pub fn curve(&self, points: &[(f64, f64)], colour: &str) -> Markup {
+        let path: Vec<String> =
+            points.iter().map(|&(x, y)| format!("{:.1},{:.1}", self.px(x), self.py(y))).collect();
+        html! { polyline points=(path.join(" ")) fill="none" stroke=(colour) stroke-width="1.8" {} }
+    }
+
+    /// A word left of and above a point.
+    pub fn label(&self, at: (f64, f64), text: &str) -> Markup {
+        html! { text x=(self.px(at.0) - 10.0) y=(self.py(at.1) - 8.0) text-anchor="end" { (text) } }
+    }
+
     /// A horizontal band.
     pub fn band(&self, low: f64, high: f64) -> Markup {
         let [left, _, width, _] = self.frame;
@@ -116,9 +128,14 @@ impl Panel {
 
     /// Points with error bars.
     pub fn marks(&self, marks: &[Mark]) -> Markup {
+        self.coloured(marks, "var(--data)")
+    }
+
+    /// Points with error bars in a colour.
+    pub fn coloured(&self, marks: &[Mark], colour: &str) -> Markup {
         html! {
             @for m in marks.iter().filter(|m| m.x.is_finite() && m.y.is_finite()) {
-                @let colour = if m.out { "var(--soft)" } else { "var(--data)" };
+                @let colour = if m.out { "var(--soft)" } else { colour };
                 g {
                     title { (m.title) }
                     @if m.error.is_finite() && m.error > 0.0 {

@@ -66,6 +66,7 @@ fn frames_over_the_wire_are_those_drawn_in_process() {
             temperature_c,
             gain_db,
             black_level_dn,
+            time_s: 0.0,
         };
         let mut stream = camera.stream(&StreamOptions::default()).unwrap();
         for _ in 0..3 {
@@ -326,4 +327,58 @@ fn a_campaign_over_the_wire_measures_the_same_camera() {
     for (a, error) in [wire, here] {
         assert!((a - 0.38).abs() < 4.0 * error, "{a} +- {error}");
     }
+}
+
+/// The same calibration through the served camera, its bench moved by GenICam features, and in process: the same K to within
+/// their errors, and the same dark reference.
+#[test]
+fn a_calibration_over_the_wire_gives_the_same_k() {
+    use radcam::calibrate::{Estimator, of_dataset};
+    let _port = gige_port();
+    let mut model = small("cmos12", 64, 48);
+    model.bench.card = radcam_sim::Texture { grain: 0.003, grain_length_px: 0.4, ..Default::default() };
+    let sensor = Arc::new(Sensor::new(model.clone()).unwrap());
+    let mut plan = String::from("format = \"radcam-plan/1\"\n");
+    plan += "[[set]]\nkind = \"dark\"\nframes = 12\nexposure_s = 0.005\n";
+    for k in 0..10 {
+        plan += &format!(
+            "[[set]]\nkind = \"flat\"\nframes = 8\nexposure_s = 0.005\nillumination = 0.9\nconfiguration = {k}\n"
+        );
+    }
+    let plan = radcam::plan::Plan::from_toml(&plan).unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let stop = std::sync::atomic::AtomicBool::new(false);
+    let capture = |camera: &mut dyn Camera, bench: &mut dyn Illuminator, name: &str| {
+        let options = StreamOptions::default();
+        let mut capture =
+            radcam::capture::Capture { camera, bench, options, stop: &stop, progress: &mut |_| {} };
+        let root = dir.path().join(name);
+        capture.run(&plan, &root, false).unwrap();
+        let dataset = radcam::dataset::Dataset::open(&root).unwrap();
+        of_dataset(&dataset, Estimator::Joint, None, name).unwrap().calibration
+    };
+    let _served = served(&sensor);
+    let mut camera = AravisCamera::open(LOOPBACK).unwrap();
+    let wire = capture(&mut camera, &mut GenicamBench::served(), "wire");
+    drop(camera);
+    let (mut camera, mut bench) = crate::support::camera(model);
+    // Other noise than the served camera's.
+    camera.continue_after(100_000, 0.0);
+    let here = capture(&mut camera, &mut bench, "here");
+    let mut chi2 = 0.0;
+    for ((a, b), (e, f)) in wire.k.iter().zip(&here.k).zip(wire.k_std_err.iter().zip(&here.k_std_err)) {
+        // The card's grain is the same in both: they differ by the noise alone, which is less than the stated errors.
+        chi2 += f64::from((a - b).powi(2) / (e * e + f * f)) / wire.k.len() as f64;
+    }
+    assert!(chi2 < 1.0, "chi-square per pixel {chi2}");
+    // Against the pattern itself, the stated error holds for both: 3072 pixels, five standard errors of the mean of squares.
+    let truth = &sensor.maps().uniformity;
+    for c in [&wire, &here] {
+        let z2 = c.k.iter().zip(&c.k_std_err).zip(truth).map(|((k, e), t)| f64::from((k - t) / e).powi(2));
+        let chi2 = z2.sum::<f64>() / truth.len() as f64;
+        assert!((chi2 - 1.0).abs() < 5.0 * f64::sqrt(2.0 / truth.len() as f64), "{chi2}");
+    }
+    let off = (&wire.dark.level_dn - &here.dark.level_dn).mapv(f64::from);
+    let error = wire.dark.std_err_dn.hypot(here.dark.std_err_dn);
+    assert!((off.mapv(|x| x * x).mean().unwrap().sqrt() / error - 1.0).abs() < 0.1);
 }

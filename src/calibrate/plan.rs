@@ -1,0 +1,161 @@
+//! How much to capture for a calibration: n1 configurations, n2 frames, s darks, from a short pilot (Sections V.A and V.B).
+
+use super::CalibrateError;
+use super::dark::frames_needed;
+use super::pattern::{Options, PatternError, paper};
+use crate::dataset::{Dataset, Kind};
+use crate::noise::NoiseReport;
+use crate::plan::{CameraPlan, Plan, SetPlan};
+use ndarray::Array2;
+use serde::Serialize;
+
+/// Configurations that a pilot needs to measure the scatter of the card.
+pub const PILOT_CONFIGURATIONS: u32 = 6;
+/// Frames of each set of a pilot.
+pub const PILOT_FRAMES: u32 = 8;
+
+/// What is needed, and what was measured to find it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Needs {
+    /// Configurations n1.
+    pub n1: u64,
+    /// Frames n2 in each.
+    pub n2: u64,
+    /// Dark frames s at each exposure.
+    pub s: u64,
+    /// Deviation of the slopes over the configurations (eq. 49) once the frames' own noise is averaged as n2 does.
+    pub slope_sd: f64,
+    /// Smallest share of configurations kept at a pixel.
+    pub worst_kept: f64,
+    /// Bits b of the converter.
+    pub bit_depth: u8,
+    /// Temporal variance at full scale, eq. (41), DN^2.
+    pub full_scale_var_dn2: f64,
+    /// Temporal variance in the dark, DN^2.
+    pub dark_var_dn2: f64,
+}
+
+/// Frames n2 so that sigma_N^2 / n2 is at most q^2 / 9 at full scale, q = 1 DN.
+///
+/// ```
+/// // The paper's camera: (0.003384 * 255 + 1.1196) * 9 = 17.8.
+/// assert_eq!(radcam::calibrate::plan::frames(0.003384 * 255.0 + 1.1196), 18);
+/// ```
+pub fn frames(full_scale_var_dn2: f64) -> u64 {
+    (9.0 * full_scale_var_dn2).ceil().max(1.0) as u64
+}
+
+/// Configurations n1 so that var K < 1 / (10 * 2^(2b)) with `p` deviations `slope_sd` of the slopes, where at worst a share
+/// `worst_kept` of them is kept: n1'_min >= 10 * 2^(2b) (p s)^2. At least three.
+pub fn configurations(bit_depth: u8, p: f64, slope_sd: f64, worst_kept: f64) -> u64 {
+    let kept = 10.0 * 2f64.powi(2 * i32::from(bit_depth)) * (p * slope_sd).powi(2);
+    (kept / worst_kept.clamp(0.05, 1.0)).ceil().clamp(3.0, 1e9) as u64
+}
+
+/// Needs from a pilot: darks and flats of at least three configurations.
+pub fn needs(pilot: &Dataset, noise: &NoiseReport) -> Result<Needs, CalibrateError> {
+    let options = Options::default();
+    let camera = &pilot.manifest().camera;
+    let (a, c) = (noise.gain_dn_per_e.value, noise.constant_noise_var_dn2.value);
+    let full_scale = f64::from(camera.full_scale_dn()) - noise.offset_dn.value;
+    let full_scale_var_dn2 = a * full_scale + c;
+    let n2 = frames(full_scale_var_dn2);
+    let darks: Vec<_> =
+        noise.levels.iter().filter(|l| l.kind == Kind::Dark && l.var_dn2.is_finite()).collect();
+    let dark_var_dn2 = darks.iter().map(|l| l.var_dn2).fold(c, f64::max);
+
+    let (images, frames_each) = super::pilot_images(pilot)?;
+    if images.len() < 3 {
+        return Err(PatternError::TooFew(images.len()).into());
+    }
+    let found = paper(&images, options)?;
+    let level = images.iter().filter_map(|e: &Array2<f32>| e.mean()).map(f64::from).sum::<f64>()
+        / images.len() as f64;
+    // The frames' own noise is in the pilot's scatter as averaged there; in the campaign it is averaged over n2.
+    let noise_var = (a * level + c) / (level * level);
+    let card = (found.pooled_sd.powi(2) - noise_var / frames_each as f64).max(0.0);
+    let slope_sd = (card + noise_var / n2 as f64).sqrt();
+    // The pilot has few configurations, so that its worst share is a poor guess: at worst half the median share.
+    let share = |kept: u16| f64::from(kept) / images.len() as f64;
+    let mut kept: Vec<f64> = found.kept.iter().map(|&k| share(k)).collect();
+    kept.sort_by(f64::total_cmp);
+    let worst_kept = kept[kept.len() / 1000].max(0.5 * kept[kept.len() / 2]);
+    let n1 = configurations(camera.bit_depth, options.p, slope_sd, worst_kept);
+    // The dark reference as good as the averaged flats: q / 3.
+    let s = frames_needed(dark_var_dn2, 1.0 / 3.0);
+    let bit_depth = camera.bit_depth;
+    Ok(Needs { n1, n2, s, slope_sd, worst_kept, bit_depth, full_scale_var_dn2, dark_var_dn2 })
+}
+
+fn set(kind: Kind, frames: u64, exposure_s: f64, illumination: f64, configuration: u32) -> SetPlan {
+    SetPlan {
+        kind,
+        frames: frames.min(u64::from(u32::MAX)) as u32,
+        exposure_s: Some(exposure_s),
+        exposure: None,
+        illumination,
+        configuration,
+    }
+}
+
+/// The pilot: darks at two exposures, flats at four, and [`PILOT_CONFIGURATIONS`] of the card.
+pub fn pilot() -> Plan {
+    let mut plan = Plan::quick();
+    plan.about = "A pilot for a calibration".into();
+    let last = plan.sets.last().cloned();
+    for set in &mut plan.sets {
+        set.frames = PILOT_FRAMES;
+    }
+    if let Some(last) = last {
+        plan.sets.extend((1..PILOT_CONFIGURATIONS).map(|configuration| SetPlan {
+            configuration,
+            frames: PILOT_FRAMES,
+            ..last.clone()
+        }));
+    }
+    plan
+}
+
+/// The plan of the calibration campaign, at the exposure of the pilot's configurations.
+pub fn campaign(pilot: &Dataset, needs: &Needs) -> Plan {
+    let flat = super::best_level(pilot);
+    let (exposure_s, light) = flat.map_or((0.01, 1.0), |(e, l)| (e, l));
+    let longest = pilot.sets().iter().map(|s| pilot.settings(s)).filter(|r| r.kind == Kind::Dark);
+    let longest = longest.map(|r| r.exposure_s).fold(exposure_s, f64::max);
+    let mut sets = vec![set(Kind::Dark, needs.s, exposure_s, 0.0, 0)];
+    if longest > exposure_s {
+        sets.push(set(Kind::Dark, needs.s, longest, 0.0, 0));
+    }
+    // A few levels of light, so that the same campaign tells A and the constant noise.
+    for part in [0.1, 0.3, 0.6] {
+        sets.push(set(Kind::Flat, needs.n2.max(4), exposure_s * part, light, 0));
+    }
+    let n1 = needs.n1.min(100_000) as u32;
+    sets.extend((0..n1).map(|k| set(Kind::Flat, needs.n2, exposure_s, light, k)));
+    let camera = &pilot.manifest().camera;
+    Plan {
+        format: crate::plan::FORMAT.into(),
+        about: format!("Calibration: {n1} configurations of {} frames, {} darks", needs.n2, needs.s),
+        full_exposure_s: Some(exposure_s),
+        camera: CameraPlan {
+            gain_db: camera.gain_db,
+            black_level_dn: camera.black_level_dn,
+            ..CameraPlan::default()
+        },
+        bench: None,
+        sets,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The paper's n1 = 11: 10 * 2^16 (1.5 s)^2 with s of 0.0027 is 10.7.
+    #[test]
+    fn the_papers_eleven_configurations() {
+        assert_eq!(configurations(8, 1.5, 0.0027, 1.0), 11);
+        assert_eq!(configurations(8, 1.5, 0.0027, 0.5), 22);
+        assert_eq!(configurations(8, 1.5, 0.0, 1.0), 3);
+    }
+}

@@ -1,0 +1,91 @@
+//! `radcam plan-calibration`
+
+use super::Outcome;
+use super::common::{STOP, open_camera};
+use super::progress::Show;
+use crate::calibrate::plan::{campaign, needs, pilot};
+use crate::camera::StreamOptions;
+use crate::capture::Capture;
+use crate::dataset::{Dataset, write_whole};
+use crate::noise;
+use anyhow::{Context, Result, bail};
+use std::path::PathBuf;
+
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// A pilot already captured: darks, flats at several levels, three configurations or more
+    #[arg(required_unless_present = "camera")]
+    pilot: Option<PathBuf>,
+    /// Capture the pilot now with this camera (aravis:ID or sim:SENSOR)
+    #[arg(long, conflicts_with = "pilot", requires = "pilot_folder")]
+    camera: Option<String>,
+    /// Where the pilot goes
+    #[arg(long, value_name = "FOLDER")]
+    pilot_folder: Option<PathBuf>,
+    /// The plan that `capture` runs
+    #[arg(short, long, value_name = "PLAN.toml")]
+    output: PathBuf,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    let folder = match (&arguments.camera, &arguments.pilot_folder, &arguments.pilot) {
+        (Some(name), Some(folder), _) => {
+            let plan = pilot();
+            let (mut camera, mut bench) = open_camera(name, &plan)?;
+            let mut show = Show::new("pilot");
+            let mut capture = Capture {
+                camera: &mut *camera,
+                bench: &mut *bench,
+                options: StreamOptions::default(),
+                stop: &STOP,
+                progress: &mut |p| show.frames(p),
+            };
+            capture.run(&plan, folder, false).context("pilot")?;
+            folder
+        }
+        (_, _, Some(pilot)) => pilot,
+        _ => bail!("give a pilot dataset, or --camera with --pilot-folder"),
+    };
+    let dataset = Dataset::open(folder)?;
+    let noise = noise::of_dataset(&dataset, &STOP, &mut |_, _| {})?;
+    let needs = needs(&dataset, &noise)?;
+    let plan = campaign(&dataset, &needs);
+    write_whole(&arguments.output, plan.to_toml()?.as_bytes())?;
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&needs)?);
+        return Ok(Outcome::Agreement);
+    }
+    let full = f64::from((1u32 << needs.bit_depth) - 1);
+    println!("{}: {}", arguments.output.display(), plan.about);
+    println!(
+        "  n1 = {:<6} configurations: slopes scatter by {:.5}, and at worst {:.0} % of them are kept,\n\
+         {:11}so that K's error leaves {} bits whole: 10 * 2^{} * (1.5 * {:.5})^2 / {:.2}",
+        needs.n1,
+        needs.slope_sd,
+        100.0 * needs.worst_kept,
+        "",
+        needs.bit_depth,
+        2 * needs.bit_depth,
+        needs.slope_sd,
+        needs.worst_kept
+    );
+    println!(
+        "  n2 = {:<6} frames each: {:.3} DN^2 of noise at {full} DN come down to q^2/9",
+        needs.n2, needs.full_scale_var_dn2
+    );
+    println!(
+        "  s  = {:<6} darks at each exposure: {:.3} DN^2 come down to q^2/9",
+        needs.s, needs.dark_var_dn2
+    );
+    if needs.n1 > 200 {
+        println!(
+            "  note: {} configurations are many: a smoother card, or fewer bits than the converter's {}, need fewer; `calibrate`\n        \
+             states the error of K whatever their number",
+            needs.n1, needs.bit_depth
+        );
+    }
+    Ok(Outcome::Agreement)
+}

@@ -1,0 +1,174 @@
+//! Surfaces recognised by their scene variation: one band, any light level (Section VI of the paper).
+
+use crate::noise::Quantity;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Name and major version of the file.
+pub const FORMAT: &str = "radcam-surfaces/1";
+
+/// Chance below which the nearest surface is not the one seen.
+pub const NONE_BELOW: f64 = 1e-4;
+
+/// A library of surfaces, a TOML file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Library {
+    /// [`FORMAT`].
+    pub format: String,
+    /// What was learnt.
+    #[serde(default, rename = "surface")]
+    pub surfaces: Vec<Surface>,
+}
+
+/// One surface.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Surface {
+    /// Its name.
+    pub name: String,
+    /// V_s.
+    pub scene_variation: f64,
+    /// Its standard error.
+    pub std_err: f64,
+    /// Regions that it was learnt from.
+    pub regions: u32,
+}
+
+/// What a library says of a region.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Answer {
+    /// The most likely surface; null: none of these.
+    pub surface: Option<String>,
+    /// Every surface, the most likely first.
+    pub candidates: Vec<Candidate>,
+}
+
+/// One surface as a candidate.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Candidate {
+    /// Its name.
+    pub name: String,
+    /// Log-likelihood of the V_s seen.
+    pub log_likelihood: f64,
+    /// Share among the surfaces of the library, each as likely beforehand as the others.
+    pub probability: f64,
+    /// Distance in standard errors of the difference.
+    pub z: f64,
+}
+
+/// Why a library cannot be read or used.
+#[derive(Debug, thiserror::Error)]
+#[error("{path}: {message}")]
+pub struct LibraryError {
+    path: PathBuf,
+    message: String,
+}
+
+impl Default for Library {
+    fn default() -> Self {
+        Self { format: FORMAT.into(), surfaces: Vec::new() }
+    }
+}
+
+impl Library {
+    /// Reads a library.
+    pub fn read(path: &Path) -> Result<Self, LibraryError> {
+        let fault = |message: String| LibraryError { path: path.into(), message };
+        let text = std::fs::read_to_string(path).map_err(|e| fault(e.to_string()))?;
+        let library: Self = toml::from_str(&text).map_err(|e| fault(e.to_string().trim_end().into()))?;
+        if library.format != FORMAT {
+            return Err(fault(format!(
+                "format is \"{}\", and this program reads \"{FORMAT}\"",
+                library.format
+            )));
+        }
+        let sound = |s: &Surface| s.scene_variation.is_finite() && s.std_err.is_finite() && s.std_err >= 0.0;
+        match library.surfaces.iter().find(|s| !sound(s)) {
+            Some(s) => Err(fault(format!("surface \"{}\" holds no sound numbers", s.name))),
+            None => Ok(library),
+        }
+    }
+
+    /// Writes the library whole or not at all.
+    pub fn write(&self, path: &Path) -> Result<(), LibraryError> {
+        let fault = |message: String| LibraryError { path: path.into(), message };
+        let text = toml::to_string(self).map_err(|e| fault(e.to_string()))?;
+        crate::dataset::write_whole(path, text.as_bytes()).map_err(|e| fault(e.to_string()))
+    }
+
+    /// Adds a region's V_s to a surface, or a new surface: regions are put together by the inverse of their variances.
+    pub fn learn(&mut self, name: &str, seen: Quantity) {
+        let (value, std_err) = (seen.value, seen.std_err.max(f64::MIN_POSITIVE));
+        match self.surfaces.iter_mut().find(|s| s.name == name) {
+            Some(known) => {
+                let (a, b) = (known.std_err.max(f64::MIN_POSITIVE).powi(-2), std_err.powi(-2));
+                known.scene_variation = (a * known.scene_variation + b * value) / (a + b);
+                known.std_err = (a + b).sqrt().recip();
+                known.regions += 1;
+            }
+            None => {
+                self.surfaces.push(Surface { name: name.into(), scene_variation: value, std_err, regions: 1 })
+            }
+        }
+    }
+
+    /// Names a surface by its V_s. "None of these" where even the nearest would give such a distance with a chance below
+    /// [`NONE_BELOW`].
+    ///
+    /// ```
+    /// use radcam::noise::Quantity;
+    /// use radcam::surfaces::Library;
+    /// let mut library = Library::default();
+    /// let quantity = |value| Quantity { value, std_err: 1e-5, unit: "1" };
+    /// library.learn("rough", quantity(1e-3));
+    /// library.learn("smooth", quantity(1e-4));
+    /// assert_eq!(library.identify(quantity(1.02e-4)).surface.as_deref(), Some("smooth"));
+    /// assert_eq!(library.identify(quantity(5e-4)).surface, None);
+    /// ```
+    pub fn identify(&self, seen: Quantity) -> Answer {
+        let mut candidates: Vec<Candidate> = self
+            .surfaces
+            .iter()
+            .map(|s| {
+                let sd = seen.std_err.hypot(s.std_err).max(f64::MIN_POSITIVE);
+                let z = (seen.value - s.scene_variation) / sd;
+                let log_likelihood = -0.5 * z * z - sd.ln() - 0.5 * std::f64::consts::TAU.ln();
+                Candidate { name: s.name.clone(), log_likelihood, probability: 0.0, z }
+            })
+            .collect();
+        candidates.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
+        let best = candidates.first().map_or(0.0, |c| c.log_likelihood);
+        let sum: f64 = candidates.iter().map(|c| (c.log_likelihood - best).exp()).sum();
+        for c in &mut candidates {
+            c.probability = (c.log_likelihood - best).exp() / sum;
+        }
+        let near = candidates
+            .first()
+            .filter(|c| statrs::function::erf::erfc(c.z.abs() / std::f64::consts::SQRT_2) >= NONE_BELOW);
+        Answer { surface: near.map(|c| c.name.clone()), candidates }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_library_survives_the_disk_and_others_are_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("s.toml");
+        let mut library = Library::default();
+        for value in [1.0e-3, 1.2e-3] {
+            library.learn("paint", Quantity { value, std_err: 1e-4, unit: "1" });
+        }
+        assert!((library.surfaces[0].scene_variation - 1.1e-3).abs() < 1e-12);
+        assert!((library.surfaces[0].std_err - 1e-4 / 2f64.sqrt()).abs() < 1e-12);
+        library.write(&path).unwrap();
+        assert_eq!(Library::read(&path).unwrap(), library);
+        std::fs::write(&path, "format = \"radcam-surfaces/3\"").unwrap();
+        assert!(Library::read(&path).unwrap_err().to_string().contains("radcam-surfaces/3"));
+        assert_eq!(
+            Library::default().identify(Quantity { value: 1.0, std_err: 1.0, unit: "1" }).surface,
+            None
+        );
+    }
+}
