@@ -5,17 +5,17 @@
 //! Surface and K are fitted in turn, both with Tukey's biweight (Beaton and Tukey 1974), so that spots of the card do
 //! not matter. Against the window's mean, neighbours' spots and K's own mean over the window drop out of the error.
 
-use super::pattern::{FixedPattern, PatternError, check};
-use ndarray::{Array2, Zip};
-use radcam_sim::rng::{PixelRng, Stream};
+use super::pattern::{FixedPattern, PatternError, check, pooled_deviation};
+use super::robust::{self, Light, Location};
+use ndarray::Array2;
 use rayon::prelude::*;
 
 /// Largest order of a light surface.
 const MAX_ORDER: usize = 6;
 /// Side of the blocks whose medians the surfaces are fitted to, pixels.
 const BLOCK: usize = 8;
-/// Tukey's constant: 95 % efficiency for normal data.
-const BIWEIGHT: f64 = 4.685;
+/// Blocks that are used at most, about.
+const MOST_BLOCKS: f64 = 6000.0;
 
 /// K by the joint model. `configurations` are the e_i of eq. (46), DN, each (rows, columns).
 ///
@@ -27,17 +27,24 @@ pub fn joint(configurations: &[Array2<f32>]) -> Result<FixedPattern, PatternErro
     let blocks = Blocks::new(shape);
     let mut k = Array2::<f32>::ones(shape);
     let order = blocks.order(configurations, &k);
+    let n1 = configurations.len();
     let (mut pooled_sd, mut mean_before) = (0.0, 1.0);
     let mut kept = Array2::zeros(shape);
     // The first round's K takes the grain out of the second's surfaces; a third changes nothing that matters.
     for _ in 0..2 {
-        let light: Vec<Array2<f32>> =
-            configurations.par_iter().map(|e| blocks.surface(&blocks.medians(e, &k), order)).collect();
-        (pooled_sd, kept, mean_before) = common(configurations, &light, &mut k);
+        let light = blocks.surfaces(configurations, &k, order);
+        pooled_sd = pooled_deviation(shape, n1, |at, m| {
+            m.clear();
+            m.extend(configurations.iter().enumerate().map(|(i, e)| f64::from(e[at]) / light.at(i, at)));
+        });
+        let location = Location::Biweight { scale: pooled_sd as f32 };
+        kept = robust::estimate(configurations, &light, location, &mut k);
+        mean_before = k.iter().map(|&k| f64::from(k)).sum::<f64>() / k.len() as f64;
+        k.mapv_inplace(|k| (f64::from(k) / mean_before) as f32);
     }
-    let variance = efficiency(configurations.len());
-    let n1 = configurations.len() as f64;
-    let std_err = kept.mapv(|kept: u16| (pooled_sd * (variance * n1 / f64::from(kept.max(1))).sqrt()) as f32);
+    let (variance, _) = robust::efficiency(n1, Location::Biweight { scale: 1.0 });
+    let share = |kept: u16| variance * n1 as f64 / f64::from(kept.max(1));
+    let std_err = kept.mapv(|kept: u16| (pooled_sd * share(kept).sqrt()) as f32);
     Ok(FixedPattern { k, std_err, kept, pooled_sd, mean_before })
 }
 
@@ -58,10 +65,17 @@ pub fn smooth(
     let order = blocks.order(images, &even);
     let mut k = Array2::<f32>::zeros(shape);
     let mut level = 0.0;
+    let light = blocks.surfaces(images, &even, order);
+    let mut sweep = light.sweep(0);
+    let mut lights = vec![0.0; images.len() * shape.1];
+    for (y, mut k) in k.outer_iter_mut().enumerate() {
+        sweep(&mut lights);
+        for (e, l) in images.iter().zip(lights.chunks(shape.1)) {
+            k.iter_mut().zip(e.row(y)).zip(l).for_each(|((k, &e), &l)| *k += e / l.max(1e-6));
+        }
+    }
     for e in images {
-        let light = blocks.surface(&blocks.medians(e, &even), order);
-        Zip::from(&mut k).and(e).and(&light).for_each(|k, &e, &l| *k += e / l.max(1e-6));
-        level += light.mean().map_or(0.0, f64::from) / images.len() as f64;
+        level += e.mean().map_or(0.0, f64::from) / images.len() as f64;
     }
     let mean = k.iter().map(|&k| f64::from(k)).sum::<f64>() / k.len() as f64;
     k.mapv_inplace(|k| (f64::from(k) / mean) as f32);
@@ -77,84 +91,13 @@ pub fn smooth(
     })
 }
 
-/// K as the robust mean of e_i / L_i at every pixel, mean 1; returns the pooled deviation, the points with weight and the
-/// mean before it was brought to 1.
-fn common(
-    configurations: &[Array2<f32>],
-    light: &[Array2<f32>],
-    k: &mut Array2<f32>,
-) -> (f64, Array2<u16>, f64) {
-    let (rows, columns) = k.dim();
-    let n1 = configurations.len();
-    let slopes = |at: (usize, usize), m: &mut Vec<f64>| {
-        m.clear();
-        m.extend(
-            configurations.iter().zip(light).map(|(e, l)| f64::from(e[at]) / f64::from(l[at]).max(1e-6)),
-        );
-    };
-    let s = super::pattern::pooled_deviation((rows, columns), n1, slopes);
-    let mut kept = Array2::zeros((rows, columns));
-    let bands = k.as_slice_mut().unwrap_or_default().par_chunks_mut(columns);
-    let counts = kept.as_slice_mut().unwrap_or_default().par_chunks_mut(columns);
-    bands.zip(counts).enumerate().for_each(|(y, (k, kept))| {
-        let (mut m, mut sorted) = (Vec::with_capacity(n1), Vec::with_capacity(n1));
-        for (x, (k, kept)) in k.iter_mut().zip(kept).enumerate() {
-            slopes((y, x), &mut m);
-            let (location, points) = biweight(&m, &mut sorted, s);
-            *k = location as f32;
-            *kept = points;
-        }
-    });
-    let mean = k.iter().map(|&k| f64::from(k)).sum::<f64>() / k.len() as f64;
-    k.mapv_inplace(|k| (f64::from(k) / mean) as f32);
-    (s, kept, mean)
-}
-
-/// Tukey's biweight location with a known scale, from the median; and the number of points with weight.
-fn biweight(m: &[f64], sorted: &mut Vec<f64>, s: f64) -> (f64, u16) {
-    let mut middle = super::pattern::median(m, sorted);
-    let reach = BIWEIGHT * s;
-    let mut points = 0;
-    for _ in 0..4 {
-        let (mut sum, mut weights) = (0.0, 0.0);
-        points = 0;
-        for &x in m {
-            let u = (x - middle) / reach;
-            if u.abs() < 1.0 {
-                let w = (1.0 - u * u).powi(2);
-                sum += w * x;
-                weights += w;
-                points += 1;
-            }
-        }
-        if weights <= 0.0 {
-            break;
-        }
-        middle = sum / weights;
-    }
-    (middle, points)
-}
-
-/// Variance of [`biweight`] for standard normal points, by running it.
-fn efficiency(n1: usize) -> f64 {
-    const RUNS: u32 = 4000;
-    let mut sorted = Vec::with_capacity(n1);
-    let square: f64 = (0..RUNS)
-        .map(|run| {
-            let m: Vec<f64> =
-                (0..n1).map(|i| PixelRng::new(0x51, Stream::Frame, i as u64, run, 0).normal()).collect();
-            biweight(&m, &mut sorted, 1.0).0.powi(2)
-        })
-        .sum();
-    square / f64::from(RUNS)
-}
-
 /// The frame in blocks, and polynomial surfaces over it.
 struct Blocks {
     shape: (usize, usize),
     /// Middle of each block, -1 to 1 in x and y.
     at: Vec<(f64, f64)>,
-    across: usize,
+    /// First row and column of each block.
+    corners: Vec<(usize, usize)>,
 }
 
 /// Legendre polynomials 0 to [`MAX_ORDER`] at x in [-1, 1].
@@ -176,24 +119,25 @@ fn terms(order: usize) -> impl Iterator<Item = (usize, usize)> {
 impl Blocks {
     fn new(shape: (usize, usize)) -> Self {
         let (rows, columns) = shape;
-        let across = columns.div_ceil(BLOCK);
-        let middle = |i: usize, n: usize| {
-            let (from, to) = (i * BLOCK, ((i + 1) * BLOCK).min(n));
-            (from + to) as f64 / n as f64 - 1.0
-        };
-        let at = (0..rows.div_ceil(BLOCK))
-            .flat_map(|y| (0..across).map(move |x| (middle(x, columns), middle(y, rows))))
+        let (down, across) = (rows.div_ceil(BLOCK), columns.div_ceil(BLOCK));
+        // Large frames have more blocks than 28 coefficients need: every so manieth serves.
+        let step = ((down * across) as f64 / MOST_BLOCKS).sqrt().ceil().max(1.0) as usize;
+        let corners: Vec<_> = (0..down)
+            .step_by(step)
+            .flat_map(|y| (0..across).step_by(step).map(move |x| (y * BLOCK, x * BLOCK)))
             .collect();
-        Self { shape, at, across }
+        let middle = |from: usize, n: usize| (from + (from + BLOCK).min(n)) as f64 / n as f64 - 1.0;
+        let at = corners.iter().map(|&(y, x)| (middle(x, columns), middle(y, rows))).collect();
+        Self { shape, at, corners }
     }
 
     /// Median of e / K in every block.
     fn medians(&self, e: &Array2<f32>, k: &Array2<f32>) -> Vec<f64> {
         let (rows, columns) = self.shape;
         let (mut values, mut sorted) = (Vec::new(), Vec::new());
-        (0..self.at.len())
-            .map(|block| {
-                let (y, x) = (block / self.across * BLOCK, block % self.across * BLOCK);
+        self.corners
+            .iter()
+            .map(|&(y, x)| {
                 values.clear();
                 for y in y..(y + BLOCK).min(rows) {
                     for x in x..(x + BLOCK).min(columns) {
@@ -260,23 +204,63 @@ impl Blocks {
         (0..=most).min_by(|&a, &b| criterion(a).total_cmp(&criterion(b))).unwrap_or(0)
     }
 
-    /// The surface through block values, at every pixel.
-    fn surface(&self, values: &[f64], order: usize) -> Array2<f32> {
+    /// The surfaces of all configurations through the medians of e / K.
+    fn surfaces(&self, configurations: &[Array2<f32>], k: &Array2<f32>, order: usize) -> Surfaces {
+        let coefficients = configurations.par_iter().map(|e| self.fit(&self.medians(e, k), order)).collect();
         let (rows, columns) = self.shape;
-        let c = self.fit(values, order);
         let place = |i: usize, n: usize| (2 * i + 1) as f64 / n as f64 - 1.0;
-        let mut out = Array2::zeros(self.shape);
-        // Of each row a polynomial in x is left, by Legendre's coefficients.
-        let along: Vec<_> = (0..columns).map(|x| legendre(place(x, columns))).collect();
-        for (y, mut row) in out.outer_iter_mut().enumerate() {
-            let py = legendre(place(y, rows));
-            let mut of_x = [0.0; MAX_ORDER + 1];
-            terms(order).zip(&c).for_each(|((i, j), c)| of_x[i] += c * py[j]);
-            Zip::from(&mut row).and(&ndarray::ArrayView1::from(&along)).for_each(|out: &mut f32, px| {
-                *out = px.iter().zip(&of_x).map(|(p, c)| p * c).sum::<f64>() as f32;
-            });
+        let table = |n: usize| {
+            let mut table = vec![vec![0.0; n]; MAX_ORDER + 1];
+            for i in 0..n {
+                let p = legendre(place(i, n));
+                table.iter_mut().zip(p).for_each(|(row, p)| row[i] = p);
+            }
+            table
+        };
+        let narrow = |table: Vec<Vec<f64>>| -> Vec<Vec<f32>> {
+            table.into_iter().map(|row| row.into_iter().map(|p| p as f32).collect()).collect()
+        };
+        Surfaces { coefficients, order, of_x: narrow(table(columns)), of_y: table(rows) }
+    }
+}
+
+/// The light of every configuration as polynomials.
+struct Surfaces {
+    coefficients: Vec<Vec<f64>>,
+    order: usize,
+    /// Legendre polynomials along the row and down the column.
+    of_x: Vec<Vec<f32>>,
+    of_y: Vec<Vec<f64>>,
+}
+
+impl Surfaces {
+    /// Of each row a polynomial in x is left: its coefficients.
+    fn along(&self, i: usize, y: usize) -> [f64; MAX_ORDER + 1] {
+        let mut of_x = [0.0; MAX_ORDER + 1];
+        terms(self.order).zip(&self.coefficients[i]).for_each(|((a, b), c)| of_x[a] += c * self.of_y[b][y]);
+        of_x
+    }
+
+    fn at(&self, i: usize, (y, x): (usize, usize)) -> f64 {
+        self.along(i, y).iter().zip(&self.of_x).map(|(c, p)| c * f64::from(p[x])).sum::<f64>().max(1e-6)
+    }
+}
+
+impl Light for Surfaces {
+    fn sweep(&self, first_row: usize) -> impl FnMut(&mut [f32]) {
+        let columns = self.of_x[0].len();
+        let mut y = first_row;
+        move |lights| {
+            for (i, out) in lights.chunks_mut(columns).enumerate() {
+                let c = self.along(i, y);
+                out.fill(c[0] as f32);
+                for (c, p) in c.iter().zip(&self.of_x).skip(1).take(self.order) {
+                    let c = *c as f32;
+                    out.iter_mut().zip(p).for_each(|(o, p)| *o += c * p);
+                }
+            }
+            y += 1;
         }
-        out
     }
 }
 
@@ -291,6 +275,7 @@ mod tests {
     use super::*;
     use crate::calibrate::pattern::tests::{GRAIN, bench, chi2};
     use crate::calibrate::pattern::{Options, paper};
+    use ndarray::Zip;
 
     /// 2 % spots, grain and a 10 % gradient: the residual deviation is at most 1.1 times the limit (grain over the root of
     /// n1), the stated errors are true within 5 %, edges included, and the windows do worse.

@@ -6,6 +6,7 @@ pub mod file;
 pub mod joint;
 pub mod pattern;
 pub mod plan;
+mod robust;
 pub mod window;
 
 use crate::dataset::{Dataset, DatasetError, Kind, Set};

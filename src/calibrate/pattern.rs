@@ -4,10 +4,9 @@
 //! at one site can pull so far that every good point is thrown out; here the median starts ([`Start::Median`]), and the
 //! mean stays as an option ([`Start::Mean`]).
 
+use super::robust::{self, Light, Location};
 use super::window;
 use ndarray::{Array2, Zip};
-use radcam_sim::rng::{PixelRng, Stream};
-use rayon::prelude::*;
 
 /// Where the search for outliers starts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -108,45 +107,25 @@ pub fn paper(configurations: &[Array2<f32>], options: Options) -> Result<FixedPa
     check(configurations)?;
     let n1 = configurations.len();
     let shape = configurations[0].dim();
-    let light: Vec<Array2<f32>> =
-        configurations.iter().map(|e| window::mean(e.view(), options.window)).collect();
+    let light = Windows { images: configurations, side: options.window };
     let slopes = |at: (usize, usize), m: &mut Vec<f64>| {
         m.clear();
         m.extend(
-            configurations.iter().zip(&light).map(|(e, l)| f64::from(e[at]) / f64::from(l[at]).max(1e-6)),
+            configurations
+                .iter()
+                .map(|e| f64::from(e[at]) / window::at(e.view(), options.window, at).max(1e-6)),
         );
     };
     let pooled_sd = pooled_deviation(shape, n1, slopes);
-    let reach = options.p * pooled_sd;
-    let (mut k, mut kept) = (Array2::<f32>::zeros(shape), Array2::<u16>::zeros(shape));
-    let columns = shape.1.max(1);
-    let rows = k.as_slice_mut().unwrap_or_default().par_chunks_mut(columns);
-    rows.zip(kept.as_slice_mut().unwrap_or_default().par_chunks_mut(columns)).enumerate().for_each(
-        |(y, row)| {
-            let (mut m, mut sorted) = (Vec::with_capacity(n1), Vec::with_capacity(n1));
-            for (x, (k, kept)) in row.0.iter_mut().zip(row.1).enumerate() {
-                slopes((y, x), &mut m);
-                let middle = start(&m, &mut sorted, options.start);
-                let (mut sum_e, mut sum_l, mut count) = (0.0, 0.0, 0);
-                for (i, &slope) in m.iter().enumerate() {
-                    if (slope - middle).abs() <= reach {
-                        sum_e += f64::from(configurations[i][(y, x)]);
-                        sum_l += f64::from(light[i][(y, x)]);
-                        count += 1;
-                    }
-                }
-                // Nothing kept: the start is all there is, and the count says so.
-                *k = if count > 0 { (sum_e / sum_l) as f32 } else { middle as f32 };
-                *kept = count;
-            }
-        },
-    );
+    let location = |scale: f64| Location::Kept { reach: (options.p * scale) as f32, start: options.start };
+    let mut k = Array2::<f32>::zeros(shape);
+    let kept = robust::estimate(configurations, &light, location(pooled_sd), &mut k);
     let n = k.len() as f64;
     let mean = k.iter().map(|&k| f64::from(k)).sum::<f64>() / n;
     k.mapv_inplace(|k| (f64::from(k) / mean) as f32);
     let spread = k.iter().map(|&k| (f64::from(k) - 1.0).powi(2)).sum::<f64>() / n;
     // Variance of the procedure itself for normal slopes, in units of s^2, and the points it keeps of n1.
-    let (variance, usual) = efficiency(n1, options);
+    let (variance, usual) = robust::efficiency(n1, location(1.0));
     let scatter = pooled_sd * pooled_sd * variance;
     let sigma_k2 = (spread - scatter).max(0.0);
     let std_err = Zip::indexed(&kept).map_collect(|at, &kept: &u16| {
@@ -157,10 +136,20 @@ pub fn paper(configurations: &[Array2<f32>], options: Options) -> Result<FixedPa
     Ok(FixedPattern { k, std_err, kept, pooled_sd, mean_before: mean })
 }
 
-fn start(m: &[f64], sorted: &mut Vec<f64>, start: Start) -> f64 {
-    match start {
-        Start::Mean => m.iter().sum::<f64>() / m.len() as f64,
-        Start::Median => median(m, sorted),
+/// The light as the means over windows.
+struct Windows<'a> {
+    images: &'a [Array2<f32>],
+    side: usize,
+}
+
+impl Light for Windows<'_> {
+    fn sweep(&self, first_row: usize) -> impl FnMut(&mut [f32]) {
+        let mut all: Vec<_> =
+            self.images.iter().map(|e| window::Sweep::new(e.view(), self.side, first_row)).collect();
+        move |lights| {
+            let columns = lights.len() / all.len().max(1);
+            all.iter_mut().zip(lights.chunks_mut(columns)).for_each(|(sweep, row)| sweep.next(row));
+        }
     }
 }
 
@@ -214,27 +203,10 @@ pub(super) fn pooled_deviation(
     s
 }
 
-/// Variance of the kept points' mean for standard normal slopes, and the mean number kept, by running the procedure.
-fn efficiency(n1: usize, options: Options) -> (f64, f64) {
-    const RUNS: u32 = 4000;
-    let (mut square, mut points) = (0.0, 0.0);
-    let mut sorted = Vec::with_capacity(n1);
-    for run in 0..RUNS {
-        let m: Vec<f64> =
-            (0..n1).map(|i| PixelRng::new(0x9e37, Stream::Frame, i as u64, run, 0).normal()).collect();
-        let middle = start(&m, &mut sorted, options.start);
-        let kept: Vec<f64> = m.into_iter().filter(|x| (x - middle).abs() <= options.p).collect();
-        if !kept.is_empty() {
-            square += (kept.iter().sum::<f64>() / kept.len() as f64).powi(2);
-        }
-        points += kept.len() as f64;
-    }
-    (square / f64::from(RUNS), points / f64::from(RUNS))
-}
-
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use radcam_sim::rng::{PixelRng, Stream};
 
     const SIGMA_K: f64 = 5e-3;
     pub const GRAIN: f64 = 4e-3;

@@ -17,59 +17,104 @@ use std::ops::Range;
 /// ```
 pub fn mean(image: ArrayView2<'_, f32>, m: usize) -> Array2<f32> {
     let (rows, columns) = image.dim();
-    let reach = m / 2;
     let mut out = Array2::zeros((rows, columns));
-    // Bands of rows: each carries the column sums of its window downwards.
-    let band = rows.div_ceil(4 * rayon::current_num_threads()).max(2 * reach + 1);
     if columns == 0 {
         return out;
     }
+    let band = rows.div_ceil(4 * rayon::current_num_threads()).max(m);
     let pixels = out.as_slice_mut().unwrap_or_default();
     pixels.par_chunks_mut(band * columns).enumerate().for_each(|(i, out)| {
-        let first = i * band;
-        let mut sums = vec![0.0f64; columns];
-        // Column sums of the slope along y, for rows whose window is cut.
-        let mut tilted = vec![0.0f64; columns];
-        let mut held = 0..0;
-        for (y, out) in out.chunks_mut(columns).enumerate() {
-            let wanted = window(first + y, reach, rows);
-            let add = |sums: &mut [f64], row: usize, weight: f64| {
-                sums.iter_mut().zip(image.row(row)).for_each(|(s, &x)| *s += weight * f64::from(x));
-            };
-            if held.is_empty() {
-                wanted.clone().for_each(|row| add(&mut sums, row, 1.0));
-            } else {
-                (held.end..wanted.end).for_each(|row| add(&mut sums, row, 1.0));
-                (held.start..wanted.start).for_each(|row| add(&mut sums, row, -1.0));
-            }
-            held = wanted.clone();
-            let y_lever = Lever::new(&wanted, first + y);
-            if y_lever.cut {
-                tilted.fill(0.0);
-                wanted.clone().for_each(|row| add(&mut tilted, row, y_lever.weight(row)));
-            }
-            // Along the row, the same with the column sums.
-            let height = wanted.len() as f64;
-            let (mut sum, mut tilt, mut from, mut to) = (0.0, 0.0, 0, 0);
-            for (x, out) in out.iter_mut().enumerate() {
-                let across = window(x, reach, columns);
-                let (start, end) = (across.start, across.end);
-                sum += sums[to..end].iter().sum::<f64>() - sums[from..start].iter().sum::<f64>();
-                if y_lever.cut {
-                    tilt += tilted[to..end].iter().sum::<f64>() - tilted[from..start].iter().sum::<f64>();
-                }
-                (from, to) = (start, end);
-                let width = across.len() as f64;
-                let mut value = sum / (height * width) + if y_lever.cut { tilt / width } else { 0.0 };
-                let x_lever = Lever::new(&across, x);
-                if x_lever.cut {
-                    value += across.map(|x| x_lever.weight(x) * sums[x]).sum::<f64>() / height;
-                }
-                *out = value as f32;
-            }
-        }
+        let mut sweep = Sweep::new(image, m, i * band);
+        out.chunks_mut(columns).for_each(|row| sweep.next(row));
     });
     out
+}
+
+/// [`mean`] row by row: the column sums of the window are carried downwards.
+pub(super) struct Sweep<'a> {
+    image: ArrayView2<'a, f32>,
+    reach: usize,
+    row: usize,
+    sums: Vec<f64>,
+    /// Column sums of the slope along y, for rows whose window is cut.
+    tilted: Vec<f64>,
+    held: Range<usize>,
+}
+
+impl<'a> Sweep<'a> {
+    pub(super) fn new(image: ArrayView2<'a, f32>, m: usize, row: usize) -> Self {
+        let none = || vec![0.0; image.ncols()];
+        Self { image, reach: m / 2, row, sums: none(), tilted: none(), held: 0..0 }
+    }
+
+    /// Writes the next row.
+    pub(super) fn next(&mut self, out: &mut [f32]) {
+        let Self { image, reach, row, sums, tilted, held } = self;
+        let (rows, columns) = image.dim();
+        let wanted = window(*row, *reach, rows);
+        let add = |sums: &mut [f64], row: usize, weight: f64| {
+            sums.iter_mut().zip(image.row(row)).for_each(|(s, &x)| *s += weight * f64::from(x));
+        };
+        if held.is_empty() {
+            wanted.clone().for_each(|row| add(sums, row, 1.0));
+        } else {
+            (held.end..wanted.end).for_each(|row| add(sums, row, 1.0));
+            (held.start..wanted.start).for_each(|row| add(sums, row, -1.0));
+        }
+        *held = wanted.clone();
+        let y_lever = Lever::new(&wanted, *row);
+        if y_lever.cut {
+            tilted.fill(0.0);
+            wanted.clone().for_each(|row| add(tilted, row, y_lever.weight(row)));
+        }
+        *row += 1;
+        let height = wanted.len() as f64;
+        // Along the row, the same with the column sums: first where the window is cut, then where it is whole.
+        let (reach, whole) = (*reach, *reach..columns.saturating_sub(*reach));
+        for x in (0..columns).filter(|x| !whole.contains(x)) {
+            let across = window(x, reach, columns);
+            let width = across.len() as f64;
+            let mut value = sums[across.clone()].iter().sum::<f64>() / (height * width);
+            if y_lever.cut {
+                value += tilted[across.clone()].iter().sum::<f64>() / width;
+            }
+            let x_lever = Lever::new(&across, x);
+            if x_lever.cut {
+                value += across.map(|x| x_lever.weight(x) * sums[x]).sum::<f64>() / height;
+            }
+            out[x] = value as f32;
+        }
+        if whole.is_empty() {
+            return;
+        }
+        let m = 2 * reach + 1;
+        let slide = |sums: &[f64], scale: f64, out: &mut [f32], keep: f32| {
+            let mut sum = sums[..m - 1].iter().sum::<f64>();
+            for (out, (&enters, &leaves)) in out.iter_mut().zip(sums[m - 1..].iter().zip(sums)) {
+                sum += enters;
+                *out = keep * *out + (sum * scale) as f32;
+                sum -= leaves;
+            }
+        };
+        slide(sums, 1.0 / (height * m as f64), &mut out[whole.clone()], 0.0);
+        if y_lever.cut {
+            slide(tilted, 1.0 / m as f64, &mut out[whole], 1.0);
+        }
+    }
+}
+
+/// [`mean`] at one pixel, by its definition.
+pub(super) fn at(image: ArrayView2<'_, f32>, m: usize, (y, x): (usize, usize)) -> f64 {
+    let (down, across) = (window(y, m / 2, image.nrows()), window(x, m / 2, image.ncols()));
+    let (of_y, of_x) = (Lever::new(&down, y), Lever::new(&across, x));
+    let (h, w) = (down.len() as f64, across.len() as f64);
+    let mut sum = 0.0;
+    for b in down {
+        for a in across.clone() {
+            sum += f64::from(image[(b, a)]) * (1.0 / (h * w) + of_y.weight(b) / w + of_x.weight(a) / h);
+        }
+    }
+    sum
 }
 
 /// Places of a window about `at` that lie inside.
@@ -170,6 +215,7 @@ mod tests {
                     expected += if yy > 0.0 { ye / yy * (y as f64 - mid_y) } else { 0.0 };
                     expected += if xx > 0.0 { xe / xx * (x as f64 - mid_x) } else { 0.0 };
                     prop_assert!((f64::from(means[(y, x)]) - expected).abs() < 4e-3, "{y} {x}");
+                    prop_assert!((at(image.view(), 2 * reach + 1, (y, x)) - expected).abs() < 1e-6, "{y} {x}");
                 }
             }
         }
