@@ -55,7 +55,7 @@ impl<'a> Sweep<'a> {
         let add = |sums: &mut [f64], row: usize, weight: f64| {
             sums.iter_mut().zip(image.row(row)).for_each(|(s, &x)| *s += weight * f64::from(x));
         };
-        if held.is_empty() {
+        if held.end == 0 {
             wanted.clone().for_each(|row| add(sums, row, 1.0));
         } else {
             (held.end..wanted.end).for_each(|row| add(sums, row, 1.0));
