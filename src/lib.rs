@@ -31,10 +31,12 @@ pub mod budget;
 pub mod calibrate;
 pub mod camera;
 pub mod capture;
+pub mod compare;
 #[cfg(feature = "cli")]
 pub mod cli;
 pub mod correct;
 pub mod dataset;
+pub mod diagnose;
 pub mod fit;
 pub mod frame;
 pub mod noise;

@@ -19,10 +19,12 @@
 //! ```
 
 mod draw;
+pub mod effects;
 mod maps;
 mod model;
 mod optics;
 mod poisson;
+pub mod predict;
 pub mod rng;
 mod scene;
 pub mod sensors;
@@ -30,7 +32,7 @@ mod surface;
 
 pub use draw::{Conditions, Expected, Region, Sensor};
 pub use maps::Maps;
-pub use model::{Base, Bench, Body, FORMAT, Model, ModelError};
+pub use model::{Base, Bench, Body, EffectValues, FORMAT, Model, ModelError};
 pub use optics::{Band, Optics};
 pub use scene::{PATCH_BACKGROUND, Scene, Square};
 pub use surface::{Spectrum, Texture};

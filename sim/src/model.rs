@@ -6,7 +6,9 @@
 use crate::optics::{Band, Optics};
 use crate::scene::{Square, default_chart};
 use crate::surface::Texture;
+use crate::effects::{self, Effect};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Name and major version of the file format.
 pub const FORMAT: &str = "radcam-model/1";
@@ -29,6 +31,34 @@ pub struct Model {
     pub base: Base,
     /// Card and lamp.
     pub bench: Bench,
+    /// Effects that the paper's model lacks.
+    #[serde(default, rename = "effect", skip_serializing_if = "Vec::is_empty")]
+    pub effects: Vec<EffectValues>,
+}
+
+/// An effect of a model with its values.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EffectValues {
+    /// Identifier, as `radcam effects` lists them.
+    pub id: String,
+    /// Values by name.
+    #[serde(default)]
+    pub parameters: BTreeMap<String, f64>,
+    /// Standard errors by name, where the values were fitted.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub std_err: BTreeMap<String, f64>,
+}
+
+impl EffectValues {
+    /// Values in the order of the effect's parameters; a start where one is missing.
+    pub fn values(&self, effect: &dyn Effect) -> Vec<f64> {
+        let of = |p: &crate::effects::Parameter| {
+            let start = p.starts.iter().copied().find(|s| s.is_finite()).unwrap_or(0.0);
+            self.parameters.get(p.name).copied().unwrap_or(start)
+        };
+        effect.parameters().iter().map(of).collect()
+    }
 }
 
 /// Identity and geometry.
@@ -125,6 +155,9 @@ pub enum ModelError {
     /// Another format or a later major version.
     #[error("format is \"{0}\", and this program reads \"{FORMAT}\"")]
     Format(String),
+    /// An effect or a parameter that is not there.
+    #[error("{0}")]
+    Effect(String),
     /// A value outside its physical bounds.
     #[error("{field} is {value} {unit}, and must lie within {min} to {max} {unit}")]
     OutOfRange {
@@ -225,6 +258,25 @@ impl Model {
         for (field, value, min, max, unit) in bounds.into_iter().chain(bands).chain(textures).chain(squares) {
             if !(min..=max).contains(&value) {
                 return Err(ModelError::OutOfRange { field, value, min, max, unit });
+            }
+        }
+        for e in &self.effects {
+            let Some(effect) = effects::find(&e.id) else {
+                return Err(ModelError::Effect(format!("no effect \"{}\"; `radcam effects` lists them", e.id)));
+            };
+            for (name, &value) in &e.parameters {
+                let Some(p) = effect.parameters().iter().find(|p| p.name == name) else {
+                    let names: Vec<_> = effect.parameters().iter().map(|p| p.name).collect();
+                    let names = names.join(", ");
+                    return Err(ModelError::Effect(format!(
+                        "effect {} has no parameter {name}: it has {names}",
+                        e.id
+                    )));
+                };
+                if !(p.min..=p.max).contains(&value) {
+                    let (min, max) = (p.min, p.max);
+                    return Err(ModelError::OutOfRange { field: p.name, value, min, max, unit: p.unit });
+                }
             }
         }
         let pixels = f64::from(c.width) * f64::from(c.height);

@@ -31,6 +31,8 @@ pub enum Stream {
     Card = 5,
     /// Spots on them.
     Spots = 6,
+    /// What effects draw for themselves.
+    Effect = 7,
 }
 
 const M0: u64 = 0xD251_1F53;

@@ -12,6 +12,8 @@ mod capture;
 mod common;
 mod correct;
 mod demo;
+mod diagnose;
+mod model;
 mod noise;
 mod plan_calibration;
 mod progress;
@@ -74,6 +76,8 @@ enum Verb {
     Budget(budget::Arguments),
     /// Run the paper's experiments again and hold its numbers against ours (Section VII)
     Reproduce(reproduce::Arguments),
+    /// Say which physical effect a campaign shows that the model lacks
+    Diagnose(diagnose::Arguments),
     /// Serve, capture, measure and report a camera, all in one
     Demo(demo::Arguments),
 }
@@ -96,6 +100,7 @@ pub fn main() -> ExitCode {
         Verb::Surface(a) => surface::run(&a),
         Verb::Budget(a) => budget::run(&a),
         Verb::Reproduce(a) => reproduce::run(&a),
+        Verb::Diagnose(a) => diagnose::run(&a),
         Verb::Demo(a) => demo::run(&a),
     };
     match outcome {

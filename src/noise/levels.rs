@@ -215,7 +215,7 @@ pub fn table_points(table: &Table) -> Vec<Point> {
 
 /// What stands in for a pixel count that a table does not give.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Counts {
+pub(crate) enum Counts {
     /// Every row has its own.
     Given,
     /// The count that the rows' own scatter asks for.
@@ -225,7 +225,7 @@ pub(super) enum Counts {
 }
 
 /// Gives rows without a pixel count the one that their own scatter about a smooth curve asks for.
-pub(super) fn pixels_from_scatter(points: &mut [Point]) -> Counts {
+pub(crate) fn pixels_from_scatter(points: &mut [Point]) -> Counts {
     if points.iter().all(|p| p.pixels.is_finite()) {
         return Counts::Given;
     }

@@ -28,7 +28,8 @@ use crate::dataset::table::Table;
 use crate::dataset::{Dataset, DatasetError, Kind};
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
 use exclude::{exclude_past_the_peak, exclude_strays};
-use levels::{Counts, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED, pixels_from_scatter};
+pub(crate) use levels::{Counts, pixels_from_scatter};
+use levels::{ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED};
 use report::finite;
 use std::sync::atomic::AtomicBool;
 

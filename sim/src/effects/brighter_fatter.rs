@@ -1,0 +1,80 @@
+//! Brighter-fatter: charge already in a pixel repels what arrives later.
+
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, shifted};
+
+/// Flow of arriving charge along the gradient of the charge so far.
+pub struct This;
+
+/// Steps in which the charge of a frame is drawn.
+const STEPS: usize = 8;
+
+impl Effect for This {
+    fn id(&self) -> &'static str {
+        "brighter-fatter"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Charge
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        const STARTS: &[f64] = &[1e-6];
+        &[
+            Parameter { name: "a_vertical_per_e", unit: "1/e", min: 0.0, max: 1e-3, starts: STARTS },
+            Parameter { name: "a_horizontal_per_e", unit: "1/e", min: 0.0, max: 1e-3, starts: STARTS },
+        ]
+    }
+
+    fn page(&self) -> Page {
+        Page {
+            what: "Charge collected in a pixel pushes the field lines of its neighbours: a bright pixel collects less of what \
+                   follows, its neighbours more.",
+            equation: "dq/dt = I (1 + a_v (q_up + q_down - 2 q) + a_h (q_left + q_right - 2 q)); in the Fourier domain \
+                       P = (exp(2 g mu) - 1) / (2 g), g = -2 a_v (1 - cos k_y) - 2 a_h (1 - cos k_x)",
+            signature: "variance falls below the line as -mu^2, covariance with the nearest neighbours grows as +mu^2, the mean \
+                        stays linear",
+            look_alikes: "nonlinearity bends the mean; crosstalk correlates neighbours in proportion to mu, not mu^2",
+            remedy: "take the gain from the low end of the photon-transfer curve, or from eq. 16 of Astier et al.; correct images \
+                     by the measured a",
+            measure: "flats at many levels with their neighbour covariances: a table of means and variances alone cannot tell",
+            source: "Antilogus et al. 2014, JINST 9 C03048; Astier et al. 2019, A&A 629, A36, eq. 16 and 20",
+        }
+    }
+
+    fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
+        let (a_v, a_h) = (p[0], p[1]);
+        for s in &mut out.sets {
+            let mu = s.signal.max(0.0);
+            s.shot.shape(|ky, kx| {
+                let g = -2.0 * a_v * (1.0 - libm::cos(ky)) - 2.0 * a_h * (1.0 - libm::cos(kx));
+                let x = 2.0 * g * mu;
+                if x.abs() < 1e-9 { 1.0 } else { libm::expm1(x) / x }
+            });
+        }
+    }
+
+    /// The charge of the frame arrives in steps; in each, what is there already steers it.
+    fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
+        let n = STEPS as f64;
+        let columns = d.image.ncols();
+        // Parts of a Poisson number are Poisson numbers that add up to it.
+        let whole = d.image.clone();
+        let mut parts: Vec<_> = (0..STEPS).map(|_| whole.mapv(|q| q / n)).collect();
+        for ((y, x), &q) in whole.indexed_iter() {
+            let mut rng = d.random(self.id(), d.frame, (y * columns + x) as u32);
+            let noise: [f64; STEPS] = std::array::from_fn(|_| rng.normal());
+            let mean = noise.iter().sum::<f64>() / n;
+            let size = libm::sqrt(q.max(0.0) / n);
+            parts.iter_mut().zip(noise).for_each(|(part, e)| part[(y, x)] += size * (e - mean));
+        }
+        let mut filled = ndarray::Array2::zeros(whole.raw_dim());
+        for part in parts {
+            let side = |dy, dx| shifted(&filled, dy, dx);
+            let push = (side(1, 0) + side(-1, 0) - &filled * 2.0) * p[0]
+                + (side(0, 1) + side(0, -1) - &filled * 2.0) * p[1];
+            // Half of the step's own charge is there on average while it arrives: one half step more on all.
+            filled = filled + &part + &whole * (1.0 / n) * push * (n / (n - 1.0));
+        }
+        d.image = filled;
+    }
+}

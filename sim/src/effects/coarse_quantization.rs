@@ -1,0 +1,45 @@
+//! Coarse quantisation: the camera converts with fewer bits than its format has.
+
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+
+/// Codes are multiples of a step.
+pub struct This;
+
+impl Effect for This {
+    fn id(&self) -> &'static str {
+        "coarse-quantization"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Converter
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &[Parameter { name: "step_dn", unit: "DN", min: 1.0, max: 256.0, starts: &[2.0, 4.0, 16.0] }]
+    }
+
+    fn page(&self) -> Page {
+        Page {
+            what: "A 10-bit converter hands out 12-bit words, or firmware drops bits: some codes never occur.",
+            equation: "D = step * round(v / step); variance + (step^2 - 1) / 12",
+            signature: "codes that are no multiple of the step never occur; variance higher by a constant",
+            look_alikes: "unequal code widths leave no code out",
+            remedy: "use the format of the converter's own depth; at a step above twice the noise q^2 / 12 no longer holds",
+            measure: "the histogram of any flat",
+            source: "Widrow and Kollar 2008, Quantization Noise, ch. 4 and 5",
+        }
+    }
+
+    fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
+        out.code_step_dn = p[0];
+        for s in &mut out.sets {
+            s.read.0.iter_mut().for_each(|power| *power += (p[0] * p[0] - 1.0) / 12.0);
+        }
+    }
+
+    fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
+        let step = p[0].max(1.0);
+        let offset = d.offset_dn;
+        d.image.mapv_inplace(|v| libm::round((v + offset) / step) * step - offset);
+    }
+}

@@ -1,0 +1,54 @@
+//! Gain drift: the amplifier's gain changes slowly.
+
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+
+/// A times 1 + rate * time.
+pub struct This;
+
+impl Effect for This {
+    fn id(&self) -> &'static str {
+        "gain-drift"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Amplifier
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &[Parameter { name: "rel_per_s", unit: "1/s", min: -0.05, max: 0.05, starts: &[1e-4, -1e-4] }]
+    }
+
+    fn page(&self) -> Page {
+        Page {
+            what: "The camera warms up and its gain with it.",
+            equation: "A(t) = A(0) (1 + rate t)",
+            signature: "the repeated reference level moves with time; dark charge and all noise move with it",
+            look_alikes: "illumination drift leaves dark charge and read noise alone: only dark charge or very many frames tell",
+            remedy: "let the camera warm up; repeat a reference level",
+            measure: "darks of long exposure at start and end: their signal moves with the gain and not with the lamp",
+            source: "EMVA 1288 release 4, section 6; Janesick 2007",
+        }
+    }
+
+    fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
+        let mut of_set = vec![(0.0, 0.0); c.sets.len()];
+        for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
+            let gain = 1.0 + p[0] * frame.time_s;
+            *m *= gain;
+            if let Some(s) = of_set.get_mut(frame.set) {
+                *s = (s.0 + gain * gain, s.1 + 1.0);
+            }
+        }
+        for (s, (sum, n)) in out.sets.iter_mut().zip(of_set) {
+            let square = if n > 0.0 { sum / n } else { 1.0 };
+            s.shot.scale(square);
+            s.read.scale(square);
+            (s.row, s.column, s.common) = (s.row * square, s.column * square, s.common * square);
+        }
+    }
+
+    fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
+        let gain = 1.0 + p[0] * d.time_s;
+        d.image.mapv_inplace(|v| v * gain);
+    }
+}

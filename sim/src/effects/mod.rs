@@ -1,0 +1,175 @@
+//! Effects that the paper's model lacks. An effect is one file here, one `mod` line and one entry of [`EFFECTS`].
+//!
+//! Each does two things that check each other: it draws (acts on a frame at its place in the chain) and it predicts (shifts
+//! the expected statistics of a campaign).
+
+use crate::predict::{BaseParameters, Campaign, Prediction, Spectrum};
+
+/// Where in the chain an effect acts, in the order in which light travels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stage {
+    /// On the light, before charge is counted.
+    Light,
+    /// On the charge in the pixels, after shot noise.
+    Charge,
+    /// While the charge is moved.
+    Transfer,
+    /// Noise added at read-out, before the amplifier.
+    Read,
+    /// The amplifier, DN above the level of zero charge.
+    Amplifier,
+    /// The converter.
+    Converter,
+    /// In the camera, after conversion.
+    Firmware,
+}
+
+/// A parameter of an effect.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Parameter {
+    /// Its name, with the unit in it where it has one.
+    pub name: &'static str,
+    /// Unit; `1` for a share.
+    pub unit: &'static str,
+    /// Smallest physical value.
+    pub min: f64,
+    /// Largest physical value.
+    pub max: f64,
+    /// Where a search begins; each is tried.
+    pub starts: &'static [f64],
+}
+
+/// What people want to know of an effect.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Page {
+    /// What happens, in a sentence or two.
+    pub what: &'static str,
+    /// The equation used here.
+    pub equation: &'static str,
+    /// Which statistic moves, and how.
+    pub signature: &'static str,
+    /// How to tell it from what looks like it.
+    pub look_alikes: &'static str,
+    /// What to do about it.
+    pub remedy: &'static str,
+    /// The measurement that separates it from its look-alikes.
+    pub measure: &'static str,
+    /// Where it is described.
+    pub source: &'static str,
+}
+
+/// An effect.
+pub trait Effect: Sync + Send {
+    /// Identifier, as in `[[effect]] id = "..."`.
+    fn id(&self) -> &'static str;
+    /// Its place in the chain.
+    fn stage(&self) -> Stage;
+    /// Its parameters.
+    fn parameters(&self) -> &'static [Parameter];
+    /// What people want to know.
+    fn page(&self) -> Page;
+    /// Shifts the expected statistics. `p` are the values of [`parameters`](Self::parameters).
+    fn predict(&self, p: &[f64], campaign: &Campaign, out: &mut Prediction);
+    /// Acts on a frame.
+    fn draw(&self, p: &[f64], frame: &mut Drawing<'_>);
+}
+
+/// A frame on its way through the chain.
+///
+/// `image` holds the expected charge (e) at [`Stage::Light`], charge (e) until the amplifier, DN above the level of zero charge
+/// until the end of [`Stage::Converter`], and codes (DN) at [`Stage::Firmware`].
+#[derive(Debug)]
+pub struct Drawing<'a> {
+    /// The frame, (rows, columns).
+    pub image: ndarray::Array2<f64>,
+    /// Electrons per second from the light, (rows, columns).
+    pub rate_e_per_s: &'a ndarray::Array2<f64>,
+    /// Exposure, s.
+    pub exposure_s: f64,
+    /// Time, s.
+    pub time_s: f64,
+    /// Number of the frame.
+    pub frame: u64,
+    /// Seed of the noise.
+    pub seed: u64,
+    /// Largest code, DN.
+    pub full_scale_dn: f64,
+    /// Level of zero charge, DN: from it the image counts before conversion.
+    pub offset_dn: f64,
+    /// What an effect keeps from frame to frame, by its identifier.
+    pub memory: &'a mut Memory,
+}
+
+/// Images that effects keep from frame to frame.
+pub type Memory = std::collections::BTreeMap<&'static str, ndarray::Array2<f64>>;
+
+impl Drawing<'_> {
+    /// Random numbers of an effect: the same for the same frame, effect and index.
+    pub fn random(&self, effect: &str, frame: u64, index: u32) -> crate::rng::PixelRng {
+        let tag = effect.bytes().fold(17u32, |h, b| h.wrapping_mul(31).wrapping_add(u32::from(b)));
+        crate::rng::PixelRng::new(self.seed, crate::rng::Stream::Effect, frame, index, tag & 0x7fff_fff0)
+    }
+
+    /// The image shifted by whole pixels; the border is repeated.
+    pub fn shifted(&self, dy: i32, dx: i32) -> ndarray::Array2<f64> {
+        shifted(&self.image, dy, dx)
+    }
+}
+
+/// An image moved down by `dy` and right by `dx`; the border is repeated.
+pub fn shifted(image: &ndarray::Array2<f64>, dy: i32, dx: i32) -> ndarray::Array2<f64> {
+    let (rows, columns) = image.dim();
+    let at = |i: usize, d: i32, n: usize| (i as i64 - i64::from(d)).clamp(0, n as i64 - 1) as usize;
+    ndarray::Array2::from_shape_fn((rows, columns), |(y, x)| image[(at(y, dy, rows), at(x, dx, columns))])
+}
+
+macro_rules! effects {
+    ($($module:ident)*) => {
+        $(mod $module;)*
+        /// Every effect.
+        pub static EFFECTS: &[&dyn Effect] = &[$(&$module::This),*];
+    };
+}
+
+effects! {
+    nonlinearity brighter_fatter interpixel_crosstalk readout_lowpass spatial_filter temporal_filter image_lag
+    illumination_flicker illumination_drift gain_drift offset_drift row_noise column_noise periodic_interference
+    random_telegraph_noise adc_nonlinearity charge_transfer_inefficiency smear exposure_offset full_well_saturation
+    black_clipping stray_light tap_mismatch blooming coarse_quantization
+}
+
+/// An effect by its identifier.
+pub fn find(id: &str) -> Option<&'static dyn Effect> {
+    EFFECTS.iter().copied().find(|e| e.id() == id)
+}
+
+/// Expected statistics of a campaign under the paper's model and some effects, each with its parameters, in the order of the
+/// chain.
+pub fn predict(campaign: &Campaign, base: &BaseParameters, effects: &[(&dyn Effect, &[f64])]) -> Prediction {
+    let mut order: Vec<_> = effects.to_vec();
+    order.sort_by_key(|(e, _)| e.stage());
+    let mut out = Prediction::begin(campaign, base);
+    let run = |out: &mut Prediction, from: Stage, to: Stage| {
+        for (e, p) in order.iter().filter(|(e, _)| (from..=to).contains(&e.stage())) {
+            e.predict(p, campaign, out);
+        }
+    };
+    run(&mut out, Stage::Light, Stage::Light);
+    for s in &mut out.sets {
+        s.shot = Spectrum::white(s.signal.max(0.0));
+    }
+    run(&mut out, Stage::Charge, Stage::Transfer);
+    for s in &mut out.sets {
+        s.read.0.iter_mut().for_each(|p| *p += base.read_noise_e * base.read_noise_e);
+    }
+    run(&mut out, Stage::Read, Stage::Read);
+    let gain = base.gain_dn_per_e;
+    out.bend(|s| s * gain);
+    run(&mut out, Stage::Amplifier, Stage::Converter);
+    for s in &mut out.sets {
+        s.read.0.iter_mut().for_each(|p| *p += 1.0 / 12.0);
+    }
+    run(&mut out, Stage::Firmware, Stage::Firmware);
+    out.frame_signal.iter_mut().for_each(|m| *m += base.offset_dn);
+    out
+}

@@ -1,0 +1,42 @@
+//! Offset drift: the black level wanders.
+
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+
+/// Black level plus rate * time.
+pub struct This;
+
+impl Effect for This {
+    fn id(&self) -> &'static str {
+        "offset-drift"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Converter
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &[Parameter { name: "dn_per_s", unit: "DN/s", min: -10.0, max: 10.0, starts: &[1e-3, -1e-3] }]
+    }
+
+    fn page(&self) -> Page {
+        Page {
+            what: "The black level moves with temperature.",
+            equation: "offset(t) = offset(0) + rate t",
+            signature: "darks and flats move with time by the same DN; no noise changes",
+            look_alikes: "dark current that grows with temperature scales with exposure",
+            remedy: "a black clamp; darks taken between the flats",
+            measure: "short darks at start, middle and end",
+            source: "Janesick 2007; EMVA 1288 release 4, section 6",
+        }
+    }
+
+    fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
+        for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
+            *m += p[0] * frame.time_s;
+        }
+    }
+
+    fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
+        d.image.mapv_inplace(|v| v + p[0] * d.time_s);
+    }
+}

@@ -1,0 +1,59 @@
+//! Random telegraph noise: a few pixels jump between two levels.
+
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+
+/// A share of the pixels is up or down by half the amplitude, at random in every frame.
+pub struct This;
+
+impl Effect for This {
+    fn id(&self) -> &'static str {
+        "random-telegraph-noise"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Read
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &[
+            Parameter { name: "fraction", unit: "1", min: 1e-5, max: 0.5, starts: &[0.01] },
+            Parameter { name: "amplitude_e", unit: "e", min: 0.0, max: 1e5, starts: &[20.0] },
+        ]
+    }
+
+    fn page(&self) -> Page {
+        Page {
+            what: "A trap in the source follower of a pixel catches and frees one electron: the pixel has two levels.",
+            equation: "v +- amplitude / 2 in a share f of the pixels; their variance + amplitude^2 / 4",
+            signature: "variances of the pixels in darks spread more than the frames allow; bright frames hardly move",
+            look_alikes: "hot pixels have more variance too, but for their dark charge: it grows with the exposure",
+            remedy: "list the pixels and replace them; a median over frames",
+            measure: "a long run of short darks: the distribution of the pixels' variances",
+            source: "Wang, Rao, Mierop and Theuwissen 2006, IEDM; Janesick 2007",
+        }
+    }
+
+    fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
+        let jump = 0.25 * p[1] * p[1];
+        let read = out.base.read_noise_e * out.base.read_noise_e;
+        for s in &mut out.sets {
+            let all = s.shot.lag(0, 0) + read + p[0] * jump;
+            s.unequal += p[0] * (1.0 - p[0]) * (jump / all) * (jump / all);
+            s.read.0.iter_mut().for_each(|power| *power += p[0] * jump);
+        }
+    }
+
+    fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
+        let columns = d.image.ncols();
+        for y in 0..d.image.nrows() {
+            for x in 0..columns {
+                let i = (y * columns + x) as u32;
+                if d.random(self.id(), 0, i).uniform() < p[0] {
+                    // Which frame, and not the first: frame 0 chose the pixels.
+                    let up = d.random(self.id(), d.frame + 1, i).uniform() < 0.5;
+                    d.image[(y, x)] += if up { 0.5 * p[1] } else { -0.5 * p[1] };
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,53 @@
+//! Read-out low-pass: the output stage is too slow for the pixel rate.
+
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+
+/// Each pixel keeps a share of the one read before it in the row.
+pub struct This;
+
+impl Effect for This {
+    fn id(&self) -> &'static str {
+        "readout-lowpass"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Converter
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &[Parameter { name: "alpha", unit: "1", min: 0.0, max: 0.9, starts: &[0.02] }]
+    }
+
+    fn page(&self) -> Page {
+        Page {
+            what: "The video chain has a finite bandwidth: part of the last pixel's voltage is still there when the next is \
+                   converted.",
+            equation: "y(x) = (1 - alpha) v(x) + alpha y(x - 1); power times (1 - alpha)^2 / (1 - 2 alpha cos k_x + alpha^2)",
+            signature: "pixels correlated along the row only, in darks as in flats; variance lower in both",
+            look_alikes: "crosstalk correlates both axes and leaves darks alone",
+            remedy: "a slower pixel clock; or deconvolve along the row",
+            measure: "darks and flats with the covariances along rows and columns",
+            source: "Janesick 2001, Scientific Charge-Coupled Devices, ch. 6",
+        }
+    }
+
+    fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
+        let a = p[0];
+        for s in &mut out.sets {
+            let pass = |_: f64, kx: f64| (1.0 - a) * (1.0 - a) / (1.0 - 2.0 * a * libm::cos(kx) + a * a);
+            s.shot.shape(pass);
+            s.read.shape(pass);
+            s.column *= (1.0 - a) / (1.0 + a);
+        }
+    }
+
+    fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
+        for mut row in d.image.outer_iter_mut() {
+            let mut last = row.first().copied().unwrap_or(0.0);
+            for v in &mut row {
+                last = (1.0 - p[0]) * *v + p[0] * last;
+                *v = last;
+            }
+        }
+    }
+}

@@ -1,0 +1,46 @@
+//! Row noise: every row has its own noise in every frame.
+
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+
+/// One normal number for each row and frame, added with the read noise.
+pub struct This;
+
+impl Effect for This {
+    fn id(&self) -> &'static str {
+        "row-noise"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Read
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &[Parameter { name: "e", unit: "e", min: 0.0, max: 1e4, starts: &[0.5] }]
+    }
+
+    fn page(&self) -> Page {
+        Page {
+            what: "A supply, a reference or a sample circuit that a whole row shares is sampled once for each of them.",
+            equation: "v(row) + e N(0,1) in every frame; variance of row means + e^2",
+            signature: "temporal variance of the row means, the same at every level, darks too; nothing along the other axis",
+            look_alikes: "periodic interference has a line in the spectrum; a fixed pattern of rows does not change with time",
+            remedy: "subtract the mean of covered pixels of each row; a cleaner supply",
+            measure: "a run of darks: the variance of the row means over what single pixels explain",
+            source: "EMVA 1288 release 4, section 8 (row noise); Janesick 2007",
+        }
+    }
+
+    fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
+        for s in &mut out.sets {
+            s.row += p[0] * p[0];
+        }
+    }
+
+    fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
+        let lines = d.image.nrows();
+        for i in 0..lines {
+            let e = p[0] * d.random(self.id(), d.frame, i as u32).normal();
+            d.image.row_mut(i).mapv_inplace(|v| v + e);
+        }
+    }
+}

@@ -1,0 +1,60 @@
+//! Smear: light collected while the charge is moved through the image.
+
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use ndarray::Axis;
+
+/// Every pixel of a column gets the column's mean light for some time, whatever the exposure.
+pub struct This;
+
+impl Effect for This {
+    fn id(&self) -> &'static str {
+        "smear"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Light
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &[Parameter { name: "transfer_s", unit: "s", min: 0.0, max: 1.0, starts: &[1e-6, 1e-4] }]
+    }
+
+    fn page(&self) -> Page {
+        Page {
+            what: "A frame-transfer or interline sensor without a shutter is lit while its rows are shifted.",
+            equation: "q(y, x) + t_s * mean light of column x",
+            signature: "mean + light * t_s at every exposure; on a scene, columns through a bright patch are raised, the more so at short \
+                        exposures",
+            look_alikes: "an exposure offset does the same on flats; a scene with a bright patch at two exposures tells them apart",
+            remedy: "a shutter or a strobe; subtract the column mean of covered rows",
+            measure: "a still scene with a bright patch at a long and at a short exposure",
+            source: "EMVA 1288 release 4, section 4; Janesick 2001, ch. 4",
+        }
+    }
+
+    fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
+        out.smear_s += p[0];
+        longer(p[0], c, out);
+    }
+
+    fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
+        if let Some(mean) = d.rate_e_per_s.mean_axis(Axis(0)) {
+            d.image += &(mean * p[0]);
+        }
+    }
+}
+
+/// Light for some more time in every frame.
+pub(super) fn longer(by_s: f64, c: &Campaign, out: &mut Prediction) {
+    let extra = |set: usize, flux: &[f64]| {
+        let light = c.sets.get(set).and_then(|s| s.light).and_then(|l| flux.get(l));
+        by_s * light.copied().unwrap_or(0.0)
+    };
+    let flux = out.base.flux_e_per_s.clone();
+    for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
+        *m += extra(frame.set, &flux);
+    }
+    for (i, s) in out.sets.iter_mut().enumerate() {
+        s.signal += extra(i, &flux);
+    }
+}

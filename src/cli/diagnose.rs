@@ -1,0 +1,74 @@
+//! `radcam diagnose`
+
+use super::common::STOP;
+use super::model::read_effects;
+use super::{Outcome, progress::Show};
+use crate::compare::{Observations, of_dataset, of_table};
+use crate::dataset::Dataset;
+use crate::dataset::table::Table;
+use crate::diagnose::{Diagnosis, diagnose};
+use crate::report::with_error;
+use anyhow::Result;
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// A dataset folder, an EMVA 1288 descriptor, or a table (CSV with mean_dn and var_dn2)
+    dataset: PathBuf,
+    /// Effects that are known already; the paper's model alone where not given
+    #[arg(long, value_name = "M.toml")]
+    model: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Observables of whatever the path is.
+pub fn observe(path: &Path) -> Result<Observations> {
+    if path.is_file() && Table::is_table(path) {
+        return Ok(of_table(&Table::open(path)?)?);
+    }
+    let dataset = Dataset::open(path)?;
+    let mut show = Show::new("reading");
+    Ok(of_dataset(&dataset, &STOP, &mut |done, of| show.step(done, of))?)
+}
+
+pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    let effects = read_effects(arguments.model.as_deref())?;
+    let all = observe(&arguments.dataset)?;
+    let diagnosis = diagnose(&all, None, effects, &mut |text| tracing::info!("{text}"));
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&diagnosis)?);
+    } else {
+        print(&arguments.dataset, &diagnosis);
+    }
+    Ok(if diagnosis.consistent { Outcome::Agreement } else { Outcome::Disagreement })
+}
+
+pub fn print(path: &Path, d: &Diagnosis) {
+    if d.consistent {
+        println!("{}: the model describes the campaign, error {:.3}", path.display(), d.error_before);
+    } else {
+        println!("{}: THE MODEL LACKS SOMETHING, error {:.2}\n", path.display(), d.error_before);
+    }
+    for m in &d.missing {
+        println!("  {} ({:.0} % of the evidence)", m.effect, 100.0 * m.confidence);
+        for (name, q) in &m.parameters {
+            println!("      {name} = {} {}", with_error(q.value, q.std_err), if q.unit == "1" { "" } else { q.unit });
+        }
+        for text in &m.evidence {
+            println!("    - {text}");
+        }
+    }
+    println!("\n  {:<34} {:>8}  {:>9}", "ladder", "error", "p");
+    for r in &d.ladder {
+        let bar = "#".repeat((r.error.ln().max(0.0) * 6.0).round().min(40.0) as usize);
+        println!("  {:<34} {:>8.3}  {:>9.1e}  {bar}", r.added.as_deref().unwrap_or("as given"), r.error, r.p_value);
+    }
+    if let Some(next) = &d.next_measurement {
+        println!("\n  next measurement: {next}");
+    }
+    for note in &d.notes {
+        println!("  note: {note}");
+    }
+}

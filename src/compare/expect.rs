@@ -1,0 +1,176 @@
+//! What a prediction says of an observable, in the space in which its noise is normal.
+
+use super::global::occupancy_of;
+use super::observe::{Kind2, Observable, Observations};
+use radcam_sim::predict::{Prediction, SetPrediction, Spectrum};
+
+/// An expectation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Expected {
+    /// Predicted value in the observable's own unit.
+    pub value: f64,
+    /// Standard error in the observable's own unit.
+    pub std_err: f64,
+    /// Measured, predicted and deviation in the space in which the noise is normal.
+    pub normal: (f64, f64, f64),
+}
+
+impl Expected {
+    /// Standardised residual.
+    pub fn z(&self) -> f64 {
+        (self.normal.0 - self.normal.1) / self.normal.2
+    }
+}
+
+/// What taking off the mean over `n` frames leaves of the variance of noise that remembers.
+fn left(memory: &[f64], n: f64) -> f64 {
+    let lost: f64 = memory.iter().enumerate().map(|(k, r)| (n - (k + 1) as f64).max(0.0) * r).sum();
+    1.0 - 2.0 * lost / (n * (n - 1.0))
+}
+
+/// Mean product of successive residuals over their variance, for noise with these correlations.
+fn product(memory: &[f64], n: usize) -> f64 {
+    let rho = |k: usize| if k == 0 { 1.0 } else { memory.get(k - 1).copied().unwrap_or(0.0) };
+    let all = |f: usize| (0..n).map(|g| rho(f.abs_diff(g))).sum::<f64>() / n as f64;
+    let whole = (0..n).map(all).sum::<f64>() / n as f64;
+    let each: f64 = (0..n - 1).map(|f| rho(1) - all(f) - all(f + 1) + whole).sum();
+    each / (n - 1) as f64
+}
+
+/// The part of the noise of single pixels that a frame's mean takes with it.
+fn of_frame(s: &SetPrediction, o: &Observable, shape: (usize, usize)) -> f64 {
+    (s.shot.of_mean() + s.read.of_mean()) / o.pixels + s.row / shape.0 as f64 + s.column / shape.1 as f64
+}
+
+/// Noise power without horizontal (axis 1) or vertical (axis 0) variation: what a line's mean over `n` pixels has.
+fn along(p: &Spectrum, axis: usize) -> f64 {
+    let grid = radcam_sim::predict::GRID;
+    (0..grid).map(|i| p.0[if axis == 1 { i * grid } else { i }]).sum::<f64>() / grid as f64
+}
+
+/// Share of a line's variance that is left in means over n pixels with a phase step.
+fn line_mean(phase: f64, n: f64) -> f64 {
+    let half = (0.5 * phase).sin();
+    if half.abs() < 1e-9 { 1.0 } else { ((0.5 * phase * n).sin() / (n * half)).powi(2) }
+}
+
+/// What the prediction expects of an observable.
+pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
+    let shape = all.campaign.shape;
+    let plain = |value: f64, std_err: f64| Expected {
+        value,
+        std_err,
+        normal: (o.measured.value, value, std_err.max(1e-12)),
+    };
+    // A variance from few samples: its cube root is normal (Wilson and Hilferty 1931).
+    let few = |value: f64, dof: f64| {
+        let value = value.max(1e-12);
+        let c = 2.0 / (9.0 * dof);
+        let root = value.cbrt();
+        Expected {
+            value,
+            std_err: value * (2.0 / dof).sqrt(),
+            normal: (o.measured.value.max(0.0).cbrt(), (1.0 - c) * root, c.sqrt() * root),
+        }
+    };
+    let Some(s) = o.set.and_then(|i| p.sets.get(i)) else {
+        let step = p.code_step_dn;
+        let width = |c: u32| {
+            if step > 1.0 {
+                let step = step.round().max(1.0) as u32;
+                return if c % step == 0 { f64::from(step) } else { 0.0 };
+            }
+            let volt = |c: u32| {
+                let errors = p.bit_errors_dn.iter().enumerate();
+                f64::from(c) + errors.map(|(b, e)| if c >> b & 1 == 1 { *e } else { 0.0 }).sum::<f64>()
+            };
+            (volt(c + 1) - volt(c)).max(0.0)
+        };
+        return match o.kind {
+            Kind2::Tap(0) => plain(p.taps.0, o.measured.std_err),
+            Kind2::Tap(_) => plain(p.taps.1, o.measured.std_err),
+            Kind2::Occupancy(b) => plain(occupancy_of(&width, &all.codes, b), o.measured.std_err),
+            Kind2::CodesUsed => plain(if step > 1.0 { 1.0 / step } else { 1.0 }, o.measured.std_err),
+            Kind2::Line => {
+                let line: f64 = p.sets.first().map_or(0.0, |s| s.lines.iter().map(|l| l.0).sum());
+                plain(line, o.measured.std_err)
+            }
+            Kind2::SceneColumns => {
+                let expected =
+                    all.scene.as_ref().map_or(0.0, |s| p.smear_s * (s.ratio - 1.0) * s.column_light_dn_per_s);
+                plain(expected, o.measured.std_err)
+            }
+            Kind2::Light(level) => {
+                let per = |l: usize| {
+                    let flux = p.base.flux_e_per_s.get(l).copied().unwrap_or(1.0);
+                    let light = all.campaign.sets.iter().find(|s| s.light == Some(l)).map_or(1.0, |s| s.illumination);
+                    (flux / light).max(1e-300)
+                };
+                plain((per(level) / per(reference_level(all))).ln(), o.measured.std_err)
+            }
+            _ => plain(0.0, o.measured.std_err.max(1.0)),
+        };
+    };
+    let (first, end) = o.frames;
+    let frames = p.frame_signal.get(first..end).unwrap_or(&[]);
+    let n = frames.len().max(1) as f64;
+    let mean = frames.iter().sum::<f64>() / n;
+    let of_mean = of_frame(s, o, shape);
+    let frame_mean_var = of_mean + s.common;
+    let (shot_left, read_left) = if n > 1.5 { (left(&s.shot_memory, n), left(&s.read_memory, n)) } else { (1.0, 1.0) };
+    let lag = |dy: i32, dx: i32| {
+        let (shot, read) = (s.shot.lag(dy, dx), s.read.lag(dy, dx));
+        s.covariance(dy, dx) - shot * (1.0 - shot_left) - read * (1.0 - read_left) - of_mean
+    };
+    match o.kind {
+        Kind2::Mean if all.means_given => plain(mean, (s.covariance(0, 0) / o.pixels).sqrt()),
+        Kind2::Mean => {
+            // Noise that remembers averages out less.
+            let memory = s.shot_memory.first().copied().unwrap_or(0.0).max(0.0);
+            plain(mean, (frame_mean_var * (1.0 + 2.0 * memory) / n).sqrt().hypot(0.002))
+        }
+        Kind2::Settling(k) => {
+            let rest = frames.get(k + 1..).unwrap_or(&[]);
+            let m = rest.len().max(1) as f64;
+            let expected = frames.get(k).copied().unwrap_or(0.0) - rest.iter().sum::<f64>() / m;
+            plain(expected, (frame_mean_var * (1.0 + 1.0 / m)).sqrt().hypot(0.002))
+        }
+        Kind2::FrameMeanVariance => {
+            let moved = frames.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+            few(frame_mean_var + moved + 1e-7, (n - 1.0).max(1.0))
+        }
+        Kind2::Variance => plain(lag(0, 0), o.measured.std_err),
+        Kind2::Covariance(dy, dx) => plain(lag(dy, dx), o.measured.std_err),
+        Kind2::RowVariance | Kind2::ColumnVariance => {
+            let rows = o.kind == Kind2::RowVariance;
+            let (axis, width, count, own) =
+                if rows { (1, shape.1, shape.0, s.row) } else { (0, shape.0, shape.1, s.column) };
+            let lines = s.lines.iter().map(|&(v, px, py)| v * line_mean(if rows { px } else { py }, width as f64));
+            let pixels = (along(&s.shot, axis) * shot_left + along(&s.read, axis) * read_left) / width as f64;
+            let value = pixels + own + lines.sum::<f64>() - of_mean;
+            let dof = (n - 1.0).max(1.0) * (count as f64 - 1.0);
+            plain(value, value.abs().max(1e-9) * (2.0 / dof).sqrt())
+        }
+        Kind2::Successive => {
+            let f = frames.len().max(2);
+            let rest = s.covariance(0, 0) - s.shot.lag(0, 0) - s.read.lag(0, 0) - of_mean;
+            let value = s.shot.lag(0, 0) * product(&s.shot_memory, f)
+                + s.read.lag(0, 0) * product(&s.read_memory, f)
+                + rest * product(&[], f);
+            plain(value, o.measured.std_err)
+        }
+        Kind2::Unequal => plain(s.unequal, o.measured.std_err.hypot(0.3 * s.unequal).hypot(0.02)),
+        Kind2::Growth(k) => {
+            let growth = if k == 0 { s.growth.0 } else { s.growth.1 };
+            plain(0.5 * growth * s.shot.lag(0, 0), o.measured.std_err)
+        }
+        _ => plain(0.0, o.measured.std_err.max(1.0)),
+    }
+}
+
+/// The light level that the others are counted from.
+pub fn reference_level(all: &Observations) -> usize {
+    let sets = all.campaign.sets.iter().filter(|s| s.light.is_some());
+    let near = sets.min_by(|a, b| (a.illumination - 1.0).abs().total_cmp(&(b.illumination - 1.0).abs()));
+    near.and_then(|s| s.light).unwrap_or(0)
+}

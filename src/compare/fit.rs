@@ -1,0 +1,383 @@
+//! Fits a model's free parameters to observables: generalised least squares with errors that the model itself predicts.
+
+use super::expect::{Expected, expect};
+use super::observe::{Kind2, Observable, Observations};
+use crate::dataset::Kind;
+use radcam_sim::effects::{self, Effect};
+use radcam_sim::predict::{BaseParameters, Prediction};
+
+/// Rounds of Levenberg and Marquardt at most.
+const ROUNDS: usize = 40;
+
+/// A model with values: the paper's parameters and effects.
+#[derive(Clone)]
+pub struct Fitted {
+    /// The paper's.
+    pub base: BaseParameters,
+    /// Effects with their parameters.
+    pub effects: Vec<(&'static dyn Effect, Vec<f64>)>,
+    /// Sum of squares plus twice the logarithms of the errors: minus twice the logarithm of the likelihood.
+    pub objective: f64,
+    /// Standard errors of the effects' parameters.
+    pub std_err: Vec<Vec<f64>>,
+    /// Standard errors of A, read noise, offset, dark current.
+    pub base_std_err: [f64; 4],
+}
+
+impl std::fmt::Debug for Fitted {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let effects: Vec<_> = self.effects.iter().map(|(e, p)| (e.id(), p)).collect();
+        write!(f, "{:?} {effects:?} objective {}", self.base, self.objective)
+    }
+}
+
+impl Fitted {
+    /// The prediction for all sets.
+    pub fn predict(&self, all: &Observations) -> Prediction {
+        predict(&self.base, &self.effects, all)
+    }
+
+    /// Number of parameters of the effects.
+    pub fn parameters(&self) -> usize {
+        self.effects.iter().map(|(_, p)| p.len()).sum()
+    }
+
+    /// Observables with what is expected of them; `half`: only these and the common ones.
+    pub fn expected<'a>(
+        &self,
+        all: &'a Observations,
+        half: Option<u8>,
+    ) -> Vec<(&'a Observable, Expected)> {
+        let prediction = self.predict(all);
+        chosen(all, half).map(|o| (o, expect(o, &prediction, all))).collect()
+    }
+}
+
+fn chosen(all: &Observations, half: Option<u8>) -> impl Iterator<Item = &Observable> {
+    all.all.iter().filter(move |o| half.is_none_or(|h| o.half == h || o.half == 2))
+}
+
+fn predict(base: &BaseParameters, effects: &[(&'static dyn Effect, Vec<f64>)], all: &Observations) -> Prediction {
+    let list: Vec<(&dyn Effect, &[f64])> = effects.iter().map(|(e, p)| (*e, p.as_slice())).collect();
+    if !all.means_given {
+        return effects::predict(&all.campaign, base, &list);
+    }
+    // The means are taken as they are: the light is what gives them.
+    let mut base = base.clone();
+    let mut prediction = effects::predict(&all.campaign, &base, &list);
+    for _ in 0..3 {
+        for o in all.all.iter().filter(|o| o.kind == Kind2::Mean) {
+            let (Some(set), true) = (o.set, o.frames.0 < prediction.frame_signal.len()) else { continue };
+            let seen = prediction.frame_signal[o.frames.0];
+            let ratio = o.measured.value / seen;
+            if ratio.is_finite() && ratio > 0.0 {
+                base.flux_e_per_s[set] *= ratio.clamp(0.5, 2.0);
+            }
+        }
+        prediction = effects::predict(&all.campaign, &base, &list);
+    }
+    prediction
+}
+
+/// A first guess of the paper's parameters.
+pub fn start(all: &Observations) -> BaseParameters {
+    let of = |kind: Kind2, wanted: Option<Kind>| {
+        all.all.iter().filter(move |o| o.kind == kind).filter_map(move |o| {
+            let set = o.set?;
+            (wanted.is_none_or(|k| all.kinds[set] == k)).then_some((set, o.measured.value))
+        })
+    };
+    let level = |set: usize| {
+        let (s, n) = of(Kind2::Mean, None).filter(|(i, _)| *i == set).fold((0.0, 0.0), |(s, n), (_, v)| (s + v, n + 1.0));
+        s / n
+    };
+    let darks: Vec<(f64, f64)> =
+        of(Kind2::Mean, Some(Kind::Dark)).map(|(s, m)| (all.campaign.sets[s].exposure_s, m)).collect();
+    let shortest = darks.iter().copied().min_by(|a, b| a.0.total_cmp(&b.0));
+    let longest = darks.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0));
+    let offset_dn = shortest.map_or(0.0, |d| d.1);
+    let dark_dn_per_s = match (shortest, longest) {
+        (Some(a), Some(b)) if b.0 > a.0 => ((b.1 - a.1) / (b.0 - a.0)).max(0.0),
+        _ => 0.0,
+    };
+    let constant = of(Kind2::Variance, Some(Kind::Dark)).map(|v| v.1).fold(f64::INFINITY, f64::min);
+    let mut points: Vec<(f64, f64)> =
+        of(Kind2::Variance, Some(Kind::Flat)).map(|(s, v)| (level(s) - offset_dn, v)).collect();
+    points.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let constant = if constant.is_finite() {
+        constant
+    } else {
+        points.first().map_or(1.0, |p| 0.2 * p.1)
+    };
+    // The slope from the middle of the range, where neither end has gone wrong.
+    let middle = points.get(points.len() / 2).copied().unwrap_or((1.0, 1.0));
+    let gain = ((middle.1 - constant) / middle.0.max(1e-6)).max(1e-6);
+    let lights = all.campaign.sets.iter().filter_map(|s| s.light).max().map_or(0, |l| l + 1);
+    let flux = (0..lights)
+        .map(|l| {
+            let found: Vec<f64> = (0..all.campaign.sets.len())
+                .filter(|&s| all.campaign.sets[s].light == Some(l))
+                .map(|s| (level(s) - offset_dn) / all.campaign.sets[s].exposure_s / gain)
+                .filter(|v| v.is_finite())
+                .collect();
+            crate::calibrate::pattern::median(&found, &mut Vec::new()).max(1e-6)
+        })
+        .map(|v| if v.is_finite() { v } else { 1.0 })
+        .collect();
+    BaseParameters {
+        gain_dn_per_e: gain,
+        read_noise_e: (constant - 1.0 / 12.0).max(0.01).sqrt() / gain,
+        offset_dn,
+        dark_e_per_s: dark_dn_per_s / gain,
+        flux_e_per_s: flux,
+    }
+}
+
+/// Everything that is free, as one list.
+struct Free<'a> {
+    all: &'a Observations,
+    half: Option<u8>,
+    effects: Vec<&'static dyn Effect>,
+    /// Light levels that take part.
+    lights: Vec<usize>,
+    template: BaseParameters,
+    scale: Vec<f64>,
+}
+
+impl Free<'_> {
+    fn unpack(&self, x: &[f64]) -> (BaseParameters, Vec<(&'static dyn Effect, Vec<f64>)>) {
+        let mut base = self.template.clone();
+        let v = |i: usize| x[i] * self.scale[i];
+        base.gain_dn_per_e = v(0);
+        base.read_noise_e = v(1);
+        base.offset_dn = v(2);
+        base.dark_e_per_s = v(3);
+        for (k, &l) in self.lights.iter().enumerate() {
+            base.flux_e_per_s[l] = v(4 + k);
+        }
+        let mut at = 4 + self.lights.len();
+        let effects = self
+            .effects
+            .iter()
+            .map(|e| {
+                let values = (0..e.parameters().len()).map(|k| v(at + k)).collect();
+                at += e.parameters().len();
+                (*e, values)
+            })
+            .collect();
+        (base, effects)
+    }
+
+    fn clamp(&self, x: &mut [f64]) {
+        x[0] = x[0].max(1e-6);
+        x[1] = x[1].max(0.0);
+        for k in 0..self.lights.len() {
+            x[4 + k] = x[4 + k].max(1e-9);
+        }
+        let mut at = 4 + self.lights.len();
+        for e in &self.effects {
+            for p in e.parameters() {
+                x[at] = x[at].clamp(p.min / self.scale[at], p.max / self.scale[at]);
+                at += 1;
+            }
+        }
+    }
+
+    fn residuals(&self, x: &[f64]) -> Vec<Expected> {
+        let (base, effects) = self.unpack(x);
+        let prediction = predict(&base, &effects, self.all);
+        chosen(self.all, self.half)
+            .filter(|o| !(self.all.means_given && o.kind == Kind2::Mean))
+            .map(|o| expect(o, &prediction, self.all))
+            .collect()
+    }
+}
+
+fn objective(e: &[Expected]) -> f64 {
+    let sum: f64 = e.iter().map(|e| e.z().powi(2) + 2.0 * e.normal.2.ln()).sum();
+    if sum.is_nan() { f64::INFINITY } else { sum }
+}
+
+/// Fits the paper's parameters and those of some effects, from a start. `half`: on these observables only.
+pub fn fit(
+    all: &Observations,
+    half: Option<u8>,
+    base: &BaseParameters,
+    effects: &[(&'static dyn Effect, Vec<f64>)],
+) -> Fitted {
+    let lights: Vec<usize> = if all.means_given {
+        Vec::new()
+    } else {
+        let mut lights: Vec<usize> =
+            chosen(all, half).filter(|o| o.kind == Kind2::Mean).filter_map(|o| all.campaign.sets[o.set?].light).collect();
+        lights.sort_unstable();
+        lights.dedup();
+        lights
+    };
+    let mut values = vec![base.gain_dn_per_e, base.read_noise_e, base.offset_dn, base.dark_e_per_s];
+    values.extend(lights.iter().map(|&l| base.flux_e_per_s[l]));
+    let mut scale: Vec<f64> = values.iter().map(|v| v.abs().max(1e-3)).collect();
+    for (e, p) in effects {
+        values.extend(p);
+        scale.extend(e.parameters().iter().zip(p).map(|(q, v)| {
+            let start = q.starts.iter().copied().find(|s| s.is_finite() && *s != 0.0).unwrap_or(v.abs().max(1e-6));
+            v.abs().max(start.abs())
+        }));
+    }
+    let mut x: Vec<f64> = values.iter().zip(&scale).map(|(v, s)| v / s).collect();
+    let free =
+        Free { all, half, effects: effects.iter().map(|(e, _)| *e).collect(), lights, template: base.clone(), scale };
+    free.clamp(&mut x);
+    let mut now = free.residuals(&x);
+    let mut best = objective(&now);
+    let n = x.len();
+    let fixed: Vec<bool> = (0..n).map(|i| all.means_given && (i == 2 || i == 3)).collect();
+    let mut lambda = 1e-3;
+    let mut normal = vec![0.0; n * n];
+    for round in 0..ROUNDS {
+        // Slopes by differences, at fixed errors.
+        let columns: Vec<Vec<f64>> = (0..n)
+            .map(|i| {
+                if fixed[i] {
+                    return vec![0.0; now.len()];
+                }
+                let mut moved = x.clone();
+                let mut step = 1e-5 * moved[i].abs().max(1e-2);
+                moved[i] += step;
+                free.clamp(&mut moved);
+                if (moved[i] - x[i]).abs() < 0.5 * step {
+                    step = -step;
+                    moved[i] = x[i] + step;
+                }
+                let there = free.residuals(&moved);
+                now.iter().zip(&there).map(|(a, b)| (b.normal.1 - a.normal.1) / step / a.normal.2).collect()
+            })
+            .collect();
+        let gradient: Vec<f64> =
+            columns.iter().map(|c| c.iter().zip(&now).map(|(c, e)| c * e.z()).sum()).collect();
+        for i in 0..n {
+            for j in 0..=i {
+                let dot: f64 = columns[i].iter().zip(&columns[j]).map(|(a, b)| a * b).sum();
+                normal[i * n + j] = dot;
+                normal[j * n + i] = dot;
+            }
+        }
+        let mut improved = false;
+        let before = best;
+        for _ in 0..8 {
+            let mut a = normal.clone();
+            for i in 0..n {
+                a[i * n + i] += lambda * normal[i * n + i] + 1e-12;
+            }
+            let Some(step) = solve(&mut a, &gradient) else {
+                lambda *= 10.0;
+                continue;
+            };
+            let mut trial: Vec<f64> = x.iter().zip(&step).map(|(x, s)| x + s).collect();
+            free.clamp(&mut trial);
+            let there = free.residuals(&trial);
+            let value = objective(&there);
+            if value < best {
+                (x, now, best, improved) = (trial, there, value, true);
+                lambda = (lambda * 0.2).max(1e-9);
+                break;
+            }
+            lambda *= 6.0;
+        }
+        if !improved || (round > 2 && before - best < 1e-3) {
+            break;
+        }
+    }
+    let covariance = invert(&normal, n);
+    let error = |i: usize| covariance.get(i * n + i).copied().unwrap_or(f64::NAN).max(0.0).sqrt() * free.scale[i];
+    let (mut base, effects) = free.unpack(&x);
+    if all.means_given {
+        // The light that gives the means.
+        base.flux_e_per_s = predict(&base, &effects, all).base.flux_e_per_s;
+    }
+    let mut at = 4 + free.lights.len();
+    let std_err = effects
+        .iter()
+        .map(|(_, p)| {
+            let errors = (0..p.len()).map(|k| error(at + k)).collect();
+            at += p.len();
+            errors
+        })
+        .collect();
+    let base_std_err = [error(0), error(1), error(2), error(3)];
+    Fitted { base, effects, objective: best, std_err, base_std_err }
+}
+
+/// Solves a symmetric positive system in place.
+fn solve(a: &mut [f64], b: &[f64]) -> Option<Vec<f64>> {
+    let n = b.len();
+    for i in 0..n {
+        for j in 0..=i {
+            let dot: f64 = (0..j).map(|k| a[i * n + k] * a[j * n + k]).sum();
+            let rest = a[i * n + j] - dot;
+            if i == j {
+                if rest <= 0.0 || !rest.is_finite() {
+                    return None;
+                }
+                a[i * n + i] = rest.sqrt();
+            } else {
+                a[i * n + j] = rest / a[j * n + j];
+            }
+        }
+    }
+    let mut x = b.to_vec();
+    for i in 0..n {
+        let dot: f64 = (0..i).map(|k| a[i * n + k] * x[k]).sum();
+        x[i] = (x[i] - dot) / a[i * n + i];
+    }
+    for i in (0..n).rev() {
+        let dot: f64 = (i + 1..n).map(|k| a[k * n + i] * x[k]).sum();
+        x[i] = (x[i] - dot) / a[i * n + i];
+    }
+    x.iter().all(|v| v.is_finite()).then_some(x)
+}
+
+/// Inverse of a symmetric positive matrix; parameters without any hold keep a large error.
+fn invert(a: &[f64], n: usize) -> Vec<f64> {
+    let mut out = vec![f64::NAN; n * n];
+    for i in 0..n {
+        let mut b = vec![0.0; n];
+        b[i] = 1.0;
+        let mut copy = a.to_vec();
+        for k in 0..n {
+            copy[k * n + k] += 1e-12 + 1e-10 * a[k * n + k];
+        }
+        if let Some(column) = solve(&mut copy, &b) {
+            for k in 0..n {
+                out[k * n + i] = column[k];
+            }
+        }
+    }
+    out
+}
+
+/// Starts of an effect's parameters: every combination of one list, with what the campaign hints at where a start is not a
+/// number.
+pub fn starts(effect: &dyn Effect, all: &Observations, base: &BaseParameters) -> Vec<Vec<f64>> {
+    let hint = || {
+        let brightest = all.all.iter().filter(|o| o.kind == Kind2::Mean).map(|o| o.measured.value).fold(0.0, f64::max);
+        let peak = 0.9 * (brightest - base.offset_dn) / base.gain_dn_per_e;
+        match effect.id() {
+            "periodic-interference" => all.campaign.line_cycles_per_px.unwrap_or(0.1),
+            _ => peak.max(1.0),
+        }
+    };
+    let most = effect.parameters().iter().map(|p| p.starts.len()).max().unwrap_or(1);
+    (0..most)
+        .map(|k| {
+            effect
+                .parameters()
+                .iter()
+                .map(|p| {
+                    let s = p.starts[k.min(p.starts.len() - 1)];
+                    if s.is_nan() { hint() } else { s }
+                })
+                .collect()
+        })
+        .collect()
+}

@@ -1,0 +1,94 @@
+//! Residuals in words: which statistics stray, how they scale, along which axis and in which frames.
+
+use super::{Residual, Statistic};
+
+/// What one statistic does.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Signature {
+    /// In words.
+    pub text: String,
+    /// Root of the mean square of its residuals.
+    pub rms: f64,
+    /// Chi-square over what is expected, in standard deviations.
+    pub excess: f64,
+}
+
+/// The statistics whose residuals are larger than chance allows, worst first.
+pub fn signatures(residuals: &[Residual]) -> Vec<Signature> {
+    let mut names: Vec<&String> = residuals.iter().map(|r| &r.observable).collect();
+    names.sort();
+    names.dedup();
+    let mut out: Vec<Signature> = names
+        .into_iter()
+        .filter_map(|name| {
+            let of: Vec<&Residual> = residuals.iter().filter(|r| &r.observable == name).collect();
+            let n = of.len() as f64;
+            let squares: f64 = of.iter().map(|r| r.z * r.z).sum();
+            let excess = (squares - n) / (2.0 * n).sqrt();
+            (excess > 5.0).then(|| Signature { text: describe(name, &of), rms: (squares / n).sqrt(), excess })
+        })
+        .collect();
+    out.sort_by(|a, b| b.excess.total_cmp(&a.excess));
+    out
+}
+
+fn describe(name: &str, of: &[&Residual]) -> String {
+    let worst = of.iter().max_by(|a, b| a.z.abs().total_cmp(&b.z.abs()));
+    let Some(worst) = worst else { return name.to_string() };
+    let size = |r: &Residual| {
+        if r.predicted.abs() > 5.0 * r.std_err {
+            format!("{:+.2} %", 100.0 * (r.measured / r.predicted - 1.0))
+        } else {
+            format!("{:+.3}", r.measured - r.predicted)
+        }
+    };
+    let place = match worst.set {
+        Some(set) => format!(" at {:.0} DN (set {set})", worst.level_dn),
+        None => String::new(),
+    };
+    let mut text = format!("{name}: {} from the model{place}, {:+.1} sigma", size(worst), worst.z);
+    if let Some(power) = power(of) {
+        text += &format!(", growing as mean to the power {power:.1}");
+    } else if of.len() >= 4 {
+        let dark: Vec<f64> = of.iter().filter(|r| r.level_dn < 20.0).map(|r| r.z * r.z).collect();
+        if dark.len() >= 3 && dark.iter().sum::<f64>() / dark.len() as f64 > 4.0 {
+            text += ", darks too: independent of the light";
+        }
+    }
+    text += match worst.statistic {
+        Some(Statistic::Covariance(0, _)) => "; correlated along the rows",
+        Some(Statistic::Covariance(_, 0)) => "; correlated along the columns",
+        Some(Statistic::Covariance(..)) => "; correlated along a diagonal",
+        Some(Statistic::RowVariance) => "; shared by whole rows",
+        Some(Statistic::ColumnVariance) => "; shared by whole columns",
+        Some(Statistic::FrameMeanVariance) => "; shared by whole frames, from frame to frame",
+        Some(Statistic::Successive) => "; carried to the next frame",
+        Some(Statistic::Settling(_)) => "; set by what came before",
+        Some(Statistic::Growth(_)) => "; changing across the sensor",
+        Some(Statistic::Unequal) => "; a few pixels noisier than the rest",
+        Some(Statistic::Occupancy(_) | Statistic::CodesUsed) => "; in the codes, by their bits",
+        _ => "",
+    };
+    text
+}
+
+/// The power with which the deviation grows with the mean, where the residuals are large enough to tell.
+fn power(of: &[&Residual]) -> Option<f64> {
+    let points: Vec<(f64, f64, f64)> = of
+        .iter()
+        .filter(|r| r.level_dn > 20.0 && r.z.abs() > 3.0)
+        .map(|r| {
+            let off = r.measured - r.predicted;
+            (r.level_dn.ln(), off.abs().ln(), off.signum())
+        })
+        .collect();
+    let n = points.len() as f64;
+    let one_sign = points.iter().map(|p| p.2).sum::<f64>().abs() > 0.8 * n;
+    if points.len() < 4 || !one_sign {
+        return None;
+    }
+    let (mx, my) = (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n);
+    let xx: f64 = points.iter().map(|p| (p.0 - mx).powi(2)).sum();
+    let xy: f64 = points.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum();
+    (xx > 0.3).then(|| xy / xx)
+}

@@ -1,0 +1,240 @@
+//! Which physical effect is missing: every candidate is fitted, the one whose evidence pays for its parameters is added, and
+//! the campaign is looked at again, until the model is consistent or nothing helps.
+
+use crate::compare::{Comparison, Fitted, Observations, Statistic, compare, fit, signatures, start, starts};
+use crate::noise::Quantity;
+use radcam_sim::effects::{EFFECTS, Effect};
+use radcam_sim::predict::BaseParameters;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Effects added at most.
+const MOST: usize = 4;
+/// Evidence (twice the logarithm of a Bayes factor, by BIC) that an addition needs: with some 25 candidates tried, chance
+/// reaches this less than once in a hundred campaigns.
+const NEEDED: f64 = 16.0;
+/// Candidates within this evidence of the best cannot be told apart.
+const TIE: f64 = 6.0;
+
+/// What is missing.
+#[derive(Debug, Clone, Serialize)]
+pub struct Missing {
+    /// Identifier; `unknown` where none of the effects explains it.
+    pub effect: String,
+    /// Share of the evidence among all candidates.
+    pub confidence: f64,
+    /// How far the error fell by adding it.
+    pub error_drop: f64,
+    /// Its parameters.
+    pub parameters: BTreeMap<String, Quantity>,
+    /// Why.
+    pub evidence: Vec<String>,
+}
+
+/// A rung.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Rung {
+    /// What was added; null for the model as given.
+    pub added: Option<String>,
+    /// Error on frames that the fit did not see.
+    pub error: f64,
+    /// Chance of such residuals.
+    pub p_value: f64,
+}
+
+/// The whole answer.
+#[derive(Debug, Clone, Serialize)]
+pub struct Diagnosis {
+    /// Whether the model as given describes the campaign.
+    pub consistent: bool,
+    /// Its error.
+    pub error_before: f64,
+    /// Error with all that was added.
+    pub error_after: f64,
+    /// What is missing, strongest first.
+    pub missing: Vec<Missing>,
+    /// The ladder.
+    pub ladder: Vec<Rung>,
+    /// The one measurement that would tell the closest candidates apart.
+    pub next_measurement: Option<String>,
+    /// What could not be looked at, and what is left over.
+    pub notes: Vec<String>,
+    /// The last model.
+    #[serde(skip)]
+    pub fitted: Option<Fitted>,
+    /// Comparisons of the first and the last model.
+    #[serde(skip)]
+    pub comparisons: Vec<Comparison>,
+}
+
+/// A candidate after its fit.
+struct Candidate {
+    fitted: Fitted,
+    effect: &'static dyn Effect,
+    evidence: f64,
+}
+
+/// Whether an effect moves anything that a campaign has.
+fn applies(effect: &dyn Effect, all: &Observations) -> bool {
+    let has = |kind: Statistic| all.all.iter().any(|o| o.kind == kind);
+    let frames = has(Statistic::Successive);
+    match effect.id() {
+        "nonlinearity" | "brighter-fatter" => true,
+        "full-well-saturation" => frames,
+        "periodic-interference" => has(Statistic::Line),
+        "adc-nonlinearity" | "coarse-quantization" => has(Statistic::CodesUsed),
+        "tap-mismatch" => has(Statistic::Tap(0)),
+        // On flats these do nothing that is looked at.
+        "stray-light" => false,
+        "interpixel-crosstalk" | "readout-lowpass" | "spatial-filter" => frames || has(Statistic::Covariance(0, 1)),
+        _ => frames,
+    }
+}
+
+/// Looks for what a model lacks. `base` and `effects` are the model as given; without a base the campaign's own is taken.
+pub fn diagnose(
+    all: &Observations,
+    base: Option<BaseParameters>,
+    effects: Vec<(&'static dyn Effect, Vec<f64>)>,
+    progress: &mut dyn FnMut(&str),
+) -> Diagnosis {
+    let base = base.unwrap_or_else(|| start(all));
+    let n = all.all.len() as f64;
+    let mut now = fit(all, None, &base, &effects);
+    let first = compare(all, &now.base, &now.effects);
+    let mut ladder = vec![Rung { added: None, error: first.error, p_value: first.p_value }];
+    let mut missing = Vec::new();
+    let mut next_measurement = None;
+    let mut last = first.clone();
+    for _ in 0..MOST {
+        progress(&format!("error {:.2}; trying every effect", last.error));
+        let ids: Vec<&str> = now.effects.iter().map(|(e, _)| e.id()).collect();
+        let mut candidates: Vec<Candidate> = EFFECTS
+            .par_iter()
+            .filter(|e| !ids.contains(&e.id()) && applies(**e, all))
+            .filter_map(|effect| {
+                let tries = starts(*effect, all, &now.base).into_iter().map(|values| {
+                    let mut effects = now.effects.clone();
+                    effects.push((*effect, values));
+                    fit(all, None, &now.base, &effects)
+                });
+                let fitted = tries.min_by(|a, b| a.objective.total_cmp(&b.objective))?;
+                let parameters = effect.parameters().len() as f64;
+                let evidence = now.objective - fitted.objective - parameters * n.ln();
+                Some(Candidate { fitted, effect: *effect, evidence })
+            })
+            .collect();
+        candidates.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+        let Some(best) = candidates.first().filter(|c| c.evidence > NEEDED) else { break };
+        let after = compare(all, &best.fitted.base, &best.fitted.effects);
+        // What does not help on frames that the fit did not see is no effect.
+        if after.error > last.error - 1e-3 {
+            break;
+        }
+        let weight = |c: &Candidate| (0.5 * (c.evidence - best.evidence)).max(-300.0).exp();
+        let sum: f64 = candidates.iter().map(weight).sum::<f64>() + (-0.5 * best.evidence).max(-300.0).exp();
+        let why = reasons(&last, &after, best.effect);
+        let close: Vec<&Candidate> =
+            candidates.iter().skip(1).take_while(|c| best.evidence - c.evidence < TIE).collect();
+        let mut entry = describe(best, weight(best) / sum, last.error - after.error);
+        entry.evidence = why;
+        if let Some(other) = close.first() {
+            entry.evidence.push(format!("a tie: {} explains it as well", other.effect.id()));
+            next_measurement = Some(format!(
+                "{} or {}: {}",
+                best.effect.id(),
+                other.effect.id(),
+                best.effect.page().measure
+            ));
+        } else if let Some(other) = candidates.get(1).filter(|c| c.evidence > NEEDED) {
+            entry.evidence.push(format!(
+                "next best: {}, its evidence {:.0} below",
+                other.effect.id(),
+                best.evidence - other.evidence
+            ));
+        }
+        missing.push(entry);
+        for other in close {
+            let mut entry = describe(other, weight(other) / sum, last.error - after.error);
+            entry.evidence.push(format!("a tie with {}: this campaign cannot tell them apart", best.effect.id()));
+            missing.push(entry);
+        }
+        ladder.push(Rung {
+            added: Some(best.effect.id().to_string()),
+            error: after.error,
+            p_value: after.p_value,
+        });
+        now = best.fitted.clone();
+        last = after;
+    }
+    let mut notes = all.missing.clone();
+    if last.p_value < crate::compare::P_LIMIT {
+        let left = signatures(&last.residuals);
+        let evidence: Vec<String> = left.iter().take(5).map(|s| s.text.clone()).collect();
+        let weak = evidence.is_empty() || last.error < 1.15;
+        if weak {
+            notes.push(format!("what is left is small: error {:.3}, p = {:.1e}", last.error, last.p_value));
+        }
+        if !weak || missing.is_empty() {
+            missing.push(Missing {
+                effect: "unknown".into(),
+                confidence: 1.0,
+                error_drop: 0.0,
+                parameters: BTreeMap::new(),
+                evidence,
+            });
+            if next_measurement.is_none() {
+                next_measurement = Some(
+                    "the statistic that strays most, at more levels and frames; a custom formula in the model file can describe it"
+                        .into(),
+                );
+            }
+        }
+    }
+    if all.means_given && next_measurement.is_none() && !missing.is_empty() {
+        next_measurement = Some(
+            "flats with their neighbour covariances (brighter-fatter) and an exposure sweep at fixed light (nonlinearity)".into(),
+        );
+    }
+    let added: Vec<Missing> = missing;
+    Diagnosis {
+        consistent: added.is_empty(),
+        error_before: first.error,
+        error_after: last.error,
+        missing: added,
+        ladder,
+        next_measurement,
+        notes,
+        fitted: Some(now),
+        comparisons: vec![first, last],
+    }
+}
+
+fn describe(c: &Candidate, confidence: f64, error_drop: f64) -> Missing {
+    let at = c.fitted.effects.len() - 1;
+    let values = c.fitted.effects[at].1.iter().zip(&c.fitted.std_err[at]);
+    let parameters = c
+        .effect
+        .parameters()
+        .iter()
+        .zip(values)
+        .map(|(p, (&value, &std_err))| (p.name.to_string(), Quantity { value, std_err, unit: p.unit }))
+        .collect();
+    Missing { effect: c.effect.id().into(), confidence, error_drop, parameters, evidence: Vec::new() }
+}
+
+/// The statistics that the addition mended, worst first, and what the effect does.
+fn reasons(before: &Comparison, after: &Comparison, effect: &dyn Effect) -> Vec<String> {
+    let strayed = signatures(&before.residuals);
+    let left = signatures(&after.residuals);
+    let name = |text: &str| text.split(':').next().unwrap_or_default().to_string();
+    let mut out: Vec<String> = strayed
+        .iter()
+        .filter(|s| left.iter().all(|l| name(&l.text) != name(&s.text) || l.excess < 0.5 * s.excess))
+        .take(4)
+        .map(|s| s.text.clone())
+        .collect();
+    out.push(format!("{}: {}", effect.id(), effect.page().signature));
+    out
+}
