@@ -33,15 +33,10 @@ impl Spectrum {
         self.0.iter_mut().for_each(|p| *p *= by);
     }
 
-    /// Covariance at a lag: rows down, columns to the right.
+    /// Covariance at a lag: rows down, columns to the right; at most 3 of each.
     pub fn lag(&self, dy: i32, dx: i32) -> f64 {
-        let sum: f64 = self
-            .0
-            .iter()
-            .enumerate()
-            .map(|(i, p)| p * cosine((i / GRID) as i32 * dy + (i % GRID) as i32 * dx))
-            .sum();
-        sum / self.0.len() as f64
+        let table = &cosines()[((dy.clamp(-3, 3) + 3) * 7 + dx.clamp(-3, 3) + 3) as usize];
+        self.0.iter().zip(table).map(|(p, c)| p * c).sum::<f64>() / self.0.len() as f64
     }
 
     /// Power of the mean over all pixels, times their number.
@@ -50,11 +45,18 @@ impl Spectrum {
     }
 }
 
-/// cos(2 pi n / GRID) from a table.
-fn cosine(n: i32) -> f64 {
+/// The cosine of each frequency at each lag from -3 to 3 in both directions.
+fn cosines() -> &'static [Vec<f64>] {
     use std::sync::OnceLock;
-    static TABLE: OnceLock<Vec<f64>> = OnceLock::new();
-    TABLE.get_or_init(|| (0..GRID).map(|i| libm::cos(angle(i))).collect())[n.rem_euclid(GRID as i32) as usize]
+    static TABLE: OnceLock<Vec<Vec<f64>>> = OnceLock::new();
+    TABLE.get_or_init(|| {
+        let at = |dy: i32, dx: i32| {
+            (0..GRID * GRID)
+                .map(|i| libm::cos(angle(i / GRID) * f64::from(dy) + angle(i % GRID) * f64::from(dx)))
+                .collect()
+        };
+        (-3..=3).flat_map(|dy| (-3..=3).map(move |dx| at(dy, dx))).collect()
+    })
 }
 
 /// A frame of a campaign.

@@ -129,6 +129,7 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             let memory = s.shot_memory.first().copied().unwrap_or(0.0).max(0.0);
             plain(mean, (frame_mean_var * (1.0 + 2.0 * memory) / n).sqrt().hypot(0.002))
         }
+        // The frames of both run from the first of the set.
         Kind2::Settling(k) => {
             let rest = frames.get(k + 1..).unwrap_or(&[]);
             let m = rest.len().max(1) as f64;

@@ -13,6 +13,18 @@ pub fn mean_image(images: &[Array2<u16>]) -> Array2<f32> {
     mean / images.len().max(1) as f32
 }
 
+/// Mean of the pixels that count, DN.
+pub fn mean_used(frame: &Array2<u16>, used: &Array2<bool>) -> f64 {
+    mean_of(&frame.mapv(f32::from), used)
+}
+
+/// Mean of the pixels that count, DN.
+pub fn mean_of(image: &Array2<f32>, used: &Array2<bool>) -> f64 {
+    let marked = image.iter().zip(used).filter(|(_, u)| **u);
+    let (sum, n) = marked.fold((0.0, 0.0), |(s, n), (v, _)| (s + f64::from(*v), n + 1.0));
+    sum / f64::max(n, 1.0)
+}
+
 /// Growth of variance with the mean between the dimmest and the brightest set, DN: enough to weigh pixels.
 pub fn rough_gain(read: &[Vec<Array2<u16>>], used: &Array2<bool>) -> f64 {
     let mut ends: Option<((f64, f64), (f64, f64))> = None;
@@ -92,8 +104,15 @@ pub fn middle_step(means: &[&Array2<f32>], used: &Array2<bool>, zero: f64) -> Op
     ])
 }
 
-/// Counts of every code.
-pub struct Histogram(Vec<u64>);
+/// Counts of every code, and what each level alone says of the bits.
+pub struct Histogram {
+    counts: Vec<u64>,
+    /// For each level and bit: mean excess of the one kind of codes over the other, and its variance.
+    levels: Vec<[(f64, f64); BITS]>,
+}
+
+/// Deviation of the noise from which a level's histogram is smooth over a few codes, DN^2.
+const WIDE_DN2: f64 = 36.0;
 
 /// Occupancy of bit `b` expected of a converter with these widths, as [`Histogram::finish`] measures it.
 pub fn occupancy_of(widths: &dyn Fn(u32) -> f64, codes: &std::ops::Range<u32>, b: usize) -> f64 {
@@ -110,60 +129,65 @@ pub fn occupancy_of(widths: &dyn Fn(u32) -> f64, codes: &std::ops::Range<u32>, b
 impl Histogram {
     /// For codes up to a full scale.
     pub fn new(full: u16) -> Self {
-        Self(vec![0; usize::from(full) + 1])
+        Self { counts: vec![0; usize::from(full) + 1], levels: Vec::new() }
     }
 
-    /// Adds a frame.
-    pub fn add(&mut self, frame: &Array2<u16>) {
-        let last = self.0.len() - 1;
-        frame.iter().for_each(|&d| self.0[usize::from(d).min(last)] += 1);
-    }
-
-    /// The range of well-filled codes, and what they say.
-    pub fn finish(self) -> (std::ops::Range<u32>, Vec<(Kind2, Value)>) {
-        let n = &self.0;
-        let total: u64 = n.iter().sum();
-        // Codes whose surroundings are filled: where a smooth histogram would hold a hundred samples a code.
-        let wide = |c: usize| n[c.saturating_sub(8)..(c + 9).min(n.len())].iter().sum::<u64>();
-        let filled: Vec<bool> = (0..n.len()).map(|c| c > 0 && c + 1 < n.len() && wide(c) > 1700).collect();
-        let mut out = Vec::new();
-        let count = filled.iter().filter(|f| **f).count();
-        if count < 32 || total == 0 {
-            return (0..0, out);
+    /// Adds the frames of one level with noise of this variance. Narrow levels say nothing: their histogram is all slope.
+    pub fn add(&mut self, frames: &[Array2<u16>], var_dn2: f64) {
+        if var_dn2 < WIDE_DN2 {
+            return;
         }
-        let (mut used, mut looked) = (0.0, 0.0);
-        for (c, _) in filled.iter().enumerate().filter(|(_, f)| **f) {
-            looked += 1.0;
-            used += f64::from(u8::from(n[c] > 0));
-        }
-        out.push((Kind2::CodesUsed, Value { value: used / looked, std_err: 0.02 }));
-        for b in 0..BITS {
+        let mut n = vec![0u64; self.counts.len()];
+        let last = n.len() - 1;
+        frames.iter().flat_map(|f| f.iter()).for_each(|&d| n[usize::from(d).min(last)] += 1);
+        self.counts.iter_mut().zip(&n).for_each(|(a, b)| *a += b);
+        let mut bits = [(0.0, f64::INFINITY); BITS];
+        for (b, out) in bits.iter_mut().enumerate() {
             let (first, second) = ((1usize << b) - 1, (1usize << (b + 1)) - 1);
             let (mut value, mut var) = (0.0, 0.0);
             for (residue, sign) in [(first, 1.0), (second, -1.0)] {
-                let codes = || (1..n.len() - 1).filter(|c| filled[*c] && c & second == residue);
-                // Where the histogram is steep its own bend is not small: bright, wide levels only.
-                let level = |c: usize| (n[c - 1] + 2 * n[c] + n[c + 1]) as f64 / 4.0;
-                let smooth = |c: usize| (n[c + 1] as f64 - n[c - 1] as f64).abs() < 0.5 * level(c);
                 let (mut bend, mut all, mut squares) = (0.0, 0.0, 0.0);
-                for c in codes().filter(|c| smooth(*c)) {
+                for c in (1..last).filter(|c| c & second == residue) {
+                    let level = (n[c - 1] + 2 * n[c] + n[c + 1]) as f64 / 4.0;
+                    if level < 20.0 {
+                        continue;
+                    }
                     bend += n[c] as f64 - 0.5 * (n[c - 1] + n[c + 1]) as f64;
                     squares += n[c] as f64 + 0.25 * (n[c - 1] + n[c + 1]) as f64;
-                    all += level(c);
+                    all += level;
                 }
-                if all > 0.0 {
-                    value += sign * bend / all;
-                    var += squares / (all * all);
-                }
+                value += sign * bend / all.max(1.0);
+                var += if all > 0.0 { squares / (all * all) } else { f64::INFINITY };
             }
-            if var > 0.0 {
-                // Fixed pattern and curvature leave a little of their own.
-                out.push((Kind2::Occupancy(b), Value { value, std_err: var.sqrt().hypot(1e-3) }));
-            }
+            *out = (value, var);
         }
-        let low = filled.iter().position(|f| *f).unwrap_or(0) as u32;
-        let high = filled.iter().rposition(|f| *f).unwrap_or(0) as u32;
-        (low..high, out)
+        self.levels.push(bits);
+    }
+
+    /// The range of filled codes, and what they say.
+    pub fn finish(self) -> (std::ops::Range<u32>, Vec<(Kind2, Value)>) {
+        let n = &self.counts;
+        let mut out = Vec::new();
+        let wide = |c: usize| n[c.saturating_sub(8)..(c + 9).min(n.len())].iter().sum::<u64>();
+        let filled: Vec<usize> = (1..n.len().saturating_sub(1)).filter(|c| wide(*c) > 1700).collect();
+        if filled.len() < 32 {
+            return (0..0, out);
+        }
+        let used = filled.iter().filter(|c| n[**c] > 0).count() as f64;
+        out.push((Kind2::CodesUsed, Value { value: used / filled.len() as f64, std_err: 0.02 }));
+        for b in 0..BITS {
+            let sound: Vec<(f64, f64)> =
+                self.levels.iter().map(|l| l[b]).filter(|(_, var)| var.is_finite() && *var > 0.0).collect();
+            let weight: f64 = sound.iter().map(|(_, var)| 1.0 / var).sum();
+            if sound.len() < 4 {
+                continue;
+            }
+            let value = sound.iter().map(|(v, var)| v / var).sum::<f64>() / weight;
+            // Pixels stay where they are from frame to frame: levels scatter more than their counts.
+            let chi2 = sound.iter().map(|(v, var)| (v - value).powi(2) / var).sum::<f64>() / (sound.len() - 1) as f64;
+            out.push((Kind2::Occupancy(b), Value { value, std_err: (chi2.max(1.0) / weight).sqrt().hypot(2e-4) }));
+        }
+        (filled[0] as u32..filled[filled.len() - 1] as u32, out)
     }
 }
 
@@ -269,7 +293,7 @@ pub struct ScenePair {
 
 impl ScenePair {
     /// From the mean images of scenes, the longest and the shortest of equal light.
-    pub fn of(means: &[(usize, Array2<f32>)], settings: &[FrameRow], zero: f64) -> Option<Self> {
+    pub fn of(means: &[(usize, Array2<f32>)], settings: &[FrameRow], zero: f64, used: &Array2<bool>) -> Option<Self> {
         let scenes: Vec<_> = means.iter().filter(|(i, _)| settings[*i].kind == Kind::Scene).collect();
         let by = |(i, _): &&&(usize, Array2<f32>)| settings[*i].exposure_s;
         let long = scenes.iter().max_by(|a, b| by(a).total_cmp(&by(b)))?;
@@ -291,7 +315,7 @@ impl ScenePair {
         let part = |wanted: bool| {
             let values: Vec<f64> = scaled
                 .indexed_iter()
-                .filter(|((y, x), _)| !level[*y] && through[*x] == wanted)
+                .filter(|((y, x), _)| !level[*y] && through[*x] == wanted && used[(*y, *x)])
                 .map(|(_, v)| *v)
                 .collect();
             let n = values.len() as f64;

@@ -184,7 +184,7 @@ pub fn of_dataset(
     }
 
     let mut pixels = Pixels::new(shape, camera.full_scale_dn());
-    let mut chunks: Vec<(usize, usize, Residual)> = Vec::new();
+    let mut chunks: Vec<Chunk> = Vec::new();
     let mut read: Vec<Vec<Array2<u16>>> = Vec::new();
     for (i, set) in sets.iter().enumerate() {
         if stop.load(Ordering::Relaxed) {
@@ -203,26 +203,37 @@ pub fn of_dataset(
     let mut histogram = global::Histogram::new(camera.full_scale_dn());
     let mut scene_means = Vec::new();
     let mut saturated = Vec::new();
+    let mut others = Vec::new();
     for (i, images) in read.iter().enumerate() {
         let kind = settings[i].kind;
         if images.is_empty() {
             continue;
         }
         if matches!(kind, Kind::Scene | Kind::Target) {
-            scene_means.push((i, global::mean_image(images)));
+            let mean = global::mean_image(images);
+            others.push((i, global::mean_of(&mean, &used)));
+            scene_means.push((i, mean));
             continue;
         }
         let clipped = images.iter().flat_map(|f| f.iter()).filter(|&&d| f64::from(d) >= full).count() as f64;
         if clipped / (images.len() * images[0].len()) as f64 > CLIPPED {
             saturated.push(i);
+            others.push((i, global::mean_of(&global::mean_image(images), &used)));
             continue;
         }
-        images.iter().for_each(|f| histogram.add(f));
-        let size = images.len().div_ceil(images.len().div_ceil(CHUNK).max(2)).max(2);
+        // Short sets stay whole; longer ones are cut into two chunks or more.
+        let pieces = if images.len() < 6 { 1 } else { images.len().div_ceil(CHUNK).max(2) };
+        let size = images.len().div_ceil(pieces);
         for (c, part) in images.chunks(size).enumerate() {
-            if let Some(r) = residual(part, &used, gain) {
-                spectrum.add(part, &r);
-                chunks.push((i, c * size, r));
+            // The first frame after a change carries what came before, pixel by pixel: it has a statistic of its own.
+            let from = usize::from(c == 0 && part.len() >= 3);
+            if let Some(r) = residual(&part[from..], &used, gain) {
+                spectrum.add(&part[from..], &r);
+                if kind == Kind::Flat {
+                    histogram.add(&part[from..], r.var.value);
+                }
+                let before = (from == 1).then(|| global::mean_used(&part[0], &used));
+                chunks.push(Chunk { set: i, from: c * size + from, number: c, before, residual: r });
             }
         }
     }
@@ -235,34 +246,31 @@ pub fn of_dataset(
             "no set of darks or flats has two frames that are not clipped: nothing can be compared".into(),
         ));
     }
-    for (i, _, r) in &chunks {
-        infos[*i].spread = global::spread(&r.mean_dn, &used, pixels.zero());
+    for c in &chunks {
+        infos[c.set].spread = global::spread(&c.residual.mean_dn, &used, pixels.zero());
     }
     let mut all = Vec::new();
     let inflation = Inflation::of(&chunks);
-    for (i, from, r) in &chunks {
-        let chunk = from / r.frames.max(1);
-        let first = frame_of_row[sets[*i].rows[*from]];
-        let half = ((i + chunk) % 2) as u8;
-        let mut add = |kind, value: f64, std_err: f64| {
-            all.push(Observable {
-                kind,
-                set: Some(*i),
-                half,
-                frames: (first, first + r.frames),
-                measured: Value { value, std_err },
-                pixels: r.pixels,
-            });
+    for c in &chunks {
+        let (i, r) = (c.set, &c.residual);
+        let first = frame_of_row[sets[i].rows[c.from]];
+        let half = ((i + c.number) % 2) as u8;
+        let mut of = |kind, frames, value: f64, std_err: f64| {
+            let measured = Value { value, std_err };
+            all.push(Observable { kind, set: Some(i), half, frames, measured, pixels: r.pixels });
         };
         let m = &r.frame_means_dn;
         let n = r.frames as f64;
-        add(Kind2::Mean, m.iter().sum::<f64>() / n, 0.0);
-        if *from == 0 && r.frames >= 3 {
-            for k in 0..2 {
-                let rest = &m[k + 1..];
-                add(Kind2::Settling(k), m[k] - rest.iter().sum::<f64>() / rest.len() as f64, 0.0);
+        let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len() as f64;
+        if let Some(before) = c.before {
+            let start = frame_of_row[sets[i].rows[0]];
+            of(Kind2::Settling(0), (start, first + r.frames), before - mean(m), 0.0);
+            if m.len() >= 2 {
+                of(Kind2::Settling(1), (start, first + r.frames), m[0] - mean(&m[1..]), 0.0);
             }
         }
+        let mut add = |kind, value, std_err| of(kind, (first, first + r.frames), value, std_err);
+        add(Kind2::Mean, mean(m), 0.0);
         let grand = m.iter().sum::<f64>() / n;
         add(Kind2::FrameMeanVariance, m.iter().map(|v| (v - grand).powi(2)).sum::<f64>() / (n - 1.0), 0.0);
         add(Kind2::Variance, r.var.value, inflation.variance * theory_var(r));
@@ -277,10 +285,22 @@ pub fn of_dataset(
             add(Kind2::Growth(k), r.growth[k].value, inflation.growth * 2.0 * theory_cov(r));
         }
     }
+    // What a scene or a clipped set shows matters for the frame that follows it.
+    for (i, level) in others {
+        let (first, last) = (frame_of_row[sets[i].rows[0]], sets[i].rows.len());
+        all.push(Observable {
+            kind: Kind2::Mean,
+            set: Some(i),
+            half: 2,
+            frames: (first, first + last),
+            measured: Value { value: level, std_err: 0.0 },
+            pixels: (shape.0 * shape.1) as f64,
+        });
+    }
     let mut whole = |kind, measured: Value| {
         all.push(Observable { kind, set: None, half: 2, frames: (0, 0), measured, pixels: 1.0 });
     };
-    let steps: Vec<_> = chunks.iter().map(|(_, _, r)| &r.mean_dn).collect();
+    let steps: Vec<_> = chunks.iter().map(|c| &c.residual.mean_dn).collect();
     if let Some(taps) = global::middle_step(&steps, &used, pixels.zero()) {
         whole(Kind2::Tap(0), taps[0]);
         whole(Kind2::Tap(1), taps[1]);
@@ -295,7 +315,7 @@ pub fn of_dataset(
     if let Some((_, value)) = line {
         whole(Kind2::Line, value);
     }
-    let scene = global::ScenePair::of(&scene_means, &settings, pixels.zero());
+    let scene = global::ScenePair::of(&scene_means, &settings, pixels.zero(), &used);
     match &scene {
         Some(scene) => whole(Kind2::SceneColumns, scene.columns),
         None => missing.push("no scene with a bright patch at two exposures: smear cannot be told from an exposure offset".into()),
@@ -337,6 +357,18 @@ fn theory_cov(r: &Residual) -> f64 {
     r.var.value / (r.pixels * (r.frames as f64 - 1.0)).sqrt()
 }
 
+/// Successive frames of a set with their statistics.
+struct Chunk {
+    set: usize,
+    /// Place of the first frame within the set.
+    from: usize,
+    /// Which chunk of its set.
+    number: usize,
+    /// Mean of the frame before, where that is the first of the set, DN.
+    before: Option<f64>,
+    residual: Residual,
+}
+
 /// Jackknife errors over those of independent normal pixels, the median over all chunks: one chunk's own jackknife is noisy.
 struct Inflation {
     variance: f64,
@@ -347,10 +379,10 @@ struct Inflation {
 }
 
 impl Inflation {
-    fn of(chunks: &[(usize, usize, Residual)]) -> Self {
+    fn of(chunks: &[Chunk]) -> Self {
         let over = |ratio: &dyn Fn(&Residual) -> f64| {
             let all: Vec<f64> =
-                chunks.iter().map(|(_, _, r)| ratio(r)).filter(|x| x.is_finite() && *x > 0.0).collect();
+                chunks.iter().map(|c| ratio(&c.residual)).filter(|x| x.is_finite() && *x > 0.0).collect();
             let mean = (all.iter().map(|x| x * x).sum::<f64>() / all.len().max(1) as f64).sqrt();
             let middle = median(&all, &mut Vec::new());
             // The median, unless a few levels truly scatter more.
