@@ -126,6 +126,16 @@ pub fn diagnose(
             })
             .collect();
         candidates.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+        // A parameter that is nothing within its error explains nothing.
+        candidates.retain(|c| {
+            if c.evidence > 100.0 {
+                return true;
+            }
+            let at = c.fitted.effects.len() - 1;
+            let (values, errors) = (&c.fitted.effects[at].1, &c.fitted.std_err[at]);
+            let nothing = c.effect.parameters().iter().map(|p| p.min.max(0.0).min(p.max));
+            values.iter().zip(errors).zip(nothing).any(|((v, e), zero)| (v - zero).abs() > 2.5 * e)
+        });
         let Some(best) = candidates.first().filter(|c| c.evidence > NEEDED) else { break };
         let after = compare(all, &best.fitted.base, &best.fitted.effects);
         // What does not help on frames that the fit did not see is no effect.
@@ -192,7 +202,7 @@ pub fn diagnose(
             }
         }
     }
-    if all.means_given && next_measurement.is_none() && !missing.is_empty() {
+    if all.means_given && !missing.is_empty() {
         next_measurement = Some(
             "flats with their neighbour covariances (brighter-fatter) and an exposure sweep at fixed light (nonlinearity)".into(),
         );

@@ -213,6 +213,11 @@ impl Painter for Artist {
         // Most likely the next frame is asked for under the same conditions.
         let conditions = Conditions { time_s: self.time_s - 1.0, ..conditions };
         let next = Job { number: request.number + 1, conditions, ..job };
+        if !self.sensor.model().effects.is_empty() {
+            // Effects remember the frame before: none may be drawn that is not asked for.
+            self.spare = dn;
+            return now_ns;
+        }
         match self.jobs.try_send((next, dn)) {
             Ok(()) => self.ahead = true,
             Err(std::sync::mpsc::TrySendError::Full((_, memory)))

@@ -2,6 +2,7 @@
 
 #![allow(clippy::needless_range_loop)] // lanes are indexed: the shape that vectorises
 
+use crate::effects::{self, Drawing, Memory, Stage};
 use crate::maps::Maps;
 use crate::model::{Model, ModelError};
 use crate::poisson::{Site, poisson_lanes};
@@ -63,6 +64,8 @@ pub struct Sensor {
     maps: Maps,
     /// The light last asked for; a bench stands still for many frames.
     light: Mutex<Option<(LightKey, Arc<Array2<f32>>)>>,
+    /// What effects keep from the frame drawn last.
+    memory: Mutex<Memory>,
 }
 
 /// The numbers of one frame that are the same for every pixel.
@@ -189,7 +192,7 @@ impl Sensor {
     pub fn new(model: Model) -> Result<Self, ModelError> {
         model.check()?;
         let maps = Maps::new(&model);
-        Ok(Self { model, maps, light: Mutex::new(None) })
+        Ok(Self { model, maps, light: Mutex::new(None), memory: Mutex::default() })
     }
 
     /// The model.
@@ -258,7 +261,8 @@ impl Sensor {
     /// Draws frame number `frame` of `region` into `out`, row by row, `width * height` codes in DN.
     ///
     /// A pixel's code depends on (seed, frame, pixel) and the conditions alone: not on the region, on the
-    /// number of threads, or on what was drawn before.
+    /// number of threads, or on what was drawn before. Where the model has effects that remember (lag, a temporal filter), the
+    /// frame drawn last is the one before.
     ///
     /// # Panics
     /// Where the region leaves the sensor or `out` has another length: faults of the caller.
@@ -276,6 +280,10 @@ impl Sensor {
         }
         let light = self.light(conditions.scene, conditions.configuration);
         let scalars = self.scalars(frame, conditions);
+        if !self.model.effects.is_empty() {
+            self.draw_with_effects(conditions, &scalars, &light, region, out);
+            return;
+        }
         let arch = pulp::Arch::new();
         // Bands of about 16,000 pixels: enough work to share, little enough to share evenly.
         let rows_per_band = (16_384 / width).clamp(1, height);
@@ -289,6 +297,74 @@ impl Sensor {
                 out,
             });
         });
+    }
+
+    /// The chain stage by stage, with every effect at its place.
+    fn draw_with_effects(
+        &self,
+        conditions: &Conditions,
+        s: &Scalars,
+        light: &Array2<f32>,
+        region: Region,
+        out: &mut [u16],
+    ) {
+        let mut effects: Vec<_> = self
+            .model
+            .effects
+            .iter()
+            .filter_map(|e| effects::find(&e.id).map(|effect| (effect, e.values(effect))))
+            .collect();
+        effects.sort_by_key(|(e, _)| e.stage());
+        let exposure_s = conditions.exposure_s.max(1e-12);
+        let rate = ndarray::Zip::from(light)
+            .and(&self.maps.uniformity)
+            .map_collect(|&l, &k| s.light_e / exposure_s * f64::from(l * k));
+        let expected = ndarray::Zip::from(&rate)
+            .and(&self.maps.dark_current)
+            .map_collect(|&r, &d| r * exposure_s + s.dark_e * f64::from(d));
+        let mut memory = self.memory.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut d = Drawing {
+            image: expected,
+            rate_e_per_s: &rate,
+            exposure_s,
+            time_s: conditions.time_s,
+            frame: s.frame,
+            seed: s.seed,
+            full_scale_dn: s.full_scale_dn,
+            offset_dn: s.black_level_dn,
+            memory: &mut memory,
+        };
+        let run = |d: &mut Drawing<'_>, from: Stage, to: Stage| {
+            effects.iter().filter(|(e, _)| (from..=to).contains(&e.stage())).for_each(|(e, p)| e.draw(p, d));
+        };
+        run(&mut d, Stage::Light, Stage::Light);
+        // Shot noise, and the read noise for later.
+        let mut read = Array2::<f64>::zeros(d.image.raw_dim());
+        let all = d.image.as_slice_mut().unwrap_or_default().par_chunks_mut(LANES);
+        all.zip(read.as_slice_mut().unwrap_or_default().par_chunks_mut(LANES)).enumerate().for_each(
+            |(block, (charge, read))| {
+                let first_pixel = (block * LANES) as u32;
+                let mut mean_e = [0.0; LANES];
+                mean_e[..charge.len()].copy_from_slice(charge);
+                let noise = noise_lanes(&s.keys, s.frame, first_pixel);
+                let site = Site { seed: s.seed, frame: s.frame, first_pixel };
+                charge.copy_from_slice(&poisson_lanes(&mean_e, &noise, site)[..charge.len()]);
+                read.copy_from_slice(&noise.read[..read.len()]);
+            },
+        );
+        run(&mut d, Stage::Charge, Stage::Transfer);
+        d.image.scaled_add(self.model.base.read_noise_e, &read);
+        run(&mut d, Stage::Read, Stage::Read);
+        d.image *= s.gain_dn_per_e;
+        run(&mut d, Stage::Amplifier, Stage::Amplifier);
+        d.image.zip_mut_with(&self.maps.offset_dn, |v, &o| *v += f64::from(o));
+        run(&mut d, Stage::Converter, Stage::Converter);
+        let code = |v: f64| libm::ceil(v - 0.5).clamp(0.0, s.full_scale_dn);
+        d.image.mapv_inplace(|v| code(v + s.black_level_dn));
+        run(&mut d, Stage::Firmware, Stage::Firmware);
+        let (x, y) = (region.x as usize, region.y as usize);
+        let part = d.image.slice(ndarray::s![y..y + region.height as usize, x..x + region.width as usize]);
+        out.iter_mut().zip(part).for_each(|(o, &v)| *o = code(v) as u16);
     }
 
     /// Expected mean and temporal variance of every pixel of the whole sensor (eq. 22 and 26 to 28).

@@ -37,7 +37,7 @@ pub struct Model {
 }
 
 /// An effect of a model with its values.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EffectValues {
     /// Identifier, as `radcam effects` lists them.

@@ -1,13 +1,13 @@
 //! `radcam diagnose`
 
 use super::common::STOP;
-use super::model::read_effects;
+use super::model::{fitted_model, read_effects};
 use super::{Outcome, progress::Show};
 use crate::compare::{Observations, of_dataset, of_table};
-use crate::dataset::Dataset;
 use crate::dataset::table::Table;
+use crate::dataset::{Dataset, write_whole};
 use crate::diagnose::{Diagnosis, diagnose};
-use crate::report::with_error;
+use crate::report::{self, with_error};
 use anyhow::Result;
 use std::path::{Path, PathBuf};
 
@@ -18,6 +18,12 @@ pub struct Arguments {
     /// Effects that are known already; the paper's model alone where not given
     #[arg(long, value_name = "M.toml")]
     model: Option<PathBuf>,
+    /// Also write a page with the ladder and the residuals before and after
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
+    /// Also write the model with what was found, fitted
+    #[arg(long, value_name = "M.toml")]
+    output: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -37,6 +43,15 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let effects = read_effects(arguments.model.as_deref())?;
     let all = observe(&arguments.dataset)?;
     let diagnosis = diagnose(&all, None, effects, &mut |text| tracing::info!("{text}"));
+    if let Some(path) = &arguments.report {
+        let subtitle = arguments.dataset.display().to_string();
+        let page = report::compare::diagnosis("What the model lacks", &subtitle, &diagnosis);
+        write_whole(path, page.as_bytes())?;
+    }
+    if let (Some(path), Some(fitted)) = (&arguments.output, &diagnosis.fitted) {
+        let model = fitted_model(&all, fitted, arguments.model.as_deref(), &arguments.dataset)?;
+        write_whole(path, model.to_toml()?.as_bytes())?;
+    }
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&diagnosis)?);
     } else {

@@ -10,9 +10,11 @@ mod calibrate;
 mod cameras;
 mod capture;
 mod common;
+mod compare;
 mod correct;
 mod demo;
 mod diagnose;
+mod effects;
 mod model;
 mod noise;
 mod plan_calibration;
@@ -76,8 +78,14 @@ enum Verb {
     Budget(budget::Arguments),
     /// Run the paper's experiments again and hold its numbers against ours (Section VII)
     Reproduce(reproduce::Arguments),
+    /// Hold a model against a campaign: where it fails, and by how much
+    Compare(compare::Arguments),
     /// Say which physical effect a campaign shows that the model lacks
     Diagnose(diagnose::Arguments),
+    /// Make, show, change and fit model files
+    Model(model::Arguments),
+    /// What each effect is, how it shows, and what to do about it
+    Effects(effects::Arguments),
     /// Serve, capture, measure and report a camera, all in one
     Demo(demo::Arguments),
 }
@@ -100,6 +108,9 @@ pub fn main() -> ExitCode {
         Verb::Surface(a) => surface::run(&a),
         Verb::Budget(a) => budget::run(&a),
         Verb::Reproduce(a) => reproduce::run(&a),
+        Verb::Compare(a) => compare::run(&a),
+        Verb::Model(a) => model::run(&a),
+        Verb::Effects(a) => effects::run(&a),
         Verb::Diagnose(a) => diagnose::run(&a),
         Verb::Demo(a) => demo::run(&a),
     };

@@ -1,19 +1,201 @@
 //! `radcam model`
 
+use super::Outcome;
+use super::common::load_model;
+use super::diagnose::observe;
+use crate::compare::{Fitted, Observations, fit, start};
+use crate::dataset::{Dataset, write_whole};
+use crate::report::with_error;
 use anyhow::{Context, Result, bail};
-use radcam_sim::Model;
 use radcam_sim::effects::{self, Effect};
-use std::path::Path;
+use radcam_sim::{EffectValues, Model};
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Action {
+    /// Make a model file from a sensor of the catalogue
+    New {
+        /// The model file
+        model: PathBuf,
+        /// The sensor it begins with
+        #[arg(long, default_value = "cmos12")]
+        sensor: String,
+    },
+    /// Show a model's effects with their values
+    Show {
+        /// The model file
+        model: PathBuf,
+    },
+    /// Add an effect, with values where given
+    Add {
+        /// The model file
+        model: PathBuf,
+        /// Identifier, as `radcam effects` lists them
+        effect: String,
+        /// Values, such as rel=0.01
+        #[arg(value_parser = value)]
+        values: Vec<(String, f64)>,
+    },
+    /// Remove an effect
+    Remove {
+        /// The model file
+        model: PathBuf,
+        /// Identifier
+        effect: String,
+    },
+    /// Fit the model's free values to a campaign, and write them with their errors
+    Fit {
+        /// The model file
+        model: PathBuf,
+        /// A dataset folder, an EMVA 1288 descriptor, or a table
+        dataset: PathBuf,
+    },
+}
+
+/// `name=value`.
+fn value(text: &str) -> Result<(String, f64), String> {
+    let (name, value) = text.split_once('=').ok_or("write name=value")?;
+    let value = value.parse().map_err(|_| format!("\"{value}\" is not a number"))?;
+    Ok((name.into(), value))
+}
+
+fn read(path: &Path) -> Result<Model> {
+    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    Model::from_toml(&text).with_context(|| path.display().to_string())
+}
+
+fn write(path: &Path, model: &Model) -> Result<()> {
+    model.check().with_context(|| path.display().to_string())?;
+    Ok(write_whole(path, model.to_toml()?.as_bytes())?)
+}
 
 /// The effects of a model file, with their values.
 pub fn read_effects(path: Option<&Path>) -> Result<Vec<(&'static dyn Effect, Vec<f64>)>> {
     let Some(path) = path else { return Ok(Vec::new()) };
-    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-    let model = Model::from_toml(&text).with_context(|| path.display().to_string())?;
-    let mut out = Vec::new();
-    for e in &model.effects {
-        let Some(effect) = effects::find(&e.id) else { bail!("{}: no effect \"{}\"", path.display(), e.id) };
-        out.push((effect, e.values(effect)));
+    let model = read(path)?;
+    let of = |e: &EffectValues| effects::find(&e.id).map(|effect| (effect, e.values(effect)));
+    Ok(model.effects.iter().filter_map(of).collect())
+}
+
+/// A model file with fitted values: the one that was given, or one of the campaign's own size.
+pub fn fitted_model(
+    all: &Observations,
+    fitted: &Fitted,
+    given: Option<&Path>,
+    dataset: &Path,
+) -> Result<Model> {
+    let mut model = match given {
+        Some(path) => read(path)?,
+        None => load_model("cmos12", None)?,
+    };
+    if let Ok(dataset) = Dataset::open(dataset) {
+        let camera = &dataset.manifest().camera;
+        (model.camera.width, model.camera.height) = (camera.width as u32, camera.height as u32);
+        model.camera.bit_depth = camera.bit_depth.max(2);
+        if given.is_none() {
+            (model.camera.vendor, model.camera.model) = (camera.vendor.clone(), camera.model.clone());
+        }
     }
-    Ok(out)
+    model.about = format!("Fitted to {}", dataset.display());
+    let base = &fitted.base;
+    model.base.gain_dn_per_e = base.gain_dn_per_e;
+    model.base.read_noise_e = base.read_noise_e;
+    model.base.black_level_dn = base.offset_dn.max(0.0);
+    model.base.dark_current_e_per_s = base.dark_e_per_s.max(0.0);
+    let unit = all.campaign.sets.iter().filter(|s| s.light.is_some());
+    let near = unit.min_by(|a, b| (a.illumination - 1.0).abs().total_cmp(&(b.illumination - 1.0).abs()));
+    if let Some(set) = near
+        && let Some(flux) = set.light.and_then(|l| base.flux_e_per_s.get(l))
+        && model.base.quantum_efficiency > 0.0
+    {
+        model.bench.photon_flux_per_s = flux / model.base.quantum_efficiency / set.illumination.max(1e-9);
+    }
+    model.effects = fitted
+        .effects
+        .iter()
+        .zip(&fitted.std_err)
+        .map(|((e, values), errors)| {
+            let named = |v: &[f64]| e.parameters().iter().zip(v).map(|(p, v)| (p.name.to_string(), *v)).collect();
+            let sound: Vec<f64> = errors.iter().map(|e| if e.is_finite() { *e } else { 0.0 }).collect();
+            EffectValues { id: e.id().into(), parameters: named(values), std_err: named(&sound) }
+        })
+        .collect();
+    Ok(model)
+}
+
+fn show(path: &Path, model: &Model) {
+    let b = &model.base;
+    println!("{}: {}", path.display(), model.about);
+    println!("  A                {} DN/e", b.gain_dn_per_e);
+    println!("  read noise       {} e", b.read_noise_e);
+    println!("  black level      {} DN", b.black_level_dn);
+    println!("  dark current     {} e/s", b.dark_current_e_per_s);
+    println!("  sigma_K          {}", b.sigma_k);
+    if model.effects.is_empty() {
+        println!("  no effects: the paper's model");
+    }
+    for e in &model.effects {
+        println!("  {}", e.id);
+        let known = effects::find(&e.id).map_or(&[][..], |e| e.parameters());
+        for (name, value) in &e.parameters {
+            let unit = known.iter().find(|p| p.name == name).map_or("", |p| if p.unit == "1" { "" } else { p.unit });
+            let error = e.std_err.get(name).copied().unwrap_or(f64::NAN);
+            println!("    {name:<24} {} {unit}", with_error(*value, error));
+        }
+    }
+}
+
+pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    match &arguments.action {
+        Action::New { model: path, sensor } => {
+            if path.exists() {
+                bail!("{} is there already; remove it or choose another name", path.display());
+            }
+            let model = load_model(sensor, None)?;
+            write(path, &model)?;
+            show(path, &model);
+        }
+        Action::Show { model: path } => show(path, &read(path)?),
+        Action::Add { model: path, effect, values } => {
+            let mut model = read(path)?;
+            let Some(known) = effects::find(effect) else {
+                bail!("no effect \"{effect}\"; `radcam effects` lists them");
+            };
+            if model.effects.iter().any(|e| e.id == *effect) {
+                bail!("{} has {effect} already", path.display());
+            }
+            let mut entry = EffectValues { id: effect.clone(), ..Default::default() };
+            let start = entry.values(known);
+            entry.parameters = known.parameters().iter().zip(start).map(|(p, v)| (p.name.into(), v)).collect();
+            entry.parameters.extend(values.iter().cloned());
+            model.effects.push(entry);
+            write(path, &model)?;
+            show(path, &model);
+        }
+        Action::Remove { model: path, effect } => {
+            let mut model = read(path)?;
+            let before = model.effects.len();
+            model.effects.retain(|e| e.id != *effect);
+            if model.effects.len() == before {
+                bail!("{} has no effect \"{effect}\"", path.display());
+            }
+            write(path, &model)?;
+            show(path, &model);
+        }
+        Action::Fit { model: path, dataset } => {
+            let list = read_effects(Some(path))?;
+            let all = observe(dataset)?;
+            let fitted = fit(&all, None, &start(&all), &list);
+            let model = fitted_model(&all, &fitted, Some(path), dataset)?;
+            write(path, &model)?;
+            show(path, &model);
+        }
+    }
+    Ok(Outcome::Agreement)
 }

@@ -1,6 +1,7 @@
 //! Reports as single HTML files: no scripts, no fonts, nothing fetched.
 
 pub mod budget;
+pub mod compare;
 pub mod noise;
 pub mod reproduce;
 pub mod svg;

@@ -5,6 +5,7 @@
 mod calibration;
 mod conformance;
 mod dataset;
+mod effects;
 mod noise;
 mod program;
 mod support;

@@ -1,0 +1,60 @@
+//! `radcam compare`
+
+use super::Outcome;
+use super::diagnose::observe;
+use super::model::read_effects;
+use crate::compare::{compare, signatures, start};
+use crate::dataset::write_whole;
+use crate::report;
+use anyhow::Result;
+use std::path::PathBuf;
+
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// A dataset folder, an EMVA 1288 descriptor, or a table (CSV with mean_dn and var_dn2)
+    dataset: PathBuf,
+    /// The model; the paper's alone where not given
+    #[arg(long, value_name = "M.toml")]
+    model: Option<PathBuf>,
+    /// Also write a page: observables down, levels across, colour by the residual
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    let effects = read_effects(arguments.model.as_deref())?;
+    let all = observe(&arguments.dataset)?;
+    let c = compare(&all, &start(&all), &effects);
+    if let Some(path) = &arguments.report {
+        let subtitle = arguments.dataset.display().to_string();
+        write_whole(path, report::compare::html("Model against measurement", &subtitle, &c).as_bytes())?;
+    }
+    let outcome = if c.consistent { Outcome::Agreement } else { Outcome::Disagreement };
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&c)?);
+        return Ok(outcome);
+    }
+    let verdict = if c.consistent { "the model describes the campaign" } else { "THE MODEL FAILS" };
+    println!("{}: {verdict}", arguments.dataset.display());
+    println!("  error    {:.3} on frames that the fit did not see (1: agreement to within noise)", c.error);
+    println!("  p-value  {:.2e} over {} residuals", c.p_value, c.residuals.len());
+    let strayed = signatures(&c.residuals);
+    for s in strayed.iter().take(6) {
+        println!("  - {}", s.text);
+    }
+    if strayed.is_empty() && !c.consistent {
+        let mut worst: Vec<_> = c.residuals.iter().collect();
+        worst.sort_by(|a, b| b.z.abs().total_cmp(&a.z.abs()));
+        for r in worst.iter().take(3) {
+            let set = r.set.map_or(String::new(), |s| format!(" of set {s}"));
+            println!("  - {}{set}: {:.4} for {:.4} +- {:.4}, {:+.1} sigma", r.observable, r.measured, r.predicted, r.std_err, r.z);
+        }
+    }
+    for note in &c.not_looked_at {
+        println!("  note: {note}");
+    }
+    Ok(outcome)
+}

@@ -1,0 +1,67 @@
+//! `radcam effects`
+
+use super::Outcome;
+use anyhow::{Result, bail};
+use radcam_sim::effects::{EFFECTS, find};
+
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// One effect; all of them in a list where not given
+    id: Option<String>,
+}
+
+pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    let Some(id) = &arguments.id else {
+        println!("{:<30} signature", "effect");
+        for e in EFFECTS {
+            let width = 100;
+            let mut lines = wrap(e.page().signature, width - 31).into_iter();
+            println!("{:<30} {}", e.id(), lines.next().unwrap_or_default());
+            lines.for_each(|line| println!("{:31}{line}", ""));
+        }
+        return Ok(Outcome::Agreement);
+    };
+    let Some(e) = find(id) else {
+        let near: Vec<_> = EFFECTS.iter().map(|e| e.id()).filter(|k| k.contains(id.as_str())).collect();
+        let near = if near.is_empty() { "`radcam effects` lists them".into() } else { format!("is it {}?", near.join(", ")) };
+        bail!("no effect \"{id}\"; {near}");
+    };
+    let page = e.page();
+    println!("{} (acts on the {:?})\n", e.id(), e.stage());
+    for (title, text) in [
+        ("what happens", page.what),
+        ("equation", page.equation),
+        ("signature", page.signature),
+        ("look-alikes", page.look_alikes),
+        ("what to do", page.remedy),
+        ("measure", page.measure),
+        ("source", page.source),
+    ] {
+        let mut lines = wrap(text, 80).into_iter();
+        println!("  {title:<14} {}", lines.next().unwrap_or_default());
+        lines.for_each(|line| println!("  {:14} {line}", ""));
+    }
+    println!("\n  parameters");
+    for p in e.parameters() {
+        let unit = if p.unit == "1" { "" } else { p.unit };
+        println!("    {:<24} {} to {} {unit}", p.name, p.min, p.max);
+    }
+    Ok(Outcome::Agreement)
+}
+
+fn wrap(text: &str, width: usize) -> Vec<String> {
+    let mut lines = vec![String::new()];
+    for word in text.split_whitespace() {
+        let last = lines.last_mut().map_or(0, |l| l.chars().count());
+        if last > 0 && last + 1 + word.chars().count() > width {
+            lines.push(String::new());
+        }
+        if let Some(line) = lines.last_mut() {
+            if !line.is_empty() {
+                line.push(' ');
+            }
+            line.push_str(word);
+        }
+    }
+    lines
+}
