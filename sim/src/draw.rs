@@ -360,7 +360,8 @@ impl Sensor {
         d.image.zip_mut_with(&self.maps.offset_dn, |v, &o| *v += f64::from(o));
         run(&mut d, Stage::Converter, Stage::Converter);
         let code = |v: f64| libm::ceil(v - 0.5).clamp(0.0, s.full_scale_dn);
-        d.image.mapv_inplace(|v| code(v + s.black_level_dn));
+        // Firmware works with more bits than it hands out: one rounding, at the end.
+        d.image += s.black_level_dn;
         run(&mut d, Stage::Firmware, Stage::Firmware);
         let (x, y) = (region.x as usize, region.y as usize);
         let part = d.image.slice(ndarray::s![y..y + region.height as usize, x..x + region.width as usize]);

@@ -133,6 +133,8 @@ pub struct SetPrediction {
     /// Excess of the spread of the pixels' variances: their variance over its expectation, minus 1, times the frames minus 1,
     /// over 2 (0 for pixels that are alike).
     pub unequal: f64,
+    /// How far the noise is from normal: by so much the spread of the pixels' variances is not known.
+    pub unsure: f64,
     /// Lines in the spectrum: (variance, phase from column to column, phase from row to row), radians.
     pub lines: Vec<(f64, f64, f64)>,
     /// Change of the neighbour covariances per unit of distance from the output, as a share of the shot variance: along rows,
@@ -202,6 +204,7 @@ impl Prediction {
             shot_memory: Vec::new(),
             read_memory: Vec::new(),
             unequal: 0.0,
+            unsure: 0.0,
             lines: Vec::new(),
             growth: (0.0, 0.0),
         };

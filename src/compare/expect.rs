@@ -160,7 +160,7 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
                 + rest * product(&[], f);
             plain(value, o.measured.std_err)
         }
-        Kind2::Unequal => plain(s.unequal, o.measured.std_err.hypot(0.3 * s.unequal).hypot(0.02)),
+        Kind2::Unequal => plain(s.unequal, o.measured.std_err.hypot(0.3 * s.unequal).hypot(s.unsure).hypot(0.02)),
         Kind2::Growth(k) => {
             let growth = if k == 0 { s.growth.0 } else { s.growth.1 };
             plain(0.5 * growth * s.shot.lag(0, 0), o.measured.std_err)

@@ -228,11 +228,14 @@ impl LineSearch {
                 }
             }
             line.resize(self.length, rustfft::num_complex::Complex::new(0.0, 0.0));
+            // Hann's window keeps a line within a few bins; its mean square is 3/8.
+            let turn = std::f32::consts::TAU / self.length as f32;
+            line.iter_mut().enumerate().for_each(|(n, v)| *v *= 0.5 - 0.5 * (turn * n as f32).cos());
             fft.process(&mut line);
             // Weighted by the noise: quiet sets see a line best.
             let w = 1.0 / r.var.value;
             for (p, v) in self.power.iter_mut().zip(&line) {
-                *p += w * f64::from(v.norm_sqr()) / self.length as f64;
+                *p += w * f64::from(v.norm_sqr()) / (0.375 * self.length as f64);
             }
             self.weight += w;
             self.var_dn2 += 1.0;

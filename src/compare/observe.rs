@@ -226,7 +226,13 @@ pub fn of_dataset(
         let size = images.len().div_ceil(pieces);
         for (c, part) in images.chunks(size).enumerate() {
             // The first frame after a change carries what came before, pixel by pixel: it has a statistic of its own.
-            let from = usize::from(c == 0 && part.len() >= 3);
+            let after_scene = i > 0 && !matches!(settings[i - 1].kind, Kind::Dark | Kind::Flat);
+            let from = match part.len() {
+                // A scene leaves its picture behind for longer than a flat.
+                4.. if c == 0 && after_scene => 2,
+                3.. if c == 0 => 1,
+                _ => 0,
+            };
             if let Some(r) = residual(&part[from..], &used, gain) {
                 spectrum.add(&part[from..], &r);
                 if kind == Kind::Flat {

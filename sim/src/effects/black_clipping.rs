@@ -41,6 +41,7 @@ impl Effect for This {
             let (mean, left) = clipped(-s.signal, variance, -p[0]);
             s.signal = -mean;
             let less = if variance > 0.0 { left / variance } else { 1.0 };
+            s.unsure += 2.0 * (1.0 - less).abs();
             s.shot.scale(less);
             s.read.scale(less);
             (s.row, s.column, s.common) = (s.row * less, s.column * less, s.common * less);

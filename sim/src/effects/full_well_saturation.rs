@@ -66,6 +66,7 @@ impl Effect for This {
             let before = s.signal.max(1e-9);
             let (mean, variance) = limited(before, spread(i), before);
             let less = (variance / before).min(1.0);
+            s.unsure += 3.0 * (1.0 - less);
             s.shot.scale(less);
             s.common *= less * less;
             s.signal = mean;

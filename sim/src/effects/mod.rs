@@ -77,7 +77,7 @@ pub trait Effect: Sync + Send {
 /// A frame on its way through the chain.
 ///
 /// `image` holds the expected charge (e) at [`Stage::Light`], charge (e) until the amplifier, DN above the level of zero charge
-/// until the end of [`Stage::Converter`], and codes (DN) at [`Stage::Firmware`].
+/// until the end of [`Stage::Converter`], and DN with the black level at [`Stage::Firmware`].
 #[derive(Debug)]
 pub struct Drawing<'a> {
     /// The frame, (rows, columns).
@@ -166,10 +166,10 @@ pub fn predict(campaign: &Campaign, base: &BaseParameters, effects: &[(&dyn Effe
     let gain = base.gain_dn_per_e;
     out.bend(|s| s * gain);
     run(&mut out, Stage::Amplifier, Stage::Converter);
+    run(&mut out, Stage::Firmware, Stage::Firmware);
     for s in &mut out.sets {
         s.read.0.iter_mut().for_each(|p| *p += 1.0 / 12.0);
     }
-    run(&mut out, Stage::Firmware, Stage::Firmware);
     out.frame_signal.iter_mut().for_each(|m| *m += base.offset_dn);
     out
 }
