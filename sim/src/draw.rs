@@ -2,7 +2,7 @@
 
 #![allow(clippy::needless_range_loop)] // lanes are indexed: the shape that vectorises
 
-use crate::effects::{self, Drawing, Memory, Stage};
+use crate::effects::{Drawing, Effect, Memory, Stage};
 use crate::maps::Maps;
 use crate::model::{Model, ModelError};
 use crate::poisson::{Site, poisson_lanes};
@@ -58,7 +58,6 @@ pub struct Expected {
 type LightKey = (Scene, u32);
 
 /// A camera ready to draw: a model with its maps.
-#[derive(Debug)]
 pub struct Sensor {
     model: Model,
     maps: Maps,
@@ -66,6 +65,8 @@ pub struct Sensor {
     light: Mutex<Option<(LightKey, Arc<Array2<f32>>)>>,
     /// What effects keep from the frame drawn last.
     memory: Mutex<Memory>,
+    /// The model's effects with their values, in the order of the chain.
+    effects: Vec<(&'static dyn Effect, Vec<f64>)>,
 }
 
 /// The numbers of one frame that are the same for every pixel.
@@ -187,12 +188,24 @@ impl pulp::NullaryFnOnce for Band<'_> {
     }
 }
 
+impl std::fmt::Debug for Sensor {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Sensor").field("model", &self.model).finish_non_exhaustive()
+    }
+}
+
 impl Sensor {
     /// Checks the model and draws its maps.
     pub fn new(model: Model) -> Result<Self, ModelError> {
         model.check()?;
         let maps = Maps::new(&model);
-        Ok(Self { model, maps, light: Mutex::new(None), memory: Mutex::default() })
+        let mut effects = model
+            .effects
+            .iter()
+            .map(|e| e.effect().map(|effect| (effect, e.values(effect))))
+            .collect::<Result<Vec<_>, _>>()?;
+        effects.sort_by_key(|(e, _)| e.stage());
+        Ok(Self { model, maps, light: Mutex::new(None), memory: Mutex::default(), effects })
     }
 
     /// The model.
@@ -308,13 +321,7 @@ impl Sensor {
         region: Region,
         out: &mut [u16],
     ) {
-        let mut effects: Vec<_> = self
-            .model
-            .effects
-            .iter()
-            .filter_map(|e| effects::find(&e.id).map(|effect| (effect, e.values(effect))))
-            .collect();
-        effects.sort_by_key(|(e, _)| e.stage());
+        let effects = &self.effects;
         let exposure_s = conditions.exposure_s.max(1e-12);
         let rate = ndarray::Zip::from(light)
             .and(&self.maps.uniformity)

@@ -13,6 +13,9 @@ use std::collections::BTreeMap;
 /// Name and major version of the file format.
 pub const FORMAT: &str = "radcam-model/1";
 
+/// Identifier of an effect made of formulas.
+const CUSTOM: &str = "custom";
+
 /// Pixels of the largest sensor: its maps take 4 GB.
 const MAX_PIXELS: f64 = 268_435_456.0;
 
@@ -45,12 +48,36 @@ pub struct EffectValues {
     /// Values by name.
     #[serde(default)]
     pub parameters: BTreeMap<String, f64>,
+    /// Name of a custom effect.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Formulas of a custom effect, by what they change.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub formulas: BTreeMap<String, String>,
+    /// Smallest and largest value of a custom effect's parameters.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub bounds: BTreeMap<String, [f64; 2]>,
+    /// Units of a custom effect's parameters.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub units: BTreeMap<String, String>,
     /// Standard errors by name, where the values were fitted.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub std_err: BTreeMap<String, f64>,
 }
 
 impl EffectValues {
+    /// The effect of this identifier, or the one that the formulas make.
+    pub fn effect(&self) -> Result<&'static dyn Effect, ModelError> {
+        if self.id == CUSTOM {
+            let name = self.name.as_deref().unwrap_or(CUSTOM);
+            return effects::custom(name, &self.formulas, &self.parameters, &self.bounds, &self.units)
+                .map_err(ModelError::Effect);
+        }
+        effects::find(&self.id).ok_or_else(|| {
+            ModelError::Effect(format!("no effect \"{}\"; `radcam effects` lists them", self.id))
+        })
+    }
+
     /// Values in the order of the effect's parameters; a start where one is missing.
     pub fn values(&self, effect: &dyn Effect) -> Vec<f64> {
         let of = |p: &crate::effects::Parameter| {
@@ -261,9 +288,7 @@ impl Model {
             }
         }
         for e in &self.effects {
-            let Some(effect) = effects::find(&e.id) else {
-                return Err(ModelError::Effect(format!("no effect \"{}\"; `radcam effects` lists them", e.id)));
-            };
+            let effect = e.effect()?;
             for (name, &value) in &e.parameters {
                 let Some(p) = effect.parameters().iter().find(|p| p.name == name) else {
                     let names: Vec<_> = effect.parameters().iter().map(|p| p.name).collect();

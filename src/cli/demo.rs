@@ -5,10 +5,13 @@ use super::common::load_model;
 use super::{Outcome, noise};
 use crate::camera::StreamOptions;
 use crate::dataset::write_whole;
+use crate::diagnose::diagnose;
 use crate::plan::Plan;
 use crate::report::noise::{Truth, html, pretty, sigmas};
 use crate::report::with_error;
 use anyhow::{Context, Result, bail};
+use radcam_sim::effects::{EFFECTS, example};
+use radcam_sim::{EffectValues, Model};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, clap::Args)]
@@ -22,6 +25,9 @@ pub struct Arguments {
     /// Folder for the dataset and the report; an earlier demo there is replaced
     #[arg(short, long, default_value = "radcam-demo")]
     output: PathBuf,
+    /// The effect hidden in the camera: an identifier, `random`, or `none` for the paper's camera
+    #[arg(long, default_value = "random")]
+    hide: String,
     /// IPv4 address of the interface the camera is served on
     #[arg(long, default_value = "127.0.0.1")]
     interface: std::net::Ipv4Addr,
@@ -31,24 +37,89 @@ pub struct Arguments {
 const REGION: (u32, u32) = (320, 256);
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
-    let model = load_model(&arguments.sensor, arguments.seed)?;
-    let truth = Truth {
-        gain_dn_per_e: model.base.gain_dn_per_e,
-        constant_noise_var_dn2: model.constant_noise_var_dn2(0.0),
-        read_noise_e: model.base.read_noise_e,
-    };
+    let mut model = load_model(&arguments.sensor, arguments.seed)?;
+    let hidden = hide(&arguments.hide, &mut model)?;
     let (width, height) = (model.camera.width.min(REGION.0), model.camera.height.min(REGION.1));
+    if hidden.is_some() {
+        // The whole sensor is drawn for an effect that reaches across it: a small one is enough.
+        (model.camera.width, model.camera.height) = (width, height);
+    }
     let mut plan = Plan::standard();
     plan.camera.region =
         Some([(model.camera.width - width) / 8 * 4, (model.camera.height - height) / 8 * 4, width, height]);
     let dataset = arguments.output.join("dataset");
     clear(&arguments.output, &dataset)?;
-    let how = take(arguments, &plan, &dataset)?;
-    let report = noise::estimate(&dataset)?;
-
+    let file = arguments.output.join("camera.toml");
+    write_whole(&file, model.to_toml()?.as_bytes())?;
+    let how = take(arguments, &file, &plan, &dataset)?;
     let camera = format!("{} {}", model.camera.vendor, model.camera.model);
-    println!("\n{camera}, {width} x {height} px, {}\n", how);
-    println!("  {:<16} {:<28} {:<12} difference", "", "measured", "truth");
+    println!("\n{camera}, {width} x {height} px, {how}");
+    match hidden {
+        None => the_papers(arguments, &model, &camera, &how, &dataset),
+        Some(id) => the_story(arguments, id, &camera, &how, &dataset),
+    }
+}
+
+/// Hides an effect in a model, at a strength that is plain to see.
+fn hide(what: &str, model: &mut Model) -> Result<Option<&'static str>> {
+    let known = || EFFECTS.iter().filter(|e| example(e.id(), model).is_some());
+    let effect = match what {
+        "none" => return Ok(None),
+        "random" => {
+            let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
+            known().nth(now.subsec_micros() as usize % known().count().max(1))
+        }
+        id => known().find(|e| e.id() == id),
+    };
+    let Some(effect) = effect else {
+        let names: Vec<_> = known().map(|e| e.id()).collect();
+        bail!("\"{what}\" cannot be hidden; write random, none or one of {}", names.join(", "));
+    };
+    let values = example(effect.id(), model).unwrap_or_default();
+    let parameters = effect.parameters().iter().zip(values).map(|(p, v)| (p.name.to_string(), v)).collect();
+    model.effects = vec![EffectValues { id: effect.id().into(), parameters, ..Default::default() }];
+    Ok(Some(effect.id()))
+}
+
+/// Found wanting, named, added, and the error falls.
+fn the_story(arguments: &Arguments, id: &str, camera: &str, how: &str, dataset: &Path) -> Result<Outcome> {
+    println!("Something is hidden in this camera. Is the paper's model enough?\n");
+    let all = super::diagnose::observe(dataset)?;
+    let d = diagnose(&all, None, Vec::new(), &mut |text| tracing::info!("{text}"));
+    super::diagnose::print(dataset, &d);
+    let path = arguments.output.join("report.html");
+    let page = crate::report::compare::diagnosis("What the model lacks", &format!("{camera}, {how}"), &d);
+    write_whole(&path, page.as_bytes())?;
+    println!("\n  report:   {}\n  dataset:  {}", path.display(), dataset.display());
+    println!("  next:     radcam effects {id}");
+    // The first name, and what this campaign cannot tell from it.
+    let first = d.missing.iter().position(|m| m.effect == id);
+    let tied = d.missing.iter().take(first.map_or(0, |f| f + 1)).skip(1).all(|m| {
+        m.evidence.iter().any(|e| e.starts_with("a tie with"))
+    });
+    let found = first.is_some() && tied && d.error_after < 1.15;
+    println!(
+        "\nHidden was {id}. {}",
+        if found { "It was named, and the error fell to the noise." } else { "IT WAS NOT FOUND." }
+    );
+    Ok(if found { Outcome::Agreement } else { Outcome::Disagreement })
+}
+
+/// Gain and noise against the truth, for a camera that is what the paper says.
+fn the_papers(
+    arguments: &Arguments,
+    model: &Model,
+    camera: &str,
+    how: &str,
+    dataset: &Path,
+) -> Result<Outcome> {
+    let truth = Truth {
+        gain_dn_per_e: model.base.gain_dn_per_e,
+        constant_noise_var_dn2: model.constant_noise_var_dn2(0.0),
+        read_noise_e: model.base.read_noise_e,
+    };
+    let report = noise::estimate(dataset)?;
+    println!("\n  {:<16} {:<28} {:<12} difference", "", "measured", "truth");
     let mut worst = 0.0_f64;
     for (name, measured, truth) in truth.rows(&report) {
         let z = sigmas(measured, truth);
@@ -58,10 +129,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     }
     println!("\n  χ² = {:.1} for {} degrees of freedom, Q = {:.3}", report.chi2, report.dof, report.q);
     let path = arguments.output.join("report.html");
-    write_whole(
-        &path,
-        html("Gain and constant noise", &format!("{camera}, {how}"), &report, Some(&truth)).as_bytes(),
-    )?;
+    let subtitle = format!("{camera}, {how}");
+    write_whole(&path, html("Gain and constant noise", &subtitle, &report, Some(&truth)).as_bytes())?;
     let dataset = dataset.display();
     println!("\n  report:   {}\n  dataset:  {dataset}\n  next:     radcam noise {dataset}", path.display());
     let agrees = worst <= 3.0 && report.consistent();
@@ -85,16 +154,14 @@ fn clear(output: &Path, dataset: &Path) -> Result<()> {
 
 /// Captures through libaravis from a camera that another process serves.
 #[cfg(feature = "aravis")]
-fn take(arguments: &Arguments, plan: &Plan, dataset: &Path) -> Result<String> {
+fn take(arguments: &Arguments, sensor: &Path, plan: &Plan, dataset: &Path) -> Result<String> {
     use std::io::{BufRead, BufReader};
     use std::process::{Command, Stdio};
 
     let interface = arguments.interface.to_string();
     let mut serve = Command::new(std::env::current_exe()?);
-    serve.args(["serve", &arguments.sensor, "--interface", &interface, "--serial", "DEMO", "--while-stdin"]);
-    if let Some(seed) = arguments.seed {
-        serve.args(["--seed", &seed.to_string()]);
-    }
+    let sensor = sensor.display().to_string();
+    serve.args(["serve", &sensor, "--interface", &interface, "--serial", "DEMO", "--while-stdin"]);
     // Its end of standard input closes with this process, however that ends.
     let mut child =
         serve.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().context("cannot start the camera")?;
@@ -120,9 +187,9 @@ fn take(arguments: &Arguments, plan: &Plan, dataset: &Path) -> Result<String> {
 
 /// Captures from the simulator in this process.
 #[cfg(not(feature = "aravis"))]
-fn take(arguments: &Arguments, plan: &Plan, dataset: &Path) -> Result<String> {
+fn take(arguments: &Arguments, sensor: &Path, plan: &Plan, dataset: &Path) -> Result<String> {
     eprintln!("{}; the demo uses the simulator in this process instead", super::common::NO_ARAVIS);
-    let (mut camera, mut bench) = super::common::simulated(&arguments.sensor, arguments.seed)?;
+    let (mut camera, mut bench) = super::common::simulated(&sensor.display().to_string(), arguments.seed)?;
     let summary = capture(&mut camera, &mut bench, StreamOptions::default(), plan, dataset, false)?;
     Ok(format!("{} frames simulated in this process", summary.frames))
 }

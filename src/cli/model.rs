@@ -79,8 +79,11 @@ fn write(path: &Path, model: &Model) -> Result<()> {
 pub fn read_effects(path: Option<&Path>) -> Result<Vec<(&'static dyn Effect, Vec<f64>)>> {
     let Some(path) = path else { return Ok(Vec::new()) };
     let model = read(path)?;
-    let of = |e: &EffectValues| effects::find(&e.id).map(|effect| (effect, e.values(effect)));
-    Ok(model.effects.iter().filter_map(of).collect())
+    let of = |e: &EffectValues| {
+        let effect = e.effect()?;
+        Ok((effect, e.values(effect)))
+    };
+    model.effects.iter().map(of).collect()
 }
 
 /// A model file with fitted values: the one that was given, or one of the campaign's own size.
@@ -123,7 +126,9 @@ pub fn fitted_model(
         .map(|((e, values), errors)| {
             let named = |v: &[f64]| e.parameters().iter().zip(v).map(|(p, v)| (p.name.to_string(), *v)).collect();
             let sound: Vec<f64> = errors.iter().map(|e| if e.is_finite() { *e } else { 0.0 }).collect();
-            EffectValues { id: e.id().into(), parameters: named(values), std_err: named(&sound) }
+            let known = model.effects.iter().find(|k| k.id == e.id() || k.name.as_deref() == Some(e.id()));
+            let known = known.cloned().unwrap_or(EffectValues { id: e.id().into(), ..Default::default() });
+            EffectValues { parameters: named(values), std_err: named(&sound), ..known }
         })
         .collect();
     Ok(model)
@@ -141,7 +146,8 @@ fn show(path: &Path, model: &Model) {
         println!("  no effects: the paper's model");
     }
     for e in &model.effects {
-        println!("  {}", e.id);
+        println!("  {}", e.name.as_deref().unwrap_or(&e.id));
+        e.formulas.iter().for_each(|(what, formula)| println!("    {what:<24} + {formula}"));
         let known = effects::find(&e.id).map_or(&[][..], |e| e.parameters());
         for (name, value) in &e.parameters {
             let unit = known.iter().find(|p| p.name == name).map_or("", |p| if p.unit == "1" { "" } else { p.unit });

@@ -54,6 +54,14 @@ fn line_mean(phase: f64, n: f64) -> f64 {
     if half.abs() < 1e-9 { 1.0 } else { ((0.5 * phase * n).sin() / (n * half)).powi(2) }
 }
 
+/// What quantisation in steps of q may do to mean and variance beyond q^2/12 where the noise is narrower than about half a step,
+/// DN and DN^2: the first terms of the characteristic function (Widrow and Kollar 2008, ch. 4 and app. B).
+fn quantised(variance: f64, q: f64) -> (f64, f64) {
+    let noise = (variance - q * q / 12.0).max(1e-3 * q * q);
+    let ripple = (-2.0 * std::f64::consts::PI.powi(2) * noise / (q * q)).exp();
+    (q / std::f64::consts::PI * ripple, (q * q / std::f64::consts::PI.powi(2) + 4.0 * noise) * ripple)
+}
+
 /// What the prediction expects of an observable.
 pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
     let shape = all.campaign.shape;
@@ -73,6 +81,7 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             normal: (o.measured.value.max(0.0).cbrt(), (1.0 - c) * root, c.sqrt() * root),
         }
     };
+    let rough = |s: &SetPrediction| quantised(s.covariance(0, 0), p.code_step_dn);
     let Some(s) = o.set.and_then(|i| p.sets.get(i)) else {
         let step = p.code_step_dn;
         let width = |c: u32| {
@@ -122,12 +131,18 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
         let (shot, read) = (s.shot.lag(dy, dx), s.read.lag(dy, dx));
         s.covariance(dy, dx) - shot * (1.0 - shot_left) - read * (1.0 - read_left) - of_mean
     };
+    // A line has one phase a frame: what few frames show of it scatters (random walk of n phases).
+    let walk = 1.0 / (n * (n - 1.0)).max(1.0).sqrt();
+    let lines = |dy: i32, dx: i32| -> f64 {
+        let of = |&(v, px, py): &(f64, f64, f64)| v * (px * f64::from(dx) + py * f64::from(dy)).cos();
+        walk * s.lines.iter().map(of).sum::<f64>().abs()
+    };
     match o.kind {
         Kind2::Mean if all.means_given => plain(mean, (s.covariance(0, 0) / o.pixels).sqrt()),
         Kind2::Mean => {
             // Noise that remembers averages out less.
             let memory = s.shot_memory.first().copied().unwrap_or(0.0).max(0.0);
-            plain(mean, (frame_mean_var * (1.0 + 2.0 * memory) / n).sqrt().hypot(0.002))
+            plain(mean, (frame_mean_var * (1.0 + 2.0 * memory) / n).sqrt().hypot(0.002).hypot(rough(s).0))
         }
         // The frames of both run from the first of the set.
         Kind2::Settling(k) => {
@@ -140,17 +155,18 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             let moved = frames.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
             few(frame_mean_var + moved + 1e-7, (n - 1.0).max(1.0))
         }
-        Kind2::Variance => plain(lag(0, 0), o.measured.std_err),
-        Kind2::Covariance(dy, dx) => plain(lag(dy, dx), o.measured.std_err),
+        Kind2::Variance => plain(lag(0, 0), o.measured.std_err.hypot(rough(s).1).hypot(lines(0, 0))),
+        Kind2::Covariance(dy, dx) => plain(lag(dy, dx), o.measured.std_err.hypot(lines(dy, dx))),
         Kind2::RowVariance | Kind2::ColumnVariance => {
             let rows = o.kind == Kind2::RowVariance;
             let (axis, width, count, own) =
                 if rows { (1, shape.1, shape.0, s.row) } else { (0, shape.0, shape.1, s.column) };
-            let lines = s.lines.iter().map(|&(v, px, py)| v * line_mean(if rows { px } else { py }, width as f64));
+            let of_lines = s.lines.iter().map(|&(v, px, py)| v * line_mean(if rows { px } else { py }, width as f64));
+            let of_lines: f64 = of_lines.sum();
             let pixels = (along(&s.shot, axis) * shot_left + along(&s.read, axis) * read_left) / width as f64;
-            let value = pixels + own + lines.sum::<f64>() - of_mean;
+            let value = pixels + own + of_lines - of_mean;
             let dof = (n - 1.0).max(1.0) * (count as f64 - 1.0);
-            plain(value, value.abs().max(1e-9) * (2.0 / dof).sqrt())
+            plain(value, (value.abs().max(1e-9) * (2.0 / dof).sqrt()).hypot(walk * of_lines))
         }
         Kind2::Successive => {
             let f = frames.len().max(2);
@@ -158,9 +174,9 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             let value = s.shot.lag(0, 0) * product(&s.shot_memory, f)
                 + s.read.lag(0, 0) * product(&s.read_memory, f)
                 + rest * product(&[], f);
-            plain(value, o.measured.std_err)
+            plain(value, o.measured.std_err.hypot(0.5 * rough(s).1).hypot(lines(0, 0)))
         }
-        Kind2::Unequal => plain(s.unequal, o.measured.std_err.hypot(0.3 * s.unequal).hypot(s.unsure).hypot(0.02)),
+        Kind2::Unequal => plain(s.unequal, o.measured.std_err.hypot(0.3 * s.unequal).hypot(s.unsure).hypot(0.02).hypot(rough(s).1 / s.covariance(0, 0).max(1e-9))),
         Kind2::Growth(k) => {
             let growth = if k == 0 { s.growth.0 } else { s.growth.1 };
             plain(0.5 * growth * s.shot.lag(0, 0), o.measured.std_err)

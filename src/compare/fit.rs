@@ -359,12 +359,12 @@ fn invert(a: &[f64], n: usize) -> Vec<f64> {
 /// Starts of an effect's parameters: every combination of one list, with what the campaign hints at where a start is not a
 /// number.
 pub fn starts(effect: &dyn Effect, all: &Observations, base: &BaseParameters) -> Vec<Vec<f64>> {
-    let hint = || {
+    let hint = |k: usize| {
         let brightest = all.all.iter().filter(|o| o.kind == Kind2::Mean).map(|o| o.measured.value).fold(0.0, f64::max);
-        let peak = 0.9 * (brightest - base.offset_dn) / base.gain_dn_per_e;
+        let peak = (brightest - base.offset_dn) / base.gain_dn_per_e;
         match effect.id() {
             "periodic-interference" => all.campaign.line_cycles_per_px.unwrap_or(0.1),
-            _ => peak.max(1.0),
+            _ => peak.max(1.0) * [1.0, 0.9, 1.15][k.min(2)],
         }
     };
     let most = effect.parameters().iter().map(|p| p.starts.len()).max().unwrap_or(1);
@@ -375,7 +375,7 @@ pub fn starts(effect: &dyn Effect, all: &Observations, base: &BaseParameters) ->
                 .iter()
                 .map(|p| {
                     let s = p.starts[k.min(p.starts.len() - 1)];
-                    if s.is_nan() { hint() } else { s }
+                    if s.is_nan() { hint(k) } else { s }
                 })
                 .collect()
         })

@@ -209,24 +209,24 @@ impl LineSearch {
 
     /// Adds the frames of a chunk; their rows' means are taken off, so that row noise is no line.
     pub fn add(&mut self, frames: &[Array2<u16>], r: &Residual) {
-        let (_, columns) = r.mean_dn.dim();
         if self.length < 1024 || r.var.value <= 0.0 {
             return;
         }
         let mut planner = rustfft::FftPlanner::<f32>::new();
         let fft = planner.plan_fft_forward(self.length);
         for frame in frames {
-            let mut line: Vec<rustfft::num_complex::Complex<f32>> = Vec::with_capacity(self.length);
-            'rows: for (row, mean) in frame.outer_iter().zip(r.mean_dn.outer_iter()) {
-                let off = |d: u16, m: f32| (f32::from(d) - m).clamp(-6.0 * r.var.value.sqrt() as f32, 6.0 * r.var.value.sqrt() as f32);
-                let middle = row.iter().zip(mean).map(|(&d, &m)| off(d, m)).sum::<f32>() / columns as f32;
-                for (&d, &m) in row.iter().zip(mean) {
-                    if line.len() == self.length {
-                        break 'rows;
-                    }
-                    line.push(rustfft::num_complex::Complex::new(off(d, m) - middle, 0.0));
+            let reach = 6.0 * r.var.value.sqrt() as f32;
+            let mut off = ndarray::Zip::from(frame)
+                .and(&r.mean_dn)
+                .map_collect(|&d, &m| (f32::from(d) - m).clamp(-reach, reach));
+            // What whole rows and columns share is no line.
+            for axis in [1, 0] {
+                if let Some(mean) = off.mean_axis(ndarray::Axis(axis)) {
+                    off -= &mean.insert_axis(ndarray::Axis(axis));
                 }
             }
+            let mut line: Vec<_> =
+                off.iter().take(self.length).map(|v| rustfft::num_complex::Complex::new(*v, 0.0)).collect();
             line.resize(self.length, rustfft::num_complex::Complex::new(0.0, 0.0));
             // Hann's window keeps a line within a few bins; its mean square is 3/8.
             let turn = std::f32::consts::TAU / self.length as f32;
@@ -234,8 +234,10 @@ impl LineSearch {
             fft.process(&mut line);
             // Weighted by the noise: quiet sets see a line best.
             let w = 1.0 / r.var.value;
+            // The mean over the frames took its share of the power with it.
+            let up = r.frames as f64 / (r.frames as f64 - 1.0);
             for (p, v) in self.power.iter_mut().zip(&line) {
-                *p += w * f64::from(v.norm_sqr()) / (0.375 * self.length as f64);
+                *p += up * w * f64::from(v.norm_sqr()) / (0.375 * self.length as f64);
             }
             self.weight += w;
             self.var_dn2 += 1.0;

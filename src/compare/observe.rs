@@ -229,6 +229,7 @@ pub fn of_dataset(
             let after_scene = i > 0 && !matches!(settings[i - 1].kind, Kind::Dark | Kind::Flat);
             let from = match part.len() {
                 // A scene leaves its picture behind for longer than a flat.
+                _ if c == 0 && after_scene && pieces > 1 => continue,
                 4.. if c == 0 && after_scene => 2,
                 3.. if c == 0 => 1,
                 _ => 0,

@@ -6,8 +6,8 @@ use radcam::capture::Capture;
 use radcam::compare::{Observations, compare, of_dataset, start};
 use radcam::dataset::Dataset;
 use radcam::diagnose::{Diagnosis, diagnose};
-use radcam::plan::{Plan, SetPlan};
-use radcam_sim::effects::{EFFECTS, find};
+use radcam::plan::Plan;
+use radcam_sim::effects::{EFFECTS, example, find};
 use radcam_sim::{EffectValues, Model};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -49,7 +49,6 @@ pub fn campaign(model: Model, root: &Path) {
     Capture { camera: &mut camera, bench, options, stop: &stop, progress: &mut |_| {} }
         .run(&plan, root, false)
         .unwrap();
-    let _: Option<SetPlan> = None;
 }
 
 fn observe(root: &Path) -> Observations {
@@ -65,47 +64,14 @@ fn look(model: Model) -> (Observations, Diagnosis) {
     (all, d)
 }
 
-/// Values at which an effect is plain to see, for a camera with full scale 3500 DN above black in 20 ms.
-pub fn plain(id: &str) -> Option<Vec<f64>> {
-    Some(match id {
-        "nonlinearity" => vec![0.003],
-        "brighter-fatter" => vec![2e-6, 1.5e-6],
-        "interpixel-crosstalk" => vec![0.008],
-        "readout-lowpass" => vec![0.02],
-        "spatial-filter" => vec![0.04],
-        "temporal-filter" => vec![0.03],
-        "image-lag" => vec![0.003],
-        "illumination-flicker" => vec![0.003],
-        "illumination-drift" => vec![3e-4],
-        "gain-drift" => vec![3e-4],
-        "offset-drift" => vec![0.02],
-        "row-noise" | "column-noise" => vec![1.2],
-        "periodic-interference" => vec![0.5, 0.0973],
-        "random-telegraph-noise" => vec![0.01, 40.0],
-        "adc-nonlinearity" => vec![0.05, 0.0, 0.1, 0.0, -0.1, 0.0],
-        "charge-transfer-inefficiency" => vec![2e-4, 0.0],
-        "smear" => vec![1e-5],
-        "exposure-offset" => vec![1e-5],
-        "full-well-saturation" => vec![0.8 * 3480.0 / 0.25],
-        "black-clipping" => vec![-0.5],
-        "tap-mismatch" => vec![0.01, 1.0],
-        "coarse-quantization" => vec![4.0],
-        // On a flat they move nothing that is looked at.
-        _ => return None,
-    })
-}
-
 /// For every effect: a campaign drawn by it is described by the model that holds it, fitted, on frames that the fit did not see.
 /// What is drawn and what is predicted are two pieces of code.
 #[test]
 fn what_is_drawn_is_what_is_predicted() {
     let mut bad = Vec::new();
     for (k, effect) in EFFECTS.iter().enumerate() {
-        let Some(mut values) = plain(effect.id()) else { continue };
         let mut model = unit(k as u64);
-        if effect.id() == "full-well-saturation" {
-            values[0] = 0.8 * 0.85 * 4095.0 / model.base.gain_dn_per_e;
-        }
+        let Some(values) = example(effect.id(), &model) else { continue };
         if effect.id() == "black-clipping" {
             model.base.offset_spread_dn = 0.0;
         }
@@ -129,11 +95,8 @@ fn what_is_drawn_is_what_is_predicted() {
 fn hidden_effects_are_named() {
     let (mut right, mut all, mut lines) = (0, 0, Vec::new());
     for (k, effect) in EFFECTS.iter().enumerate() {
-        let Some(mut values) = plain(effect.id()) else { continue };
         let model = unit(40 + k as u64);
-        if effect.id() == "full-well-saturation" {
-            values[0] = 0.8 * 0.85 * 4095.0 / model.base.gain_dn_per_e;
-        }
+        let Some(values) = example(effect.id(), &model) else { continue };
         let (_, d) = look(with(model, effect.id(), &values));
         let named: Vec<&str> = d.missing.iter().map(|m| m.effect.as_str()).collect();
         all += 1;

@@ -15,7 +15,7 @@ impl Effect for This {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "full_well_e", unit: "e", min: 1.0, max: 1e9, starts: &[f64::NAN] }]
+        &[Parameter { name: "full_well_e", unit: "e", min: 1.0, max: 1e9, starts: &[f64::NAN, f64::NAN, f64::NAN] }]
     }
 
     fn page(&self) -> Page {

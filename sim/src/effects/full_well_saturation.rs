@@ -35,8 +35,8 @@ impl Effect for This {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        // Not a number: begin a little below the brightest level.
-        &[Parameter { name: "full_well_e", unit: "e", min: 1.0, max: 1e9, starts: &[f64::NAN] }]
+        // Not a number: begin near the brightest level.
+        &[Parameter { name: "full_well_e", unit: "e", min: 1.0, max: 1e9, starts: &[f64::NAN, f64::NAN, f64::NAN] }]
     }
 
     fn page(&self) -> Page {

@@ -123,6 +123,9 @@ pub fn shifted(image: &ndarray::Array2<f64>, dy: i32, dx: i32) -> ndarray::Array
     ndarray::Array2::from_shape_fn((rows, columns), |(y, x)| image[(at(y, dy, rows), at(x, dx, columns))])
 }
 
+mod custom;
+pub use custom::custom;
+
 macro_rules! effects {
     ($($module:ident)*) => {
         $(mod $module;)*
@@ -141,6 +144,37 @@ effects! {
 /// An effect by its identifier.
 pub fn find(id: &str) -> Option<&'static dyn Effect> {
     EFFECTS.iter().copied().find(|e| e.id() == id)
+}
+
+/// Values at which an effect of a camera is plain to see in a campaign of the standard plan; `None` where flats, darks and a scene
+/// of unknown contrast show nothing of it.
+pub fn example(id: &str, model: &crate::Model) -> Option<Vec<f64>> {
+    let gain = model.base.gain_dn_per_e;
+    let range_e = 0.85 * f64::from(model.full_scale_dn()) / gain;
+    let bright_s = range_e / (model.bench.photon_flux_per_s * model.base.quantum_efficiency).max(1e-9);
+    let noise_e = libm::sqrt(model.constant_noise_var_dn2(0.0)) / gain;
+    Some(match id {
+        "nonlinearity" => vec![0.003],
+        "brighter-fatter" => vec![0.03 / range_e, 0.022 / range_e],
+        "interpixel-crosstalk" => vec![0.008],
+        "readout-lowpass" => vec![0.02],
+        "spatial-filter" => vec![0.04],
+        "temporal-filter" => vec![0.03],
+        "image-lag" | "illumination-flicker" => vec![0.003],
+        "illumination-drift" | "gain-drift" => vec![0.006 / (300.0 * (bright_s + model.camera.readout_s))],
+        "offset-drift" => vec![0.06 / (300.0 * (bright_s + model.camera.readout_s))],
+        "row-noise" | "column-noise" => vec![0.2 * noise_e],
+        "periodic-interference" => vec![0.35 * noise_e * gain, 0.0973],
+        "random-telegraph-noise" => vec![0.01, 7.0 * noise_e],
+        "adc-nonlinearity" => vec![0.05, 0.0, 0.1, 0.0, -0.1, 0.0],
+        "charge-transfer-inefficiency" => vec![0.02 / f64::from(model.camera.height), 0.0],
+        "smear" | "exposure-offset" => vec![5e-4 * bright_s],
+        "full-well-saturation" => vec![0.8 * range_e],
+        "black-clipping" => vec![-0.5],
+        "tap-mismatch" => vec![0.01, 1.0],
+        "coarse-quantization" => vec![4.0],
+        _ => return None,
+    })
 }
 
 /// Expected statistics of a campaign under the paper's model and some effects, each with its parameters, in the order of the
