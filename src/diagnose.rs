@@ -17,6 +17,9 @@ const NEEDED: f64 = 16.0;
 /// Candidates within this evidence of the best cannot be told apart.
 const TIE: f64 = 6.0;
 
+/// Share of the excess of the squared error that may be left where the names that were found are right.
+const UNEXPLAINED: f64 = 0.05;
+
 /// What is missing.
 #[derive(Debug, Clone, Serialize)]
 pub struct Missing {
@@ -87,7 +90,9 @@ fn applies(effect: &dyn Effect, all: &Observations) -> bool {
         "tap-mismatch" => has(Statistic::Tap(0)),
         // On flats these do nothing that is looked at.
         "stray-light" => false,
-        "interpixel-crosstalk" | "readout-lowpass" | "spatial-filter" => frames || has(Statistic::Covariance(0, 1)),
+        "interpixel-crosstalk" | "readout-lowpass" | "spatial-filter" => {
+            frames || has(Statistic::Covariance(0, 1))
+        }
         _ => frames,
     }
 }
@@ -167,7 +172,9 @@ pub fn diagnose(
         missing.push(entry);
         for other in close {
             let mut entry = describe(other, weight(other) / sum, last.error - after.error);
-            entry.evidence.push(format!("a tie with {}: this campaign cannot tell them apart", best.effect.id()));
+            entry
+                .evidence
+                .push(format!("a tie with {}: this campaign cannot tell them apart", best.effect.id()));
             missing.push(entry);
         }
         ladder.push(Rung {
@@ -186,14 +193,29 @@ pub fn diagnose(
         if weak {
             notes.push(format!("what is left is small: error {:.3}, p = {:.1e}", last.error, last.p_value));
         }
+        // What was added explains little of the whole: it is near the truth at best, and the truth has no name here.
+        let excess = |error: f64| (error * error - 1.0).max(0.0);
+        let share = excess(last.error) / excess(first.error).max(1e-9);
+        let nameless = last.error > 1.2 && share > UNEXPLAINED;
         if !weak || missing.is_empty() {
-            missing.push(Missing {
+            let mut unknown = Missing {
                 effect: "unknown".into(),
                 confidence: 1.0,
                 error_drop: 0.0,
                 parameters: BTreeMap::new(),
                 evidence,
-            });
+            };
+            if nameless {
+                unknown.evidence =
+                    signatures(&first.residuals).iter().take(6).map(|s| s.text.clone()).collect();
+                for m in &mut missing {
+                    m.evidence
+                        .push("explains a part only: its shape is near, its name need not be right".into());
+                }
+                missing.insert(0, unknown);
+            } else {
+                missing.push(unknown);
+            }
             if next_measurement.is_none() {
                 next_measurement = Some(
                     "the statistic that strays most, at more levels and frames; a custom formula in the model file can describe it"

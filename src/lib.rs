@@ -31,9 +31,9 @@ pub mod budget;
 pub mod calibrate;
 pub mod camera;
 pub mod capture;
-pub mod compare;
 #[cfg(feature = "cli")]
 pub mod cli;
+pub mod compare;
 pub mod correct;
 pub mod dataset;
 pub mod diagnose;

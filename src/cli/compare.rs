@@ -50,7 +50,10 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         worst.sort_by(|a, b| b.z.abs().total_cmp(&a.z.abs()));
         for r in worst.iter().take(3) {
             let set = r.set.map_or(String::new(), |s| format!(" of set {s}"));
-            println!("  - {}{set}: {:.4} for {:.4} +- {:.4}, {:+.1} sigma", r.observable, r.measured, r.predicted, r.std_err, r.z);
+            println!(
+                "  - {}{set}: {:.4} for {:.4} +- {:.4}, {:+.1} sigma",
+                r.observable, r.measured, r.predicted, r.std_err, r.z
+            );
         }
     }
     for note in &c.not_looked_at {

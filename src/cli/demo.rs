@@ -94,9 +94,12 @@ fn the_story(arguments: &Arguments, id: &str, camera: &str, how: &str, dataset: 
     println!("  next:     radcam effects {id}");
     // The first name, and what this campaign cannot tell from it.
     let first = d.missing.iter().position(|m| m.effect == id);
-    let tied = d.missing.iter().take(first.map_or(0, |f| f + 1)).skip(1).all(|m| {
-        m.evidence.iter().any(|e| e.starts_with("a tie with"))
-    });
+    let tied = d
+        .missing
+        .iter()
+        .take(first.map_or(0, |f| f + 1))
+        .skip(1)
+        .all(|m| m.evidence.iter().any(|e| e.starts_with("a tie with")));
     let found = first.is_some() && tied && d.error_after < 1.15;
     println!(
         "\nHidden was {id}. {}",

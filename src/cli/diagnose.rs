@@ -69,7 +69,11 @@ pub fn print(path: &Path, d: &Diagnosis) {
     for m in &d.missing {
         println!("  {} ({:.0} % of the evidence)", m.effect, 100.0 * m.confidence);
         for (name, q) in &m.parameters {
-            println!("      {name} = {} {}", with_error(q.value, q.std_err), if q.unit == "1" { "" } else { q.unit });
+            println!(
+                "      {name} = {} {}",
+                with_error(q.value, q.std_err),
+                if q.unit == "1" { "" } else { q.unit }
+            );
         }
         for text in &m.evidence {
             println!("    - {text}");
@@ -78,7 +82,12 @@ pub fn print(path: &Path, d: &Diagnosis) {
     println!("\n  {:<34} {:>8}  {:>9}", "ladder", "error", "p");
     for r in &d.ladder {
         let bar = "#".repeat((r.error.ln().max(0.0) * 6.0).round().min(40.0) as usize);
-        println!("  {:<34} {:>8.3}  {:>9.1e}  {bar}", r.added.as_deref().unwrap_or("as given"), r.error, r.p_value);
+        println!(
+            "  {:<34} {:>8.3}  {:>9.1e}  {bar}",
+            r.added.as_deref().unwrap_or("as given"),
+            r.error,
+            r.p_value
+        );
     }
     if let Some(next) = &d.next_measurement {
         println!("\n  next measurement: {next}");

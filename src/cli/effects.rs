@@ -23,7 +23,11 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     };
     let Some(e) = find(id) else {
         let near: Vec<_> = EFFECTS.iter().map(|e| e.id()).filter(|k| k.contains(id.as_str())).collect();
-        let near = if near.is_empty() { "`radcam effects` lists them".into() } else { format!("is it {}?", near.join(", ")) };
+        let near = if near.is_empty() {
+            "`radcam effects` lists them".into()
+        } else {
+            format!("is it {}?", near.join(", "))
+        };
         bail!("no effect \"{id}\"; {near}");
     };
     let page = e.page();

@@ -124,7 +124,8 @@ pub fn fitted_model(
         .iter()
         .zip(&fitted.std_err)
         .map(|((e, values), errors)| {
-            let named = |v: &[f64]| e.parameters().iter().zip(v).map(|(p, v)| (p.name.to_string(), *v)).collect();
+            let named =
+                |v: &[f64]| e.parameters().iter().zip(v).map(|(p, v)| (p.name.to_string(), *v)).collect();
             let sound: Vec<f64> = errors.iter().map(|e| if e.is_finite() { *e } else { 0.0 }).collect();
             let known = model.effects.iter().find(|k| k.id == e.id() || k.name.as_deref() == Some(e.id()));
             let known = known.cloned().unwrap_or(EffectValues { id: e.id().into(), ..Default::default() });
@@ -150,7 +151,8 @@ fn show(path: &Path, model: &Model) {
         e.formulas.iter().for_each(|(what, formula)| println!("    {what:<24} + {formula}"));
         let known = effects::find(&e.id).map_or(&[][..], |e| e.parameters());
         for (name, value) in &e.parameters {
-            let unit = known.iter().find(|p| p.name == name).map_or("", |p| if p.unit == "1" { "" } else { p.unit });
+            let of_known = known.iter().find(|p| p.name == name).map(|p| p.unit);
+            let unit = e.units.get(name).map(String::as_str).or(of_known).filter(|u| *u != "1").unwrap_or("");
             let error = e.std_err.get(name).copied().unwrap_or(f64::NAN);
             println!("    {name:<24} {} {unit}", with_error(*value, error));
         }
@@ -178,7 +180,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             }
             let mut entry = EffectValues { id: effect.clone(), ..Default::default() };
             let start = entry.values(known);
-            entry.parameters = known.parameters().iter().zip(start).map(|(p, v)| (p.name.into(), v)).collect();
+            entry.parameters =
+                known.parameters().iter().zip(start).map(|(p, v)| (p.name.into(), v)).collect();
             entry.parameters.extend(values.iter().cloned());
             model.effects.push(entry);
             write(path, &model)?;

@@ -87,7 +87,7 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
         let width = |c: u32| {
             if step > 1.0 {
                 let step = step.round().max(1.0) as u32;
-                return if c % step == 0 { f64::from(step) } else { 0.0 };
+                return if c.is_multiple_of(step) { f64::from(step) } else { 0.0 };
             }
             let volt = |c: u32| {
                 let errors = p.bit_errors_dn.iter().enumerate();
@@ -112,7 +112,8 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             Kind2::Light(level) => {
                 let per = |l: usize| {
                     let flux = p.base.flux_e_per_s.get(l).copied().unwrap_or(1.0);
-                    let light = all.campaign.sets.iter().find(|s| s.light == Some(l)).map_or(1.0, |s| s.illumination);
+                    let light =
+                        all.campaign.sets.iter().find(|s| s.light == Some(l)).map_or(1.0, |s| s.illumination);
                     (flux / light).max(1e-300)
                 };
                 plain((per(level) / per(reference_level(all))).ln(), o.measured.std_err)
@@ -126,7 +127,8 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
     let mean = frames.iter().sum::<f64>() / n;
     let of_mean = of_frame(s, o, shape);
     let frame_mean_var = of_mean + s.common;
-    let (shot_left, read_left) = if n > 1.5 { (left(&s.shot_memory, n), left(&s.read_memory, n)) } else { (1.0, 1.0) };
+    let (shot_left, read_left) =
+        if n > 1.5 { (left(&s.shot_memory, n), left(&s.read_memory, n)) } else { (1.0, 1.0) };
     let lag = |dy: i32, dx: i32| {
         let (shot, read) = (s.shot.lag(dy, dx), s.read.lag(dy, dx));
         s.covariance(dy, dx) - shot * (1.0 - shot_left) - read * (1.0 - read_left) - of_mean
@@ -161,7 +163,8 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             let rows = o.kind == Kind2::RowVariance;
             let (axis, width, count, own) =
                 if rows { (1, shape.1, shape.0, s.row) } else { (0, shape.0, shape.1, s.column) };
-            let of_lines = s.lines.iter().map(|&(v, px, py)| v * line_mean(if rows { px } else { py }, width as f64));
+            let of_lines =
+                s.lines.iter().map(|&(v, px, py)| v * line_mean(if rows { px } else { py }, width as f64));
             let of_lines: f64 = of_lines.sum();
             let pixels = (along(&s.shot, axis) * shot_left + along(&s.read, axis) * read_left) / width as f64;
             let value = pixels + own + of_lines - of_mean;
@@ -176,7 +179,15 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
                 + rest * product(&[], f);
             plain(value, o.measured.std_err.hypot(0.5 * rough(s).1).hypot(lines(0, 0)))
         }
-        Kind2::Unequal => plain(s.unequal, o.measured.std_err.hypot(0.3 * s.unequal).hypot(s.unsure).hypot(0.02).hypot(rough(s).1 / s.covariance(0, 0).max(1e-9))),
+        Kind2::Unequal => plain(
+            s.unequal,
+            o.measured
+                .std_err
+                .hypot(0.3 * s.unequal)
+                .hypot(s.unsure)
+                .hypot(0.02)
+                .hypot(rough(s).1 / s.covariance(0, 0).max(1e-9)),
+        ),
         Kind2::Growth(k) => {
             let growth = if k == 0 { s.growth.0 } else { s.growth.1 };
             plain(0.5 * growth * s.shot.lag(0, 0), o.measured.std_err)

@@ -9,13 +9,16 @@ use radcam_sim::predict::{BaseParameters, Prediction};
 /// Rounds of Levenberg and Marquardt at most.
 const ROUNDS: usize = 40;
 
+/// Effects with the values of their parameters.
+pub type Effects = Vec<(&'static dyn Effect, Vec<f64>)>;
+
 /// A model with values: the paper's parameters and effects.
 #[derive(Clone)]
 pub struct Fitted {
     /// The paper's.
     pub base: BaseParameters,
     /// Effects with their parameters.
-    pub effects: Vec<(&'static dyn Effect, Vec<f64>)>,
+    pub effects: Effects,
     /// Sum of squares plus twice the logarithms of the errors: minus twice the logarithm of the likelihood.
     pub objective: f64,
     /// Standard errors of the effects' parameters.
@@ -43,11 +46,7 @@ impl Fitted {
     }
 
     /// Observables with what is expected of them; `half`: only these and the common ones.
-    pub fn expected<'a>(
-        &self,
-        all: &'a Observations,
-        half: Option<u8>,
-    ) -> Vec<(&'a Observable, Expected)> {
+    pub fn expected<'a>(&self, all: &'a Observations, half: Option<u8>) -> Vec<(&'a Observable, Expected)> {
         let prediction = self.predict(all);
         chosen(all, half).map(|o| (o, expect(o, &prediction, all))).collect()
     }
@@ -57,7 +56,11 @@ fn chosen(all: &Observations, half: Option<u8>) -> impl Iterator<Item = &Observa
     all.all.iter().filter(move |o| half.is_none_or(|h| o.half == h || o.half == 2))
 }
 
-fn predict(base: &BaseParameters, effects: &[(&'static dyn Effect, Vec<f64>)], all: &Observations) -> Prediction {
+fn predict(
+    base: &BaseParameters,
+    effects: &[(&'static dyn Effect, Vec<f64>)],
+    all: &Observations,
+) -> Prediction {
     let list: Vec<(&dyn Effect, &[f64])> = effects.iter().map(|(e, p)| (*e, p.as_slice())).collect();
     if !all.means_given {
         return effects::predict(&all.campaign, base, &list);
@@ -88,7 +91,9 @@ pub fn start(all: &Observations) -> BaseParameters {
         })
     };
     let level = |set: usize| {
-        let (s, n) = of(Kind2::Mean, None).filter(|(i, _)| *i == set).fold((0.0, 0.0), |(s, n), (_, v)| (s + v, n + 1.0));
+        let (s, n) = of(Kind2::Mean, None)
+            .filter(|(i, _)| *i == set)
+            .fold((0.0, 0.0), |(s, n), (_, v)| (s + v, n + 1.0));
         s / n
     };
     let darks: Vec<(f64, f64)> =
@@ -104,11 +109,7 @@ pub fn start(all: &Observations) -> BaseParameters {
     let mut points: Vec<(f64, f64)> =
         of(Kind2::Variance, Some(Kind::Flat)).map(|(s, v)| (level(s) - offset_dn, v)).collect();
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let constant = if constant.is_finite() {
-        constant
-    } else {
-        points.first().map_or(1.0, |p| 0.2 * p.1)
-    };
+    let constant = if constant.is_finite() { constant } else { points.first().map_or(1.0, |p| 0.2 * p.1) };
     // The slope from the middle of the range, where neither end has gone wrong.
     let middle = points.get(points.len() / 2).copied().unwrap_or((1.0, 1.0));
     let gain = ((middle.1 - constant) / middle.0.max(1e-6)).max(1e-6);
@@ -145,7 +146,7 @@ struct Free<'a> {
 }
 
 impl Free<'_> {
-    fn unpack(&self, x: &[f64]) -> (BaseParameters, Vec<(&'static dyn Effect, Vec<f64>)>) {
+    fn unpack(&self, x: &[f64]) -> (BaseParameters, Effects) {
         let mut base = self.template.clone();
         let v = |i: usize| x[i] * self.scale[i];
         base.gain_dn_per_e = v(0);
@@ -208,8 +209,10 @@ pub fn fit(
     let lights: Vec<usize> = if all.means_given {
         Vec::new()
     } else {
-        let mut lights: Vec<usize> =
-            chosen(all, half).filter(|o| o.kind == Kind2::Mean).filter_map(|o| all.campaign.sets[o.set?].light).collect();
+        let mut lights: Vec<usize> = chosen(all, half)
+            .filter(|o| o.kind == Kind2::Mean)
+            .filter_map(|o| all.campaign.sets[o.set?].light)
+            .collect();
         lights.sort_unstable();
         lights.dedup();
         lights
@@ -220,13 +223,20 @@ pub fn fit(
     for (e, p) in effects {
         values.extend(p);
         scale.extend(e.parameters().iter().zip(p).map(|(q, v)| {
-            let start = q.starts.iter().copied().find(|s| s.is_finite() && *s != 0.0).unwrap_or(v.abs().max(1e-6));
+            let start =
+                q.starts.iter().copied().find(|s| s.is_finite() && *s != 0.0).unwrap_or(v.abs().max(1e-6));
             v.abs().max(start.abs())
         }));
     }
     let mut x: Vec<f64> = values.iter().zip(&scale).map(|(v, s)| v / s).collect();
-    let free =
-        Free { all, half, effects: effects.iter().map(|(e, _)| *e).collect(), lights, template: base.clone(), scale };
+    let free = Free {
+        all,
+        half,
+        effects: effects.iter().map(|(e, _)| *e).collect(),
+        lights,
+        template: base.clone(),
+        scale,
+    };
     free.clamp(&mut x);
     let mut now = free.residuals(&x);
     let mut best = objective(&now);
@@ -289,7 +299,8 @@ pub fn fit(
         }
     }
     let covariance = invert(&normal, n);
-    let error = |i: usize| covariance.get(i * n + i).copied().unwrap_or(f64::NAN).max(0.0).sqrt() * free.scale[i];
+    let error =
+        |i: usize| covariance.get(i * n + i).copied().unwrap_or(f64::NAN).max(0.0).sqrt() * free.scale[i];
     let (mut base, effects) = free.unpack(&x);
     if all.means_given {
         // The light that gives the means.
@@ -360,7 +371,8 @@ fn invert(a: &[f64], n: usize) -> Vec<f64> {
 /// number.
 pub fn starts(effect: &dyn Effect, all: &Observations, base: &BaseParameters) -> Vec<Vec<f64>> {
     let hint = |k: usize| {
-        let brightest = all.all.iter().filter(|o| o.kind == Kind2::Mean).map(|o| o.measured.value).fold(0.0, f64::max);
+        let brightest =
+            all.all.iter().filter(|o| o.kind == Kind2::Mean).map(|o| o.measured.value).fold(0.0, f64::max);
         let peak = (brightest - base.offset_dn) / base.gain_dn_per_e;
         match effect.id() {
             "periodic-interference" => all.campaign.line_cycles_per_px.unwrap_or(0.1),

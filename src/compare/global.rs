@@ -85,23 +85,19 @@ pub fn middle_step(means: &[&Array2<f32>], used: &Array2<bool>, zero: f64) -> Op
         let points = || profiles.iter().map(|(m, p)| (*m, step(p, x)));
         let (sx, sy) = points().fold((0.0, 0.0), |(a, b), (m, s)| (a + m, b + s));
         let (mx, my) = (sx / n, sy / n);
-        let (xx, xy) = points().fold((0.0, 0.0), |(a, b), (m, s)| (a + (m - mx).powi(2), b + (m - mx) * (s - my)));
+        let (xx, xy) =
+            points().fold((0.0, 0.0), |(a, b), (m, s)| (a + (m - mx).powi(2), b + (m - mx) * (s - my)));
         let slope = if xx > 0.0 { xy / xx } else { 0.0 };
         (slope, my - slope * mx)
     };
     let middle = columns / 2;
-    let others: Vec<(f64, f64)> = (2 * reach..=columns - 2 * reach)
-        .filter(|x| x.abs_diff(middle) > 2 * reach)
-        .map(line)
-        .collect();
+    let others: Vec<(f64, f64)> =
+        (2 * reach..=columns - 2 * reach).filter(|x| x.abs_diff(middle) > 2 * reach).map(line).collect();
     let here = line(middle);
     let rms = |of: &dyn Fn(&(f64, f64)) -> f64| {
         (others.iter().map(|o| of(o).powi(2)).sum::<f64>() / others.len() as f64).sqrt().max(1e-9)
     };
-    Some([
-        Value { value: here.0, std_err: rms(&|o| o.0) },
-        Value { value: here.1, std_err: rms(&|o| o.1) },
-    ])
+    Some([Value { value: here.0, std_err: rms(&|o| o.0) }, Value { value: here.1, std_err: rms(&|o| o.1) }])
 }
 
 /// Counts of every code, and what each level alone says of the bits.
@@ -184,8 +180,12 @@ impl Histogram {
             }
             let value = sound.iter().map(|(v, var)| v / var).sum::<f64>() / weight;
             // Pixels stay where they are from frame to frame: levels scatter more than their counts.
-            let chi2 = sound.iter().map(|(v, var)| (v - value).powi(2) / var).sum::<f64>() / (sound.len() - 1) as f64;
-            out.push((Kind2::Occupancy(b), Value { value, std_err: (chi2.max(1.0) / weight).sqrt().hypot(2e-4) }));
+            let chi2 = sound.iter().map(|(v, var)| (v - value).powi(2) / var).sum::<f64>()
+                / (sound.len() - 1) as f64;
+            out.push((
+                Kind2::Occupancy(b),
+                Value { value, std_err: (chi2.max(1.0) / weight).sqrt().hypot(2e-4) },
+            ));
         }
         (filled[0] as u32..filled[filled.len() - 1] as u32, out)
     }
@@ -298,7 +298,12 @@ pub struct ScenePair {
 
 impl ScenePair {
     /// From the mean images of scenes, the longest and the shortest of equal light.
-    pub fn of(means: &[(usize, Array2<f32>)], settings: &[FrameRow], zero: f64, used: &Array2<bool>) -> Option<Self> {
+    pub fn of(
+        means: &[(usize, Array2<f32>)],
+        settings: &[FrameRow],
+        zero: f64,
+        used: &Array2<bool>,
+    ) -> Option<Self> {
         let scenes: Vec<_> = means.iter().filter(|(i, _)| settings[*i].kind == Kind::Scene).collect();
         let by = |(i, _): &&&(usize, Array2<f32>)| settings[*i].exposure_s;
         let long = scenes.iter().max_by(|a, b| by(a).total_cmp(&by(b)))?;

@@ -8,8 +8,8 @@ mod table;
 mod words;
 
 pub use expect::Expected;
-pub use fit::{Fitted, fit, start, starts};
-pub use observe::{Kind2 as Statistic, ObserveError, Observable, Observations, of_dataset, of_table};
+pub use fit::{Effects, Fitted, fit, start, starts};
+pub use observe::{Kind2 as Statistic, Observable, Observations, ObserveError, of_dataset, of_table};
 pub use words::{Signature, signatures};
 
 use radcam_sim::effects::Effect;
@@ -67,7 +67,8 @@ pub fn compare(
 ) -> Comparison {
     let mut residuals = Vec::new();
     let (mut sum, mut count) = (0.0, 0.0);
-    let (first, second) = rayon::join(|| fit(all, Some(0), base, effects), || fit(all, Some(1), base, effects));
+    let (first, second) =
+        rayon::join(|| fit(all, Some(0), base, effects), || fit(all, Some(1), base, effects));
     for (fitted, other) in [(&first, 1u8), (&second, 0u8)] {
         for (o, e) in fitted.expected(all, Some(other)) {
             if (all.means_given && o.kind == Statistic::Mean) || (o.half == 2 && other == 0) {
@@ -102,7 +103,13 @@ pub fn compare(
     }
     let error = (sum / f64::max(count, 1.0)).sqrt();
     let p_value = p_value(&residuals);
-    Comparison { error, p_value, consistent: p_value >= P_LIMIT, residuals, not_looked_at: all.missing.clone() }
+    Comparison {
+        error,
+        p_value,
+        consistent: p_value >= P_LIMIT,
+        residuals,
+        not_looked_at: all.missing.clone(),
+    }
 }
 
 /// Whether a light level has a mean in a half.
@@ -147,13 +154,13 @@ fn p_value(residuals: &[Residual]) -> f64 {
     let group = names
         .iter()
         .map(|name| {
-            let of: Vec<f64> = residuals.iter().filter(|r| r.observable == *name).map(|r| r.z * r.z).collect();
+            let of: Vec<f64> =
+                residuals.iter().filter(|r| r.observable == *name).map(|r| r.z * r.z).collect();
             let n = of.len() as f64;
             // Few of a kind: the chi-square itself.
             let squares: f64 = of.iter().sum();
-            let chi2 = statrs::distribution::ChiSquared::new(n).map_or(1.0, |c| {
-                statrs::distribution::ContinuousCDF::sf(&c, squares / 1.25)
-            });
+            let chi2 = statrs::distribution::ChiSquared::new(n)
+                .map_or(1.0, |c| statrs::distribution::ContinuousCDF::sf(&c, squares / 1.25));
             chi2.min(1.0)
         })
         .fold(1.0, f64::min)

@@ -325,7 +325,10 @@ pub fn of_dataset(
     let scene = global::ScenePair::of(&scene_means, &settings, pixels.zero(), &used);
     match &scene {
         Some(scene) => whole(Kind2::SceneColumns, scene.columns),
-        None => missing.push("no scene with a bright patch at two exposures: smear cannot be told from an exposure offset".into()),
+        None => missing.push(
+            "no scene with a bright patch at two exposures: smear cannot be told from an exposure offset"
+                .into(),
+        ),
     }
     let light_rel_std = dataset.manifest().bench.as_ref().and_then(|b| b.illumination_rel_std);
     if !kinds_has(&settings, Kind::Dark) {
@@ -393,16 +396,23 @@ impl Inflation {
             let mean = (all.iter().map(|x| x * x).sum::<f64>() / all.len().max(1) as f64).sqrt();
             let middle = median(&all, &mut Vec::new());
             // The median, unless a few levels truly scatter more.
-            if middle.is_finite() && mean.is_finite() { middle.max(0.9 * mean.min(1.2 * middle)) } else { 1.0 }
+            if middle.is_finite() && mean.is_finite() {
+                middle.max(0.9 * mean.min(1.2 * middle))
+            } else {
+                1.0
+            }
         };
         Self {
             variance: over(&|r| r.var.std_err / theory_var(r)),
             covariance: over(&|r| {
-                (r.cov.iter().map(|c| c.std_err * c.std_err).sum::<f64>() / r.cov.len() as f64).sqrt() / theory_cov(r)
+                (r.cov.iter().map(|c| c.std_err * c.std_err).sum::<f64>() / r.cov.len() as f64).sqrt()
+                    / theory_cov(r)
             }),
             successive: over(&|r| r.successive.std_err / theory_cov(r)),
             unequal: over(&|r| r.unequal.std_err / (8.0 / r.pixels).sqrt()),
-            growth: over(&|r| r.growth[0].std_err.hypot(r.growth[1].std_err) / theory_cov(r) / 2.0 / 2f64.sqrt()),
+            growth: over(&|r| {
+                r.growth[0].std_err.hypot(r.growth[1].std_err) / theory_cov(r) / 2.0 / 2f64.sqrt()
+            }),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Observables of a table of means and variances: many labs keep only that.
 
-use super::observe::{Kind2, ObserveError, Observable, Observations};
+use super::observe::{Kind2, Observable, Observations, ObserveError};
 use crate::dataset::Kind;
 use crate::dataset::table::Table;
 use crate::noise::{Counts, pixels_from_scatter, table_points};
@@ -17,12 +17,15 @@ pub(super) fn observations(table: &Table) -> Result<Observations, ObserveError> 
             .to_string(),
     ];
     if let Counts::FromScatter(pixels) = counts {
-        missing.push(format!("no pixel count: errors are the rows' own scatter, as of {pixels:.0} pixels a row"));
+        missing.push(format!(
+            "no pixel count: errors are the rows' own scatter, as of {pixels:.0} pixels a row"
+        ));
     }
     // Past the variance's peak the well is full: what the rows say there is not noise.
     let mut order: Vec<usize> = (0..table.levels.len()).collect();
     order.sort_by(|&a, &b| table.levels[a].mean_dn.total_cmp(&table.levels[b].mean_dn));
-    let peak = order.iter().copied().max_by(|&a, &b| table.levels[a].var_dn2.total_cmp(&table.levels[b].var_dn2));
+    let peak =
+        order.iter().copied().max_by(|&a, &b| table.levels[a].var_dn2.total_cmp(&table.levels[b].var_dn2));
     let peak = peak.map_or(f64::INFINITY, |i| table.levels[i].mean_dn);
     let top = order.last().map_or(0.0, |&i| table.levels[i].mean_dn);
     let turned = top > 1.02 * peak;
@@ -74,7 +77,13 @@ pub(super) fn observations(table: &Table) -> Result<Observations, ObserveError> 
     }
     let full = top.max(1.0);
     Ok(Observations {
-        campaign: Campaign { frames, sets, shape: (1000, 1000), full_scale_dn: full, line_cycles_per_px: None },
+        campaign: Campaign {
+            frames,
+            sets,
+            shape: (1000, 1000),
+            full_scale_dn: full,
+            line_cycles_per_px: None,
+        },
         set_numbers: kept.iter().map(|&i| i as u32).collect(),
         kinds: vec![Kind::Flat; kept.len()],
         all,

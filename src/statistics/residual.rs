@@ -93,9 +93,10 @@ pub fn residual(frames: &[Array2<u16>], used: &Array2<bool>, gain: f64) -> Optio
         .zip(&frame_means_dn)
         .map(|(frame, frame_mean)| {
             let common = (frame_mean - grand) as f32;
-            ndarray::Zip::from(frame).and(&mean).and(used).map_collect(|&d, &m, &u| {
-                if u { f32::from(d) - m - common } else { 0.0 }
-            })
+            ndarray::Zip::from(frame)
+                .and(&mean)
+                .and(used)
+                .map_collect(|&d, &m, &u| if u { f32::from(d) - m - common } else { 0.0 })
         })
         .collect();
     let up = n as f64 / (n as f64 - 1.0);
@@ -169,7 +170,8 @@ pub fn residual(frames: &[Array2<u16>], used: &Array2<bool>, gain: f64) -> Optio
         let mut sum = 0.0;
         let mut count: f64 = 0.0;
         for r in &residuals {
-            for (line, marks) in r.lanes(ndarray::Axis(axis)).into_iter().zip(used.lanes(ndarray::Axis(axis))) {
+            for (line, marks) in r.lanes(ndarray::Axis(axis)).into_iter().zip(used.lanes(ndarray::Axis(axis)))
+            {
                 let width = marks.iter().filter(|u| **u).count() as f64;
                 if width > 0.0 {
                     let mean = line.iter().map(|v| f64::from(*v)).sum::<f64>() / width;

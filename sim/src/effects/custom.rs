@@ -67,9 +67,13 @@ pub fn custom(
     let mut ready = BTreeMap::new();
     for (target, text) in formulas {
         if !TARGETS.contains(&target.as_str()) {
-            return Err(format!("custom effect {name}: a formula cannot change {target}, only {}", TARGETS.join(", ")));
+            return Err(format!(
+                "custom effect {name}: a formula cannot change {target}, only {}",
+                TARGETS.join(", ")
+            ));
         }
-        let expression = exmex::parse::<f64>(text).map_err(|e| format!("custom effect {name}: {target} = \"{text}\": {e}"))?;
+        let expression = exmex::parse::<f64>(text)
+            .map_err(|e| format!("custom effect {name}: {target} = \"{text}\": {e}"))?;
         let places = expression
             .var_names()
             .iter()
@@ -95,7 +99,11 @@ pub fn custom(
             Parameter { name: keep(n), unit, min, max, starts: Box::leak(Box::new([*v])) }
         })
         .collect();
-    Ok(Box::leak(Box::new(Custom { name: keep(name), parameters: Box::leak(parameters.into_boxed_slice()), formulas: ready })))
+    Ok(Box::leak(Box::new(Custom {
+        name: keep(name),
+        parameters: Box::leak(parameters.into_boxed_slice()),
+        formulas: ready,
+    })))
 }
 
 impl Effect for Custom {
@@ -129,7 +137,10 @@ impl Effect for Custom {
             let of = |target: &str| self.formulas.get(target).map_or(0.0, |f| f.eval(p, &variables));
             let (variance, h, v, d) = (of("variance"), of("cov_01"), of("cov_10"), of("cov_11"));
             for (k, power) in s.read.0.iter_mut().enumerate() {
-                let (ky, kx) = (crate::predict::angle(k / crate::predict::GRID), crate::predict::angle(k % crate::predict::GRID));
+                let (ky, kx) = (
+                    crate::predict::angle(k / crate::predict::GRID),
+                    crate::predict::angle(k % crate::predict::GRID),
+                );
                 *power += variance
                     + 2.0 * h * libm::cos(kx)
                     + 2.0 * v * libm::cos(ky)
@@ -152,7 +163,11 @@ impl Effect for Custom {
         let columns = d.image.ncols();
         let noise = |target: &str, v: &[f64; 6], index: u32, d: &Drawing<'_>| {
             let variance = self.formulas.get(target).map_or(0.0, |f| f.eval(p, v));
-            if variance > 0.0 { libm::sqrt(variance) * d.random(target, d.frame, index).normal() } else { 0.0 }
+            if variance > 0.0 {
+                libm::sqrt(variance) * d.random(target, d.frame, index).normal()
+            } else {
+                0.0
+            }
         };
         let level = d.image.mean().unwrap_or(0.0);
         let bare = [level, d.exposure_s, mean_rate, 0.0, 0.0, 0.0];
@@ -163,7 +178,11 @@ impl Effect for Custom {
         for ((y, x), v) in image.indexed_iter_mut() {
             let variables = [*v, d.exposure_s, mean_rate, y as f64, x as f64, ((y + x) % 2) as f64];
             let shift = self.formulas.get("mean").map_or(0.0, |f| f.eval(p, &variables));
-            *v += shift + common + rows[y] + of_columns[x] + noise("variance", &variables, (y * columns + x) as u32, d);
+            *v += shift
+                + common
+                + rows[y]
+                + of_columns[x]
+                + noise("variance", &variables, (y * columns + x) as u32, d);
         }
         d.image = image;
     }
