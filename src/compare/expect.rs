@@ -1,7 +1,8 @@
 //! What a prediction says of an observable, in the space in which its noise is normal.
 
 use super::global::occupancy_of;
-use super::observe::{Kind2, Observable, Observations};
+use super::observe::{Observable, Observations, Statistic};
+use crate::dataset::Kind;
 use radcam_sim::predict::{Prediction, SetPrediction, Spectrum};
 
 /// An expectation.
@@ -96,20 +97,20 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             (volt(c + 1) - volt(c)).max(0.0)
         };
         return match o.kind {
-            Kind2::Tap(0) => plain(p.taps.0, o.measured.std_err),
-            Kind2::Tap(_) => plain(p.taps.1, o.measured.std_err),
-            Kind2::Occupancy(b) => plain(occupancy_of(&width, &all.codes, b), o.measured.std_err),
-            Kind2::CodesUsed => plain(if step > 1.0 { 1.0 / step } else { 1.0 }, o.measured.std_err),
-            Kind2::Line => {
+            Statistic::Tap(0) => plain(p.taps.0, o.measured.std_err),
+            Statistic::Tap(_) => plain(p.taps.1, o.measured.std_err),
+            Statistic::Occupancy(b) => plain(occupancy_of(&width, &all.codes, b), o.measured.std_err),
+            Statistic::CodesUsed => plain(if step > 1.0 { 1.0 / step } else { 1.0 }, o.measured.std_err),
+            Statistic::Line => {
                 let line: f64 = p.sets.first().map_or(0.0, |s| s.lines.iter().map(|l| l.0).sum());
                 plain(line, o.measured.std_err)
             }
-            Kind2::SceneColumns => {
+            Statistic::SceneColumns => {
                 let expected =
                     all.scene.as_ref().map_or(0.0, |s| p.smear_s * (s.ratio - 1.0) * s.column_light_dn_per_s);
                 plain(expected, o.measured.std_err)
             }
-            Kind2::Light(level) => {
+            Statistic::Light(level) => {
                 let per = |l: usize| {
                     let flux = p.base.flux_e_per_s.get(l).copied().unwrap_or(1.0);
                     let light =
@@ -140,27 +141,27 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
         walk * s.lines.iter().map(of).sum::<f64>().abs()
     };
     match o.kind {
-        Kind2::Mean if all.means_given => plain(mean, (s.covariance(0, 0) / o.pixels).sqrt()),
-        Kind2::Mean => {
+        Statistic::Mean if all.means_given => plain(mean, (s.covariance(0, 0) / o.pixels).sqrt()),
+        Statistic::Mean => {
             // Noise that remembers averages out less.
             let memory = s.shot_memory.first().copied().unwrap_or(0.0).max(0.0);
             plain(mean, (frame_mean_var * (1.0 + 2.0 * memory) / n).sqrt().hypot(0.002).hypot(rough(s).0))
         }
         // The frames of both run from the first of the set.
-        Kind2::Settling(k) => {
+        Statistic::Settling(k) => {
             let rest = frames.get(k + 1..).unwrap_or(&[]);
             let m = rest.len().max(1) as f64;
             let expected = frames.get(k).copied().unwrap_or(0.0) - rest.iter().sum::<f64>() / m;
             plain(expected, (frame_mean_var * (1.0 + 1.0 / m)).sqrt().hypot(0.002))
         }
-        Kind2::FrameMeanVariance => {
+        Statistic::FrameMeanVariance => {
             let moved = frames.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
             few(frame_mean_var + moved + 1e-7, (n - 1.0).max(1.0))
         }
-        Kind2::Variance => plain(lag(0, 0), o.measured.std_err.hypot(rough(s).1).hypot(lines(0, 0))),
-        Kind2::Covariance(dy, dx) => plain(lag(dy, dx), o.measured.std_err.hypot(lines(dy, dx))),
-        Kind2::RowVariance | Kind2::ColumnVariance => {
-            let rows = o.kind == Kind2::RowVariance;
+        Statistic::Variance => plain(lag(0, 0), o.measured.std_err.hypot(rough(s).1).hypot(lines(0, 0))),
+        Statistic::Covariance(dy, dx) => plain(lag(dy, dx), o.measured.std_err.hypot(lines(dy, dx))),
+        Statistic::RowVariance | Statistic::ColumnVariance => {
+            let rows = o.kind == Statistic::RowVariance;
             let (axis, width, count, own) =
                 if rows { (1, shape.1, shape.0, s.row) } else { (0, shape.0, shape.1, s.column) };
             let of_lines =
@@ -171,7 +172,7 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             let dof = (n - 1.0).max(1.0) * (count as f64 - 1.0);
             plain(value, (value.abs().max(1e-9) * (2.0 / dof).sqrt()).hypot(walk * of_lines))
         }
-        Kind2::Successive => {
+        Statistic::Successive => {
             let f = frames.len().max(2);
             let rest = s.covariance(0, 0) - s.shot.lag(0, 0) - s.read.lag(0, 0) - of_mean;
             let value = s.shot.lag(0, 0) * product(&s.shot_memory, f)
@@ -179,7 +180,7 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
                 + rest * product(&[], f);
             plain(value, o.measured.std_err.hypot(0.5 * rough(s).1).hypot(lines(0, 0)))
         }
-        Kind2::Unequal => plain(
+        Statistic::Unequal => plain(
             s.unequal,
             o.measured
                 .std_err
@@ -188,7 +189,7 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
                 .hypot(0.02)
                 .hypot(rough(s).1 / s.covariance(0, 0).max(1e-9)),
         ),
-        Kind2::Growth(k) => {
+        Statistic::Growth(k) => {
             let growth = if k == 0 { s.growth.0 } else { s.growth.1 };
             plain(0.5 * growth * s.shot.lag(0, 0), o.measured.std_err)
         }
@@ -198,7 +199,8 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
 
 /// The light level that the others are counted from.
 pub fn reference_level(all: &Observations) -> usize {
-    let sets = all.campaign.sets.iter().filter(|s| s.light.is_some());
-    let near = sets.min_by(|a, b| (a.illumination - 1.0).abs().total_cmp(&(b.illumination - 1.0).abs()));
-    near.and_then(|s| s.light).unwrap_or(0)
+    let sets = all.campaign.sets.iter().zip(&all.kinds).filter(|(_, kind)| **kind == Kind::Flat);
+    let near =
+        sets.min_by(|(a, _), (b, _)| (a.illumination - 1.0).abs().total_cmp(&(b.illumination - 1.0).abs()));
+    near.and_then(|(s, _)| s.light).unwrap_or(0)
 }

@@ -1,7 +1,7 @@
 //! Fits a model's free parameters to observables: generalised least squares with errors that the model itself predicts.
 
 use super::expect::{Expected, expect};
-use super::observe::{Kind2, Observable, Observations};
+use super::observe::{Observable, Observations, Statistic};
 use crate::dataset::Kind;
 use radcam_sim::effects::{self, Effect};
 use radcam_sim::predict::{BaseParameters, Prediction};
@@ -69,7 +69,7 @@ fn predict(
     let mut base = base.clone();
     let mut prediction = effects::predict(&all.campaign, &base, &list);
     for _ in 0..3 {
-        for o in all.all.iter().filter(|o| o.kind == Kind2::Mean) {
+        for o in all.all.iter().filter(|o| o.kind == Statistic::Mean) {
             let (Some(set), true) = (o.set, o.frames.0 < prediction.frame_signal.len()) else { continue };
             let seen = prediction.frame_signal[o.frames.0];
             let ratio = o.measured.value / seen;
@@ -84,20 +84,20 @@ fn predict(
 
 /// A first guess of the paper's parameters.
 pub fn start(all: &Observations) -> BaseParameters {
-    let of = |kind: Kind2, wanted: Option<Kind>| {
+    let of = |kind: Statistic, wanted: Option<Kind>| {
         all.all.iter().filter(move |o| o.kind == kind).filter_map(move |o| {
             let set = o.set?;
             (wanted.is_none_or(|k| all.kinds[set] == k)).then_some((set, o.measured.value))
         })
     };
     let level = |set: usize| {
-        let (s, n) = of(Kind2::Mean, None)
+        let (s, n) = of(Statistic::Mean, None)
             .filter(|(i, _)| *i == set)
             .fold((0.0, 0.0), |(s, n), (_, v)| (s + v, n + 1.0));
         s / n
     };
     let darks: Vec<(f64, f64)> =
-        of(Kind2::Mean, Some(Kind::Dark)).map(|(s, m)| (all.campaign.sets[s].exposure_s, m)).collect();
+        of(Statistic::Mean, Some(Kind::Dark)).map(|(s, m)| (all.campaign.sets[s].exposure_s, m)).collect();
     let shortest = darks.iter().copied().min_by(|a, b| a.0.total_cmp(&b.0));
     let longest = darks.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0));
     let offset_dn = shortest.map_or(0.0, |d| d.1);
@@ -105,9 +105,9 @@ pub fn start(all: &Observations) -> BaseParameters {
         (Some(a), Some(b)) if b.0 > a.0 => ((b.1 - a.1) / (b.0 - a.0)).max(0.0),
         _ => 0.0,
     };
-    let constant = of(Kind2::Variance, Some(Kind::Dark)).map(|v| v.1).fold(f64::INFINITY, f64::min);
+    let constant = of(Statistic::Variance, Some(Kind::Dark)).map(|v| v.1).fold(f64::INFINITY, f64::min);
     let mut points: Vec<(f64, f64)> =
-        of(Kind2::Variance, Some(Kind::Flat)).map(|(s, v)| (level(s) - offset_dn, v)).collect();
+        of(Statistic::Variance, Some(Kind::Flat)).map(|(s, v)| (level(s) - offset_dn, v)).collect();
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
     let constant = if constant.is_finite() { constant } else { points.first().map_or(1.0, |p| 0.2 * p.1) };
     // The slope from the middle of the range, where neither end has gone wrong.
@@ -188,7 +188,7 @@ impl Free<'_> {
         let (base, effects) = self.unpack(x);
         let prediction = predict(&base, &effects, self.all);
         chosen(self.all, self.half)
-            .filter(|o| !(self.all.means_given && o.kind == Kind2::Mean))
+            .filter(|o| !(self.all.means_given && o.kind == Statistic::Mean))
             .map(|o| expect(o, &prediction, self.all))
             .collect()
     }
@@ -210,7 +210,7 @@ pub fn fit(
         Vec::new()
     } else {
         let mut lights: Vec<usize> = chosen(all, half)
-            .filter(|o| o.kind == Kind2::Mean)
+            .filter(|o| o.kind == Statistic::Mean)
             .filter_map(|o| all.campaign.sets[o.set?].light)
             .collect();
         lights.sort_unstable();
@@ -371,8 +371,12 @@ fn invert(a: &[f64], n: usize) -> Vec<f64> {
 /// number.
 pub fn starts(effect: &dyn Effect, all: &Observations, base: &BaseParameters) -> Vec<Vec<f64>> {
     let hint = |k: usize| {
-        let brightest =
-            all.all.iter().filter(|o| o.kind == Kind2::Mean).map(|o| o.measured.value).fold(0.0, f64::max);
+        let brightest = all
+            .all
+            .iter()
+            .filter(|o| o.kind == Statistic::Mean)
+            .map(|o| o.measured.value)
+            .fold(0.0, f64::max);
         let peak = (brightest - base.offset_dn) / base.gain_dn_per_e;
         match effect.id() {
             "periodic-interference" => all.campaign.line_cycles_per_px.unwrap_or(0.1),

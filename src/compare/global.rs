@@ -1,6 +1,6 @@
 //! Observables of a whole campaign: code occupancy, spectrum, the step between taps, scenes.
 
-use super::observe::Kind2;
+use super::observe::Statistic;
 use crate::dataset::{FrameRow, Kind};
 use crate::statistics::residual::{Residual, Value};
 use ndarray::Array2;
@@ -161,7 +161,7 @@ impl Histogram {
     }
 
     /// The range of filled codes, and what they say.
-    pub fn finish(self) -> (std::ops::Range<u32>, Vec<(Kind2, Value)>) {
+    pub fn finish(self) -> (std::ops::Range<u32>, Vec<(Statistic, Value)>) {
         let n = &self.counts;
         let mut out = Vec::new();
         let wide = |c: usize| n[c.saturating_sub(8)..(c + 9).min(n.len())].iter().sum::<u64>();
@@ -170,7 +170,7 @@ impl Histogram {
             return (0..0, out);
         }
         let used = filled.iter().filter(|c| n[**c] > 0).count() as f64;
-        out.push((Kind2::CodesUsed, Value { value: used / filled.len() as f64, std_err: 0.02 }));
+        out.push((Statistic::CodesUsed, Value { value: used / filled.len() as f64, std_err: 0.02 }));
         for b in 0..BITS {
             let sound: Vec<(f64, f64)> =
                 self.levels.iter().map(|l| l[b]).filter(|(_, var)| var.is_finite() && *var > 0.0).collect();
@@ -183,7 +183,7 @@ impl Histogram {
             let chi2 = sound.iter().map(|(v, var)| (v - value).powi(2) / var).sum::<f64>()
                 / (sound.len() - 1) as f64;
             out.push((
-                Kind2::Occupancy(b),
+                Statistic::Occupancy(b),
                 Value { value, std_err: (chi2.max(1.0) / weight).sqrt().hypot(2e-4) },
             ));
         }

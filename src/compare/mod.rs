@@ -9,7 +9,7 @@ mod words;
 
 pub use expect::Expected;
 pub use fit::{Effects, Fitted, fit, start, starts};
-pub use observe::{Kind2 as Statistic, Observable, Observations, ObserveError, of_dataset, of_table};
+pub use observe::{Observable, Observations, ObserveError, Statistic, of_dataset, of_table};
 pub use words::{Signature, signatures};
 
 use radcam_sim::effects::Effect;

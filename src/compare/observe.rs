@@ -14,12 +14,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Most frames of a chunk: memory is bounded by it.
 const CHUNK: usize = 8;
+/// No lamp is known better than this, relative.
+const LIGHT_FLOOR: f64 = 5e-5;
 /// Share of clipped samples from which a set is not looked at.
 const CLIPPED: f64 = 1e-3;
 
 /// What an observable is.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Kind2 {
+pub enum Statistic {
     /// Mean of a chunk, DN.
     Mean,
     /// Mean of frame number 0 or 1 of a set less the mean of those after it in the chunk, DN.
@@ -58,7 +60,7 @@ pub enum Kind2 {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Observable {
     /// What it is.
-    pub kind: Kind2,
+    pub kind: Statistic,
     /// Place of its set in [`Observations::campaign`]; `None` for the whole campaign.
     pub set: Option<usize>,
     /// 0 or 1; 2: belongs to both halves.
@@ -108,29 +110,29 @@ pub enum ObserveError {
     Interrupted,
 }
 
-impl Kind2 {
+impl Statistic {
     /// Its name in reports.
     pub fn name(&self) -> String {
         match self {
-            Kind2::Mean => "mean".into(),
-            Kind2::Settling(0) => "first frame".into(),
-            Kind2::Settling(_) => "second frame".into(),
-            Kind2::FrameMeanVariance => "variance of frame means".into(),
-            Kind2::Variance => "temporal variance".into(),
-            Kind2::RowVariance => "variance of row means".into(),
-            Kind2::ColumnVariance => "variance of column means".into(),
-            Kind2::Covariance(dy, dx) => format!("covariance ({dy},{dx})"),
-            Kind2::Successive => "covariance of successive frames".into(),
-            Kind2::Unequal => "spread of pixel variances".into(),
-            Kind2::Growth(0) => "growth of covariance along rows".into(),
-            Kind2::Growth(_) => "growth of covariance along columns".into(),
-            Kind2::Tap(0) => "step between halves, of the signal".into(),
-            Kind2::Tap(_) => "step between halves, constant".into(),
-            Kind2::Occupancy(b) => format!("occupancy of codes, bit {b}"),
-            Kind2::CodesUsed => "share of codes that occur".into(),
-            Kind2::Line => "line in the spectrum".into(),
-            Kind2::SceneColumns => "scene, columns through the patch".into(),
-            Kind2::Light(_) => "light level".into(),
+            Statistic::Mean => "mean".into(),
+            Statistic::Settling(0) => "first frame".into(),
+            Statistic::Settling(_) => "second frame".into(),
+            Statistic::FrameMeanVariance => "variance of frame means".into(),
+            Statistic::Variance => "temporal variance".into(),
+            Statistic::RowVariance => "variance of row means".into(),
+            Statistic::ColumnVariance => "variance of column means".into(),
+            Statistic::Covariance(dy, dx) => format!("covariance ({dy},{dx})"),
+            Statistic::Successive => "covariance of successive frames".into(),
+            Statistic::Unequal => "spread of pixel variances".into(),
+            Statistic::Growth(0) => "growth of covariance along rows".into(),
+            Statistic::Growth(_) => "growth of covariance along columns".into(),
+            Statistic::Tap(0) => "step between halves, of the signal".into(),
+            Statistic::Tap(_) => "step between halves, constant".into(),
+            Statistic::Occupancy(b) => format!("occupancy of codes, bit {b}"),
+            Statistic::CodesUsed => "share of codes that occur".into(),
+            Statistic::Line => "line in the spectrum".into(),
+            Statistic::SceneColumns => "scene, columns through the patch".into(),
+            Statistic::Light(_) => "light level".into(),
         }
     }
 }
@@ -234,7 +236,7 @@ pub fn of_dataset(
                 3.. if c == 0 => 1,
                 _ => 0,
             };
-            if let Some(r) = residual(&part[from..], &used, gain) {
+            if let Some(r) = residual(&part[from..], &used, gain, pixels.shortest_dark.as_ref()) {
                 spectrum.add(&part[from..], &r);
                 if kind == Kind::Flat {
                     histogram.add(&part[from..], r.var.value);
@@ -271,32 +273,36 @@ pub fn of_dataset(
         let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len() as f64;
         if let Some(before) = c.before {
             let start = frame_of_row[sets[i].rows[0]];
-            of(Kind2::Settling(0), (start, first + r.frames), before - mean(m), 0.0);
+            of(Statistic::Settling(0), (start, first + r.frames), before - mean(m), 0.0);
             if m.len() >= 2 {
-                of(Kind2::Settling(1), (start, first + r.frames), m[0] - mean(&m[1..]), 0.0);
+                of(Statistic::Settling(1), (start, first + r.frames), m[0] - mean(&m[1..]), 0.0);
             }
         }
         let mut add = |kind, value, std_err| of(kind, (first, first + r.frames), value, std_err);
-        add(Kind2::Mean, mean(m), 0.0);
+        add(Statistic::Mean, mean(m), 0.0);
         let grand = m.iter().sum::<f64>() / n;
-        add(Kind2::FrameMeanVariance, m.iter().map(|v| (v - grand).powi(2)).sum::<f64>() / (n - 1.0), 0.0);
-        add(Kind2::Variance, r.var.value, inflation.variance * theory_var(r));
-        add(Kind2::RowVariance, r.row_var_dn2, 0.0);
-        add(Kind2::ColumnVariance, r.column_var_dn2, 0.0);
+        add(
+            Statistic::FrameMeanVariance,
+            m.iter().map(|v| (v - grand).powi(2)).sum::<f64>() / (n - 1.0),
+            0.0,
+        );
+        add(Statistic::Variance, r.var.value, inflation.variance * theory_var(r));
+        add(Statistic::RowVariance, r.row_var_dn2, 0.0);
+        add(Statistic::ColumnVariance, r.column_var_dn2, 0.0);
         for (lag, c) in LAGS.iter().zip(&r.cov) {
-            add(Kind2::Covariance(lag.0, lag.1), c.value, inflation.covariance * theory_cov(r));
+            add(Statistic::Covariance(lag.0, lag.1), c.value, inflation.covariance * theory_cov(r));
         }
-        add(Kind2::Successive, r.successive.value, inflation.successive * theory_cov(r));
-        add(Kind2::Unequal, r.unequal.value, inflation.unequal * (8.0 / r.pixels).sqrt());
+        add(Statistic::Successive, r.successive.value, inflation.successive * theory_cov(r));
+        add(Statistic::Unequal, r.unequal.value, inflation.unequal * (8.0 / r.pixels).sqrt());
         for k in 0..2 {
-            add(Kind2::Growth(k), r.growth[k].value, inflation.growth * 2.0 * theory_cov(r));
+            add(Statistic::Growth(k), r.growth[k].value, inflation.growth * 2.0 * theory_cov(r));
         }
     }
     // What a scene or a clipped set shows matters for the frame that follows it.
     for (i, level) in others {
         let (first, last) = (frame_of_row[sets[i].rows[0]], sets[i].rows.len());
         all.push(Observable {
-            kind: Kind2::Mean,
+            kind: Statistic::Mean,
             set: Some(i),
             half: 2,
             frames: (first, first + last),
@@ -309,8 +315,8 @@ pub fn of_dataset(
     };
     let steps: Vec<_> = chunks.iter().map(|c| &c.residual.mean_dn).collect();
     if let Some(taps) = global::middle_step(&steps, &used, pixels.zero()) {
-        whole(Kind2::Tap(0), taps[0]);
-        whole(Kind2::Tap(1), taps[1]);
+        whole(Statistic::Tap(0), taps[0]);
+        whole(Statistic::Tap(1), taps[1]);
     } else {
         missing.push("the sensor is too narrow to look for a step between its halves".into());
     }
@@ -320,11 +326,11 @@ pub fn of_dataset(
     }
     let line = spectrum.strongest();
     if let Some((_, value)) = line {
-        whole(Kind2::Line, value);
+        whole(Statistic::Line, value);
     }
     let scene = global::ScenePair::of(&scene_means, &settings, pixels.zero(), &used);
     match &scene {
-        Some(scene) => whole(Kind2::SceneColumns, scene.columns),
+        Some(scene) => whole(Statistic::SceneColumns, scene.columns),
         None => missing.push(
             "no scene with a bright patch at two exposures: smear cannot be told from an exposure offset"
                 .into(),
@@ -334,7 +340,7 @@ pub fn of_dataset(
     if !kinds_has(&settings, Kind::Dark) {
         missing.push("no darks: what is read noise and what is offset cannot be told".into());
     }
-    Ok(Observations {
+    let mut observations = Observations {
         campaign: Campaign {
             frames,
             sets: infos,
@@ -350,7 +356,31 @@ pub fn of_dataset(
         means_given: false,
         missing,
         light_rel_std,
-    })
+    };
+    if let Some(rel) = light_rel_std {
+        // Levels that are known bind the light of one to that of another.
+        let reference = super::expect::reference_level(&observations);
+        let mut lights: Vec<usize> = observations
+            .all
+            .iter()
+            .filter(|o| o.kind == Statistic::Mean)
+            .filter_map(|o| o.set.filter(|&s| observations.kinds[s] == Kind::Flat))
+            .filter_map(|s| observations.campaign.sets[s].light)
+            .filter(|&l| l != reference)
+            .collect();
+        lights.sort_unstable();
+        lights.dedup();
+        let std_err = rel.max(LIGHT_FLOOR) * std::f64::consts::SQRT_2;
+        observations.all.extend(lights.into_iter().map(|l| Observable {
+            kind: Statistic::Light(l),
+            set: None,
+            half: 2,
+            frames: (0, 0),
+            measured: Value { value: 0.0, std_err },
+            pixels: 1.0,
+        }));
+    }
+    Ok(observations)
 }
 
 fn kinds_has(settings: &[crate::dataset::FrameRow], kind: Kind) -> bool {
@@ -421,6 +451,8 @@ impl Inflation {
 struct Pixels {
     clipped: Array2<u32>,
     dark: Option<Array2<f32>>,
+    /// Mean of the dimmest darks.
+    shortest_dark: Option<Array2<f32>>,
     shortest: f64,
     zero: f64,
     full: u16,
@@ -428,7 +460,14 @@ struct Pixels {
 
 impl Pixels {
     fn new(shape: (usize, usize), full: u16) -> Self {
-        Self { clipped: Array2::zeros(shape), dark: None, shortest: f64::INFINITY, zero: 0.0, full }
+        Self {
+            clipped: Array2::zeros(shape),
+            dark: None,
+            shortest_dark: None,
+            shortest: f64::INFINITY,
+            zero: 0.0,
+            full,
+        }
     }
 
     fn look(&mut self, images: &[Array2<u16>], kind: Kind) {
@@ -438,6 +477,7 @@ impl Pixels {
             let level = f64::from(mean.mean().unwrap_or(0.0));
             if level < self.shortest {
                 (self.shortest, self.zero) = (level, level);
+                self.shortest_dark = Some(mean.clone());
             }
             self.dark = Some(match self.dark.take() {
                 Some(old) if old.dim() == mean.dim() => {

@@ -1,6 +1,6 @@
 //! Observables of a table of means and variances: many labs keep only that.
 
-use super::observe::{Kind2, Observable, Observations, ObserveError};
+use super::observe::{Observable, Observations, ObserveError, Statistic};
 use crate::dataset::Kind;
 use crate::dataset::table::Table;
 use crate::noise::{Counts, pixels_from_scatter, table_points};
@@ -65,13 +65,13 @@ pub(super) fn observations(table: &Table) -> Result<Observations, ObserveError> 
                 pixels: point.pixels,
             });
         };
-        add(Kind2::Mean, level.mean_dn, 0.0);
+        add(Statistic::Mean, level.mean_dn, 0.0);
         // One pair: as many degrees of freedom as pixels.
-        add(Kind2::Variance, level.var_dn2, level.var_dn2 * (2.0 / point.pixels).sqrt());
+        add(Statistic::Variance, level.var_dn2, level.var_dn2 * (2.0 / point.pixels).sqrt());
         for (lag, value) in [((0, 1), level.cov_01), ((1, 0), level.cov_10), ((1, 1), level.cov_11)] {
             if let Some(value) = value {
                 let std_err = level.var_dn2 / point.pixels.sqrt();
-                add(Kind2::Covariance(lag.0, lag.1), value, std_err);
+                add(Statistic::Covariance(lag.0, lag.1), value, std_err);
             }
         }
     }

@@ -70,8 +70,14 @@ impl Blocks {
 }
 
 /// Statistics of successive frames (row by row, DN). `used` marks the pixels that count; `gain` is the growth of a pixel's
-/// variance with its mean, DN, so that brighter pixels are not taken for unequal ones. `None` with fewer than two frames.
-pub fn residual(frames: &[Array2<u16>], used: &Array2<bool>, gain: f64) -> Option<Residual> {
+/// variance with its signal, DN, so that brighter pixels are not taken for unequal ones, and `zero` the pixels' level without
+/// light, where it is known: an offset has no noise. `None` with fewer than two frames.
+pub fn residual(
+    frames: &[Array2<u16>],
+    used: &Array2<bool>,
+    gain: f64,
+    zero: Option<&Array2<f32>>,
+) -> Option<Residual> {
     let n = frames.len();
     if n < 2 {
         return None;
@@ -185,11 +191,17 @@ pub fn residual(frames: &[Array2<u16>], used: &Array2<bool>, gain: f64) -> Optio
 
     // Each pixel's variance over what its mean lets expect.
     let dof = n as f64 - 1.0;
+    let signal = |at: (usize, usize)| f64::from(mean[at] - zero.map_or(0.0, |z| z[at]));
+    let lit = over(&signal);
+    let noise = var.value.max(0.0).sqrt();
     let mut spread = Blocks::new();
     let mut level = Blocks::new();
     for ((y, x), _) in used.indexed_iter().filter(|(_, u)| **u) {
         let s2: f64 = residuals.iter().map(|r| f64::from(r[(y, x)]).powi(2)).sum::<f64>() / dof;
-        let expected = (var.value + gain * (f64::from(mean[(y, x)]) - grand)).max(0.1 * var.value);
+        // In the dark what differs is mostly noise and offset: only what stands out is signal.
+        let more = signal((y, x)) - lit;
+        let more = if lit > 10.0 * noise || more > 5.0 * noise { gain * more } else { 0.0 };
+        let expected = (var.value + more).max(0.1 * var.value);
         let ratio = s2 / expected;
         let b = block(y, x);
         spread.0[b].0 += ratio * ratio;
@@ -245,7 +257,7 @@ mod tests {
         let (mut z2, mut count) = (0.0, 0.0);
         for run in 0..60u64 {
             let images = frames(4, |f, y, x| 10.0 * normal(100 * run + f, y * 96 + x));
-            let r = residual(&images, &used, 0.0).unwrap();
+            let r = residual(&images, &used, 0.0, None).unwrap();
             let truth = 100.0 + 1.0 / 12.0;
             let mut add = |v: Value, t: f64| {
                 z2 += ((v.value - t) / v.std_err).powi(2);
@@ -266,9 +278,9 @@ mod tests {
     fn shared_noise_is_seen_where_it_is() {
         let used = Array2::from_elem((64, 96), true);
         let images = frames(6, |f, y, x| 5.0 * normal(f, y * 96 + x) + 3.0 * normal(500 + f, y));
-        let r = residual(&images, &used, 0.0).unwrap();
+        let r = residual(&images, &used, 0.0, None).unwrap();
         assert!((r.row_var_dn2 - 9.0).abs() < 9.0 * 5.0 * (2.0f64 / 320.0).sqrt());
         assert!(r.column_var_dn2 < 2.0 && r.cov[0].value > 7.0 && r.cov[3].value.abs() < 2.5);
-        assert!(residual(&images[..1], &used, 0.0).is_none());
+        assert!(residual(&images[..1], &used, 0.0, None).is_none());
     }
 }
