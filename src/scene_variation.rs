@@ -158,9 +158,12 @@ pub fn of_region(
     let of_k = mean(k.iter().map(|&k| f64::from(k).powi(-2)));
     let frames = frames.max(1);
     let temporal = noise.var_dn2(above_zero_dn) * of_k / frames as f64;
-    let of_calibration = mean_dn * mean_dn * mean(k_error.iter().map(|&e| f64::from(e).powi(2)))
-        + calibration.dark.std_err_dn.powi(2).max(0.0);
-    let noise_var_dn2 = temporal + if of_calibration.is_finite() { of_calibration } else { 0.0 };
+    // The dark reference's error d is in K too: at the level L of K's flats it cancels, at mu d^2 (1 - mu / L)^2 are left.
+    let d = &calibration.description;
+    let dark_error = d.dark_std_err_dn.unwrap_or(0.0);
+    let own = mean(k_error.iter().map(|&e| f64::from(e).powi(2))) - d.dark_error_of_k().powi(2);
+    let of_dark = dark_error * (1.0 - d.k_level_dn.map_or(0.0, |level| mean_dn / level));
+    let noise_var_dn2 = temporal + mean_dn * mean_dn * own.max(0.0) + of_dark * of_dark;
     let value = |var: f64, noise: f64, mean: f64| (var - noise) / (mean * mean);
     let whole = value(spatial_var_dn2, noise_var_dn2, mean_dn);
 
@@ -190,9 +193,9 @@ pub fn of_region(
     let [aa, ac, cc] = noise.covariance;
     let of_line = (above_zero_dn * above_zero_dn * aa + 2.0 * above_zero_dn * ac + cc).max(0.0)
         * (of_k / frames as f64 / (mean_dn * mean_dn)).powi(2);
-    // The same patch again: the variance of a variance of scene plus noise with the scene held, 2 v^2 + 4 v sigma_E^2.
-    let scene = (spatial_var_dn2 - noise_var_dn2).max(0.0);
-    let again = (2.0 * temporal * temporal + 4.0 * temporal * scene) / n / mean_dn.powi(4);
+    // The same patch again: the variance of a variance of noise about a pattern that stays, 2 v^2 + 4 v (pattern's variance).
+    let stays = (spatial_var_dn2 - temporal).max(0.0);
+    let again = (2.0 * temporal * temporal + 4.0 * temporal * stays) / n / mean_dn.powi(4);
     Ok(Variation {
         scene_variation: Quantity { value: whole, std_err: (jackknife + of_line).sqrt(), unit: "1" },
         mean_dn,

@@ -41,6 +41,9 @@ pub struct Description {
     /// Standard error of the dark reference, DN.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dark_std_err_dn: Option<f64>,
+    /// Mean above the dark reference at which K was measured, DN: there the dark reference's error is in K, with the other sign.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub k_level_dn: Option<f64>,
     /// Pixels with a flag in the map of defects.
     #[serde(default)]
     pub defects: usize,
@@ -84,6 +87,14 @@ const CURRENT: &str = "dark_current_dn_per_s";
 const DEFECTS: &str = "defects";
 
 impl Description {
+    /// Error of K that the dark reference leaves: its own over the level at which K was measured.
+    pub fn dark_error_of_k(&self) -> f64 {
+        match (self.dark_std_err_dn, self.k_level_dn) {
+            (Some(error), Some(level)) => error / level,
+            _ => 0.0,
+        }
+    }
+
     /// A description of nothing but the camera.
     pub fn of(camera: CameraInfo) -> Self {
         Self {
@@ -96,6 +107,7 @@ impl Description {
             offset_dn: None,
             noise_covariance: None,
             dark_std_err_dn: None,
+            k_level_dn: None,
             defects: 0,
             n1: 0,
             n2: 0,
@@ -120,12 +132,15 @@ impl Calibration {
             defects[(d.y, d.x)] = d.flags;
         }
         description.defects = found.len();
+        description.k_level_dn = Some(pattern.level_dn).filter(|l| l.is_finite() && *l > 0.0);
+        // Every configuration has the same dark reference taken off: its error does not average out.
+        let shared = description.dark_error_of_k() as f32;
         description.dark_exposure_s = dark.exposure_s;
         description.pages = vec![DARK.into(), K.into(), K_ERROR.into(), DEFECTS.into()];
         if dark.current_dn_per_s.is_some() {
             description.pages.push(CURRENT.into());
         }
-        Self { description, dark, k: pattern.k, k_std_err: pattern.std_err, defects }
+        Self { description, dark, k: pattern.k, k_std_err: pattern.std_err.mapv(|e| e.hypot(shared)), defects }
     }
 
     /// Writes the file whole or not at all.
@@ -244,6 +259,7 @@ mod tests {
             kept: Array2::from_elem((3, 4), 9),
             pooled_sd: 0.003,
             mean_before: 1.0,
+            level_dn: 900.0,
         };
         let camera = CameraInfo { width: 4, height: 3, bit_depth: 12, ..Default::default() };
         let description = Description {

@@ -5,7 +5,7 @@
 //! Surface and K are fitted in turn, both with Tukey's biweight (Beaton and Tukey 1974), so that spots of the card do
 //! not matter. Against the window's mean, neighbours' spots and K's own mean over the window drop out of the error.
 
-use super::pattern::{FixedPattern, PatternError, check, pooled_deviation};
+use super::pattern::{FixedPattern, PatternError, check, level, pooled_deviation};
 use super::robust::{self, Light, Location};
 use ndarray::Array2;
 use rayon::prelude::*;
@@ -45,7 +45,7 @@ pub fn joint(configurations: &[Array2<f32>]) -> Result<FixedPattern, PatternErro
     let (variance, _) = robust::efficiency(n1, Location::Biweight { scale: 1.0 });
     let share = |kept: u16| variance * n1 as f64 / f64::from(kept.max(1));
     let std_err = kept.mapv(|kept: u16| (pooled_sd * share(kept).sqrt()) as f32);
-    Ok(FixedPattern { k, std_err, kept, pooled_sd, mean_before })
+    Ok(FixedPattern { k, std_err, kept, pooled_sd, mean_before, level_dn: level(configurations) })
 }
 
 /// K where nothing was moved: the mean image over a smooth surface. What the card and the lamp have at a finer scale than
@@ -64,7 +64,6 @@ pub fn smooth(
     let even = Array2::<f32>::ones(shape);
     let order = blocks.order(images, &even);
     let mut k = Array2::<f32>::zeros(shape);
-    let mut level = 0.0;
     let light = blocks.surfaces(images, &even, order);
     let mut sweep = light.sweep(0);
     let mut lights = vec![0.0; images.len() * shape.1];
@@ -74,19 +73,18 @@ pub fn smooth(
             k.iter_mut().zip(e.row(y)).zip(l).for_each(|((k, &e), &l)| *k += e / l.max(1e-6));
         }
     }
-    for e in images {
-        level += e.mean().map_or(0.0, f64::from) / images.len() as f64;
-    }
+    let level_dn = level(images);
     let mean = k.iter().map(|&k| f64::from(k)).sum::<f64>() / k.len() as f64;
     k.mapv_inplace(|k| (f64::from(k) / mean) as f32);
     let (gain, constant) = noise.unwrap_or((0.0, 1.0 / 12.0));
     let samples = (frames.max(1) * images.len() as u64) as f64;
-    let error = ((gain * level + constant) / samples).sqrt() / level;
+    let error = ((gain * level_dn + constant) / samples).sqrt() / level_dn;
     Ok(FixedPattern {
         std_err: Array2::from_elem(shape, error as f32),
         kept: Array2::from_elem(shape, images.len() as u16),
         pooled_sd: error * (images.len() as f64).sqrt(),
         mean_before: mean,
+        level_dn,
         k,
     })
 }

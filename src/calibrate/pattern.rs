@@ -41,7 +41,8 @@ impl Default for Options {
 pub struct FixedPattern {
     /// K(a,b), (rows, columns), mean 1.
     pub k: Array2<f32>,
-    /// Standard error of K at each pixel.
+    /// Standard error of K at each pixel, from the scatter over the configurations. What all of them share, the error of the dark
+    /// reference, is not in it: [`super::file::Calibration::new`] adds it.
     pub std_err: Array2<f32>,
     /// n1', the configurations kept at each pixel.
     pub kept: Array2<u16>,
@@ -49,6 +50,14 @@ pub struct FixedPattern {
     pub pooled_sd: f64,
     /// Mean of K as it came out, before it was brought to 1.
     pub mean_before: f64,
+    /// Mean of the configurations above the dark reference, DN.
+    pub level_dn: f64,
+}
+
+/// Mean of all configurations, DN.
+pub(super) fn level(configurations: &[Array2<f32>]) -> f64 {
+    let sum: f64 = configurations.iter().filter_map(|e| e.mean()).map(f64::from).sum();
+    sum / configurations.len() as f64
 }
 
 /// Why there is no K.
@@ -133,7 +142,7 @@ pub fn paper(configurations: &[Array2<f32>], options: Options) -> Result<FixedPa
         let of_window = sigma_k2 * window::variance(at, shape, options.window);
         (scatter * share + of_window).sqrt() as f32
     });
-    Ok(FixedPattern { k, std_err, kept, pooled_sd, mean_before: mean })
+    Ok(FixedPattern { k, std_err, kept, pooled_sd, mean_before: mean, level_dn: level(configurations) })
 }
 
 /// The light as the means over windows.

@@ -6,7 +6,7 @@ use super::pattern::{Options, PatternError, paper};
 use crate::dataset::{Dataset, Kind};
 use crate::noise::NoiseReport;
 use crate::plan::{CameraPlan, Plan, SetPlan};
-use ndarray::Array2;
+
 use serde::Serialize;
 
 /// Configurations that a pilot needs to measure the scatter of the card.
@@ -69,8 +69,7 @@ pub fn needs(pilot: &Dataset, noise: &NoiseReport) -> Result<Needs, CalibrateErr
         return Err(PatternError::TooFew(images.len()).into());
     }
     let found = paper(&images, options)?;
-    let level = images.iter().filter_map(|e: &Array2<f32>| e.mean()).map(f64::from).sum::<f64>()
-        / images.len() as f64;
+    let level = found.level_dn;
     // The frames' own noise is in the pilot's scatter as averaged there; in the campaign it is averaged over n2.
     let noise_var = (a * level + c) / (level * level);
     let card = (found.pooled_sd.powi(2) - noise_var / frames_each as f64).max(0.0);
