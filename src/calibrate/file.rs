@@ -140,7 +140,13 @@ impl Calibration {
         if dark.current_dn_per_s.is_some() {
             description.pages.push(CURRENT.into());
         }
-        Self { description, dark, k: pattern.k, k_std_err: pattern.std_err.mapv(|e| e.hypot(shared)), defects }
+        Self {
+            description,
+            dark,
+            k: pattern.k,
+            k_std_err: pattern.std_err.mapv(|e| e.hypot(shared)),
+            defects,
+        }
     }
 
     /// Writes the file whole or not at all.

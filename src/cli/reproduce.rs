@@ -35,7 +35,11 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         println!("  {:<64} {:>9}  {:<24}", "quantity", "paper", "ours, and one experiment's error");
         for row in &r.rows {
             let paper = if row.paper.is_finite() { row.paper.to_string() } else { String::new() };
-            let verdict = if row.agrees { "agrees" } else { "DIFFERS" };
+            let verdict = match row.agrees {
+                Some(true) => "agrees",
+                Some(false) => "DIFFERS",
+                None => "not confirmable",
+            };
             let quantity = row.quantity.split(": chi-square").next().unwrap_or_default();
             println!("  {quantity:<64} {paper:>9}  {:<24} {verdict}", with_error(row.ours, row.std_err));
             if let Some(note) = &row.note {
@@ -43,6 +47,6 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             }
         }
     }
-    let agree = r.rows.iter().all(|row| row.agrees);
+    let agree = r.rows.iter().all(|row| row.agrees != Some(false));
     Ok(if agree { Outcome::Agreement } else { Outcome::Disagreement })
 }

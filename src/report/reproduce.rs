@@ -10,7 +10,7 @@ const COLOURS: [&str; 4] = ["var(--data)", "var(--fit)", "var(--good)", "var(--b
 
 /// The whole page.
 pub fn html(r: &Reproduction) -> String {
-    let agree = r.rows.iter().filter(|row| row.agrees).count();
+    let agree = r.rows.iter().filter(|row| row.agrees == Some(true)).count();
     let body = html! {
         table {
             tr { th { "quantity" } th { "paper" } th { "ours" } th {} }
@@ -19,8 +19,10 @@ pub fn html(r: &Reproduction) -> String {
                     td { (row.quantity) @if let Some(note) = &row.note { br; span.note { (note) } } }
                     td { @if row.paper.is_finite() { (row.paper) } }
                     td { (with_error(row.ours, row.std_err)) }
-                    td class=(if row.agrees { "good" } else { "bad" }) {
-                        (if row.agrees { "agrees" } else { "differs" })
+                    @match row.agrees {
+                        Some(true) => { td.good { "agrees" } }
+                        Some(false) => { td.bad { "differs" } }
+                        None => { td { "not confirmable" } }
                     }
                 }
             }
@@ -35,10 +37,11 @@ pub fn html(r: &Reproduction) -> String {
         (budget::plot(&r.figures.budget))
     };
     let subtitle = format!(
-        "Healey and Kondepudy 1994, Section VII, on {} simulated XC-77 cameras: {agree} of {} rows agree. The error is that of \
+        "Healey and Kondepudy 1994, Section VII, on {} simulated XC-77 cameras: {agree} of {} rows agree, {open} cannot be confirmed. The error is that of \
          one experiment of the paper's size. Figures: the first camera.",
         r.seeds,
-        r.rows.len()
+        r.rows.len(),
+        open = r.rows.iter().filter(|row| row.agrees.is_none()).count()
     );
     page("The paper, run again", &subtitle, body)
 }
