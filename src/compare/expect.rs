@@ -84,7 +84,7 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
     };
     let rough = |s: &SetPrediction| quantised(s.covariance(0, 0), p.code_step_dn);
     let Some(s) = o.set.and_then(|i| p.sets.get(i)) else {
-        let step = p.code_step_dn;
+        let (step, half) = (p.code_step_dn, usize::from(o.half.min(1)));
         let width = |c: u32| {
             if step > 1.0 {
                 let step = step.round().max(1.0) as u32;
@@ -99,15 +99,16 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
         return match o.kind {
             Statistic::Tap(0) => plain(p.taps.0, o.measured.std_err),
             Statistic::Tap(_) => plain(p.taps.1, o.measured.std_err),
-            Statistic::Occupancy(b) => plain(occupancy_of(&width, &all.codes, b), o.measured.std_err),
+            Statistic::Occupancy(b) => plain(occupancy_of(&width, &all.codes[half], b), o.measured.std_err),
             Statistic::CodesUsed => plain(if step > 1.0 { 1.0 / step } else { 1.0 }, o.measured.std_err),
             Statistic::Line => {
                 let line: f64 = p.sets.first().map_or(0.0, |s| s.lines.iter().map(|l| l.0).sum());
                 plain(line, o.measured.std_err)
             }
             Statistic::SceneColumns => {
-                let expected =
-                    all.scene.as_ref().map_or(0.0, |s| p.smear_s * (s.ratio - 1.0) * s.column_light_dn_per_s);
+                let expected = all.scenes[half]
+                    .as_ref()
+                    .map_or(0.0, |s| p.smear_s * (s.ratio - 1.0) * s.column_light_dn_per_s);
                 plain(expected, o.measured.std_err)
             }
             Statistic::Light(level) => {
@@ -186,9 +187,10 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
                 .std_err
                 .hypot(0.3 * s.unequal)
                 .hypot(s.unsure)
-                .hypot(0.02)
+                .hypot(0.002)
                 .hypot(rough(s).1 / s.covariance(0, 0).max(1e-9)),
         ),
+        Statistic::Parity(_) => plain(0.0, o.measured.std_err),
         Statistic::Growth(k) => {
             let growth = if k == 0 { s.growth.0 } else { s.growth.1 };
             plain(0.5 * growth * s.shot.lag(0, 0), o.measured.std_err)

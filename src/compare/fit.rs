@@ -25,6 +25,8 @@ pub struct Fitted {
     pub std_err: Vec<Vec<f64>>,
     /// Standard errors of A, read noise, offset, dark current.
     pub base_std_err: [f64; 4],
+    /// The free values and their covariance.
+    free: Option<Free>,
 }
 
 impl std::fmt::Debug for Fitted {
@@ -50,10 +52,30 @@ impl Fitted {
         let prediction = self.predict(all);
         chosen(all, half).map(|o| (o, expect(o, &prediction, all))).collect()
     }
+
+    /// The other half's observables with what is expected of them; the error of the fitted parameters is in theirs.
+    pub fn judged<'a>(&self, all: &'a Observations, other: u8) -> Vec<(&'a Observable, Expected)> {
+        let mut out = self.expected(all, Some(other));
+        let Some(free) = &self.free else { return out };
+        let n = free.x.len();
+        let now: Vec<Expected> = out.iter().map(|o| o.1).collect();
+        let slopes: Vec<Vec<f64>> = (0..n).map(|i| free.slopes(i, &now, &free.x, all, Some(other))).collect();
+        for (k, (_, e)) in out.iter_mut().enumerate() {
+            let row = |i: usize| (0..n).map(|j| free.covariance[i * n + j] * slopes[j][k]).sum::<f64>();
+            let of_fit: f64 = (0..n).map(|i| slopes[i][k] * row(i)).sum();
+            let wider = (1.0 + of_fit.max(0.0)).sqrt();
+            e.std_err *= wider;
+            e.normal.2 *= wider;
+        }
+        out.retain(|(o, _)| o.half != 2);
+        out
+    }
 }
 
+/// Observables of a half, and what is known beforehand. Means that give the light are no measurement.
 fn chosen(all: &Observations, half: Option<u8>) -> impl Iterator<Item = &Observable> {
-    all.all.iter().filter(move |o| half.is_none_or(|h| o.half == h || o.half == 2))
+    let given = |o: &Observable| all.means_given && o.kind == Statistic::Mean;
+    all.all.iter().filter(move |o| !given(o) && half.is_none_or(|h| o.half == h || o.half == 2))
 }
 
 fn predict(
@@ -134,18 +156,22 @@ pub fn start(all: &Observations) -> BaseParameters {
     }
 }
 
-/// Everything that is free, as one list.
-struct Free<'a> {
-    all: &'a Observations,
-    half: Option<u8>,
+/// Everything that is free, as one list of values over their scales.
+#[derive(Clone)]
+struct Free {
     effects: Vec<&'static dyn Effect>,
     /// Light levels that take part.
     lights: Vec<usize>,
     template: BaseParameters,
     scale: Vec<f64>,
+    /// What the campaign says nothing of.
+    fixed: Vec<bool>,
+    /// The values and their covariance, row by row, once fitted.
+    x: Vec<f64>,
+    covariance: Vec<f64>,
 }
 
-impl Free<'_> {
+impl Free {
     fn unpack(&self, x: &[f64]) -> (BaseParameters, Effects) {
         let mut base = self.template.clone();
         let v = |i: usize| x[i] * self.scale[i];
@@ -184,13 +210,34 @@ impl Free<'_> {
         }
     }
 
-    fn residuals(&self, x: &[f64]) -> Vec<Expected> {
+    fn expected(&self, x: &[f64], all: &Observations, half: Option<u8>) -> Vec<Expected> {
         let (base, effects) = self.unpack(x);
-        let prediction = predict(&base, &effects, self.all);
-        chosen(self.all, self.half)
-            .filter(|o| !(self.all.means_given && o.kind == Statistic::Mean))
-            .map(|o| expect(o, &prediction, self.all))
-            .collect()
+        let prediction = predict(&base, &effects, all);
+        chosen(all, half).map(|o| expect(o, &prediction, all)).collect()
+    }
+
+    /// Slope of every expectation with parameter `i`, in the space in which the noise is normal, over its error as it is at `x`.
+    fn slopes(
+        &self,
+        i: usize,
+        now: &[Expected],
+        x: &[f64],
+        all: &Observations,
+        half: Option<u8>,
+    ) -> Vec<f64> {
+        if self.fixed[i] {
+            return vec![0.0; now.len()];
+        }
+        let mut moved = x.to_vec();
+        let mut step = 1e-5 * moved[i].abs().max(1e-2);
+        moved[i] += step;
+        self.clamp(&mut moved);
+        if (moved[i] - x[i]).abs() < 0.5 * step {
+            step = -step;
+            moved[i] = x[i] + step;
+        }
+        let there = self.expected(&moved, all, half);
+        now.iter().zip(&there).map(|(a, b)| (b.normal.1 - a.normal.1) / step / a.normal.2).collect()
     }
 }
 
@@ -229,40 +276,24 @@ pub fn fit(
         }));
     }
     let mut x: Vec<f64> = values.iter().zip(&scale).map(|(v, s)| v / s).collect();
-    let free = Free {
-        all,
-        half,
+    let n = x.len();
+    let mut free = Free {
         effects: effects.iter().map(|(e, _)| *e).collect(),
         lights,
         template: base.clone(),
         scale,
+        fixed: (0..n).map(|i| all.means_given && (i == 2 || i == 3)).collect(),
+        x: Vec::new(),
+        covariance: Vec::new(),
     };
     free.clamp(&mut x);
-    let mut now = free.residuals(&x);
+    let mut now = free.expected(&x, all, half);
     let mut best = objective(&now);
-    let n = x.len();
-    let fixed: Vec<bool> = (0..n).map(|i| all.means_given && (i == 2 || i == 3)).collect();
     let mut lambda = 1e-3;
     let mut normal = vec![0.0; n * n];
     for round in 0..ROUNDS {
         // Slopes by differences, at fixed errors.
-        let columns: Vec<Vec<f64>> = (0..n)
-            .map(|i| {
-                if fixed[i] {
-                    return vec![0.0; now.len()];
-                }
-                let mut moved = x.clone();
-                let mut step = 1e-5 * moved[i].abs().max(1e-2);
-                moved[i] += step;
-                free.clamp(&mut moved);
-                if (moved[i] - x[i]).abs() < 0.5 * step {
-                    step = -step;
-                    moved[i] = x[i] + step;
-                }
-                let there = free.residuals(&moved);
-                now.iter().zip(&there).map(|(a, b)| (b.normal.1 - a.normal.1) / step / a.normal.2).collect()
-            })
-            .collect();
+        let columns: Vec<Vec<f64>> = (0..n).map(|i| free.slopes(i, &now, &x, all, half)).collect();
         let gradient: Vec<f64> =
             columns.iter().map(|c| c.iter().zip(&now).map(|(c, e)| c * e.z()).sum()).collect();
         for i in 0..n {
@@ -285,7 +316,7 @@ pub fn fit(
             };
             let mut trial: Vec<f64> = x.iter().zip(&step).map(|(x, s)| x + s).collect();
             free.clamp(&mut trial);
-            let there = free.residuals(&trial);
+            let there = free.expected(&trial, all, half);
             let value = objective(&there);
             if value < best {
                 (x, now, best, improved) = (trial, there, value, true);
@@ -298,9 +329,8 @@ pub fn fit(
             break;
         }
     }
-    let covariance = invert(&normal, n);
-    let error =
-        |i: usize| covariance.get(i * n + i).copied().unwrap_or(f64::NAN).max(0.0).sqrt() * free.scale[i];
+    free.covariance = invert(&normal, n);
+    let error = |i: usize| free.covariance[i * n + i].max(0.0).sqrt() * free.scale[i];
     let (mut base, effects) = free.unpack(&x);
     if all.means_given {
         // The light that gives the means.
@@ -316,7 +346,8 @@ pub fn fit(
         })
         .collect();
     let base_std_err = [error(0), error(1), error(2), error(3)];
-    Fitted { base, effects, objective: best, std_err, base_std_err }
+    free.x = x;
+    Fitted { base, effects, objective: best, std_err, base_std_err, free: Some(free) }
 }
 
 /// Solves a symmetric positive system in place.

@@ -4,6 +4,7 @@ mod expect;
 mod fit;
 mod global;
 mod observe;
+mod read;
 mod table;
 mod words;
 
@@ -70,10 +71,7 @@ pub fn compare(
     let (first, second) =
         rayon::join(|| fit(all, Some(0), base, effects), || fit(all, Some(1), base, effects));
     for (fitted, other) in [(&first, 1u8), (&second, 0u8)] {
-        for (o, e) in fitted.expected(all, Some(other)) {
-            if (all.means_given && o.kind == Statistic::Mean) || (o.half == 2 && other == 0) {
-                continue;
-            }
+        for (o, e) in fitted.judged(all, other) {
             // Light levels that only one half has cannot be judged on the other.
             if o.kind == Statistic::Mean && !level_seen(all, o, 1 - other) {
                 continue;
@@ -84,11 +82,8 @@ pub fn compare(
             }
             sum += z * z;
             count += 1.0;
-            let level_dn = o.set.map_or(0.0, |s| {
-                let (a, b) = o.frames;
-                let p = fitted.predict_mean(all, s, (a, b));
-                p - fitted.base.offset_dn
-            });
+            let level_dn =
+                o.set.map_or(0.0, |s| measured_mean(all, s).unwrap_or(0.0) - fitted.base.offset_dn);
             residuals.push(Residual {
                 observable: o.kind.name(),
                 set: o.set.map(|s| all.set_numbers[s]),
@@ -121,16 +116,11 @@ fn level_seen(all: &Observations, o: &Observable, half: u8) -> bool {
     }
 }
 
-impl Fitted {
-    fn predict_mean(&self, all: &Observations, set: usize, (from, to): (usize, usize)) -> f64 {
-        let measured: Vec<f64> = all
-            .all
-            .iter()
-            .filter(|o| o.kind == Statistic::Mean && o.set == Some(set) && o.frames == (from, to))
-            .map(|o| o.measured.value)
-            .collect();
-        measured.first().copied().unwrap_or(self.base.offset_dn)
-    }
+/// Mean of a set over its chunks, DN.
+fn measured_mean(all: &Observations, set: usize) -> Option<f64> {
+    let means = all.all.iter().filter(|o| o.kind == Statistic::Mean && o.set == Some(set));
+    let (sum, n) = means.fold((0.0, 0.0), |(s, n), o| (s + o.measured.value, n + 1.0));
+    (n > 0.0).then(|| sum / n)
 }
 
 /// Chance of residuals as large as these: of their sum of squares, of the largest one, and of the largest sum of squares of

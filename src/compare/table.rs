@@ -4,7 +4,7 @@ use super::observe::{Observable, Observations, ObserveError, Statistic};
 use crate::dataset::Kind;
 use crate::dataset::table::Table;
 use crate::noise::{Counts, pixels_from_scatter, table_points};
-use crate::statistics::residual::Value;
+use crate::statistics::jackknife::Value;
 use radcam_sim::predict::{Campaign, FrameInfo, SetInfo};
 
 /// Rows up to the peak of the variance as sets of one pair each.
@@ -87,8 +87,8 @@ pub(super) fn observations(table: &Table) -> Result<Observations, ObserveError> 
         set_numbers: kept.iter().map(|&i| i as u32).collect(),
         kinds: vec![Kind::Flat; kept.len()],
         all,
-        scene: None,
-        codes: 0..0,
+        scenes: [None, None],
+        codes: [0..0, 0..0],
         means_given: !exposures,
         missing,
         light_rel_std: None,

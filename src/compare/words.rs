@@ -65,6 +65,8 @@ fn describe(name: &str, of: &[&Residual]) -> String {
         Some(Statistic::Successive) => "; carried to the next frame",
         Some(Statistic::Settling(_)) => "; set by what came before",
         Some(Statistic::Growth(_)) => "; changing across the sensor",
+        Some(Statistic::Parity(0)) => "; every second column differs",
+        Some(Statistic::Parity(_)) => "; every second row differs",
         Some(Statistic::Unequal) => "; a few pixels noisier than the rest",
         Some(Statistic::Occupancy(_) | Statistic::CodesUsed) => "; in the codes, by their bits",
         _ => "",

@@ -1,5 +1,15 @@
 //! What frames tell: streaming accumulators that can be merged, one observable to a file.
+//!
+//! [`pass::Pass`] runs all statistics of a set's noise in one pass; [`moments::Moments`] keeps mean and variance of every pixel.
 
+pub mod covariance;
+pub mod frame_means;
+pub mod jackknife;
 pub mod level;
+pub mod lines;
 pub mod moments;
-pub mod residual;
+pub mod occupancy;
+pub mod pass;
+pub mod spectrum;
+pub mod successive;
+pub mod variance;

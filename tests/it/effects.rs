@@ -52,7 +52,7 @@ pub fn campaign(model: Model, root: &Path) {
         .unwrap();
 }
 
-fn observe(root: &Path) -> Observations {
+pub fn observe(root: &Path) -> Observations {
     of_dataset(&Dataset::open(root).unwrap(), &AtomicBool::new(false), &mut |_, _| {}).unwrap()
 }
 

@@ -20,9 +20,10 @@ pub fn camera(model: Model) -> (SimCamera, SharedBench) {
     (SimCamera::new("test", Arc::new(Sensor::new(model).unwrap()), bench.clone()), bench)
 }
 
-/// Runs the program.
+/// Runs the program; another one than this checkout's where RADCAM_PROGRAM names it.
 pub fn radcam(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_radcam")).args(arguments).output().unwrap()
+    let program = std::env::var("RADCAM_PROGRAM").unwrap_or_else(|_| env!("CARGO_BIN_EXE_radcam").into());
+    Command::new(program).args(arguments).output().unwrap()
 }
 
 /// Standard output of a run that must end with this exit code.

@@ -1,0 +1,291 @@
+//! Reads a campaign's frames: a look at the first of every set tells which pixels count, then one pass over all of them.
+//!
+//! Memory holds one frame and its sums on each core, however many frames there are.
+
+use super::global;
+use super::observe::ObserveError;
+use crate::dataset::{Dataset, Kind};
+use crate::statistics::pass::{Layout, Pass, Summary};
+use ndarray::Array2;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Frames of a set that the first look reads.
+const FIRST: usize = 8;
+/// A set is cut into pieces of about this many frames, and into at most [`PIECES`].
+const PIECE: usize = 8;
+const PIECES: usize = 8;
+/// Share of clipped samples from which a set is not looked at.
+const CLIPPED: f64 = 1e-3;
+
+/// Successive frames of a set with their statistics.
+pub struct Chunk {
+    pub set: usize,
+    /// Place of the first frame within the set.
+    pub from: usize,
+    /// Which half of the campaign it belongs to.
+    pub half: u8,
+    /// Mean of the frame before, where that is the first of the set, DN.
+    pub before: Option<f64>,
+    pub said: Summary,
+}
+
+/// Mean image of the frames of a scene that belong to one half, DN.
+pub struct SceneMean {
+    pub set: usize,
+    pub half: u8,
+    pub mean_dn: Array2<f32>,
+}
+
+/// Everything that the frames say.
+pub struct Reading {
+    pub layout: Layout,
+    /// Level of the shortest darks, DN.
+    pub zero_dn: f64,
+    pub chunks: Vec<Chunk>,
+    pub scenes: Vec<SceneMean>,
+    /// Codes and spectra of both halves.
+    pub codes: [global::Codes; 2],
+    pub lines: [global::LineSearch; 2],
+    /// Sets that are clipped, with their means, DN.
+    pub saturated: Vec<(usize, f64)>,
+}
+
+/// What the first frames of a set show.
+struct Look {
+    /// Clipped pixels.
+    clipped: Vec<usize>,
+    /// Mean of a dark set, DN.
+    dark: Option<Array2<f32>>,
+    /// Mean and temporal variance of the first two frames.
+    pair: Option<(f64, f64)>,
+}
+
+fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ObserveError> {
+    let set = &dataset.sets()[set];
+    let kind = dataset.settings(set).kind;
+    let mut out = Look { clipped: Vec::new(), dark: None, pair: None };
+    if !matches!(kind, Kind::Dark | Kind::Flat) {
+        return Ok(out);
+    }
+    let mut sum = Array2::<f32>::zeros((0, 0));
+    let mut last: Option<Array2<u16>> = None;
+    let rows = &set.rows[..set.rows.len().min(FIRST)];
+    let mut high = 0;
+    for &r in rows {
+        let frame = dataset.read(&dataset.rows()[r])?;
+        if sum.dim() != frame.dim() {
+            sum = Array2::zeros(frame.dim());
+        }
+        if kind == Kind::Dark {
+            sum.zip_mut_with(&frame, |m, &d| *m += f32::from(d));
+        }
+        let over = frame.iter().enumerate().filter(|(_, d)| **d >= full).map(|(i, _)| i);
+        let before = out.clipped.len();
+        // A set that is clipped as a whole says nothing of single pixels, and takes no memory.
+        out.clipped.extend(over.take(frame.len() / 50 + 1));
+        high += out.clipped.len() - before;
+        if out.pair.is_none()
+            && let Some(last) = &last
+        {
+            out.pair = Some(pair(last, &frame, full));
+        }
+        last = Some(frame);
+    }
+    if high * 50 >= rows.len() * sum.len() {
+        out.clipped.clear();
+    }
+    out.dark = (kind == Kind::Dark).then(|| sum / rows.len().max(1) as f32);
+    Ok(out)
+}
+
+/// Mean and temporal variance of two frames where neither is clipped.
+fn pair(a: &Array2<u16>, b: &Array2<u16>, full: u16) -> (f64, f64) {
+    let (mut n, mut sum, mut apart, mut square) = (0.0, 0.0, 0.0, 0.0);
+    for (&a, &b) in a.iter().zip(b).filter(|(a, b)| **a < full && **b < full) {
+        let (a, b) = (f64::from(a), f64::from(b));
+        (n, sum, apart, square) = (n + 1.0, sum + a + b, apart + a - b, square + (a - b) * (a - b));
+    }
+    (0.5 * sum / n, 0.5 * (square / n - (apart / n) * (apart / n)))
+}
+
+/// Growth of variance with the mean between the dimmest and the brightest pair, DN: enough to weigh pixels.
+fn rough_gain(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
+    let points: Vec<_> = pairs.filter(|p| p.0.is_finite() && p.1.is_finite()).collect();
+    let low = points.iter().min_by(|a, b| a.0.total_cmp(&b.0));
+    let high = points.iter().max_by(|a, b| a.0.total_cmp(&b.0));
+    match (low, high) {
+        (Some(low), Some(high)) if high.0 > low.0 + 1.0 => ((high.1 - low.1) / (high.0 - low.0)).max(0.0),
+        _ => 0.0,
+    }
+}
+
+/// Which pixels count, what zero is, and how variance grows with the signal.
+fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64) {
+    let mut used = Array2::from_elem(shape, true);
+    if let Some(used) = used.as_slice_mut() {
+        looks.iter().flat_map(|l| &l.clipped).for_each(|&i| used[i] = false);
+    }
+    let darks: Vec<&Array2<f32>> = looks.iter().filter_map(|l| l.dark.as_ref()).collect();
+    let level = |d: &Array2<f32>| f64::from(d.mean().unwrap_or(0.0));
+    let shortest = darks.iter().min_by(|a, b| level(a).total_cmp(&level(b)));
+    let mut highest = shortest.map(|d| (*d).clone());
+    if let Some(highest) = &mut highest {
+        darks.iter().for_each(|d| highest.zip_mut_with(d, |a, b| *a = a.max(*b)));
+        let middle = global::median(highest.iter().map(|&d| f64::from(d)));
+        let spread =
+            (global::median(highest.iter().map(|&d| (f64::from(d) - middle).abs())) / 0.6745).max(0.5);
+        used.zip_mut_with(highest, |u, &d| *u &= (f64::from(d) - middle).abs() < 8.0 * spread);
+    }
+    // Where most fell out, the rule was wrong and not the pixels.
+    if used.iter().filter(|u| **u).count() * 2 < used.len() {
+        used.fill(true);
+    }
+    let mut layout = Layout::new(&used, full);
+    layout.zero = shortest.map(|d| d.iter().copied().collect());
+    layout.gain = rough_gain(looks.iter().filter_map(|l| l.pair));
+    (layout, shortest.map_or(0.0, |d| level(d)))
+}
+
+/// A piece of work: frames `from..to` of a set.
+struct Piece {
+    set: usize,
+    from: usize,
+    to: usize,
+    half: u8,
+    before: bool,
+}
+
+/// Successive frames stay together, so that noise that runs from frame to frame stays on one side. In one set the first piece goes to
+/// half 0, in the next to half 1: both see what follows a change of level.
+fn pieces(dataset: &Dataset) -> Vec<Piece> {
+    let sets = dataset.sets();
+    let still = |i: usize| !matches!(dataset.settings(&sets[i]).kind, Kind::Dark | Kind::Flat);
+    let mut out = Vec::new();
+    for (set, info) in sets.iter().enumerate() {
+        let frames = info.rows.len();
+        let count = if frames < 6 { 1 } else { frames.div_ceil(PIECE).clamp(2, PIECES) };
+        let size = frames.div_ceil(count).max(1);
+        let after_scene = set > 0 && still(set - 1);
+        for (number, start) in (0..frames).step_by(size).enumerate() {
+            let to = (start + size).min(frames);
+            // The first frame after a change carries what came before, pixel by pixel: it has a statistic of its own. A scene leaves
+            // its picture behind for longer than a flat.
+            let skip = match to - start {
+                _ if still(set) || number > 0 => 0,
+                _ if after_scene && count > 1 => continue,
+                4.. if after_scene => 2,
+                3.. => 1,
+                _ => 0,
+            };
+            let half = ((set + number) % 2) as u8;
+            out.push(Piece { set, from: start + skip, to, half, before: skip == 1 });
+        }
+    }
+    out
+}
+
+enum Work {
+    Scene(SceneMean),
+    Noise(Option<Box<Chunk>>),
+    Clipped(usize, f64),
+}
+
+fn read_piece(
+    dataset: &Dataset,
+    layout: &Layout,
+    p: &Piece,
+    stop: &AtomicBool,
+) -> Result<Work, ObserveError> {
+    let set = &dataset.sets()[p.set];
+    let read = |place: usize| {
+        if stop.load(Ordering::Relaxed) {
+            return Err(ObserveError::Interrupted);
+        }
+        Ok(dataset.read(&dataset.rows()[set.rows[place]])?)
+    };
+    if !matches!(dataset.settings(set).kind, Kind::Dark | Kind::Flat) {
+        let mut sum = read(p.from)?.mapv(f32::from);
+        for place in p.from + 1..p.to {
+            sum.zip_mut_with(&read(place)?, |m, &d| *m += f32::from(d));
+        }
+        let mean_dn = sum / (p.to - p.from) as f32;
+        return Ok(Work::Scene(SceneMean { set: p.set, half: p.half, mean_dn }));
+    }
+    let wrong = |e: crate::statistics::moments::SizeMismatch| ObserveError::Nothing(e.to_string());
+    let mut pass = Pass::new(layout);
+    for place in p.from..p.to {
+        let frame = read(place)?.as_standard_layout().into_owned();
+        pass.add(frame.as_slice().unwrap_or(&[])).map_err(wrong)?;
+    }
+    if pass.clipped() > CLIPPED {
+        return Ok(Work::Clipped(p.set, pass.mean_dn()));
+    }
+    let before =
+        if p.before { Some(global::mean_of(&read(p.from - 1)?.mapv(f32::from), layout)) } else { None };
+    let chunk = |said| Box::new(Chunk { set: p.set, from: p.from, half: p.half, before, said });
+    Ok(Work::Noise(pass.finish().map(chunk)))
+}
+
+/// Reads the frames of a dataset. `progress` is told (pieces done, pieces).
+pub fn read(
+    dataset: &Dataset,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(usize, usize),
+) -> Result<Reading, ObserveError> {
+    let camera = &dataset.manifest().camera;
+    let full = camera.full_scale_dn();
+    let sets = dataset.sets().len();
+    let pieces = pieces(dataset);
+    let of = pieces.len() + sets / 4;
+    let mut looks = Vec::with_capacity(sets);
+    for group in (0..sets).collect::<Vec<_>>().chunks(8) {
+        if stop.load(Ordering::Relaxed) {
+            return Err(ObserveError::Interrupted);
+        }
+        looks.extend(group.par_iter().map(|&i| look(dataset, i, full)).collect::<Result<Vec<_>, _>>()?);
+        progress(looks.len() / 4, of);
+    }
+    let (layout, zero_dn) = layout((camera.height, camera.width), full, &looks);
+    drop(looks);
+    let shape = (camera.height, camera.width);
+    let lines = || global::LineSearch::new(shape);
+    let codes = || global::Codes::new(full);
+    let mut out = Reading {
+        layout,
+        zero_dn,
+        chunks: Vec::new(),
+        scenes: Vec::new(),
+        codes: [codes(), codes()],
+        lines: [lines(), lines()],
+        saturated: Vec::new(),
+    };
+    let mut seen = 0;
+    for group in pieces.chunks(4 * rayon::current_num_threads()) {
+        let work: Vec<Work> =
+            group.par_iter().map(|p| read_piece(dataset, &out.layout, p, stop)).collect::<Result<_, _>>()?;
+        seen += group.len();
+        for w in work {
+            match w {
+                Work::Scene(scene) => out.scenes.push(scene),
+                Work::Clipped(set, level) => out.saturated.push((set, level)),
+                Work::Noise(None) => {}
+                Work::Noise(Some(mut chunk)) => {
+                    let half = usize::from(chunk.half);
+                    out.lines[half].add(&chunk.said);
+                    if dataset.settings(&dataset.sets()[chunk.set]).kind == Kind::Flat {
+                        out.codes[half].add(&chunk.said);
+                    }
+                    // Both are long, and their sums are all that is needed.
+                    (chunk.said.power, chunk.said.occupancy.0) = (Vec::new(), Vec::new());
+                    out.chunks.push(*chunk);
+                }
+            }
+        }
+        progress(sets / 4 + seen, of);
+    }
+    out.saturated.dedup_by_key(|s| s.0);
+    let saturated = std::mem::take(&mut out.saturated);
+    out.chunks.retain(|c| saturated.iter().all(|s| s.0 != c.set));
+    Ok(Reading { saturated, ..out })
+}

@@ -1,0 +1,120 @@
+//! Covariances of the noise of pixels at small lags within a frame, their growth across the sensor and with the parity of rows and
+//! columns.
+
+use super::jackknife::{BLOCKS, Blocks, Value};
+use super::pass::{Layout, Quadratic};
+
+/// Lags: rows down, columns right, both diagonal signs.
+pub const LAGS: [(i32, i32); 10] =
+    [(0, 1), (0, 2), (0, 3), (1, 0), (2, 0), (3, 0), (1, 1), (1, -1), (2, 1), (1, 2)];
+/// Places in [`LAGS`] of the next column and of the next row.
+const NEXT: [usize; 2] = [0, 3];
+
+/// Bands of rows: blocks, with even and odd rows apart.
+const BANDS: usize = 2 * BLOCKS;
+/// Rows that are summed in 32 bits.
+const ROWS: usize = 512;
+
+/// Products of deviations, summed over bands of rows and kept by column.
+#[derive(Debug, Clone)]
+pub struct Covariance {
+    shape: (usize, usize),
+    /// By lag, band, column.
+    sums: Vec<f64>,
+    now: Vec<f32>,
+    rows: usize,
+}
+
+/// What it says.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Covariances {
+    /// At each of [`LAGS`], DN^2.
+    pub at: Vec<Value>,
+    /// With the next column: right half less left; with the next row: lower half less upper, DN^2.
+    pub growth: [Value; 2],
+    /// With the next column: from odd columns less from even ones; with the next row alike, DN^2.
+    pub parity: [Value; 2],
+}
+
+impl Covariance {
+    /// For frames of (rows, columns).
+    pub fn new(shape: (usize, usize)) -> Self {
+        let n = LAGS.len() * BANDS * shape.1;
+        Self { shape, sums: vec![0.0; n], now: vec![0.0; n], rows: 0 }
+    }
+
+    fn flush(&mut self) {
+        self.sums.iter_mut().zip(&mut self.now).for_each(|(s, n)| *s += f64::from(std::mem::take(n)));
+        self.rows = 0;
+    }
+
+    /// Over pairs of pixels as counted by `pairs`, divided by `dof`.
+    pub fn finish(&self, pairs: &Self, dof: f64) -> Covariances {
+        let columns = self.shape.1;
+        // By lag: all, and those of odd rows or columns only.
+        let gather = |lag: usize, take: &dyn Fn(usize, usize) -> bool| {
+            let mut out = Blocks::default();
+            for band in 0..BANDS {
+                for x in (0..columns).filter(|x| take(band % 2, *x)) {
+                    let i = (lag * BANDS + band) * columns + x;
+                    let sum = self.sums[i] + f64::from(self.now[i]);
+                    let count = pairs.sums[i] + f64::from(pairs.now[i]);
+                    out.add((band / 2, Blocks::of(x, columns)), sum / dof, count);
+                }
+            }
+            out
+        };
+        let parity = |lag: usize, odd: &dyn Fn(usize, usize) -> bool| {
+            let (a, b) = (gather(lag, odd).value(), gather(lag, &|band, x| !odd(band, x)).value());
+            Value { value: a.value - b.value, std_err: a.std_err.hypot(b.std_err) }
+        };
+        let at: Vec<Blocks> = (0..LAGS.len()).map(|lag| gather(lag, &|_, _| true)).collect();
+        Covariances {
+            growth: [
+                at[NEXT[0]].difference(|(_, right)| right >= BLOCKS / 2),
+                at[NEXT[1]].difference(|(down, _)| down >= BLOCKS / 2),
+            ],
+            parity: [parity(NEXT[0], &|_, x| x % 2 == 1), parity(NEXT[1], &|band, _| band == 1)],
+            at: at.iter().map(Blocks::value).collect(),
+        }
+    }
+}
+
+impl Quadratic for Covariance {
+    #[inline(always)]
+    fn row(&mut self, y: usize, image: &[f32], _: &Layout) {
+        let (rows, columns) = self.shape;
+        for (lag, (dy, dx)) in LAGS.into_iter().enumerate() {
+            let (dy, shift) = (dy as usize, dx.unsigned_abs() as usize);
+            if y < dy || shift >= columns {
+                continue;
+            }
+            let upper = &image[(y - dy) * columns..][..columns];
+            let lower = &image[y * columns..][..columns];
+            // The band is that of the upper pixel's row parity, within the lower one's block.
+            let band = 2 * Blocks::of(y, rows) + (y - dy) % 2;
+            let out = &mut self.now[(lag * BANDS + band) * columns..][..columns];
+            let n = columns - shift;
+            let (out, a, b) = if dx >= 0 {
+                (&mut out[..n], &upper[..n], &lower[shift..])
+            } else {
+                (&mut out[shift..], &upper[shift..], &lower[..n])
+            };
+            for ((o, &p), &q) in out.iter_mut().zip(a).zip(b) {
+                *o += p * q;
+            }
+        }
+        self.rows += 1;
+    }
+
+    fn end(&mut self, _: &[f32], _: &Layout) {
+        if self.rows * BLOCKS >= ROWS * BLOCKS.min(self.shape.0) {
+            self.flush();
+        }
+    }
+
+    fn absorb(&mut self, other: &Self) {
+        let from = other.sums.iter().zip(&other.now);
+        self.sums.iter_mut().zip(from).for_each(|(s, (o, n))| *s += o + f64::from(*n));
+    }
+}

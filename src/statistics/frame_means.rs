@@ -1,0 +1,51 @@
+//! Means of whole frames: their mean, their scatter, and how far the first one lies off.
+
+/// Sums over the means of frames (Welford 1962; merged after Chan, Golub and LeVeque 1979).
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct FrameMeans {
+    frames: u64,
+    first_dn: f64,
+    mean_dn: f64,
+    squares: f64,
+}
+
+impl FrameMeans {
+    /// Adds the mean of the next frame, DN.
+    pub fn add(&mut self, mean_dn: f64) {
+        self.merge(&Self { frames: 1, first_dn: mean_dn, mean_dn, squares: 0.0 });
+    }
+
+    /// Adds the frames that follow.
+    pub fn merge(&mut self, later: &Self) {
+        if self.frames == 0 {
+            *self = later.clone();
+            return;
+        }
+        let (a, b) = (self.frames as f64, later.frames as f64);
+        let apart = later.mean_dn - self.mean_dn;
+        self.squares += later.squares + apart * apart * a * b / (a + b);
+        self.mean_dn += apart * b / (a + b);
+        self.frames += later.frames;
+    }
+
+    /// Frames.
+    pub fn frames(&self) -> u64 {
+        self.frames
+    }
+
+    /// Mean of all, DN.
+    pub fn mean_dn(&self) -> f64 {
+        self.mean_dn
+    }
+
+    /// Variance with n - 1 in the denominator, DN^2.
+    pub fn variance_dn2(&self) -> f64 {
+        self.squares / (self.frames as f64 - 1.0)
+    }
+
+    /// The first frame less the mean of the others, DN.
+    pub fn first_step_dn(&self) -> f64 {
+        let n = self.frames as f64;
+        (self.first_dn - self.mean_dn) * n / (n - 1.0)
+    }
+}

@@ -1,0 +1,529 @@
+//! One pass over the frames of a set: every statistic of its noise at once, in memory that does not depend on their number.
+//!
+//! Each frame's mean is taken off, and each pixel's mean so far (Welford 1962): what is left, times the root of (n - 1) / n, are
+//! independent deviations whose products sum up to those about the final means. What two halves add when they are merged is the
+//! product of the difference of their means (Chan, Golub and LeVeque 1979): every statistic takes it as one frame more. So shading,
+//! fixed pattern and the lamp do not enter, and any split of the frames gives the same to rounding.
+
+use super::covariance::{Covariance, Covariances};
+use super::frame_means::FrameMeans;
+use super::jackknife::{Blocks, Value};
+use super::lines::Lines;
+use super::moments::SizeMismatch;
+use super::occupancy::Occupancy;
+use super::spectrum::Power;
+use super::successive::Successive;
+use super::variance::Variance;
+use ndarray::Array2;
+use rayon::prelude::*;
+
+/// Which pixels count, and what is known of them: the same for all sets of a campaign.
+#[derive(Debug)]
+pub struct Layout {
+    shape: (usize, usize),
+    /// 1 for a pixel that counts, row by row.
+    pub mask: Vec<f32>,
+    /// How many count, in all.
+    pub pixels: f64,
+    /// In each row, in each column.
+    pub row_pixels: Vec<f32>,
+    /// See `row_pixels`.
+    pub column_pixels: Vec<f32>,
+    /// The pixels' level without light, DN, where it is known.
+    pub zero: Option<Vec<f32>>,
+    /// Growth of a pixel's variance with its signal, DN: brighter pixels are not taken for unequal ones.
+    pub gain: f64,
+    full_scale_dn: u16,
+    pairs: Covariance,
+}
+
+impl Layout {
+    /// For frames of the shape of `used` (rows, columns).
+    pub fn new(used: &Array2<bool>, full_scale_dn: u16) -> Self {
+        let mask: Vec<f32> = used.iter().map(|u| f32::from(*u)).collect();
+        let line = |axis: usize| -> Vec<f32> {
+            used.lanes(ndarray::Axis(axis))
+                .into_iter()
+                .map(|l| l.iter().filter(|u| **u).count() as f32)
+                .collect()
+        };
+        let mut layout = Self {
+            shape: used.dim(),
+            pixels: mask.iter().map(|m| f64::from(*m)).sum(),
+            row_pixels: line(1),
+            column_pixels: line(0),
+            mask,
+            zero: None,
+            gain: 0.0,
+            full_scale_dn,
+            pairs: Covariance::new(used.dim()),
+        };
+        // Pairs of pixels that count are the products of the mask.
+        let mut pairs = Covariance::new(used.dim());
+        (0..layout.shape.0).for_each(|y| pairs.row(y, &layout.mask, &layout));
+        layout.pairs = pairs;
+        layout
+    }
+
+    /// Columns.
+    pub fn columns(&self) -> usize {
+        self.shape.1
+    }
+
+    /// Every pixel that counts, with its block.
+    pub fn each(&self, mut act: impl FnMut(usize, (usize, usize))) {
+        let (rows, columns) = self.shape;
+        for y in 0..rows {
+            for x in 0..columns {
+                let i = y * columns + x;
+                if self.mask[i] > 0.0 {
+                    act(i, (Blocks::of(y, rows), Blocks::of(x, columns)));
+                }
+            }
+        }
+    }
+}
+
+/// A sum of products of deviations.
+pub trait Quadratic {
+    /// Adds row `y` of an image of deviations whose rows up to `y` are there.
+    fn row(&mut self, y: usize, image: &[f32], layout: &Layout);
+    /// The image is complete.
+    fn end(&mut self, image: &[f32], layout: &Layout);
+    /// Adds the sums of another.
+    fn absorb(&mut self, other: &Self);
+}
+
+/// The frames of a set, as far as they have been seen.
+#[derive(Debug)]
+pub struct Pass<'a> {
+    layout: &'a Layout,
+    frame_means: FrameMeans,
+    /// Mean of every pixel, each frame's mean taken off, DN.
+    mean: Vec<f32>,
+    /// Deviations of the frame at hand, scaled.
+    now: Vec<f32>,
+    sums: Sums,
+    successive: Successive,
+    occupancy: Occupancy,
+}
+
+/// Everything that is a sum of products of deviations.
+#[derive(Debug)]
+struct Sums {
+    variance: Variance,
+    covariance: Covariance,
+    lines: Lines,
+    power: Power,
+}
+
+impl Quadratic for Sums {
+    #[inline(always)]
+    fn row(&mut self, y: usize, image: &[f32], layout: &Layout) {
+        self.variance.row(y, image, layout);
+        self.covariance.row(y, image, layout);
+        self.lines.row(y, image, layout);
+    }
+
+    fn end(&mut self, image: &[f32], layout: &Layout) {
+        self.covariance.end(image, layout);
+        self.lines.end(image, layout);
+        self.power.end(image, layout);
+    }
+
+    fn absorb(&mut self, other: &Self) {
+        self.variance.absorb(&other.variance);
+        self.covariance.absorb(&other.covariance);
+        self.lines.absorb(&other.lines);
+        self.power.absorb(&other.power);
+    }
+}
+
+/// What the frames of a set say.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Summary {
+    /// Frames.
+    pub frames: usize,
+    /// Pixels that count.
+    pub pixels: f64,
+    /// Means of whole frames.
+    pub frame_means: FrameMeans,
+    /// Temporal variance, DN^2.
+    pub var: Value,
+    /// Covariances within a frame.
+    pub covariances: Covariances,
+    /// Mean product of a pixel's deviations in successive frames, DN^2: -var / frames for independent ones.
+    pub successive: Value,
+    /// Variance of row means, of column means, DN^2.
+    pub line_var_dn2: [f64; 2],
+    /// Excess of the spread of the pixels' variances.
+    pub unequal: Value,
+    /// Counts of codes.
+    pub occupancy: Occupancy,
+    /// Power at each frequency in read-out order, summed over the frames, DN^2.
+    pub power: Vec<f64>,
+    /// Mean of each column, DN.
+    pub columns_dn: Vec<f64>,
+    /// Spatial variance of the pixels' means, DN^2.
+    pub spatial_var_dn2: f64,
+}
+
+/// The rows of one frame: the piece that the vector units take.
+struct Rows<'a, 'b> {
+    pass: &'a mut Pass<'b>,
+    frame: &'a [u16],
+    frame_mean: f32,
+}
+
+impl pulp::NullaryFnOnce for Rows<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Pass { layout, frame_means, mean, now, sums, successive, .. } = self.pass;
+        let n = frame_means.frames() as f32 + 1.0;
+        let (share, root) = (1.0 / n, ((n - 1.0) / n).sqrt());
+        let columns = layout.columns();
+        let mut row = vec![0f32; columns];
+        for (y, codes) in self.frame.chunks_exact(columns).enumerate() {
+            let at = y * columns;
+            let places =
+                mean[at..][..columns].iter_mut().zip(&mut now[at..][..columns]).zip(&layout.mask[at..]);
+            for (((mean, now), used), (&code, row)) in places.zip(codes.iter().zip(&mut row)) {
+                let value = (f32::from(code) - self.frame_mean) * used;
+                let off = value - *mean;
+                *row = value;
+                *now = off * root;
+                *mean += off * share;
+            }
+            successive.row(at, &row, n == 1.0);
+            if n > 1.0 {
+                sums.row(y, now, layout);
+            }
+        }
+    }
+}
+
+impl<'a> Pass<'a> {
+    /// No frame yet.
+    pub fn new(layout: &'a Layout) -> Self {
+        let pixels = layout.mask.len();
+        Self {
+            layout,
+            frame_means: FrameMeans::default(),
+            mean: vec![0.0; pixels],
+            now: vec![0.0; pixels],
+            sums: Sums {
+                variance: Variance::new(pixels),
+                covariance: Covariance::new(layout.shape),
+                lines: Lines::default(),
+                power: Power::new(layout.shape),
+            },
+            successive: Successive::new(pixels),
+            occupancy: Occupancy::new(layout.full_scale_dn),
+        }
+    }
+
+    /// Adds the next frame: (rows * columns) codes in DN, row by row.
+    pub fn add(&mut self, frame: &[u16]) -> Result<(), SizeMismatch> {
+        let expected = self.mean.len();
+        if frame.len() != expected {
+            return Err(SizeMismatch { expected, found: frame.len() });
+        }
+        let arch = pulp::Arch::new();
+        let total = arch.dispatch(Total { frame, mask: &self.layout.mask });
+        let frame_mean = total / self.layout.pixels;
+        self.occupancy.add(frame);
+        arch.dispatch(Rows { frame, frame_mean: frame_mean as f32, pass: self });
+        if self.frame_means.frames() > 0 {
+            self.sums.end(&self.now, self.layout);
+        }
+        // The mean as it was taken off, so that the two add up.
+        self.frame_means.add(frame_mean);
+        Ok(())
+    }
+
+    /// Adds the frames that follow, seen elsewhere under the same layout.
+    pub fn merge(&mut self, later: &Self) {
+        if later.frame_means.frames() == 0 {
+            return;
+        }
+        if self.frame_means.frames() == 0 {
+            self.mean.copy_from_slice(&later.mean);
+            self.successive = later.successive.clone();
+        } else {
+            let (a, b) = (self.frame_means.frames() as f32, later.frame_means.frames() as f32);
+            let (share, root) = (b / (a + b), (a * b / (a + b)).sqrt());
+            for ((m, l), now) in self.mean.iter_mut().zip(&later.mean).zip(&mut self.now) {
+                let off = l - *m;
+                *now = off * root;
+                *m += off * share;
+            }
+            for y in 0..self.layout.shape.0 {
+                self.sums.row(y, &self.now, self.layout);
+            }
+            self.sums.end(&self.now, self.layout);
+            self.successive.merge(&later.successive);
+        }
+        self.sums.absorb(&later.sums);
+        self.occupancy.merge(&later.occupancy);
+        self.frame_means.merge(&later.frame_means);
+    }
+
+    /// Share of samples at full scale.
+    pub fn clipped(&self) -> f64 {
+        self.occupancy.clipped()
+    }
+
+    /// Mean of all frames, DN.
+    pub fn mean_dn(&self) -> f64 {
+        self.frame_means.mean_dn()
+    }
+
+    /// What the frames say; `None` with fewer than two.
+    pub fn finish(self) -> Option<Summary> {
+        let frames = self.frame_means.frames() as usize;
+        if frames < 2 {
+            return None;
+        }
+        let (layout, dof) = (self.layout, frames as f64 - 1.0);
+        let variance = &self.sums.variance;
+        let level = self.frame_means.mean_dn();
+        let mut spatial = 0.0;
+        layout.each(|i, _| spatial += f64::from(self.mean[i]).powi(2) / layout.pixels);
+        let mut columns_dn = vec![0.0; layout.columns()];
+        self.mean.chunks_exact(layout.columns()).for_each(|row| {
+            columns_dn.iter_mut().zip(row).for_each(|(c, m)| *c += f64::from(*m));
+        });
+        columns_dn
+            .iter_mut()
+            .zip(&layout.column_pixels)
+            .for_each(|(c, n)| *c = level + *c / f64::from(n.max(1.0)));
+        Some(Summary {
+            frames,
+            pixels: layout.pixels,
+            var: variance.finish(layout, dof),
+            covariances: self.sums.covariance.finish(&layout.pairs, dof),
+            successive: self.successive.finish(layout, dof, variance.squares(), &self.mean),
+            line_var_dn2: self.sums.lines.finish(layout, dof),
+            unequal: variance.tails(layout, dof, |i| level + f64::from(self.mean[i])),
+            power: self.sums.power.finish(),
+            occupancy: self.occupancy,
+            frame_means: self.frame_means,
+            columns_dn,
+            spatial_var_dn2: spatial,
+        })
+    }
+}
+
+/// Sum of the codes that count.
+struct Total<'a> {
+    frame: &'a [u16],
+    mask: &'a [f32],
+}
+
+impl pulp::NullaryFnOnce for Total<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn call(self) -> f64 {
+        let mut total = 0.0;
+        for (codes, mask) in self.frame.chunks(4096).zip(self.mask.chunks(4096)) {
+            let mut lanes = [0f32; 32];
+            for (codes, mask) in codes.chunks(32).zip(mask.chunks(32)) {
+                for ((l, &d), m) in lanes.iter_mut().zip(codes).zip(mask) {
+                    *l += f32::from(d) * m;
+                }
+            }
+            total += lanes.iter().map(|l| f64::from(*l)).sum::<f64>();
+        }
+        total
+    }
+}
+
+/// Every statistic of frames that lie in memory, on all cores.
+///
+/// ```
+/// use radcam::statistics::pass::{Layout, collect};
+/// let layout = Layout::new(&ndarray::Array2::from_elem((2, 2), true), 4095);
+/// let said = collect(&layout, &[&[10, 12, 9, 9], &[12, 10, 9, 9]])?.expect("two frames say something");
+/// assert_eq!(said.var.value, 1.0); // two of four pixels have the variance 2
+/// # Ok::<(), radcam::statistics::moments::SizeMismatch>(())
+/// ```
+pub fn collect(layout: &Layout, frames: &[&[u16]]) -> Result<Option<Summary>, SizeMismatch> {
+    let parts = rayon::current_num_threads().min(frames.len() / 2).max(1);
+    let passes: Vec<Pass<'_>> = frames
+        .par_chunks(frames.len().div_ceil(parts).max(1))
+        .map(|part| {
+            let mut pass = Pass::new(layout);
+            part.iter().try_for_each(|f| pass.add(f)).map(|()| pass)
+        })
+        .collect::<Result<_, _>>()?;
+    let all = passes.into_iter().reduce(|mut a, b| {
+        a.merge(&b);
+        a
+    });
+    Ok(all.and_then(Pass::finish))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::statistics::covariance::LAGS;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    const SHAPE: (usize, usize) = (64, 96);
+
+    fn frames(n: u64, noise: impl Fn(u64, usize, usize) -> f64) -> Vec<Vec<u16>> {
+        let at = |i: usize| (i / SHAPE.1, i % SHAPE.1);
+        let value = |f, (y, x)| (1000.0 + y as f64 + 2.0 * x as f64 + noise(f, y, x)).round() as u16;
+        (0..n).map(|f| (0..SHAPE.0 * SHAPE.1).map(|i| value(f, at(i))).collect()).collect()
+    }
+
+    fn normal(f: u64, i: usize) -> f64 {
+        PixelRng::new(3, Stream::Frame, f, i as u32, 0).normal()
+    }
+
+    fn refs(frames: &[Vec<u16>]) -> Vec<&[u16]> {
+        frames.iter().map(Vec::as_slice).collect()
+    }
+
+    fn all() -> Layout {
+        Layout::new(&Array2::from_elem(SHAPE, true), 4095)
+    }
+
+    /// White noise of 100 DN^2 under shading: every statistic is found, and the stated errors are true over 1000 runs.
+    #[test]
+    fn errors_cover_the_truth() {
+        let layout = all();
+        let mut squares = std::collections::BTreeMap::<String, Vec<f64>>::new();
+        for run in 0..1000u64 {
+            let images = frames(4, |f, y, x| 10.0 * normal(100 * run + f, y * 96 + x));
+            let said = collect(&layout, &refs(&images)).unwrap().unwrap();
+            let truth = 100.0 + 1.0 / 12.0;
+            let mut add = |name: &str, v: Value, t: f64| {
+                squares.entry(name.into()).or_default().push(((v.value - t) / v.std_err).powi(2));
+            };
+            add("variance", said.var, truth);
+            said.covariances.at.iter().for_each(|c| add("covariance", *c, 0.0));
+            add("successive", said.successive, -truth / 4.0);
+            said.covariances.growth.iter().for_each(|g| add("growth", *g, 0.0));
+            said.covariances.parity.iter().for_each(|p| add("parity", *p, 0.0));
+            add("unequal", said.unequal, 0.0);
+            for (v, width) in said.line_var_dn2.into_iter().zip([96.0, 64.0]) {
+                let lines = SHAPE.0 as f64 * SHAPE.1 as f64 / width;
+                let std_err = truth / width * (2.0f64 / (3.0 * lines)).sqrt();
+                add("lines", Value { value: v, std_err }, truth / width * (1.0 - 1.0 / lines));
+            }
+        }
+        for (name, z2) in squares {
+            let n = z2.len() as f64;
+            let mean = z2.iter().sum::<f64>() / n;
+            // The square of a Student's number of some 60 degrees of freedom: mean 1.03, variance 2.2; four standard errors. The
+            // values of one run share their pixels.
+            let runs = n.min(2000.0);
+            assert!((mean - 1.03).abs() < 4.0 * (2.2 / runs).sqrt(), "{name}: {mean} of {n}");
+        }
+    }
+
+    /// In parts that are merged, and with pixels left out: the same as in one go, and the same as from the definition.
+    #[test]
+    fn any_split_says_the_same() {
+        let used = Array2::from_shape_fn(SHAPE, |(y, x)| (y * 7 + x * 3) % 11 != 0 && y != 20);
+        let layout = Layout::new(&used, 4095);
+        let images = frames(11, |f, y, x| 6.0 * normal(f, y * 96 + x) + 2.0 * normal(900 + f, y) + f as f64);
+        let whole = {
+            let mut pass = Pass::new(&layout);
+            images.iter().for_each(|f| pass.add(f).unwrap());
+            pass.finish().unwrap()
+        };
+        for splits in [vec![1], vec![4], vec![2, 3, 9], vec![0, 10]] {
+            let mut sum = Pass::new(&layout);
+            let mut from = 0;
+            for to in splits.into_iter().chain([11]) {
+                let mut part = Pass::new(&layout);
+                images[from..to].iter().for_each(|f| part.add(f).unwrap());
+                sum.merge(&part);
+                from = to;
+            }
+            let said = sum.finish().unwrap();
+            let close = |a: f64, b: f64, unit: f64| assert!((a - b).abs() < 2e-5 * unit, "{a} {b}");
+            let var = whole.var.value;
+            close(said.var.value, var, var);
+            close(said.successive.value, whole.successive.value, var);
+            close(said.unequal.value, whole.unequal.value, 1.0);
+            close(said.spatial_var_dn2, whole.spatial_var_dn2, whole.spatial_var_dn2);
+            close(said.frame_means.variance_dn2(), whole.frame_means.variance_dn2(), var);
+            close(said.frame_means.first_step_dn(), whole.frame_means.first_step_dn(), var);
+            for k in 0..LAGS.len() {
+                close(said.covariances.at[k].value, whole.covariances.at[k].value, var);
+            }
+            for k in 0..2 {
+                close(said.line_var_dn2[k], whole.line_var_dn2[k], var);
+                close(said.covariances.growth[k].value, whole.covariances.growth[k].value, var);
+                close(said.covariances.parity[k].value, whole.covariances.parity[k].value, var);
+            }
+            let total: f64 = whole.power.iter().sum();
+            close(said.power.iter().sum(), total, total);
+            assert_eq!(said.occupancy, whole.occupancy);
+        }
+        // From the definition: residuals of the two-way layout.
+        let n = images.len() as f64;
+        let marks: Vec<usize> = used.iter().enumerate().filter(|(_, u)| **u).map(|(i, _)| i).collect();
+        let frame = |f: &[u16]| marks.iter().map(|&i| f64::from(f[i])).sum::<f64>() / marks.len() as f64;
+        let frame_means: Vec<f64> = images.iter().map(|f| frame(f)).collect();
+        let grand = frame_means.iter().sum::<f64>() / n;
+        let r = |f: usize, i: usize| {
+            let mean = images.iter().map(|g| f64::from(g[i])).sum::<f64>() / n;
+            f64::from(images[f][i]) - mean - frame_means[f] + grand
+        };
+        let mut products = [(0.0, 0.0); 3];
+        for &i in &marks {
+            let partner = i + 96 - 1;
+            let pair = i % 96 > 0 && partner < SHAPE.0 * SHAPE.1 && used.as_slice().unwrap()[partner];
+            products[1].1 += f64::from(u8::from(pair)) * (n - 1.0);
+            (products[0].1, products[2].1) = (products[0].1 + n - 1.0, products[2].1 + n - 1.0);
+            for f in 0..images.len() {
+                products[0].0 += r(f, i) * r(f, i);
+                products[1].0 += if pair { r(f, i) * r(f, partner) } else { 0.0 };
+                products[2].0 += if f > 0 { r(f, i) * r(f - 1, i) } else { 0.0 };
+            }
+        }
+        let diagonal = LAGS.iter().position(|l| *l == (1, -1)).unwrap();
+        let said = [whole.var, whole.covariances.at[diagonal], whole.successive];
+        for (said, (sum, count)) in said.iter().zip(products) {
+            assert!((said.value - sum / count).abs() < 2e-5 * whole.var.value, "{said:?} {}", sum / count);
+        }
+    }
+
+    #[test]
+    fn shared_noise_is_seen_where_it_is() {
+        let layout = all();
+        let images = frames(6, |f, y, x| 5.0 * normal(f, y * 96 + x) + 3.0 * normal(500 + f, y));
+        let said = collect(&layout, &refs(&images)).unwrap().unwrap();
+        assert!((said.line_var_dn2[0] - 9.0).abs() < 9.0 * 5.0 * (2.0f64 / 320.0).sqrt());
+        assert!(said.line_var_dn2[1] < 2.0);
+        assert!(said.covariances.at[0].value > 7.0 && said.covariances.at[3].value.abs() < 2.5);
+        assert!(collect(&layout, &refs(&images[..1])).unwrap().is_none());
+        assert!(collect(&layout, &[&[0; 7], &[0; 7]]).is_err());
+    }
+
+    /// A sine of variance 8 in read-out order stands out at its frequency, with its power.
+    #[test]
+    fn a_line_has_its_power() {
+        let layout = all();
+        let images = frames(8, |f, y, x| {
+            let phase = 3.0 * normal(700 + f, 1);
+            4.0 * normal(f, y * 96 + x)
+                + 4.0 * (std::f64::consts::TAU * 0.1234 * (y * 96 + x) as f64 + phase).sin()
+        });
+        let said = collect(&layout, &refs(&images)).unwrap().unwrap();
+        let n = SHAPE.0 * SHAPE.1;
+        let top = (1..n / 2).max_by(|&a, &b| said.power[a].total_cmp(&said.power[b])).unwrap();
+        assert_eq!(top, (0.1234 * n as f64).round() as usize);
+        let around: f64 = said.power[top - 3..=top + 3].iter().sum();
+        // Seven degrees of freedom, of which one sine a frame; the floor is 7 x 16 x 7.
+        let variance = (around - 784.0) / 7.0 * 2.0 / n as f64;
+        assert!((variance - 8.0).abs() < 0.15 * 8.0, "{variance}");
+    }
+}

@@ -1,0 +1,121 @@
+//! Power spectrum of the noise in read-out order.
+
+use super::pass::{Layout, Quadratic};
+use rustfft::num_complex::Complex;
+use rustfft::{Fft, FftPlanner};
+use std::sync::Arc;
+
+/// Longest run of pixels that is looked at, from the first row on.
+const LONGEST: usize = 1 << 16;
+
+/// Power of the deviations, the means of rows and columns taken off: what whole lines share is no line of the spectrum.
+pub struct Power {
+    length: usize,
+    power: Vec<f64>,
+    fft: Arc<dyn Fft<f32>>,
+    /// Two frames at once: one in the real part, one in the imaginary.
+    pair: Vec<Complex<f32>>,
+    scratch: Vec<Complex<f32>>,
+    half: bool,
+    window: Vec<f32>,
+}
+
+impl std::fmt::Debug for Power {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Power({} pixels)", self.length)
+    }
+}
+
+impl Power {
+    /// Pixels in read-out order that a frame of (rows, columns) gives.
+    pub fn length(shape: (usize, usize)) -> usize {
+        (shape.0 * shape.1).min(LONGEST)
+    }
+
+    /// For frames of (rows, columns).
+    pub fn new(shape: (usize, usize)) -> Self {
+        let length = Self::length(shape);
+        let fft = FftPlanner::new().plan_fft_forward(length);
+        // Hann's window keeps a line within a few bins; its mean square is 3/8.
+        let turn = std::f32::consts::TAU / length as f32;
+        Self {
+            length,
+            power: vec![0.0; length / 2 + 1],
+            pair: vec![Complex::default(); length],
+            scratch: vec![Complex::default(); fft.get_inplace_scratch_len()],
+            half: false,
+            window: (0..length).map(|n| 0.5 - 0.5 * (turn * n as f32).cos()).collect(),
+            fft,
+        }
+    }
+
+    fn flush(&mut self) {
+        if !std::mem::take(&mut self.half) {
+            return;
+        }
+        self.fft.process_with_scratch(&mut self.pair, &mut self.scratch);
+        let n = self.length;
+        let scale = 1.0 / (0.375 * n as f64);
+        for (k, p) in self.power.iter_mut().enumerate() {
+            // Of real and imaginary part apart: (|F_k|^2 + |F_-k|^2) / 2 is the sum of both powers.
+            let both = self.pair[k].norm_sqr() + self.pair[(n - k) % n].norm_sqr();
+            *p += 0.5 * scale * f64::from(both);
+        }
+        self.pair.fill(Complex::default());
+    }
+
+    /// Summed power at each frequency k / length cycles per pixel, DN^2: for white noise its variance times the degrees of freedom.
+    pub fn finish(mut self) -> Vec<f64> {
+        self.flush();
+        self.power
+    }
+}
+
+impl Quadratic for Power {
+    #[inline(always)]
+    fn row(&mut self, _: usize, _: &[f32], _: &Layout) {}
+
+    fn end(&mut self, image: &[f32], layout: &Layout) {
+        let columns = layout.columns();
+        let rows = self.length.div_ceil(columns);
+        let mean = |values: &[f32], n: f32| values.iter().sum::<f32>() / n.max(1.0);
+        let mut off = vec![0.0; columns];
+        let row_means: Vec<f32> = image
+            .chunks(columns)
+            .zip(&layout.row_pixels)
+            .map(|(row, n)| {
+                off.iter_mut().zip(row).for_each(|(o, v)| *o += v);
+                mean(row, *n)
+            })
+            .collect();
+        // The frame's mean is in the rows' already.
+        let whole = row_means.iter().sum::<f32>() / row_means.len() as f32;
+        off.iter_mut().zip(&layout.column_pixels).for_each(|(o, n)| *o = *o / n.max(1.0) - whole);
+        for (y, row_mean) in row_means.iter().enumerate().take(rows) {
+            let from = y * columns;
+            let to = (from + columns).min(self.length);
+            let row = image[from..to].iter().zip(&off).zip(&layout.mask[from..to]);
+            let places = self.pair[from..to].iter_mut().zip(&self.window[from..to]);
+            for ((out, window), ((v, off), used)) in places.zip(row) {
+                let value = (v - (row_mean + off) * used) * window;
+                if self.half { out.im = value } else { out.re = value }
+            }
+        }
+        if self.half {
+            self.flush();
+        } else {
+            self.half = true;
+        }
+    }
+
+    fn absorb(&mut self, other: &Self) {
+        self.power.iter_mut().zip(&other.power).for_each(|(a, b)| *a += b);
+        if other.half {
+            // What waits there has its power alone.
+            let mut waiting = other.pair.clone();
+            self.fft.process(&mut waiting);
+            let scale = 1.0 / (0.375 * self.length as f64);
+            self.power.iter_mut().zip(&waiting).for_each(|(p, v)| *p += scale * f64::from(v.norm_sqr()));
+        }
+    }
+}

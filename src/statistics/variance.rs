@@ -1,0 +1,68 @@
+//! Temporal variance of every pixel, its mean, and how far the pixels differ in it.
+
+use super::jackknife::{Blocks, Value};
+use super::pass::{Layout, Quadratic};
+
+/// Squared deviations of every pixel.
+#[derive(Debug, Clone)]
+pub struct Variance {
+    squares: Vec<f32>,
+}
+
+impl Variance {
+    /// For frames of so many pixels.
+    pub fn new(pixels: usize) -> Self {
+        Self { squares: vec![0.0; pixels] }
+    }
+
+    /// Squared deviations, row by row, DN^2.
+    pub fn squares(&self) -> &[f32] {
+        &self.squares
+    }
+
+    /// Mean over the pixels, DN^2.
+    pub fn finish(&self, layout: &Layout, dof: f64) -> Value {
+        let mut blocks = Blocks::default();
+        layout.each(|i, block| blocks.add(block, f64::from(self.squares[i]) / dof, 1.0));
+        blocks.value()
+    }
+
+    /// Excess of the spread of the pixels' variances over what the frames allow, 0 for pixels that are alike and normal.
+    ///
+    /// Each pixel is held against what its own mean lets expect: hot pixels and shading have more shot noise. In the dark what
+    /// differs is mostly offset; only what stands out there is signal.
+    pub fn tails(&self, layout: &Layout, dof: f64, mean_dn: impl Fn(usize) -> f64) -> Value {
+        let var = self.finish(layout, dof).value;
+        let signal = |i: usize| mean_dn(i) - layout.zero.as_ref().map_or(0.0, |z| f64::from(z[i]));
+        let mut lit = 0.0;
+        layout.each(|i, _| lit += signal(i) / layout.pixels);
+        let noise = var.max(0.0).sqrt();
+        let (mut square, mut level) = (Blocks::default(), Blocks::default());
+        layout.each(|i, block| {
+            let more = signal(i) - lit;
+            let more = if lit > 10.0 * noise || more > 5.0 * noise { layout.gain * more } else { 0.0 };
+            let ratio = f64::from(self.squares[i]) / dof / (var + more).max(0.1 * var);
+            square.add(block, ratio * ratio, 1.0);
+            level.add(block, ratio, 1.0);
+        });
+        let allowed = 1.0 + 2.0 / dof;
+        square.with(&level, |square, level| square / (level * level * allowed) - 1.0)
+    }
+}
+
+impl Quadratic for Variance {
+    #[inline(always)]
+    fn row(&mut self, y: usize, image: &[f32], layout: &Layout) {
+        let columns = layout.columns();
+        let (out, row) = (&mut self.squares[y * columns..][..columns], &image[y * columns..][..columns]);
+        for (o, &v) in out.iter_mut().zip(row) {
+            *o += v * v;
+        }
+    }
+
+    fn end(&mut self, _: &[f32], _: &Layout) {}
+
+    fn absorb(&mut self, other: &Self) {
+        self.squares.iter_mut().zip(&other.squares).for_each(|(a, b)| *a += b);
+    }
+}

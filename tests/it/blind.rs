@@ -1,0 +1,240 @@
+//! A blind test through the real program: random sensors with effects hidden at a stated strength.
+//!
+//! Strength: the campaign's observables are set to what the model with the effect expects, the paper's model is fitted to them, and
+//! of what it leaves the statistic with the largest chi, over all levels, is the strength in standard errors.
+
+use crate::effects::{campaign, observe, unit, with};
+use crate::support::radcam;
+use radcam::compare::{Fitted, Observations, fit, start};
+use radcam_sim::Model;
+use radcam_sim::effects::{EFFECTS, Effect, example, find};
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+/// A random sensor: 10, 12 or 14 bits, its own size, gain, noise, black level, pattern and dark current.
+fn sensor(seed: u64) -> Model {
+    let mut model = unit(seed);
+    let bits = [10, 12, 12, 14][(seed % 4) as usize];
+    let scale = 2f64.powi(bits - 12);
+    model.camera.bit_depth = bits as u8;
+    model.camera.width = 96 + 16 * (seed % 5) as u32;
+    model.camera.height = 112 + 16 * (seed / 5 % 3) as u32;
+    model.base.gain_dn_per_e *= scale;
+    model.base.black_level_dn *= scale.max(0.5);
+    model.base.offset_spread_dn *= scale;
+    model
+}
+
+/// The values of an effect at a knob's position: 0 is no effect, and more is more.
+fn at(id: &str, plain: &[f64], knob: f64) -> Vec<f64> {
+    let mut values = plain.to_vec();
+    match id {
+        // Shares of a well of 1.6 times the brightest level.
+        "full-well-saturation" | "blooming" => values[0] *= 2.0 / (1.0 + knob),
+        "black-clipping" => values[0] = -8.0 / (1.0 + knob),
+        "periodic-interference" | "random-telegraph-noise" => values[0] *= knob,
+        "coarse-quantization" => values[0] = if knob < 0.5 { 2.0 } else { 4.0 },
+        _ => values.iter_mut().for_each(|v| *v *= knob),
+    }
+    let limits = find(id).unwrap().parameters();
+    values.iter().zip(limits).map(|(v, p)| v.clamp(p.min, p.max)).collect()
+}
+
+/// Standard errors by which an effect moves its best statistic on this campaign.
+fn strength(clean: &Observations, truth: &Fitted, effect: &'static dyn Effect, values: &[f64]) -> f64 {
+    let mut hidden = truth.clone();
+    hidden.effects.push((effect, values.to_vec()));
+    let mut seen = clean.clone();
+    let expected: Vec<f64> = hidden.expected(clean, None).iter().map(|(_, e)| e.value).collect();
+    seen.all.iter_mut().zip(expected).for_each(|(o, v)| o.measured.value = v);
+    let fitted = fit(&seen, None, &truth.base, &[]);
+    let mut of: BTreeMap<String, f64> = BTreeMap::new();
+    for (o, e) in fitted.expected(&seen, None) {
+        *of.entry(o.kind.name()).or_default() += e.z().powi(2);
+    }
+    of.values().copied().fold(0.0, f64::max).sqrt()
+}
+
+/// Values of an effect at a strength on this sensor, and that strength; `None` where nothing shows it.
+pub fn values_at(model: &Model, id: &str, wanted: f64) -> Option<(Vec<f64>, f64)> {
+    let plain = example(id, model)?;
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("clean");
+    campaign(model.clone(), &root);
+    let clean = observe(&root);
+    let truth = fit(&clean, None, &start(&clean), &[]);
+    let effect = find(id).unwrap();
+    let of = |knob: f64| strength(&clean, &truth, effect, &at(id, &plain, knob));
+    let (mut low, mut high) = (1e-3f64, 1e2f64);
+    for _ in 0..16 {
+        let middle = (low * high).sqrt();
+        if of(middle) > wanted { high = middle } else { low = middle }
+    }
+    let values = at(id, &plain, high);
+    let reached = strength(&clean, &truth, effect, &values);
+    Some((values, reached))
+}
+
+/// What the program said of a hidden camera.
+struct Answer {
+    /// Every name before the first that is not tied with it.
+    first: Vec<String>,
+    named: Vec<String>,
+    before: f64,
+    after: f64,
+    consistent: bool,
+}
+
+fn ask(model: &Model) -> Answer {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    campaign(model.clone(), &root);
+    let out = radcam(&["diagnose", root.to_str().unwrap(), "--json"]);
+    let json: serde_json::Value = serde_json::from_slice(&out.stdout)
+        .unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&out.stderr)));
+    let missing = json["missing"].as_array().unwrap();
+    let name = |m: &serde_json::Value| m["effect"].as_str().unwrap().to_string();
+    let tied = |m: &&serde_json::Value| m["evidence"].to_string().contains("a tie with");
+    let first = missing.first().map(name).into_iter();
+    Answer {
+        first: first.chain(missing.iter().skip(1).take_while(tied).map(name)).collect(),
+        named: missing.iter().map(name).collect(),
+        before: json["error_before"].as_f64().unwrap(),
+        after: json["error_after"].as_f64().unwrap(),
+        consistent: json["consistent"].as_bool().unwrap(),
+    }
+}
+
+impl Answer {
+    fn right(&self, id: &str) -> bool {
+        self.first.first().is_some_and(|f| f == id)
+            || self.first.len() <= 2 && self.first.iter().any(|f| f == id)
+    }
+}
+
+fn number(name: &str, otherwise: u64) -> u64 {
+    std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(otherwise)
+}
+
+/// The whole table; written to docs/CONFUSION.md.
+#[test]
+#[ignore = "an hour; `cargo test --release --test it blind::the_whole -- --ignored --nocapture`"]
+fn the_whole_table() {
+    let each = number("BLIND_EACH", 3);
+    let mut text = String::new();
+    let mut rows = String::new();
+    for wanted in [15.0, 5.0] {
+        let (mut right, mut settled, mut all) = (0, 0, 0);
+        for (e, effect) in EFFECTS.iter().enumerate() {
+            let id = effect.id();
+            if std::env::var("BLIND_ONLY").is_ok_and(|only| !only.split(',').any(|o| o == id)) {
+                continue;
+            }
+            let mut said: BTreeMap<String, usize> = BTreeMap::new();
+            let mut afters = Vec::new();
+            for k in 0..each {
+                let model = sensor(1000 + 97 * e as u64 + 31 * k + wanted as u64);
+                let Some((values, reached)) = values_at(&model, id, wanted) else { continue };
+                let a = ask(&with(model, id, &values));
+                all += 1;
+                right += usize::from(a.right(id));
+                settled += usize::from(a.after <= 1.15);
+                let answer = if a.first.is_empty() { "nothing".into() } else { a.first.join(" = ") };
+                println!(
+                    "{wanted:>3} {id:<28} {reached:>6.1} {:>7.3} -> {:>6.3} {} {:?}",
+                    a.before,
+                    a.after,
+                    if a.right(id) { "  " } else { "X " },
+                    a.named
+                );
+                *said.entry(answer).or_default() += 1;
+                afters.push(a.after);
+            }
+            if afters.is_empty() {
+                continue;
+            }
+            let said: Vec<String> = said.iter().map(|(n, k)| format!("{n} {k}")).collect();
+            let worst = afters.iter().copied().fold(0.0, f64::max);
+            writeln!(rows, "| {id} | {wanted} | {} | {worst:.2} |", said.join(", ")).unwrap();
+        }
+        let line = format!(
+            "At {wanted} standard errors: {right} of {all} named first, error_after at most 1.15 in {settled}."
+        );
+        println!("{line}");
+        writeln!(text, "{line}").unwrap();
+    }
+    let (mut pairs, mut both, mut settled) = (number("BLIND_PAIRS", 30), 0, 0);
+    for k in 0..pairs {
+        let model = sensor(5000 + k);
+        let pick = |n: u64| EFFECTS[((k * 7 + n * (3 + k % 11) + n) % EFFECTS.len() as u64) as usize].id();
+        let (a, b) = (pick(0), pick(1));
+        let found = (values_at(&model, a, 15.0), values_at(&model, b, 15.0));
+        let (Some((va, _)), Some((vb, _)), true) = (found.0, found.1, a != b) else {
+            pairs -= 1;
+            continue;
+        };
+        let answer = ask(&with(with(model, a, &va), b, &vb));
+        let ok = answer.right(a) || answer.right(b);
+        println!(
+            "{a} + {b}: {:.3} -> {:.3} {} {:?}",
+            answer.before,
+            answer.after,
+            if ok { "" } else { "X" },
+            answer.named
+        );
+        both += usize::from(ok);
+        settled += usize::from(answer.after <= 1.15);
+    }
+    writeln!(
+        text,
+        "Of {pairs} pairs: one of the two first in {both}, error_after at most 1.15 in {settled}."
+    )
+    .unwrap();
+    let clean = number("BLIND_CLEAN", 200);
+    let mut alarms = 0;
+    for k in 0..clean {
+        let a = ask(&sensor(9000 + k));
+        if !a.consistent {
+            alarms += 1;
+            println!("clean {k}: {:?} {:.3} -> {:.3}", a.named, a.before, a.after);
+        }
+    }
+    writeln!(text, "Of {clean} clean cameras {alarms} raised an alarm.").unwrap();
+    println!("{text}\n{rows}");
+    let page = format!(
+        "# Who is taken for whom\n\nRandom sensors, effects hidden at a strength in standard errors of their best statistic, through \
+         `radcam diagnose`: `cargo test --release --test it blind::the_whole -- --ignored --nocapture`.\n\n{text}\n| hidden | strength | \
+         named first | largest error after |\n| --- | --- | --- | --- |\n{rows}"
+    );
+    std::fs::write(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/CONFUSION.md"), page).unwrap();
+}
+
+/// Standardised residuals of cameras that are what the model says, statistic by statistic: their squares have the mean 1.
+#[test]
+#[ignore = "a second for each camera; `cargo test --release --test it blind::residuals -- --ignored --nocapture`"]
+fn residuals_of_clean_cameras_are_of_unit_size() {
+    let cameras = number("BLIND_CLEAN", 24);
+    let mut of: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+    let mut errors = Vec::new();
+    for k in 0..cameras {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("c");
+        campaign(sensor(20_000 + k), &root);
+        let all = observe(&root);
+        let c = radcam::compare::compare(&all, &start(&all), &[]);
+        errors.push(c.error);
+        println!("{k} {:?} {:.3} {:.1e}", all.campaign.shape, c.error, c.p_value);
+        for r in &c.residuals {
+            of.entry(r.observable.clone()).or_default().push(r.z);
+        }
+    }
+    for (name, z) in &of {
+        let n = z.len() as f64;
+        let rms = (z.iter().map(|z| z * z).sum::<f64>() / n).sqrt();
+        let most = z.iter().map(|z| z.abs()).fold(0.0, f64::max);
+        println!("{name:<48} {n:>5} mean {:+.2} rms {rms:.3} largest {most:.1}", z.iter().sum::<f64>() / n);
+    }
+    let error = errors.iter().sum::<f64>() / errors.len() as f64;
+    println!("error {error:.4}");
+    assert!((error - 1.0).abs() < 0.02, "{error}");
+}
