@@ -322,17 +322,6 @@ impl Capture<'_> {
         }
         let identity = self.camera.identity();
         let mut manifest = Manifest::new(CameraInfo {
-            vendor: identity.vendor.clone(),
-            model: identity.model.clone(),
-            serial: identity.serial.clone(),
-            width: settings.region.width as usize,
-            height: settings.region.height as usize,
-            bit_depth: settings.pixel_format.bits(),
-            pixel_format: settings.pixel_format.name().into(),
-            gain_db: settings.gain_db,
-            black_level_dn: settings.black_level_dn,
-            temperature_c: settings.temperature_c,
-            firmware: identity.firmware.clone(),
             still_automatic: automatics.iter().filter(|a| !a.off).map(|a| a.feature.clone()).collect(),
             features: features
                 .into_iter()
@@ -346,6 +335,7 @@ impl Capture<'_> {
                     (name, value)
                 })
                 .collect(),
+            ..CameraInfo::of(identity, &settings)
         });
         manifest.bench = self.bench.info();
         Ok(manifest)

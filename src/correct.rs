@@ -138,15 +138,7 @@ impl Corrector {
 
     /// Corrects a frame (row by row, DN) to DN above the dark reference.
     pub fn to_f32(&self, frame: &[u16], out: &mut [f32]) -> Result<(), CorrectError> {
-        self.check([frame.len(), out.len()])?;
-        let arch = pulp::Arch::new();
-        let maps = self.dark_dn.off.par_chunks(CHUNK).zip(self.gain.off.par_chunks(CHUNK));
-        let middle = (self.dark_dn.middle, self.gain.middle);
-        out.par_chunks_mut(CHUNK).zip(frame.par_chunks(CHUNK)).zip(maps).for_each(
-            |((out, frame), (dark, gain))| {
-                arch.dispatch(ToFloat { frame, dark, gain, middle, out });
-            },
-        );
+        self.each(frame, out, ())?;
         for (at, from) in &self.replace {
             out[*at] = from.iter().map(|&i| out[i]).sum::<f32>() / from.len() as f32;
         }
@@ -155,20 +147,27 @@ impl Corrector {
 
     /// Corrects a frame (row by row, DN) to 16-bit codes.
     pub fn to_u16(&self, frame: &[u16], codes: Codes, out: &mut [u16]) -> Result<(), CorrectError> {
-        self.check([frame.len(), out.len()])?;
-        let arch = pulp::Arch::new();
-        let maps = self.dark_dn.off.par_chunks(CHUNK).zip(self.gain.off.par_chunks(CHUNK));
-        let middle = (self.dark_dn.middle, self.gain.middle);
-        out.par_chunks_mut(CHUNK).zip(frame.par_chunks(CHUNK)).zip(maps).for_each(
-            |((out, frame), (dark, gain))| {
-                arch.dispatch(ToCodes { frame, dark, gain, middle, codes, out });
-            },
-        );
+        self.each(frame, out, codes)?;
         for (at, from) in &self.replace {
             let sum: u64 = from.iter().map(|&i| u64::from(out[i])).sum();
             let n = from.len() as u64;
             out[*at] = ((sum + n / 2) / n) as u16;
         }
+        Ok(())
+    }
+
+    /// Every pixel of a frame, on all cores.
+    fn each<T: Send, F: Sync + Copy>(&self, frame: &[u16], out: &mut [T], form: F) -> Result<(), CorrectError>
+    where
+        for<'a> Piece<'a, T, F>: pulp::NullaryFnOnce<Output = ()>,
+    {
+        self.check([frame.len(), out.len()])?;
+        let arch = pulp::Arch::new();
+        let maps = self.dark_dn.off.par_chunks(CHUNK).zip(self.gain.off.par_chunks(CHUNK));
+        let middle = (self.dark_dn.middle, self.gain.middle);
+        out.par_chunks_mut(CHUNK).zip(frame.par_chunks(CHUNK)).zip(maps).for_each(
+            |((out, frame), (dark, gain))| arch.dispatch(Piece { frame, dark, gain, middle, form, out }),
+        );
         Ok(())
     }
 
@@ -181,50 +180,48 @@ impl Corrector {
     }
 }
 
-struct ToFloat<'a> {
+/// Pixels that one thread takes, their maps, and the form in which they are wanted.
+struct Piece<'a, T, F> {
     frame: &'a [u16],
     dark: &'a [u16],
     gain: &'a [u16],
     middle: (f32, f32),
-    out: &'a mut [f32],
+    form: F,
+    out: &'a mut [T],
 }
 
-impl pulp::NullaryFnOnce for ToFloat<'_> {
-    type Output = ();
-
+impl<T, F> Piece<'_, T, F> {
+    /// (D - D_DC) / K (eq. 51).
     #[inline(always)]
-    fn call(self) {
+    fn corrected(self, form: impl Fn(f32) -> T) {
         let (dark_dn, one) = self.middle;
         let maps = self.dark.iter().zip(self.gain);
         for ((out, &d), (&dark, &gain)) in self.out.iter_mut().zip(self.frame).zip(maps) {
-            *out = (f32::from(d) - dark_dn - widen(dark)) * (one + widen(gain));
+            *out = form((f32::from(d) - dark_dn - widen(dark)) * (one + widen(gain)));
         }
     }
 }
 
-struct ToCodes<'a> {
-    frame: &'a [u16],
-    dark: &'a [u16],
-    gain: &'a [u16],
-    middle: (f32, f32),
-    codes: Codes,
-    out: &'a mut [u16],
-}
-
-impl pulp::NullaryFnOnce for ToCodes<'_> {
+impl pulp::NullaryFnOnce for Piece<'_, f32, ()> {
     type Output = ();
 
     #[inline(always)]
     fn call(self) {
-        let Codes { scale, offset } = self.codes;
-        let (dark_dn, one) = self.middle;
-        let maps = self.dark.iter().zip(self.gain);
-        for ((out, &d), (&dark, &gain)) in self.out.iter_mut().zip(self.frame).zip(maps) {
-            let corrected = (f32::from(d) - dark_dn - widen(dark)) * (one + widen(gain));
-            // Adding 1.5 * 2^23 rounds to a whole number and leaves it in the low bits; the bits order as the numbers do.
-            let bits = (corrected * scale + offset + 12_582_912.0).to_bits() as i32;
-            *out = bits.clamp(ZERO, ZERO + 65_535) as u16;
-        }
+        self.corrected(|v| v);
+    }
+}
+
+impl pulp::NullaryFnOnce for Piece<'_, u16, Codes> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Codes { scale, offset } = self.form;
+        // Adding 1.5 * 2^23 rounds to a whole number and leaves it in the low bits; the bits order as the numbers do.
+        self.corrected(|v| {
+            let bits = (v * scale + offset + 12_582_912.0).to_bits() as i32;
+            bits.clamp(ZERO, ZERO + 65_535) as u16
+        });
     }
 }
 

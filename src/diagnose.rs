@@ -3,7 +3,8 @@
 
 use crate::compare::{Comparison, Fitted, Observations, Statistic, compare, fit, signatures, start, starts};
 use crate::noise::Quantity;
-use radcam_sim::effects::{EFFECTS, Effect};
+use crate::plan::Plan;
+use radcam_sim::effects::{self, Effect, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -61,6 +62,9 @@ pub struct Diagnosis {
     pub ladder: Vec<Rung>,
     /// The one measurement that would tell the closest candidates apart.
     pub next_measurement: Option<String>,
+    /// That measurement as a plan.
+    #[serde(skip)]
+    pub next_plan: Option<Plan>,
     /// What could not be looked at, and what is left over.
     pub notes: Vec<String>,
     /// The last model.
@@ -110,27 +114,32 @@ pub fn diagnose(
     let first = compare(all, &now.base, &now.effects);
     let mut ladder = vec![Rung { added: None, error: first.error, p_value: first.p_value }];
     let mut missing = Vec::new();
-    let mut next_measurement = None;
+    let (mut next_measurement, mut sets) = (None, takes::PAIRS);
     let mut last = first.clone();
     for _ in 0..MOST {
         progress(&format!("error {:.2}; trying every effect", last.error));
         let ids: Vec<&str> = now.effects.iter().map(|(e, _)| e.id()).collect();
-        let mut candidates: Vec<Candidate> = EFFECTS
-            .par_iter()
-            .filter(|e| !ids.contains(&e.id()) && applies(**e, all))
+        let mut candidates: Vec<Candidate> = effects::all()
+            .into_par_iter()
+            .filter(|e| !ids.contains(&e.id()) && applies(*e, all))
             .filter_map(|effect| {
-                let tries = starts(*effect, all, &now.base).into_iter().map(|values| {
+                let tries = starts(effect, all, &now).into_iter().map(|values| {
                     let mut effects = now.effects.clone();
-                    effects.push((*effect, values));
+                    effects.push((effect, values));
                     fit(all, None, &now.base, &effects)
                 });
                 let fitted = tries.min_by(|a, b| a.objective.total_cmp(&b.objective))?;
                 let parameters = effect.parameters().len() as f64;
                 let evidence = now.objective - fitted.objective - parameters * n.ln();
-                Some(Candidate { fitted, effect: *effect, evidence })
+                Some(Candidate { fitted, effect, evidence })
             })
             .collect();
         candidates.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+        for c in candidates.iter().take(6) {
+            let at = c.fitted.effects.len() - 1;
+            let (values, errors) = (&c.fitted.effects[at].1, &c.fitted.std_err[at]);
+            tracing::debug!("{}: evidence {:.1}, {values:?} +- {errors:?}", c.effect.id(), c.evidence);
+        }
         // A parameter that is nothing within its error explains nothing.
         candidates.retain(|c| {
             if c.evidence > 100.0 {
@@ -143,6 +152,7 @@ pub fn diagnose(
         });
         let Some(best) = candidates.first().filter(|c| c.evidence > NEEDED) else { break };
         let after = compare(all, &best.fitted.base, &best.fitted.effects);
+        tracing::debug!("with {}: error {:.4}, was {:.4}", best.effect.id(), after.error, last.error);
         // What does not help on frames that the fit did not see is no effect.
         if after.error > last.error - 1e-3 {
             break;
@@ -156,6 +166,7 @@ pub fn diagnose(
         entry.evidence = why;
         if let Some(other) = close.first() {
             entry.evidence.push(format!("a tie: {} explains it as well", other.effect.id()));
+            sets = best.effect.page().sets;
             next_measurement = Some(format!(
                 "{} or {}: {}",
                 best.effect.id(),
@@ -229,6 +240,10 @@ pub fn diagnose(
             "flats with their neighbour covariances (brighter-fatter) and an exposure sweep at fixed light (nonlinearity)".into(),
         );
     }
+    if all.means_given {
+        sets = takes::SWEEP;
+    }
+    let next_plan = next_measurement.as_ref().map(|about| Plan::of_takes(about, sets));
     let added: Vec<Missing> = missing;
     Diagnosis {
         consistent: added.is_empty(),
@@ -237,6 +252,7 @@ pub fn diagnose(
         missing: added,
         ladder,
         next_measurement,
+        next_plan,
         notes,
         fitted: Some(now),
         comparisons: vec![first, last],

@@ -8,6 +8,7 @@ use crate::dataset::Kind;
 use crate::frame::Region;
 use crate::pixel_format::PixelFormat;
 use radcam_sim::Scene;
+use radcam_sim::effects::Take;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -178,6 +179,20 @@ impl Plan {
         // From bright to dark, twice: after a flat and after the scene.
         sets.extend([dark(1.0), scene(1.0), dark(1.0), scene(0.25), reference]);
         Self::of("Full characterisation", sets)
+    }
+
+    /// What an effect's page asks for (`radcam effects ID`), as a plan.
+    pub fn of_takes(about: &str, takes: &[Take]) -> Self {
+        let set = |t: &Take| {
+            let kind = match t.scene {
+                None => Kind::Dark,
+                Some(Scene::Card) => Kind::Flat,
+                Some(Scene::Patch) => Kind::Scene,
+                Some(Scene::Chart) => Kind::Target,
+            };
+            SetPlan::new(kind, t.frames, t.exposure, t.light)
+        };
+        Self::of(about, takes.iter().map(set).collect())
     }
 
     /// `quick`, `standard`, or the text of a plan file.

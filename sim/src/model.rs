@@ -201,6 +201,16 @@ pub enum ModelError {
     },
 }
 
+fn within(
+    field: &'static str,
+    value: f64,
+    (min, max): (f64, f64),
+    unit: &'static str,
+) -> Result<(), ModelError> {
+    let inside = (min..=max).contains(&value);
+    if inside { Ok(()) } else { Err(ModelError::OutOfRange { field, value, min, max, unit }) }
+}
+
 impl Model {
     /// Reads and checks a model.
     ///
@@ -283,9 +293,7 @@ impl Model {
         let squares = l.chart.iter().flat_map(|s| &s.reflectance);
         let squares = squares.map(|&r| ("bench.chart.reflectance", r, 0.0, 2.0, ""));
         for (field, value, min, max, unit) in bounds.into_iter().chain(bands).chain(textures).chain(squares) {
-            if !(min..=max).contains(&value) {
-                return Err(ModelError::OutOfRange { field, value, min, max, unit });
-            }
+            within(field, value, (min, max), unit)?;
         }
         for e in &self.effects {
             let effect = e.effect()?;
@@ -298,18 +306,11 @@ impl Model {
                         e.id
                     )));
                 };
-                if !(p.min..=p.max).contains(&value) {
-                    let (min, max) = (p.min, p.max);
-                    return Err(ModelError::OutOfRange { field: p.name, value, min, max, unit: p.unit });
-                }
+                within(p.name, value, (p.min, p.max), p.unit)?;
             }
         }
         let pixels = f64::from(c.width) * f64::from(c.height);
-        if pixels > MAX_PIXELS {
-            let (field, unit) = ("camera.width x height", "px");
-            return Err(ModelError::OutOfRange { field, value: pixels, min: 1.0, max: MAX_PIXELS, unit });
-        }
-        Ok(())
+        within("camera.width x height", pixels, (1.0, MAX_PIXELS), "px")
     }
 
     /// Largest code, 2^b - 1, DN (eq. 5).

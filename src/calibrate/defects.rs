@@ -1,6 +1,7 @@
 //! Pixels that do not follow the model: hot, dead and unstable ones, each with its reason.
 
 use super::dark::DarkMean;
+use crate::statistics::median::median;
 use ndarray::{Array2, Zip};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
@@ -52,11 +53,6 @@ impl Defect {
         }
         why.join("; ")
     }
-}
-
-/// The median of some values.
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    super::pattern::median(&values.collect::<Vec<_>>(), &mut Vec::new())
 }
 
 /// Defects of a camera, row by row. `gain_dn_per_e` grants a hot pixel the shot noise of its dark charge; without it the

@@ -7,6 +7,8 @@
 
 use super::pattern::{FixedPattern, PatternError, check, level, pooled_deviation};
 use super::robust::{self, Light, Location};
+use crate::fit::cholesky;
+use crate::statistics::median::median_of;
 use ndarray::Array2;
 use rayon::prelude::*;
 
@@ -142,7 +144,7 @@ impl Blocks {
                         values.push(f64::from(e[(y, x)]) / f64::from(k[(y, x)]).max(1e-3));
                     }
                 }
-                super::pattern::median(&values, &mut sorted)
+                median_of(&values, &mut sorted)
             })
             .collect()
     }
@@ -163,22 +165,9 @@ impl Blocks {
                 }
             }
         }
-        for i in 0..n {
-            for j in 0..=i {
-                let dot: f64 = (0..j).map(|k| a[i * n + k] * a[j * n + k]).sum();
-                let rest = a[i * n + j] - dot;
-                // More terms than a small frame has blocks: the term is left out.
-                a[i * n + j] = if i == j { rest.max(0.0).sqrt() } else { rest / a[j * n + j].max(1e-9) };
-            }
-        }
-        for i in 0..n {
-            let dot: f64 = (0..i).map(|k| a[i * n + k] * b[k]).sum();
-            b[i] = if a[i * n + i] > 1e-6 { (b[i] - dot) / a[i * n + i] } else { 0.0 };
-        }
-        for i in (0..n).rev() {
-            let dot: f64 = (i + 1..n).map(|k| a[k * n + i] * b[k]).sum();
-            b[i] = if a[i * n + i] > 1e-6 { (b[i] - dot) / a[i * n + i] } else { 0.0 };
-        }
+        // More terms than a small frame has blocks: the term is left out.
+        cholesky::factor(&mut a, n);
+        cholesky::solve(&a, &mut b);
         b
     }
 

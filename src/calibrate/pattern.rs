@@ -6,6 +6,7 @@
 
 use super::robust::{self, Light, Location};
 use super::window;
+use crate::statistics::median::median_of;
 use ndarray::{Array2, Zip};
 
 /// Where the search for outliers starts.
@@ -162,19 +163,6 @@ impl Light for Windows<'_> {
     }
 }
 
-/// Median; `sorted` is memory that is used again. NaN of nothing.
-pub(crate) fn median(m: &[f64], sorted: &mut Vec<f64>) -> f64 {
-    sorted.clear();
-    sorted.extend_from_slice(m);
-    sorted.sort_unstable_by(f64::total_cmp);
-    let half = sorted.len() / 2;
-    match sorted.len() {
-        0 => f64::NAN,
-        n if n % 2 == 1 => sorted[half],
-        _ => 0.5 * (sorted[half - 1] + sorted[half]),
-    }
-}
-
 /// Deviation of the slopes over the configurations, pooled over some ten thousand sites. Spots do not enter: the paper
 /// averages sample deviations, here only points within four deviations of their site's median count, about their own
 /// mean. The search starts at the median absolute deviation.
@@ -188,11 +176,11 @@ pub(super) fn pooled_deviation(
     let mut sites = Vec::new();
     for i in (0..rows * columns).step_by(step) {
         slopes((i / columns, i % columns), &mut m);
-        let middle = median(&m, &mut sorted);
+        let middle = median_of(&m, &mut sorted);
         sites.extend(m.iter().map(|x| x - middle));
     }
     let sizes: Vec<f64> = sites.iter().map(|d| d.abs()).collect();
-    let mut s = median(&sizes, &mut sorted) / 0.6745;
+    let mut s = median_of(&sizes, &mut sorted) / 0.6745;
     for _ in 0..3 {
         let (mut square, mut dof) = (0.0, 0.0);
         for site in sites.chunks(n1) {

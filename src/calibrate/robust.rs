@@ -261,7 +261,7 @@ mod tests {
                 let mut sorted = lanes.clone();
                 let median = network.median(&lanes, &mut sorted)[3];
                 let wide: Vec<f64> = values.iter().map(|v| f64::from(*v)).collect();
-                let expected = super::super::pattern::median(&wide, &mut Vec::new());
+                let expected = crate::statistics::median::median_of(&wide, &mut Vec::new());
                 assert!((f64::from(median) - expected).abs() < 1e-6, "{n}");
                 assert!(sorted.windows(2).all(|w| w[0][0] <= w[1][0]));
             }

@@ -45,18 +45,7 @@ fn fault(camera: &impl Camera, error: CorrectError) -> CameraError {
 fn info(camera: &mut impl Camera) -> Result<CameraInfo, CameraError> {
     let settings = camera.settings()?;
     let identity = camera.identity();
-    Ok(CameraInfo {
-        vendor: identity.vendor.clone(),
-        model: identity.model.clone(),
-        serial: identity.serial.clone(),
-        width: settings.region.width as usize,
-        height: settings.region.height as usize,
-        bit_depth: settings.pixel_format.bits(),
-        pixel_format: settings.pixel_format.name().into(),
-        gain_db: settings.gain_db,
-        black_level_dn: settings.black_level_dn,
-        ..Default::default()
-    })
+    Ok(CameraInfo::of(identity, &settings))
 }
 
 impl<C: Camera> Corrected<C> {

@@ -24,6 +24,9 @@ pub struct Arguments {
     /// Also write the model with what was found, fitted
     #[arg(long, value_name = "M.toml")]
     output: Option<PathBuf>,
+    /// Also write the measurement that would tell the closest candidates apart as a plan that `capture` runs
+    #[arg(long, value_name = "PLAN.toml")]
+    next: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -51,6 +54,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     if let (Some(path), Some(fitted)) = (&arguments.output, &diagnosis.fitted) {
         let model = fitted_model(&all, fitted, arguments.model.as_deref(), &arguments.dataset)?;
         write_whole(path, model.to_toml()?.as_bytes())?;
+    }
+    if let (Some(path), Some(plan)) = (&arguments.next, &diagnosis.next_plan) {
+        write_whole(path, plan.to_toml()?.as_bytes())?;
     }
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&diagnosis)?);
@@ -90,7 +96,7 @@ pub fn print(path: &Path, d: &Diagnosis) {
         );
     }
     if let Some(next) = &d.next_measurement {
-        println!("\n  next measurement: {next}");
+        println!("\n  next measurement: {next}\n    (as a plan for `radcam capture`: --next PLAN.toml)");
     }
     for note in &d.notes {
         println!("  note: {note}");

@@ -2,7 +2,7 @@
 
 use super::Outcome;
 use anyhow::{Result, bail};
-use radcam_sim::effects::{EFFECTS, find};
+use radcam_sim::effects::{all, find};
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
@@ -13,7 +13,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let Some(id) = &arguments.id else {
         println!("{:<30} signature", "effect");
-        for e in EFFECTS {
+        for e in all() {
             let width = 100;
             let mut lines = wrap(e.page().signature, width - 31).into_iter();
             println!("{:<30} {}", e.id(), lines.next().unwrap_or_default());
@@ -22,7 +22,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         return Ok(Outcome::Agreement);
     };
     let Some(e) = find(id) else {
-        let near: Vec<_> = EFFECTS.iter().map(|e| e.id()).filter(|k| k.contains(id.as_str())).collect();
+        let near: Vec<_> = all().iter().map(|e| e.id()).filter(|k| k.contains(id.as_str())).collect();
         let near = if near.is_empty() {
             "`radcam effects` lists them".into()
         } else {

@@ -3,9 +3,13 @@
 use super::expect::{Expected, expect};
 use super::observe::{Observable, Observations, Statistic};
 use crate::dataset::Kind;
+use crate::fit::cholesky;
+use crate::statistics::median::median;
 use radcam_sim::effects::{self, Effect};
 use radcam_sim::predict::{BaseParameters, Prediction};
 
+/// From here on the square of a residual says that the model is wrong, and not how large its errors are.
+const LARGE: f64 = 16.0;
 /// Rounds of Levenberg and Marquardt at most.
 const ROUNDS: usize = 40;
 
@@ -59,10 +63,11 @@ impl Fitted {
         let Some(free) = &self.free else { return out };
         let n = free.x.len();
         let now: Vec<Expected> = out.iter().map(|o| o.1).collect();
-        let slopes: Vec<Vec<f64>> = (0..n).map(|i| free.slopes(i, &now, &free.x, all, Some(other))).collect();
+        let slopes: Vec<Vec<[f64; 2]>> =
+            (0..n).map(|i| free.slopes(i, &now, &free.x, all, Some(other))).collect();
         for (k, (_, e)) in out.iter_mut().enumerate() {
-            let row = |i: usize| (0..n).map(|j| free.covariance[i * n + j] * slopes[j][k]).sum::<f64>();
-            let of_fit: f64 = (0..n).map(|i| slopes[i][k] * row(i)).sum();
+            let row = |i: usize| (0..n).map(|j| free.covariance[i * n + j] * slopes[j][k][0]).sum::<f64>();
+            let of_fit: f64 = (0..n).map(|i| slopes[i][k][0] * row(i)).sum();
             let wider = (1.0 + of_fit.max(0.0)).sqrt();
             e.std_err *= wider;
             e.normal.2 *= wider;
@@ -143,7 +148,7 @@ pub fn start(all: &Observations) -> BaseParameters {
                 .map(|s| (level(s) - offset_dn) / all.campaign.sets[s].exposure_s / gain)
                 .filter(|v| v.is_finite())
                 .collect();
-            crate::calibrate::pattern::median(&found, &mut Vec::new()).max(1e-6)
+            median(found.into_iter()).max(1e-6)
         })
         .map(|v| if v.is_finite() { v } else { 1.0 })
         .collect();
@@ -216,7 +221,8 @@ impl Free {
         chosen(all, half).map(|o| expect(o, &prediction, all)).collect()
     }
 
-    /// Slope of every expectation with parameter `i`, in the space in which the noise is normal, over its error as it is at `x`.
+    /// Slope with parameter `i` of every expectation, over its error, and of the logarithm of its error; in the space in which
+    /// the noise is normal.
     fn slopes(
         &self,
         i: usize,
@@ -224,9 +230,9 @@ impl Free {
         x: &[f64],
         all: &Observations,
         half: Option<u8>,
-    ) -> Vec<f64> {
+    ) -> Vec<[f64; 2]> {
         if self.fixed[i] {
-            return vec![0.0; now.len()];
+            return vec![[0.0; 2]; now.len()];
         }
         let mut moved = x.to_vec();
         let mut step = 1e-5 * moved[i].abs().max(1e-2);
@@ -237,7 +243,10 @@ impl Free {
             moved[i] = x[i] + step;
         }
         let there = self.expected(&moved, all, half);
-        now.iter().zip(&there).map(|(a, b)| (b.normal.1 - a.normal.1) / step / a.normal.2).collect()
+        let of = |(a, b): (&Expected, &Expected)| {
+            [(b.normal.1 - a.normal.1) / step / a.normal.2, (b.normal.2 / a.normal.2).ln() / step]
+        };
+        now.iter().zip(&there).map(of).collect()
     }
 }
 
@@ -292,13 +301,15 @@ pub fn fit(
     let mut lambda = 1e-3;
     let mut normal = vec![0.0; n * n];
     for round in 0..ROUNDS {
-        // Slopes by differences, at fixed errors.
-        let columns: Vec<Vec<f64>> = (0..n).map(|i| free.slopes(i, &now, &x, all, half)).collect();
-        let gradient: Vec<f64> =
-            columns.iter().map(|c| c.iter().zip(&now).map(|(c, e)| c * e.z()).sum()).collect();
+        // Fisher's scoring: errors that depend on the parameters tell of them as well, by (z^2 - 1) / sqrt 2 of unit variance.
+        let columns: Vec<Vec<[f64; 2]>> = (0..n).map(|i| free.slopes(i, &now, &x, all, half)).collect();
+        let score = |(c, e): (&[f64; 2], &Expected)| c[0] * e.z() + c[1] * ((e.z() * e.z()).min(LARGE) - 1.0);
+        let gradient: Vec<f64> = columns.iter().map(|c| c.iter().zip(&now).map(score).sum()).collect();
         for i in 0..n {
             for j in 0..=i {
-                let dot: f64 = columns[i].iter().zip(&columns[j]).map(|(a, b)| a * b).sum();
+                let products =
+                    columns[i].iter().zip(&columns[j]).map(|(a, b)| a[0] * b[0] + 2.0 * a[1] * b[1]);
+                let dot: f64 = products.sum();
                 normal[i * n + j] = dot;
                 normal[j * n + i] = dot;
             }
@@ -310,10 +321,12 @@ pub fn fit(
             for i in 0..n {
                 a[i * n + i] += lambda * normal[i * n + i] + 1e-12;
             }
-            let Some(step) = solve(&mut a, &gradient) else {
+            if !cholesky::factor(&mut a, n) {
                 lambda *= 10.0;
                 continue;
-            };
+            }
+            let mut step = gradient.clone();
+            cholesky::solve(&a, &mut step);
             let mut trial: Vec<f64> = x.iter().zip(&step).map(|(x, s)| x + s).collect();
             free.clamp(&mut trial);
             let there = free.expected(&trial, all, half);
@@ -350,57 +363,57 @@ pub fn fit(
     Fitted { base, effects, objective: best, std_err, base_std_err, free: Some(free) }
 }
 
-/// Solves a symmetric positive system in place.
-fn solve(a: &mut [f64], b: &[f64]) -> Option<Vec<f64>> {
-    let n = b.len();
-    for i in 0..n {
-        for j in 0..=i {
-            let dot: f64 = (0..j).map(|k| a[i * n + k] * a[j * n + k]).sum();
-            let rest = a[i * n + j] - dot;
-            if i == j {
-                if rest <= 0.0 || !rest.is_finite() {
-                    return None;
-                }
-                a[i * n + i] = rest.sqrt();
-            } else {
-                a[i * n + j] = rest / a[j * n + j];
-            }
-        }
-    }
-    let mut x = b.to_vec();
-    for i in 0..n {
-        let dot: f64 = (0..i).map(|k| a[i * n + k] * x[k]).sum();
-        x[i] = (x[i] - dot) / a[i * n + i];
-    }
-    for i in (0..n).rev() {
-        let dot: f64 = (i + 1..n).map(|k| a[k * n + i] * x[k]).sum();
-        x[i] = (x[i] - dot) / a[i * n + i];
-    }
-    x.iter().all(|v| v.is_finite()).then_some(x)
-}
-
 /// Inverse of a symmetric positive matrix; parameters without any hold keep a large error.
 fn invert(a: &[f64], n: usize) -> Vec<f64> {
-    let mut out = vec![f64::NAN; n * n];
-    for i in 0..n {
+    let mut a = a.to_vec();
+    (0..n).for_each(|k| a[k * n + k] += 1e-12 + 1e-10 * a[k * n + k]);
+    if !cholesky::factor(&mut a, n) {
+        return vec![f64::NAN; n * n];
+    }
+    let column = |i: usize| {
         let mut b = vec![0.0; n];
         b[i] = 1.0;
-        let mut copy = a.to_vec();
-        for k in 0..n {
-            copy[k * n + k] += 1e-12 + 1e-10 * a[k * n + k];
-        }
-        if let Some(column) = solve(&mut copy, &b) {
-            for k in 0..n {
-                out[k * n + i] = column[k];
-            }
-        }
-    }
+        cholesky::solve(&a, &mut b);
+        b
+    };
+    (0..n).flat_map(column).collect()
+}
+
+/// Sizes, relative to an effect's own start, at which a search looks before it begins. From far too large a start the first step ends
+/// at nothing, where the slope of most effects is nothing too.
+const SIZES: [f64; 10] = [30.0, 10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3];
+
+/// Starts of one more effect's parameters: those of [`hinted`], each at the size that fits best while all else stays.
+pub fn starts(effect: &'static dyn Effect, all: &Observations, now: &Fitted) -> Vec<Vec<f64>> {
+    let parameters = effect.parameters();
+    let sized = |values: &[f64], size: f64| -> Vec<f64> {
+        let of = |(v, p): (&f64, &radcam_sim::effects::Parameter)| {
+            // A size is what may be nothing; places and levels stay.
+            let is_size = p.min <= 0.0 && p.starts.iter().all(|s| s.is_finite());
+            if is_size { (v * size).clamp(p.min, p.max) } else { *v }
+        };
+        values.iter().zip(parameters).map(of).collect()
+    };
+    let misfit = |values: &Vec<f64>| {
+        let mut effects = now.effects.clone();
+        effects.push((effect, values.clone()));
+        let prediction = predict(&now.base, &effects, all);
+        objective(&chosen(all, None).map(|o| expect(o, &prediction, all)).collect::<Vec<_>>())
+    };
+    let signs: &[f64] = if parameters.iter().any(|p| p.min < 0.0) { &[1.0, -1.0] } else { &[1.0] };
+    let best = |values: Vec<f64>| {
+        let tries = signs.iter().flat_map(|sign| SIZES.map(|size| sized(&values, sign * size)));
+        let scored = tries.map(|v| (misfit(&v), v));
+        scored.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(values.clone(), |found| found.1)
+    };
+    let mut out: Vec<Vec<f64>> = hinted(effect, all, &now.base).into_iter().map(best).collect();
+    out.dedup();
     out
 }
 
 /// Starts of an effect's parameters: every combination of one list, with what the campaign hints at where a start is not a
 /// number.
-pub fn starts(effect: &dyn Effect, all: &Observations, base: &BaseParameters) -> Vec<Vec<f64>> {
+fn hinted(effect: &dyn Effect, all: &Observations, base: &BaseParameters) -> Vec<Vec<f64>> {
     let hint = |k: usize| {
         let brightest = all
             .all

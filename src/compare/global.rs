@@ -4,6 +4,7 @@ use super::observe::Statistic;
 use super::read::SceneMean;
 use crate::dataset::{FrameRow, Kind};
 use crate::statistics::jackknife::Value;
+use crate::statistics::median::median;
 use crate::statistics::pass::{Layout, Summary};
 use crate::statistics::spectrum::Power;
 use ndarray::Array2;
@@ -12,12 +13,6 @@ use radcam_sim::predict::BITS;
 /// Mean of the pixels that count, DN.
 pub fn mean_of(image: &Array2<f32>, layout: &Layout) -> f64 {
     image.iter().zip(&layout.mask).map(|(v, m)| f64::from(v * m)).sum::<f64>() / layout.pixels
-}
-
-/// The middle value; NaN of nothing.
-pub fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let all: Vec<f64> = values.collect();
-    crate::calibrate::pattern::median(&all, &mut Vec::new())
 }
 
 /// The step between the middle columns over all chunks: slope with the mean, and at zero; errors from what all other columns

@@ -6,6 +6,7 @@ use crate::dataset::table::Table;
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind};
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
+use crate::statistics::median::median;
 use crate::statistics::pass::Summary;
 use radcam_sim::predict::{Campaign, FrameInfo, SetInfo};
 use std::ops::Range;
@@ -349,7 +350,7 @@ impl Inflation {
             let all: Vec<f64> =
                 chunks.iter().map(|c| ratio(&c.said)).filter(|x| x.is_finite() && *x > 0.0).collect();
             let mean = (all.iter().map(|x| x * x).sum::<f64>() / all.len().max(1) as f64).sqrt();
-            let middle = global::median(all.iter().copied());
+            let middle = median(all.iter().copied());
             // The median, unless a few levels truly scatter more.
             if middle.is_finite() && mean.is_finite() {
                 middle.max(0.9 * mean.min(1.2 * middle))

@@ -5,6 +5,7 @@
 use super::global;
 use super::observe::ObserveError;
 use crate::dataset::{Dataset, Kind};
+use crate::statistics::median::median;
 use crate::statistics::pass::{Layout, Pass, Summary};
 use ndarray::Array2;
 use rayon::prelude::*;
@@ -132,9 +133,8 @@ fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64) {
     let mut highest = shortest.map(|d| (*d).clone());
     if let Some(highest) = &mut highest {
         darks.iter().for_each(|d| highest.zip_mut_with(d, |a, b| *a = a.max(*b)));
-        let middle = global::median(highest.iter().map(|&d| f64::from(d)));
-        let spread =
-            (global::median(highest.iter().map(|&d| (f64::from(d) - middle).abs())) / 0.6745).max(0.5);
+        let middle = median(highest.iter().map(|&d| f64::from(d)));
+        let spread = (median(highest.iter().map(|&d| (f64::from(d) - middle).abs())) / 0.6745).max(0.5);
         used.zip_mut_with(highest, |u, &d| *u &= (f64::from(d) - middle).abs() < 8.0 * spread);
     }
     // Where most fell out, the rule was wrong and not the pixels.

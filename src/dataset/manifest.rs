@@ -1,5 +1,6 @@
 //! `dataset.toml`: what camera and bench said of themselves.
 
+use crate::camera::{Identity, Settings};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -70,6 +71,24 @@ pub struct BenchInfo {
 }
 
 impl CameraInfo {
+    /// What a camera says of itself and how it is set; nothing of its automatic functions and further features.
+    pub fn of(identity: &Identity, settings: &Settings) -> Self {
+        Self {
+            vendor: identity.vendor.clone(),
+            model: identity.model.clone(),
+            serial: identity.serial.clone(),
+            width: settings.region.width as usize,
+            height: settings.region.height as usize,
+            bit_depth: settings.pixel_format.bits(),
+            pixel_format: settings.pixel_format.name().into(),
+            gain_db: settings.gain_db,
+            black_level_dn: settings.black_level_dn,
+            temperature_c: settings.temperature_c,
+            firmware: identity.firmware.clone(),
+            ..Self::default()
+        }
+    }
+
     /// Largest code, DN.
     pub fn full_scale_dn(&self) -> u16 {
         ((1u32 << self.bit_depth.min(16)) - 1) as u16

@@ -1,3 +1,4 @@
 //! Estimators with covariance.
 
+pub mod cholesky;
 pub mod line;

@@ -5,11 +5,12 @@ use crate::bench::BenchState;
 use crate::budget;
 use crate::calibrate::dark::DarkReference;
 use crate::calibrate::file::{Calibration, Description};
-use crate::calibrate::pattern::{FixedPattern, Options, median};
+use crate::calibrate::pattern::{FixedPattern, Options};
 use crate::correct::Corrector;
 use crate::dataset::CameraInfo;
 use crate::noise::{Estimate, NoiseReport};
 use crate::scene_variation::{Roi, Variation, of_region};
+use crate::statistics::median::median_of;
 use ndarray::Array2;
 use radcam_sim::Scene;
 
@@ -63,7 +64,7 @@ impl Slopes {
         let mut best = ((0, 0), 0.0, 1.0);
         for (at, _) in images[0].indexed_iter() {
             let m: Vec<f64> = (0..images.len()).map(|i| slope(i, at)).collect();
-            let middle = median(&m, &mut sorted);
+            let middle = median_of(&m, &mut sorted);
             let far = m.iter().map(|m| (m - middle).abs()).fold(0.0, f64::max);
             if far > best.1 {
                 best = (at, far, middle);

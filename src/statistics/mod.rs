@@ -7,6 +7,7 @@ pub mod frame_means;
 pub mod jackknife;
 pub mod level;
 pub mod lines;
+pub mod median;
 pub mod moments;
 pub mod occupancy;
 pub mod pass;

@@ -1,6 +1,6 @@
 //! ADC nonlinearity: bits of the converter have wrong weights, so that codes have unequal widths.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 use crate::predict::BITS;
 
 /// The weight of each low bit is off by some part of a step.
@@ -39,6 +39,7 @@ impl Effect for This {
             look_alikes: "coarse quantisation leaves whole codes out",
             remedy: "dither (noise above a step hides it); a table of code widths",
             measure: "many samples over a wide range of levels: the histogram of the codes",
+            sets: takes::SWEEP,
             source: "IEEE 1241-2010, histogram test",
         }
     }

@@ -1,7 +1,7 @@
 //! Black clipping: what lies below a level is cut off.
 
 use super::full_well_saturation::clipped;
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// max(v, level), counted from the level of zero charge.
 pub struct This;
@@ -27,6 +27,7 @@ impl Effect for This {
             look_alikes: "a wrong zero moves all levels alike",
             remedy: "raise the black level until no sample is cut off",
             measure: "short darks at a higher black level",
+            sets: takes::DARKS,
             source: "EMVA 1288 release 4, section 6 (offset must be visible in darks)",
         }
     }

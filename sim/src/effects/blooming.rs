@@ -1,6 +1,6 @@
 //! Blooming: a full well spills into its column.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// Charge above the well goes to the pixels above and below.
 pub struct This;
@@ -26,6 +26,7 @@ impl Effect for This {
             look_alikes: "full-well saturation loses the charge: the mean stops; smear grows with light at every level",
             remedy: "an anti-blooming gate; less light",
             measure: "a scene with a patch well above saturation, at several exposures",
+            sets: takes::SCENES,
             source: "Janesick 2001, ch. 4",
         }
     }

@@ -1,6 +1,6 @@
 //! Brighter-fatter: charge already in a pixel repels what arrives later.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, shifted};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes, shifted};
 
 /// Flow of arriving charge along the gradient of the charge so far.
 pub struct This;
@@ -37,6 +37,7 @@ impl Effect for This {
             remedy: "take the gain from the low end of the photon-transfer curve, or from eq. 16 of Astier et al.; correct images \
                      by the measured a",
             measure: "flats at many levels with their neighbour covariances: a table of means and variances alone cannot tell",
+            sets: takes::PAIRS,
             source: "Antilogus et al. 2014, JINST 9 C03048; Astier et al. 2019, A&A 629, A36, eq. 16 and 20",
         }
     }

@@ -1,6 +1,6 @@
 //! Charge transfer inefficiency: each transfer leaves a little charge behind.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// A share per transfer is deferred to the pixel behind, along columns (towards row 0) and along rows (towards column 0).
 pub struct This;
@@ -35,6 +35,7 @@ impl Effect for This {
             look_alikes: "a read-out low-pass is the same everywhere and correlates darks; crosstalk correlates both axes alike",
             remedy: "a fat zero; slower clocks; correct from the trail",
             measure: "flats: the covariance along the axis in bands of rows, near the output and far from it",
+            sets: takes::PAIRS,
             source: "Janesick 2001, ch. 5; Massey et al. 2010, MNRAS 401, 371",
         }
     }

@@ -1,6 +1,6 @@
 //! Coarse quantisation: the camera converts with fewer bits than its format has.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// Codes are multiples of a step.
 pub struct This;
@@ -26,6 +26,7 @@ impl Effect for This {
             look_alikes: "unequal code widths leave no code out",
             remedy: "use the format of the converter's own depth; at a step above twice the noise q^2 / 12 no longer holds",
             measure: "the histogram of any flat",
+            sets: takes::SWEEP,
             source: "Widrow and Kollar 2008, Quantization Noise, ch. 4 and 5",
         }
     }

@@ -1,6 +1,6 @@
 //! Column noise: every column has its own noise in every frame.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// One normal number for each column and frame, added with the read noise.
 pub struct This;
@@ -26,6 +26,7 @@ impl Effect for This {
             look_alikes: "periodic interference has a line in the spectrum; a fixed pattern of columns does not change with time",
             remedy: "subtract the mean of covered pixels of each column; a cleaner supply",
             measure: "a run of darks: the variance of the column means over what single pixels explain",
+            sets: takes::DARKS,
             source: "EMVA 1288 release 4, section 8 (column noise); Janesick 2007",
         }
     }
@@ -37,10 +38,6 @@ impl Effect for This {
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
-        let lines = d.image.ncols();
-        for i in 0..lines {
-            let e = p[0] * d.random(self.id(), d.frame, i as u32).normal();
-            d.image.column_mut(i).mapv_inplace(|v| v + e);
-        }
+        d.add_to_lines(self.id(), 1, p[0]);
     }
 }

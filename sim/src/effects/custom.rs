@@ -14,7 +14,7 @@
 //! the parameters and of mu (mean above the level of zero charge, DN), exposure (s) and illumination; when frames are drawn,
 //! `mean` may also use row, column and parity (0 or 1).
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 use exmex::{Express, FlatEx};
 use std::collections::BTreeMap;
 
@@ -127,6 +127,7 @@ impl Effect for Custom {
             look_alikes: "not known",
             remedy: "not known",
             measure: "the statistic that its formula changes, at more levels",
+            sets: takes::PAIRS,
             source: "the user",
         }
     }

@@ -1,6 +1,6 @@
 //! Exposure offset: the effective exposure is the commanded one plus a constant.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// effective = commanded + t0, for light.
 pub struct This;
@@ -26,6 +26,7 @@ impl Effect for This {
             look_alikes: "smear does the same on flats, but on a scene only in the columns through what is bright",
             remedy: "add t0 to every exposure; or vary the light at a fixed exposure",
             measure: "a still scene with a bright patch at a long and at a short exposure",
+            sets: takes::SCENES,
             source: "EMVA 1288 release 4, section 6 (linearity by exposure time)",
         }
     }

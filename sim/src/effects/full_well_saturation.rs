@@ -1,6 +1,6 @@
 //! Full-well saturation: a pixel holds no more charge than its well.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// min(q, full well).
 pub struct This;
@@ -47,6 +47,7 @@ impl Effect for This {
             look_alikes: "clipping of the converter stops at the largest code",
             remedy: "use the range below the turn-off",
             measure: "an exposure sweep in small steps up to and past saturation",
+            sets: takes::SWEEP,
             source: "EMVA 1288 release 4, section 6 (saturation capacity)",
         }
     }

@@ -1,6 +1,6 @@
 //! Gain drift: the amplifier's gain changes slowly.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// A times 1 + rate * time.
 pub struct This;
@@ -26,6 +26,7 @@ impl Effect for This {
             look_alikes: "illumination drift leaves dark charge and read noise alone: only dark charge or very many frames tell",
             remedy: "let the camera warm up; repeat a reference level",
             measure: "darks of long exposure at start and end: their signal moves with the gain and not with the lamp",
+            sets: takes::LONG,
             source: "EMVA 1288 release 4, section 6; Janesick 2007",
         }
     }

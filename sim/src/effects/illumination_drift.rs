@@ -1,6 +1,6 @@
 //! Illumination drift: the lamp slowly becomes brighter or darker.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// Light times 1 + rate * time.
 pub struct This;
@@ -26,6 +26,7 @@ impl Effect for This {
             look_alikes: "gain drift moves dark charge and noise too; offset drift moves darks and flats by the same DN",
             remedy: "let the lamp warm up; repeat a reference level and divide it out",
             measure: "the same flat at start, middle and end, with darks of long exposure beside it",
+            sets: takes::LONG,
             source: "EMVA 1288 release 4, section 6",
         }
     }

@@ -1,6 +1,6 @@
 //! Illumination flicker: the lamp is a little brighter or darker in each frame.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// Each frame's light times 1 + rel N(0, 1).
 pub struct This;
@@ -26,6 +26,7 @@ impl Effect for This {
             look_alikes: "gain noise looks the same without a light monitor, except that dark charge shares it",
             remedy: "a stabilised, DC-driven lamp; exposures of whole mains periods; or a monitor diode",
             measure: "a run of flats with a photodiode beside the camera",
+            sets: takes::REFERENCE,
             source: "EMVA 1288 release 4, section 6 (stability of the light source)",
         }
     }

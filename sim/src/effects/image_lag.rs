@@ -1,6 +1,6 @@
 //! Image lag: charge that stays behind and is read with the next frame.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// A share of a frame's charge is handed on to the next.
 pub struct This;
@@ -27,6 +27,7 @@ impl Effect for This {
             look_alikes: "a temporal filter correlates the read noise of darks too, and lasts several frames",
             remedy: "throw away the first frame after a change; a longer reset; charge flushing",
             measure: "darks straight after a bright flat, and a bright flat straight after darks",
+            sets: takes::TRANSITIONS,
             source: "Fossum and Hondongwa 2014, IEEE JEDS 2(3); Janesick 2007",
         }
     }

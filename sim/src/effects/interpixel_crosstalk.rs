@@ -1,6 +1,6 @@
 //! Interpixel crosstalk: charge or capacitance shared with the neighbours before the amplifier.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// Each pixel gives a share to each of its four neighbours.
 pub struct This;
@@ -27,6 +27,7 @@ impl Effect for This {
             look_alikes: "brighter-fatter's covariance grows as mu^2; a read-out low-pass correlates darks too, and one axis only",
             remedy: "the gain from variance alone is too low by 1 - 8 a: add the covariances to the variance; deconvolve images",
             measure: "flats with their covariances at several levels, and darks",
+            sets: takes::PAIRS,
             source: "Moore, Ninkov and Forrest 2006, Opt. Eng. 45, 076402",
         }
     }

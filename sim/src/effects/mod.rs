@@ -54,8 +54,97 @@ pub struct Page {
     pub remedy: &'static str,
     /// The measurement that separates it from its look-alikes.
     pub measure: &'static str,
+    /// That measurement as sets of frames: one of [`takes`].
+    pub sets: &'static [Take],
     /// Where it is described.
     pub source: &'static str,
+}
+
+/// A set of frames to be taken.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Take {
+    /// What is before the camera; `None`: no light.
+    pub scene: Option<crate::Scene>,
+    /// Frames.
+    pub frames: u32,
+    /// Exposure, relative to the one that brings the card close to full scale.
+    pub exposure: f64,
+    /// Light, relative.
+    pub light: f64,
+}
+
+/// Measurements that separate effects from their look-alikes.
+pub mod takes {
+    use super::Take;
+    use crate::Scene;
+
+    const fn dark(frames: u32, exposure: f64) -> Take {
+        Take { scene: None, frames, exposure, light: 0.0 }
+    }
+    const fn flat(frames: u32, exposure: f64, light: f64) -> Take {
+        Take { scene: Some(Scene::Card), frames, exposure, light }
+    }
+    const fn scene(exposure: f64) -> Take {
+        Take { scene: Some(Scene::Patch), frames: 32, exposure, light: 1.0 }
+    }
+
+    /// Many short darks, and as many bright flats to hold them against.
+    pub const DARKS: &[Take] = &[dark(128, 0.02), flat(32, 1.0, 0.5), dark(32, 1.0), flat(32, 1.0, 1.0)];
+    /// Exposures in small steps up to full scale at one light, and one light level against another at one exposure.
+    pub const SWEEP: &[Take] = &[
+        dark(32, 0.02),
+        flat(16, 0.1, 1.0),
+        flat(16, 0.2, 1.0),
+        flat(16, 0.3, 1.0),
+        flat(16, 0.4, 1.0),
+        flat(16, 0.5, 1.0),
+        flat(16, 0.6, 1.0),
+        flat(16, 0.7, 1.0),
+        flat(16, 0.8, 1.0),
+        flat(16, 0.9, 1.0),
+        flat(16, 1.0, 1.0),
+        flat(16, 1.05, 1.0),
+        flat(16, 1.0, 0.5),
+        flat(16, 0.5, 0.5),
+        dark(32, 1.0),
+    ];
+    /// Many frames at few levels: covariances of neighbours against the mean.
+    pub const PAIRS: &[Take] = &[
+        dark(64, 0.02),
+        flat(64, 0.1, 1.0),
+        flat(64, 0.3, 1.0),
+        flat(64, 0.6, 1.0),
+        flat(64, 0.95, 1.0),
+        dark(64, 1.0),
+    ];
+    /// From bright to dark and back, over and over.
+    pub const TRANSITIONS: &[Take] = &[
+        dark(64, 0.02),
+        flat(8, 1.0, 1.0),
+        dark(8, 1.0),
+        flat(8, 1.0, 1.0),
+        dark(8, 1.0),
+        flat(8, 1.0, 1.0),
+        dark(8, 1.0),
+        flat(8, 1.0, 1.0),
+        dark(8, 1.0),
+        flat(64, 1.0, 0.5),
+    ];
+    /// One level over and over, and a dimmer one.
+    pub const REFERENCE: &[Take] = &[dark(16, 1.0), flat(128, 1.0, 0.8), flat(128, 1.0, 0.2), dark(16, 1.0)];
+    /// Long darks at start and end, with a reference between.
+    pub const LONG: &[Take] = &[
+        dark(16, 16.0),
+        flat(32, 1.0, 0.5),
+        dark(16, 0.02),
+        flat(64, 1.0, 0.9),
+        flat(32, 1.0, 0.5),
+        dark(16, 0.02),
+        dark(16, 16.0),
+    ];
+    /// A still scene with a bright patch, at several exposures.
+    pub const SCENES: &[Take] =
+        &[dark(32, 0.02), flat(16, 0.5, 1.0), scene(1.0), scene(0.5), scene(0.25), scene(0.1), dark(16, 1.0)];
 }
 
 /// An effect.
@@ -110,6 +199,14 @@ impl Drawing<'_> {
         crate::rng::PixelRng::new(self.seed, crate::rng::Stream::Effect, frame, index, tag & 0x7fff_fff0)
     }
 
+    /// Adds one normal number of deviation `sd` to each row (axis 0) or column (axis 1).
+    pub fn add_to_lines(&mut self, effect: &str, axis: usize, sd: f64) {
+        for i in 0..self.image.len_of(ndarray::Axis(axis)) {
+            let e = sd * self.random(effect, self.frame, i as u32).normal();
+            self.image.index_axis_mut(ndarray::Axis(axis), i).mapv_inplace(|v| v + e);
+        }
+    }
+
     /// The image shifted by whole pixels; the border is repeated.
     pub fn shifted(&self, dy: i32, dx: i32) -> ndarray::Array2<f64> {
         shifted(&self.image, dy, dx)
@@ -129,7 +226,7 @@ pub use custom::custom;
 macro_rules! effects {
     ($($module:ident)*) => {
         $(mod $module;)*
-        /// Every effect.
+        /// Every effect of the catalogue.
         pub static EFFECTS: &[&dyn Effect] = &[$(&$module::This),*];
     };
 }
@@ -141,9 +238,30 @@ effects! {
     black_clipping stray_light tap_mismatch blooming coarse_quantization
 }
 
+/// Effects that a program brought along.
+static OWN: std::sync::RwLock<Vec<&'static dyn Effect>> = std::sync::RwLock::new(Vec::new());
+
+/// Makes an effect of your own known for as long as the program runs: models may name it, and a diagnosis tries it as well. An
+/// error says which effect has its identifier already.
+///
+/// `examples/row-gain-noise` is a program with an effect of its own.
+pub fn register(effect: &'static dyn Effect) -> Result<(), String> {
+    if find(effect.id()).is_some() || effect.id() == "custom" {
+        return Err(format!("there is an effect \"{}\" already", effect.id()));
+    }
+    OWN.write().unwrap_or_else(std::sync::PoisonError::into_inner).push(effect);
+    Ok(())
+}
+
+/// Every effect, registered ones last.
+pub fn all() -> Vec<&'static dyn Effect> {
+    let own = OWN.read().unwrap_or_else(std::sync::PoisonError::into_inner);
+    EFFECTS.iter().chain(own.iter()).copied().collect()
+}
+
 /// An effect by its identifier.
 pub fn find(id: &str) -> Option<&'static dyn Effect> {
-    EFFECTS.iter().copied().find(|e| e.id() == id)
+    all().into_iter().find(|e| e.id() == id)
 }
 
 /// Values at which an effect of a camera is plain to see in a campaign of the standard plan; `None` where flats, darks and a scene

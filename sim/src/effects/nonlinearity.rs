@@ -1,6 +1,6 @@
 //! Nonlinearity: the signal bends away from a straight line in the light.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// v (1 - rel v / full scale), after the amplifier.
 pub struct This;
@@ -28,6 +28,7 @@ impl Effect for This {
             look_alikes: "brighter-fatter lowers the variance too, but leaves the mean alone and correlates neighbours",
             remedy: "correct by the inverse curve, or stay in the lower half of the range",
             measure: "an exposure sweep at fixed light: the mean tells nonlinearity from brighter-fatter",
+            sets: takes::SWEEP,
             source: "Janesick 2007, Photon Transfer, ch. 7; EMVA 1288 release 4, linearity",
         }
     }

@@ -1,6 +1,6 @@
 //! Offset drift: the black level wanders.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// Black level plus rate * time.
 pub struct This;
@@ -26,6 +26,7 @@ impl Effect for This {
             look_alikes: "dark current that grows with temperature scales with exposure",
             remedy: "a black clamp; darks taken between the flats",
             measure: "short darks at start, middle and end",
+            sets: takes::LONG,
             source: "Janesick 2007; EMVA 1288 release 4, section 6",
         }
     }

@@ -1,6 +1,6 @@
 //! Periodic interference: a disturbance of one frequency during read-out.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// A sine in read-out order, with a new phase in every frame.
 pub struct This;
@@ -30,6 +30,7 @@ impl Effect for This {
             look_alikes: "row noise is white from row to row; a fixed phase would be fixed pattern",
             remedy: "shielding, a synchronised supply; a notch filter in read-out order",
             measure: "a run of darks and their spectrum in read-out order",
+            sets: takes::DARKS,
             source: "Janesick 2001, ch. 7; EMVA 1288 release 4, section 8 (spectrogram)",
         }
     }

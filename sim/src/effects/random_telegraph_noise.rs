@@ -1,6 +1,6 @@
 //! Random telegraph noise: a few pixels jump between two levels.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// A share of the pixels is up or down by half the amplitude, at random in every frame.
 pub struct This;
@@ -29,6 +29,7 @@ impl Effect for This {
             look_alikes: "hot pixels have more variance too, but for their dark charge: it grows with the exposure",
             remedy: "list the pixels and replace them; a median over frames",
             measure: "a long run of short darks: the distribution of the pixels' variances",
+            sets: takes::DARKS,
             source: "Wang, Rao, Mierop and Theuwissen 2006, IEDM; Janesick 2007",
         }
     }

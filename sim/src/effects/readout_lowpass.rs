@@ -1,6 +1,6 @@
 //! Read-out low-pass: the output stage is too slow for the pixel rate.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// Each pixel keeps a share of the one read before it in the row.
 pub struct This;
@@ -27,6 +27,7 @@ impl Effect for This {
             look_alikes: "crosstalk correlates both axes and leaves darks alone",
             remedy: "a slower pixel clock; or deconvolve along the row",
             measure: "darks and flats with the covariances along rows and columns",
+            sets: takes::DARKS,
             source: "Janesick 2001, Scientific Charge-Coupled Devices, ch. 6",
         }
     }

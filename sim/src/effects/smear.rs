@@ -1,6 +1,6 @@
 //! Smear: light collected while the charge is moved through the image.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 use ndarray::Axis;
 
 /// Every pixel of a column gets the column's mean light for some time, whatever the exposure.
@@ -28,6 +28,7 @@ impl Effect for This {
             look_alikes: "an exposure offset does the same on flats; a scene with a bright patch at two exposures tells them apart",
             remedy: "a shutter or a strobe; subtract the column mean of covered rows",
             measure: "a still scene with a bright patch at a long and at a short exposure",
+            sets: takes::SCENES,
             source: "EMVA 1288 release 4, section 4; Janesick 2001, ch. 4",
         }
     }

@@ -1,6 +1,6 @@
 //! Spatial filter: the camera sharpens or smooths its images.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// The difference from the mean of four neighbours is enlarged (s above 0) or lessened.
 pub struct This;
@@ -27,6 +27,7 @@ impl Effect for This {
             look_alikes: "crosstalk leaves the read noise of darks uncorrelated",
             remedy: "switch it off (Sharpness, NoiseReduction); calibrate only then",
             measure: "darks with their covariances along both axes",
+            sets: takes::DARKS,
             source: "EMVA 1288 release 4, section 2 (raw data are required); GenICam SFNC, Sharpness",
         }
     }

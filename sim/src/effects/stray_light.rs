@@ -1,6 +1,6 @@
 //! Stray light: part of all light is spread over the whole image.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// A share of the mean light falls on every pixel alike.
 pub struct This;
@@ -27,6 +27,7 @@ impl Effect for This {
             look_alikes: "smear keeps to columns; a background that is truly brighter looks the same: only a scene of known contrast tells",
             remedy: "baffles, a hood, a clean lens; subtract the veil",
             measure: "a black hole beside a bright patch, with the patch covered and not",
+            sets: takes::SCENES,
             source: "ISO 9358 (veiling glare)",
         }
     }

@@ -1,6 +1,6 @@
 //! Tap mismatch: the halves of the sensor are read through different amplifiers.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// Gain and offset of the right half differ from the left's.
 pub struct This;
@@ -29,6 +29,7 @@ impl Effect for This {
             look_alikes: "shading changes slowly; a step has no width",
             remedy: "balance the taps; K and the dark reference take it off at fixed settings",
             measure: "flats and darks: the step between the two middle columns against the mean",
+            sets: takes::SWEEP,
             source: "EMVA 1288 release 4, section 8",
         }
     }

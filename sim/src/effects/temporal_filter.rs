@@ -1,6 +1,6 @@
 //! Temporal filter: the camera averages successive frames.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// A running average with weight 1 - alpha for the new frame.
 pub struct This;
@@ -27,6 +27,7 @@ impl Effect for This {
             look_alikes: "image lag carries charge only: read noise of darks is uncorrelated in time",
             remedy: "switch it off (TemporalNoiseReduction, 3DNR); it also smears what moves",
             measure: "a long run of darks: their correlation from frame to frame",
+            sets: takes::TRANSITIONS,
             source: "EMVA 1288 release 4, section 2; GenICam SFNC",
         }
     }
