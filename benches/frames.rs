@@ -72,6 +72,23 @@ fn moments(c: &mut Criterion) {
     });
 }
 
+/// Every statistic of a set's noise over 16 frames of a megapixel: 15 covariances, lines, spectrum, tails, codes.
+fn statistics(c: &mut Criterion) {
+    use radcam::statistics::pass::{Layout, collect_with};
+    let (rows, columns, n) = (1024usize, 1024, 16);
+    let code = |f: usize, p: usize| 2000 + ((p * 31 + f * 7919) * 2_654_435_761 >> 16) as u16 % 64;
+    let frames: Vec<Vec<u16>> = (0..n).map(|f| (0..rows * columns).map(|p| code(f, p)).collect()).collect();
+    let slices: Vec<&[u16]> = frames.iter().map(|f| &f[..]).collect();
+    let layout = Layout::new(&ndarray::Array2::from_elem((rows, columns), true), 4095);
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let mut group = c.benchmark_group("statistics");
+    group.throughput(Throughput::Elements((rows * columns * n) as u64)).sample_size(10);
+    let mut passes = Vec::new();
+    let mut run = || collect_with(&layout, black_box(&slices), &mut passes).unwrap();
+    group.bench_function("all", |b| b.iter(&mut run));
+    group.bench_function("all_one_core", |b| b.iter(|| one.install(&mut run)));
+}
+
 /// Correction of 5-megapixel frames, and a copy of the same number of bytes.
 fn correct(c: &mut Criterion) {
     use radcam::calibrate::dark::DarkReference;
@@ -142,6 +159,6 @@ fn pattern(c: &mut Criterion) {
 criterion_group! {
     name = benches;
     config = Criterion::default().sample_size(20).measurement_time(std::time::Duration::from_secs(3));
-    targets = simulate, moments, correct, pattern
+    targets = simulate, moments, statistics, correct, pattern
 }
 criterion_main!(benches);

@@ -10,6 +10,7 @@ use crate::statistics::pass::{Layout, Pass, Summary};
 use ndarray::Array2;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 /// Frames of a set that the first look reads.
 const FIRST: usize = 8;
@@ -191,9 +192,10 @@ enum Work {
     Clipped(usize, f64),
 }
 
-fn read_piece(
+fn read_piece<'a>(
     dataset: &Dataset,
-    layout: &Layout,
+    layout: &'a Layout,
+    pool: &Mutex<Vec<Pass<'a>>>,
     p: &Piece,
     stop: &AtomicBool,
 ) -> Result<Work, ObserveError> {
@@ -213,18 +215,24 @@ fn read_piece(
         return Ok(Work::Scene(SceneMean { set: p.set, half: p.half, mean_dn }));
     }
     let wrong = |e: crate::statistics::moments::SizeMismatch| ObserveError::Nothing(e.to_string());
-    let mut pass = Pass::new(layout);
+    // Fresh pages cost as much as the frames: passes are used again.
+    let free = || pool.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut pass = free().pop().unwrap_or_else(|| Pass::new(layout));
     for place in p.from..p.to {
         let frame = read(place)?.as_standard_layout().into_owned();
         pass.add(frame.as_slice().unwrap_or(&[])).map_err(wrong)?;
     }
-    if pass.clipped() > CLIPPED {
-        return Ok(Work::Clipped(p.set, pass.mean_dn()));
+    let (clipped, level) = (pass.clipped(), pass.mean_dn());
+    let said = pass.finish();
+    pass.clear();
+    free().push(pass);
+    if clipped > CLIPPED {
+        return Ok(Work::Clipped(p.set, level));
     }
     let before =
         if p.before { Some(global::mean_of(&read(p.from - 1)?.mapv(f32::from), layout)) } else { None };
     let chunk = |said| Box::new(Chunk { set: p.set, from: p.from, half: p.half, before, said });
-    Ok(Work::Noise(pass.finish().map(chunk)))
+    Ok(Work::Noise(said.map(chunk)))
 }
 
 /// Reads the frames of a dataset. `progress` is told (pieces done, pieces).
@@ -251,41 +259,36 @@ pub fn read(
     let shape = (camera.height, camera.width);
     let lines = || global::LineSearch::new(shape);
     let codes = || global::Codes::new(full);
-    let mut out = Reading {
-        layout,
-        zero_dn,
-        chunks: Vec::new(),
-        scenes: Vec::new(),
-        codes: [codes(), codes()],
-        lines: [lines(), lines()],
-        saturated: Vec::new(),
-    };
-    let mut seen = 0;
+    let (mut chunks, mut scenes, mut saturated) = (Vec::new(), Vec::new(), Vec::<(usize, f64)>::new());
+    let (mut codes, mut lines) = ([codes(), codes()], [lines(), lines()]);
+    let (mut seen, pool) = (0, Mutex::new(Vec::new()));
     for group in pieces.chunks(4 * rayon::current_num_threads()) {
-        let work: Vec<Work> =
-            group.par_iter().map(|p| read_piece(dataset, &out.layout, p, stop)).collect::<Result<_, _>>()?;
+        let work: Vec<Work> = group
+            .par_iter()
+            .map(|p| read_piece(dataset, &layout, &pool, p, stop))
+            .collect::<Result<_, _>>()?;
         seen += group.len();
         for w in work {
             match w {
-                Work::Scene(scene) => out.scenes.push(scene),
-                Work::Clipped(set, level) => out.saturated.push((set, level)),
+                Work::Scene(scene) => scenes.push(scene),
+                Work::Clipped(set, level) => saturated.push((set, level)),
                 Work::Noise(None) => {}
                 Work::Noise(Some(mut chunk)) => {
                     let half = usize::from(chunk.half);
-                    out.lines[half].add(&chunk.said);
+                    lines[half].add(&chunk.said);
                     if dataset.settings(&dataset.sets()[chunk.set]).kind == Kind::Flat {
-                        out.codes[half].add(&chunk.said);
+                        codes[half].add(&chunk.said);
                     }
                     // Both are long, and their sums are all that is needed.
                     (chunk.said.power, chunk.said.occupancy.0) = (Vec::new(), Vec::new());
-                    out.chunks.push(*chunk);
+                    chunks.push(*chunk);
                 }
             }
         }
         progress(sets / 4 + seen, of);
     }
-    out.saturated.dedup_by_key(|s| s.0);
-    let saturated = std::mem::take(&mut out.saturated);
-    out.chunks.retain(|c| saturated.iter().all(|s| s.0 != c.set));
-    Ok(Reading { saturated, ..out })
+    drop(pool);
+    saturated.dedup_by_key(|s| s.0);
+    chunks.retain(|c: &Chunk| saturated.iter().all(|s| s.0 != c.set));
+    Ok(Reading { layout, zero_dn, chunks, scenes, codes, lines, saturated })
 }

@@ -43,6 +43,13 @@ impl Covariance {
         Self { shape, sums: vec![0.0; n], now: vec![0.0; n], rows: 0 }
     }
 
+    /// Forgets every frame.
+    pub fn clear(&mut self) {
+        self.sums.fill(0.0);
+        self.now.fill(0.0);
+        self.rows = 0;
+    }
+
     fn flush(&mut self) {
         self.sums.iter_mut().zip(&mut self.now).for_each(|(s, n)| *s += f64::from(std::mem::take(n)));
         self.rows = 0;

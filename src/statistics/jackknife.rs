@@ -28,6 +28,11 @@ impl Blocks {
         i * BLOCKS / n
     }
 
+    /// Where the places of a block along one side end.
+    pub fn end(block: usize, n: usize) -> usize {
+        ((block + 1) * n).div_ceil(BLOCKS)
+    }
+
     /// Adds to the block at (down, right).
     pub fn add(&mut self, (down, right): (usize, usize), sum: f64, count: f64) {
         let block = &mut self.0[down * BLOCKS + right];

@@ -3,19 +3,35 @@
 use super::pass::{Layout, Quadratic};
 
 /// Squares of the deviations of row means and of column means.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Lines {
     rows: f64,
     columns: f64,
-    /// Sums of the columns of the frame at hand.
-    now: Vec<f32>,
+    /// Means of the rows, and sums of the columns, of the image at hand.
+    row_means: Vec<f32>,
+    column_sums: Vec<f32>,
 }
 
 impl Lines {
+    /// For frames of (rows, columns).
+    pub fn new((rows, columns): (usize, usize)) -> Self {
+        Self { rows: 0.0, columns: 0.0, row_means: vec![0.0; rows], column_sums: vec![0.0; columns] }
+    }
+
     /// Variance of row means and of column means, DN^2.
     pub fn finish(&self, layout: &Layout, dof: f64) -> [f64; 2] {
         let lines = |counts: &[f32]| counts.iter().filter(|n| **n > 0.0).count().max(1) as f64;
         [self.rows / dof / lines(&layout.row_pixels), self.columns / dof / lines(&layout.column_pixels)]
+    }
+
+    /// Mean of every row of the last image that was complete.
+    pub fn row_means(&self) -> &[f32] {
+        &self.row_means
+    }
+
+    /// Mean of every column of the last image that was complete.
+    pub fn column_means<'a>(&'a self, layout: &'a Layout) -> impl Iterator<Item = f32> + 'a {
+        self.column_sums.iter().zip(&layout.column_pixels).map(|(s, n)| s / n.max(1.0))
     }
 }
 
@@ -25,28 +41,27 @@ impl Quadratic for Lines {
         let columns = layout.columns();
         let row = &image[y * columns..][..columns];
         if y == 0 {
-            self.now.clear();
-            self.now.resize(columns, 0.0);
+            self.column_sums.fill(0.0);
         }
-        let mut sum = 0.0f64;
-        for (part, now) in row.chunks(64).zip(self.now.chunks_mut(64)) {
-            let mut lanes = [0f32; 8];
-            for (eight, out) in part.chunks(8).zip(now.chunks_mut(8)) {
-                for ((l, o), v) in lanes.iter_mut().zip(out).zip(eight) {
-                    *l += v;
-                    *o += v;
-                }
+        for (sum, v) in self.column_sums.iter_mut().zip(row) {
+            *sum += v;
+        }
+        let mut lanes = [0f32; 32];
+        let mut parts = row.chunks_exact(32);
+        for part in &mut parts {
+            for (l, v) in lanes.iter_mut().zip(part) {
+                *l += v;
             }
-            sum += f64::from(lanes.iter().sum::<f32>());
         }
-        let mean = sum / f64::from(layout.row_pixels[y]).max(1.0);
-        self.rows += mean * mean;
+        let rest: f32 = parts.remainder().iter().sum();
+        let mean = (lanes.iter().sum::<f32>() + rest) / layout.row_pixels[y].max(1.0);
+        self.row_means[y] = mean;
+        self.rows += f64::from(mean) * f64::from(mean);
     }
 
     fn end(&mut self, _: &[f32], layout: &Layout) {
-        let means =
-            self.now.iter().zip(&layout.column_pixels).map(|(s, n)| f64::from(*s) / f64::from(n.max(1.0)));
-        self.columns += means.map(|m| m * m).sum::<f64>();
+        let squares: f64 = self.column_means(layout).map(|m| f64::from(m) * f64::from(m)).sum();
+        self.columns += squares;
     }
 
     fn absorb(&mut self, other: &Self) {

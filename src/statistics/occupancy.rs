@@ -12,8 +12,26 @@ impl Occupancy {
 
     /// Adds codes; what lies above full scale counts as full scale.
     pub fn add(&mut self, codes: &[u16]) {
-        let last = self.0.len() - 1;
-        codes.iter().for_each(|&d| self.0[usize::from(d).min(last)] += 1);
+        let n = self.0.len();
+        // Neighbours are often alike, and a count waits for the one before it: four tables.
+        let mut tables = vec![0u32; 4 * n];
+        let last = (n - 1) as u16;
+        let (a, rest) = tables.split_at_mut(n);
+        let (b, rest) = rest.split_at_mut(n);
+        let (c, d) = rest.split_at_mut(n);
+        let four = codes.chunks_exact(4);
+        four.remainder().iter().for_each(|&code| a[usize::from(code.min(last))] += 1);
+        for code in four {
+            a[usize::from(code[0].min(last))] += 1;
+            b[usize::from(code[1].min(last))] += 1;
+            c[usize::from(code[2].min(last))] += 1;
+            d[usize::from(code[3].min(last))] += 1;
+        }
+        let counts = a.iter().zip(b).zip(c.iter().zip(d));
+        self.0
+            .iter_mut()
+            .zip(counts)
+            .for_each(|(sum, ((a, b), (c, d)))| *sum += u64::from(*a + *b + *c + *d));
     }
 
     /// Adds what another saw.

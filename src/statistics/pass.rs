@@ -70,15 +70,20 @@ impl Layout {
         self.shape.1
     }
 
-    /// Every pixel that counts, with its block.
-    pub fn each(&self, mut act: impl FnMut(usize, (usize, usize))) {
+    /// Every run of pixels of a row that lies within one block: their places, how many of them count, and the block.
+    pub fn runs(&self, mut act: impl FnMut(std::ops::Range<usize>, f64, (usize, usize))) {
         let (rows, columns) = self.shape;
         for y in 0..rows {
-            for x in 0..columns {
-                let i = y * columns + x;
-                if self.mask[i] > 0.0 {
-                    act(i, (Blocks::of(y, rows), Blocks::of(x, columns)));
+            let mut from = 0;
+            while from < columns {
+                let block = Blocks::of(from, columns);
+                let to = Blocks::end(block, columns);
+                let run = y * columns + from..y * columns + to;
+                let count: f32 = self.mask[run.clone()].iter().sum();
+                if count > 0.0 {
+                    act(run, f64::from(count), (Blocks::of(y, rows), block));
                 }
+                from = to;
             }
         }
     }
@@ -128,7 +133,7 @@ impl Quadratic for Sums {
     fn end(&mut self, image: &[f32], layout: &Layout) {
         self.covariance.end(image, layout);
         self.lines.end(image, layout);
-        self.power.end(image, layout);
+        self.power.add(image, &self.lines, layout);
     }
 
     fn absorb(&mut self, other: &Self) {
@@ -216,7 +221,7 @@ impl<'a> Pass<'a> {
             sums: Sums {
                 variance: Variance::new(pixels),
                 covariance: Covariance::new(layout.shape),
-                lines: Lines::default(),
+                lines: Lines::new(layout.shape),
                 power: Power::new(layout.shape),
             },
             successive: Successive::new(pixels),
@@ -280,17 +285,29 @@ impl<'a> Pass<'a> {
         self.frame_means.mean_dn()
     }
 
+    /// Forgets every frame and keeps the memory, for the next set.
+    pub fn clear(&mut self) {
+        self.frame_means = FrameMeans::default();
+        self.mean.fill(0.0);
+        self.sums.variance.clear();
+        self.sums.covariance.clear();
+        self.sums.lines = Lines::new(self.layout.shape);
+        self.sums.power.clear();
+        self.successive.clear();
+        self.occupancy.0.fill(0);
+    }
+
     /// What the frames say; `None` with fewer than two.
-    pub fn finish(self) -> Option<Summary> {
+    pub fn finish(&mut self) -> Option<Summary> {
         let frames = self.frame_means.frames() as usize;
         if frames < 2 {
             return None;
         }
         let (layout, dof) = (self.layout, frames as f64 - 1.0);
+        let power = self.sums.power.finish();
         let variance = &self.sums.variance;
         let level = self.frame_means.mean_dn();
-        let mut spatial = 0.0;
-        layout.each(|i, _| spatial += f64::from(self.mean[i]).powi(2) / layout.pixels);
+        let spatial = self.mean.iter().map(|m| f64::from(*m).powi(2)).sum::<f64>() / layout.pixels;
         let mut columns_dn = vec![0.0; layout.columns()];
         self.mean.chunks_exact(layout.columns()).for_each(|row| {
             columns_dn.iter_mut().zip(row).for_each(|(c, m)| *c += f64::from(*m));
@@ -307,9 +324,9 @@ impl<'a> Pass<'a> {
             successive: self.successive.finish(layout, dof, variance.squares(), &self.mean),
             line_var_dn2: self.sums.lines.finish(layout, dof),
             unequal: variance.tails(layout, dof, |i| level + f64::from(self.mean[i])),
-            power: self.sums.power.finish(),
-            occupancy: self.occupancy,
-            frame_means: self.frame_means,
+            power,
+            occupancy: self.occupancy.clone(),
+            frame_means: self.frame_means.clone(),
             columns_dn,
             spatial_var_dn2: spatial,
         })
@@ -351,19 +368,26 @@ impl pulp::NullaryFnOnce for Total<'_> {
 /// # Ok::<(), radcam::statistics::moments::SizeMismatch>(())
 /// ```
 pub fn collect(layout: &Layout, frames: &[&[u16]]) -> Result<Option<Summary>, SizeMismatch> {
+    collect_with(layout, frames, &mut Vec::new())
+}
+
+/// [`collect`] in memory that is there: one pass for each core, made where missing. All must be of this layout.
+pub fn collect_with<'a>(
+    layout: &'a Layout,
+    frames: &[&[u16]],
+    passes: &mut Vec<Pass<'a>>,
+) -> Result<Option<Summary>, SizeMismatch> {
     let parts = rayon::current_num_threads().min(frames.len() / 2).max(1);
-    let passes: Vec<Pass<'_>> = frames
-        .par_chunks(frames.len().div_ceil(parts).max(1))
-        .map(|part| {
-            let mut pass = Pass::new(layout);
-            part.iter().try_for_each(|f| pass.add(f)).map(|()| pass)
-        })
-        .collect::<Result<_, _>>()?;
-    let all = passes.into_iter().reduce(|mut a, b| {
-        a.merge(&b);
-        a
-    });
-    Ok(all.and_then(Pass::finish))
+    passes.iter_mut().for_each(Pass::clear);
+    passes.resize_with(parts, || Pass::new(layout));
+    let size = frames.len().div_ceil(parts).max(1);
+    passes
+        .par_iter_mut()
+        .zip(frames.par_chunks(size))
+        .try_for_each(|(pass, part)| part.iter().try_for_each(|f| pass.add(f)))?;
+    let Some((first, rest)) = passes.split_first_mut() else { return Ok(None) };
+    rest.iter().for_each(|later| first.merge(later));
+    Ok(first.finish())
 }
 
 #[cfg(test)]
@@ -434,6 +458,9 @@ mod tests {
         let images = frames(11, |f, y, x| 6.0 * normal(f, y * 96 + x) + 2.0 * normal(900 + f, y) + f as f64);
         let whole = {
             let mut pass = Pass::new(&layout);
+            // Memory that served before.
+            images[3..6].iter().for_each(|f| pass.add(f).unwrap());
+            pass.clear();
             images.iter().for_each(|f| pass.add(f).unwrap());
             pass.finish().unwrap()
         };

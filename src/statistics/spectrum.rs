@@ -1,6 +1,7 @@
 //! Power spectrum of the noise in read-out order.
 
-use super::pass::{Layout, Quadratic};
+use super::lines::Lines;
+use super::pass::Layout;
 use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
@@ -64,33 +65,29 @@ impl Power {
         self.pair.fill(Complex::default());
     }
 
+    /// Forgets every frame.
+    pub fn clear(&mut self) {
+        self.power.fill(0.0);
+        self.pair.fill(Complex::default());
+        self.half = false;
+    }
+
     /// Summed power at each frequency k / length cycles per pixel, DN^2: for white noise its variance times the degrees of freedom.
-    pub fn finish(mut self) -> Vec<f64> {
+    pub fn finish(&mut self) -> Vec<f64> {
         self.flush();
-        self.power
+        self.power.clone()
     }
 }
 
-impl Quadratic for Power {
-    #[inline(always)]
-    fn row(&mut self, _: usize, _: &[f32], _: &Layout) {}
-
-    fn end(&mut self, image: &[f32], layout: &Layout) {
+impl Power {
+    /// Adds an image of deviations whose lines are known: a sum of products, as [`super::pass::Quadratic`] is.
+    pub fn add(&mut self, image: &[f32], lines: &Lines, layout: &Layout) {
         let columns = layout.columns();
         let rows = self.length.div_ceil(columns);
-        let mean = |values: &[f32], n: f32| values.iter().sum::<f32>() / n.max(1.0);
-        let mut off = vec![0.0; columns];
-        let row_means: Vec<f32> = image
-            .chunks(columns)
-            .zip(&layout.row_pixels)
-            .map(|(row, n)| {
-                off.iter_mut().zip(row).for_each(|(o, v)| *o += v);
-                mean(row, *n)
-            })
-            .collect();
+        let row_means = lines.row_means();
         // The frame's mean is in the rows' already.
         let whole = row_means.iter().sum::<f32>() / row_means.len() as f32;
-        off.iter_mut().zip(&layout.column_pixels).for_each(|(o, n)| *o = *o / n.max(1.0) - whole);
+        let off: Vec<f32> = lines.column_means(layout).map(|m| m - whole).collect();
         for (y, row_mean) in row_means.iter().enumerate().take(rows) {
             let from = y * columns;
             let to = (from + columns).min(self.length);
@@ -108,7 +105,8 @@ impl Quadratic for Power {
         }
     }
 
-    fn absorb(&mut self, other: &Self) {
+    /// Adds the sums of another.
+    pub fn absorb(&mut self, other: &Self) {
         self.power.iter_mut().zip(&other.power).for_each(|(a, b)| *a += b);
         if other.half {
             // What waits there has its power alone.

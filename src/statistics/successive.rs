@@ -18,6 +18,11 @@ impl Successive {
         Self { squares: vec![0.0; pixels], first: vec![0.0; pixels], last: vec![0.0; pixels] }
     }
 
+    /// Forgets every frame.
+    pub fn clear(&mut self) {
+        self.squares.fill(0.0);
+    }
+
     /// A row of the next frame, less the frame's mean, from place `at` on.
     #[inline(always)]
     pub fn row(&mut self, at: usize, row: &[f32], is_first: bool) {
@@ -43,11 +48,13 @@ impl Successive {
     /// the squared deviations and `mean` the means of the pixels.
     pub fn finish(&self, layout: &Layout, dof: f64, squares: &[f32], mean: &[f32]) -> Value {
         let mut blocks = Blocks::default();
-        layout.each(|i, block| {
-            let end = |v: f32| f64::from(v - mean[i]).powi(2);
-            let products = f64::from(squares[i])
-                - 0.5 * (end(self.first[i]) + end(self.last[i]) + f64::from(self.squares[i]));
-            blocks.add(block, products / dof, 1.0);
+        layout.runs(|run, count, block| {
+            let end = |v: f32, i: usize| f64::from(v - mean[i]).powi(2);
+            let product = |i: usize| {
+                let ends = end(self.first[i], i) + end(self.last[i], i);
+                f64::from(squares[i]) - 0.5 * (ends + f64::from(self.squares[i]))
+            };
+            blocks.add(block, run.map(product).sum::<f64>() / dof, count);
         });
         blocks.value()
     }

@@ -15,6 +15,11 @@ impl Variance {
         Self { squares: vec![0.0; pixels] }
     }
 
+    /// Forgets every frame.
+    pub fn clear(&mut self) {
+        self.squares.fill(0.0);
+    }
+
     /// Squared deviations, row by row, DN^2.
     pub fn squares(&self) -> &[f32] {
         &self.squares
@@ -23,7 +28,11 @@ impl Variance {
     /// Mean over the pixels, DN^2.
     pub fn finish(&self, layout: &Layout, dof: f64) -> Value {
         let mut blocks = Blocks::default();
-        layout.each(|i, block| blocks.add(block, f64::from(self.squares[i]) / dof, 1.0));
+        // Where a pixel does not count its squares are 0.
+        layout.runs(|run, count, block| {
+            let sum: f64 = self.squares[run].iter().map(|s| f64::from(*s)).sum();
+            blocks.add(block, sum / dof, count);
+        });
         blocks.value()
     }
 
@@ -33,17 +42,22 @@ impl Variance {
     /// differs is mostly offset; only what stands out there is signal.
     pub fn tails(&self, layout: &Layout, dof: f64, mean_dn: impl Fn(usize) -> f64) -> Value {
         let var = self.finish(layout, dof).value;
-        let signal = |i: usize| mean_dn(i) - layout.zero.as_ref().map_or(0.0, |z| f64::from(z[i]));
-        let mut lit = 0.0;
-        layout.each(|i, _| lit += signal(i) / layout.pixels);
+        let zero = layout.zero.as_deref();
+        let signal = |i: usize| mean_dn(i) - zero.map_or(0.0, |z| f64::from(z[i]));
+        let marked = || layout.mask.iter().enumerate().filter(|(_, m)| **m > 0.0).map(|(i, _)| i);
+        let lit = marked().map(signal).sum::<f64>() / layout.pixels;
         let noise = var.max(0.0).sqrt();
-        let (mut square, mut level) = (Blocks::default(), Blocks::default());
-        layout.each(|i, block| {
+        let bright = lit > 10.0 * noise;
+        let ratio = |i: usize| {
             let more = signal(i) - lit;
-            let more = if lit > 10.0 * noise || more > 5.0 * noise { layout.gain * more } else { 0.0 };
-            let ratio = f64::from(self.squares[i]) / dof / (var + more).max(0.1 * var);
-            square.add(block, ratio * ratio, 1.0);
-            level.add(block, ratio, 1.0);
+            let more = if bright || more > 5.0 * noise { layout.gain * more } else { 0.0 };
+            f64::from(self.squares[i]) / dof / (var + more).max(0.1 * var)
+        };
+        let (mut square, mut level) = (Blocks::default(), Blocks::default());
+        layout.runs(|run, count, block| {
+            let (first, second) = run.map(ratio).fold((0.0, 0.0), |(a, b), r| (a + r, b + r * r));
+            square.add(block, second, count);
+            level.add(block, first, count);
         });
         let allowed = 1.0 + 2.0 / dof;
         square.with(&level, |square, level| square / (level * level * allowed) - 1.0)
