@@ -76,7 +76,7 @@ fn moments(c: &mut Criterion) {
 fn statistics(c: &mut Criterion) {
     use radcam::statistics::pass::{Layout, collect_with};
     let (rows, columns, n) = (1024usize, 1024, 16);
-    let code = |f: usize, p: usize| 2000 + ((p * 31 + f * 7919) * 2_654_435_761 >> 16) as u16 % 64;
+    let code = |f: usize, p: usize| 2000 + (((p * 31 + f * 7919) * 2_654_435_761) >> 16) as u16 % 64;
     let frames: Vec<Vec<u16>> = (0..n).map(|f| (0..rows * columns).map(|p| code(f, p)).collect()).collect();
     let slices: Vec<&[u16]> = frames.iter().map(|f| &f[..]).collect();
     let layout = Layout::new(&ndarray::Array2::from_elem((rows, columns), true), 4095);

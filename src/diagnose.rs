@@ -148,7 +148,9 @@ pub fn diagnose(
             let at = c.fitted.effects.len() - 1;
             let (values, errors) = (&c.fitted.effects[at].1, &c.fitted.std_err[at]);
             let nothing = c.effect.parameters().iter().map(|p| p.min.max(0.0).min(p.max));
-            values.iter().zip(errors).zip(nothing).any(|((v, e), zero)| (v - zero).abs() > 2.5 * e)
+            // Two that only their product tells are each unknown, and together something.
+            let product = values.len() > 1 && values.iter().zip(errors).all(|(v, e)| *e > 3.0 * v.abs());
+            product || values.iter().zip(errors).zip(nothing).any(|((v, e), zero)| (v - zero).abs() > 2.5 * e)
         });
         let Some(best) = candidates.first().filter(|c| c.evidence > NEEDED) else { break };
         let after = compare(all, &best.fitted.base, &best.fitted.effects);

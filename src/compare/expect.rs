@@ -82,7 +82,12 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             normal: (o.measured.value.max(0.0).cbrt(), (1.0 - c) * root, c.sqrt() * root),
         }
     };
-    let rough = |s: &SetPrediction| quantised(s.covariance(0, 0), p.code_step_dn);
+    // Where the noise covers few codes their widths are in it.
+    let widths = 0.5 * p.bit_errors_dn.iter().map(|e| e * e).sum::<f64>();
+    let rough = |s: &SetPrediction| {
+        let (mean, variance) = quantised(s.covariance(0, 0), p.code_step_dn);
+        (mean, variance.hypot(widths * (-0.02 * s.covariance(0, 0)).exp()))
+    };
     let Some(s) = o.set.and_then(|i| p.sets.get(i)) else {
         let (step, half) = (p.code_step_dn, usize::from(o.half.min(1)));
         let width = |c: u32| {
@@ -132,9 +137,23 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
     let (shot_left, read_left) =
         if n > 1.5 { (left(&s.shot_memory, n), left(&s.read_memory, n)) } else { (1.0, 1.0) };
     let lag = |dy: i32, dx: i32| {
-        let (shot, read) = (s.shot.lag(dy, dx), s.read.lag(dy, dx));
-        s.covariance(dy, dx) - shot * (1.0 - shot_left) - read * (1.0 - read_left) - of_mean
+        let lost =
+            |power: &Spectrum, left: f64| if left == 1.0 { 0.0 } else { (1.0 - left) * power.lag(dy, dx) };
+        s.covariance(dy, dx) - lost(&s.shot, shot_left) - lost(&s.read, read_left) - of_mean
     };
+    // While the level moves within a chunk, shading and fixed pattern move with it, pixel by pixel: how much of that neighbours share
+    // is not known, and is in the error.
+    let spread = all.campaign.sets.iter().map(|s| s.spread).fold(0.0, f64::max);
+    let moved = frames.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+    // Noise of whole rows and columns: there are few of them.
+    let dof = (n - 1.0).max(1.0);
+    let of_lines = |dy: i32, dx: i32| {
+        let of = |own: f64, count: usize, same: bool| {
+            own * ((1.0 + f64::from(u8::from(same))) / count as f64 / dof).sqrt()
+        };
+        of(s.row, shape.0, dy == 0).hypot(of(s.column, shape.1, dx == 0))
+    };
+    let moving = spread * spread * moved;
     // A line has one phase a frame: what few frames show of it scatters (random walk of n phases).
     let walk = 1.0 / (n * (n - 1.0)).max(1.0).sqrt();
     let lines = |dy: i32, dx: i32| -> f64 {
@@ -155,12 +174,14 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             let expected = frames.get(k).copied().unwrap_or(0.0) - rest.iter().sum::<f64>() / m;
             plain(expected, (frame_mean_var * (1.0 + 1.0 / m)).sqrt().hypot(0.002))
         }
-        Statistic::FrameMeanVariance => {
-            let moved = frames.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-            few(frame_mean_var + moved + 1e-7, (n - 1.0).max(1.0))
+        Statistic::FrameMeanVariance => few(frame_mean_var + moved + 1e-7, (n - 1.0).max(1.0)),
+        Statistic::Variance => plain(
+            lag(0, 0) + moving,
+            o.measured.std_err.hypot(rough(s).1).hypot(lines(0, 0)).hypot(moving).hypot(of_lines(0, 0)),
+        ),
+        Statistic::Covariance(dy, dx) => {
+            plain(lag(dy, dx), o.measured.std_err.hypot(lines(dy, dx)).hypot(moving).hypot(of_lines(dy, dx)))
         }
-        Statistic::Variance => plain(lag(0, 0), o.measured.std_err.hypot(rough(s).1).hypot(lines(0, 0))),
-        Statistic::Covariance(dy, dx) => plain(lag(dy, dx), o.measured.std_err.hypot(lines(dy, dx))),
         Statistic::RowVariance | Statistic::ColumnVariance => {
             let rows = o.kind == Statistic::RowVariance;
             let (axis, width, count, own) =
@@ -169,9 +190,11 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
                 s.lines.iter().map(|&(v, px, py)| v * line_mean(if rows { px } else { py }, width as f64));
             let of_lines: f64 = of_lines.sum();
             let pixels = (along(&s.shot, axis) * shot_left + along(&s.read, axis) * read_left) / width as f64;
-            let value = pixels + own + of_lines - of_mean;
+            // Of noise across the lines each holds the mean, which the frame's mean takes with it.
+            let across = if rows { s.column / shape.1 as f64 } else { s.row / shape.0 as f64 };
+            let value = pixels + own + across + of_lines - of_mean;
             let dof = (n - 1.0).max(1.0) * (count as f64 - 1.0);
-            plain(value, (value.abs().max(1e-9) * (2.0 / dof).sqrt()).hypot(walk * of_lines))
+            plain(value, (value.abs().max(1e-9) * (2.0 / dof).sqrt()).hypot(walk * of_lines).hypot(moving))
         }
         Statistic::Successive => {
             let f = frames.len().max(2);
@@ -179,21 +202,32 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             let value = s.shot.lag(0, 0) * product(&s.shot_memory, f)
                 + s.read.lag(0, 0) * product(&s.read_memory, f)
                 + rest * product(&[], f);
-            plain(value, o.measured.std_err.hypot(0.5 * rough(s).1).hypot(lines(0, 0)))
+            plain(
+                value,
+                o.measured
+                    .std_err
+                    .hypot(0.5 * rough(s).1)
+                    .hypot(lines(0, 0))
+                    .hypot(moving)
+                    .hypot(of_lines(1, 1)),
+            )
         }
-        Statistic::Unequal => plain(
-            s.unequal,
-            o.measured
-                .std_err
-                .hypot(0.3 * s.unequal)
-                .hypot(s.unsure)
-                .hypot(0.002)
-                .hypot(rough(s).1 / s.covariance(0, 0).max(1e-9)),
-        ),
-        Statistic::Parity(_) => plain(0.0, o.measured.std_err),
+        Statistic::Unequal => {
+            // The variance of a sample variance has the fourth cumulant over the frames in it (Cramer 1946, 27.4).
+            let allowed = 1.0 + 2.0 / (n - 1.0).max(1.0);
+            let rest = rough(s).1.hypot(moving) / s.covariance(0, 0).max(1e-9);
+            plain(
+                s.unequal + s.kurtosis / (n * allowed),
+                o.measured.std_err.hypot(s.unsure).hypot(0.002).hypot(rest),
+            )
+        }
+        Statistic::Parity(_) => plain(0.0, o.measured.std_err.hypot(moving).hypot(2.0 * of_lines(1, 1))),
         Statistic::Growth(k) => {
             let growth = if k == 0 { s.growth.0 } else { s.growth.1 };
-            plain(0.5 * growth * s.shot.lag(0, 0), o.measured.std_err)
+            plain(
+                0.5 * growth * s.shot.lag(0, 0),
+                o.measured.std_err.hypot(moving).hypot(2.0 * of_lines(1, 1)),
+            )
         }
         _ => plain(0.0, o.measured.std_err.max(1.0)),
     }

@@ -137,17 +137,24 @@ pub fn start(all: &Observations) -> BaseParameters {
         of(Statistic::Variance, Some(Kind::Flat)).map(|(s, v)| (level(s) - offset_dn, v)).collect();
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
     let constant = if constant.is_finite() { constant } else { points.first().map_or(1.0, |p| 0.2 * p.1) };
-    // The slope from the middle of the range, where neither end has gone wrong.
+    // Where the range ends too soon, its upper half is no guide: the lower half has the slopes.
+    let top = points.last().map_or(0.0, |p| p.0);
+    let lower = || points.iter().filter(|p| p.0 > 0.02 * top && p.0 <= 0.55 * top);
     let middle = points.get(points.len() / 2).copied().unwrap_or((1.0, 1.0));
-    let gain = ((middle.1 - constant) / middle.0.max(1e-6)).max(1e-6);
+    let slopes = if lower().count() >= 3 { lower().copied().collect() } else { vec![middle] };
+    let gain = median(slopes.iter().map(|p| (p.1 - constant) / p.0.max(1e-6))).max(1e-6);
     let lights = all.campaign.sets.iter().filter_map(|s| s.light).max().map_or(0, |l| l + 1);
     let flux = (0..lights)
         .map(|l| {
-            let found: Vec<f64> = (0..all.campaign.sets.len())
-                .filter(|&s| all.campaign.sets[s].light == Some(l))
-                .map(|s| (level(s) - offset_dn) / all.campaign.sets[s].exposure_s / gain)
-                .filter(|v| v.is_finite())
-                .collect();
+            let of_level = (0..all.campaign.sets.len()).filter(|&s| all.campaign.sets[s].light == Some(l));
+            let rates = of_level.map(|s| {
+                let above = level(s) - offset_dn;
+                (above, above / all.campaign.sets[s].exposure_s / gain)
+            });
+            let rates: Vec<_> = rates.filter(|r| r.1.is_finite()).collect();
+            let low = || rates.iter().filter(|r| r.0 > 0.02 * top && r.0 <= 0.55 * top).map(|r| r.1);
+            let found: Vec<f64> =
+                if low().count() >= 3 { low().collect() } else { rates.iter().map(|r| r.1).collect() };
             median(found.into_iter()).max(1e-6)
         })
         .map(|v| if v.is_finite() { v } else { 1.0 })

@@ -48,6 +48,11 @@ impl Effect for This {
         for (b, d) in p.iter().take(BITS).enumerate() {
             out.bit_errors_dn[b] += d;
         }
+        // Where the noise covers few codes their widths are in each pixel's variance.
+        let widths: f64 = p.iter().map(|d| d * d).sum();
+        for s in &mut out.sets {
+            s.unsure = libm::hypot(s.unsure, 0.5 * widths / s.covariance(0, 0).max(1e-3));
+        }
     }
 
     /// The code whose voltage is the nearest below half a step, as a search by bits finds it.
