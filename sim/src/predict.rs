@@ -149,6 +149,8 @@ pub struct SetPrediction {
     /// Change of the neighbour covariances per unit of distance from the output, as a share of the shot variance: along rows,
     /// along columns, over the whole sensor.
     pub growth: (f64, f64),
+    /// Covariance with the next column from odd columns less that from even ones; with the next row alike.
+    pub parity: (f64, f64),
 }
 
 /// Everything that is expected.
@@ -217,6 +219,7 @@ impl Prediction {
             unsure: 0.0,
             lines: Vec::new(),
             growth: (0.0, 0.0),
+            parity: (0.0, 0.0),
         };
         Self {
             frame_signal: c.frames.iter().map(|f| of_sets.get(f.set).copied().unwrap_or(0.0)).collect(),

@@ -221,7 +221,10 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
                 o.measured.std_err.hypot(s.unsure).hypot(0.002).hypot(rest),
             )
         }
-        Statistic::Parity(_) => plain(0.0, o.measured.std_err.hypot(moving).hypot(2.0 * of_lines(1, 1))),
+        Statistic::Parity(k) => {
+            let parity = if k == 0 { s.parity.0 } else { s.parity.1 };
+            plain(parity, o.measured.std_err.hypot(moving).hypot(2.0 * of_lines(1, 1)))
+        }
         Statistic::Growth(k) => {
             let growth = if k == 0 { s.growth.0 } else { s.growth.1 };
             plain(

@@ -362,7 +362,7 @@ fn a_formula_explains_what_has_no_name() {
     use outside::{SIZE, campaign, normal};
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join("c");
-    // Noise shared by 2 x 2 pixels: half of the neighbours along each axis, a quarter of the diagonals.
+    // Noise shared by 2 x 2 pixels: half of the neighbours along each axis, a quarter of the diagonals; those of even columns, rows.
     campaign(&root, &|f, _, image| {
         for ((y, x), v) in image.indexed_iter_mut() {
             *v += normal((3 << 48) + (f << 20) + (y / 2 * SIZE + x / 2) as u64);
@@ -375,7 +375,7 @@ fn a_formula_explains_what_has_no_name() {
 [[effect]]
 id = "custom"
 name = "shared-by-two-by-two"
-formulas = { variance = "v", cov_01 = "0.5 * v", cov_10 = "0.5 * v", cov_11 = "0.25 * v" }
+formulas = { variance = "v", cov_01 = "0.5 * v", cov_10 = "0.5 * v", cov_11 = "0.25 * v", parity_01 = "-v", parity_10 = "-v" }
 parameters = { v = 0.1 }
 bounds = { v = [0.0, 100.0] }
 units = { v = "DN^2" }

@@ -10,7 +10,8 @@
 //! units = { k = "DN/s" }
 //! ```
 //!
-//! Formulas give the change of `mean` (DN), `variance`, `cov_01`, `cov_10`, `cov_11`, `row`, `column`, `common` (DN^2) in terms of
+//! Formulas give the change of `mean` (DN), `variance`, `cov_01`, `cov_10`, `cov_11`, `row`, `column`, `common` (DN^2), and of
+//! `parity_01`, `parity_10` (what a neighbour covariance from odd columns, rows has more than from even ones), in terms of
 //! the parameters and of mu (mean above the level of zero charge, DN), exposure (s) and illumination; when frames are drawn,
 //! `mean` may also use row, column and parity (0 or 1).
 
@@ -19,7 +20,8 @@ use exmex::{Express, FlatEx};
 use std::collections::BTreeMap;
 
 /// What a formula may change.
-const TARGETS: [&str; 8] = ["mean", "variance", "cov_01", "cov_10", "cov_11", "row", "column", "common"];
+const TARGETS: [&str; 10] =
+    ["mean", "variance", "cov_01", "cov_10", "cov_11", "parity_01", "parity_10", "row", "column", "common"];
 /// What a formula may use beside its parameters.
 const VARIABLES: [&str; 6] = ["mu", "exposure", "illumination", "row", "column", "parity"];
 
@@ -150,6 +152,7 @@ impl Effect for Custom {
             s.row += of("row");
             s.column += of("column");
             s.common += of("common");
+            s.parity = (s.parity.0 + of("parity_01"), s.parity.1 + of("parity_10"));
             let shift = of("mean");
             s.signal += shift;
             for (m, _) in out.frame_signal.iter_mut().zip(&c.frames).filter(|(_, f)| f.set == i) {
