@@ -55,8 +55,12 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         let model = fitted_model(&all, fitted, arguments.model.as_deref(), &arguments.dataset)?;
         write_whole(path, model.to_toml()?.as_bytes())?;
     }
-    if let (Some(path), Some(plan)) = (&arguments.next, &diagnosis.next_plan) {
-        write_whole(path, plan.to_toml()?.as_bytes())?;
+    match (&arguments.next, &diagnosis.next_plan) {
+        (Some(path), Some(plan)) => write_whole(path, plan.to_toml()?.as_bytes())?,
+        (Some(path), None) => {
+            tracing::warn!("{} is not written: nothing is left to be told apart", path.display());
+        }
+        (None, _) => {}
     }
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&diagnosis)?);

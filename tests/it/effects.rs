@@ -120,6 +120,16 @@ fn what_is_drawn_is_what_is_predicted() {
     assert!(bad.is_empty(), "{bad:#?}");
 }
 
+/// The measurement that every effect's page asks for is a plan that can be captured, written and read again.
+#[test]
+fn every_page_has_a_plan() {
+    for effect in EFFECTS {
+        let plan = Plan::of_takes(effect.page().measure, effect.page().sets);
+        assert_eq!(Plan::from_toml(&plan.to_toml().unwrap()).as_ref(), Ok(&plan), "{}", effect.id());
+        assert!(plan.sets.iter().any(|s| s.kind == Kind::Dark) && plan.sets.len() > 3, "{}", effect.id());
+    }
+}
+
 /// The same at three strengths, and for 40 random pairs at random strengths.
 #[test]
 #[ignore = "three minutes; `cargo test --release --test it effects::strengths -- --ignored --nocapture`"]
@@ -208,7 +218,9 @@ fn practice_sets_are_diagnosed() {
 fn a_real_table_is_diagnosed() {
     let Some(root) = shared("real") else { return };
     let table = root.join("lsst_r03_s11_c06_ptc.csv");
-    let out = expect(1, &["diagnose", table.to_str().unwrap(), "--json"]);
+    let dir = tempfile::tempdir().unwrap();
+    let next = dir.path().join("next.toml");
+    let out = expect(1, &["diagnose", table.to_str().unwrap(), "--json", "--next", next.to_str().unwrap()]);
     let json: serde_json::Value = serde_json::from_str(&out).unwrap();
     let ladder = json["ladder"].as_array().unwrap();
     let error = |i: usize| ladder[i]["error"].as_f64().unwrap();
@@ -216,6 +228,11 @@ fn a_real_table_is_diagnosed() {
     let notes = json["notes"].to_string();
     assert!(notes.contains("turn-off") && notes.contains("brighter-fatter from nonlinearity"), "{notes}");
     assert!(json["next_measurement"].as_str().unwrap().contains("exposure sweep"));
+    // What would tell them apart is a plan: one light at many exposures, and another light.
+    let plan = Plan::from_toml(&std::fs::read_to_string(next).unwrap()).unwrap();
+    let at =
+        |light: f64| plan.sets.iter().filter(|s| s.kind == Kind::Flat && s.illumination == light).count();
+    assert!(plan.about.contains("exposure sweep") && at(1.0) > 8 && at(0.5) > 0, "{plan:?}");
 }
 
 /// A generator of its own, which shares nothing with sim/: normal numbers by a mixing function, charge as normal noise of the
