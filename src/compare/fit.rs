@@ -390,7 +390,7 @@ fn invert(a: &[f64], n: usize) -> Vec<f64> {
 /// at nothing, where the slope of most effects is nothing too.
 const SIZES: [f64; 10] = [30.0, 10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3];
 
-/// Starts of one more effect's parameters: those of [`hinted`], each at the size that fits best while all else stays.
+/// Starts of one more effect's parameters: its own, or what the campaign hints at, each at the size that fits best while all else stays.
 pub fn starts(effect: &'static dyn Effect, all: &Observations, now: &Fitted) -> Vec<Vec<f64>> {
     let parameters = effect.parameters();
     let sized = |values: &[f64], size: f64| -> Vec<f64> {
