@@ -73,7 +73,6 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ObserveError> 
     let mut sum = Array2::<f32>::zeros((0, 0));
     let mut last: Option<Array2<u16>> = None;
     let rows = &set.rows[..set.rows.len().min(FIRST)];
-    let mut high = 0;
     for &r in rows {
         let frame = dataset.read(&dataset.rows()[r])?;
         if sum.dim() != frame.dim() {
@@ -83,10 +82,8 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ObserveError> 
             sum.zip_mut_with(&frame, |m, &d| *m += f32::from(d));
         }
         let over = frame.iter().enumerate().filter(|(_, d)| **d >= full).map(|(i, _)| i);
-        let before = out.clipped.len();
         // A set that is clipped as a whole says nothing of single pixels, and takes no memory.
         out.clipped.extend(over.take(frame.len() / 50 + 1));
-        high += out.clipped.len() - before;
         if out.pair.is_none()
             && let Some(last) = &last
         {
@@ -94,7 +91,7 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ObserveError> 
         }
         last = Some(frame);
     }
-    if high * 50 >= rows.len() * sum.len() {
+    if out.clipped.len() * 50 >= rows.len() * sum.len() {
         out.clipped.clear();
     }
     out.dark = (kind == Kind::Dark).then(|| sum / rows.len().max(1) as f32);
