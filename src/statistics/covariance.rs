@@ -12,8 +12,8 @@ const NEXT: [usize; 2] = [0, 3];
 
 /// Bands of rows: blocks, with even and odd rows apart.
 const BANDS: usize = 2 * BLOCKS;
-/// Rows that are summed in 32 bits.
-const ROWS: usize = 512;
+/// Rows that are summed in 32 bits, a sixteenth of them in each band.
+const ROWS: usize = 4096;
 
 /// Products of deviations, summed over bands of rows and kept by column.
 #[derive(Debug, Clone)]
@@ -115,7 +115,7 @@ impl Quadratic for Covariance {
     }
 
     fn end(&mut self, _: &[f32], _: &Layout) {
-        if self.rows * BLOCKS >= ROWS * BLOCKS.min(self.shape.0) {
+        if self.rows >= ROWS {
             self.flush();
         }
     }

@@ -77,9 +77,7 @@ impl Power {
         self.flush();
         self.power.clone()
     }
-}
 
-impl Power {
     /// Adds an image of deviations whose lines are known: a sum of products, as [`super::pass::Quadratic`] is.
     pub fn add(&mut self, image: &[f32], lines: &Lines, layout: &Layout) {
         let columns = layout.columns();
