@@ -82,7 +82,8 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             normal: (o.measured.value.max(0.0).cbrt(), (1.0 - c) * root, c.sqrt() * root),
         }
     };
-    // Where the noise covers few codes their widths are in it.
+    // Where the noise covers few codes their widths are in it: not an equation but a bound on what is not predicted, gone where the
+    // noise covers many.
     let widths = 0.5 * p.bit_errors_dn.iter().map(|e| e * e).sum::<f64>();
     let rough = |s: &SetPrediction| {
         let (mean, variance) = quantised(s.covariance(0, 0), p.code_step_dn);
@@ -144,16 +145,17 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
     // While the level moves within a chunk, shading and fixed pattern move with it, pixel by pixel: how much of that neighbours share
     // is not known, and is in the error.
     let spread = all.campaign.sets.iter().map(|s| s.spread).fold(0.0, f64::max);
-    let moved = frames.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-    // Noise of whole rows and columns: there are few of them.
     let dof = (n - 1.0).max(1.0);
-    let of_lines = |dy: i32, dx: i32| {
+    let moved = frames.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / dof;
+    let moving = spread * spread * moved;
+    // Noise of whole rows and columns: there are few of them, and a mean product of n normal pairs has the error s^2 / root n (twice
+    // that square for a product with itself).
+    let shared = |dy: i32, dx: i32| {
         let of = |own: f64, count: usize, same: bool| {
             own * ((1.0 + f64::from(u8::from(same))) / count as f64 / dof).sqrt()
         };
         of(s.row, shape.0, dy == 0).hypot(of(s.column, shape.1, dx == 0))
     };
-    let moving = spread * spread * moved;
     // A line has one phase a frame: what few frames show of it scatters (random walk of n phases).
     let walk = 1.0 / (n * (n - 1.0)).max(1.0).sqrt();
     let lines = |dy: i32, dx: i32| -> f64 {
@@ -174,13 +176,13 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             let expected = frames.get(k).copied().unwrap_or(0.0) - rest.iter().sum::<f64>() / m;
             plain(expected, (frame_mean_var * (1.0 + 1.0 / m)).sqrt().hypot(0.002))
         }
-        Statistic::FrameMeanVariance => few(frame_mean_var + moved + 1e-7, (n - 1.0).max(1.0)),
+        Statistic::FrameMeanVariance => few(frame_mean_var + moved + 1e-7, dof),
         Statistic::Variance => plain(
             lag(0, 0) + moving,
-            o.measured.std_err.hypot(rough(s).1).hypot(lines(0, 0)).hypot(moving).hypot(of_lines(0, 0)),
+            o.measured.std_err.hypot(rough(s).1).hypot(lines(0, 0)).hypot(moving).hypot(shared(0, 0)),
         ),
         Statistic::Covariance(dy, dx) => {
-            plain(lag(dy, dx), o.measured.std_err.hypot(lines(dy, dx)).hypot(moving).hypot(of_lines(dy, dx)))
+            plain(lag(dy, dx), o.measured.std_err.hypot(lines(dy, dx)).hypot(moving).hypot(shared(dy, dx)))
         }
         Statistic::RowVariance | Statistic::ColumnVariance => {
             let rows = o.kind == Statistic::RowVariance;
@@ -193,7 +195,7 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             // Of noise across the lines each holds the mean, which the frame's mean takes with it.
             let across = if rows { s.column / shape.1 as f64 } else { s.row / shape.0 as f64 };
             let value = pixels + own + across + of_lines - of_mean;
-            let dof = (n - 1.0).max(1.0) * (count as f64 - 1.0);
+            let dof = dof * (count as f64 - 1.0);
             plain(value, (value.abs().max(1e-9) * (2.0 / dof).sqrt()).hypot(walk * of_lines).hypot(moving))
         }
         Statistic::Successive => {
@@ -209,12 +211,12 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
                     .hypot(0.5 * rough(s).1)
                     .hypot(lines(0, 0))
                     .hypot(moving)
-                    .hypot(of_lines(1, 1)),
+                    .hypot(shared(1, 1)),
             )
         }
         Statistic::Unequal => {
             // The variance of a sample variance has the fourth cumulant over the frames in it (Cramer 1946, 27.4).
-            let allowed = 1.0 + 2.0 / (n - 1.0).max(1.0);
+            let allowed = 1.0 + 2.0 / dof;
             let rest = rough(s).1.hypot(moving) / s.covariance(0, 0).max(1e-9);
             plain(
                 s.unequal + s.kurtosis / (n * allowed),
@@ -223,14 +225,11 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
         }
         Statistic::Parity(k) => {
             let parity = if k == 0 { s.parity.0 } else { s.parity.1 };
-            plain(parity, o.measured.std_err.hypot(moving).hypot(2.0 * of_lines(1, 1)))
+            plain(parity, o.measured.std_err.hypot(moving).hypot(2.0 * shared(1, 1)))
         }
         Statistic::Growth(k) => {
             let growth = if k == 0 { s.growth.0 } else { s.growth.1 };
-            plain(
-                0.5 * growth * s.shot.lag(0, 0),
-                o.measured.std_err.hypot(moving).hypot(2.0 * of_lines(1, 1)),
-            )
+            plain(0.5 * growth * s.shot.lag(0, 0), o.measured.std_err.hypot(moving).hypot(2.0 * shared(1, 1)))
         }
         _ => plain(0.0, o.measured.std_err.max(1.0)),
     }

@@ -308,7 +308,8 @@ pub fn fit(
     let mut lambda = 1e-3;
     let mut normal = vec![0.0; n * n];
     for round in 0..ROUNDS {
-        // Fisher's scoring: errors that depend on the parameters tell of them as well, by (z^2 - 1) / sqrt 2 of unit variance.
+        // Fisher's scoring (Rao 1973, section 5g): errors that depend on the parameters tell of them as well, by
+        // (z^2 - 1) / sqrt 2 of unit variance.
         let columns: Vec<Vec<[f64; 2]>> = (0..n).map(|i| free.slopes(i, &now, &x, all, half)).collect();
         let score = |(c, e): (&[f64; 2], &Expected)| c[0] * e.z() + c[1] * ((e.z() * e.z()).min(LARGE) - 1.0);
         let gradient: Vec<f64> = columns.iter().map(|c| c.iter().zip(&now).map(score).sum()).collect();
