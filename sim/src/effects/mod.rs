@@ -246,10 +246,12 @@ static OWN: std::sync::RwLock<Vec<&'static dyn Effect>> = std::sync::RwLock::new
 ///
 /// `examples/row-gain-noise` is a program with an effect of its own.
 pub fn register(effect: &'static dyn Effect) -> Result<(), String> {
-    if find(effect.id()).is_some() || effect.id() == "custom" {
+    let mut own = OWN.write().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let taken = EFFECTS.iter().chain(own.iter()).any(|e| e.id() == effect.id());
+    if taken || effect.id() == "custom" {
         return Err(format!("there is an effect \"{}\" already", effect.id()));
     }
-    OWN.write().unwrap_or_else(std::sync::PoisonError::into_inner).push(effect);
+    own.push(effect);
     Ok(())
 }
 
