@@ -25,6 +25,7 @@ mod model;
 mod optics;
 mod poisson;
 pub mod predict;
+mod quantize;
 pub mod rng;
 mod scene;
 pub mod sensors;

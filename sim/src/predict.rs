@@ -3,6 +3,8 @@
 //! Noise is carried as a power spectrum over the sensor, so that charge sharing and filters are multiplications
 //! (Wiener-Khinchin); covariances at small lags come back by the inverse transform.
 
+use crate::quantize::rounded;
+
 /// Side of the grid of spatial frequencies.
 pub const GRID: usize = 16;
 
@@ -86,6 +88,8 @@ pub struct SetInfo {
     pub illumination: f64,
     /// Spatial deviation of the signal over its mean.
     pub spread: f64,
+    /// Spatial deviation of the level, fixed pattern of the offset included, DN.
+    pub spread_dn: f64,
 }
 
 /// What was measured, as far as a prediction needs it.
@@ -137,12 +141,11 @@ pub struct SetPrediction {
     pub shot_memory: Vec<f64>,
     /// See `shot_memory`.
     pub read_memory: Vec<f64>,
-    /// Excess of the spread of the pixels' variances: their variance over its expectation, minus 1, times the frames minus 1,
-    /// over 2 (0 for pixels that are alike).
+    /// Variance, from pixel to pixel, of their noise's variance, e^4, then DN^4 (0 for pixels that are alike).
     pub unequal: f64,
-    /// Fourth cumulant of the pixels' noise, the mean over all of them, over the square of their mean variance (0 for normal noise).
-    pub kurtosis: f64,
-    /// How far the noise is from normal: by so much the spread of the pixels' variances is not known.
+    /// Fourth cumulant of the pixels' noise, the mean over all of them, e^4, then DN^4 (0 for normal noise).
+    pub fourth: f64,
+    /// By so much `unequal` is not known, e^4, then DN^4.
     pub unsure: f64,
     /// Lines in the spectrum: (variance, phase from column to column, phase from row to row), radians.
     pub lines: Vec<(f64, f64, f64)>,
@@ -178,6 +181,15 @@ pub struct Prediction {
 pub const BITS: usize = 6;
 
 impl SetPrediction {
+    /// Clipping leaves the share `less` of the variance, and pixels whose variances and fourth cumulants are these.
+    pub(crate) fn cut(&mut self, less: f64, unequal: f64, fourth: f64) {
+        let square = less * less;
+        self.unequal = self.unequal * square + unequal;
+        self.fourth = self.fourth * square + fourth;
+        // The levels of the pixels are only about normal.
+        self.unsure = libm::hypot(self.unsure * square, 0.3 * unequal);
+    }
+
     /// Covariance at a lag of noise within a frame, DN^2: the frame's own mean is not taken off.
     pub fn covariance(&self, dy: i32, dx: i32) -> f64 {
         let row = if dy == 0 { self.row } else { 0.0 };
@@ -215,7 +227,7 @@ impl Prediction {
             shot_memory: Vec::new(),
             read_memory: Vec::new(),
             unequal: 0.0,
-            kurtosis: 0.0,
+            fourth: 0.0,
             unsure: 0.0,
             lines: Vec::new(),
             growth: (0.0, 0.0),
@@ -233,6 +245,26 @@ impl Prediction {
         }
     }
 
+    /// Rounds to whole steps.
+    pub(crate) fn quantize(&mut self, c: &Campaign) {
+        let step = self.code_step_dn;
+        let square = step * step;
+        let mut shifts = vec![0.0; self.sets.len()];
+        for (i, s) in self.sets.iter_mut().enumerate() {
+            let variance = s.covariance(0, 0) / square;
+            let spread = c.sets.get(i).map_or(0.0, |s| s.spread_dn) / step;
+            let level = (s.signal + self.base.offset_dn) / step;
+            let rounded = rounded(level, spread, variance);
+            shifts[i] = step * rounded.mean;
+            s.read.0.iter_mut().for_each(|p| *p += square * rounded.variance);
+            s.unequal += square * square * rounded.unequal;
+            s.fourth += square * square * rounded.fourth;
+        }
+        for (m, frame) in self.frame_signal.iter_mut().zip(&c.frames) {
+            *m += shifts.get(frame.set).copied().unwrap_or(0.0);
+        }
+    }
+
     /// Applies a curve to the mean of every frame and set, with the square of its slope to all noise.
     pub fn bend(&mut self, curve: impl Fn(f64) -> f64) {
         self.frame_signal.iter_mut().for_each(|s| *s = curve(*s));
@@ -246,6 +278,9 @@ impl Prediction {
             s.row *= square;
             s.column *= square;
             s.common *= square;
+            for fourth_power in [&mut s.unequal, &mut s.fourth, &mut s.unsure] {
+                *fourth_power *= square * square;
+            }
         }
     }
 }

@@ -55,11 +55,12 @@ fn line_mean(phase: f64, n: f64) -> f64 {
     if half.abs() < 1e-9 { 1.0 } else { ((0.5 * phase * n).sin() / (n * half)).powi(2) }
 }
 
-/// What quantisation in steps of q may do to mean and variance beyond q^2/12 where the noise is narrower than about half a step,
-/// DN and DN^2: the first terms of the characteristic function (Widrow and Kollar 2008, ch. 4 and app. B).
-fn quantised(variance: f64, q: f64) -> (f64, f64) {
+/// What quantisation in steps of q may do to mean and variance beyond what is predicted for pixels of normal levels, where the noise
+/// and these levels together are narrower than about half a step, DN and DN^2: a quarter of the first terms of the characteristic
+/// function (Widrow and Kollar 2008, ch. 4 and app. B).
+fn quantised(variance: f64, spread: f64, q: f64) -> (f64, f64) {
     let noise = (variance - q * q / 12.0).max(1e-3 * q * q);
-    let ripple = (-2.0 * std::f64::consts::PI.powi(2) * noise / (q * q)).exp();
+    let ripple = 0.25 * (-2.0 * std::f64::consts::PI.powi(2) * (noise + spread * spread) / (q * q)).exp();
     (q / std::f64::consts::PI * ripple, (q * q / std::f64::consts::PI.powi(2) + 4.0 * noise) * ripple)
 }
 
@@ -86,7 +87,8 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
     // noise covers many.
     let widths = 0.5 * p.bit_errors_dn.iter().map(|e| e * e).sum::<f64>();
     let rough = |s: &SetPrediction| {
-        let (mean, variance) = quantised(s.covariance(0, 0), p.code_step_dn);
+        let spread = o.set.and_then(|i| all.campaign.sets.get(i)).map_or(0.0, |s| s.spread_dn);
+        let (mean, variance) = quantised(s.covariance(0, 0), spread, p.code_step_dn);
         (mean, variance.hypot(widths * (-0.02 * s.covariance(0, 0)).exp()))
     };
     let Some(s) = o.set.and_then(|i| p.sets.get(i)) else {
@@ -196,7 +198,8 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             let across = if rows { s.column / shape.1 as f64 } else { s.row / shape.0 as f64 };
             let value = pixels + own + across + of_lines - of_mean;
             let dof = dof * (count as f64 - 1.0);
-            plain(value, (value.abs().max(1e-9) * (2.0 / dof).sqrt()).hypot(walk * of_lines).hypot(moving))
+            let rest = (walk * of_lines).hypot(moving).hypot(rough(s).1 / width as f64);
+            plain(value, (value.abs().max(1e-9) * (2.0 / dof).sqrt()).hypot(rest))
         }
         Statistic::Successive => {
             let f = frames.len().max(2);
@@ -217,10 +220,12 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
         Statistic::Unequal => {
             // The variance of a sample variance has the fourth cumulant over the frames in it (Cramer 1946, 27.4).
             let allowed = 1.0 + 2.0 / dof;
-            let rest = rough(s).1.hypot(moving) / s.covariance(0, 0).max(1e-9);
+            let variance = s.covariance(0, 0).max(1e-9);
+            let rest = rough(s).1.hypot(moving) / variance;
+            let square = variance * variance;
             plain(
-                s.unequal + s.kurtosis / (n * allowed),
-                o.measured.std_err.hypot(s.unsure).hypot(0.002).hypot(rest),
+                (s.unequal + s.fourth / (n * allowed)) / square,
+                o.measured.std_err.hypot(s.unsure / square).hypot(0.002).hypot(rest),
             )
         }
         Statistic::Parity(k) => {

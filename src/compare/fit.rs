@@ -324,7 +324,7 @@ pub fn fit(
         }
         let mut improved = false;
         let before = best;
-        for _ in 0..8 {
+        for _ in 0..12 {
             let mut a = normal.clone();
             for i in 0..n {
                 a[i * n + i] += lambda * normal[i * n + i] + 1e-12;
@@ -341,7 +341,7 @@ pub fn fit(
             let value = objective(&there);
             if value < best {
                 (x, now, best, improved) = (trial, there, value, true);
-                lambda = (lambda * 0.2).max(1e-9);
+                lambda = (lambda * 0.2).max(1e-6);
                 break;
             }
             lambda *= 6.0;

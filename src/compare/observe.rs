@@ -157,6 +157,7 @@ fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<Fram
         light: light_of(s.kind, s.illumination, i),
         illumination: s.illumination,
         spread: 0.0,
+        spread_dn: 0.0,
     };
     let infos = settings.iter().enumerate().map(set).collect();
     let mut set_of_row = vec![0; dataset.rows().len()];
@@ -196,8 +197,9 @@ pub fn of_dataset(
     }
     for c in &chunks {
         let above = c.said.frame_means.mean_dn() - zero_dn;
-        infos[c.set].spread =
-            if above > 5.0 { (c.said.spatial_var_dn2.sqrt() / above).min(0.3) } else { 0.0 };
+        let spread_dn = c.said.spatial_var_dn2.max(0.0).sqrt();
+        infos[c.set].spread_dn = spread_dn;
+        infos[c.set].spread = if above > 5.0 { (spread_dn / above).min(0.3) } else { 0.0 };
     }
     let mut all = Vec::new();
     let inflation = Inflation::of(&chunks);

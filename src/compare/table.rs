@@ -53,6 +53,7 @@ pub(super) fn observations(table: &Table) -> Result<Observations, ObserveError> 
             light: Some(if exposures { 0 } else { place }),
             illumination: level.illumination.unwrap_or(1.0),
             spread: 0.0,
+            spread_dn: 0.0,
         });
         frames.push(FrameInfo { set: place, time_s: 0.0 });
         let mut add = |kind, value: f64, std_err: f64| {

@@ -81,7 +81,10 @@ struct Answer {
 
 fn ask(model: &Model) -> Answer {
     let dir = tempfile::tempdir().unwrap();
-    let root = dir.path().join("c");
+    // Kept for a closer look where a folder is named.
+    let kept =
+        std::env::var("BLIND_KEEP").map(|d| std::path::PathBuf::from(d).join(model.base.seed.to_string()));
+    let root = kept.unwrap_or_else(|_| dir.path().join("c"));
     campaign(model.clone(), &root);
     let out = radcam(&["diagnose", root.to_str().unwrap(), "--json"]);
     let json: serde_json::Value = serde_json::from_slice(&out.stdout)
@@ -240,7 +243,8 @@ fn the_whole_table() {
     .unwrap();
     let clean = number("BLIND_CLEAN", 200);
     let mut alarms = 0;
-    for k in 0..clean {
+    let from = number("BLIND_FROM", 0);
+    for k in from..from + clean {
         let a = ask(&sensor(9000 + k));
         if !a.consistent {
             alarms += 1;

@@ -77,9 +77,6 @@ fn strays(seed: u64, effects: &[(&str, f64)]) -> Option<String> {
     let mut held: Vec<(&'static dyn Effect, Vec<f64>)> = Vec::new();
     for (id, strength) in effects {
         let values = scaled(id, &example(id, &model)?, *strength);
-        if *id == "black-clipping" {
-            model.base.offset_spread_dn = 0.0;
-        }
         model = with(model, id, &values);
         held.push((find(id).unwrap(), values));
     }

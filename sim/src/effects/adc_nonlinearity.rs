@@ -51,7 +51,7 @@ impl Effect for This {
         // Where the noise covers few codes their widths are in each pixel's variance.
         let widths: f64 = p.iter().map(|d| d * d).sum();
         for s in &mut out.sets {
-            s.unsure = libm::hypot(s.unsure, 0.5 * widths / s.covariance(0, 0).max(1e-3));
+            s.unsure = libm::hypot(s.unsure, 0.5 * widths * s.covariance(0, 0));
         }
     }
 

@@ -34,15 +34,18 @@ impl Effect for This {
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let noise: Vec<f64> = out.sets.iter().map(|s| s.covariance(0, 0)).collect();
+        let limited = |set: usize, level: f64| {
+            let spread = c.sets.get(set).map_or(0.0, |s| s.spread_dn);
+            clipped(-level, spread, noise.get(set).copied().unwrap_or(0.0), -p[0])
+        };
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
-            let variance = noise.get(frame.set).copied().unwrap_or(0.0);
-            *m = -clipped(-*m, variance, -p[0]).0;
+            *m = -limited(frame.set, *m).mean;
         }
-        for (s, variance) in out.sets.iter_mut().zip(noise) {
-            let (mean, left) = clipped(-s.signal, variance, -p[0]);
-            s.signal = -mean;
-            let less = if variance > 0.0 { left / variance } else { 1.0 };
-            s.unsure += 2.0 * (1.0 - less).abs();
+        for (i, s) in out.sets.iter_mut().enumerate() {
+            let left = limited(i, s.signal);
+            s.signal = -left.mean;
+            let less = if noise[i] > 0.0 { left.variance / noise[i] } else { 1.0 };
+            s.cut(less, left.unequal, left.fourth);
             s.shot.scale(less);
             s.read.scale(less);
             (s.row, s.column, s.common) = (s.row * less, s.column * less, s.common * less);

@@ -32,10 +32,7 @@ impl Effect for This {
     }
 
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
-        out.code_step_dn = p[0];
-        for s in &mut out.sets {
-            s.read.0.iter_mut().for_each(|power| *power += (p[0] * p[0] - 1.0) / 12.0);
-        }
+        out.code_step_dn = p[0].max(1.0);
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {

@@ -5,7 +5,7 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes
 /// min(q, full well).
 pub struct This;
 
-/// Points and weights of Gauss and Hermite for a normal spread.
+/// Points and weights of Gauss and Hermite for a normal spread (Abramowitz and Stegun, 25.4.46, for a deviation of 1).
 const SPREAD: [(f64, f64); 5] = [
     (-2.856_970_013_872_8, 0.011_257_411_327_720_7),
     (-1.355_626_179_974_3, 0.222_075_922_005_613),
@@ -14,15 +14,52 @@ const SPREAD: [(f64, f64); 5] = [
     (2.856_970_013_872_8, 0.011_257_411_327_720_7),
 ];
 
-/// Mean and variance of min(x, limit) for normal x.
-pub(super) fn clipped(mean: f64, variance: f64, limit: f64) -> (f64, f64) {
+/// What clipping leaves of normal noise in pixels whose levels differ.
+pub(super) struct Clipped {
+    pub mean: f64,
+    /// Mean of the pixels' variances.
+    pub variance: f64,
+    /// Variance of the pixels' variances.
+    pub unequal: f64,
+    /// Mean of the pixels' fourth cumulants.
+    pub fourth: f64,
+}
+
+/// Mean, variance and fourth cumulant of min(x, limit) for normal x: moments of a truncated normal variable (Johnson, Kotz and
+/// Balakrishnan 1994, 13.10) and of the mass at the limit.
+fn cut(mean: f64, variance: f64, limit: f64) -> (f64, f64, f64) {
     let sd = libm::sqrt(variance.max(1e-12));
-    let z = (limit - mean) / sd;
-    let below = 0.5 * libm::erfc(-z / std::f64::consts::SQRT_2);
-    let density = libm::exp(-0.5 * z * z) / libm::sqrt(std::f64::consts::TAU);
-    let m = mean * below - sd * density + limit * (1.0 - below);
-    let square = (mean * mean + variance) * below - sd * (mean + limit) * density + limit * limit * (1.0 - below);
-    (m, (square - m * m).max(0.0))
+    let c = (limit - mean) / sd;
+    if c > 8.0 {
+        return (mean, variance, 0.0);
+    }
+    let below = 0.5 * libm::erfc(-c / std::f64::consts::SQRT_2);
+    let density = libm::exp(-0.5 * c * c) / libm::sqrt(std::f64::consts::TAU);
+    let above = 1.0 - below;
+    let moments = [
+        1.0,
+        -density + c * above,
+        below - c * density + c * c * above,
+        -(c * c + 2.0) * density + c.powi(3) * above,
+        3.0 * below - (c.powi(3) + 3.0 * c) * density + c.powi(4) * above,
+    ];
+    let m = moments[1];
+    let second = (moments[2] - m * m).max(0.0);
+    let fourth = moments[4] - 4.0 * m * moments[3] + 6.0 * m * m * moments[2] - 3.0 * m.powi(4);
+    (mean + sd * m, variance * second, variance * variance * (fourth - 3.0 * second * second))
+}
+
+/// min(x, limit) for normal noise in pixels whose means have the deviation `spread`.
+pub(super) fn clipped(mean: f64, spread: f64, variance: f64, limit: f64) -> Clipped {
+    let all = SPREAD.map(|(x, weight)| (weight, cut(mean + spread * x, variance, limit)));
+    let average = |of: &dyn Fn(&(f64, f64, f64)) -> f64| all.iter().map(|(w, c)| w * of(c)).sum::<f64>();
+    let variance = average(&|c| c.1);
+    Clipped {
+        mean: average(&|c| c.0),
+        variance,
+        unequal: average(&|c| (c.1 - variance) * (c.1 - variance)),
+        fourth: average(&|c| c.2),
+    }
 }
 
 impl Effect for This {
@@ -53,24 +90,24 @@ impl Effect for This {
     }
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
-        let limited = |signal: f64, spread: f64, variance: f64| {
-            SPREAD.iter().fold((0.0, 0.0), |(m, v), (x, weight)| {
-                let (mean, var) = clipped(signal * (1.0 + spread * x), variance, p[0]);
-                (m + weight * mean, v + weight * var)
-            })
-        };
+        let limited =
+            |signal: f64, spread: f64| clipped(signal, spread * signal, signal.max(1e-9), p[0]);
         let spread = |set: usize| c.sets.get(set).map_or(0.0, |s| s.spread);
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
-            *m = limited(*m, spread(frame.set), m.max(0.0)).0;
+            *m = limited(*m, spread(frame.set)).mean;
         }
+        let read = out.base.read_noise_e * out.base.read_noise_e;
         for (i, s) in out.sets.iter_mut().enumerate() {
             let before = s.signal.max(1e-9);
-            let (mean, variance) = limited(before, spread(i), before);
-            let less = (variance / before).min(1.0);
-            s.unsure += 3.0 * (1.0 - less);
+            let left = limited(before, spread(i));
+            let less = (left.variance / before).min(1.0);
+            s.cut(less, left.unequal, left.fourth);
             s.shot.scale(less);
+            // Shading is not normal: which pixels of a level lie above the knee is not known.
+            let rest = left.variance + read;
+            s.unsure = libm::hypot(s.unsure, 3.0 * (1.0 - less) * rest * rest);
             s.common *= less * less;
-            s.signal = mean;
+            s.signal = left.mean;
         }
     }
 

@@ -321,9 +321,7 @@ pub fn predict(campaign: &Campaign, base: &BaseParameters, effects: &[(&dyn Effe
     out.bend(|s| s * gain);
     run(&mut out, Stage::Amplifier, Stage::Converter);
     run(&mut out, Stage::Firmware, Stage::Firmware);
-    for s in &mut out.sets {
-        s.read.0.iter_mut().for_each(|p| *p += 1.0 / 12.0);
-    }
     out.frame_signal.iter_mut().for_each(|m| *m += base.offset_dn);
+    out.quantize(campaign);
     out
 }

@@ -37,13 +37,10 @@ impl Effect for This {
     /// The fourth cumulant of +-a is -2 a^4: the variances of two levels scatter less than those of normal noise.
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let jump = 0.25 * p[1] * p[1];
-        let read = out.base.read_noise_e * out.base.read_noise_e;
         for s in &mut out.sets {
-            let all = s.shot.lag(0, 0) + read + p[0] * jump;
-            let square = (jump / all) * (jump / all);
-            let spread = p[0] * (1.0 - p[0]) * square;
+            let spread = p[0] * (1.0 - p[0]) * jump * jump;
             s.unequal += spread;
-            s.kurtosis -= 2.0 * p[0] * square;
+            s.fourth -= 2.0 * p[0] * jump * jump;
             // So many pixels have it as chance has it, and each shows of it what few frames show.
             let pixels = (c.shape.0 * c.shape.1) as f64;
             s.unsure = libm::hypot(s.unsure, spread * libm::sqrt(3.0 / (p[0] * pixels).max(1.0)));

@@ -1,0 +1,126 @@
+//! What rounding to whole steps does to noise that covers about a step or less.
+
+use std::sync::OnceLock;
+
+/// Statistics of rounded noise over many pixels, in steps.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Rounded {
+    /// Mean beyond the mean before rounding.
+    pub mean: f64,
+    /// Mean of the pixels' variances beyond that before rounding: 1/12 for wide noise.
+    pub variance: f64,
+    /// Variance of the pixels' variances.
+    pub unequal: f64,
+    /// Mean of the pixels' fourth cumulants.
+    pub fourth: f64,
+}
+
+/// From this deviation on, in steps, rounding adds 1/12 whatever the level: what is missing is exp(-2 pi^2 0.7^2) = 6e-5.
+pub const WIDE: f64 = 0.7;
+/// From this deviation of the pixels' levels on they lie anywhere between two codes alike.
+const EVEN: f64 = 0.6;
+/// Deviations and places of the level between two codes that the table holds.
+const DEVIATIONS: usize = 70;
+const PLACES: usize = 64;
+
+/// Mean error, variance and fourth cumulant of a pixel.
+type Pixel = [f64; 3];
+
+/// For a level (0 is a code) and a deviation: sums over the codes.
+fn exact(level: f64, sd: f64) -> Pixel {
+    let below = |edge: f64| 0.5 * libm::erfc(-edge / (sd.max(1e-9) * std::f64::consts::SQRT_2));
+    let codes = (-6..=6).map(|c| {
+        let c = f64::from(c);
+        (c, below(c + 0.5 - level) - below(c - 0.5 - level))
+    });
+    let codes: Vec<(f64, f64)> = codes.collect();
+    let moment = |about: f64, k: i32| codes.iter().map(|(c, p)| p * (c - about).powi(k)).sum::<f64>();
+    let mean = moment(0.0, 1);
+    let (second, fourth) = (moment(mean, 2), moment(mean, 4));
+    [mean - level, second, fourth - 3.0 * second * second]
+}
+
+fn table() -> &'static [Pixel] {
+    static TABLE: OnceLock<Vec<Pixel>> = OnceLock::new();
+    TABLE.get_or_init(|| {
+        let row = |i: usize| {
+            let sd = WIDE * i as f64 / DEVIATIONS as f64;
+            (0..=PLACES).map(move |k| exact(k as f64 / PLACES as f64 - 0.5, sd))
+        };
+        (0..=DEVIATIONS).flat_map(row).collect()
+    })
+}
+
+/// Normal noise of this variance, in pixels whose levels have a mean and a deviation; all in steps, 0 is a code.
+pub fn rounded(level: f64, spread: f64, variance: f64) -> Rounded {
+    let place = variance.max(0.0).sqrt() / WIDE * DEVIATIONS as f64;
+    if !place.is_finite() || place >= DEVIATIONS as f64 {
+        return Rounded { variance: 1.0 / 12.0, fourth: -1.0 / 120.0, ..Default::default() };
+    }
+    let (row, down) = (place as usize * (PLACES + 1), place.fract());
+    let table = table();
+    let pixel = |level: f64| -> Pixel {
+        let x = (level - (level - 0.5).ceil() + 0.5).clamp(0.0, 1.0) * PLACES as f64;
+        let (k, right) = ((x as usize).min(PLACES - 1), x - (x as usize).min(PLACES - 1) as f64);
+        let at = |i: usize| table[row + k + i];
+        let (a, b, c, d) = (at(0), at(1), at(PLACES + 1), at(PLACES + 2));
+        let between = |i: usize| {
+            let (upper, lower) = (a[i] + right * (b[i] - a[i]), c[i] + right * (d[i] - c[i]));
+            upper + down * (lower - upper)
+        };
+        [between(0), between(1), between(2)]
+    };
+    // Levels of the pixels: normal, as far as three deviations.
+    const HALF: i32 = 24;
+    let spread = spread.min(EVEN);
+    let mut sums = [0.0; 5];
+    for i in -HALF..=HALF {
+        let t = 3.0 * f64::from(i) / f64::from(HALF);
+        let [mean, var, fourth] = pixel(level + spread * t);
+        let w = libm::exp(-0.5 * t * t);
+        for (sum, v) in sums.iter_mut().zip([1.0, mean, var, var * var, fourth]) {
+            *sum += w * v;
+        }
+    }
+    let [n, mean, var, square, fourth] = sums;
+    let var = var / n;
+    Rounded {
+        mean: mean / n,
+        variance: var - variance.max(0.0),
+        unequal: (square / n - var * var).max(0.0),
+        fourth: fourth / n,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Levels spread over several codes: the mean variance lacks the sum over k of exp(-(2 pi k sd)^2) / (2 pi^2 k^2) (Widrow and
+    /// Kollar 2008, ch. 4).
+    #[test]
+    fn narrow_noise_loses_what_the_series_says() {
+        for sd in [0.05f64, 0.12, 0.2, 0.31, 0.5, 0.9] {
+            let term = |k: f64| {
+                let turns = std::f64::consts::TAU * k * sd;
+                (-turns * turns).exp() / (2.0 * (std::f64::consts::PI * k).powi(2))
+            };
+            let lost: f64 = (1..400).map(|k| term(f64::from(k))).sum();
+            let found = rounded(17.3, 1.3, sd * sd);
+            // The table's lines between its points, and levels that are cut off at three deviations.
+            assert!((found.variance - (1.0 / 12.0 - lost)).abs() < 1e-3, "{sd}: {found:?} {lost}");
+            assert!(found.mean.abs() < 1e-3, "{sd}: {found:?}");
+        }
+    }
+
+    /// All pixels at one level: on a code and between two.
+    #[test]
+    fn a_level_on_a_code_and_between_two() {
+        let on = rounded(5.0, 0.0, 0.04);
+        assert!(on.mean.abs() < 1e-12 && on.variance < 0.0 && on.unequal < 1e-12, "{on:?}");
+        let between = rounded(5.5, 0.0, 0.04);
+        assert!((between.variance + 0.04 - 0.25).abs() < 0.02, "{between:?}");
+        let wide = exact(0.3, 0.8);
+        assert!((wide[1] - 0.64 - 1.0 / 12.0).abs() < 1e-4 && wide[0].abs() < 1e-4, "{wide:?}");
+    }
+}
