@@ -18,6 +18,8 @@ const NEEDED: f64 = 16.0;
 /// Candidates within this evidence of the best cannot be told apart.
 const TIE: f64 = 6.0;
 
+/// Error from which on a fit says little of the parameters.
+const FAR: f64 = 3.0;
 /// Share of the excess of the squared error that may be left where the names that were found are right.
 const UNEXPLAINED: f64 = 0.05;
 
@@ -119,14 +121,23 @@ pub fn diagnose(
     for _ in 0..MOST {
         progress(&format!("error {:.2}; trying every effect", last.error));
         let ids: Vec<&str> = now.effects.iter().map(|(e, _)| e.id()).collect();
+        // Where the model is far off its fit may have bent what is sound to please what is not: each search begins at a fresh guess too.
+        let mut from = vec![now.clone()];
+        if last.error > FAR {
+            let mut fresh = now.clone();
+            fresh.base = start(all);
+            from.push(fresh);
+        }
         let mut candidates: Vec<Candidate> = effects::all()
             .into_par_iter()
             .filter(|e| !ids.contains(&e.id()) && applies(*e, all))
             .filter_map(|effect| {
-                let tries = starts(effect, all, &now).into_iter().map(|values| {
-                    let mut effects = now.effects.clone();
-                    effects.push((effect, values));
-                    fit(all, None, &now.base, &effects)
+                let tries = from.iter().flat_map(|from| {
+                    starts(effect, all, from).into_iter().map(|values| {
+                        let mut effects = from.effects.clone();
+                        effects.push((effect, values));
+                        fit(all, None, &from.base, &effects)
+                    })
                 });
                 let fitted = tries.min_by(|a, b| a.objective.total_cmp(&b.objective))?;
                 let parameters = effect.parameters().len() as f64;

@@ -147,6 +147,8 @@ pub struct SetPrediction {
     pub fourth: f64,
     /// By so much `unequal` is not known, e^4, then DN^4.
     pub unsure: f64,
+    /// By so much variance and covariances are not known, e^2, then DN^2.
+    pub unsure_var: f64,
     /// Lines in the spectrum: (variance, phase from column to column, phase from row to row), radians.
     pub lines: Vec<(f64, f64, f64)>,
     /// Change of the neighbour covariances per unit of distance from the output, as a share of the shot variance: along rows,
@@ -173,8 +175,8 @@ pub struct Prediction {
     pub taps: (f64, f64),
     /// Light collected while charge is moved through the image, s of exposure.
     pub smear_s: f64,
-    /// Share of the light of a scene that is spread over all pixels.
-    pub stray: f64,
+    /// From this charge on a pixel spills into its column, e.
+    pub bloom_e: f64,
 }
 
 /// Bits of a code whose weights are looked at.
@@ -229,6 +231,7 @@ impl Prediction {
             unequal: 0.0,
             fourth: 0.0,
             unsure: 0.0,
+            unsure_var: 0.0,
             lines: Vec::new(),
             growth: (0.0, 0.0),
             parity: (0.0, 0.0),
@@ -241,7 +244,7 @@ impl Prediction {
             code_step_dn: 1.0,
             taps: (0.0, 0.0),
             smear_s: 0.0,
-            stray: 0.0,
+            bloom_e: f64::INFINITY,
         }
     }
 
@@ -278,6 +281,7 @@ impl Prediction {
             s.row *= square;
             s.column *= square;
             s.common *= square;
+            s.unsure_var *= square;
             for fourth_power in [&mut s.unequal, &mut s.fourth, &mut s.unsure] {
                 *fourth_power *= square * square;
             }

@@ -113,11 +113,9 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
                 let line: f64 = p.sets.first().map_or(0.0, |s| s.lines.iter().map(|l| l.0).sum());
                 plain(line, o.measured.std_err)
             }
-            Statistic::SceneColumns => {
-                let expected = all.scenes[half]
-                    .as_ref()
-                    .map_or(0.0, |s| p.smear_s * (s.ratio - 1.0) * s.column_light_dn_per_s);
-                plain(expected, o.measured.std_err)
+            Statistic::Leak(way) => {
+                let scene = all.scenes[half].as_ref();
+                plain(scene.map_or(0.0, |s| s.expected(way, p)), o.measured.std_err)
             }
             Statistic::Light(level) => {
                 let per = |l: usize| {
@@ -181,11 +179,18 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
         Statistic::FrameMeanVariance => few(frame_mean_var + moved + 1e-7, dof),
         Statistic::Variance => plain(
             lag(0, 0) + moving,
-            o.measured.std_err.hypot(rough(s).1).hypot(lines(0, 0)).hypot(moving).hypot(shared(0, 0)),
+            o.measured
+                .std_err
+                .hypot(rough(s).1)
+                .hypot(s.unsure_var)
+                .hypot(lines(0, 0))
+                .hypot(moving)
+                .hypot(shared(0, 0)),
         ),
-        Statistic::Covariance(dy, dx) => {
-            plain(lag(dy, dx), o.measured.std_err.hypot(lines(dy, dx)).hypot(moving).hypot(shared(dy, dx)))
-        }
+        Statistic::Covariance(dy, dx) => plain(
+            lag(dy, dx),
+            o.measured.std_err.hypot(s.unsure_var).hypot(lines(dy, dx)).hypot(moving).hypot(shared(dy, dx)),
+        ),
         Statistic::RowVariance | Statistic::ColumnVariance => {
             let rows = o.kind == Statistic::RowVariance;
             let (axis, width, count, own) =

@@ -1,8 +1,6 @@
 //! Observables of a whole campaign: code occupancy, spectrum, the step between taps, scenes.
 
 use super::observe::Statistic;
-use super::read::SceneMean;
-use crate::dataset::{FrameRow, Kind};
 use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
 use crate::statistics::pass::{Layout, Summary};
@@ -218,69 +216,5 @@ impl LineSearch {
         let variance = excess.max(0.0) * unit;
         let error = floor * 7f64.sqrt() / self.frames.sqrt() * unit;
         Value { value: variance, std_err: error.hypot(0.1 * variance) }
-    }
-}
-
-/// A still scene at two exposures.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ScenePair {
-    /// Columns through the patch against the rest of the background: the short exposure scaled up less the long one, DN.
-    pub columns: Value,
-    /// The same combination of the light of the columns (mean of each column), DN per second at the long exposure.
-    pub column_light_dn_per_s: f64,
-    /// Long over short exposure.
-    pub ratio: f64,
-}
-
-impl ScenePair {
-    /// From the mean images of scenes, the longest and the shortest of equal light.
-    pub fn of(means: &[&SceneMean], settings: &[FrameRow], zero: f64, layout: &Layout) -> Option<Self> {
-        let scenes: Vec<_> = means.iter().filter(|s| settings[s.set].kind == Kind::Scene).collect();
-        let by = |s: &SceneMean| settings[s.set].exposure_s;
-        let long = scenes.iter().max_by(|a, b| by(a).total_cmp(&by(b)))?;
-        let same = |s: &&&&SceneMean| settings[s.set].illumination == settings[long.set].illumination;
-        let short = scenes.iter().filter(same).min_by(|a, b| by(a).total_cmp(&by(b)))?;
-        let (t_long, t_short) = (by(long), by(short));
-        let ratio = t_long / t_short;
-        if ratio < 1.5 {
-            return None;
-        }
-        let (rows, columns) = long.mean_dn.dim();
-        let above_zero = |image: &Array2<f32>| {
-            let dark = |i: usize| layout.zero.as_ref().map_or(zero, |z| f64::from(z[i]));
-            Array2::from_shape_fn((rows, columns), |(y, x)| f64::from(image[(y, x)]) - dark(y * columns + x))
-        };
-        let image = above_zero(&long.mean_dn);
-        let top = image.iter().copied().fold(f64::MIN, f64::max);
-        let bright = image.mapv(|v| v > 0.5 * top);
-        let through: Vec<bool> = (0..columns).map(|x| bright.column(x).iter().any(|b| *b)).collect();
-        let level: Vec<bool> = (0..rows).map(|y| bright.row(y).iter().any(|b| *b)).collect();
-        let scaled = above_zero(&short.mean_dn) * ratio - &image;
-        // Rows clear of the patch, column by column: columns may have a pattern of their own.
-        let part = |wanted: bool| {
-            let column = |x: usize| {
-                let clear = (0..rows).filter(|y| !level[*y] && layout.mask[y * columns + x] > 0.0);
-                let (s, n) = clear.fold((0.0, 0.0), |(s, n), y| (s + scaled[(y, x)], n + 1.0));
-                (n > 0.0).then(|| s / n)
-            };
-            let means: Vec<f64> = (0..columns).filter(|x| through[*x] == wanted).filter_map(column).collect();
-            let n = means.len() as f64;
-            let mean = means.iter().sum::<f64>() / n;
-            let var = means.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0);
-            (n >= 4.0).then_some((mean, var / n))
-        };
-        let (a, b) = (part(true)?, part(false)?);
-        let light = |wanted: bool| {
-            let all: Vec<f64> = (0..columns)
-                .filter(|x| through[*x] == wanted)
-                .map(|x| image.column(x).sum() / rows as f64)
-                .collect();
-            all.iter().sum::<f64>() / all.len().max(1) as f64
-        };
-        Some(Self {
-            columns: Value { value: a.0 - b.0, std_err: (a.1 + b.1).sqrt() },
-            column_light_dn_per_s: (light(true) - light(false)) / t_long,
-            ratio,
-        })
     }
 }

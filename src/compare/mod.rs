@@ -5,12 +5,14 @@ mod fit;
 mod global;
 mod observe;
 mod read;
+mod scene;
 mod table;
 mod words;
 
 pub use expect::Expected;
 pub use fit::{Effects, Fitted, fit, start, starts};
 pub use observe::{Observable, Observations, ObserveError, Statistic, of_dataset, of_table};
+pub use scene::{Direction, ScenePair};
 pub use words::{Signature, signatures};
 
 use radcam_sim::effects::Effect;

@@ -1,7 +1,8 @@
 //! What a campaign says, as a list of observables: each a number with an error, of some frames of one half.
 
-use super::global::{self, ScenePair};
+use super::global;
 use super::read::{Chunk, Reading, read};
+use super::scene::{Direction, ScenePair};
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind};
 use crate::statistics::covariance::LAGS;
@@ -48,8 +49,8 @@ pub enum Statistic {
     CodesUsed,
     /// Variance in the strongest line of the spectrum, DN^2.
     Line,
-    /// Background of a scene, columns through the patch against the rest: the short exposure scaled up less the long one, DN.
-    SceneColumns,
+    /// Beside a scene's bright patch, against the background away from it: the short exposure scaled up less the long one, DN.
+    Leak(Direction),
     /// Known light level: the flux over the nominal, relative.
     Light(usize),
 }
@@ -131,7 +132,7 @@ impl Statistic {
             Statistic::Occupancy(b) => format!("occupancy of codes, bit {b}"),
             Statistic::CodesUsed => "share of codes that occur".into(),
             Statistic::Line => "line in the spectrum".into(),
-            Statistic::SceneColumns => "scene, columns through the patch".into(),
+            Statistic::Leak(way) => format!("scene, {} the patch", way.name()),
             Statistic::Light(_) => "light level".into(),
         }
     }
@@ -240,7 +241,7 @@ pub fn of_dataset(
         let of_half: Vec<_> = scenes.iter().filter(|s| usize::from(s.half) == half).collect();
         pairs[half] = ScenePair::of(&of_half, &settings, zero_dn, &layout);
         if let Some(scene) = &pairs[half] {
-            whole(Statistic::SceneColumns, scene.columns);
+            scene.leaks.iter().for_each(|(way, value)| whole(Statistic::Leak(*way), *value));
         }
     }
     if shape.1 < 64 {

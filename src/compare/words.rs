@@ -1,6 +1,6 @@
 //! Residuals in words: which statistics stray, how they scale, along which axis and in which frames.
 
-use super::{Residual, Statistic};
+use super::{Direction, Residual, Statistic};
 
 /// What one statistic does.
 #[derive(Debug, Clone, PartialEq)]
@@ -67,6 +67,10 @@ fn describe(name: &str, of: &[&Residual]) -> String {
         Some(Statistic::Growth(_)) => "; changing across the sensor",
         Some(Statistic::Parity(0)) => "; every second column differs",
         Some(Statistic::Parity(_)) => "; every second row differs",
+        Some(Statistic::Leak(Direction::Left | Direction::Right)) => {
+            "; out of the bright patch along the rows"
+        }
+        Some(Statistic::Leak(_)) => "; out of the bright patch along the columns",
         Some(Statistic::Unequal) => "; a few pixels noisier than the rest",
         Some(Statistic::Occupancy(_) | Statistic::CodesUsed) => "; in the codes, by their bits",
         _ => "",

@@ -307,7 +307,8 @@ impl<'a> Pass<'a> {
         let power = self.sums.power.finish();
         let variance = &self.sums.variance;
         let level = self.frame_means.mean_dn();
-        let spatial = self.mean.iter().map(|m| f64::from(*m).powi(2)).sum::<f64>() / layout.pixels;
+        let between = self.mean.iter().map(|m| f64::from(*m).powi(2)).sum::<f64>() / layout.pixels;
+        let var = variance.finish(layout, dof);
         let mut columns_dn = vec![0.0; layout.columns()];
         self.mean.chunks_exact(layout.columns()).for_each(|row| {
             columns_dn.iter_mut().zip(row).for_each(|(c, m)| *c += f64::from(*m));
@@ -319,7 +320,7 @@ impl<'a> Pass<'a> {
         Some(Summary {
             frames,
             pixels: layout.pixels,
-            var: variance.finish(layout, dof),
+            var,
             covariances: self.sums.covariance.finish(&layout.pairs, dof),
             successive: self.successive.finish(layout, dof, variance.squares(), &self.mean),
             line_var_dn2: self.sums.lines.finish(layout, dof),
@@ -328,7 +329,8 @@ impl<'a> Pass<'a> {
             occupancy: self.occupancy.clone(),
             frame_means: self.frame_means.clone(),
             columns_dn,
-            spatial_var_dn2: spatial,
+            // Means over few frames scatter from pixel to pixel.
+            spatial_var_dn2: (between - var.value / frames as f64).max(0.0),
         })
     }
 }

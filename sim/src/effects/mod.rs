@@ -155,6 +155,11 @@ pub trait Effect: Sync + Send {
     fn stage(&self) -> Stage;
     /// Its parameters.
     fn parameters(&self) -> &'static [Parameter];
+    /// Whether a fit leaves the sign of the parameters as it finds it: where positive and negative are two ways of the same thing, and
+    /// the statistics have a kink between them. Both signs are tried.
+    fn keeps_sign(&self) -> bool {
+        false
+    }
     /// What people want to know.
     fn page(&self) -> Page;
     /// Shifts the expected statistics. `p` are the values of [`parameters`](Self::parameters).
@@ -289,7 +294,7 @@ pub fn example(id: &str, model: &crate::Model) -> Option<Vec<f64>> {
         "adc-nonlinearity" => vec![0.05, 0.0, 0.1, 0.0, -0.1, 0.0],
         "charge-transfer-inefficiency" => vec![0.02 / f64::from(model.camera.height), 0.0],
         "smear" | "exposure-offset" => vec![5e-4 * bright_s],
-        "full-well-saturation" => vec![0.8 * range_e],
+        "full-well-saturation" | "blooming" => vec![0.8 * range_e],
         "black-clipping" => vec![-0.5],
         "tap-mismatch" => vec![0.01, 1.0],
         "coarse-quantization" => vec![4.0],

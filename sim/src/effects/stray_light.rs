@@ -32,9 +32,8 @@ impl Effect for This {
         }
     }
 
-    fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
-        out.stray += p[0];
-    }
+    /// Nothing: an even flat stays what it is, and what is in a scene is not known.
+    fn predict(&self, _: &[f64], _: &Campaign, _: &mut Prediction) {}
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
         let mean = d.rate_e_per_s.mean().unwrap_or(0.0);

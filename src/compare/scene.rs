@@ -1,0 +1,184 @@
+//! A still scene with a bright patch at two exposures: what leaks out of the patch, and in which direction.
+//!
+//! The short exposure is scaled up and the long one is taken off: of a camera that adds nothing of its own nothing is left, whatever the
+//! scene and the lens are. Edges and blur are light, and grow with the exposure; smear, blooming and trails do not.
+
+use super::read::SceneMean;
+use crate::dataset::{FrameRow, Kind};
+use crate::statistics::jackknife::Value;
+use crate::statistics::pass::Layout;
+use ndarray::Array2;
+use radcam_sim::predict::Prediction;
+use std::ops::Range;
+
+/// Pixels beside the patch that are looked at for leaks, counted from its edge; the first has part of the edge.
+const NEAR: Range<usize> = 1..12;
+
+/// Which way from the patch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Direction {
+    /// Towards row 0.
+    Up,
+    /// Away from row 0.
+    Down,
+    /// Towards column 0.
+    Left,
+    /// Away from column 0.
+    Right,
+    /// Along the columns, farther than [`Direction::Up`] and [`Direction::Down`] look.
+    Columns,
+}
+
+impl Direction {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::Up, Self::Down, Self::Left, Self::Right, Self::Columns];
+
+    /// In words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Up => "above",
+            Self::Down => "below",
+            Self::Left => "left of",
+            Self::Right => "right of",
+            Self::Columns => "far above and below",
+        }
+    }
+}
+
+/// A still scene at two exposures.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScenePair {
+    /// The short exposure scaled up less the long one, beside the patch against the background away from it, DN.
+    pub leaks: Vec<(Direction, Value)>,
+    /// Light of the columns through the patch less that of the others (means of whole columns), DN per second at the long exposure.
+    column_light_dn_per_s: f64,
+    /// Long over short exposure.
+    ratio: f64,
+    /// The patch as the short exposure has it, scaled to the long one; the background; DN above zero.
+    patch_dn: f64,
+    background_dn: f64,
+    /// Rows of the patch, above it and below it.
+    rows: [usize; 3],
+}
+
+/// Mean of the values and the error of that mean from their scatter; `None` for fewer than four.
+fn mean(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    let all: Vec<f64> = values.collect();
+    let n = all.len() as f64;
+    let mean = all.iter().sum::<f64>() / n;
+    let var = all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    (n >= 4.0).then_some((mean, var / n))
+}
+
+impl ScenePair {
+    /// From the mean images of scenes, the longest and the shortest of equal light; `zero`: level of the darks, DN.
+    pub fn of(means: &[&SceneMean], settings: &[FrameRow], zero: f64, layout: &Layout) -> Option<Self> {
+        let scenes: Vec<_> = means.iter().filter(|s| settings[s.set].kind == Kind::Scene).collect();
+        let by = |s: &SceneMean| settings[s.set].exposure_s;
+        let long = scenes.iter().max_by(|a, b| by(a).total_cmp(&by(b)))?;
+        let same = |s: &&&&SceneMean| settings[s.set].illumination == settings[long.set].illumination;
+        let short = scenes.iter().filter(same).min_by(|a, b| by(a).total_cmp(&by(b)))?;
+        let (t_long, t_short) = (by(long), by(short));
+        let ratio = t_long / t_short;
+        if ratio < 1.5 {
+            return None;
+        }
+        let (rows, columns) = long.mean_dn.dim();
+        let above_zero = |image: &Array2<f32>| {
+            let dark = |i: usize| layout.zero.as_ref().map_or(zero, |z| f64::from(z[i]));
+            Array2::from_shape_fn((rows, columns), |(y, x)| f64::from(image[(y, x)]) - dark(y * columns + x))
+        };
+        let image = above_zero(&long.mean_dn);
+        let scaled = above_zero(&short.mean_dn) * ratio;
+        // The patch as the short exposure shows it: in the long one it may have spilled.
+        let top = scaled.iter().copied().fold(f64::MIN, f64::max);
+        let bright = scaled.mapv(|v| v > 0.5 * top);
+        let across: Vec<bool> = (0..columns).map(|x| bright.column(x).iter().any(|b| *b)).collect();
+        let level: Vec<bool> = (0..rows).map(|y| bright.row(y).iter().any(|b| *b)).collect();
+        let (left, right) = (across.iter().position(|b| *b)?, across.iter().rposition(|b| *b)?);
+        let (first, last) = (level.iter().position(|b| *b)?, level.iter().rposition(|b| *b)?);
+        let apart = &scaled - &image;
+        let good = |y: usize, x: usize| layout.mask[y * columns + x] > 0.0;
+        // Line by line: pixels of a line may have a pattern of their own.
+        let by_column = |ys: &[usize], wanted: bool| {
+            let xs = (0..columns).filter(|x| across[*x] == wanted);
+            mean(xs.filter_map(|x| {
+                let clear = ys.iter().filter(|y| good(**y, x)).map(|&y| apart[(y, x)]);
+                let (sum, n) = clear.fold((0.0, 0.0), |(s, n), v| (s + v, n + 1.0));
+                (n > 0.0).then(|| sum / n)
+            }))
+        };
+        let by_row = |xs: &[usize]| {
+            let ys = (0..rows).filter(|y| level[*y]);
+            mean(ys.filter_map(|y| {
+                let clear = xs.iter().filter(|x| good(y, **x)).map(|&x| apart[(y, x)]);
+                let (sum, n) = clear.fold((0.0, 0.0), |(s, n), v| (s + v, n + 1.0));
+                (n > 0.0).then(|| sum / n)
+            }))
+        };
+        let before = |edge: usize| NEAR.filter_map(|d| edge.checked_sub(d + 1)).collect::<Vec<_>>();
+        let behind =
+            |edge: usize, end: usize| NEAR.map(|d| edge + d + 1).filter(|i| *i < end).collect::<Vec<_>>();
+        let far: Vec<usize> = (0..rows).filter(|y| y + NEAR.end < first || *y > last + NEAR.end).collect();
+        let clear: Vec<usize> = (0..rows).filter(|y| !level[*y]).collect();
+        let rest = by_column(&clear, false)?;
+        let rest_far = by_column(&far, false);
+        let against = |here: Option<(f64, f64)>, rest: (f64, f64)| {
+            here.map(|here| Value { value: here.0 - rest.0, std_err: (here.1 + rest.1).sqrt() })
+        };
+        let leak = |direction: Direction| match direction {
+            Direction::Up => against(by_column(&before(first), true), rest),
+            Direction::Down => against(by_column(&behind(last, rows), true), rest),
+            Direction::Left => against(by_row(&before(left)), rest),
+            Direction::Right => against(by_row(&behind(right, columns)), rest),
+            Direction::Columns => rest_far.and_then(|rest| against(by_column(&far, true), rest)),
+        };
+        let leaks: Vec<_> = Direction::ALL.into_iter().filter_map(|d| Some((d, leak(d)?))).collect();
+        let light = |wanted: bool| {
+            let xs = (0..columns).filter(|x| across[*x] == wanted);
+            mean(xs.map(|x| image.column(x).sum() / rows as f64))
+        };
+        let inside = |wanted: bool, image: &Array2<f64>| {
+            let all = image.iter().zip(&bright).filter(|(_, b)| **b == wanted).map(|(v, _)| *v);
+            mean(all).map(|m| m.0)
+        };
+        Some(Self {
+            leaks,
+            column_light_dn_per_s: (light(true)?.0 - light(false)?.0) / t_long,
+            ratio,
+            patch_dn: inside(true, &scaled)?,
+            background_dn: inside(false, &scaled)?,
+            rows: [last + 1 - first, first, rows - 1 - last],
+        })
+    }
+
+    /// What a prediction has for a leak, DN.
+    pub fn expected(&self, direction: Direction, p: &Prediction) -> f64 {
+        let smear = p.smear_s * (self.ratio - 1.0) * self.column_light_dn_per_s;
+        match direction {
+            Direction::Left | Direction::Right => 0.0,
+            Direction::Columns => {
+                let far = self.rows[1..].iter().filter(|end| **end > NEAR.end);
+                let (pixels, spilled) = far.fold((0.0, 0.0), |(pixels, spilled), end| {
+                    let n = (end - NEAR.end) as f64;
+                    (pixels + n, spilled + n * self.spilled(p, NEAR.end..*end))
+                });
+                smear - spilled / f64::max(pixels, 1.0)
+            }
+            Direction::Up | Direction::Down => smear - self.spilled(p, NEAR),
+        }
+    }
+
+    /// What blooming leaves in pixels so far from the patch, in the long exposure, DN.
+    fn spilled(&self, p: &Prediction, range: Range<usize>) -> f64 {
+        let well_dn = p.bloom_e * p.base.gain_dn_per_e;
+        let room = well_dn - self.background_dn;
+        let over = (self.patch_dn - well_dn).max(0.0) * self.rows[0] as f64;
+        if over == 0.0 || room <= 0.0 {
+            return 0.0;
+        }
+        // Half of it goes each way and fills pixel after pixel.
+        let filled = 0.5 * over / room;
+        room * (filled - range.start as f64).clamp(0.0, range.len() as f64) / range.len() as f64
+    }
+}
