@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 const MOST: usize = 4;
 /// Evidence (twice the logarithm of a Bayes factor, by BIC) that an addition needs: with some 25 candidates tried, chance
 /// reaches this less than once in a hundred campaigns.
-const NEEDED: f64 = 16.0;
+const NEEDED: f64 = 9.0;
 /// Candidates within this evidence of the best cannot be told apart.
 const TIE: f64 = 6.0;
 

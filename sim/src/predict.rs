@@ -77,6 +77,13 @@ pub struct FrameInfo {
     pub time_s: f64,
 }
 
+/// Shares of the pixels, from the lowest to the highest, whose levels [`SetInfo::places`] gives: few where the tails are.
+pub const PLACES: [f64; 9] = [0.01, 0.04, 0.1, 0.2, 0.3, 0.2, 0.1, 0.04, 0.01];
+
+/// [`SetInfo::places`] of normal levels.
+pub const NORMAL: [f64; PLACES.len()] =
+    [-2.718_725, -1.950_477, -1.326_337, -0.699_978, 0.0, 0.699_978, 1.326_337, 1.950_477, 2.718_725];
+
 /// A set of frames: darks or flats of one exposure and light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SetInfo {
@@ -90,6 +97,8 @@ pub struct SetInfo {
     pub spread: f64,
     /// Spatial deviation of the level, fixed pattern of the offset included, DN.
     pub spread_dn: f64,
+    /// Where the pixels' levels lie, in these deviations from the mean; their shares are [`PLACES`].
+    pub places: [f64; PLACES.len()],
 }
 
 /// What was measured, as far as a prediction needs it.
@@ -259,7 +268,20 @@ impl Prediction {
             let level = (s.signal + self.base.offset_dn) / step;
             let rounded = rounded(level, spread, variance);
             shifts[i] = step * rounded.mean;
-            s.read.0.iter_mut().for_each(|p| *p += square * rounded.variance);
+            // What pixels or frames share comes through with the slope; what each has of its own, with the whole of its variance.
+            let through = rounded.slope * rounded.slope;
+            for power in [&mut s.shot, &mut s.read] {
+                let own = power.lag(0, 0);
+                power.0.iter_mut().for_each(|p| *p = own + through * (*p - own));
+            }
+            let mut kept = 0.0;
+            for shared in [&mut s.row, &mut s.column].into_iter().chain(s.lines.iter_mut().map(|l| &mut l.0))
+            {
+                kept += *shared * (1.0 - through);
+                *shared *= through;
+            }
+            s.common *= through;
+            s.read.0.iter_mut().for_each(|p| *p += kept + square * rounded.variance);
             s.unequal += square * square * rounded.unequal;
             s.fourth += square * square * rounded.fourth;
         }

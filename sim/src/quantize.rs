@@ -7,6 +7,8 @@ use std::sync::OnceLock;
 pub struct Rounded {
     /// Mean beyond the mean before rounding.
     pub mean: f64,
+    /// Change of the mean with the level: what noise that pixels share comes through with.
+    pub slope: f64,
     /// Mean of the pixels' variances beyond that before rounding: 1/12 for wide noise.
     pub variance: f64,
     /// Variance of the pixels' variances.
@@ -23,8 +25,8 @@ const EVEN: f64 = 0.6;
 const DEVIATIONS: usize = 70;
 const PLACES: usize = 64;
 
-/// Mean error, variance and fourth cumulant of a pixel.
-type Pixel = [f64; 3];
+/// Mean error, its slope, variance and fourth cumulant of a pixel.
+type Pixel = [f64; 4];
 
 /// For a level (0 is a code) and a deviation: sums over the codes.
 fn exact(level: f64, sd: f64) -> Pixel {
@@ -37,7 +39,11 @@ fn exact(level: f64, sd: f64) -> Pixel {
     let moment = |about: f64, k: i32| codes.iter().map(|(c, p)| p * (c - about).powi(k)).sum::<f64>();
     let mean = moment(0.0, 1);
     let (second, fourth) = (moment(mean, 2), moment(mean, 4));
-    [mean - level, second, fourth - 3.0 * second * second]
+    // Each edge that the level passes moves what is above it by one code.
+    let sd = sd.max(0.02);
+    let density = |edge: f64| libm::exp(-0.5 * (edge / sd).powi(2)) / (sd * std::f64::consts::TAU.sqrt());
+    let slope: f64 = (-6..6).map(|c| density(f64::from(c) + 0.5 - level)).sum();
+    [mean - level, slope, second, fourth - 3.0 * second * second]
 }
 
 fn table() -> &'static [Pixel] {
@@ -55,7 +61,7 @@ fn table() -> &'static [Pixel] {
 pub fn rounded(level: f64, spread: f64, variance: f64) -> Rounded {
     let place = variance.max(0.0).sqrt() / WIDE * DEVIATIONS as f64;
     if !place.is_finite() || place >= DEVIATIONS as f64 {
-        return Rounded { variance: 1.0 / 12.0, fourth: -1.0 / 120.0, ..Default::default() };
+        return Rounded { slope: 1.0, variance: 1.0 / 12.0, fourth: -1.0 / 120.0, ..Default::default() };
     }
     let (row, down) = (place as usize * (PLACES + 1), place.fract());
     let table = table();
@@ -68,24 +74,25 @@ pub fn rounded(level: f64, spread: f64, variance: f64) -> Rounded {
             let (upper, lower) = (a[i] + right * (b[i] - a[i]), c[i] + right * (d[i] - c[i]));
             upper + down * (lower - upper)
         };
-        [between(0), between(1), between(2)]
+        [0, 1, 2, 3].map(between)
     };
     // Levels of the pixels: normal, as far as three deviations.
     const HALF: i32 = 24;
     let spread = spread.min(EVEN);
-    let mut sums = [0.0; 5];
+    let mut sums = [0.0; 6];
     for i in -HALF..=HALF {
         let t = 3.0 * f64::from(i) / f64::from(HALF);
-        let [mean, var, fourth] = pixel(level + spread * t);
+        let [mean, slope, var, fourth] = pixel(level + spread * t);
         let w = libm::exp(-0.5 * t * t);
-        for (sum, v) in sums.iter_mut().zip([1.0, mean, var, var * var, fourth]) {
+        for (sum, v) in sums.iter_mut().zip([1.0, mean, slope, var, var * var, fourth]) {
             *sum += w * v;
         }
     }
-    let [n, mean, var, square, fourth] = sums;
+    let [n, mean, slope, var, square, fourth] = sums;
     let var = var / n;
     Rounded {
         mean: mean / n,
+        slope: slope / n,
         variance: var - variance.max(0.0),
         unequal: (square / n - var * var).max(0.0),
         fourth: fourth / n,
@@ -109,7 +116,7 @@ mod tests {
             let found = rounded(17.3, 1.3, sd * sd);
             // The table's lines between its points, and levels that are cut off at three deviations.
             assert!((found.variance - (1.0 / 12.0 - lost)).abs() < 1e-3, "{sd}: {found:?} {lost}");
-            assert!(found.mean.abs() < 1e-3, "{sd}: {found:?}");
+            assert!(found.mean.abs() < 1e-3 && (found.slope - 1.0).abs() < 0.02, "{sd}: {found:?}");
         }
     }
 
@@ -121,6 +128,6 @@ mod tests {
         let between = rounded(5.5, 0.0, 0.04);
         assert!((between.variance + 0.04 - 0.25).abs() < 0.02, "{between:?}");
         let wide = exact(0.3, 0.8);
-        assert!((wide[1] - 0.64 - 1.0 / 12.0).abs() < 1e-4 && wide[0].abs() < 1e-4, "{wide:?}");
+        assert!((wide[2] - 0.64 - 1.0 / 12.0).abs() < 1e-4 && wide[0].abs() < 1e-4, "{wide:?}");
     }
 }

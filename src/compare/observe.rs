@@ -9,7 +9,7 @@ use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
 use crate::statistics::pass::Summary;
-use radcam_sim::predict::{Campaign, FrameInfo, SetInfo};
+use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, SetInfo};
 use std::ops::Range;
 use std::sync::atomic::AtomicBool;
 
@@ -159,6 +159,7 @@ fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<Fram
         illumination: s.illumination,
         spread: 0.0,
         spread_dn: 0.0,
+        places: NORMAL,
     };
     let infos = settings.iter().enumerate().map(set).collect();
     let mut set_of_row = vec![0; dataset.rows().len()];
@@ -200,6 +201,7 @@ pub fn of_dataset(
         let above = c.said.frame_means.mean_dn() - zero_dn;
         let spread_dn = c.said.spatial_var_dn2.max(0.0).sqrt();
         infos[c.set].spread_dn = spread_dn;
+        infos[c.set].places = c.said.places;
         infos[c.set].spread = if above > 5.0 { (spread_dn / above).min(0.3) } else { 0.0 };
     }
     let mut all = Vec::new();

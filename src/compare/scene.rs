@@ -182,3 +182,65 @@ impl ScenePair {
         room * (filled - range.start as f64).clamp(0.0, range.len() as f64) / range.len() as f64
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    const SIZE: usize = 64;
+
+    /// A blurred patch on a slope, at two exposures, with `leak` added to the long one.
+    fn pair(leak: impl Fn(usize, usize) -> f64) -> ScenePair {
+        let profile =
+            |i: usize| 0.5 * (libm::erf((i as f64 - 23.4) / 0.7) - libm::erf((i as f64 - 40.7) / 0.7));
+        let light = |y: usize, x: usize| 300.0 + 0.5 * x as f64 + 2500.0 * profile(y) * profile(x);
+        let image = |exposure: f64, set: usize, more: &dyn Fn(usize, usize) -> f64| SceneMean {
+            set,
+            half: 0,
+            mean_dn: Array2::from_shape_fn((SIZE, SIZE), |(y, x)| {
+                let at = (y * SIZE + x) as u32;
+                let noise = 0.5 * PixelRng::new(7, Stream::Effect, set as u64, at, 0).normal();
+                (100.0 + exposure * light(y, x) + more(y, x) + noise) as f32
+            }),
+        };
+        let (long, short) = (image(1.0, 0, &leak), image(0.25, 1, &|_, _| 0.0));
+        let row = |exposure_s: f64| FrameRow {
+            file: String::new(),
+            kind: Kind::Scene,
+            set: 0,
+            index: 0,
+            exposure_s,
+            illumination: 1.0,
+            configuration: 0,
+            temperature_c: None,
+            timestamp_s: None,
+        };
+        let layout = Layout::new(&Array2::from_elem((SIZE, SIZE), true), 4095);
+        ScenePair::of(&[&long, &short], &[row(0.02), row(0.005)], 100.0, &layout).unwrap()
+    }
+
+    fn sigmas(pair: &ScenePair, direction: Direction) -> f64 {
+        let (_, leak) = pair.leaks.iter().find(|l| l.0 == direction).unwrap();
+        leak.value / leak.std_err
+    }
+
+    #[test]
+    fn a_blurred_patch_on_a_slope_leaks_nothing() {
+        let pair = pair(|_, _| 0.0);
+        assert_eq!(pair.leaks.len(), Direction::ALL.len());
+        for d in Direction::ALL {
+            assert!(sigmas(&pair, d).abs() < 4.0, "{d:?}: {}", sigmas(&pair, d));
+        }
+    }
+
+    #[test]
+    fn a_trail_is_found_where_it_lies() {
+        let pair = pair(|y, x| if (24..41).contains(&x) && (42..50).contains(&y) { 3.0 } else { 0.0 });
+        for d in Direction::ALL {
+            let found = sigmas(&pair, d);
+            // The short exposure says what was expected: the long one has more.
+            assert!(if d == Direction::Down { found < -10.0 } else { found.abs() < 4.0 }, "{d:?}: {found}");
+        }
+    }
+}

@@ -5,7 +5,7 @@ use crate::dataset::Kind;
 use crate::dataset::table::Table;
 use crate::noise::{Counts, pixels_from_scatter, table_points};
 use crate::statistics::jackknife::Value;
-use radcam_sim::predict::{Campaign, FrameInfo, SetInfo};
+use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, SetInfo};
 
 /// Rows up to the peak of the variance as sets of one pair each.
 pub(super) fn observations(table: &Table) -> Result<Observations, ObserveError> {
@@ -54,6 +54,7 @@ pub(super) fn observations(table: &Table) -> Result<Observations, ObserveError> 
             illumination: level.illumination.unwrap_or(1.0),
             spread: 0.0,
             spread_dn: 0.0,
+            places: NORMAL,
         });
         frames.push(FrameInfo { set: place, time_s: 0.0 });
         let mut add = |kind, value: f64, std_err: f64| {

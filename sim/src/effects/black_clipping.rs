@@ -1,6 +1,7 @@
 //! Black clipping: what lies below a level is cut off.
 
 use super::full_well_saturation::clipped;
+use crate::predict::NORMAL;
 use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// max(v, level), counted from the level of zero charge.
@@ -36,8 +37,10 @@ impl Effect for This {
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let noise: Vec<f64> = out.sets.iter().map(|s| s.covariance(0, 0)).collect();
         let limited = |set: usize, level: f64| {
+            // Clipped from below: upside down.
+            let places = c.sets.get(set).map_or(NORMAL, |s| s.places).map(|x| -x);
             let spread = c.sets.get(set).map_or(0.0, |s| s.spread_dn);
-            clipped(-level, spread, noise.get(set).copied().unwrap_or(0.0), -p[0])
+            clipped(-level, spread, &places, noise.get(set).copied().unwrap_or(0.0), -p[0])
         };
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
             *m = -limited(frame.set, *m).mean;

@@ -1,6 +1,7 @@
 //! Blooming: a full well spills into its column.
 
 use super::full_well_saturation::clipped;
+use crate::predict::NORMAL;
 use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// Charge above the well goes to the pixels above and below.
@@ -32,29 +33,34 @@ impl Effect for This {
         }
     }
 
-    /// On a flat charge stays in its column until all of it is full: the mean goes on to the well itself, and pixels that are full
-    /// vary no more.
+    /// On a flat charge stays in its column until all of it is full: the mean goes on to the well itself. Of what is over, half goes
+    /// to either neighbour, which then varies with it; with e what is over and m what stays, the variance is var m + var e / 2 and the
+    /// covariance with the neighbour cov(m, e).
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
-        let spread = |set: usize| c.sets.get(set).map_or(0.0, |s| s.spread);
-        // A pixel shares with some eight neighbours of its column.
-        let level = |signal: f64, spread: f64| {
-            clipped(signal, 0.5 * spread * signal, signal.max(1e-9) / 8.0, p[0]).mean
+        let limited = |set: usize, signal: f64, part: f64, noise: f64| {
+            let (spread, places) = c.sets.get(set).map_or((0.0, &NORMAL), |s| (s.spread, &s.places));
+            clipped(signal, part * spread * signal, places, signal.max(1e-9) * noise, p[0])
         };
+        // A pixel shares with some eight neighbours of its column.
+        let level = |set: usize, signal: f64| limited(set, signal, 0.5, 0.125).mean;
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
-            *m = level(*m, spread(frame.set));
+            *m = level(frame.set, *m);
         }
         for (i, s) in out.sets.iter_mut().enumerate() {
             let before = s.signal.max(1e-9);
-            let left = clipped(before, spread(i) * before, before, p[0]);
-            let less = (left.variance / before).min(1.0);
+            let left = limited(i, before, 1.0, 1.0);
+            // Where neighbours are full as well it goes on until none of it is left to see.
+            let room = 1.0 - left.above;
+            let neighbour = 0.5 * (before - left.variance - left.lost_variance).max(0.0) * room;
+            let own = left.variance + 0.5 * left.lost_variance * room * room;
+            let less = (own / before).min(1.0);
             s.cut(less, left.unequal, left.fourth);
-            // How far a pixel's charge goes depends on its neighbours: the knee is known roughly.
-            let knee = (1.0 - less) * (less + 0.02);
-            s.unsure_var = libm::hypot(s.unsure_var, 0.5 * knee * before);
-            s.unsure = libm::hypot(s.unsure, 3.0 * knee * before * before);
-            s.shot.scale(less);
+            let knee = left.above * libm::sqrt(left.above);
+            s.unsure_var = libm::hypot(s.unsure_var, 0.5 * knee * less * before);
+            s.unsure = libm::hypot(s.unsure, 3.0 * (1.0 - less) * own * own);
+            s.shot.shape(|ky, _| less + 2.0 * neighbour / before * libm::cos(ky));
             s.common *= less * less;
-            s.signal = level(before, spread(i));
+            s.signal = level(i, before);
         }
         out.bloom_e = out.bloom_e.min(p[0]);
     }

@@ -1,18 +1,11 @@
 //! Full-well saturation: a pixel holds no more charge than its well.
 
+use crate::predict::{NORMAL, PLACES};
+
 use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// min(q, full well).
 pub struct This;
-
-/// Points and weights of Gauss and Hermite for a normal spread (Abramowitz and Stegun, 25.4.46, for a deviation of 1).
-const SPREAD: [(f64, f64); 5] = [
-    (-2.856_970_013_872_8, 0.011_257_411_327_720_7),
-    (-1.355_626_179_974_3, 0.222_075_922_005_613),
-    (0.0, 0.533_333_333_333_333),
-    (1.355_626_179_974_3, 0.222_075_922_005_613),
-    (2.856_970_013_872_8, 0.011_257_411_327_720_7),
-];
 
 /// What clipping leaves of normal noise in pixels whose levels differ.
 pub(super) struct Clipped {
@@ -23,6 +16,10 @@ pub(super) struct Clipped {
     pub unequal: f64,
     /// Mean of the pixels' fourth cumulants.
     pub fourth: f64,
+    /// Share of the samples that were cut.
+    pub above: f64,
+    /// Mean of the pixels' variances of what was cut off.
+    pub lost_variance: f64,
 }
 
 /// Mean, variance and fourth cumulant of min(x, limit) for normal x: moments of a truncated normal variable (Johnson, Kotz and
@@ -49,12 +46,32 @@ fn cut(mean: f64, variance: f64, limit: f64) -> (f64, f64, f64) {
     (mean + sd * m, variance * second, variance * variance * (fourth - 3.0 * second * second))
 }
 
-/// min(x, limit) for normal noise in pixels whose means have the deviation `spread`.
-pub(super) fn clipped(mean: f64, spread: f64, variance: f64, limit: f64) -> Clipped {
-    let all = SPREAD.map(|(x, weight)| (weight, cut(mean + spread * x, variance, limit)));
+/// How often normal x lies above the limit, and the variance of what is above it.
+fn lost(mean: f64, variance: f64, limit: f64) -> (f64, f64) {
+    let sd = libm::sqrt(variance.max(1e-12));
+    let c = (limit - mean) / sd;
+    let above = 0.5 * libm::erfc(c / std::f64::consts::SQRT_2);
+    let density = libm::exp(-0.5 * c * c) / libm::sqrt(std::f64::consts::TAU);
+    let first = density - c * above;
+    (above, variance * ((1.0 + c * c) * above - c * density - first * first).max(0.0))
+}
+
+/// min(x, limit) for normal noise in pixels whose means have the deviation `spread` and lie at these places.
+pub(super) fn clipped(mean: f64, spread: f64, places: &[f64; PLACES.len()], variance: f64, limit: f64) -> Clipped {
+    let mut all = [(0.0, (0.0, 0.0, 0.0)); PLACES.len()];
+    for ((out, x), share) in all.iter_mut().zip(places).zip(PLACES) {
+        *out = (share, cut(mean + spread * x, variance, limit));
+    }
     let average = |of: &dyn Fn(&(f64, f64, f64)) -> f64| all.iter().map(|(w, c)| w * of(c)).sum::<f64>();
+    let (mut above, mut lost_variance) = (0.0, 0.0);
+    for (x, share) in places.iter().zip(PLACES) {
+        let (over, lost) = lost(mean + spread * x, variance, limit);
+        (above, lost_variance) = (above + share * over, lost_variance + share * lost);
+    }
     let variance = average(&|c| c.1);
     Clipped {
+        above,
+        lost_variance,
         mean: average(&|c| c.0),
         variance,
         unequal: average(&|c| (c.1 - variance) * (c.1 - variance)),
@@ -90,21 +107,23 @@ impl Effect for This {
     }
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
-        let limited =
-            |signal: f64, spread: f64| clipped(signal, spread * signal, signal.max(1e-9), p[0]);
-        let spread = |set: usize| c.sets.get(set).map_or(0.0, |s| s.spread);
+        let limited = |set: usize, signal: f64| {
+            let (spread, places) = c.sets.get(set).map_or((0.0, &NORMAL), |s| (s.spread, &s.places));
+            clipped(signal, spread * signal, places, signal.max(1e-9), p[0])
+        };
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
-            *m = limited(*m, spread(frame.set)).mean;
+            *m = limited(frame.set, *m).mean;
         }
         let read = out.base.read_noise_e * out.base.read_noise_e;
         for (i, s) in out.sets.iter_mut().enumerate() {
             let before = s.signal.max(1e-9);
-            let left = limited(before, spread(i));
+            let left = limited(i, before);
             let less = (left.variance / before).min(1.0);
             s.cut(less, left.unequal, left.fourth);
             s.shot.scale(less);
             // Shading is not normal: which pixels of a level lie above the knee is not known.
             let rest = left.variance + read;
+            s.unsure_var = libm::hypot(s.unsure_var, 0.1 * (1.0 - less) * less * before);
             s.unsure = libm::hypot(s.unsure, 3.0 * (1.0 - less) * rest * rest);
             s.common *= less * less;
             s.signal = left.mean;
