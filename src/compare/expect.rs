@@ -29,7 +29,7 @@ fn left(memory: &[f64], n: f64) -> f64 {
     1.0 - 2.0 * lost / (n * (n - 1.0))
 }
 
-/// Mean product of successive residuals over their variance, for noise with these correlations.
+/// Mean product of successive residuals over the variance, for noise with these correlations.
 fn product(memory: &[f64], n: usize) -> f64 {
     let rho = |k: usize| if k == 0 { 1.0 } else { memory.get(k - 1).copied().unwrap_or(0.0) };
     let all = |f: usize| (0..n).map(|g| rho(f.abs_diff(g))).sum::<f64>() / n as f64;
@@ -209,10 +209,12 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
         }
         Statistic::Successive => {
             let f = frames.len().max(2);
-            let rest = s.covariance(0, 0) - s.shot.lag(0, 0) - s.read.lag(0, 0) - of_mean;
-            let value = s.shot.lag(0, 0) * product(&s.shot_memory, f)
-                + s.read.lag(0, 0) * product(&s.read_memory, f)
-                + rest * product(&[], f);
+            // Of the mean product, and of the variance that is left over the frames: nothing where frames are independent.
+            let carried = |power: &Spectrum, memory: &[f64], left: f64| {
+                power.lag(0, 0) * (product(memory, f) + left / f as f64)
+            };
+            let value =
+                carried(&s.shot, &s.shot_memory, shot_left) + carried(&s.read, &s.read_memory, read_left);
             plain(
                 value,
                 o.measured

@@ -9,6 +9,7 @@ use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
 use crate::statistics::pass::Summary;
+use crate::statistics::successive::error_of;
 use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, SetInfo};
 use std::ops::Range;
 use std::sync::atomic::AtomicBool;
@@ -33,7 +34,7 @@ pub enum Statistic {
     ColumnVariance,
     /// Covariance at a lag, DN^2.
     Covariance(i32, i32),
-    /// Mean product with the next frame, DN^2.
+    /// Covariance with the next frame, DN^2.
     Successive,
     /// Excess spread of the pixels' variances.
     Unequal,
@@ -322,7 +323,9 @@ fn of_chunk(c: &Chunk, rows: &[usize], inflation: &Inflation, all: &mut Vec<Obse
     for (lag, c) in LAGS.iter().zip(&r.covariances.at) {
         add(Statistic::Covariance(lag.0, lag.1), c.value, inflation.covariance * theory_cov(r));
     }
-    add(Statistic::Successive, r.successive.value, inflation.successive * theory_cov(r));
+    if r.frames > 2 {
+        add(Statistic::Successive, r.successive.value, inflation.successive * theory_next(r));
+    }
     add(Statistic::Unequal, r.unequal.value, inflation.unequal * (8.0 / r.pixels).sqrt());
     for k in 0..2 {
         let std_err = inflation.covariance * 2.0 * theory_cov(r);
@@ -339,6 +342,11 @@ fn theory_var(r: &Summary) -> f64 {
 /// Standard error of a covariance for independent normal pixels.
 fn theory_cov(r: &Summary) -> f64 {
     r.var.value / (r.pixels * (r.frames as f64 - 1.0)).sqrt()
+}
+
+/// Standard error of the covariance with the next frame for independent normal pixels.
+fn theory_next(r: &Summary) -> f64 {
+    r.var.value * error_of(r.frames) / r.pixels.sqrt()
 }
 
 /// Jackknife errors over those of independent normal pixels, the median over all chunks: one chunk's own jackknife is noisy.
@@ -367,7 +375,7 @@ impl Inflation {
         Self {
             variance: over(&|r| r.var.std_err / theory_var(r)),
             covariance: over(&|r| (lags(r) / LAGS.len() as f64).sqrt() / theory_cov(r)),
-            successive: over(&|r| r.successive.std_err / theory_cov(r)),
+            successive: over(&|r| r.successive.std_err / theory_next(r)),
             unequal: over(&|r| r.unequal.std_err / (8.0 / r.pixels).sqrt()),
         }
     }

@@ -49,7 +49,7 @@ fn describe(name: &str, of: &[&Residual]) -> String {
     let mut text = format!("{name}: {} from the model{place}, {:+.1} sigma", size(worst), worst.z);
     if let Some(power) = power(of) {
         text += &format!(", growing as mean to the power {power:.1}");
-    } else if of.len() >= 4 {
+    } else if of.len() >= 4 && !matches!(worst.statistic, Some(Statistic::Settling(_))) {
         let dark: Vec<f64> = of.iter().filter(|r| r.level_dn < 20.0).map(|r| r.z * r.z).collect();
         if dark.len() >= 3 && dark.iter().sum::<f64>() / dark.len() as f64 > 4.0 {
             text += ", darks too: independent of the light";

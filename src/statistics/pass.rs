@@ -158,7 +158,7 @@ pub struct Summary {
     pub var: Value,
     /// Covariances within a frame.
     pub covariances: Covariances,
-    /// Mean product of a pixel's deviations in successive frames, DN^2: -var / frames for independent ones.
+    /// Covariance of a pixel's noise in successive frames, DN^2: 0 for independent ones.
     pub successive: Value,
     /// Variance of row means, of column means, DN^2.
     pub line_var_dn2: [f64; 2],

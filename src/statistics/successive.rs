@@ -44,18 +44,49 @@ impl Successive {
         self.last.copy_from_slice(&later.last);
     }
 
-    /// Mean product of a pixel's deviations in successive frames, DN^2: -variance / frames for independent ones. `squares` are
-    /// the squared deviations and `mean` the means of the pixels.
+    /// Covariance of a pixel's noise in successive frames, DN^2: their mean product, and the variance over the number of frames that
+    /// taking off the mean took with it; 0 for independent frames. `squares` are the squared deviations and `mean` the means of the
+    /// pixels.
     pub fn finish(&self, layout: &Layout, dof: f64, squares: &[f32], mean: &[f32]) -> Value {
         let mut blocks = Blocks::default();
         layout.runs(|run, count, block| {
             let end = |v: f32, i: usize| f64::from(v - mean[i]).powi(2);
             let product = |i: usize| {
                 let ends = end(self.first[i], i) + end(self.last[i], i);
-                f64::from(squares[i]) - 0.5 * (ends + f64::from(self.squares[i]))
+                let square = f64::from(squares[i]);
+                square - 0.5 * (ends + f64::from(self.squares[i])) + square / (dof + 1.0)
             };
             blocks.add(block, run.map(product).sum::<f64>() / dof, count);
         });
         blocks.value()
+    }
+}
+
+/// Standard error of that covariance over the variance, for one pixel of independent normal noise: of a quadratic form with the matrix
+/// M it is the root of 2 tr (P M P)^2, where P takes off the mean.
+pub fn error_of(frames: usize) -> f64 {
+    let n = frames as f64;
+    let form = |i: usize, j: usize| match i.abs_diff(j) {
+        0 => 1.0 / (n * (n - 1.0)),
+        1 => 0.5 / (n - 1.0),
+        _ => 0.0,
+    };
+    let row = |i: usize| (0..frames).map(|j| form(i, j)).sum::<f64>() / n;
+    let all = (0..frames).map(row).sum::<f64>() / n;
+    let without = |i: usize, j: usize| form(i, j) - row(i) - row(j) + all;
+    let square: f64 = (0..frames).flat_map(|i| (0..frames).map(move |j| without(i, j).powi(2))).sum();
+    (2.0 * square).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::error_of;
+
+    /// Two frames say nothing; of three the middle one does: -r^2 / 2 + (sum of squares) / 6, of variance 1/9.
+    #[test]
+    fn few_frames_say_little() {
+        assert!(error_of(2) < 1e-12);
+        assert!((error_of(3) - 1.0 / 3.0).abs() < 1e-12, "{}", error_of(3));
+        assert!((error_of(400) * 399f64.sqrt() - 1.0).abs() < 0.01, "{}", error_of(400));
     }
 }
