@@ -4,6 +4,7 @@
 use crate::compare::{Comparison, Fitted, Observations, Statistic, compare, fit, signatures, start, starts};
 use crate::noise::Quantity;
 use crate::plan::Plan;
+use crate::report::chance;
 use radcam_sim::effects::{self, Effect, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
@@ -215,7 +216,7 @@ pub fn diagnose(
         let evidence: Vec<String> = left.iter().take(5).map(|s| s.text.clone()).collect();
         let weak = evidence.is_empty() || last.error < 1.15;
         if weak {
-            notes.push(format!("what is left is small: error {:.3}, p = {:.1e}", last.error, last.p_value));
+            notes.push(format!("what is left is small: error {:.3}, p {}", last.error, chance(last.p_value)));
         }
         // What was added explains little of the whole: it is near the truth at best, and the truth has no name here.
         let excess = |error: f64| (error * error - 1.0).max(0.0);

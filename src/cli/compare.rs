@@ -5,7 +5,7 @@ use super::diagnose::observe;
 use super::model::read_effects;
 use crate::compare::{compare, signatures, start};
 use crate::dataset::write_whole;
-use crate::report;
+use crate::report::{self, chance};
 use anyhow::Result;
 use std::path::PathBuf;
 
@@ -40,7 +40,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let verdict = if c.consistent { "the model describes the campaign" } else { "THE MODEL FAILS" };
     println!("{}: {verdict}", arguments.dataset.display());
     println!("  error    {:.3} on frames that the fit did not see (1: agreement to within noise)", c.error);
-    println!("  p-value  {:.2e} over {} residuals", c.p_value, c.residuals.len());
+    println!("  p-value  {} over {} residuals", chance(c.p_value), c.residuals.len());
     let strayed = signatures(&c.residuals);
     for s in strayed.iter().take(6) {
         println!("  - {}", s.text);

@@ -7,7 +7,7 @@ use crate::compare::{Observations, of_dataset, of_table};
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, write_whole};
 use crate::diagnose::{Diagnosis, diagnose};
-use crate::report::{self, with_error};
+use crate::report::{self, chance, with_error};
 use anyhow::Result;
 use std::path::{Path, PathBuf};
 
@@ -93,10 +93,10 @@ pub fn print(path: &Path, d: &Diagnosis) {
     for r in &d.ladder {
         let bar = "#".repeat((r.error.ln().max(0.0) * 6.0).round().min(40.0) as usize);
         println!(
-            "  {:<34} {:>8.3}  {:>9.1e}  {bar}",
+            "  {:<34} {:>8.3}  {:>9}  {bar}",
             r.added.as_deref().unwrap_or("as given"),
             r.error,
-            r.p_value
+            chance(r.p_value)
         );
     }
     if let Some(next) = &d.next_measurement {

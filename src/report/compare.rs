@@ -55,7 +55,7 @@ fn body(c: &Comparison) -> Markup {
         div.cards {
             div { span { "error (1: agreement to within noise)" }
                 b class=(if c.consistent { "good" } else { "bad" }) { (format!("{:.3}", c.error)) } }
-            div { span { "p-value" } b { (format!("{:.2e}", c.p_value)) } }
+            div { span { "p-value" } b { (super::chance(c.p_value)) } }
             div { span { "residuals" } b { (c.residuals.len()) } }
         }
         @let strayed = signatures(&c.residuals);

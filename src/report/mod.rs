@@ -75,6 +75,22 @@ pub fn with_error(value: f64, std_err: f64) -> String {
     }
 }
 
+/// A chance, as people write it.
+///
+/// ```
+/// use radcam::report::chance;
+/// assert_eq!(chance(0.784), "0.78");
+/// assert_eq!(chance(2.34e-210), "2.3e-210");
+/// assert_eq!(chance(0.0), "< 1e-300"); // smaller than a number holds
+/// ```
+pub fn chance(p: f64) -> String {
+    match p {
+        p if p >= 0.01 => format!("{p:.2}"),
+        p if p < 1e-300 => "< 1e-300".into(),
+        p => format!("{p:.1e}"),
+    }
+}
+
 /// Decimals that show two digits of an error.
 fn digits(std_err: f64) -> Option<usize> {
     (std_err.is_finite() && std_err > 0.0).then(|| (1.0 - std_err.log10().floor()).clamp(0.0, 12.0) as usize)
