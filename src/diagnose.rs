@@ -94,7 +94,7 @@ fn applies(effect: &dyn Effect, all: &Observations) -> bool {
         "full-well-saturation" => frames,
         "periodic-interference" => has(Statistic::Line),
         "adc-nonlinearity" | "coarse-quantization" => has(Statistic::CodesUsed),
-        "tap-mismatch" => has(Statistic::Tap(0)),
+        "tap-mismatch" => has(Statistic::Tap(0, 0)),
         // On flats these do nothing that is looked at.
         "stray-light" => false,
         "interpixel-crosstalk" | "readout-lowpass" | "spatial-filter" => {
@@ -141,7 +141,7 @@ pub fn diagnose(
                     })
                 });
                 let fitted = tries.min_by(|a, b| a.objective.total_cmp(&b.objective))?;
-                let parameters = effect.parameters().len() as f64;
+                let parameters = effect.parameters().iter().filter(|p| !p.is_choice()).count() as f64;
                 let evidence = now.objective - fitted.objective - parameters * n.ln();
                 Some(Candidate { fitted, effect, evidence })
             })
@@ -159,10 +159,13 @@ pub fn diagnose(
             }
             let at = c.fitted.effects.len() - 1;
             let (values, errors) = (&c.fitted.effects[at].1, &c.fitted.std_err[at]);
-            let nothing = c.effect.parameters().iter().map(|p| p.min.max(0.0).min(p.max));
+            let free = || {
+                let all = c.effect.parameters().iter().zip(values.iter().zip(errors));
+                all.filter(|(p, _)| !p.is_choice()).map(|(p, (v, e))| (p.min.max(0.0).min(p.max), *v, *e))
+            };
             // Two that only their product tells are each unknown, and together something.
-            let product = values.len() > 1 && values.iter().zip(errors).all(|(v, e)| *e > 3.0 * v.abs());
-            product || values.iter().zip(errors).zip(nothing).any(|((v, e), zero)| (v - zero).abs() > 2.5 * e)
+            let product = free().count() > 1 && free().all(|(_, v, e)| e > 3.0 * v.abs());
+            product || free().any(|(zero, v, e)| (v - zero).abs() > 2.5 * e)
         });
         let Some(best) = candidates.first().filter(|c| c.evidence > NEEDED) else { break };
         let after = compare(all, &best.fitted.base, &best.fitted.effects);

@@ -180,8 +180,9 @@ pub struct Prediction {
     pub bit_errors_dn: [f64; BITS],
     /// Every code is a multiple of this, DN.
     pub code_step_dn: f64,
-    /// Gain of the right half over the left, minus 1, and its offset, DN.
-    pub taps: (f64, f64),
+    /// Gain of the right half over the left, minus 1, and its offset, DN; of the lower half over the upper; of odd columns over even
+    /// ones; of odd rows.
+    pub taps: [(f64, f64); 4],
     /// Light collected while charge is moved through the image, s of exposure.
     pub smear_s: f64,
     /// From this charge on a pixel spills into its column, e.
@@ -251,7 +252,7 @@ impl Prediction {
             base: base.clone(),
             bit_errors_dn: [0.0; BITS],
             code_step_dn: 1.0,
-            taps: (0.0, 0.0),
+            taps: [(0.0, 0.0); 4],
             smear_s: 0.0,
             bloom_e: f64::INFINITY,
         }

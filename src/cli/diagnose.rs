@@ -82,7 +82,7 @@ pub fn print(path: &Path, d: &Diagnosis) {
             println!(
                 "      {name} = {} {}",
                 with_error(q.value, q.std_err),
-                if q.unit == "1" { "" } else { q.unit }
+                if matches!(q.unit, "1" | "choice") { "" } else { q.unit }
             );
         }
         for text in &m.evidence {

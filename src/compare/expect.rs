@@ -105,8 +105,10 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             (volt(c + 1) - volt(c)).max(0.0)
         };
         return match o.kind {
-            Statistic::Tap(0) => plain(p.taps.0, o.measured.std_err),
-            Statistic::Tap(_) => plain(p.taps.1, o.measured.std_err),
+            Statistic::Tap(parts, k) => {
+                let tap = p.taps.get(parts).copied().unwrap_or_default();
+                plain(if k == 0 { tap.0 } else { tap.1 }, o.measured.std_err)
+            }
             Statistic::Occupancy(b) => plain(occupancy_of(&width, &all.codes[half], b), o.measured.std_err),
             Statistic::CodesUsed => plain(if step > 1.0 { 1.0 / step } else { 1.0 }, o.measured.std_err),
             Statistic::Line => {

@@ -297,6 +297,10 @@ pub fn fit(
             v.abs().max(start.abs())
         }));
     }
+    let mut fixed: Vec<bool> = (0..values.len()).map(|i| all.means_given && (i == 2 || i == 3)).collect();
+    let parameters = effects.iter().flat_map(|(e, _)| e.parameters());
+    let first = values.len() - effects.iter().map(|(e, _)| e.parameters().len()).sum::<usize>();
+    fixed[first..].iter_mut().zip(parameters).for_each(|(fixed, p)| *fixed = p.is_choice());
     let mut x: Vec<f64> = values.iter().zip(&scale).map(|(v, s)| v / s).collect();
     let n = x.len();
     let mut free = Free {
@@ -305,7 +309,7 @@ pub fn fit(
         template: base.clone(),
         scale,
         below: values.iter().map(|v| *v < 0.0).collect(),
-        fixed: (0..n).map(|i| all.means_given && (i == 2 || i == 3)).collect(),
+        fixed,
         x: Vec::new(),
         covariance: Vec::new(),
     };
@@ -358,7 +362,10 @@ pub fn fit(
         }
     }
     free.covariance = invert(&normal, n);
-    let error = |i: usize| free.covariance[i * n + i].max(0.0).sqrt() * free.scale[i];
+    let choice = |i: usize| i >= first && free.fixed[i];
+    let error = |i: usize| {
+        if choice(i) { 0.0 } else { free.covariance[i * n + i].max(0.0).sqrt() * free.scale[i] }
+    };
     let (mut base, effects) = free.unpack(&x);
     if all.means_given {
         // The light that gives the means.
@@ -404,7 +411,7 @@ pub fn starts(effect: &'static dyn Effect, all: &Observations, now: &Fitted) -> 
     let sized = |values: &[f64], size: f64| -> Vec<f64> {
         let of = |(v, p): (&f64, &radcam_sim::effects::Parameter)| {
             // A size is what may be nothing; places and levels stay.
-            let is_size = p.min <= 0.0 && p.starts.iter().all(|s| s.is_finite());
+            let is_size = p.min <= 0.0 && !p.is_choice() && p.starts.iter().all(|s| s.is_finite());
             if is_size { (v * size).clamp(p.min, p.max) } else { *v }
         };
         values.iter().zip(parameters).map(of).collect()

@@ -13,41 +13,6 @@ pub fn mean_of(image: &Array2<f32>, layout: &Layout) -> f64 {
     image.iter().zip(&layout.mask).map(|(v, m)| f64::from(v * m)).sum::<f64>() / layout.pixels
 }
 
-/// The step between the middle columns over all chunks: slope with the mean, and at zero; errors from what all other columns
-/// show.
-pub fn middle_step(chunks: &[&Summary], zero_dn: f64) -> Option<[Value; 2]> {
-    let columns = chunks.first()?.columns_dn.len();
-    if columns < 64 {
-        return None;
-    }
-    let reach = 4;
-    let profiles: Vec<(f64, &[f64])> =
-        chunks.iter().map(|c| (c.frame_means.mean_dn() - zero_dn, c.columns_dn.as_slice())).collect();
-    let step = |profile: &[f64], x: usize| {
-        let part = |from: usize| profile[from..from + reach].iter().sum::<f64>() / reach as f64;
-        let (l2, l1, r1, r2) = (part(x - 2 * reach), part(x - reach), part(x), part(x + reach));
-        (r1 - l1) - 0.5 * ((r2 - r1) + (l1 - l2))
-    };
-    let line = |x: usize| {
-        let n = profiles.len() as f64;
-        let points = || profiles.iter().map(|(m, p)| (*m, step(p, x)));
-        let (sx, sy) = points().fold((0.0, 0.0), |(a, b), (m, s)| (a + m, b + s));
-        let (mx, my) = (sx / n, sy / n);
-        let (xx, xy) =
-            points().fold((0.0, 0.0), |(a, b), (m, s)| (a + (m - mx).powi(2), b + (m - mx) * (s - my)));
-        let slope = if xx > 0.0 { xy / xx } else { 0.0 };
-        (slope, my - slope * mx)
-    };
-    let middle = columns / 2;
-    let others: Vec<(f64, f64)> =
-        (2 * reach..=columns - 2 * reach).filter(|x| x.abs_diff(middle) > 2 * reach).map(line).collect();
-    let here = line(middle);
-    let rms = |of: &dyn Fn(&(f64, f64)) -> f64| {
-        (others.iter().map(|o| of(o).powi(2)).sum::<f64>() / others.len() as f64).sqrt().max(1e-9)
-    };
-    Some([Value { value: here.0, std_err: rms(&|o| o.0) }, Value { value: here.1, std_err: rms(&|o| o.1) }])
-}
-
 /// Counts of every code, and what each level alone says of the bits.
 pub struct Codes {
     counts: Vec<u64>,

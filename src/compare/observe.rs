@@ -10,6 +10,7 @@ use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
 use crate::statistics::pass::Summary;
 use crate::statistics::successive::error_of;
+use crate::statistics::taps;
 use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, SetInfo};
 use std::ops::Range;
 use std::sync::atomic::AtomicBool;
@@ -42,8 +43,9 @@ pub enum Statistic {
     Growth(usize),
     /// Neighbour covariance of odd columns (0), rows (1) less that of even ones, DN^2.
     Parity(usize),
-    /// Step between the middle columns: in proportion to the signal (0), constant (1).
-    Tap(usize),
+    /// Step between right and left half (0), lower and upper (1), odd and even columns (2), odd and even rows (3): in proportion to
+    /// the signal (0), constant (1).
+    Tap(usize, usize),
     /// Codes whose bit toggles next against those before it, relative.
     Occupancy(usize),
     /// Share of codes that occur.
@@ -128,8 +130,12 @@ impl Statistic {
             Statistic::Growth(_) => "growth of covariance along columns".into(),
             Statistic::Parity(0) => "covariance by column parity".into(),
             Statistic::Parity(_) => "covariance by row parity".into(),
-            Statistic::Tap(0) => "step between halves, of the signal".into(),
-            Statistic::Tap(_) => "step between halves, constant".into(),
+            Statistic::Tap(parts, k) => {
+                let parts = ["left and right", "top and bottom", "even and odd columns", "even and odd rows"]
+                    .get(*parts)
+                    .unwrap_or(&"parts");
+                format!("{parts}, {}", if *k == 0 { "of the signal" } else { "constant" })
+            }
             Statistic::Occupancy(b) => format!("occupancy of codes, bit {b}"),
             Statistic::CodesUsed => "share of codes that occur".into(),
             Statistic::Line => "line in the spectrum".into(),
@@ -231,9 +237,15 @@ pub fn of_dataset(
         };
         let of_half = || chunks.iter().filter(|c| usize::from(c.half) == half);
         let said: Vec<&Summary> = of_half().map(|c| &c.said).collect();
-        if let Some(taps) = global::middle_step(&said, zero_dn) {
-            whole(Statistic::Tap(0), taps[0]);
-            whole(Statistic::Tap(1), taps[1]);
+        let profiles = |of: fn(&Summary) -> &[f64]| -> Vec<(f64, &[f64])> {
+            said.iter().map(|s| (s.frame_means.mean_dn() - zero_dn, of(s))).collect()
+        };
+        let (columns, rows) = (profiles(|s| &s.columns_dn), profiles(|s| &s.rows_dn));
+        let steps = [taps::middle(&columns), taps::middle(&rows), taps::odd(&columns), taps::odd(&rows)];
+        for (parts, step) in steps.into_iter().enumerate() {
+            for (k, value) in step.into_iter().flatten().enumerate() {
+                whole(Statistic::Tap(parts, k), value);
+            }
         }
         let (range, occupancy) = codes.finish();
         ranges[half] = range;
@@ -248,7 +260,7 @@ pub fn of_dataset(
         }
     }
     if shape.1 < 64 {
-        missing.push("the sensor is too narrow to look for a step between its halves".into());
+        missing.push("the sensor is too narrow to look for a step between its parts".into());
     }
     if pairs.iter().all(Option::is_none) {
         missing.push(

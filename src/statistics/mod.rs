@@ -13,4 +13,5 @@ pub mod occupancy;
 pub mod pass;
 pub mod spectrum;
 pub mod successive;
+pub mod taps;
 pub mod variance;

@@ -170,6 +170,8 @@ pub struct Summary {
     pub power: Vec<f64>,
     /// Mean of each column, DN.
     pub columns_dn: Vec<f64>,
+    /// Mean of each row, DN.
+    pub rows_dn: Vec<f64>,
     /// Spatial variance of the pixels' means, DN^2.
     pub spatial_var_dn2: f64,
     /// Where the pixels' means lie, in standard deviations from their mean: [`PLACES`] are the shares.
@@ -343,14 +345,16 @@ impl<'a> Pass<'a> {
         let between = self.mean.iter().map(|m| f64::from(*m).powi(2)).sum::<f64>() / layout.pixels;
         let var = variance.finish(layout, dof);
         let places = self.places(between.sqrt());
-        let mut columns_dn = vec![0.0; layout.columns()];
-        self.mean.chunks_exact(layout.columns()).for_each(|row| {
+        let (mut columns_dn, mut rows_dn) = (vec![0.0; layout.columns()], Vec::new());
+        for row in self.mean.chunks_exact(layout.columns()) {
             columns_dn.iter_mut().zip(row).for_each(|(c, m)| *c += f64::from(*m));
-        });
-        columns_dn
-            .iter_mut()
-            .zip(&layout.column_pixels)
-            .for_each(|(c, n)| *c = level + *c / f64::from(n.max(1.0)));
+            rows_dn.push(row.iter().map(|m| f64::from(*m)).sum::<f64>());
+        }
+        let means = |sums: &mut [f64], pixels: &[f32]| {
+            sums.iter_mut().zip(pixels).for_each(|(sum, n)| *sum = level + *sum / f64::from(n.max(1.0)));
+        };
+        means(&mut columns_dn, &layout.column_pixels);
+        means(&mut rows_dn, &layout.row_pixels);
         Some(Summary {
             frames,
             pixels: layout.pixels,
@@ -363,6 +367,7 @@ impl<'a> Pass<'a> {
             occupancy: self.occupancy.clone(),
             frame_means: self.frame_means.clone(),
             columns_dn,
+            rows_dn,
             // Means over few frames scatter from pixel to pixel.
             places,
             spatial_var_dn2: (between - var.value / frames as f64).max(0.0),

@@ -132,6 +132,20 @@ fn a_camera_that_is_read_from_the_other_end() {
     assert!((parallel.value - values[0]).abs() < 4.0 * parallel.std_err, "{values:?} {found:?}");
 }
 
+/// Taps that are not the halves: the parts are named, and what differs between them.
+#[test]
+fn taps_of_every_kind() {
+    for parts in [1u32, 2] {
+        let values = [0.01, 1.0, f64::from(parts)];
+        let (_, d) = look(with(unit(20 + u64::from(parts)), "tap-mismatch", &values));
+        let found = d.missing.first().unwrap_or_else(|| panic!("parts {parts}: nothing, {}", d.error_before));
+        assert_eq!(found.effect, "tap-mismatch", "{:?}", d.missing);
+        assert!((found.parameters["parts"].value - f64::from(parts)).abs() < 0.1, "{found:?}");
+        let gain = &found.parameters["gain_rel"];
+        assert!((gain.value - 0.01).abs() < 4.0 * gain.std_err && d.error_after < 1.1, "{found:?}");
+    }
+}
+
 /// The measurement that every effect's page asks for is a plan that can be captured, written and read again.
 #[test]
 fn every_page_has_a_plan() {

@@ -39,6 +39,13 @@ pub struct Parameter {
     pub starts: &'static [f64],
 }
 
+impl Parameter {
+    /// Whether it says which of several kinds, and is not fitted: every start is tried. Its unit is `choice`.
+    pub fn is_choice(&self) -> bool {
+        self.unit == "choice"
+    }
+}
+
 /// What people want to know of an effect.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Page {
@@ -296,7 +303,7 @@ pub fn example(id: &str, model: &crate::Model) -> Option<Vec<f64>> {
         "smear" | "exposure-offset" => vec![5e-4 * bright_s],
         "full-well-saturation" | "blooming" => vec![0.8 * range_e],
         "black-clipping" => vec![-0.5],
-        "tap-mismatch" => vec![0.01, 1.0],
+        "tap-mismatch" => vec![0.01, 1.0, 0.0],
         "coarse-quantization" => vec![4.0],
         _ => return None,
     })

@@ -1,9 +1,19 @@
-//! Tap mismatch: the halves of the sensor are read through different amplifiers.
+//! Tap mismatch: parts of the sensor are read through different amplifiers.
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
-/// Gain and offset of the right half differ from the left's.
+/// Gain and offset of half of the pixels differ from those of the rest.
 pub struct This;
+
+/// Whether a pixel of (rows, columns) belongs to the second tap: right half, lower half, odd columns, odd rows.
+fn second(kind: f64, (y, x): (usize, usize), (rows, columns): (usize, usize)) -> bool {
+    match kind.round() as usize {
+        0 => x >= columns / 2,
+        1 => y >= rows / 2,
+        2 => x % 2 == 1,
+        _ => y % 2 == 1,
+    }
+}
 
 impl Effect for This {
     fn id(&self) -> &'static str {
@@ -16,26 +26,29 @@ impl Effect for This {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[
-            Parameter { name: "gain_rel", unit: "1", min: -0.5, max: 0.5, starts: &[0.003, -0.003] },
+            Parameter { name: "gain_rel", unit: "1", min: -0.5, max: 0.5, starts: &[0.003] },
             Parameter { name: "offset_dn", unit: "DN", min: -1e3, max: 1e3, starts: &[0.0] },
+            // Right half, lower half, odd columns, odd rows.
+            Parameter { name: "parts", unit: "choice", min: 0.0, max: 3.0, starts: &[0.0, 1.0, 2.0, 3.0] },
         ]
     }
 
     fn page(&self) -> Page {
         Page {
-            what: "Two taps have different gains or offsets: a step runs through the middle of the image.",
-            equation: "right half: v (1 + g) + o",
-            signature: "a step between the middle columns, constant in darks (offset) and growing with the signal (gain)",
+            what: "Two taps have different gains or offsets: a step runs through the middle of the image, or every second line differs.",
+            equation: "parts 0 right half, 1 lower half, 2 odd columns, 3 odd rows: v (1 + g) + o",
+            signature: "a step between the middle columns (rows), or between odd and even ones, constant in darks (offset) and growing with the signal (gain)",
             look_alikes: "shading changes slowly; a step has no width",
             remedy: "balance the taps; K and the dark reference take it off at fixed settings",
-            measure: "flats and darks: the step between the two middle columns against the mean",
+            measure: "flats and darks: the step between the parts against the mean",
             sets: takes::SWEEP,
             source: "EMVA 1288 release 4, section 8",
         }
     }
 
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
-        out.taps = (out.taps.0 + p[0], out.taps.1 + p[1]);
+        let tap = &mut out.taps[(p[2].round() as usize).min(3)];
+        *tap = (tap.0 + p[0], tap.1 + p[1]);
         // Half of the pixels: the mean follows by half.
         for m in &mut out.frame_signal {
             *m += 0.5 * (p[0] * *m + p[1]);
@@ -49,7 +62,9 @@ impl Effect for This {
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
-        let half = d.image.ncols() / 2;
-        d.image.slice_mut(ndarray::s![.., half..]).mapv_inplace(|v| v * (1.0 + p[0]) + p[1]);
+        let shape = d.image.dim();
+        for (_, v) in d.image.indexed_iter_mut().filter(|(at, _)| second(p[2], *at, shape)) {
+            *v = *v * (1.0 + p[0]) + p[1];
+        }
     }
 }
