@@ -22,7 +22,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
     /// Also write the model with what was found, fitted
-    #[arg(long, value_name = "M.toml")]
+    #[arg(short, long, value_name = "M.toml")]
     output: Option<PathBuf>,
     /// Also write the measurement that would tell the closest candidates apart as a plan that `capture` runs
     #[arg(long, value_name = "PLAN.toml")]

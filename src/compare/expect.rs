@@ -64,6 +64,15 @@ fn quantised(variance: f64, spread: f64, q: f64) -> (f64, f64) {
     (q / std::f64::consts::PI * ripple, (q * q / std::f64::consts::PI.powi(2) + 4.0 * noise) * ripple)
 }
 
+/// Spatial variance of the dark charge of a dark set, DN^2: what it has beyond the shortest darks'.
+fn dark_spread(o: &Observable, all: &Observations) -> f64 {
+    let darks = || all.campaign.sets.iter().zip(&all.kinds).filter(|(_, kind)| **kind == Kind::Dark);
+    let Some(here) = o.set.filter(|s| all.kinds.get(*s) == Some(&Kind::Dark)) else { return 0.0 };
+    let shortest = darks().min_by(|a, b| a.0.exposure_s.total_cmp(&b.0.exposure_s));
+    let offset = shortest.map_or(0.0, |(s, _)| s.spread_dn);
+    (all.campaign.sets[here].spread_dn.powi(2) - offset * offset).max(0.0)
+}
+
 /// What the prediction expects of an observable.
 pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
     let shape = all.campaign.shape;
@@ -233,9 +242,11 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             let variance = s.covariance(0, 0).max(1e-9);
             let rest = rough(s).1.hypot(moving) / variance;
             let square = variance * variance;
+            // Shot noise of unequal dark charge: only pixels that stand out are known to have more of it.
+            let charge = dark_spread(o, all) * p.base.gain_dn_per_e.powi(2);
             plain(
                 (s.unequal + s.fourth / (n * allowed)) / square,
-                o.measured.std_err.hypot(s.unsure / square).hypot(0.002).hypot(rest),
+                o.measured.std_err.hypot((s.unsure + charge) / square).hypot(0.002).hypot(rest),
             )
         }
         Statistic::Parity(k) => {
