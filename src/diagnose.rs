@@ -88,13 +88,13 @@ struct Candidate {
 /// Whether an effect moves anything that a campaign has.
 fn applies(effect: &dyn Effect, all: &Observations) -> bool {
     let has = |kind: Statistic| all.all.iter().any(|o| o.kind == kind);
-    let frames = has(Statistic::Successive);
+    let frames = has(Statistic::FrameMeanVariance);
     match effect.id() {
         "nonlinearity" | "brighter-fatter" => true,
         "full-well-saturation" => frames,
         "periodic-interference" => has(Statistic::Line),
         "adc-nonlinearity" | "coarse-quantization" => has(Statistic::CodesUsed),
-        "tap-mismatch" => has(Statistic::Tap(0, 0)),
+        "tap-mismatch" => all.all.iter().any(|o| matches!(o.kind, Statistic::Tap(..))),
         // On flats these do nothing that is looked at.
         "stray-light" => false,
         "interpixel-crosstalk" | "readout-lowpass" | "spatial-filter" => {

@@ -193,12 +193,21 @@ pub struct Prediction {
 pub const BITS: usize = 6;
 
 impl SetPrediction {
+    /// After noise was filtered, from the variance before: what pixels have of their own follows their variance.
+    pub(crate) fn follow(&mut self, before: f64) {
+        let by = if before > 0.0 { self.covariance(0, 0) / before } else { 1.0 };
+        self.unsure_var *= by;
+        for fourth_power in [&mut self.unequal, &mut self.fourth, &mut self.unsure] {
+            *fourth_power *= by * by;
+        }
+    }
+
     /// Clipping leaves the share `less` of the variance, and pixels whose variances and fourth cumulants are these.
     pub(crate) fn cut(&mut self, less: f64, unequal: f64, fourth: f64) {
         let square = less * less;
         self.unequal = self.unequal * square + unequal;
         self.fourth = self.fourth * square + fourth;
-        // The levels of the pixels are only about normal.
+        // The pixels' places are known as a few shares.
         self.unsure = libm::hypot(self.unsure * square, 0.3 * unequal);
     }
 

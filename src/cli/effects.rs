@@ -47,7 +47,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     }
     println!("\n  parameters");
     for p in e.parameters() {
-        let unit = if p.unit == "1" { "" } else { p.unit };
+        let unit = if p.unit == "1" || p.is_choice() { "" } else { p.unit };
         println!("    {:<24} {} to {} {unit}", p.name, p.min, p.max);
     }
     Ok(Outcome::Agreement)

@@ -152,7 +152,13 @@ fn show(path: &Path, model: &Model) {
         let known = effects::find(&e.id).map_or(&[][..], |e| e.parameters());
         for (name, value) in &e.parameters {
             let of_known = known.iter().find(|p| p.name == name).map(|p| p.unit);
-            let unit = e.units.get(name).map(String::as_str).or(of_known).filter(|u| *u != "1").unwrap_or("");
+            let unit = e
+                .units
+                .get(name)
+                .map(String::as_str)
+                .or(of_known)
+                .filter(|u| !matches!(*u, "1" | "choice"))
+                .unwrap_or("");
             let error = e.std_err.get(name).copied().unwrap_or(f64::NAN);
             println!("    {name:<24} {} {unit}", with_error(*value, error));
         }

@@ -46,11 +46,6 @@ impl Fitted {
         predict(&self.base, &self.effects, all)
     }
 
-    /// Number of parameters of the effects.
-    pub fn parameters(&self) -> usize {
-        self.effects.iter().map(|(_, p)| p.len()).sum()
-    }
-
     /// Observables with what is expected of them; `half`: only these and the common ones.
     pub fn expected<'a>(&self, all: &'a Observations, half: Option<u8>) -> Vec<(&'a Observable, Expected)> {
         let prediction = self.predict(all);
@@ -293,7 +288,7 @@ pub fn fit(
         values.extend(p);
         scale.extend(e.parameters().iter().zip(p).map(|(q, v)| {
             let start =
-                q.starts.iter().copied().find(|s| s.is_finite() && *s != 0.0).unwrap_or(v.abs().max(1e-6));
+                q.starts.iter().copied().find(|s| s.is_finite() && *s != 0.0).unwrap_or(v.abs().max(1e-3));
             v.abs().max(start.abs())
         }));
     }
@@ -422,13 +417,24 @@ pub fn starts(effect: &'static dyn Effect, all: &Observations, now: &Fitted) -> 
         let prediction = predict(&now.base, &effects, all);
         objective(&chosen(all, None).map(|o| expect(o, &prediction, all)).collect::<Vec<_>>())
     };
-    let signs: &[f64] = if parameters.iter().any(|p| p.min < 0.0) { &[1.0, -1.0] } else { &[1.0] };
+    // A fit that keeps signs begins at every combination of them; another passes from one to the other.
+    let begin: Vec<Vec<f64>> = if effect.keeps_sign() {
+        let flip = |values: &Vec<f64>, which: u32| -> Vec<f64> {
+            values.iter().enumerate().map(|(i, v)| if which >> i & 1 == 1 { -v } else { *v }).collect()
+        };
+        let hinted = hinted(effect, all, &now.base);
+        hinted.iter().flat_map(|v| (0..1 << v.len().min(4)).map(|which| flip(v, which))).collect()
+    } else {
+        hinted(effect, all, &now.base)
+    };
+    let crosses = !effect.keeps_sign() && parameters.iter().any(|p| p.min < 0.0);
+    let signs: &[f64] = if crosses { &[1.0, -1.0] } else { &[1.0] };
     let best = |values: Vec<f64>| {
         let tries = signs.iter().flat_map(|sign| SIZES.map(|size| sized(&values, sign * size)));
         let scored = tries.map(|v| (misfit(&v), v));
         scored.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(values.clone(), |found| found.1)
     };
-    let mut out: Vec<Vec<f64>> = hinted(effect, all, &now.base).into_iter().map(best).collect();
+    let mut out: Vec<Vec<f64>> = begin.into_iter().map(best).collect();
     out.dedup();
     out
 }
@@ -447,7 +453,7 @@ fn hinted(effect: &dyn Effect, all: &Observations, base: &BaseParameters) -> Vec
         match effect.id() {
             "periodic-interference" => all.campaign.line_cycles_per_px.unwrap_or(0.1),
             // Of the dark noise as it is measured: a clipped half has 0.58 of the deviation.
-            "black-clipping" => -base.read_noise_e * base.gain_dn_per_e * [0.3, 1.5, -0.5][k.min(2)],
+            "black-clipping" => -base.read_noise_e * base.gain_dn_per_e * [0.0, 0.3, 1.5, -0.5][k.min(3)],
             _ => peak.max(1.0) * [1.0, 0.9, 1.15][k.min(2)],
         }
     };

@@ -259,8 +259,11 @@ pub fn of_dataset(
             scene.leaks.iter().for_each(|(way, value)| whole(Statistic::Leak(*way), *value));
         }
     }
-    if shape.1 < 64 {
-        missing.push("the sensor is too narrow to look for a step between its parts".into());
+    if shape.0.min(shape.1) < 64 {
+        missing.push(format!(
+            "{} x {} pixels are too few for a step between parts of the sensor",
+            shape.1, shape.0
+        ));
     }
     if pairs.iter().all(Option::is_none) {
         missing.push(

@@ -1,7 +1,8 @@
 //! A still scene with a bright patch at two exposures: what leaks out of the patch, and in which direction.
 //!
 //! The short exposure is scaled up and the long one is taken off: of a camera that adds nothing of its own nothing is left, whatever the
-//! scene and the lens are. Edges and blur are light, and grow with the exposure; smear, blooming and trails do not.
+//! scene and the lens are. Edges and blur are light, and grow with the exposure; smear and blooming do not, nor do trails whose share
+//! depends on the charge.
 
 use super::read::SceneMean;
 use crate::dataset::{FrameRow, Kind};
@@ -61,7 +62,7 @@ pub struct ScenePair {
     rows: [usize; 3],
 }
 
-/// Mean of the values and the error of that mean from their scatter; `None` for fewer than four.
+/// Mean of the values and the variance of that mean from their scatter; `None` for fewer than four.
 fn mean(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     let all: Vec<f64> = values.collect();
     let n = all.len() as f64;
@@ -91,14 +92,16 @@ impl ScenePair {
         let image = above_zero(&long.mean_dn);
         let scaled = above_zero(&short.mean_dn) * ratio;
         // The patch as the short exposure shows it: in the long one it may have spilled.
-        let top = scaled.iter().copied().fold(f64::MIN, f64::max);
-        let bright = scaled.mapv(|v| v > 0.5 * top);
+        let good = |y: usize, x: usize| layout.mask[y * columns + x] > 0.0;
+        let sound = scaled.indexed_iter().filter(|((y, x), _)| good(*y, *x));
+        let top = sound.map(|(_, v)| *v).fold(f64::MIN, f64::max);
+        let bright =
+            Array2::from_shape_fn((rows, columns), |(y, x)| good(y, x) && scaled[(y, x)] > 0.5 * top);
         let across: Vec<bool> = (0..columns).map(|x| bright.column(x).iter().any(|b| *b)).collect();
         let level: Vec<bool> = (0..rows).map(|y| bright.row(y).iter().any(|b| *b)).collect();
         let (left, right) = (across.iter().position(|b| *b)?, across.iter().rposition(|b| *b)?);
         let (first, last) = (level.iter().position(|b| *b)?, level.iter().rposition(|b| *b)?);
         let apart = &scaled - &image;
-        let good = |y: usize, x: usize| layout.mask[y * columns + x] > 0.0;
         // Line by line: pixels of a line may have a pattern of their own.
         let by_column = |ys: &[usize], wanted: bool| {
             let xs = (0..columns).filter(|x| across[*x] == wanted);
@@ -165,7 +168,8 @@ impl ScenePair {
                 });
                 smear - spilled / f64::max(pixels, 1.0)
             }
-            Direction::Up | Direction::Down => smear - self.spilled(p, NEAR),
+            Direction::Up => smear - self.spilled(p, NEAR.start..NEAR.end.min(self.rows[1])),
+            Direction::Down => smear - self.spilled(p, NEAR.start..NEAR.end.min(self.rows[2])),
         }
     }
 
@@ -174,7 +178,7 @@ impl ScenePair {
         let well_dn = p.bloom_e * p.base.gain_dn_per_e;
         let room = well_dn - self.background_dn;
         let over = (self.patch_dn - well_dn).max(0.0) * self.rows[0] as f64;
-        if over == 0.0 || room <= 0.0 {
+        if over == 0.0 || room <= 0.0 || range.is_empty() {
             return 0.0;
         }
         // Half of it goes each way and fills pixel after pixel.

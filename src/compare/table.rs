@@ -53,7 +53,8 @@ pub(super) fn observations(table: &Table) -> Result<Observations, ObserveError> 
             light: Some(if exposures { 0 } else { place }),
             illumination: level.illumination.unwrap_or(1.0),
             spread: 0.0,
-            spread_dn: 0.0,
+            // Not known; pixels rarely lie at one place between two codes.
+            spread_dn: 1.0,
             places: NORMAL,
         });
         frames.push(FrameInfo { set: place, time_s: 0.0 });

@@ -174,7 +174,8 @@ pub struct Summary {
     pub rows_dn: Vec<f64>,
     /// Spatial variance of the pixels' means, DN^2.
     pub spatial_var_dn2: f64,
-    /// Where the pixels' means lie, in standard deviations from their mean: [`PLACES`] are the shares.
+    /// Where the pixels' means lie, in standard deviations from their mean, what noise their means have left included:
+    /// [`PLACES`] are the shares.
     pub places: [f64; PLACES.len()],
 }
 
@@ -368,8 +369,8 @@ impl<'a> Pass<'a> {
             frame_means: self.frame_means.clone(),
             columns_dn,
             rows_dn,
-            // Means over few frames scatter from pixel to pixel.
             places,
+            // Means over few frames scatter from pixel to pixel.
             spatial_var_dn2: (between - var.value / frames as f64).max(0.0),
         })
     }
@@ -472,7 +473,7 @@ mod tests {
             };
             add("variance", said.var, truth);
             said.covariances.at.iter().for_each(|c| add("covariance", *c, 0.0));
-            add("successive", said.successive, -truth / 4.0);
+            add("successive", said.successive, 0.0);
             said.covariances.growth.iter().for_each(|g| add("growth", *g, 0.0));
             said.covariances.parity.iter().for_each(|p| add("parity", *p, 0.0));
             add("unequal", said.unequal, 0.0);
@@ -555,7 +556,7 @@ mod tests {
             for f in 0..images.len() {
                 products[0].0 += r(f, i) * r(f, i);
                 products[1].0 += if pair { r(f, i) * r(f, partner) } else { 0.0 };
-                products[2].0 += if f > 0 { r(f, i) * r(f - 1, i) } else { 0.0 };
+                products[2].0 += r(f, i) * r(f, i) / n + if f > 0 { r(f, i) * r(f - 1, i) } else { 0.0 };
             }
         }
         let diagonal = LAGS.iter().position(|l| *l == (1, -1)).unwrap();

@@ -17,8 +17,8 @@ impl Effect for This {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        // Not a number: begin within the dark noise.
-        &[Parameter { name: "level_dn", unit: "DN", min: -1e3, max: 1e3, starts: &[f64::NAN, f64::NAN, f64::NAN] }]
+        // Not a number: begin within the dark noise as it is measured.
+        &[Parameter { name: "level_dn", unit: "DN", min: -1e3, max: 1e3, starts: &[-1.0, f64::NAN, f64::NAN, f64::NAN] }]
     }
 
     fn page(&self) -> Page {

@@ -97,7 +97,8 @@ pub fn custom(
         .iter()
         .map(|(n, v)| {
             let [min, max] = bounds.get(n).copied().unwrap_or([-1e12, 1e12]);
-            let unit = keep(units.get(n).map_or("1", String::as_str));
+            // "choice" has a meaning of its own: see Parameter::is_choice.
+            let unit = keep(units.get(n).map(String::as_str).filter(|u| *u != "choice").unwrap_or("1"));
             Parameter { name: keep(n), unit, min, max, starts: Box::leak(Box::new([*v])) }
         })
         .collect();

@@ -121,7 +121,7 @@ impl Effect for This {
             let less = (left.variance / before).min(1.0);
             s.cut(less, left.unequal, left.fourth);
             s.shot.scale(less);
-            // Shading is not normal: which pixels of a level lie above the knee is not known.
+            // The pixels' places are a few shares: which of them lie above the knee is known roughly.
             let rest = left.variance + read;
             s.unsure_var = libm::hypot(s.unsure_var, 0.1 * (1.0 - less) * less * before);
             s.unsure = libm::hypot(s.unsure, 3.0 * (1.0 - less) * rest * rest);

@@ -34,10 +34,12 @@ impl Effect for This {
 
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
         for s in &mut out.sets {
+            let before = s.covariance(0, 0);
             s.shot.shape(|ky, kx| {
                 let h = 1.0 - 4.0 * p[0] + 2.0 * p[0] * (libm::cos(ky) + libm::cos(kx));
                 h * h
             });
+            s.follow(before);
         }
     }
 

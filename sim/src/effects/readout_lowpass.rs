@@ -35,10 +35,12 @@ impl Effect for This {
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
         let a = p[0];
         for s in &mut out.sets {
+            let before = s.covariance(0, 0);
             let pass = |_: f64, kx: f64| (1.0 - a) * (1.0 - a) / (1.0 - 2.0 * a * libm::cos(kx) + a * a);
             s.shot.shape(pass);
             s.read.shape(pass);
             s.column *= (1.0 - a) / (1.0 + a);
+            s.follow(before);
         }
     }
 

@@ -40,10 +40,12 @@ impl Effect for This {
         // A row's own noise has all vertical frequencies and no horizontal one: the mean of h over one axis.
         let line = (1.0 + 0.5 * p[0]) * (1.0 + 0.5 * p[0]) + p[0] * p[0] / 8.0;
         for s in &mut out.sets {
+            let before = s.covariance(0, 0);
             s.shot.shape(h);
             s.read.shape(h);
             s.row *= line;
             s.column *= line;
+            s.follow(before);
         }
     }
 

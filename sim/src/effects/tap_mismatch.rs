@@ -56,8 +56,10 @@ impl Effect for This {
         let square = 0.5 * (1.0 + (1.0 + p[0]) * (1.0 + p[0]));
         for s in &mut out.sets {
             s.signal += 0.5 * (p[0] * s.signal + p[1]);
+            let before = s.covariance(0, 0);
             s.shot.scale(square);
             s.read.scale(square);
+            s.follow(before);
         }
     }
 

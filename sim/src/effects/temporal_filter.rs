@@ -40,10 +40,12 @@ impl Effect for This {
             (*m, last) = (now, Some(now));
         }
         for s in &mut out.sets {
+            let before = s.covariance(0, 0);
             let less = (1.0 - a) / (1.0 + a);
             s.shot.scale(less);
             s.read.scale(less);
             (s.row, s.column, s.common) = (s.row * less, s.column * less, s.common * less);
+            s.follow(before);
             let memory: Vec<f64> = (1..=8).map(|k| libm::pow(a, f64::from(k))).collect();
             (s.shot_memory, s.read_memory) = (memory.clone(), memory);
         }
