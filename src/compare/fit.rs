@@ -333,7 +333,7 @@ pub fn fit(
         for _ in 0..12 {
             let mut a = normal.clone();
             for i in 0..n {
-                a[i * n + i] += lambda * (normal[i * n + i] + 1.0) + 1e-12;
+                a[i * n + i] += lambda * normal[i * n + i] + 1e-12;
             }
             if !cholesky::factor(&mut a, n) {
                 lambda *= 10.0;
