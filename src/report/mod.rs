@@ -64,7 +64,7 @@ fn page(title: &str, subtitle: &str, body: Markup) -> String {
 /// ```
 pub fn with_error(value: f64, std_err: f64) -> String {
     let size = value.abs().max(std_err);
-    if size > 0.0 && size < 1e-3 && std_err > 0.0 {
+    if size > 0.0 && size < 1e-4 && std_err > 0.0 {
         let power = size.log10().floor() as i32;
         let unit = 10f64.powi(power);
         return format!("({})e{power}", with_error(value / unit, std_err / unit));
