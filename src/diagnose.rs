@@ -85,25 +85,6 @@ struct Candidate {
     evidence: f64,
 }
 
-/// Whether an effect moves anything that a campaign has.
-fn applies(effect: &dyn Effect, all: &Observations) -> bool {
-    let has = |kind: Statistic| all.all.iter().any(|o| o.kind == kind);
-    let frames = has(Statistic::FrameMeanVariance);
-    match effect.id() {
-        "nonlinearity" | "brighter-fatter" => true,
-        "full-well-saturation" => frames,
-        "periodic-interference" => has(Statistic::Line),
-        "adc-nonlinearity" | "coarse-quantization" => has(Statistic::CodesUsed),
-        "tap-mismatch" => all.all.iter().any(|o| matches!(o.kind, Statistic::Tap(..))),
-        // On flats these do nothing that is looked at.
-        "stray-light" => false,
-        "interpixel-crosstalk" | "readout-lowpass" | "spatial-filter" => {
-            frames || has(Statistic::Covariance(0, 1))
-        }
-        _ => frames,
-    }
-}
-
 /// Looks for what a model lacks. `base` and `effects` are the model as given; without a base the campaign's own is taken.
 pub fn diagnose(
     all: &Observations,
@@ -112,6 +93,7 @@ pub fn diagnose(
     progress: &mut dyn FnMut(&str),
 ) -> Diagnosis {
     let base = base.unwrap_or_else(|| start(all));
+    let frames = all.all.iter().any(|o| o.kind == Statistic::FrameMeanVariance);
     let n = all.all.len() as f64;
     let mut now = fit(all, None, &base, &effects);
     let first = compare(all, &now.base, &now.effects);
@@ -131,7 +113,7 @@ pub fn diagnose(
         }
         let mut candidates: Vec<Candidate> = effects::all()
             .into_par_iter()
-            .filter(|e| !ids.contains(&e.id()) && applies(*e, all))
+            .filter(|e| !ids.contains(&e.id()) && (frames || e.tables_tell()))
             .filter_map(|effect| {
                 let tries = from.iter().flat_map(|from| {
                     starts(effect, all, from).into_iter().map(|values| {

@@ -196,6 +196,11 @@ impl SetPrediction {
     /// After noise was filtered, from the variance before: what pixels have of their own follows their variance.
     pub(crate) fn follow(&mut self, before: f64) {
         let by = if before > 0.0 { self.covariance(0, 0) / before } else { 1.0 };
+        self.pixels_follow(by);
+    }
+
+    /// What is known of single pixels, where their variance is multiplied by `by`.
+    fn pixels_follow(&mut self, by: f64) {
         self.unsure_var *= by;
         for fourth_power in [&mut self.unequal, &mut self.fourth, &mut self.unsure] {
             *fourth_power *= by * by;
@@ -204,11 +209,11 @@ impl SetPrediction {
 
     /// Clipping leaves the share `less` of the variance, and pixels whose variances and fourth cumulants are these.
     pub(crate) fn cut(&mut self, less: f64, unequal: f64, fourth: f64) {
-        let square = less * less;
-        self.unequal = self.unequal * square + unequal;
-        self.fourth = self.fourth * square + fourth;
+        self.pixels_follow(less);
+        self.unequal += unequal;
+        self.fourth += fourth;
         // The pixels' places are known as a few shares.
-        self.unsure = libm::hypot(self.unsure * square, 0.3 * unequal);
+        self.unsure = libm::hypot(self.unsure, 0.3 * unequal);
     }
 
     /// Covariance at a lag of noise within a frame, DN^2: the frame's own mean is not taken off.
@@ -313,10 +318,7 @@ impl Prediction {
             s.row *= square;
             s.column *= square;
             s.common *= square;
-            s.unsure_var *= square;
-            for fourth_power in [&mut s.unequal, &mut s.fourth, &mut s.unsure] {
-                *fourth_power *= square * square;
-            }
+            s.pixels_follow(square);
         }
     }
 }

@@ -18,7 +18,7 @@ pub struct Rounded {
 }
 
 /// From this deviation on, in steps, rounding adds 1/12 whatever the level: what is missing is exp(-2 pi^2 0.7^2) = 6e-5.
-pub const WIDE: f64 = 0.7;
+const WIDE: f64 = 0.7;
 /// From this deviation of the pixels' levels on they lie anywhere between two codes alike.
 const EVEN: f64 = 0.6;
 /// Deviations and places of the level between two codes that the table holds.

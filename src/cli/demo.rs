@@ -7,8 +7,8 @@ use crate::camera::StreamOptions;
 use crate::dataset::write_whole;
 use crate::diagnose::diagnose;
 use crate::plan::Plan;
-use crate::report::noise::{Truth, html, pretty, sigmas};
-use crate::report::with_error;
+use crate::report::noise::{Truth, html, sigmas};
+use crate::report::with_unit;
 use anyhow::{Context, Result, bail};
 use radcam_sim::effects::{EFFECTS, example};
 use radcam_sim::{EffectValues, Model};
@@ -127,7 +127,7 @@ fn the_papers(
     for (name, measured, truth) in truth.rows(&report) {
         let z = sigmas(measured, truth);
         worst = worst.max(z.abs());
-        let value = format!("{} {}", with_error(measured.value, measured.std_err), pretty(measured.unit));
+        let value = with_unit(measured.value, measured.std_err, measured.unit);
         println!("  {name:<16} {value:<28} {truth:<12.5} {z:+.1} σ");
     }
     println!("\n  χ² = {:.1} for {} degrees of freedom, Q = {:.3}", report.chi2, report.dof, report.q);

@@ -7,7 +7,7 @@ use crate::compare::{Observations, of_dataset, of_table};
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, write_whole};
 use crate::diagnose::{Diagnosis, diagnose};
-use crate::report::{self, chance, with_error};
+use crate::report::{self, chance, with_unit};
 use anyhow::Result;
 use std::path::{Path, PathBuf};
 
@@ -79,11 +79,7 @@ pub fn print(path: &Path, d: &Diagnosis) {
     for m in &d.missing {
         println!("  {} ({:.0} % of the evidence)", m.effect, 100.0 * m.confidence);
         for (name, q) in &m.parameters {
-            println!(
-                "      {name} = {} {}",
-                with_error(q.value, q.std_err),
-                if matches!(q.unit, "1" | "choice") { "" } else { q.unit }
-            );
+            println!("      {name} = {}", with_unit(q.value, q.std_err, q.unit));
         }
         for text in &m.evidence {
             println!("    - {text}");

@@ -1,6 +1,7 @@
 //! `radcam effects`
 
 use super::Outcome;
+use crate::report::pretty;
 use anyhow::{Result, bail};
 use radcam_sim::effects::{all, find};
 
@@ -47,8 +48,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     }
     println!("\n  parameters");
     for p in e.parameters() {
-        let unit = if p.unit == "1" || p.is_choice() { "" } else { p.unit };
-        println!("    {:<24} {} to {} {unit}", p.name, p.min, p.max);
+        println!("    {:<24} {} to {} {}", p.name, p.min, p.max, pretty(p.unit));
     }
     Ok(Outcome::Agreement)
 }

@@ -5,7 +5,7 @@ use super::common::load_model;
 use super::diagnose::observe;
 use crate::compare::{Fitted, Observations, fit, start};
 use crate::dataset::{Dataset, write_whole};
-use crate::report::with_error;
+use crate::report::with_unit;
 use anyhow::{Context, Result, bail};
 use radcam_sim::effects::{self, Effect};
 use radcam_sim::{EffectValues, Model};
@@ -152,15 +152,9 @@ fn show(path: &Path, model: &Model) {
         let known = effects::find(&e.id).map_or(&[][..], |e| e.parameters());
         for (name, value) in &e.parameters {
             let of_known = known.iter().find(|p| p.name == name).map(|p| p.unit);
-            let unit = e
-                .units
-                .get(name)
-                .map(String::as_str)
-                .or(of_known)
-                .filter(|u| !matches!(*u, "1" | "choice"))
-                .unwrap_or("");
+            let unit = e.units.get(name).map(String::as_str).or(of_known).unwrap_or("");
             let error = e.std_err.get(name).copied().unwrap_or(f64::NAN);
-            println!("    {name:<24} {} {unit}", with_error(*value, error));
+            println!("    {name:<24} {}", with_unit(*value, error, unit));
         }
     }
 }

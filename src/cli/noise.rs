@@ -5,8 +5,7 @@ use super::{Outcome, progress::Show};
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, write_whole};
 use crate::noise::{NoiseReport, of_dataset, of_table};
-use crate::report::noise::pretty;
-use crate::report::{self, with_error};
+use crate::report::{self, with_error, with_unit};
 use anyhow::Result;
 use std::path::{Path, PathBuf};
 
@@ -55,7 +54,7 @@ fn print(path: &Path, r: &NoiseReport) {
         ("constant noise", r.constant_noise_var_dn2),
         ("read noise", r.read_noise_e),
     ] {
-        println!("  {name:<16} {} {}", with_error(q.value, q.std_err), pretty(q.unit));
+        println!("  {name:<16} {}", with_unit(q.value, q.std_err, q.unit));
     }
     println!(
         "  {:<16} {} DN ({})",

@@ -5,7 +5,7 @@ use super::observe::{Observable, Observations, Statistic};
 use crate::dataset::Kind;
 use crate::fit::cholesky;
 use crate::statistics::median::median;
-use radcam_sim::effects::{self, Effect};
+use radcam_sim::effects::{self, Effect, Seen};
 use radcam_sim::predict::{BaseParameters, Prediction};
 
 /// From here on the square of a residual says that the model is wrong, and not how large its errors are.
@@ -287,8 +287,7 @@ pub fn fit(
     for (e, p) in effects {
         values.extend(p);
         scale.extend(e.parameters().iter().zip(p).map(|(q, v)| {
-            let start =
-                q.starts.iter().copied().find(|s| s.is_finite() && *s != 0.0).unwrap_or(v.abs().max(1e-3));
+            let start = q.starts.iter().copied().find(|s| *s != 0.0).unwrap_or(v.abs().max(1e-3));
             v.abs().max(start.abs())
         }));
     }
@@ -406,68 +405,47 @@ pub fn starts(effect: &'static dyn Effect, all: &Observations, now: &Fitted) -> 
     let sized = |values: &[f64], size: f64| -> Vec<f64> {
         let of = |(v, p): (&f64, &radcam_sim::effects::Parameter)| {
             // A size is what may be nothing; places and levels stay.
-            let is_size = p.min <= 0.0 && !p.is_choice() && p.starts.iter().all(|s| s.is_finite());
+            let is_size = p.min <= 0.0 && !p.is_choice() && !p.starts.is_empty();
             if is_size { (v * size).clamp(p.min, p.max) } else { *v }
         };
         values.iter().zip(parameters).map(of).collect()
     };
-    let misfit = |values: &Vec<f64>| {
+    let misfit = |values: Option<&Vec<f64>>| {
         let mut effects = now.effects.clone();
-        effects.push((effect, values.clone()));
+        effects.extend(values.map(|v| (effect, v.clone())));
         let prediction = predict(&now.base, &effects, all);
         objective(&chosen(all, None).map(|o| expect(o, &prediction, all)).collect::<Vec<_>>())
     };
+    let without = misfit(None);
+    let hinted = effect.starts(&seen(all, &now.base));
     // A fit that keeps signs begins at every combination of them; another passes from one to the other.
     let begin: Vec<Vec<f64>> = if effect.keeps_sign() {
         let flip = |values: &Vec<f64>, which: u32| -> Vec<f64> {
             values.iter().enumerate().map(|(i, v)| if which >> i & 1 == 1 { -v } else { *v }).collect()
         };
-        let hinted = hinted(effect, all, &now.base);
         hinted.iter().flat_map(|v| (0..1 << v.len().min(4)).map(|which| flip(v, which))).collect()
     } else {
-        hinted(effect, all, &now.base)
+        hinted
     };
     let crosses = !effect.keeps_sign() && parameters.iter().any(|p| p.min < 0.0);
     let signs: &[f64] = if crosses { &[1.0, -1.0] } else { &[1.0] };
     let best = |values: Vec<f64>| {
         let tries = signs.iter().flat_map(|sign| SIZES.map(|size| sized(&values, sign * size)));
-        let scored = tries.map(|v| (misfit(&v), v));
-        scored.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(values.clone(), |found| found.1)
+        // What moves nothing that was measured leaves a fit where it is.
+        let scored = tries.map(|v| (misfit(Some(&v)), v)).filter(|(score, _)| *score != without);
+        scored.min_by(|a, b| a.0.total_cmp(&b.0)).map(|found| found.1)
     };
-    let mut out: Vec<Vec<f64>> = begin.into_iter().map(best).collect();
+    let mut out: Vec<Vec<f64>> = begin.into_iter().filter_map(best).collect();
     out.dedup();
     out
 }
 
-/// Starts of an effect's parameters: every combination of one list, with what the campaign hints at where a start is not a
-/// number.
-fn hinted(effect: &dyn Effect, all: &Observations, base: &BaseParameters) -> Vec<Vec<f64>> {
-    let hint = |k: usize| {
-        let brightest = all
-            .all
-            .iter()
-            .filter(|o| o.kind == Statistic::Mean)
-            .map(|o| o.measured.value)
-            .fold(0.0, f64::max);
-        let peak = (brightest - base.offset_dn) / base.gain_dn_per_e;
-        match effect.id() {
-            "periodic-interference" => all.campaign.line_cycles_per_px.unwrap_or(0.1),
-            // Of the dark noise as it is measured: a clipped half has 0.58 of the deviation.
-            "black-clipping" => -base.read_noise_e * base.gain_dn_per_e * [0.0, 0.3, 1.5, -0.5][k.min(3)],
-            _ => peak.max(1.0) * [1.0, 0.9, 1.15][k.min(2)],
-        }
-    };
-    let most = effect.parameters().iter().map(|p| p.starts.len()).max().unwrap_or(1);
-    (0..most)
-        .map(|k| {
-            effect
-                .parameters()
-                .iter()
-                .map(|p| {
-                    let s = p.starts[k.min(p.starts.len() - 1)];
-                    if s.is_nan() { hint(k) } else { s }
-                })
-                .collect()
-        })
-        .collect()
+/// What the campaign shows before any fit.
+fn seen(all: &Observations, base: &BaseParameters) -> Seen {
+    let means = all.all.iter().filter(|o| o.kind == Statistic::Mean).map(|o| o.measured.value);
+    Seen {
+        peak_e: (means.fold(0.0, f64::max) - base.offset_dn) / base.gain_dn_per_e,
+        dark_noise_dn: base.read_noise_e * base.gain_dn_per_e,
+        line_cycles_per_px: all.campaign.line_cycles_per_px,
+    }
 }

@@ -1,4 +1,4 @@
-//! Observables of a whole campaign: code occupancy, spectrum, the step between taps, scenes.
+//! Observables of a whole campaign: code occupancy, and the spectrum of the noise in read-out order.
 
 use super::observe::Statistic;
 use crate::statistics::jackknife::Value;

@@ -19,7 +19,7 @@ pub fn diagnosis(title: &str, subtitle: &str, d: &Diagnosis) -> String {
             h2 { (m.effect) " " span.note { (format!("{:.0} % of the evidence", 100.0 * m.confidence)) } }
             ul {
                 @for (name, q) in &m.parameters {
-                    li { (name) " = " (super::with_error(q.value, q.std_err)) " " (if matches!(q.unit, "1" | "choice") { "" } else { q.unit }) }
+                    li { (name) " = " (super::with_unit(q.value, q.std_err, q.unit)) }
                 }
                 @for text in &m.evidence { li { (text) } }
             }

@@ -75,6 +75,28 @@ pub fn with_error(value: f64, std_err: f64) -> String {
     }
 }
 
+/// A value with its error and its unit as people write it; shares and choices have none.
+///
+/// ```
+/// use radcam::report::with_unit;
+/// assert_eq!(with_unit(7.25, 0.31, "DN^2"), "7.25 ± 0.31 DN²");
+/// assert_eq!(with_unit(0.0124, 0.0011, "1"), "0.0124 ± 0.0011");
+/// ```
+pub fn with_unit(value: f64, std_err: f64, unit: &str) -> String {
+    format!("{} {}", with_error(value, std_err), pretty(unit)).trim_end().into()
+}
+
+/// A unit as people write it.
+pub fn pretty(unit: &str) -> &str {
+    match unit {
+        "DN^2" => "DN²",
+        "DN/e" => "DN/e⁻",
+        "e" => "e⁻",
+        "1" | "choice" => "",
+        other => other,
+    }
+}
+
 /// A chance, as people write it.
 ///
 /// ```

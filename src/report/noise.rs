@@ -1,7 +1,7 @@
 //! The photon-transfer page: points, line, residuals, estimators, levels.
 
 use super::svg::{Mark, Panel, picture, range};
-use super::{page, with_error};
+use super::{page, with_error, with_unit};
 use crate::noise::{LevelReport, NoiseReport, Quantity};
 use maud::{Markup, html};
 
@@ -33,17 +33,7 @@ pub fn sigmas(measured: Quantity, truth: f64) -> f64 {
 }
 
 fn quantity(q: Quantity) -> String {
-    format!("{} {}", with_error(q.value, q.std_err), pretty(q.unit))
-}
-
-/// A unit as people write it.
-pub fn pretty(unit: &str) -> &str {
-    match unit {
-        "DN^2" => "DN²",
-        "DN/e" => "DN/e⁻",
-        "e" => "e⁻",
-        other => other,
-    }
+    with_unit(q.value, q.std_err, q.unit)
 }
 
 /// The page of a noise estimate.

@@ -20,14 +20,8 @@ impl Effect for This {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        const BIT: [Parameter; BITS] = [
-            bit("bit0_dn"),
-            bit("bit1_dn"),
-            bit("bit2_dn"),
-            bit("bit3_dn"),
-            bit("bit4_dn"),
-            bit("bit5_dn"),
-        ];
+        const BIT: [Parameter; BITS] =
+            [bit("bit0_dn"), bit("bit1_dn"), bit("bit2_dn"), bit("bit3_dn"), bit("bit4_dn"), bit("bit5_dn")];
         &BIT
     }
 

@@ -1,8 +1,8 @@
 //! Black clipping: what lies below a level is cut off.
 
 use super::full_well_saturation::clipped;
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Seen, Stage, takes};
 use crate::predict::NORMAL;
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// max(v, level), counted from the level of zero charge.
 pub struct This;
@@ -17,8 +17,14 @@ impl Effect for This {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        // Not a number: begin within the dark noise as it is measured.
-        &[Parameter { name: "level_dn", unit: "DN", min: -1e3, max: 1e3, starts: &[-1.0, f64::NAN, f64::NAN, f64::NAN] }]
+        &[Parameter { name: "level_dn", unit: "DN", min: -1e3, max: 1e3, starts: &[] }]
+    }
+
+    /// Within the dark noise as it is measured: a clipped half has 0.58 of the deviation.
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        [-1.0, -0.3 * seen.dark_noise_dn, -1.5 * seen.dark_noise_dn, 0.5 * seen.dark_noise_dn]
+            .map(|v| vec![v])
+            .to_vec()
     }
 
     fn page(&self) -> Page {

@@ -1,8 +1,8 @@
 //! Blooming: a full well spills into its column.
 
 use super::full_well_saturation::clipped;
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Seen, Stage, takes};
 use crate::predict::NORMAL;
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// Charge above the well goes to the pixels above and below.
 pub struct This;
@@ -17,7 +17,12 @@ impl Effect for This {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "full_well_e", unit: "e", min: 1.0, max: 1e9, starts: &[f64::NAN, f64::NAN, f64::NAN] }]
+        &[Parameter { name: "full_well_e", unit: "e", min: 1.0, max: 1e9, starts: &[] }]
+    }
+
+    /// Near the brightest level.
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        [1.0, 0.9, 1.15].map(|part| vec![part * seen.peak_e.max(1.0)]).to_vec()
     }
 
     fn page(&self) -> Page {

@@ -1,6 +1,6 @@
 //! Brighter-fatter: charge already in a pixel repels what arrives later.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes, shifted};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, shifted, takes};
 
 /// Flow of arriving charge along the gradient of the charge so far.
 pub struct This;
@@ -23,6 +23,10 @@ impl Effect for This {
             Parameter { name: "a_vertical_per_e", unit: "1/e", min: 0.0, max: 1e-3, starts: STARTS },
             Parameter { name: "a_horizontal_per_e", unit: "1/e", min: 0.0, max: 1e-3, starts: STARTS },
         ]
+    }
+
+    fn tables_tell(&self) -> bool {
+        true
     }
 
     fn page(&self) -> Page {

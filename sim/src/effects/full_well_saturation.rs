@@ -2,7 +2,7 @@
 
 use crate::predict::{NORMAL, PLACES};
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Seen, Stage, takes};
 
 /// min(q, full well).
 pub struct This;
@@ -22,60 +22,56 @@ pub(super) struct Clipped {
     pub lost_variance: f64,
 }
 
-/// Mean, variance and fourth cumulant of min(x, limit) for normal x: moments of a truncated normal variable (Johnson, Kotz and
-/// Balakrishnan 1994, 13.10) and of the mass at the limit.
-fn cut(mean: f64, variance: f64, limit: f64) -> (f64, f64, f64) {
+/// min(x, limit) of normal x: moments of a truncated normal variable (Johnson, Kotz and Balakrishnan 1994, 13.10) and of the mass
+/// at the limit.
+fn cut(mean: f64, variance: f64, limit: f64) -> Clipped {
     let sd = libm::sqrt(variance.max(1e-12));
     let c = (limit - mean) / sd;
     if c > 8.0 {
-        return (mean, variance, 0.0);
+        return Clipped { mean, variance, unequal: 0.0, fourth: 0.0, above: 0.0, lost_variance: 0.0 };
     }
     let below = 0.5 * libm::erfc(-c / std::f64::consts::SQRT_2);
+    let above = 0.5 * libm::erfc(c / std::f64::consts::SQRT_2);
     let density = libm::exp(-0.5 * c * c) / libm::sqrt(std::f64::consts::TAU);
-    let above = 1.0 - below;
-    let moments = [
-        1.0,
-        -density + c * above,
+    // What is cut off has the mean `lost`; what is left, the opposite of it.
+    let lost = density - c * above;
+    let [first, second, third, fourth] = [
+        -lost,
         below - c * density + c * c * above,
         -(c * c + 2.0) * density + c.powi(3) * above,
         3.0 * below - (c.powi(3) + 3.0 * c) * density + c.powi(4) * above,
     ];
-    let m = moments[1];
-    let second = (moments[2] - m * m).max(0.0);
-    let fourth = moments[4] - 4.0 * m * moments[3] + 6.0 * m * m * moments[2] - 3.0 * m.powi(4);
-    (mean + sd * m, variance * second, variance * variance * (fourth - 3.0 * second * second))
-}
-
-/// How often normal x lies above the limit, and the variance of what is above it.
-fn lost(mean: f64, variance: f64, limit: f64) -> (f64, f64) {
-    let sd = libm::sqrt(variance.max(1e-12));
-    let c = (limit - mean) / sd;
-    let above = 0.5 * libm::erfc(c / std::f64::consts::SQRT_2);
-    let density = libm::exp(-0.5 * c * c) / libm::sqrt(std::f64::consts::TAU);
-    let first = density - c * above;
-    (above, variance * ((1.0 + c * c) * above - c * density - first * first).max(0.0))
+    let left = (second - first * first).max(0.0);
+    let fourth = fourth - 4.0 * first * third + 6.0 * first * first * second - 3.0 * first.powi(4);
+    Clipped {
+        mean: mean + sd * first,
+        variance: variance * left,
+        unequal: 0.0,
+        fourth: variance * variance * (fourth - 3.0 * left * left),
+        above,
+        lost_variance: variance * ((1.0 + c * c) * above - c * density - lost * lost).max(0.0),
+    }
 }
 
 /// min(x, limit) for normal noise in pixels whose means have the deviation `spread` and lie at these places.
-pub(super) fn clipped(mean: f64, spread: f64, places: &[f64; PLACES.len()], variance: f64, limit: f64) -> Clipped {
-    let mut all = [(0.0, (0.0, 0.0, 0.0)); PLACES.len()];
-    for ((out, x), share) in all.iter_mut().zip(places).zip(PLACES) {
-        *out = (share, cut(mean + spread * x, variance, limit));
-    }
-    let average = |of: &dyn Fn(&(f64, f64, f64)) -> f64| all.iter().map(|(w, c)| w * of(c)).sum::<f64>();
-    let (mut above, mut lost_variance) = (0.0, 0.0);
-    for (x, share) in places.iter().zip(PLACES) {
-        let (over, lost) = lost(mean + spread * x, variance, limit);
-        (above, lost_variance) = (above + share * over, lost_variance + share * lost);
-    }
-    let variance = average(&|c| c.1);
+pub(super) fn clipped(
+    mean: f64,
+    spread: f64,
+    places: &[f64; PLACES.len()],
+    variance: f64,
+    limit: f64,
+) -> Clipped {
+    let all = places.map(|x| cut(mean + spread * x, variance, limit));
+    let average =
+        |of: &dyn Fn(&Clipped) -> f64| all.iter().zip(PLACES).map(|(c, share)| share * of(c)).sum::<f64>();
+    let variance = average(&|c| c.variance);
     Clipped {
-        above,
-        lost_variance,
-        mean: average(&|c| c.0),
+        mean: average(&|c| c.mean),
         variance,
-        unequal: average(&|c| (c.1 - variance) * (c.1 - variance)),
-        fourth: average(&|c| c.2),
+        unequal: average(&|c| (c.variance - variance) * (c.variance - variance)),
+        fourth: average(&|c| c.fourth),
+        above: average(&|c| c.above),
+        lost_variance: average(&|c| c.lost_variance),
     }
 }
 
@@ -89,8 +85,12 @@ impl Effect for This {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        // Not a number: begin near the brightest level.
-        &[Parameter { name: "full_well_e", unit: "e", min: 1.0, max: 1e9, starts: &[f64::NAN, f64::NAN, f64::NAN] }]
+        &[Parameter { name: "full_well_e", unit: "e", min: 1.0, max: 1e9, starts: &[] }]
+    }
+
+    /// Near the brightest level.
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        [1.0, 0.9, 1.15].map(|part| vec![part * seen.peak_e.max(1.0)]).to_vec()
     }
 
     fn page(&self) -> Page {
@@ -132,5 +132,58 @@ impl Effect for This {
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
         d.image.mapv_inplace(|q| q.min(p[0]));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    /// Against numerical integration of min(x, limit) by scipy 1.14.
+    #[test]
+    fn cut_noise_is_what_integration_gives() {
+        // Limit; mean, variance, fourth cumulant of what is left; share above; variance of what is lost.
+        let known = [
+            (
+                -1.0,
+                [
+                    -1.0833154705876864,
+                    0.06839831570452314,
+                    0.09326260041433707,
+                    0.8413447460685429,
+                    0.751087807841609,
+                ],
+            ),
+            (
+                0.5,
+                [
+                    -0.19779655740130608,
+                    0.553440704453552,
+                    0.14096012029610439,
+                    0.3085375387259869,
+                    0.17051578190552574,
+                ],
+            ),
+            (
+                2.0,
+                [
+                    -0.008490702616829715,
+                    0.9601963707872341,
+                    -0.23045851906680026,
+                    0.022750131948179195,
+                    0.005696634683592495,
+                ],
+            ),
+        ];
+        for (limit, expected) in known {
+            let c = super::cut(0.0, 1.0, limit);
+            for (got, expected) in
+                [c.mean, c.variance, c.fourth, c.above, c.lost_variance].iter().zip(expected)
+            {
+                assert!((got - expected).abs() < 1e-9, "at {limit}: {got}, not {expected}");
+            }
+            let wide = super::cut(5.0, 9.0, 5.0 + 3.0 * limit);
+            assert!(
+                (wide.fourth - 81.0 * c.fourth).abs() < 1e-9 && (wide.mean - 5.0 - 3.0 * c.mean).abs() < 1e-9
+            );
+        }
     }
 }

@@ -18,6 +18,10 @@ impl Effect for This {
         &[Parameter { name: "a", unit: "1", min: 0.0, max: 0.2, starts: &[0.005] }]
     }
 
+    fn tables_tell(&self) -> bool {
+        true
+    }
+
     fn page(&self) -> Page {
         Page {
             what: "Charge diffuses, or capacitance couples, to the four neighbours after it was counted by shot noise.",

@@ -35,8 +35,19 @@ pub struct Parameter {
     pub min: f64,
     /// Largest physical value.
     pub max: f64,
-    /// Where a search begins; each is tried.
+    /// Where a search begins; each is tried. Nothing: a place that the campaign hints at ([`Effect::starts`]), and no size.
     pub starts: &'static [f64],
+}
+
+/// What a campaign shows before any fit: hints at where a search begins.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Seen {
+    /// Signal of the brightest frames, e.
+    pub peak_e: f64,
+    /// Noise of darks, DN.
+    pub dark_noise_dn: f64,
+    /// The strongest line in the spectrum of the noise in read-out order, cycles per pixel.
+    pub line_cycles_per_px: Option<f64>,
 }
 
 impl Parameter {
@@ -163,9 +174,21 @@ pub trait Effect: Sync + Send {
     /// Its parameters.
     fn parameters(&self) -> &'static [Parameter];
     /// Whether a fit leaves the sign of the parameters as it finds it: where positive and negative are two ways of the same thing, and
-    /// the statistics have a kink between them. Both signs are tried.
+    /// the statistics have a kink between them. Every combination of signs is tried.
     fn keeps_sign(&self) -> bool {
         false
+    }
+    /// Whether a table of means, variances and covariances can tell of it; if not, frames are needed.
+    fn tables_tell(&self) -> bool {
+        false
+    }
+    /// Where a search begins: values of all parameters, each list of which is tried.
+    fn starts(&self, _seen: &Seen) -> Vec<Vec<f64>> {
+        let parameters = self.parameters();
+        let tries = parameters.iter().map(|p| p.starts.len()).max().unwrap_or(1);
+        let of =
+            |p: &Parameter, k: usize| p.starts.get(k).or(p.starts.last()).copied().unwrap_or(p.min.max(0.0));
+        (0..tries).map(|k| parameters.iter().map(|p| of(p, k)).collect()).collect()
     }
     /// What people want to know.
     fn page(&self) -> Page;

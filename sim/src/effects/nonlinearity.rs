@@ -18,6 +18,10 @@ impl Effect for This {
         &[Parameter { name: "rel", unit: "1", min: -0.45, max: 0.45, starts: &[0.01, -0.01] }]
     }
 
+    fn tables_tell(&self) -> bool {
+        true
+    }
+
     fn page(&self) -> Page {
         Page {
             what: "The amplifier's output does not grow in proportion to the charge: a source follower whose capacitance changes \

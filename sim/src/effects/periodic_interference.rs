@@ -1,6 +1,6 @@
 //! Periodic interference: a disturbance of one frequency during read-out.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Seen, Stage, takes};
 
 /// A sine in read-out order, with a new phase in every frame.
 pub struct This;
@@ -17,9 +17,13 @@ impl Effect for This {
     fn parameters(&self) -> &'static [Parameter] {
         &[
             Parameter { name: "amplitude_dn", unit: "DN", min: 0.0, max: 1e4, starts: &[0.3] },
-            // Not a number: begin at the strongest line that was measured.
-            Parameter { name: "cycles_per_px", unit: "1/px", min: 0.0, max: 0.5, starts: &[f64::NAN] },
+            Parameter { name: "cycles_per_px", unit: "1/px", min: 0.0, max: 0.5, starts: &[] },
         ]
+    }
+
+    /// At the strongest line that was measured; without one there is nothing to look for.
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        seen.line_cycles_per_px.map(|line| vec![self.parameters()[0].starts[0], line]).into_iter().collect()
     }
 
     fn page(&self) -> Page {

@@ -18,6 +18,10 @@ impl Effect for This {
         &[Parameter { name: "alpha", unit: "1", min: 0.0, max: 0.9, starts: &[0.02] }]
     }
 
+    fn tables_tell(&self) -> bool {
+        true
+    }
+
     fn page(&self) -> Page {
         Page {
             what: "The video chain has a finite bandwidth: part of the last pixel's voltage is still there when the next is \

@@ -18,6 +18,10 @@ impl Effect for This {
         &[Parameter { name: "strength", unit: "1", min: -0.49, max: 3.0, starts: &[0.05, -0.05] }]
     }
 
+    fn tables_tell(&self) -> bool {
+        true
+    }
+
     fn page(&self) -> Page {
         Page {
             what: "Firmware sharpens (edge enhancement) or smooths (noise reduction) after conversion.",
