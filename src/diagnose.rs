@@ -1,7 +1,9 @@
 //! Which physical effect is missing: every candidate is fitted, the one whose evidence pays for its parameters is added, and
 //! the campaign is looked at again, until the model is consistent or nothing helps.
 
-use crate::compare::{Comparison, Fitted, Observations, Statistic, compare, fit, signatures, start, starts};
+use crate::compare::{
+    Comparison, Fitted, Observations, Statistic, compare, fit, fit_with, signatures, start,
+};
 use crate::noise::Quantity;
 use crate::plan::Plan;
 use crate::report::chance;
@@ -115,13 +117,7 @@ pub fn diagnose(
             .into_par_iter()
             .filter(|e| !ids.contains(&e.id()) && (frames || e.tables_tell()))
             .filter_map(|effect| {
-                let tries = from.iter().flat_map(|from| {
-                    starts(effect, all, from).into_iter().map(|values| {
-                        let mut effects = from.effects.clone();
-                        effects.push((effect, values));
-                        fit(all, None, &from.base, &effects)
-                    })
-                });
+                let tries = from.iter().filter_map(|from| fit_with(effect, all, from));
                 let fitted = tries.min_by(|a, b| a.objective.total_cmp(&b.objective))?;
                 let parameters = effect.parameters().iter().filter(|p| !p.is_choice()).count() as f64;
                 let evidence = now.objective - fitted.objective - parameters * n.ln();

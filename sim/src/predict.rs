@@ -37,6 +37,9 @@ impl Spectrum {
 
     /// Covariance at a lag: rows down, columns to the right; at most 3 of each.
     pub fn lag(&self, dy: i32, dx: i32) -> f64 {
+        if let Some(variance) = self.of_white() {
+            return if (dy, dx) == (0, 0) { variance } else { 0.0 };
+        }
         let table = &cosines()[((dy.clamp(-3, 3) + 3) * 7 + dx.clamp(-3, 3) + 3) as usize];
         // Sums that do not wait for each other: a fit asks for this some million times.
         let mut lanes = [0.0; 8];
@@ -46,6 +49,12 @@ impl Spectrum {
             }
         }
         lanes.iter().sum::<f64>() / self.0.len() as f64
+    }
+
+    /// The variance, where noise is without correlation.
+    fn of_white(&self) -> Option<f64> {
+        let first = self.0[0];
+        self.0.as_chunks::<8>().0.iter().all(|powers| powers.iter().all(|p| *p == first)).then_some(first)
     }
 
     /// Power of the mean over all pixels, times their number.

@@ -97,8 +97,9 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
     let widths = 0.5 * p.bit_errors_dn.iter().map(|e| e * e).sum::<f64>();
     let rough = |s: &SetPrediction| {
         let spread = o.set.and_then(|i| all.campaign.sets.get(i)).map_or(0.0, |s| s.spread_dn);
-        let (mean, variance) = quantised(s.covariance(0, 0), spread, p.code_step_dn);
-        (mean, variance.hypot(widths * (-0.02 * s.covariance(0, 0)).exp()))
+        let noise = s.covariance(0, 0);
+        let (mean, variance) = quantised(noise, spread, p.code_step_dn);
+        (mean, if widths > 0.0 { variance.hypot(widths * (-0.02 * noise).exp()) } else { variance })
     };
     let Some(s) = o.set.and_then(|i| p.sets.get(i)) else {
         let (step, half) = (p.code_step_dn, usize::from(o.half.min(1)));
@@ -118,6 +119,8 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
                 let tap = p.taps.get(parts).copied().unwrap_or_default();
                 plain(if k == 0 { tap.0 } else { tap.1 }, o.measured.std_err)
             }
+            // Codes of equal widths.
+            Statistic::Occupancy(_) if widths == 0.0 && step <= 1.0 => plain(0.0, o.measured.std_err),
             Statistic::Occupancy(b) => plain(occupancy_of(&width, &all.codes[half], b), o.measured.std_err),
             Statistic::CodesUsed => plain(if step > 1.0 { 1.0 / step } else { 1.0 }, o.measured.std_err),
             Statistic::Line => {

@@ -12,6 +12,8 @@ use radcam_sim::predict::{BaseParameters, Prediction};
 const LARGE: f64 = 16.0;
 /// Rounds of Levenberg and Marquardt at most.
 const ROUNDS: usize = 40;
+/// Rounds after which the better of two starts shows.
+const FIRST_ROUNDS: usize = 8;
 
 /// Effects with the values of their parameters.
 pub type Effects = Vec<(&'static dyn Effect, Vec<f64>)>;
@@ -270,6 +272,27 @@ pub fn fit(
     base: &BaseParameters,
     effects: &[(&'static dyn Effect, Vec<f64>)],
 ) -> Fitted {
+    fit_for(ROUNDS, all, half, base, effects)
+}
+
+/// Adds one more effect to a model and fits all of it, from every start of the effect ([`starts`]); `None` where none moves anything.
+pub fn fit_with(effect: &'static dyn Effect, all: &Observations, now: &Fitted) -> Option<Fitted> {
+    let tries = starts(effect, all, now).into_iter().map(|values| {
+        let mut effects = now.effects.clone();
+        effects.push((effect, values));
+        fit_for(FIRST_ROUNDS, all, None, &now.base, &effects)
+    });
+    let best = tries.min_by(|a, b| a.objective.total_cmp(&b.objective))?;
+    Some(fit(all, None, &best.base, &best.effects))
+}
+
+fn fit_for(
+    rounds: usize,
+    all: &Observations,
+    half: Option<u8>,
+    base: &BaseParameters,
+    effects: &[(&'static dyn Effect, Vec<f64>)],
+) -> Fitted {
     let lights: Vec<usize> = if all.means_given {
         Vec::new()
     } else {
@@ -312,7 +335,7 @@ pub fn fit(
     let mut best = objective(&now);
     let mut lambda = 1e-3;
     let mut normal = vec![0.0; n * n];
-    for round in 0..ROUNDS {
+    for round in 0..rounds {
         // Fisher's scoring (Rao 1973, section 5g): errors that depend on the parameters tell of them as well, by
         // (z^2 - 1) / sqrt 2 of unit variance.
         let columns: Vec<Vec<[f64; 2]>> = (0..n).map(|i| free.slopes(i, &now, &x, all, half)).collect();
@@ -400,7 +423,7 @@ fn invert(a: &[f64], n: usize) -> Vec<f64> {
 const SIZES: [f64; 10] = [30.0, 10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3];
 
 /// Starts of one more effect's parameters: its own, or what the campaign hints at, each at the size that fits best while all else stays.
-pub fn starts(effect: &'static dyn Effect, all: &Observations, now: &Fitted) -> Vec<Vec<f64>> {
+fn starts(effect: &'static dyn Effect, all: &Observations, now: &Fitted) -> Vec<Vec<f64>> {
     let parameters = effect.parameters();
     let sized = |values: &[f64], size: f64| -> Vec<f64> {
         let of = |(v, p): (&f64, &radcam_sim::effects::Parameter)| {

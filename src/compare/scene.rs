@@ -62,12 +62,13 @@ pub struct ScenePair {
     rows: [usize; 3],
 }
 
-/// Mean of the values and the variance of that mean from their scatter; `None` for fewer than four.
+/// Mean of the values and the variance of that mean from their scatter, wider where they are few: a mean over such an error then has
+/// the variance 1 (Student's t of n - 1 degrees has (n - 1) / (n - 3)). `None` for fewer than four.
 fn mean(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     let all: Vec<f64> = values.collect();
     let n = all.len() as f64;
     let mean = all.iter().sum::<f64>() / n;
-    let var = all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    let var = all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 3.0);
     (n >= 4.0).then_some((mean, var / n))
 }
 
@@ -195,7 +196,7 @@ mod tests {
     const SIZE: usize = 64;
 
     /// A blurred patch on a slope, at two exposures, with `leak` added to the long one.
-    fn pair(leak: impl Fn(usize, usize) -> f64) -> ScenePair {
+    fn pair(seed: u64, leak: impl Fn(usize, usize) -> f64) -> ScenePair {
         let profile =
             |i: usize| 0.5 * (libm::erf((i as f64 - 23.4) / 0.7) - libm::erf((i as f64 - 40.7) / 0.7));
         let light = |y: usize, x: usize| 300.0 + 0.5 * x as f64 + 2500.0 * profile(y) * profile(x);
@@ -204,7 +205,7 @@ mod tests {
             half: 0,
             mean_dn: Array2::from_shape_fn((SIZE, SIZE), |(y, x)| {
                 let at = (y * SIZE + x) as u32;
-                let noise = 0.5 * PixelRng::new(7, Stream::Effect, set as u64, at, 0).normal();
+                let noise = 0.5 * PixelRng::new(seed, Stream::Effect, set as u64, at, 0).normal();
                 (100.0 + exposure * light(y, x) + more(y, x) + noise) as f32
             }),
         };
@@ -231,7 +232,7 @@ mod tests {
 
     #[test]
     fn a_blurred_patch_on_a_slope_leaks_nothing() {
-        let pair = pair(|_, _| 0.0);
+        let pair = pair(7, |_, _| 0.0);
         assert_eq!(pair.leaks.len(), Direction::ALL.len());
         for d in Direction::ALL {
             assert!(sigmas(&pair, d).abs() < 4.0, "{d:?}: {}", sigmas(&pair, d));
@@ -240,11 +241,25 @@ mod tests {
 
     #[test]
     fn a_trail_is_found_where_it_lies() {
-        let pair = pair(|y, x| if (24..41).contains(&x) && (42..50).contains(&y) { 3.0 } else { 0.0 });
+        let pair = pair(7, |y, x| if (24..41).contains(&x) && (42..50).contains(&y) { 3.0 } else { 0.0 });
         for d in Direction::ALL {
             let found = sigmas(&pair, d);
             // The short exposure says what was expected: the long one has more.
             assert!(if d == Direction::Down { found < -10.0 } else { found.abs() < 4.0 }, "{d:?}: {found}");
+        }
+    }
+    #[test]
+    fn errors_cover_the_truth() {
+        const SEEDS: u64 = 400;
+        let mut squares = [0.0; Direction::ALL.len()];
+        for seed in 0..SEEDS {
+            let pair = pair(seed, |_, _| 0.0);
+            squares.iter_mut().zip(Direction::ALL).for_each(|(s, d)| *s += sigmas(&pair, d).powi(2));
+        }
+        for (d, s) in Direction::ALL.into_iter().zip(squares) {
+            // Squares of normal deviations have the variance 2: five deviations of their mean.
+            let mean = s / SEEDS as f64;
+            assert!((mean - 1.0).abs() < 5.0 * (2.0 / SEEDS as f64).sqrt(), "{d:?}: mean square {mean}");
         }
     }
 }

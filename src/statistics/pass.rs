@@ -596,4 +596,26 @@ mod tests {
         let variance = (around - 784.0) / 7.0 * 2.0 / n as f64;
         assert!((variance - 8.0).abs() < 0.15 * 8.0, "{variance}");
     }
+    /// Levels of normal pixels lie where the table has them, whatever the noise.
+    #[test]
+    fn levels_lie_where_they_are() {
+        const RUNS: u64 = 40;
+        let layout = all();
+        let mut found = [[0.0; RUNS as usize]; PLACES.len()];
+        for run in 0..RUNS {
+            let image = |f: u64| -> Vec<u16> {
+                let value = |i| 1500.0 + 40.0 * normal(1000 + run, i) + 10.0 * normal(2000 + 4 * run + f, i);
+                (0..SHAPE.0 * SHAPE.1).map(|i| value(i).round() as u16).collect()
+            };
+            let said = collect(&layout, &refs(&[image(0), image(1)])).unwrap().unwrap();
+            found.iter_mut().zip(said.places).for_each(|(all, place)| all[run as usize] = place);
+        }
+        for (all, normal) in found.iter().zip(radcam_sim::predict::NORMAL) {
+            let mean = all.iter().sum::<f64>() / RUNS as f64;
+            let variance = all.iter().map(|p| (p - mean).powi(2)).sum::<f64>() / (RUNS - 1) as f64;
+            // Five standard errors, and a tenth of a bin of the histogram.
+            let allowed = 5.0 * (variance / RUNS as f64).sqrt() + 0.0024;
+            assert!((mean - normal).abs() < allowed, "{mean}, not {normal} within {allowed}");
+        }
+    }
 }

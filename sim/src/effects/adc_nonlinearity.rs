@@ -7,7 +7,7 @@ use crate::predict::BITS;
 pub struct This;
 
 const fn bit(name: &'static str) -> Parameter {
-    Parameter { name, unit: "DN", min: -0.9, max: 0.9, starts: &[0.0] }
+    Parameter { name, unit: "DN", min: -0.9, max: 0.9, starts: &[0.05] }
 }
 
 impl Effect for This {

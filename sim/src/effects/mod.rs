@@ -35,7 +35,8 @@ pub struct Parameter {
     pub min: f64,
     /// Largest physical value.
     pub max: f64,
-    /// Where a search begins; each is tried. Nothing: a place that the campaign hints at ([`Effect::starts`]), and no size.
+    /// Where a search begins, in several sizes; each is tried. Nothing: a place that the campaign hints at ([`Effect::starts`]), and no
+    /// size.
     pub starts: &'static [f64],
 }
 
@@ -182,7 +183,8 @@ pub trait Effect: Sync + Send {
     fn tables_tell(&self) -> bool {
         false
     }
-    /// Where a search begins: values of all parameters, each list of which is tried.
+    /// Where a search begins: values of all parameters, each list of which is tried. They must move what is predicted: what moves
+    /// nothing that was measured is not looked for.
     fn starts(&self, _seen: &Seen) -> Vec<Vec<f64>> {
         let parameters = self.parameters();
         let tries = parameters.iter().map(|p| p.starts.len()).max().unwrap_or(1);
