@@ -97,6 +97,7 @@ fn strays(seed: u64, effects: &[(&str, f64)]) -> Option<String> {
 
 /// The values of an effect, so many times as strong.
 pub fn scaled(id: &str, plain: &[f64], by: f64) -> Vec<f64> {
+    let limits = find(id).unwrap().parameters();
     let mut values = plain.to_vec();
     match id {
         "full-well-saturation" | "blooming" => values[0] *= 2.0 / (1.0 + by),
@@ -105,9 +106,8 @@ pub fn scaled(id: &str, plain: &[f64], by: f64) -> Vec<f64> {
         // As many pixels, with other jumps.
         "random-telegraph-noise" => values[1] *= by,
         "coarse-quantization" => values[0] = if by < 0.5 { 2.0 } else { 4.0 },
-        _ => values.iter_mut().for_each(|v| *v *= by),
+        _ => values.iter_mut().zip(limits).filter(|(_, p)| !p.is_choice()).for_each(|(v, _)| *v *= by),
     }
-    let limits = find(id).unwrap().parameters();
     values.iter().zip(limits).map(|(v, p)| v.clamp(p.min, p.max)).collect()
 }
 

@@ -2,8 +2,18 @@
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
-/// A share of a frame's charge is handed on to the next.
+/// A share of a frame's charge is handed on to the next; of that, again a share, or all of it is read.
 pub struct This;
+
+/// What is read of this charge, where so much was held from before.
+fn read(p: &[f64], charge: f64, held: f64) -> f64 {
+    if p[1] >= 0.5 { (1.0 - p[0]) * (charge + held) } else { (1.0 - p[0]) * charge + held }
+}
+
+/// What is held for the next frame.
+fn left(p: &[f64], charge: f64, held: f64) -> f64 {
+    p[0] * if p[1] >= 0.5 { charge + held } else { charge }
+}
 
 impl Effect for This {
     fn id(&self) -> &'static str {
@@ -15,13 +25,18 @@ impl Effect for This {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "fraction", unit: "1", min: 0.0, max: 0.5, starts: &[0.005] }]
+        &[
+            Parameter { name: "fraction", unit: "1", min: 0.0, max: 0.5, starts: &[0.005] },
+            // 0: the next frame has all of it; 1: it stays as other charge does.
+            Parameter { name: "again", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0, 1.0] },
+        ]
     }
 
     fn page(&self) -> Page {
         Page {
             what: "The photodiode is not emptied: a share of the charge waits for the next read-out.",
-            equation: "out_t = (1 - f) q_t + f q_(t-1); variance times (1 - f)^2 + f^2, correlation of successive frames f (1 - f)",
+            equation: "out_t = (1 - f) q_t + f q_(t-1); variance times (1 - f)^2 + f^2, covariance of successive frames f (1 - f); with \
+                       again = 1 out_t = (1 - f) (q_t + f q_(t-1) + f^2 q_(t-2) + ...)",
             signature: "the first frame after a change of level carries the one before; darks after bright frames are raised; steady \
                         levels are right, with slightly less variance",
             look_alikes: "a temporal filter correlates the read noise of darks too, and lasts several frames",
@@ -34,25 +49,29 @@ impl Effect for This {
 
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
         let f = p[0];
-        let mut last = 0.0;
+        let mut held = 0.0;
         for m in &mut out.frame_signal {
-            let now = *m;
-            *m = (1.0 - f) * now + f * last;
-            last = now;
+            let charge = *m;
+            *m = read(p, charge, held);
+            held = left(p, charge, held);
         }
-        let less = (1.0 - f) * (1.0 - f) + f * f;
+        // The weights with which frames are in one: what is read of a frame's charge at once, with the next, and so on.
+        let weights: Vec<f64> =
+            if p[1] >= 0.5 { (0..10).map(|k| (1.0 - f) * f.powi(k)).collect() } else { vec![1.0 - f, f] };
+        let products = |k: usize| weights.iter().zip(&weights[k..]).map(|(a, b)| a * b).sum::<f64>();
+        let less = products(0);
+        let memory: Vec<f64> = (1..weights.len()).map(|k| products(k) / less).collect();
         for s in &mut out.sets {
             s.shot.scale(less);
-            s.shot_memory = vec![f * (1.0 - f) / less];
+            s.shot_memory.clone_from(&memory);
         }
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
-        let now = d.image.clone();
-        d.image.mapv_inplace(|q| (1.0 - p[0]) * q);
-        if let Some(last) = d.memory.get(self.id()).filter(|m| m.dim() == now.dim()) {
-            d.image.scaled_add(p[0], last);
-        }
-        d.memory.insert(self.id(), now);
+        let held = d.memory.remove(self.id()).filter(|m| m.dim() == d.image.dim());
+        let held = held.unwrap_or_else(|| ndarray::Array2::zeros(d.image.dim()));
+        let next = ndarray::Zip::from(&d.image).and(&held).map_collect(|q, h| left(p, *q, *h));
+        d.image.zip_mut_with(&held, |q, h| *q = read(p, *q, *h));
+        d.memory.insert(self.id(), next);
     }
 }

@@ -311,13 +311,14 @@ pub fn example(id: &str, model: &crate::Model) -> Option<Vec<f64>> {
     let bright_s = range_e / (model.bench.photon_flux_per_s * model.base.quantum_efficiency).max(1e-9);
     let noise_e = libm::sqrt(model.constant_noise_var_dn2(0.0)) / gain;
     Some(match id {
-        "nonlinearity" => vec![0.003],
+        "nonlinearity" => vec![0.003, 1.0],
         "brighter-fatter" => vec![0.03 / range_e, 0.022 / range_e],
         "interpixel-crosstalk" => vec![0.008],
         "readout-lowpass" => vec![0.02],
-        "spatial-filter" => vec![0.04],
+        "spatial-filter" => vec![0.04, 0.0],
         "temporal-filter" => vec![0.03],
-        "image-lag" | "illumination-flicker" => vec![0.003],
+        "image-lag" => vec![0.003, 0.0],
+        "illumination-flicker" => vec![0.003],
         "illumination-drift" | "gain-drift" => vec![0.006 / (300.0 * (bright_s + model.camera.readout_s))],
         "offset-drift" => vec![0.06 / (300.0 * (bright_s + model.camera.readout_s))],
         "row-noise" | "column-noise" => vec![0.2 * noise_e],

@@ -2,8 +2,17 @@
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
-/// The difference from the mean of four neighbours is enlarged (s above 0) or lessened.
+/// The difference from a mean of the neighbours is enlarged (s above 0) or lessened.
 pub struct This;
+
+/// Share of the four diagonal neighbours in that mean: none, as the other four, half as much.
+fn diagonal(p: &[f64]) -> f64 {
+    match p[1].round() as i32 {
+        0 => 0.0,
+        1 => 1.0 / 2.0,
+        _ => 1.0 / 3.0,
+    }
+}
 
 impl Effect for This {
     fn id(&self) -> &'static str {
@@ -15,7 +24,11 @@ impl Effect for This {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "strength", unit: "1", min: -0.49, max: 3.0, starts: &[0.05, -0.05] }]
+        &[
+            Parameter { name: "strength", unit: "1", min: -0.49, max: 3.0, starts: &[0.05] },
+            // 4 neighbours, 8 alike, 8 with the diagonal ones at half.
+            Parameter { name: "kernel", unit: "choice", min: 0.0, max: 2.0, starts: &[0.0, 1.0, 2.0] },
+        ]
     }
 
     fn tables_tell(&self) -> bool {
@@ -25,7 +38,8 @@ impl Effect for This {
     fn page(&self) -> Page {
         Page {
             what: "Firmware sharpens (edge enhancement) or smooths (noise reduction) after conversion.",
-            equation: "y = v + s (v - mean of the 4 neighbours); power times (1 + s (1 - (cos k_y + cos k_x) / 2))^2",
+            equation: "y = v + s (v - mean of the neighbours): kernel 0 the nearest 4, 1 all 8 alike, 2 the diagonal ones at half weight; power \
+                       times (1 + s (1 - (1 - d) (cos k_y + cos k_x) / 2 - d cos k_y cos k_x))^2, d = 0, 1/2, 1/3",
             signature: "neighbours correlated in darks as in flats, along both axes: negative with sharpening, positive with \
                         smoothing; variance up or down in both",
             look_alikes: "crosstalk leaves the read noise of darks uncorrelated",
@@ -37,12 +51,16 @@ impl Effect for This {
     }
 
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
+        let (strength, d) = (p[0], diagonal(p));
         let h = |ky: f64, kx: f64| {
-            let h = 1.0 + p[0] * (1.0 - 0.5 * (libm::cos(ky) + libm::cos(kx)));
+            let (cy, cx) = (libm::cos(ky), libm::cos(kx));
+            let h = 1.0 + strength * (1.0 - (1.0 - d) * 0.5 * (cy + cx) - d * cy * cx);
             h * h
         };
-        // A row's own noise has all vertical frequencies and no horizontal one: the mean of h over one axis.
-        let line = (1.0 + 0.5 * p[0]) * (1.0 + 0.5 * p[0]) + p[0] * p[0] / 8.0;
+        // A row's own noise has all vertical frequencies and no horizontal one: the mean of h over one axis, where h is
+        // 1 + s (1 + d) / 2 (1 - cos k).
+        let half = 0.5 * strength * (1.0 + d);
+        let line = (1.0 + half) * (1.0 + half) + 0.5 * half * half;
         for s in &mut out.sets {
             let before = s.covariance(0, 0);
             s.shot.shape(h);
@@ -54,7 +72,14 @@ impl Effect for This {
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
-        let around = (d.shifted(1, 0) + d.shifted(-1, 0) + d.shifted(0, 1) + d.shifted(0, -1)) * 0.25;
-        d.image = &d.image * (1.0 + p[0]) - around * p[0];
+        let (strength, share) = (p[0], diagonal(p));
+        let near = (d.shifted(1, 0) + d.shifted(-1, 0) + d.shifted(0, 1) + d.shifted(0, -1)) * 0.25;
+        let around = if share > 0.0 {
+            let corner = d.shifted(1, 1) + d.shifted(-1, 1) + d.shifted(1, -1) + d.shifted(-1, -1);
+            near * (1.0 - share) + corner * (0.25 * share)
+        } else {
+            near
+        };
+        d.image = &d.image * (1.0 + strength) - around * strength;
     }
 }
