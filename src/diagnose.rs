@@ -106,19 +106,11 @@ pub fn diagnose(
     for _ in 0..MOST {
         progress(&format!("error {:.2}; trying every effect", last.error));
         let ids: Vec<&str> = now.effects.iter().map(|(e, _)| e.id()).collect();
-        // Where the model is far off its fit may have bent what is sound to please what is not: each search begins at a fresh guess too.
-        let mut from = vec![now.clone()];
-        if last.error > FAR {
-            let mut fresh = now.clone();
-            fresh.base = start(all);
-            from.push(fresh);
-        }
         let mut candidates: Vec<Candidate> = effects::all()
             .into_par_iter()
             .filter(|e| !ids.contains(&e.id()) && (frames || e.tables_tell()))
             .filter_map(|effect| {
-                let tries = from.iter().filter_map(|from| fit_with(effect, all, from));
-                let fitted = tries.min_by(|a, b| a.objective.total_cmp(&b.objective))?;
+                let fitted = fit_with(effect, &[], all, &now, last.error > FAR)?;
                 let parameters = effect.parameters().iter().filter(|p| !p.is_choice()).count() as f64;
                 let evidence = now.objective - fitted.objective - parameters * n.ln();
                 Some(Candidate { fitted, effect, evidence })

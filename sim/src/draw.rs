@@ -202,7 +202,7 @@ impl Sensor {
         let mut effects = model
             .effects
             .iter()
-            .map(|e| e.effect().map(|effect| (effect, e.values(effect))))
+            .map(|e| e.effect().and_then(|effect| Ok((effect, e.values(effect)?))))
             .collect::<Result<Vec<_>, _>>()?;
         effects.sort_by_key(|(e, _)| e.stage());
         Ok(Self { model, maps, light: Mutex::new(None), memory: Mutex::default(), effects })

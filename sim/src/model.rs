@@ -78,11 +78,21 @@ impl EffectValues {
         })
     }
 
-    /// Values in the order of the effect's parameters; a start where one is missing.
-    pub fn values(&self, effect: &dyn Effect) -> Vec<f64> {
-        let of = |p: &crate::effects::Parameter| {
-            let start = p.starts.iter().copied().find(|s| s.is_finite()).unwrap_or(0.0);
-            self.parameters.get(p.name).copied().unwrap_or(start)
+    /// Values in the order of the effect's parameters, as far as they are given.
+    pub fn given(&self, effect: &dyn Effect) -> Vec<Option<f64>> {
+        effect.parameters().iter().map(|p| self.parameters.get(p.name).copied()).collect()
+    }
+
+    /// Values to draw with, in the order of the effect's parameters; where one is missing the first that a search would begin at. An
+    /// error names a parameter for which there is none.
+    pub fn values(&self, effect: &dyn Effect) -> Result<Vec<f64>, ModelError> {
+        let of = |p: &effects::Parameter| {
+            self.parameters.get(p.name).or(p.starts.first()).copied().ok_or_else(|| {
+                ModelError::Effect(format!(
+                    "effect {} needs a value of {} ({} to {} {}); `radcam model fit` finds it in a dataset",
+                    self.id, p.name, p.min, p.max, p.unit
+                ))
+            })
         };
         effect.parameters().iter().map(of).collect()
     }

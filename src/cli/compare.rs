@@ -3,7 +3,7 @@
 use super::Outcome;
 use super::diagnose::observe;
 use super::model::read_effects;
-use crate::compare::{compare, signatures, start};
+use crate::compare::{compare, searched, signatures, start};
 use crate::dataset::write_whole;
 use crate::report::{self, chance};
 use anyhow::Result;
@@ -27,7 +27,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let effects = read_effects(arguments.model.as_deref())?;
     let all = observe(&arguments.dataset)?;
-    let c = compare(&all, &start(&all), &effects);
+    let c = compare(&all, &start(&all), &searched(&all, &effects));
     if let Some(path) = &arguments.report {
         let subtitle = arguments.dataset.display().to_string();
         write_whole(path, report::compare::html("Model against measurement", &subtitle, &c).as_bytes())?;

@@ -3,7 +3,7 @@
 use super::common::STOP;
 use super::model::{fitted_model, read_effects};
 use super::{Outcome, progress::Show};
-use crate::compare::{Observations, of_dataset, of_table};
+use crate::compare::{Observations, of_dataset, of_table, searched};
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, write_whole};
 use crate::diagnose::{Diagnosis, diagnose};
@@ -45,7 +45,7 @@ pub fn observe(path: &Path) -> Result<Observations> {
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let effects = read_effects(arguments.model.as_deref())?;
     let all = observe(&arguments.dataset)?;
-    let diagnosis = diagnose(&all, None, effects, &mut |text| tracing::info!("{text}"));
+    let diagnosis = diagnose(&all, None, searched(&all, &effects), &mut |text| tracing::info!("{text}"));
     if let Some(path) = &arguments.report {
         let subtitle = arguments.dataset.display().to_string();
         let page = report::compare::diagnosis("What the model lacks", &subtitle, &diagnosis);

@@ -3,11 +3,11 @@
 use super::Outcome;
 use super::common::load_model;
 use super::diagnose::observe;
-use crate::compare::{Fitted, Observations, fit, start};
+use crate::compare::{Fitted, Given, Observations, fit, searched, start};
 use crate::dataset::{Dataset, write_whole};
 use crate::report::with_unit;
 use anyhow::{Context, Result, bail};
-use radcam_sim::effects::{self, Effect};
+use radcam_sim::effects;
 use radcam_sim::{EffectValues, Model};
 use std::path::{Path, PathBuf};
 
@@ -32,7 +32,7 @@ enum Action {
         /// The model file
         model: PathBuf,
     },
-    /// Add an effect, with values where given
+    /// Add an effect, with values where given; a fit finds the others
     Add {
         /// The model file
         model: PathBuf,
@@ -76,12 +76,12 @@ fn write(path: &Path, model: &Model) -> Result<()> {
 }
 
 /// The effects of a model file, with their values.
-pub fn read_effects(path: Option<&Path>) -> Result<Vec<(&'static dyn Effect, Vec<f64>)>> {
+pub fn read_effects(path: Option<&Path>) -> Result<Vec<Given>> {
     let Some(path) = path else { return Ok(Vec::new()) };
     let model = read(path)?;
     let of = |e: &EffectValues| {
         let effect = e.effect()?;
-        Ok((effect, e.values(effect)))
+        Ok((effect, e.given(effect)))
     };
     model.effects.iter().map(of).collect()
 }
@@ -149,12 +149,15 @@ fn show(path: &Path, model: &Model) {
     for e in &model.effects {
         println!("  {}", e.name.as_deref().unwrap_or(&e.id));
         e.formulas.iter().for_each(|(what, formula)| println!("    {what:<24} + {formula}"));
-        let known = effects::find(&e.id).map_or(&[][..], |e| e.parameters());
+        let of_effect = effects::find(&e.id).map_or(&[][..], |e| e.parameters());
         for (name, value) in &e.parameters {
-            let of_known = known.iter().find(|p| p.name == name).map(|p| p.unit);
+            let of_known = of_effect.iter().find(|p| p.name == name).map(|p| p.unit);
             let unit = e.units.get(name).map(String::as_str).or(of_known).unwrap_or("");
             let error = e.std_err.get(name).copied().unwrap_or(f64::NAN);
             println!("    {name:<24} {}", with_unit(*value, error, unit));
+        }
+        for p in of_effect.iter().filter(|p| !e.parameters.contains_key(p.name)) {
+            println!("    {:<24} not given: `radcam model fit` finds it in a dataset", p.name);
         }
     }
 }
@@ -172,16 +175,14 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         Action::Show { model: path } => show(path, &read(path)?),
         Action::Add { model: path, effect, values } => {
             let mut model = read(path)?;
-            let Some(known) = effects::find(effect) else {
+            if effects::find(effect).is_none() {
                 bail!("no effect \"{effect}\"; `radcam effects` lists them");
-            };
+            }
             if model.effects.iter().any(|e| e.id == *effect) {
                 bail!("{} has {effect} already", path.display());
             }
             let mut entry = EffectValues { id: effect.clone(), ..Default::default() };
-            let start = entry.values(known);
-            entry.parameters =
-                known.parameters().iter().zip(start).map(|(p, v)| (p.name.into(), v)).collect();
+            // What is not given is found by a fit.
             entry.parameters.extend(values.iter().cloned());
             model.effects.push(entry);
             write(path, &model)?;
@@ -200,7 +201,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         Action::Fit { model: path, dataset } => {
             let list = read_effects(Some(path))?;
             let all = observe(dataset)?;
-            let fitted = fit(&all, None, &start(&all), &list);
+            let fitted = fit(&all, None, &start(&all), &searched(&all, &list));
             let model = fitted_model(&all, &fitted, Some(path), dataset)?;
             write(path, &model)?;
             show(path, &model);

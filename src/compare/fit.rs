@@ -18,6 +18,9 @@ const FIRST_ROUNDS: usize = 8;
 /// Effects with the values of their parameters.
 pub type Effects = Vec<(&'static dyn Effect, Vec<f64>)>;
 
+/// An effect with what is given of its parameters, in their order.
+pub type Given = (&'static dyn Effect, Vec<Option<f64>>);
+
 /// A model with values: the paper's parameters and effects.
 #[derive(Clone)]
 pub struct Fitted {
@@ -275,15 +278,56 @@ pub fn fit(
     fit_for(ROUNDS, all, half, base, effects)
 }
 
-/// Adds one more effect to a model and fits all of it, from every start of the effect ([`starts`]); `None` where none moves anything.
-pub fn fit_with(effect: &'static dyn Effect, all: &Observations, now: &Fitted) -> Option<Fitted> {
-    let tries = starts(effect, all, now).into_iter().map(|values| {
-        let mut effects = now.effects.clone();
-        effects.push((effect, values));
-        fit_for(FIRST_ROUNDS, all, None, &now.base, &effects)
-    });
-    let best = tries.min_by(|a, b| a.objective.total_cmp(&b.objective))?;
-    Some(fit(all, None, &best.base, &best.effects))
+/// Finds values of effects' parameters that are not given: one effect after the other is added to what is known. What moves nothing
+/// that was measured stays at its first start.
+pub fn searched(all: &Observations, given: &[Given]) -> Effects {
+    let known = |(e, values): &Given| Some((*e, values.iter().copied().collect::<Option<Vec<f64>>>()?));
+    if given.iter().all(|g| known(g).is_some()) {
+        return given.iter().filter_map(known).collect();
+    }
+    let certain: Effects = given.iter().filter_map(known).collect();
+    let mut now = fit(all, None, &start(all), &certain);
+    for (effect, values) in given.iter().filter(|g| known(g).is_none()) {
+        now = fit_with(*effect, values, all, &now, true).unwrap_or_else(|| {
+            let first = effect.starts(&seen(all, &now.base)).into_iter().next();
+            let first = first.unwrap_or_else(|| effect.parameters().iter().map(|p| p.min.max(0.0)).collect());
+            let mut still = now.clone();
+            still.effects.push((*effect, as_given(&first, values)));
+            still
+        });
+    }
+    let place = |e: &&'static dyn Effect| given.iter().position(|g| g.0.id() == e.id());
+    now.effects.sort_by_key(|(e, _)| place(e));
+    now.effects
+}
+
+/// Values with those that are given.
+fn as_given(values: &[f64], given: &[Option<f64>]) -> Vec<f64> {
+    values.iter().enumerate().map(|(i, v)| given.get(i).copied().flatten().unwrap_or(*v)).collect()
+}
+
+/// Adds one more effect to a model and fits all of it, from every start of the effect ([`starts`]), with what is given of its
+/// parameters as a start as well; `None` where none moves anything. `fresh`: from a first guess of the paper's parameters too, since a
+/// fit that is far off may have bent what is sound to please what is not.
+pub fn fit_with(
+    effect: &'static dyn Effect,
+    given: &[Option<f64>],
+    all: &Observations,
+    now: &Fitted,
+    fresh: bool,
+) -> Option<Fitted> {
+    let guess = fresh.then(|| Fitted { base: start(all), ..now.clone() });
+    let from = |now: &Fitted| {
+        let tries = starts(effect, given, all, now).into_iter().map(|values| {
+            let mut effects = now.effects.clone();
+            effects.push((effect, values));
+            fit_for(FIRST_ROUNDS, all, None, &now.base, &effects)
+        });
+        let best = tries.min_by(|a, b| a.objective.total_cmp(&b.objective))?;
+        Some(fit(all, None, &best.base, &best.effects))
+    };
+    let fits = std::iter::once(now).chain(&guess).filter_map(from);
+    fits.min_by(|a, b| a.objective.total_cmp(&b.objective))
 }
 
 fn fit_for(
@@ -423,7 +467,12 @@ fn invert(a: &[f64], n: usize) -> Vec<f64> {
 const SIZES: [f64; 10] = [30.0, 10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3];
 
 /// Starts of one more effect's parameters: its own, or what the campaign hints at, each at the size that fits best while all else stays.
-fn starts(effect: &'static dyn Effect, all: &Observations, now: &Fitted) -> Vec<Vec<f64>> {
+fn starts(
+    effect: &'static dyn Effect,
+    given: &[Option<f64>],
+    all: &Observations,
+    now: &Fitted,
+) -> Vec<Vec<f64>> {
     let parameters = effect.parameters();
     let sized = |values: &[f64], size: f64| -> Vec<f64> {
         let of = |(v, p): (&f64, &radcam_sim::effects::Parameter)| {
@@ -431,7 +480,7 @@ fn starts(effect: &'static dyn Effect, all: &Observations, now: &Fitted) -> Vec<
             let is_size = p.min <= 0.0 && !p.is_choice() && !p.starts.is_empty();
             if is_size { (v * size).clamp(p.min, p.max) } else { *v }
         };
-        values.iter().zip(parameters).map(of).collect()
+        as_given(&values.iter().zip(parameters).map(of).collect::<Vec<_>>(), given)
     };
     let misfit = |values: Option<&Vec<f64>>| {
         let mut effects = now.effects.clone();

@@ -10,7 +10,7 @@ mod table;
 mod words;
 
 pub use expect::Expected;
-pub use fit::{Effects, Fitted, fit, fit_with, start};
+pub use fit::{Effects, Fitted, Given, fit, fit_with, searched, start};
 pub use observe::{Observable, Observations, ObserveError, Statistic, of_dataset, of_table};
 pub use scene::{Direction, ScenePair};
 pub use words::{Signature, signatures};
