@@ -3,6 +3,7 @@
 //! Noise is carried as a power spectrum over the sensor, so that charge sharing and filters are multiplications
 //! (Wiener-Khinchin); covariances at small lags come back by the inverse transform.
 
+use crate::effects::Clipped;
 use crate::quantize::rounded;
 
 /// Side of the grid of spatial frequencies.
@@ -167,6 +168,8 @@ pub struct SetPrediction {
     pub unsure: f64,
     /// By so much variance and covariances are not known, e^2, then DN^2.
     pub unsure_var: f64,
+    /// By so much the mean is not known, e, then DN.
+    pub unsure_mean: f64,
     /// Lines in the spectrum: (variance, phase from column to column, phase from row to row), radians.
     pub lines: Vec<(f64, f64, f64)>,
     /// Change of the neighbour covariances per unit of distance from the output, as a share of the shot variance: along rows,
@@ -216,13 +219,14 @@ impl SetPrediction {
         }
     }
 
-    /// Clipping leaves the share `less` of the variance, and pixels whose variances and fourth cumulants are these.
-    pub(crate) fn cut(&mut self, less: f64, unequal: f64, fourth: f64) {
+    /// Clipping leaves the share `less` of the variance.
+    pub(crate) fn cut(&mut self, less: f64, left: &Clipped) {
         self.pixels_follow(less);
-        self.unequal += unequal;
-        self.fourth += fourth;
+        self.unequal += left.unequal;
+        self.fourth += left.fourth;
         // The pixels' places are known as a few shares.
-        self.unsure = libm::hypot(self.unsure, 0.3 * unequal);
+        self.unsure = libm::hypot(self.unsure, 0.3 * left.unequal);
+        self.unsure_mean = libm::hypot(self.unsure_mean, 0.1 * left.lost * (1.0 - left.above));
     }
 
     /// Covariance at a lag of noise within a frame, DN^2: the frame's own mean is not taken off.
@@ -265,6 +269,7 @@ impl Prediction {
             fourth: 0.0,
             unsure: 0.0,
             unsure_var: 0.0,
+            unsure_mean: 0.0,
             lines: Vec::new(),
             growth: (0.0, 0.0),
             parity: (0.0, 0.0),
@@ -322,6 +327,7 @@ impl Prediction {
             let slope = (curve(s.signal + step) - curve(s.signal - step)) / (2.0 * step);
             let square = slope * slope;
             s.signal = curve(s.signal);
+            s.unsure_mean *= slope.abs();
             s.shot.scale(square);
             s.read.scale(square);
             s.row *= square;

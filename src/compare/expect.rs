@@ -182,7 +182,14 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
         Statistic::Mean => {
             // Noise that remembers averages out less.
             let memory = s.shot_memory.first().copied().unwrap_or(0.0).max(0.0);
-            plain(mean, (frame_mean_var * (1.0 + 2.0 * memory) / n).sqrt().hypot(0.002).hypot(rough(s).0))
+            plain(
+                mean,
+                (frame_mean_var * (1.0 + 2.0 * memory) / n)
+                    .sqrt()
+                    .hypot(0.002)
+                    .hypot(rough(s).0)
+                    .hypot(s.unsure_mean),
+            )
         }
         // The frames of both run from the first of the set.
         Statistic::Settling(k) => {
@@ -218,7 +225,7 @@ pub fn expect(o: &Observable, p: &Prediction, all: &Observations) -> Expected {
             let across = if rows { s.column / shape.1 as f64 } else { s.row / shape.0 as f64 };
             let value = pixels + own + across + of_lines - of_mean;
             let dof = dof * (count as f64 - 1.0);
-            let rest = (walk * of_lines).hypot(moving).hypot(rough(s).1 / width as f64);
+            let rest = (walk * of_lines).hypot(moving).hypot(rough(s).1.hypot(s.unsure_var) / width as f64);
             plain(value, (value.abs().max(1e-9) * (2.0 / dof).sqrt()).hypot(rest))
         }
         Statistic::Successive => {

@@ -144,7 +144,7 @@ pub fn start(all: &Observations) -> BaseParameters {
     let slopes = if lower().count() >= 3 { lower().copied().collect() } else { vec![middle] };
     let gain = median(slopes.iter().map(|p| (p.1 - constant) / p.0.max(1e-6))).max(1e-6);
     let lights = all.campaign.sets.iter().filter_map(|s| s.light).max().map_or(0, |l| l + 1);
-    let flux = (0..lights)
+    let mut flux: Vec<f64> = (0..lights)
         .map(|l| {
             let of_level = (0..all.campaign.sets.len()).filter(|&s| all.campaign.sets[s].light == Some(l));
             let rates = of_level.map(|s| {
@@ -159,6 +159,22 @@ pub fn start(all: &Observations) -> BaseParameters {
         })
         .map(|v| if v.is_finite() { v } else { 1.0 })
         .collect();
+    // Where a level has less than its nominal light says, the range may have ended: nothing would draw it up again.
+    let flats = || {
+        let sets = all.campaign.sets.iter().enumerate().filter(|(s, _)| all.kinds[*s] == Kind::Flat);
+        sets.filter_map(|(s, set)| Some((s, set.light?, set.illumination)))
+            .filter(|(_, _, light)| *light > 0.0)
+    };
+    let low = flats().filter(|(s, ..)| (0.02..=0.55).contains(&((level(*s) - offset_dn) / top)));
+    let per_light: Vec<f64> = low.map(|(_, l, light)| flux[l] / light).collect();
+    if per_light.len() >= 3 {
+        let per_light = median(per_light.into_iter());
+        for (_, l, light) in flats() {
+            if flux[l] < 0.97 * per_light * light {
+                flux[l] = per_light * light;
+            }
+        }
+    }
     BaseParameters {
         gain_dn_per_e: gain,
         read_noise_e: (constant - 1.0 / 12.0).max(0.01).sqrt() / gain,

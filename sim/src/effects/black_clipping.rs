@@ -55,7 +55,7 @@ impl Effect for This {
             let left = limited(i, s.signal);
             s.signal = -left.mean;
             let less = if noise[i] > 0.0 { left.variance / noise[i] } else { 1.0 };
-            s.cut(less, left.unequal, left.fourth);
+            s.cut(less, &left);
             s.shot.scale(less);
             s.read.scale(less);
             (s.row, s.column, s.common) = (s.row * less, s.column * less, s.common * less);

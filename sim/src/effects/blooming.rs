@@ -54,18 +54,21 @@ impl Effect for This {
         for (i, s) in out.sets.iter_mut().enumerate() {
             let before = s.signal.max(1e-9);
             let left = limited(i, before, 1.0, 1.0);
+            let column = limited(i, before, 0.5, 0.125);
             // Where neighbours are full as well it goes on until none of it is left to see.
             let room = 1.0 - left.above;
-            let neighbour = 0.5 * (before - left.variance - left.lost_variance).max(0.0) * room;
-            let own = left.variance + 0.5 * left.lost_variance * room * room;
+            // Nor is there any in columns that are full.
+            let open = 1.0 - column.above;
+            let neighbour = 0.5 * (before - left.variance - left.lost_variance).max(0.0) * room * open;
+            let own = (left.variance + 0.5 * left.lost_variance * room * room) * open;
             let less = (own / before).min(1.0);
-            s.cut(less, left.unequal, left.fourth);
+            s.cut(less, &left);
             let knee = left.above * libm::sqrt(left.above);
             s.unsure_var = libm::hypot(s.unsure_var, 0.5 * knee * less * before);
-            s.unsure = libm::hypot(s.unsure, 3.0 * (1.0 - less) * own * own);
+            s.unsure = libm::hypot(s.unsure, 3.0 * (1.0 - less) * own * own + left.above * left.unequal);
             s.shot.shape(|ky, _| less + 2.0 * neighbour / before * libm::cos(ky));
             s.common *= less * less;
-            s.signal = level(i, before);
+            s.signal = column.mean;
         }
         out.bloom_e = out.bloom_e.min(p[0]);
     }

@@ -8,7 +8,7 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Seen, Stage,
 pub struct This;
 
 /// What clipping leaves of normal noise in pixels whose levels differ.
-pub(super) struct Clipped {
+pub(crate) struct Clipped {
     pub mean: f64,
     /// Mean of the pixels' variances.
     pub variance: f64,
@@ -18,6 +18,8 @@ pub(super) struct Clipped {
     pub fourth: f64,
     /// Share of the samples that were cut.
     pub above: f64,
+    /// Mean of what was cut off.
+    pub lost: f64,
     /// Mean of the pixels' variances of what was cut off.
     pub lost_variance: f64,
 }
@@ -28,7 +30,15 @@ fn cut(mean: f64, variance: f64, limit: f64) -> Clipped {
     let sd = libm::sqrt(variance.max(1e-12));
     let c = (limit - mean) / sd;
     if c > 8.0 {
-        return Clipped { mean, variance, unequal: 0.0, fourth: 0.0, above: 0.0, lost_variance: 0.0 };
+        return Clipped {
+            mean,
+            variance,
+            unequal: 0.0,
+            fourth: 0.0,
+            above: 0.0,
+            lost: 0.0,
+            lost_variance: 0.0,
+        };
     }
     let below = 0.5 * libm::erfc(-c / std::f64::consts::SQRT_2);
     let above = 0.5 * libm::erfc(c / std::f64::consts::SQRT_2);
@@ -49,6 +59,7 @@ fn cut(mean: f64, variance: f64, limit: f64) -> Clipped {
         unequal: 0.0,
         fourth: variance * variance * (fourth - 3.0 * left * left),
         above,
+        lost: sd * lost,
         lost_variance: variance * ((1.0 + c * c) * above - c * density - lost * lost).max(0.0),
     }
 }
@@ -71,6 +82,7 @@ pub(super) fn clipped(
         unequal: average(&|c| (c.variance - variance) * (c.variance - variance)),
         fourth: average(&|c| c.fourth),
         above: average(&|c| c.above),
+        lost: average(&|c| c.lost),
         lost_variance: average(&|c| c.lost_variance),
     }
 }
@@ -119,7 +131,7 @@ impl Effect for This {
             let before = s.signal.max(1e-9);
             let left = limited(i, before);
             let less = (left.variance / before).min(1.0);
-            s.cut(less, left.unequal, left.fourth);
+            s.cut(less, &left);
             s.shot.scale(less);
             // The pixels' places are a few shares: which of them lie above the knee is known roughly.
             let rest = left.variance + read;

@@ -268,6 +268,8 @@ macro_rules! effects {
     };
 }
 
+pub(crate) use full_well_saturation::Clipped;
+
 effects! {
     nonlinearity brighter_fatter interpixel_crosstalk readout_lowpass spatial_filter temporal_filter image_lag
     illumination_flicker illumination_drift gain_drift offset_drift row_noise column_noise periodic_interference
