@@ -7,7 +7,7 @@ use crate::compare::{
 use crate::noise::Quantity;
 use crate::plan::Plan;
 use crate::report::chance;
-use radcam_sim::effects::{self, Effect, takes};
+use radcam_sim::effects::{self, Effect, Needs, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -25,6 +25,14 @@ const TIE: f64 = 6.0;
 const FAR: f64 = 3.0;
 /// Share of the excess of the squared error that may be left where the names that were found are right.
 const UNEXPLAINED: f64 = 0.05;
+
+/// Share of the excess of the squared error that an addition takes at least, where the error is large.
+const LEAST: f64 = 0.03;
+
+/// What an error has beyond that of a model which holds.
+fn excess(error: f64) -> f64 {
+    (error * error - 1.0).max(0.0)
+}
 
 /// What is missing.
 #[derive(Debug, Clone, Serialize)]
@@ -95,7 +103,12 @@ pub fn diagnose(
     progress: &mut dyn FnMut(&str),
 ) -> Diagnosis {
     let base = base.unwrap_or_else(|| start(all));
-    let frames = all.all.iter().any(|o| o.kind == Statistic::FrameMeanVariance);
+    let has = |kind: Statistic| all.all.iter().any(|o| o.kind == kind);
+    let there = match (has(Statistic::FrameMeanVariance), has(Statistic::Covariance(0, 1))) {
+        (true, _) => Needs::Frames,
+        (_, true) => Needs::Covariances,
+        _ => Needs::Variances,
+    };
     let n = all.all.len() as f64;
     let mut now = fit(all, None, &base, &effects);
     let first = compare(all, &now.base, &now.effects);
@@ -108,7 +121,7 @@ pub fn diagnose(
         let ids: Vec<&str> = now.effects.iter().map(|(e, _)| e.id()).collect();
         let mut candidates: Vec<Candidate> = effects::all()
             .into_par_iter()
-            .filter(|e| !ids.contains(&e.id()) && (frames || e.tables_tell()))
+            .filter(|e| !ids.contains(&e.id()) && e.needs() <= there)
             .filter_map(|effect| {
                 let fitted = fit_with(effect, &[], all, &now, last.error > FAR)?;
                 let parameters = effect.parameters().iter().filter(|p| !p.is_choice()).count() as f64;
@@ -140,8 +153,9 @@ pub fn diagnose(
         let Some(best) = candidates.first().filter(|c| c.evidence > NEEDED) else { break };
         let after = compare(all, &best.fitted.base, &best.fitted.effects);
         tracing::debug!("with {}: error {:.4}, was {:.4}", best.effect.id(), after.error, last.error);
-        // What does not help on frames that the fit did not see is no effect.
-        if after.error > last.error - 1e-3 {
+        // What does not help on frames that the fit did not see is no effect; nor is what takes next to nothing of a large error.
+        let next_to_nothing = last.error > 1.2 && excess(after.error) > (1.0 - LEAST) * excess(last.error);
+        if after.error > last.error - 1e-3 || next_to_nothing {
             break;
         }
         let weight = |c: &Candidate| (0.5 * (c.evidence - best.evidence)).max(-300.0).exp();
@@ -192,7 +206,6 @@ pub fn diagnose(
             notes.push(format!("what is left is small: error {:.3}, p {}", last.error, chance(last.p_value)));
         }
         // What was added explains little of the whole: it is near the truth at best, and the truth has no name here.
-        let excess = |error: f64| (error * error - 1.0).max(0.0);
         let share = excess(last.error) / excess(first.error).max(1e-9);
         let nameless = last.error > 1.2 && share > UNEXPLAINED;
         if !weak || missing.is_empty() {

@@ -167,7 +167,7 @@ pub fn start(all: &Observations) -> BaseParameters {
     };
     let low = flats().filter(|(s, ..)| (0.02..=0.55).contains(&((level(*s) - offset_dn) / top)));
     let per_light: Vec<f64> = low.map(|(_, l, light)| flux[l] / light).collect();
-    if per_light.len() >= 3 {
+    if per_light.len() >= 3 && !all.means_given {
         let per_light = median(per_light.into_iter());
         for (_, l, light) in flats() {
             if flux[l] < 0.97 * per_light * light {

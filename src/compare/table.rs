@@ -45,13 +45,27 @@ pub(super) fn observations(table: &Table) -> Result<Observations, ObserveError> 
     }
     let exposures = kept.iter().all(|&i| table.levels[i].exposure_s.is_some());
     let mut all = Vec::new();
+    // Rows of one illumination share their light.
+    let mut lights: Vec<u64> = Vec::new();
+    let mut light_of = |place: usize, illumination: f64| {
+        if !exposures {
+            return Some(place);
+        }
+        let bits = illumination.to_bits();
+        let at = lights.iter().position(|l| *l == bits).unwrap_or(lights.len());
+        if at == lights.len() {
+            lights.push(bits);
+        }
+        (illumination != 0.0).then_some(at)
+    };
     let (mut frames, mut sets) = (Vec::new(), Vec::new());
     for (place, &i) in kept.iter().enumerate() {
         let (level, point) = (&table.levels[i], &points[i]);
+        let illumination = level.illumination.unwrap_or(1.0);
         sets.push(SetInfo {
             exposure_s: if exposures { level.exposure_s.unwrap_or(1.0) } else { 1.0 },
-            light: Some(if exposures { 0 } else { place }),
-            illumination: level.illumination.unwrap_or(1.0),
+            light: light_of(place, illumination),
+            illumination,
             spread: 0.0,
             // Not known; pixels rarely lie at one place between two codes.
             spread_dn: 1.0,
@@ -79,6 +93,7 @@ pub(super) fn observations(table: &Table) -> Result<Observations, ObserveError> 
         }
     }
     let full = top.max(1.0);
+    let kinds = sets.iter().map(|s| if s.light.is_some() { Kind::Flat } else { Kind::Dark }).collect();
     Ok(Observations {
         campaign: Campaign {
             frames,
@@ -88,7 +103,7 @@ pub(super) fn observations(table: &Table) -> Result<Observations, ObserveError> 
             line_cycles_per_px: None,
         },
         set_numbers: kept.iter().map(|&i| i as u32).collect(),
-        kinds: vec![Kind::Flat; kept.len()],
+        kinds,
         all,
         scenes: [None, None],
         codes: [0..0, 0..0],

@@ -1,6 +1,6 @@
 //! Brighter-fatter: charge already in a pixel repels what arrives later.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, shifted, takes};
+use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Prediction, Stage, shifted, takes};
 
 /// Flow of arriving charge along the gradient of the charge so far.
 pub struct This;
@@ -25,8 +25,8 @@ impl Effect for This {
         ]
     }
 
-    fn tables_tell(&self) -> bool {
-        true
+    fn needs(&self) -> Needs {
+        Needs::Variances
     }
 
     fn page(&self) -> Page {

@@ -1,6 +1,6 @@
 //! Interpixel crosstalk: charge or capacitance shared with the neighbours before the amplifier.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Prediction, Stage, takes};
 
 /// Each pixel gives a share to each of its four neighbours.
 pub struct This;
@@ -18,8 +18,8 @@ impl Effect for This {
         &[Parameter { name: "a", unit: "1", min: 0.0, max: 0.2, starts: &[0.005] }]
     }
 
-    fn tables_tell(&self) -> bool {
-        true
+    fn needs(&self) -> Needs {
+        Needs::Covariances
     }
 
     fn page(&self) -> Page {

@@ -40,6 +40,17 @@ pub struct Parameter {
     pub starts: &'static [f64],
 }
 
+/// What is needed to tell an effect from others, from little to much.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Needs {
+    /// A table of means and variances.
+    Variances,
+    /// A table that has covariances of neighbours too.
+    Covariances,
+    /// Frames.
+    Frames,
+}
+
 /// What a campaign shows before any fit: hints at where a search begins.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Seen {
@@ -179,9 +190,9 @@ pub trait Effect: Sync + Send {
     fn keeps_sign(&self) -> bool {
         false
     }
-    /// Whether a table of means, variances and covariances can tell of it; if not, frames are needed.
-    fn tables_tell(&self) -> bool {
-        false
+    /// What a campaign must have for it to be looked for.
+    fn needs(&self) -> Needs {
+        Needs::Frames
     }
     /// Where a search begins: values of all parameters, each list of which is tried. They must move what is predicted: what moves
     /// nothing that was measured is not looked for.

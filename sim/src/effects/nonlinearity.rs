@@ -1,6 +1,6 @@
 //! Nonlinearity: the signal bends away from a straight line in the light.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Prediction, Stage, takes};
 
 /// v (1 - rel (v / full scale)^order), after the amplifier.
 pub struct This;
@@ -28,8 +28,8 @@ impl Effect for This {
         ]
     }
 
-    fn tables_tell(&self) -> bool {
-        true
+    fn needs(&self) -> Needs {
+        Needs::Variances
     }
 
     fn page(&self) -> Page {

@@ -1,6 +1,6 @@
 //! Read-out low-pass: the output stage is too slow for the pixel rate.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Prediction, Stage, takes};
 
 /// Each pixel keeps a share of the one read before it in the row.
 pub struct This;
@@ -18,8 +18,8 @@ impl Effect for This {
         &[Parameter { name: "alpha", unit: "1", min: 0.0, max: 0.9, starts: &[0.02] }]
     }
 
-    fn tables_tell(&self) -> bool {
-        true
+    fn needs(&self) -> Needs {
+        Needs::Covariances
     }
 
     fn page(&self) -> Page {

@@ -1,6 +1,6 @@
 //! Spatial filter: the camera sharpens or smooths its images.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Prediction, Stage, takes};
 
 /// The difference from a mean of the neighbours is enlarged (s above 0) or lessened.
 pub struct This;
@@ -31,8 +31,8 @@ impl Effect for This {
         ]
     }
 
-    fn tables_tell(&self) -> bool {
-        true
+    fn needs(&self) -> Needs {
+        Needs::Covariances
     }
 
     fn page(&self) -> Page {
