@@ -136,7 +136,7 @@ impl Effect for This {
             // The pixels' places are a few shares: which of them lie above the knee is known roughly.
             let rest = left.variance + read;
             s.unsure_var = libm::hypot(s.unsure_var, 0.1 * (1.0 - less) * less * before);
-            s.unsure = libm::hypot(s.unsure, 3.0 * (1.0 - less) * rest * rest);
+            s.unsure = libm::hypot(s.unsure, 3.0 * (1.0 - less) * (1.0 - left.above) * rest * rest);
             s.common *= less * less;
             s.signal = left.mean;
         }
