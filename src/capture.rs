@@ -270,8 +270,22 @@ impl Capture<'_> {
         // The level of no light, by the shortest exposure.
         let black = self.pilot(bounds.min, counts)?.0;
         let mut exposure = settings.exposure_s.clamp(bounds.min, bounds.max);
+        let mut fastest = 0.0;
         for _ in 0..12 {
             let (mean, clipped) = self.pilot(exposure, counts)?;
+            let rate = (mean - black) / exposure;
+            if clipped <= 0.01 && mean < target && rate < 0.85 * fastest {
+                tracing::warn!(
+                    mean_dn = mean,
+                    full_scale_dn = full_scale,
+                    "the signal stops below full scale: the well is full; exposures end there"
+                );
+                return Ok(bounds.nearest(1.05 * (mean - black) / fastest));
+            }
+            // Of levels that stand out from black: below them offsets and zero make the rate.
+            if mean - black > 0.02 * full_scale && clipped <= 0.01 {
+                fastest = f64::max(fastest, rate);
+            }
             tracing::debug!(exposure_s = exposure, mean_dn = mean, clipped, "looking for the full exposure");
             let next = if clipped > 0.01 {
                 exposure / 4.0

@@ -90,8 +90,21 @@ enum Verb {
     Demo(demo::Arguments),
 }
 
+/// Ends without a word where standard output is closed, as by `| head`: `println!` panics then.
+fn quiet_when_nobody_reads() {
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |info| {
+        let text = info.payload().downcast_ref::<String>();
+        if text.is_some_and(|t| t.starts_with("failed printing to stdout")) {
+            std::process::exit(2);
+        }
+        usual(info);
+    }));
+}
+
 /// Runs the program with the arguments of the process.
 pub fn main() -> ExitCode {
+    quiet_when_nobody_reads();
     let arguments = Arguments::parse();
     common::start_logging(arguments.verbose);
     common::catch_interrupts();

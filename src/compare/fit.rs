@@ -142,7 +142,12 @@ pub fn start(all: &Observations) -> BaseParameters {
     let lower = || points.iter().filter(|p| p.0 > 0.02 * top && p.0 <= 0.55 * top);
     let middle = points.get(points.len() / 2).copied().unwrap_or((1.0, 1.0));
     let slopes = if lower().count() >= 3 { lower().copied().collect() } else { vec![middle] };
-    let gain = median(slopes.iter().map(|p| (p.1 - constant) / p.0.max(1e-6))).max(1e-6);
+    let slope = |p: &(f64, f64)| (p.1 - constant) / p.0.max(1e-6);
+    let low_gain = median(slopes.iter().map(slope)).max(1e-6);
+    // Where few levels are low, most may lie where the range has ended: those have the smaller slopes.
+    let above = || points.iter().filter(|p| p.0 > 0.02 * top).map(slope);
+    let gain =
+        if lower().count() >= 3 { low_gain } else { of_the_largest(above()).unwrap_or(low_gain).max(1e-6) };
     let lights = all.campaign.sets.iter().filter_map(|s| s.light).max().map_or(0, |l| l + 1);
     let mut flux: Vec<f64> = (0..lights)
         .map(|l| {
@@ -153,9 +158,9 @@ pub fn start(all: &Observations) -> BaseParameters {
             });
             let rates: Vec<_> = rates.filter(|r| r.1.is_finite()).collect();
             let low = || rates.iter().filter(|r| r.0 > 0.02 * top && r.0 <= 0.55 * top).map(|r| r.1);
-            let found: Vec<f64> =
-                if low().count() >= 3 { low().collect() } else { rates.iter().map(|r| r.1).collect() };
-            median(found.into_iter()).max(1e-6)
+            let all = || rates.iter().filter(|r| r.0 > 0.02 * top).map(|r| r.1);
+            let rate = if low().count() >= 3 { Some(median(low())) } else { of_the_largest(all()) };
+            rate.unwrap_or_else(|| median(rates.iter().map(|r| r.1))).max(1e-6)
         })
         .map(|v| if v.is_finite() { v } else { 1.0 })
         .collect();
@@ -165,10 +170,9 @@ pub fn start(all: &Observations) -> BaseParameters {
         sets.filter_map(|(s, set)| Some((s, set.light?, set.illumination)))
             .filter(|(_, _, light)| *light > 0.0)
     };
-    let low = flats().filter(|(s, ..)| (0.02..=0.55).contains(&((level(*s) - offset_dn) / top)));
-    let per_light: Vec<f64> = low.map(|(_, l, light)| flux[l] / light).collect();
-    if per_light.len() >= 3 && !all.means_given {
-        let per_light = median(per_light.into_iter());
+    let bright = || flats().filter(|(s, ..)| level(*s) - offset_dn > 0.02 * top);
+    let per_light = of_the_largest(bright().map(|(_, l, light)| flux[l] / light));
+    if let Some(per_light) = per_light.filter(|_| bright().count() >= 3 && !all.means_given) {
         for (_, l, light) in flats() {
             if flux[l] < 0.97 * per_light * light {
                 flux[l] = per_light * light;
@@ -182,6 +186,13 @@ pub fn start(all: &Observations) -> BaseParameters {
         dark_e_per_s: dark_dn_per_s / gain,
         flux_e_per_s: flux,
     }
+}
+
+/// Median of the values that are not far below the largest; `None` without any.
+fn of_the_largest(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let all: Vec<f64> = values.filter(|v| v.is_finite()).collect();
+    let largest = all.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    (!all.is_empty()).then(|| median(all.into_iter().filter(|v| *v >= 0.7 * largest)))
 }
 
 /// Everything that is free, as one list of values over their scales.

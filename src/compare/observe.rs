@@ -211,6 +211,23 @@ pub fn of_dataset(
         infos[c.set].places = c.said.places;
         infos[c.set].spread = if above > 5.0 { (spread_dn / above).min(0.3) } else { 0.0 };
     }
+    // Flats have one pattern of light and response. Where the range ended an image has lost it: what others show holds before that.
+    // Dim ones have more of the offsets' pattern.
+    let above = |c: &Chunk| c.said.frame_means.mean_dn() - zero_dn;
+    let top = chunks.iter().map(above).fold(0.0, f64::max);
+    let bright: Vec<usize> = chunks
+        .iter()
+        .filter(|c| settings[c.set].kind == Kind::Flat && above(c) > 0.25 * top)
+        .map(|c| c.set)
+        .collect();
+    let whole = bright.iter().map(|&s| infos[s]).max_by(|a, b| a.spread.total_cmp(&b.spread));
+    if let Some(whole) = whole {
+        for s in bright {
+            if infos[s].spread < 0.9 * whole.spread {
+                (infos[s].spread, infos[s].places) = (whole.spread, whole.places);
+            }
+        }
+    }
     let mut all = Vec::new();
     let inflation = Inflation::of(&chunks);
     chunks.iter().for_each(|c| of_chunk(c, &sets[c.set].rows, &inflation, &mut all));

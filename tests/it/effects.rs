@@ -528,3 +528,56 @@ fn bad_campaigns_are_named() {
     assert!(expect(0, &["effects"]).lines().count() > 25);
     assert!(expect(0, &["effects", "image-lag"]).contains("what to do"));
 }
+
+/// Tables of several lamp levels and exposures, with and without a bend: rows of one illumination share a light that is not known.
+#[test]
+fn tables_with_exposures_and_lights_are_diagnosed() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("t.csv");
+    for (bend, named) in [(0.0, ""), (0.01, "nonlinearity")] {
+        let mut text = String::from("mean_dn,var_dn2,pixels,exposure_s,illumination,cov_01,cov_10\n");
+        let mut random = radcam_sim::rng::PixelRng::new(5, radcam_sim::rng::Stream::Effect, 0, 0, 0);
+        let (pixels, gain, constant) = (160_000.0, 0.22, 2.0);
+        let exposures = (1..=16).map(|k| (f64::from(k) * 1.25e-3, 1.0));
+        let lamps = [0.1, 0.3, 0.6, 1.4, 1.8].into_iter().flat_map(|light| [(0.01, light), (0.005, light)]);
+        for (exposure, light) in exposures.chain(lamps) {
+            // The lamp is 3 % off its nominal level at each setting.
+            let lamp = light * (1.0 + 0.03 * f64::sin(40.0 * light));
+            let line = 175_000.0 * lamp * exposure;
+            let (mean, slope) = (line * (1.0 - bend * line / 3500.0), 1.0 - 2.0 * bend * line / 3500.0);
+            let var = (gain * line + constant) * slope * slope;
+            let mean = mean + (var / pixels).sqrt() * random.normal();
+            let mut near = || var / f64::sqrt(pixels) * random.normal();
+            let (cov_01, cov_10) = (near(), near());
+            let var = var * (1.0 + (2.0 / pixels).sqrt() * random.normal());
+            text += &format!("{mean},{var},{pixels},{exposure},{light},{cov_01},{cov_10}\n");
+        }
+        std::fs::write(&path, text).unwrap();
+        let out = crate::support::radcam(&["diagnose", path.to_str().unwrap(), "--json"]);
+        let json: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+        // Some 70 residuals: the error of an error of 1 is 0.09; four of them.
+        let after = json["error_after"].as_f64().unwrap();
+        assert!((0.64..1.36).contains(&after), "{bend}: {after}");
+        assert_eq!(json["missing"][0]["effect"].as_str().unwrap_or_default(), named, "{json:#}");
+    }
+}
+
+/// A value that is not given is found in the dataset by `compare` and `model fit`; to draw without it is refused by name.
+#[test]
+fn open_values_of_a_model_are_found() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    let model = unit(3);
+    let values = example("full-well-saturation", &model).unwrap();
+    campaign(with(model, "full-well-saturation", &values), Path::new(&at("c")));
+    expect(0, &["model", "new", &at("m.toml")]);
+    let out = expect(0, &["model", "add", &at("m.toml"), "full-well-saturation"]);
+    assert!(out.contains("full_well_e") && out.contains("not given"), "{out}");
+    assert!(crate::support::refused(&["simulate", &at("m.toml"), "-o", &at("s")]).contains("full_well_e"));
+    expect(0, &["compare", &at("c"), "--model", &at("m.toml")]);
+    expect(0, &["model", "fit", &at("m.toml"), &at("c")]);
+    let fitted: Model = Model::from_toml(&std::fs::read_to_string(at("m.toml")).unwrap()).unwrap();
+    let (found, std_err) =
+        (fitted.effects[0].parameters["full_well_e"], fitted.effects[0].std_err["full_well_e"]);
+    assert!((found - values[0]).abs() < 4.0 * std_err, "{found} +- {std_err}, hidden {}", values[0]);
+}

@@ -66,8 +66,7 @@ impl Effect for This {
             let knee = left.above * libm::sqrt(left.above);
             s.unsure_var = libm::hypot(s.unsure_var, 0.5 * knee * less * before);
             let rest = own + out.base.read_noise_e * out.base.read_noise_e;
-            let between = 3.0 * (1.0 - less) * room * rest * rest;
-            s.unsure = libm::hypot(s.unsure, between + left.above * left.unequal);
+            s.unsure = libm::hypot(s.unsure, left.unsure(less, rest));
             s.shot.shape(|ky, _| less + 2.0 * neighbour / before * libm::cos(ky));
             s.common *= less * less;
             s.signal = column.mean;

@@ -24,6 +24,14 @@ pub(crate) struct Clipped {
     pub lost_variance: f64,
 }
 
+impl Clipped {
+    /// By so much the variance of the pixels' variances is not known, where `less` of the variance is left and `rest` is all noise that
+    /// is: a few pixels in the tails have most of it.
+    pub fn unsure(&self, less: f64, rest: f64) -> f64 {
+        3.0 * (1.0 - less) * rest * rest + self.above * self.unequal
+    }
+}
+
 /// min(x, limit) of normal x: moments of a truncated normal variable (Johnson, Kotz and Balakrishnan 1994, 13.10) and of the mass
 /// at the limit.
 fn cut(mean: f64, variance: f64, limit: f64) -> Clipped {
@@ -38,6 +46,19 @@ fn cut(mean: f64, variance: f64, limit: f64) -> Clipped {
             above: 0.0,
             lost: 0.0,
             lost_variance: 0.0,
+        };
+    }
+    if c < -8.0 {
+        // Of all of it only the limit is left; the moments below would be differences of large numbers.
+        let lost = mean - limit;
+        return Clipped {
+            mean: limit,
+            variance: 0.0,
+            unequal: 0.0,
+            fourth: 0.0,
+            above: 1.0,
+            lost,
+            lost_variance: variance,
         };
     }
     let below = 0.5 * libm::erfc(-c / std::f64::consts::SQRT_2);
@@ -135,8 +156,10 @@ impl Effect for This {
             s.shot.scale(less);
             // The pixels' places are a few shares: which of them lie above the knee is known roughly.
             let rest = left.variance + read;
-            s.unsure_var = libm::hypot(s.unsure_var, 0.1 * (1.0 - less) * less * before);
-            s.unsure = libm::hypot(s.unsure, 3.0 * (1.0 - less) * (1.0 - left.above) * rest * rest);
+            // Where nearly all are cut, what is left is of a few in the tails.
+            let unknown = 0.1 + 0.9 * left.above.powi(4);
+            s.unsure_var = libm::hypot(s.unsure_var, unknown * (1.0 - less) * left.variance);
+            s.unsure = libm::hypot(s.unsure, left.unsure(less, rest));
             s.common *= less * less;
             s.signal = left.mean;
         }
