@@ -1,6 +1,6 @@
 """Cameras of a generator that shares no code with radcam, each with one effect hidden in it, diagnosed by the program.
 
-    python3 tests/outside/cameras.py --radcam target/release/radcam --out /tmp/cameras --seeds 1,2,3 [--only NAME,...] [--strength 1]
+    python3 tests/outside/cameras.py --radcam target/release/radcam --out cameras --seeds 1,2,3 [--only NAME,...] [--strength 1]
 
 needs numpy and tifffile. Prints a row for every camera: what was hidden, the error before and after, what was named. Ends with 1
 where a name is wrong. The shapes of some effects differ from the program's own on purpose; `docs/CONFUSION.md` has the results.
