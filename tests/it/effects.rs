@@ -438,7 +438,7 @@ units = { v = "DN^2" }
     let (before, after) = (error(&before), error(&String::from_utf8_lossy(&after.stdout)));
     assert!(before > 2.0 && after < 1.2, "{before} -> {after}");
     let said = expect(0, &["model", "fit", &at("m.toml"), root.to_str().unwrap()]);
-    assert!(said.contains("shared-by-two-by-two") && said.contains("DN^2"), "{said}");
+    assert!(said.contains("shared-by-two-by-two") && said.contains("DN²"), "{said}");
     let model = Model::from_toml(&std::fs::read_to_string(at("m.toml")).unwrap()).unwrap();
     let v = model.effects[0].parameters["v"];
     assert!((v - 1.0).abs() < 4.0 * model.effects[0].std_err["v"], "{v}");
