@@ -333,7 +333,7 @@ fn as_given(values: &[f64], given: &[Option<f64>]) -> Vec<f64> {
     values.iter().enumerate().map(|(i, v)| given.get(i).copied().flatten().unwrap_or(*v)).collect()
 }
 
-/// Adds one more effect to a model and fits all of it, from every start of the effect ([`starts`]), with what is given of its
+/// Adds one more effect to a model and fits all of it, from every start of the effect ([`Effect::starts`]), with what is given of its
 /// parameters as a start as well; `None` where none moves anything. `fresh`: from a first guess of the paper's parameters too, since a
 /// fit that is far off may have bent what is sound to please what is not.
 pub fn fit_with(
