@@ -74,7 +74,7 @@ fn moments(c: &mut Criterion) {
 
 /// Every statistic of a set's noise over 16 frames of a megapixel: 15 covariances, lines, spectrum, tails, codes.
 fn statistics(c: &mut Criterion) {
-    use radcam::statistics::pass::{Layout, collect_with};
+    use radcam::statistics::{layout::Layout, pass::collect_with};
     let (rows, columns, n) = (1024usize, 1024, 16);
     let code = |f: usize, p: usize| 2000 + (((p * 31 + f * 7919) * 2_654_435_761) >> 16) as u16 % 64;
     let frames: Vec<Vec<u16>> = (0..n).map(|f| (0..rows * columns).map(|p| code(f, p)).collect()).collect();

@@ -2,8 +2,9 @@
 
 use super::observe::Statistic;
 use crate::statistics::jackknife::Value;
+use crate::statistics::layout::Layout;
 use crate::statistics::median::median;
-use crate::statistics::pass::{Layout, Summary};
+use crate::statistics::pass::Summary;
 use crate::statistics::spectrum::Power;
 use ndarray::Array2;
 use radcam_sim::predict::BITS;

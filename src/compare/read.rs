@@ -5,8 +5,9 @@
 use super::global;
 use super::observe::ObserveError;
 use crate::dataset::{Dataset, Kind};
+use crate::statistics::layout::Layout;
 use crate::statistics::median::median;
-use crate::statistics::pass::{Layout, Pass, Summary};
+use crate::statistics::pass::{Pass, Summary};
 use ndarray::Array2;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};

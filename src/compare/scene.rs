@@ -7,7 +7,7 @@
 use super::read::SceneMean;
 use crate::dataset::{FrameRow, Kind};
 use crate::statistics::jackknife::Value;
-use crate::statistics::pass::Layout;
+use crate::statistics::layout::Layout;
 use ndarray::Array2;
 use radcam_sim::predict::Prediction;
 use std::ops::Range;

@@ -2,7 +2,8 @@
 //! columns.
 
 use super::jackknife::{BLOCKS, Blocks, Value};
-use super::pass::{Layout, Quadratic};
+use super::layout::Layout;
+use super::pass::Quadratic;
 
 /// Lags: rows down, columns right, both diagonal signs.
 pub const LAGS: [(i32, i32); 10] =

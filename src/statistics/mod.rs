@@ -5,6 +5,7 @@
 pub mod covariance;
 pub mod frame_means;
 pub mod jackknife;
+pub mod layout;
 pub mod level;
 pub mod lines;
 pub mod median;

@@ -7,88 +7,16 @@
 
 use super::covariance::{Covariance, Covariances};
 use super::frame_means::FrameMeans;
-use super::jackknife::{Blocks, Value};
+use super::jackknife::Value;
+use super::layout::Layout;
 use super::lines::Lines;
 use super::moments::SizeMismatch;
 use super::occupancy::Occupancy;
 use super::spectrum::Power;
 use super::successive::Successive;
 use super::variance::Variance;
-use ndarray::Array2;
 use radcam_sim::predict::PLACES;
 use rayon::prelude::*;
-
-/// Which pixels count, and what is known of them: the same for all sets of a campaign.
-#[derive(Debug)]
-pub struct Layout {
-    shape: (usize, usize),
-    /// 1 for a pixel that counts, row by row.
-    pub mask: Vec<f32>,
-    /// How many count, in all.
-    pub pixels: f64,
-    /// In each row, in each column.
-    pub row_pixels: Vec<f32>,
-    /// See `row_pixels`.
-    pub column_pixels: Vec<f32>,
-    /// The pixels' level without light, DN, where it is known.
-    pub zero: Option<Vec<f32>>,
-    /// Growth of a pixel's variance with its signal, DN: brighter pixels are not taken for unequal ones.
-    pub gain: f64,
-    full_scale_dn: u16,
-    pairs: Covariance,
-}
-
-impl Layout {
-    /// For frames of the shape of `used` (rows, columns).
-    pub fn new(used: &Array2<bool>, full_scale_dn: u16) -> Self {
-        let mask: Vec<f32> = used.iter().map(|u| f32::from(*u)).collect();
-        let line = |axis: usize| -> Vec<f32> {
-            used.lanes(ndarray::Axis(axis))
-                .into_iter()
-                .map(|l| l.iter().filter(|u| **u).count() as f32)
-                .collect()
-        };
-        let mut layout = Self {
-            shape: used.dim(),
-            pixels: mask.iter().map(|m| f64::from(*m)).sum(),
-            row_pixels: line(1),
-            column_pixels: line(0),
-            mask,
-            zero: None,
-            gain: 0.0,
-            full_scale_dn,
-            pairs: Covariance::new(used.dim()),
-        };
-        // Pairs of pixels that count are the products of the mask.
-        let mut pairs = Covariance::new(used.dim());
-        (0..layout.shape.0).for_each(|y| pairs.row(y, &layout.mask, &layout));
-        layout.pairs = pairs;
-        layout
-    }
-
-    /// Columns.
-    pub fn columns(&self) -> usize {
-        self.shape.1
-    }
-
-    /// Every run of pixels of a row that lies within one block: their places, how many of them count, and the block.
-    pub fn runs(&self, mut act: impl FnMut(std::ops::Range<usize>, f64, (usize, usize))) {
-        let (rows, columns) = self.shape;
-        for y in 0..rows {
-            let mut from = 0;
-            while from < columns {
-                let block = Blocks::of(from, columns);
-                let to = Blocks::end(block, columns);
-                let run = y * columns + from..y * columns + to;
-                let count: f32 = self.mask[run.clone()].iter().sum();
-                if count > 0.0 {
-                    act(run, f64::from(count), (Blocks::of(y, rows), block));
-                }
-                from = to;
-            }
-        }
-    }
-}
 
 /// A sum of products of deviations.
 pub trait Quadratic {
@@ -404,7 +332,7 @@ impl pulp::NullaryFnOnce for Total<'_> {
 /// Every statistic of frames that lie in memory, on all cores.
 ///
 /// ```
-/// use radcam::statistics::pass::{Layout, collect};
+/// use radcam::statistics::{layout::Layout, pass::collect};
 /// let layout = Layout::new(&ndarray::Array2::from_elem((2, 2), true), 4095);
 /// let said = collect(&layout, &[&[10, 12, 9, 9], &[12, 10, 9, 9]])?.expect("two frames say something");
 /// assert!((said.var.value - 1.0).abs() < 1e-6); // two of four pixels have the variance 2
@@ -437,6 +365,7 @@ pub fn collect_with<'a>(
 mod tests {
     use super::*;
     use crate::statistics::covariance::LAGS;
+    use ndarray::Array2;
     use radcam_sim::rng::{PixelRng, Stream};
 
     const SHAPE: (usize, usize) = (64, 96);

@@ -1,7 +1,7 @@
 //! Power spectrum of the noise in read-out order.
 
+use super::layout::Layout;
 use super::lines::Lines;
-use super::pass::Layout;
 use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;

@@ -1,7 +1,7 @@
 //! Covariance of a pixel's noise with that in the next frame, from mean square successive differences (von Neumann 1941).
 
 use super::jackknife::{Blocks, Value};
-use super::pass::Layout;
+use super::layout::Layout;
 
 /// Squared differences of successive frames, and the frames at both ends.
 #[derive(Debug, Clone)]

@@ -1,7 +1,8 @@
 //! Temporal variance of every pixel, its mean, and how far the pixels differ in it.
 
 use super::jackknife::{Blocks, Value};
-use super::pass::{Layout, Quadratic};
+use super::layout::Layout;
+use super::pass::Quadratic;
 
 /// Squared deviations of every pixel.
 #[derive(Debug, Clone)]
