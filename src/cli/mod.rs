@@ -90,12 +90,16 @@ enum Verb {
     Demo(demo::Arguments),
 }
 
-/// Ends without a word where standard output is closed, as by `| head`: `println!` panics then.
+/// Ends without a word where nobody reads standard output any more, as with `| head`, and with the reason where it cannot be written:
+/// `println!` panics then.
 fn quiet_when_nobody_reads() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
         let text = info.payload().downcast_ref::<String>();
-        if text.is_some_and(|t| t.starts_with("failed printing to stdout")) {
+        if let Some(text) = text.filter(|t| t.starts_with("failed printing to stdout")) {
+            if !text.contains("Broken pipe") {
+                eprintln!("radcam: {text}");
+            }
             std::process::exit(2);
         }
         usual(info);

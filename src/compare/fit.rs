@@ -137,17 +137,11 @@ pub fn start(all: &Observations) -> BaseParameters {
         of(Statistic::Variance, Some(Kind::Flat)).map(|(s, v)| (level(s) - offset_dn, v)).collect();
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
     let constant = if constant.is_finite() { constant } else { points.first().map_or(1.0, |p| 0.2 * p.1) };
-    // Where the range ends too soon, its upper half is no guide: the lower half has the slopes.
     let top = points.last().map_or(0.0, |p| p.0);
-    let lower = || points.iter().filter(|p| p.0 > 0.02 * top && p.0 <= 0.55 * top);
     let middle = points.get(points.len() / 2).copied().unwrap_or((1.0, 1.0));
-    let slopes = if lower().count() >= 3 { lower().copied().collect() } else { vec![middle] };
-    let slope = |p: &(f64, f64)| (p.1 - constant) / p.0.max(1e-6);
-    let low_gain = median(slopes.iter().map(slope)).max(1e-6);
-    // Where few levels are low, most may lie where the range has ended: those have the smaller slopes.
-    let above = || points.iter().filter(|p| p.0 > 0.02 * top).map(slope);
-    let gain =
-        if lower().count() >= 3 { low_gain } else { of_the_largest(above()).unwrap_or(low_gain).max(1e-6) };
+    let slope = |p: &(f64, f64)| (p.0, (p.1 - constant) / p.0.max(1e-6));
+    let slopes: Vec<_> = points.iter().map(slope).collect();
+    let gain = before_the_end(&slopes, top).unwrap_or(slope(&middle).1).max(1e-6);
     let lights = all.campaign.sets.iter().filter_map(|s| s.light).max().map_or(0, |l| l + 1);
     let mut flux: Vec<f64> = (0..lights)
         .map(|l| {
@@ -157,10 +151,7 @@ pub fn start(all: &Observations) -> BaseParameters {
                 (above, above / all.campaign.sets[s].exposure_s / gain)
             });
             let rates: Vec<_> = rates.filter(|r| r.1.is_finite()).collect();
-            let low = || rates.iter().filter(|r| r.0 > 0.02 * top && r.0 <= 0.55 * top).map(|r| r.1);
-            let all = || rates.iter().filter(|r| r.0 > 0.02 * top).map(|r| r.1);
-            let rate = if low().count() >= 3 { Some(median(low())) } else { of_the_largest(all()) };
-            rate.unwrap_or_else(|| median(rates.iter().map(|r| r.1))).max(1e-6)
+            before_the_end(&rates, top).unwrap_or_else(|| median(rates.iter().map(|r| r.1))).max(1e-6)
         })
         .map(|v| if v.is_finite() { v } else { 1.0 })
         .collect();
@@ -186,6 +177,14 @@ pub fn start(all: &Observations) -> BaseParameters {
         dark_e_per_s: dark_dn_per_s / gain,
         flux_e_per_s: flux,
     }
+}
+
+/// The usual one of values that fall where the range has ended, of (level, value): where three or more levels lie in the lower half of
+/// all up to `top`, their median; where few do, that of the largest. `None` where no level stands out.
+fn before_the_end(all: &[(f64, f64)], top: f64) -> Option<f64> {
+    let clear = || all.iter().filter(|p| p.0 > 0.02 * top);
+    let low = || clear().filter(|p| p.0 <= 0.55 * top).map(|p| p.1);
+    if low().count() >= 3 { Some(median(low())) } else { of_the_largest(clear().map(|p| p.1)) }
 }
 
 /// Median of the values that are not far below the largest; `None` without any.

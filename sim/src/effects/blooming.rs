@@ -22,7 +22,7 @@ impl Effect for This {
 
     /// Near the brightest level.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
-        [1.0, 0.9, 1.15].map(|part| vec![part * seen.peak_e.max(1.0)]).to_vec()
+        seen.near_peak()
     }
 
     fn page(&self) -> Page {

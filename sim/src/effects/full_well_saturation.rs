@@ -8,6 +8,7 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Seen, Stage,
 pub struct This;
 
 /// What clipping leaves of normal noise in pixels whose levels differ.
+#[derive(Default)]
 pub(crate) struct Clipped {
     pub mean: f64,
     /// Mean of the pixels' variances.
@@ -38,28 +39,12 @@ fn cut(mean: f64, variance: f64, limit: f64) -> Clipped {
     let sd = libm::sqrt(variance.max(1e-12));
     let c = (limit - mean) / sd;
     if c > 8.0 {
-        return Clipped {
-            mean,
-            variance,
-            unequal: 0.0,
-            fourth: 0.0,
-            above: 0.0,
-            lost: 0.0,
-            lost_variance: 0.0,
-        };
+        return Clipped { mean, variance, ..Clipped::default() };
     }
     if c < -8.0 {
         // Of all of it only the limit is left; the moments below would be differences of large numbers.
         let lost = mean - limit;
-        return Clipped {
-            mean: limit,
-            variance: 0.0,
-            unequal: 0.0,
-            fourth: 0.0,
-            above: 1.0,
-            lost,
-            lost_variance: variance,
-        };
+        return Clipped { mean: limit, above: 1.0, lost, lost_variance: variance, ..Clipped::default() };
     }
     let below = 0.5 * libm::erfc(-c / std::f64::consts::SQRT_2);
     let above = 0.5 * libm::erfc(c / std::f64::consts::SQRT_2);
@@ -77,11 +62,11 @@ fn cut(mean: f64, variance: f64, limit: f64) -> Clipped {
     Clipped {
         mean: mean + sd * first,
         variance: variance * left,
-        unequal: 0.0,
         fourth: variance * variance * (fourth - 3.0 * left * left),
         above,
         lost: sd * lost,
         lost_variance: variance * ((1.0 + c * c) * above - c * density - lost * lost).max(0.0),
+        ..Clipped::default()
     }
 }
 
@@ -123,7 +108,7 @@ impl Effect for This {
 
     /// Near the brightest level.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
-        [1.0, 0.9, 1.15].map(|part| vec![part * seen.peak_e.max(1.0)]).to_vec()
+        seen.near_peak()
     }
 
     fn page(&self) -> Page {

@@ -1,5 +1,6 @@
 //! Image lag: charge that stays behind and is read with the next frame.
 
+use super::temporal_filter::running_average;
 use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
 
 /// A share of a frame's charge is handed on to the next; of that, again a share, or all of it is read.
@@ -55,12 +56,9 @@ impl Effect for This {
             *m = read(p, charge, held);
             held = left(p, charge, held);
         }
-        // The weights with which frames are in one: what is read of a frame's charge at once, with the next, and so on.
-        let weights: Vec<f64> =
-            if p[1] >= 0.5 { (0..10).map(|k| (1.0 - f) * f.powi(k)).collect() } else { vec![1.0 - f, f] };
-        let products = |k: usize| weights.iter().zip(&weights[k..]).map(|(a, b)| a * b).sum::<f64>();
-        let less = products(0);
-        let memory: Vec<f64> = (1..weights.len()).map(|k| products(k) / less).collect();
+        let once = (1.0 - f) * (1.0 - f) + f * f;
+        let (less, memory) =
+            if p[1] >= 0.5 { running_average(f) } else { (once, vec![f * (1.0 - f) / once]) };
         for s in &mut out.sets {
             s.shot.scale(less);
             s.shot_memory.clone_from(&memory);

@@ -62,6 +62,13 @@ pub struct Seen {
     pub line_cycles_per_px: Option<f64>,
 }
 
+impl Seen {
+    /// Starts of a charge at which something ends: near the brightest level, e.
+    fn near_peak(&self) -> Vec<Vec<f64>> {
+        [1.0, 0.9, 1.15].map(|part| vec![part * self.peak_e.max(1.0)]).to_vec()
+    }
+}
+
 impl Parameter {
     /// Whether it says which of several kinds, and is not fitted: every start is tried. Its unit is `choice`.
     pub fn is_choice(&self) -> bool {

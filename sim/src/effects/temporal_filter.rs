@@ -5,6 +5,12 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes
 /// A running average with weight 1 - alpha for the new frame.
 pub struct This;
 
+/// What y_t = (1 - a) x_t + a y_(t-1) makes of independent noise: its variance, relative, and the correlations over 1, 2, ... frames
+/// (an autoregression of the first order: Box and Jenkins 1976, 3.2.3).
+pub(super) fn running_average(a: f64) -> (f64, Vec<f64>) {
+    ((1.0 - a) / (1.0 + a), (1..=8).map(|k| libm::pow(a, f64::from(k))).collect())
+}
+
 impl Effect for This {
     fn id(&self) -> &'static str {
         "temporal-filter"
@@ -39,15 +45,14 @@ impl Effect for This {
             let now = (1.0 - a) * *m + a * last.unwrap_or(*m);
             (*m, last) = (now, Some(now));
         }
+        let (less, memory) = running_average(a);
         for s in &mut out.sets {
             let before = s.covariance(0, 0);
-            let less = (1.0 - a) / (1.0 + a);
             s.shot.scale(less);
             s.read.scale(less);
             (s.row, s.column, s.common) = (s.row * less, s.column * less, s.common * less);
             s.follow(before);
-            let memory: Vec<f64> = (1..=8).map(|k| libm::pow(a, f64::from(k))).collect();
-            (s.shot_memory, s.read_memory) = (memory.clone(), memory);
+            (s.shot_memory, s.read_memory) = (memory.clone(), memory.clone());
         }
     }
 
