@@ -83,11 +83,12 @@ impl EffectValues {
         effect.parameters().iter().map(|p| self.parameters.get(p.name).copied()).collect()
     }
 
-    /// Values to draw with, in the order of the effect's parameters; where one is missing the first that a search would begin at. An
-    /// error names a parameter for which there is none.
+    /// Values to draw with, in the order of the effect's parameters. An error names one that is not given; a choice that is not is the
+    /// first.
     pub fn values(&self, effect: &dyn Effect) -> Result<Vec<f64>, ModelError> {
         let of = |p: &effects::Parameter| {
-            self.parameters.get(p.name).or(p.starts.first()).copied().ok_or_else(|| {
+            let usual = p.starts.first().filter(|_| p.is_choice());
+            self.parameters.get(p.name).or(usual).copied().ok_or_else(|| {
                 ModelError::Effect(format!(
                     "effect {} needs a value of {} ({} to {} {}); `radcam model fit` finds it in a dataset",
                     self.id, p.name, p.min, p.max, p.unit

@@ -282,3 +282,13 @@ fn resume_from_the_command_line() {
     assert!(said.contains("cannot be used with"), "{said}");
     expect(0, &["noise", root.to_str().unwrap()]);
 }
+
+/// A standard output that cannot be written is an error with its reason, not a panic.
+#[test]
+fn a_full_disk_is_told() {
+    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let out = crate::support::program().arg("effects").stdout(full).output().unwrap();
+    let said = String::from_utf8_lossy(&out.stderr);
+    assert_eq!(out.status.code(), Some(2), "{said}");
+    assert!(said.contains("No space left") && !said.contains("panicked"), "{said}");
+}

@@ -20,10 +20,14 @@ pub fn camera(model: Model) -> (SimCamera, SharedBench) {
     (SimCamera::new("test", Arc::new(Sensor::new(model).unwrap()), bench.clone()), bench)
 }
 
-/// Runs the program; another one than this checkout's where RADCAM_PROGRAM names it.
+/// The program; another one than this checkout's where RADCAM_PROGRAM names it.
+pub fn program() -> Command {
+    Command::new(std::env::var("RADCAM_PROGRAM").unwrap_or_else(|_| env!("CARGO_BIN_EXE_radcam").into()))
+}
+
+/// Runs the program.
 pub fn radcam(arguments: &[&str]) -> Output {
-    let program = std::env::var("RADCAM_PROGRAM").unwrap_or_else(|_| env!("CARGO_BIN_EXE_radcam").into());
-    Command::new(program).args(arguments).output().unwrap()
+    program().args(arguments).output().unwrap()
 }
 
 /// Standard output of a run that must end with this exit code.
