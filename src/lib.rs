@@ -33,13 +33,15 @@ pub mod camera;
 pub mod capture;
 #[cfg(feature = "cli")]
 pub mod cli;
-pub mod compare;
+
 pub mod correct;
 pub mod dataset;
-pub mod diagnose;
+pub mod diagnosis;
 pub mod fit;
 pub mod frame;
+pub mod inference;
 pub mod noise;
+pub mod observables;
 pub mod pixel_format;
 pub mod plan;
 pub mod report;

@@ -65,6 +65,8 @@ pub struct Sensor {
     light: Mutex<Option<(LightKey, Arc<Array2<f32>>)>>,
     /// What effects keep from the frame drawn last.
     memory: Mutex<Memory>,
+    /// Setting of light and exposure of the frame drawn last, and its number.
+    setting: Mutex<(Option<Setting>, u64)>,
     /// The model's effects with their values, in the order of the chain.
     effects: Vec<(&'static dyn Effect, Vec<f64>)>,
 }
@@ -188,6 +190,9 @@ impl pulp::NullaryFnOnce for Band<'_> {
     }
 }
 
+/// What makes a setting another one.
+type Setting = (u64, u64, Scene, u32);
+
 impl std::fmt::Debug for Sensor {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Sensor").field("model", &self.model).finish_non_exhaustive()
@@ -205,7 +210,7 @@ impl Sensor {
             .map(|e| e.effect().and_then(|effect| Ok((effect, e.values(effect)?))))
             .collect::<Result<Vec<_>, _>>()?;
         effects.sort_by_key(|(e, _)| e.stage());
-        Ok(Self { model, maps, light: Mutex::new(None), memory: Mutex::default(), effects })
+        Ok(Self { model, maps, light: Mutex::new(None), memory: Mutex::default(), setting: Mutex::default(), effects })
     }
 
     /// The model.
@@ -248,6 +253,16 @@ impl Sensor {
                 map
             }
         }
+    }
+
+    /// Number of the setting of light and exposure: frames that follow one another under the same belong to one.
+    fn setting(&self, c: &Conditions) -> u64 {
+        let key = (c.exposure_s.to_bits(), c.illumination.to_bits(), c.scene, c.configuration);
+        let mut known = self.setting.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.0 != Some(key) {
+            *known = (Some(key), known.1 + 1);
+        }
+        known.1
     }
 
     fn scalars(&self, frame: u64, c: &Conditions) -> Scalars {
@@ -330,10 +345,14 @@ impl Sensor {
             .and(&self.maps.dark_current)
             .map_collect(|&r, &d| r * exposure_s + s.dark_e * f64::from(d));
         let mut memory = self.memory.lock().unwrap_or_else(PoisonError::into_inner);
+        let dark_e_per_s = self.maps.dark_current.mapv(|d| s.dark_e / exposure_s * f64::from(d));
         let mut d = Drawing {
             image: expected,
             rate_e_per_s: &rate,
+            dark_e_per_s: &dark_e_per_s,
             exposure_s,
+            illumination: conditions.illumination,
+            setting: self.setting(conditions),
             time_s: conditions.time_s,
             frame: s.frame,
             seed: s.seed,
@@ -367,9 +386,13 @@ impl Sensor {
         d.image.zip_mut_with(&self.maps.offset_dn, |v, &o| *v += f64::from(o));
         run(&mut d, Stage::Converter, Stage::Converter);
         let code = |v: f64| libm::ceil(v - 0.5).clamp(0.0, s.full_scale_dn);
-        // Firmware works with more bits than it hands out: one rounding, at the end.
         d.image += s.black_level_dn;
-        run(&mut d, Stage::Firmware, Stage::Firmware);
+        d.image.mapv_inplace(code);
+        // Firmware takes whole codes and hands on whole codes.
+        for (e, p) in effects.iter().filter(|(e, _)| e.stage() == Stage::Firmware) {
+            e.draw(p, &mut d);
+            d.image.mapv_inplace(code);
+        }
         let (x, y) = (region.x as usize, region.y as usize);
         let part = d.image.slice(ndarray::s![y..y + region.height as usize, x..x + region.width as usize]);
         out.iter_mut().zip(part).for_each(|(o, &v)| *o = code(v) as u16);

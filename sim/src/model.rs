@@ -86,16 +86,24 @@ impl EffectValues {
     /// Values to draw with, in the order of the effect's parameters. An error names one that is not given; a choice that is not is the
     /// first.
     pub fn values(&self, effect: &dyn Effect) -> Result<Vec<f64>, ModelError> {
-        let of = |p: &effects::Parameter| {
-            let usual = p.starts.first().filter(|_| p.is_choice());
-            self.parameters.get(p.name).or(usual).copied().ok_or_else(|| {
+        let mut choices: Vec<f64> = Vec::new();
+        for p in effect.parameters() {
+            let usual = if p.is_choice() { p.starts.first().copied() } else { None };
+            choices.push(self.parameters.get(p.name).copied().or(usual).unwrap_or(0.0));
+        }
+        let of = |(k, p): (usize, &effects::Parameter)| {
+            // What these choices do not use needs no value.
+            let idle = !effect.uses(&choices, k);
+            let usual = p.starts.first().copied().filter(|_| p.is_choice() || idle);
+            let usual = usual.or(idle.then_some(p.min.max(0.0)));
+            self.parameters.get(p.name).copied().or(usual).ok_or_else(|| {
                 ModelError::Effect(format!(
                     "effect {} needs a value of {} ({} to {} {}); `radcam model fit` finds it in a dataset",
                     self.id, p.name, p.min, p.max, p.unit
                 ))
             })
         };
-        effect.parameters().iter().map(of).collect()
+        effect.parameters().iter().enumerate().map(of).collect()
     }
 }
 

@@ -4,12 +4,16 @@
 //! (Wiener-Khinchin); covariances at small lags come back by the inverse transform.
 
 use crate::effects::Clipped;
-use crate::quantize::rounded;
+use crate::quantize::{NODES, rounded};
 
 /// Side of the grid of spatial frequencies.
 pub const GRID: usize = 16;
 
-/// Power of the noise at GRID x GRID spatial frequencies (row-major: vertical, horizontal), e^2 or DN^2 for each pixel.
+/// Frequencies from 0 to half a cycle per pixel along one axis: those below 0 mirror them, since every spectrum here is even along
+/// each axis.
+pub const HALF: usize = GRID / 2 + 1;
+
+/// Power of the noise at HALF x HALF spatial frequencies (row-major: vertical, horizontal), e^2 or DN^2 for each pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spectrum(pub Vec<f64>);
 
@@ -18,16 +22,21 @@ pub fn angle(i: usize) -> f64 {
     std::f64::consts::TAU * i as f64 / GRID as f64
 }
 
+/// Share of frequency number i among all of one axis.
+fn share(i: usize) -> f64 {
+    (if i == 0 || i == HALF - 1 { 1.0 } else { 2.0 }) / GRID as f64
+}
+
 impl Spectrum {
     /// Noise without correlation.
     pub fn white(variance: f64) -> Self {
-        Self(vec![variance; GRID * GRID])
+        Self(vec![variance; HALF * HALF])
     }
 
     /// Multiplies the power at each frequency (vertical, horizontal angle).
     pub fn shape(&mut self, gain: impl Fn(f64, f64) -> f64) {
         for (i, p) in self.0.iter_mut().enumerate() {
-            *p *= gain(angle(i / GRID), angle(i % GRID));
+            *p *= gain(angle(i / HALF), angle(i % HALF));
         }
     }
 
@@ -36,46 +45,128 @@ impl Spectrum {
         self.0.iter_mut().for_each(|p| *p *= by);
     }
 
+    /// Adds noise without correlation.
+    pub fn add_white(&mut self, variance: f64) {
+        self.0.iter_mut().for_each(|p| *p += variance);
+    }
+
     /// Covariance at a lag: rows down, columns to the right; at most 3 of each.
     pub fn lag(&self, dy: i32, dx: i32) -> f64 {
         if let Some(variance) = self.of_white() {
             return if (dy, dx) == (0, 0) { variance } else { 0.0 };
         }
-        let table = &cosines()[((dy.clamp(-3, 3) + 3) * 7 + dx.clamp(-3, 3) + 3) as usize];
+        let table = &cosines()[((dy.abs().min(3)) * 4 + dx.abs().min(3)) as usize];
         // Sums that do not wait for each other: a fit asks for this some million times.
-        let mut lanes = [0.0; 8];
-        for (powers, cosines) in self.0.as_chunks::<8>().0.iter().zip(table.as_chunks::<8>().0) {
-            for i in 0..8 {
+        let mut lanes = [0.0; HALF];
+        for (powers, cosines) in self.0.as_chunks::<HALF>().0.iter().zip(table.as_chunks::<HALF>().0) {
+            for i in 0..HALF {
                 lanes[i] += powers[i] * cosines[i];
             }
         }
-        lanes.iter().sum::<f64>() / self.0.len() as f64
+        lanes.iter().sum()
     }
 
     /// The variance, where noise is without correlation.
     fn of_white(&self) -> Option<f64> {
         let first = self.0[0];
-        self.0.as_chunks::<8>().0.iter().all(|powers| powers.iter().all(|p| *p == first)).then_some(first)
+        self.0.iter().all(|p| *p == first).then_some(first)
     }
 
     /// Power of the mean over all pixels, times their number.
     pub fn of_mean(&self) -> f64 {
         self.0[0]
     }
+
+    /// Power of the means of rows (axis 1) or of columns (axis 0), times the pixels of one: what has no variation along them.
+    pub fn along(&self, axis: usize) -> f64 {
+        (0..HALF).map(|i| share(i) * self.0[if axis == 1 { i * HALF } else { i }]).sum()
+    }
+
+    /// Covariance of the means of rows this far apart, times the pixels of one.
+    pub fn along_lag(&self, rows: usize) -> f64 {
+        if self.of_white().is_some() {
+            return 0.0;
+        }
+        (0..HALF).map(|i| share(i) * self.0[i * HALF] * libm::cos(angle(i) * rows as f64)).sum()
+    }
 }
 
-/// The cosine of each frequency at each lag from -3 to 3 in both directions.
+/// The cosine of each frequency at each lag from 0 to 3 in both directions, times the frequency's share.
 fn cosines() -> &'static [Vec<f64>] {
     use std::sync::OnceLock;
     static TABLE: OnceLock<Vec<Vec<f64>>> = OnceLock::new();
     TABLE.get_or_init(|| {
-        let at = |dy: i32, dx: i32| {
-            (0..GRID * GRID)
-                .map(|i| libm::cos(angle(i / GRID) * f64::from(dy) + angle(i % GRID) * f64::from(dx)))
-                .collect()
-        };
-        (-3..=3).flat_map(|dy| (-3..=3).map(move |dx| at(dy, dx))).collect()
+        let of = |i: usize, d: usize| share(i) * libm::cos(angle(i) * d as f64);
+        let at = |dy: usize, dx: usize| (0..HALF * HALF).map(|i| of(i / HALF, dy) * of(i % HALF, dx)).collect();
+        (0..4).flat_map(|dy| (0..4).map(move |dx| at(dy, dx))).collect()
     })
+}
+
+/// Noise that the pixels of a line share: its power from line to line at HALF frequencies, e^2, then DN^2.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct LineNoise([f64; HALF]);
+
+impl LineNoise {
+    /// Adds noise that lines do not share.
+    pub fn add(&mut self, variance: f64) {
+        self.0.iter_mut().for_each(|p| *p += variance);
+    }
+
+    /// Covariance of lines this far apart.
+    pub fn lag(&self, d: i32) -> f64 {
+        if self.0.iter().all(|p| *p == self.0[0]) {
+            return if d == 0 { self.0[0] } else { 0.0 };
+        }
+        let of = |(i, p): (usize, &f64)| share(i) * p * libm::cos(angle(i) * f64::from(d));
+        self.0.iter().enumerate().map(of).sum()
+    }
+
+    /// Power of the mean over all lines, times their number.
+    pub fn of_mean(&self) -> f64 {
+        self.0[0]
+    }
+
+    fn scale(&mut self, by: f64) {
+        self.0.iter_mut().for_each(|p| *p *= by);
+    }
+}
+
+/// A linear filter of the image: what it does to power at every frequency.
+pub struct Filter<'a> {
+    power: &'a dyn Fn(f64, f64) -> f64,
+    table: Vec<f64>,
+}
+
+impl<'a> Filter<'a> {
+    /// From the square of its gain at a vertical and a horizontal angle, radians per pixel; even in both.
+    pub fn new(power: &'a dyn Fn(f64, f64) -> f64) -> Self {
+        let table = (0..HALF * HALF).map(|i| power(angle(i / HALF), angle(i % HALF))).collect();
+        Self { power, table }
+    }
+
+    /// Acts on one kind of noise.
+    pub fn apply(&self, noise: &mut Spectrum) {
+        noise.0.iter_mut().zip(&self.table).for_each(|(p, h)| *p *= h);
+    }
+}
+
+/// How a light that ripples while a rolling shutter runs changes from row to row.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Ripple {
+    /// A sine of so many cycles per row, with a phase of its own in every frame.
+    Sine(f64),
+    /// A slow wander: correlation from one row to the next.
+    Wander(f64),
+}
+
+impl Ripple {
+    /// Correlation of rows this far apart.
+    pub fn correlation(&self, rows: f64) -> f64 {
+        match *self {
+            Self::Sine(cycles) => libm::cos(std::f64::consts::TAU * cycles * rows),
+            Self::Wander(next) => libm::pow(next.clamp(0.0, 1.0), rows.abs()),
+        }
+    }
 }
 
 /// A frame of a campaign.
@@ -103,6 +194,8 @@ pub struct SetInfo {
     pub light: Option<usize>,
     /// Light relative to the campaign's unit.
     pub illumination: f64,
+    /// Light of this set over that of its lamp level: 1 where every level has a light of its own.
+    pub light_ratio: f64,
     /// Spatial deviation of the signal over its mean.
     pub spread: f64,
     /// Spatial deviation of the level, fixed pattern of the offset included, DN.
@@ -122,6 +215,8 @@ pub struct Campaign {
     pub shape: (usize, usize),
     /// Largest code, DN.
     pub full_scale_dn: f64,
+    /// Usual time from the end of a frame to the end of the next, s.
+    pub frame_s: f64,
     /// The strongest line that the noise's spectrum has in read-out order, cycles per pixel.
     pub line_cycles_per_px: Option<f64>,
 }
@@ -139,9 +234,32 @@ pub struct BaseParameters {
     pub dark_e_per_s: f64,
     /// Light of each lamp level, e/s.
     pub flux_e_per_s: Vec<f64>,
+    /// Signal of the frames before the first, e, for effects that remember; `None`: nothing was exposed.
+    pub past_e: Option<f64>,
+    /// The light monitor, where there is one.
+    pub monitor: Option<Monitor>,
+}
+
+/// A light monitor beside the camera.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Monitor {
+    /// Logarithm of its reading for one electron of light.
+    pub ln_per_e: f64,
+    /// Relative scatter of its readings.
+    pub rel: f64,
+}
+
+impl BaseParameters {
+    /// Electrons per pixel and second that light brings to a set.
+    pub fn rate_e_per_s(&self, set: &SetInfo) -> f64 {
+        set.light.and_then(|l| self.flux_e_per_s.get(l)).copied().unwrap_or(0.0) * set.light_ratio
+    }
 }
 
 /// Expected statistics of one set.
+///
+/// What acts on the whole image acts through one operation on all parts of it: [`gain`](Self::gain), [`filter`](Self::filter),
+/// [`remember`](Self::remember).
 #[derive(Debug, Clone, PartialEq)]
 pub struct SetPrediction {
     /// Mean signal of the settled frames, e before the amplifier, DN above zero after it.
@@ -150,12 +268,16 @@ pub struct SetPrediction {
     pub shot: Spectrum,
     /// Power of the noise added at read-out, e^2, then DN^2.
     pub read: Spectrum,
-    /// Variance common to the pixels of a row, of a column, of a frame.
-    pub row: f64,
-    /// See `row`.
-    pub column: f64,
-    /// See `row`.
+    /// Noise common to the pixels of a row, from row to row.
+    pub row: LineNoise,
+    /// Noise common to the pixels of a column, from column to column.
+    pub column: LineNoise,
+    /// Light that changes from row to row within a frame: variance and how.
+    pub ripples: Vec<(f64, Ripple)>,
+    /// Variance common to the pixels of a frame.
     pub common: f64,
+    /// Variance common to all frames of the set, against other sets.
+    pub setting: f64,
     /// Correlation of the noise with that of the frame 1, 2, ... later: of shot noise, of read noise.
     pub shot_memory: Vec<f64>,
     /// See `shot_memory`.
@@ -177,6 +299,8 @@ pub struct SetPrediction {
     pub growth: (f64, f64),
     /// Covariance with the next column from odd columns less that from even ones; with the next row alike.
     pub parity: (f64, f64),
+    /// Share of the codes around the level that occur.
+    pub codes_used: f64,
 }
 
 /// Everything that is expected.
@@ -186,12 +310,16 @@ pub struct Prediction {
     pub frame_signal: Vec<f64>,
     /// Statistics of every set.
     pub sets: Vec<SetPrediction>,
+    /// Light of every set's settled frames as a monitor beside the camera sees it, e.
+    pub light_e: Vec<f64>,
     /// Base parameters in force.
     pub base: BaseParameters,
     /// What the weight of each bit is too large by, DN.
     pub bit_errors_dn: [f64; BITS],
     /// Every code is a multiple of this, DN.
     pub code_step_dn: f64,
+    /// Whether firmware has handed on whole codes already.
+    pub whole: bool,
     /// Gain of the right half over the left, minus 1, and its offset, DN; of the lower half over the upper; of odd columns over even
     /// ones; of odd rows.
     pub taps: [(f64, f64); 4],
@@ -201,13 +329,97 @@ pub struct Prediction {
     pub bloom_e: f64,
 }
 
-/// Bits of a code whose weights are looked at.
-pub const BITS: usize = 6;
+/// Bits of a code at most.
+pub const BITS: usize = 16;
 
 impl SetPrediction {
-    /// After noise was filtered, from the variance before: what pixels have of their own follows their variance.
+    fn new(signal: f64) -> Self {
+        Self {
+            signal,
+            shot: Spectrum::white(0.0),
+            read: Spectrum::white(0.0),
+            row: LineNoise::default(),
+            column: LineNoise::default(),
+            ripples: Vec::new(),
+            common: 0.0,
+            setting: 0.0,
+            shot_memory: Vec::new(),
+            read_memory: Vec::new(),
+            unequal: 0.0,
+            fourth: 0.0,
+            unsure: 0.0,
+            unsure_var: 0.0,
+            unsure_mean: 0.0,
+            lines: Vec::new(),
+            growth: (0.0, 0.0),
+            parity: (0.0, 0.0),
+            codes_used: 1.0,
+        }
+    }
+
+    /// Multiplies the image about its mean: all noise by the square.
+    pub fn gain(&mut self, by: f64) {
+        self.scale(by * by);
+    }
+
+    /// Multiplies every variance.
+    pub(crate) fn scale(&mut self, square: f64) {
+        self.shot.scale(square);
+        self.read.scale(square);
+        self.shared(square);
+        self.setting *= square;
+        self.unsure_mean *= square.abs().sqrt();
+        self.pixels_follow(square);
+    }
+
+    /// Multiplies the variance of what pixels, rows, columns and frames share from frame to frame.
+    fn shared(&mut self, square: f64) {
+        self.row.scale(square);
+        self.column.scale(square);
+        self.common *= square;
+        self.lines.iter_mut().for_each(|l| l.0 *= square);
+        self.ripples.iter_mut().for_each(|r| r.0 *= square);
+        self.parity = (self.parity.0 * square, self.parity.1 * square);
+    }
+
+    /// Filters the image.
+    pub fn filter(&mut self, filter: &Filter<'_>) {
+        let before = self.pixels();
+        filter.apply(&mut self.shot);
+        filter.apply(&mut self.read);
+        for i in 0..HALF {
+            self.row.0[i] *= filter.table[i * HALF];
+            self.column.0[i] *= filter.table[i];
+        }
+        self.common *= filter.table[0];
+        self.setting *= filter.table[0];
+        self.lines.iter_mut().for_each(|(v, px, py)| *v *= (filter.power)(*py, *px));
+        for (v, ripple) in &mut self.ripples {
+            *v *= match ripple {
+                Ripple::Sine(cycles) => (filter.power)(std::f64::consts::TAU * *cycles, 0.0),
+                Ripple::Wander(_) => filter.table[0],
+            };
+        }
+        self.follow(before);
+    }
+
+    /// Mixes each frame with those before it: all noise is multiplied by `less` and remembers.
+    pub fn remember(&mut self, less: f64, memory: &[f64]) {
+        let setting = self.setting;
+        self.scale(less);
+        // What all frames of a set share stays.
+        self.setting = setting;
+        (self.shot_memory, self.read_memory) = (memory.to_vec(), memory.to_vec());
+    }
+
+    /// Variance of what single pixels have of their own.
+    pub(crate) fn pixels(&self) -> f64 {
+        self.shot.lag(0, 0) + self.read.lag(0, 0)
+    }
+
+    /// After noise was filtered, from the variance before: what is known of single pixels follows their variance.
     pub(crate) fn follow(&mut self, before: f64) {
-        let by = if before > 0.0 { self.covariance(0, 0) / before } else { 1.0 };
+        let by = if before > 0.0 { self.pixels() / before } else { 1.0 };
         self.pixels_follow(by);
     }
 
@@ -229,57 +441,75 @@ impl SetPrediction {
         self.unsure_mean = libm::hypot(self.unsure_mean, 0.1 * left.lost * (1.0 - left.above));
     }
 
-    /// Covariance at a lag of noise within a frame, DN^2: the frame's own mean is not taken off.
-    pub fn covariance(&self, dy: i32, dx: i32) -> f64 {
-        let row = if dy == 0 { self.row } else { 0.0 };
-        let column = if dx == 0 { self.column } else { 0.0 };
-        let line = |&(v, px, py): &(f64, f64, f64)| v * libm::cos(px * f64::from(dx) + py * f64::from(dy));
-        let lines: f64 = self.lines.iter().map(line).sum();
-        self.shot.lag(dy, dx) + self.read.lag(dy, dx) + row + column + lines
+    /// All noise of a clipped image: shared noise is lost where pixels are clipped.
+    pub(crate) fn cut_all(&mut self, less: f64, left: &Clipped) {
+        self.cut(less, left);
+        self.shot.scale(less);
+        self.read.scale(less);
+        self.shared(less);
+        self.setting *= less;
     }
 
-    /// Variance of a frame's mean over rows x columns pixels, the common part included.
-    pub fn frame_mean_var(&self, (rows, columns): (usize, usize)) -> f64 {
-        let pixels = (rows * columns) as f64;
+    /// Covariance at a lag of noise within a frame, DN^2: the frame's own mean is not taken off.
+    pub fn covariance(&self, dy: i32, dx: i32) -> f64 {
+        let line = |&(v, px, py): &(f64, f64, f64)| v * libm::cos(px * f64::from(dx) + py * f64::from(dy));
+        let lines: f64 = self.lines.iter().map(line).sum();
+        self.shot.lag(dy, dx)
+            + self.read.lag(dy, dx)
+            + self.row.lag(dy)
+            + self.column.lag(dx)
+            + self.ripple(f64::from(dy))
+            + lines
+    }
+
+    /// Covariance of rows this far apart that light has which changes from row to row.
+    pub fn ripple(&self, rows: f64) -> f64 {
+        self.ripples.iter().map(|(v, ripple)| v * ripple.correlation(rows)).sum()
+    }
+
+    /// Covariance of the light of places down the rows with the mean over all of them, where light changes from row to row. A slow
+    /// change: some dozens of places tell of it as all rows do. Empty where nothing does.
+    pub fn ripple_with_mean(&self, rows: usize) -> Vec<f64> {
+        if self.ripples.is_empty() {
+            return Vec::new();
+        }
+        let n = rows.clamp(1, 48);
+        let apart = rows as f64 / n as f64;
+        // Sums of the covariance up to each distance.
+        let mut sums = Vec::with_capacity(n);
+        let mut sum = 0.0;
+        for d in 0..n {
+            sum += self.ripple(d as f64 * apart);
+            sums.push(sum);
+        }
+        (0..n).map(|i| (sums[i] + sums[n - 1 - i] - sums[0]) / n as f64).collect()
+    }
+
+    /// Variance of a frame's mean over rows x columns pixels by what pixels and lines have of their own.
+    pub fn of_frame_mean(&self, (rows, columns): (usize, usize), pixels: f64) -> f64 {
         (self.shot.of_mean() + self.read.of_mean()) / pixels
-            + self.row / rows as f64
-            + self.column / columns as f64
-            + self.common
+            + self.row.of_mean() / rows as f64
+            + self.column.of_mean() / columns as f64
     }
 }
 
 impl Prediction {
     /// Light and dark charge of every frame and set, no noise yet.
     pub(crate) fn begin(c: &Campaign, base: &BaseParameters) -> Self {
-        let signal = |s: &SetInfo| {
-            let light = s.light.map_or(0.0, |l| base.flux_e_per_s.get(l).copied().unwrap_or(0.0));
-            (light + base.dark_e_per_s) * s.exposure_s
+        let light = |s: &SetInfo| {
+            base.rate_e_per_s(s) * s.exposure_s
         };
-        let of_sets: Vec<f64> = c.sets.iter().map(signal).collect();
-        let set = |&signal: &f64| SetPrediction {
-            signal,
-            shot: Spectrum::white(0.0),
-            read: Spectrum::white(0.0),
-            row: 0.0,
-            column: 0.0,
-            common: 0.0,
-            shot_memory: Vec::new(),
-            read_memory: Vec::new(),
-            unequal: 0.0,
-            fourth: 0.0,
-            unsure: 0.0,
-            unsure_var: 0.0,
-            unsure_mean: 0.0,
-            lines: Vec::new(),
-            growth: (0.0, 0.0),
-            parity: (0.0, 0.0),
-        };
+        let light_e: Vec<f64> = c.sets.iter().map(light).collect();
+        let of_sets: Vec<f64> =
+            c.sets.iter().zip(&light_e).map(|(s, light)| light + base.dark_e_per_s * s.exposure_s).collect();
         Self {
             frame_signal: c.frames.iter().map(|f| of_sets.get(f.set).copied().unwrap_or(0.0)).collect(),
-            sets: of_sets.iter().map(set).collect(),
+            sets: of_sets.iter().map(|&signal| SetPrediction::new(signal)).collect(),
+            light_e,
             base: base.clone(),
             bit_errors_dn: [0.0; BITS],
             code_step_dn: 1.0,
+            whole: false,
             taps: [(0.0, 0.0); 4],
             smear_s: 0.0,
             bloom_e: f64::INFINITY,
@@ -287,8 +517,10 @@ impl Prediction {
     }
 
     /// Rounds to whole steps.
-    pub(crate) fn quantize(&mut self, c: &Campaign) {
-        let step = self.code_step_dn;
+    pub(crate) fn quantize(&mut self, c: &Campaign, step: f64) {
+        if std::mem::take(&mut self.whole) {
+            return;
+        }
         let square = step * step;
         let mut shifts = vec![0.0; self.sets.len()];
         for (i, s) in self.sets.iter_mut().enumerate() {
@@ -299,41 +531,71 @@ impl Prediction {
             shifts[i] = step * rounded.mean;
             // What pixels or frames share comes through with the slope; what each has of its own, with the whole of its variance.
             let through = rounded.slope * rounded.slope;
-            for power in [&mut s.shot, &mut s.read] {
-                let own = power.lag(0, 0);
-                power.0.iter_mut().for_each(|p| *p = own + through * (*p - own));
-            }
             let mut kept = 0.0;
-            for shared in [&mut s.row, &mut s.column].into_iter().chain(s.lines.iter_mut().map(|l| &mut l.0))
-            {
-                kept += *shared * (1.0 - through);
-                *shared *= through;
+            if through != 1.0 {
+                for power in [&mut s.shot, &mut s.read] {
+                    let own = power.lag(0, 0);
+                    power.0.iter_mut().for_each(|p| *p = own + through * (*p - own));
+                }
+                let lines: f64 = s.lines.iter().map(|l| l.0).sum();
+                kept = (1.0 - through) * (s.row.lag(0) + s.column.lag(0) + s.ripple(0.0) + lines);
+                s.shared(through);
             }
-            s.common *= through;
-            s.read.0.iter_mut().for_each(|p| *p += kept + square * rounded.variance);
+            s.read.add_white(kept + square * rounded.variance);
             s.unequal += square * square * rounded.unequal;
             s.fourth += square * square * rounded.fourth;
+            s.signal += shifts[i];
         }
         for (m, frame) in self.frame_signal.iter_mut().zip(&c.frames) {
             *m += shifts.get(frame.set).copied().unwrap_or(0.0);
         }
     }
 
-    /// Applies a curve to the mean of every frame and set, with the square of its slope to all noise.
-    pub fn bend(&mut self, curve: impl Fn(f64) -> f64) {
-        self.frame_signal.iter_mut().for_each(|s| *s = curve(*s));
+    /// Multiplies the image by a number: the amplifier.
+    pub(crate) fn amplify(&mut self, gain: f64) {
+        self.frame_signal.iter_mut().for_each(|s| *s *= gain);
         for s in &mut self.sets {
-            let step = 1e-4 * s.signal.abs().max(1e-3);
-            let slope = (curve(s.signal + step) - curve(s.signal - step)) / (2.0 * step);
-            let square = slope * slope;
-            s.signal = curve(s.signal);
-            s.unsure_mean *= slope.abs();
-            s.shot.scale(square);
-            s.read.scale(square);
-            s.row *= square;
-            s.column *= square;
-            s.common *= square;
-            s.pixels_follow(square);
+            s.signal *= gain;
+            s.gain(gain);
+        }
+    }
+
+    /// Applies a curve to every pixel: to the noise of each with the slope that the noise itself sees, and over the pixels' places.
+    pub fn bend(&mut self, c: &Campaign, curve: impl Fn(f64) -> f64) {
+        let before: Vec<f64> = self.sets.iter().map(|s| s.signal).collect();
+        let noise: Vec<f64> =
+            self.sets.iter().map(|s| libm::sqrt(s.covariance(0, 0).max(1e-6))).collect();
+        // Mean, and variance over that before, of a pixel at a level.
+        let pixel = |level: f64, sd: f64| {
+            let all = NODES.map(|(x, share)| (curve(level + sd * x), share));
+            let mean: f64 = all.iter().map(|(v, share)| share * v).sum();
+            let variance: f64 = all.iter().map(|(v, share)| share * (v - mean) * (v - mean)).sum();
+            (mean, variance / (sd * sd))
+        };
+        let places = |set: usize| c.sets[set].places.iter().zip(PLACES);
+        for (set, s) in self.sets.iter_mut().enumerate() {
+            let spread = c.sets[set].spread * s.signal;
+            let all: Vec<(f64, f64, f64)> = places(set)
+                .map(|(x, share)| {
+                    let (mean, square) = pixel(s.signal + spread * x, noise[set]);
+                    (share, mean, square)
+                })
+                .collect();
+            let square: f64 = all.iter().map(|(share, _, square)| share * square).sum();
+            let apart: f64 = all.iter().map(|(share, _, q)| share * (q - square) * (q - square)).sum();
+            let own = s.pixels();
+            s.signal = all.iter().map(|(share, mean, _)| share * mean).sum();
+            s.scale(square);
+            s.unequal += apart * own * own;
+        }
+        for (m, frame) in self.frame_signal.iter_mut().zip(&c.frames) {
+            let (Some(before), set) = (before.get(frame.set), frame.set) else { continue };
+            *m = if *m == *before {
+                self.sets[set].signal
+            } else {
+                let spread = c.sets[set].spread * *m;
+                places(set).map(|(x, share)| share * pixel(*m + spread * x, noise[set]).0).sum()
+            };
         }
     }
 }

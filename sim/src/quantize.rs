@@ -99,6 +99,96 @@ pub fn rounded(level: f64, spread: f64, variance: f64) -> Rounded {
     }
 }
 
+/// floor(a u + 1/2) of whole numbers u with normal noise: what firmware adds to a code.
+#[derive(Debug, Clone, Copy)]
+pub struct Correction {
+    slope: f64,
+    sd: f64,
+    pattern: f64,
+}
+
+/// Steps of a correction that are summed, at most; from there on it is as good as not rounded.
+const STEPS: usize = 64;
+
+/// Gauss and Hermite's five places of a normal number, in deviations, and their shares (Abramowitz and Stegun 1964, 25.10).
+pub const NODES: [(f64, f64); 5] = [
+    (0.0, 8.0 / 15.0),
+    (1.355_626_179_974_266, 0.222_075_922_005_613),
+    (-1.355_626_179_974_266, 0.222_075_922_005_613),
+    (2.856_970_013_872_806, 0.011_257_411_327_721),
+    (-2.856_970_013_872_806, 0.011_257_411_327_721),
+];
+
+fn upper(x: f64) -> f64 {
+    0.5 * libm::erfc(x / std::f64::consts::SQRT_2)
+}
+
+impl Correction {
+    /// With this slope on noise of this deviation, where the means of u differ from pixel to pixel by this one.
+    pub fn new(slope: f64, sd: f64, pattern: f64) -> Self {
+        Self { slope: slope.abs(), sd: sd.max(1e-3), pattern }
+    }
+
+    /// u from which on it is k. Whole numbers reach it up to half a step before or after: that matters where the noise passes few
+    /// thresholds, and where it passes many they lie anywhere between whole numbers. Of that sawtooth so much of its first Fourier term that
+    /// thresholds still fall as the slope grows: a fit finds its way.
+    fn threshold(&self, k: usize) -> f64 {
+        let at = (k as f64 - 0.5) / self.slope;
+        at + 0.45 * self.narrow() / std::f64::consts::PI * libm::sin(std::f64::consts::TAU * at)
+    }
+
+    /// 1 where the noise passes hardly any threshold, 0 where it passes many.
+    pub fn narrow(&self) -> f64 {
+        (2.0 - 5.0 * self.slope * self.sd.hypot(self.pattern)).clamp(0.0, 1.0)
+    }
+
+    /// So many steps matter; `None`: so many that rounding adds 1/12 and nothing else.
+    fn steps(&self) -> Option<usize> {
+        let steps = self.slope * 6.0 * self.sd.hypot(self.pattern) + 2.0;
+        (self.slope > 0.0 && steps < STEPS as f64).then_some(steps as usize)
+    }
+
+    /// The slope with which it follows the noise, and the variance of what it adds beside that: the regression of the rounded number
+    /// on u, E[u r] / var u, and the rest of its variance in time (Bussgang 1952: of normal noise both follow from the thresholds).
+    pub fn linear(&self) -> (f64, f64) {
+        if self.slope == 0.0 {
+            return (0.0, 0.0);
+        }
+        let Some(steps) = self.steps() else { return (self.slope, 1.0 / 12.0) };
+        let thresholds: Vec<f64> = (1..=steps).map(|k| self.threshold(k)).collect();
+        let nodes = if self.pattern > 0.0 { &NODES[..] } else { &[(0.0, 1.0)] };
+        let density = |x: f64| libm::exp(-0.5 * x * x) / libm::sqrt(std::f64::consts::TAU);
+        let (mut slope, mut variance) = (0.0, 0.0);
+        for (x, share) in nodes {
+            let u = self.pattern * x;
+            let (mut with, mut mean, mut square) = (0.0, 0.0, 0.0);
+            for (k, t) in thresholds.iter().enumerate() {
+                let (above, below) = ((t - u) / self.sd, (t + u) / self.sd);
+                with += density(above) + density(below);
+                let (above, below) = (upper(above), upper(below));
+                mean += above - below;
+                square += (2 * k + 1) as f64 * (above + below);
+            }
+            slope += share * with / self.sd;
+            variance += share * (square - mean * mean);
+        }
+        (slope, (variance - slope * slope * self.sd * self.sd).max(0.0))
+    }
+
+    /// Its mean where u has this mean.
+    pub fn mean(&self, u: f64) -> f64 {
+        if self.slope == 0.0 || u.abs() * self.slope > 0.5 * STEPS as f64 || self.steps().is_none() {
+            return self.slope * u;
+        }
+        let steps = (self.slope * (u.abs() + 6.0 * self.sd) + 2.0) as usize;
+        let of = |k: usize| {
+            let t = self.threshold(k);
+            upper((t - u) / self.sd) - upper((t + u) / self.sd)
+        };
+        (1..=steps).map(of).sum()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -123,3 +123,23 @@ fn open_aravis(id: &str) -> Result<Box<dyn Camera>> {
 #[cfg(not(feature = "aravis"))]
 pub const NO_ARAVIS: &str = "this radcam was built without libaravis; install libaravis-dev and libusb-1.0-0-dev and \
                              build with the feature \"aravis\" (on by default)";
+
+/// Text broken into lines of the terminal's usual width, each behind so many spaces.
+pub fn wrapped(text: &str, indent: usize) -> String {
+    const WIDTH: usize = 100;
+    let mut lines = vec![String::new()];
+    for word in text.split_whitespace() {
+        let long = lines.last().is_some_and(|l| !l.is_empty() && l.len() + word.len() + 1 > WIDTH);
+        if long {
+            lines.push(String::new());
+        }
+        if let Some(line) = lines.last_mut() {
+            if !line.is_empty() {
+                line.push(' ');
+            }
+            line.push_str(word);
+        }
+    }
+    let pad = " ".repeat(indent);
+    lines.iter().map(|l| format!("{pad}{l}")).collect::<Vec<_>>().join("\n")
+}

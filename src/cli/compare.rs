@@ -3,7 +3,8 @@
 use super::Outcome;
 use super::diagnose::observe;
 use super::model::read_effects;
-use crate::compare::{compare, searched, signatures, start};
+use crate::diagnosis::{searched, signatures};
+use crate::inference::{compare, start};
 use crate::dataset::write_whole;
 use crate::report::{self, chance};
 use anyhow::Result;
@@ -37,8 +38,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         println!("{}", serde_json::to_string_pretty(&c)?);
         return Ok(outcome);
     }
-    let verdict = if c.consistent { "the model describes the campaign" } else { "THE MODEL FAILS" };
-    println!("{}: {verdict}", arguments.dataset.display());
+    println!("{}: {}", arguments.dataset.display(), c.agreement.words());
     println!("  error    {:.3} on frames that the fit did not see (1: agreement to within noise)", c.error);
     println!("  p-value  {} over {} residuals", chance(c.p_value), c.residuals.len());
     let strayed = signatures(&c.residuals);

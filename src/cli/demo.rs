@@ -5,7 +5,7 @@ use super::common::load_model;
 use super::{Outcome, noise};
 use crate::camera::StreamOptions;
 use crate::dataset::write_whole;
-use crate::diagnose::diagnose;
+use crate::diagnosis::diagnose;
 use crate::plan::Plan;
 use crate::report::noise::{Truth, html, sigmas};
 use crate::report::with_unit;

@@ -3,10 +3,10 @@
 use super::common::STOP;
 use super::model::{fitted_model, read_effects};
 use super::{Outcome, progress::Show};
-use crate::compare::{Observations, of_dataset, of_table, searched};
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, write_whole};
-use crate::diagnose::{Diagnosis, diagnose};
+use crate::diagnosis::{Diagnosis, diagnose, searched};
+use crate::observables::{Observations, of_dataset, of_table};
 use crate::report::{self, chance, with_unit};
 use anyhow::Result;
 use std::path::{Path, PathBuf};
@@ -71,14 +71,11 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
 }
 
 pub fn print(path: &Path, d: &Diagnosis) {
-    if d.consistent {
-        println!("{}: the model describes the campaign, error {:.3}", path.display(), d.error_before);
-    } else {
-        println!("{}: THE MODEL LACKS SOMETHING, error {:.2}\n", path.display(), d.error_before);
-    }
+    println!("{}\n", path.display());
+    println!("{}\n", super::common::wrapped(d.verdict.sentence(), 2));
     for m in &d.missing {
-        println!("  {} ({:.0} % of the evidence)", m.effect, 100.0 * m.confidence);
-        for (name, q) in &m.parameters {
+        println!("  {} ({})", m.effect, report::compare::heading(m));
+        for (name, q) in m.parameters.iter().filter(|(_, q)| q.unit != "choice") {
             println!("      {name} = {}", with_unit(q.value, q.std_err, q.unit));
         }
         for text in &m.evidence {

@@ -3,8 +3,11 @@
 use super::Outcome;
 use super::common::load_model;
 use super::diagnose::observe;
-use crate::compare::{Fitted, Given, Observations, fit, searched, start};
+
 use crate::dataset::{Dataset, write_whole};
+use crate::diagnosis::searched;
+use crate::inference::{Fitted, Given, fit, start};
+use crate::observables::Observations;
 use crate::report::with_unit;
 use anyhow::{Context, Result, bail};
 use radcam_sim::effects;

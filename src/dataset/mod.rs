@@ -223,6 +223,12 @@ impl Dataset {
         &self.sets
     }
 
+    /// Whether the light is stated in photons, without an error of its own: nominal, as an EMVA 1288 descriptor has it.
+    pub fn light_is_nominal(&self) -> bool {
+        let bench = self.manifest.bench.as_ref();
+        bench.is_some_and(|b| b.illumination_unit == "photons/px/s" && b.illumination_rel_std.is_none())
+    }
+
     /// The first row of a set: its settings.
     pub fn settings(&self, set: &Set) -> &FrameRow {
         &self.rows[set.rows[0]]

@@ -17,6 +17,12 @@ pub struct Level {
     /// Illumination.
     #[serde(default)]
     pub illumination: Option<f64>,
+    /// Number of the light source, whose strength is not known and stays as it is.
+    #[serde(default)]
+    pub lamp: Option<u32>,
+    /// Reading of a light monitor, in a unit of its own.
+    #[serde(default)]
+    pub monitor: Option<f64>,
     /// Pixels behind the variance.
     #[serde(default)]
     pub pixels: Option<f64>,
@@ -92,9 +98,9 @@ mod tests {
 
     #[test]
     fn optional_columns_may_be_absent_or_empty() {
-        let table = Table::parse("# a\nmean_dn,var_dn2,pixels,lamp\n10,5,,x\n20,9,1000,y\n").unwrap();
+        let table = Table::parse("# a\nmean_dn,var_dn2,pixels,lamp,about\n10,5,,,x\n20,9,1000,2,y\n").unwrap();
         assert_eq!(table.levels[0].pixels, None);
-        assert_eq!(table.levels[1].pixels, Some(1000.0));
+        assert_eq!((table.levels[1].pixels, table.levels[1].lamp), (Some(1000.0), Some(2)));
         for (text, line, part) in [
             ("mean_dn,pixels\n1,2\n", 1, "var_dn2"),
             ("mean_dn,var_dn2\n1,x\n", 2, "invalid float"),

@@ -1,8 +1,8 @@
 //! The page of a comparison: observables down, levels across, colour by the standardised residual; and the ladder.
 
 use super::page;
-use crate::compare::{Comparison, Residual, signatures};
-use crate::diagnose::Diagnosis;
+use crate::diagnosis::{Diagnosis, Missing, signatures};
+use crate::inference::{Comparison, Residual};
 use maud::{Markup, html};
 
 /// A comparison as a page.
@@ -13,10 +13,11 @@ pub fn html(title: &str, subtitle: &str, c: &Comparison) -> String {
 /// A diagnosis as a page: the ladder, what is missing, the picture before and after.
 pub fn diagnosis(title: &str, subtitle: &str, d: &Diagnosis) -> String {
     let body = html! {
+        p.verdict { (d.verdict.sentence()) }
         h2 { "The ladder" }
         (ladder(d))
         @for m in &d.missing {
-            h2 { (m.effect) " " span.note { (format!("{:.0} % of the evidence", 100.0 * m.confidence)) } }
+            h2 { (m.effect) " " span.note { (heading(m)) } }
             ul {
                 @for (name, q) in &m.parameters {
                     li { (name) " = " (super::with_unit(q.value, q.std_err, q.unit)) }
@@ -32,6 +33,26 @@ pub fn diagnosis(title: &str, subtitle: &str, d: &Diagnosis) -> String {
         @for note in &d.notes { p.sub { (note) } }
     };
     page(title, subtitle, body)
+}
+
+/// What stands beside a name.
+pub fn heading(m: &Missing) -> String {
+    let mut parts = Vec::new();
+    if m.effect == "unknown" {
+        if !m.nearest.is_empty() {
+            parts.push(format!("nearest: {}", m.nearest.join(", ")));
+        }
+    } else {
+        parts.push(format!("{} of the evidence", super::percent(m.confidence)));
+    }
+    parts.extend(m.form.clone());
+    if let Some(other) = &m.tied_with {
+        parts.push(format!("tied with {other}"));
+    }
+    if m.partial {
+        parts.push("explains a part only".into());
+    }
+    parts.join("; ")
 }
 
 fn ladder(d: &Diagnosis) -> Markup {

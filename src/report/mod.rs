@@ -117,3 +117,13 @@ pub fn chance(p: f64) -> String {
 fn digits(std_err: f64) -> Option<usize> {
     (std_err.is_finite() && std_err > 0.0).then(|| (1.0 - std_err.log10().floor()).clamp(0.0, 12.0) as usize)
 }
+
+/// A share in per cent, with a word where rounding would say all or nothing.
+pub fn percent(share: f64) -> String {
+    match share {
+        s if s > 0.999 => "more than 99.9 %".into(),
+        s if s < 0.001 => "less than 0.1 %".into(),
+        s if s > 0.99 || s < 0.01 => format!("{:.1} %", 100.0 * s),
+        s => format!("{:.0} %", 100.0 * s),
+    }
+}

@@ -8,7 +8,8 @@ use ndarray::Array2;
 /// Which pixels count, and what is known of them: the same for all sets of a campaign.
 #[derive(Debug)]
 pub struct Layout {
-    pub(super) shape: (usize, usize),
+    /// Rows and columns.
+    pub shape: (usize, usize),
     /// 1 for a pixel that counts, row by row.
     pub mask: Vec<f32>,
     /// How many count, in all.

@@ -28,6 +28,14 @@ pub trait Quadratic {
     fn absorb(&mut self, other: &Self);
 }
 
+/// One more statistic that is a sum of products of deviations, made from whole images of them.
+pub trait Extra: Sync + std::fmt::Debug {
+    /// How many sums it keeps.
+    fn size(&self, layout: &Layout) -> usize;
+    /// Adds an image of deviations (rows * columns) whose row means and column means are there.
+    fn add(&self, image: &[f32], lines: &Lines, layout: &Layout, sums: &mut [f64]);
+}
+
 /// The frames of a set, as far as they have been seen.
 #[derive(Debug)]
 pub struct Pass<'a> {
@@ -49,6 +57,7 @@ struct Sums {
     covariance: Covariance,
     lines: Lines,
     power: Power,
+    extra: Vec<(&'static dyn Extra, Vec<f64>)>,
 }
 
 impl Quadratic for Sums {
@@ -63,6 +72,7 @@ impl Quadratic for Sums {
         self.covariance.end(image, layout);
         self.lines.end(image, layout);
         self.power.add(image, &self.lines, layout);
+        self.extra.iter_mut().for_each(|(e, sums)| e.add(image, &self.lines, layout, sums));
     }
 
     fn absorb(&mut self, other: &Self) {
@@ -70,6 +80,9 @@ impl Quadratic for Sums {
         self.covariance.absorb(&other.covariance);
         self.lines.absorb(&other.lines);
         self.power.absorb(&other.power);
+        for ((_, sums), (_, more)) in self.extra.iter_mut().zip(&other.extra) {
+            sums.iter_mut().zip(more).for_each(|(a, b)| *a += b);
+        }
     }
 }
 
@@ -102,6 +115,8 @@ pub struct Summary {
     pub rows_dn: Vec<f64>,
     /// Spatial variance of the pixels' means, DN^2.
     pub spatial_var_dn2: f64,
+    /// Sums of the further statistics that were asked for, in their order, over the degrees of freedom.
+    pub extra: Vec<Vec<f64>>,
     /// Where the pixels' means lie, in standard deviations from their mean, what noise their means have left included:
     /// [`PLACES`] are the shares.
     pub places: [f64; PLACES.len()],
@@ -146,6 +161,11 @@ impl pulp::NullaryFnOnce for Rows<'_, '_> {
 impl<'a> Pass<'a> {
     /// No frame yet.
     pub fn new(layout: &'a Layout) -> Self {
+        Self::with(layout, &[])
+    }
+
+    /// No frame yet, with more statistics.
+    pub fn with(layout: &'a Layout, extra: &[&'static dyn Extra]) -> Self {
         let pixels = layout.mask.len();
         Self {
             layout,
@@ -157,6 +177,7 @@ impl<'a> Pass<'a> {
                 covariance: Covariance::new(layout.shape),
                 lines: Lines::new(layout.shape),
                 power: Power::new(layout.shape),
+                extra: extra.iter().map(|e| (*e, vec![0.0; e.size(layout)])).collect(),
             },
             successive: Successive::new(pixels),
             occupancy: Occupancy::new(layout.full_scale_dn),
@@ -227,6 +248,7 @@ impl<'a> Pass<'a> {
         self.sums.covariance.clear();
         self.sums.lines = Lines::new(self.layout.shape);
         self.sums.power.clear();
+        self.sums.extra.iter_mut().for_each(|(_, sums)| sums.fill(0.0));
         self.successive.clear();
         self.occupancy.0.fill(0);
     }
@@ -298,6 +320,7 @@ impl<'a> Pass<'a> {
             columns_dn,
             rows_dn,
             places,
+            extra: self.sums.extra.iter().map(|(_, sums)| sums.iter().map(|s| s / dof).collect()).collect(),
             // Means over few frames scatter from pixel to pixel.
             spatial_var_dn2: (between - var.value / frames as f64).max(0.0),
         })

@@ -1,13 +1,44 @@
 //! ADC nonlinearity: bits of the converter have wrong weights, so that codes have unequal widths.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
-use crate::predict::BITS;
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+use crate::predict::{BITS, NORMAL, PLACES};
 
-/// The weight of each low bit is off by some part of a step.
+/// The weights of the six lowest bits, of the six highest, or of both are off by some part of a step.
 pub struct This;
 
-const fn bit(name: &'static str) -> Parameter {
-    Parameter { name, unit: "DN", min: -0.9, max: 0.9, starts: &[0.05] }
+/// Bits at each end that have a weight of their own.
+const EACH: usize = 6;
+
+const fn bit(name: &'static str, max: f64) -> Parameter {
+    Parameter { name, unit: "DN", min: -max, max, starts: &[0.05] }
+}
+
+/// Errors of all bits of a converter of so many.
+fn errors(p: &[f64], bits: usize) -> [f64; BITS] {
+    let mut out = [0.0; BITS];
+    let part = p[0].round() as i32;
+    for k in 0..EACH.min(bits) {
+        if part != 1 {
+            out[k] += p[1 + k];
+        }
+        if part != 0 {
+            out[bits - 1 - k] += p[1 + EACH + k];
+        }
+    }
+    out
+}
+
+/// What the voltage of every code is too large by, DN.
+fn excess(errors: &[f64], bits: usize) -> Vec<f64> {
+    let mut out = vec![0.0; 1 << bits];
+    for code in 1..out.len() {
+        out[code] = out[code & (code - 1)] + errors[code.trailing_zeros() as usize];
+    }
+    out
+}
+
+fn depth(full_scale_dn: f64) -> usize {
+    (libm::round(libm::log2(full_scale_dn + 1.0)) as usize).min(BITS)
 }
 
 impl Effect for This {
@@ -20,16 +51,61 @@ impl Effect for This {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        const BIT: [Parameter; BITS] =
-            [bit("bit0_dn"), bit("bit1_dn"), bit("bit2_dn"), bit("bit3_dn"), bit("bit4_dn"), bit("bit5_dn")];
-        &BIT
+        const ALL: [Parameter; 1 + 2 * EACH] = [
+            Parameter { name: "bits", unit: "choice", min: 0.0, max: 2.0, starts: &[0.0, 1.0, 2.0] },
+            bit("bit0_dn", 0.9),
+            bit("bit1_dn", 0.9),
+            bit("bit2_dn", 0.9),
+            bit("bit3_dn", 0.9),
+            bit("bit4_dn", 0.9),
+            bit("bit5_dn", 0.9),
+            bit("top0_dn", 32.0),
+            bit("top1_dn", 32.0),
+            bit("top2_dn", 32.0),
+            bit("top3_dn", 32.0),
+            bit("top4_dn", 32.0),
+            bit("top5_dn", 32.0),
+        ];
+        &ALL
+    }
+
+    fn uses(&self, p: &[f64], parameter: usize) -> bool {
+        match (p[0].round() as i32, parameter) {
+            (_, 0) => true,
+            (0, k) => k <= EACH,
+            (1, k) => k > EACH,
+            _ => true,
+        }
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        Some(match p[0].round() as i32 {
+            0 => "the six lowest bits",
+            1 => "the six highest bits, top0 the highest",
+            _ => "the six lowest and the six highest bits",
+        })
+    }
+
+    fn starts(&self, _: &super::Seen) -> Vec<Vec<f64>> {
+        [0.0, 1.0, 2.0]
+            .map(|part| {
+                let mut p = vec![0.05; 1 + 2 * EACH];
+                p[0] = part;
+                p
+            })
+            .to_vec()
+    }
+
+    fn example(&self, _: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.0, 0.05, 0.0, 0.1, 0.0, -0.1, 0.0, 0.3, 0.0, -0.4, 0.0, 0.35, 0.0])
     }
 
     fn page(&self) -> Page {
         Page {
             what: "The capacitors of a successive-approximation converter do not match: some codes are wider than others.",
             equation: "V(c) = sum of bits (2^b + d_b); width of code c is V(c + 1) - V(c)",
-            signature: "codes occur too often or too seldom, by a pattern of their bits; variance hardly moves",
+            signature: "codes occur too often or too seldom, by a pattern of their bits; with high bits the means step by part of a code; variance \
+                        hardly moves",
             look_alikes: "coarse quantisation leaves whole codes out",
             remedy: "dither (noise above a step hides it); a table of code widths",
             measure: "many samples over a wide range of levels: the histogram of the codes",
@@ -38,23 +114,60 @@ impl Effect for This {
         }
     }
 
-    fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
-        for (b, d) in p.iter().take(BITS).enumerate() {
-            out.bit_errors_dn[b] += d;
-        }
+    fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
+        let bits = depth(c.full_scale_dn);
+        let wrong = errors(p, bits);
+        out.bit_errors_dn.iter_mut().zip(wrong).for_each(|(sum, e)| *sum += e);
         // Where the noise covers few codes their widths are in each pixel's variance.
-        let widths: f64 = p.iter().map(|d| d * d).sum();
+        let low = EACH.min(bits);
+        let widths: f64 = wrong[..low].iter().map(|d| d * d).sum();
         for s in &mut out.sets {
             s.unsure = libm::hypot(s.unsure, 0.5 * widths * s.covariance(0, 0));
+        }
+        let mut high = wrong;
+        high[..low].fill(0.0);
+        if high.iter().all(|e| *e == 0.0) {
+            return;
+        }
+        // A code comes out too small by what its voltage is too large by: the mean of that over the samples, and its slope over their
+        // noise, which multiplies it.
+        let excess = excess(&high, bits);
+        const SAMPLES: i32 = 24;
+        let weight = |k: i32| libm::exp(-0.5 * (3.5 * f64::from(k) / f64::from(SAMPLES)).powi(2));
+        let weights: Vec<f64> = (-SAMPLES..=SAMPLES).map(weight).collect();
+        let mut shifts = vec![0.0; out.sets.len()];
+        for (i, s) in out.sets.iter_mut().enumerate() {
+            let level = s.signal + out.base.offset_dn;
+            let (spread, places) = c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread_dn, &s.places));
+            let noise = libm::sqrt(s.covariance(0, 0).max(0.01));
+            let (mut mean, mut slope) = (0.0, 0.0);
+            for (x, share) in places.iter().zip(PLACES) {
+                let mut sums = [0.0; 3];
+                for k in -SAMPLES..=SAMPLES {
+                    let t = 3.5 * f64::from(k) / f64::from(SAMPLES);
+                    let code = (level + spread * x + noise * t + 0.5).clamp(0.0, c.full_scale_dn);
+                    let (w, e) = (weights[(k + SAMPLES) as usize], excess[code as usize]);
+                    sums = [sums[0] + w, sums[1] + w * e, sums[2] + w * e * t];
+                }
+                mean += share * sums[1] / sums[0];
+                // Stein: the mean slope over normal noise is its product with the noise.
+                slope += share * sums[2] / sums[0] / noise;
+            }
+            shifts[i] = -mean;
+            s.gain((1.0 - slope).max(0.1));
+            s.signal -= mean;
+        }
+        for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
+            *m += shifts.get(frame.set).copied().unwrap_or(0.0);
         }
     }
 
     /// The code whose voltage is the nearest below half a step, as a search by bits finds it.
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
         let offset = d.offset_dn;
-        let bits = libm::round(libm::log2(d.full_scale_dn + 1.0)) as usize;
-        let weight: Vec<f64> =
-            (0..bits).map(|b| (1u32 << b) as f64 + p.get(b).copied().unwrap_or(0.0)).collect();
+        let bits = depth(d.full_scale_dn);
+        let wrong = errors(p, bits);
+        let weight: Vec<f64> = (0..bits).map(|b| (1u32 << b) as f64 + wrong[b]).collect();
         d.image.mapv_inplace(|v| {
             // Half a step above every code's own voltage the next begins.
             let mut left = v + offset + 0.5;

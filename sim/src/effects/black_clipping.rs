@@ -1,7 +1,7 @@
 //! Black clipping: what lies below a level is cut off.
 
 use super::full_well_saturation::clipped;
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Seen, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 use crate::predict::NORMAL;
 
 /// max(v, level), counted from the level of zero charge.
@@ -25,6 +25,14 @@ impl Effect for This {
         [-1.0, -0.3 * seen.dark_noise_dn, -1.5 * seen.dark_noise_dn, 0.5 * seen.dark_noise_dn]
             .map(|v| vec![v])
             .to_vec()
+    }
+
+    fn example(&self, _: &Plain) -> Option<Vec<f64>> {
+        Some(vec![-0.5])
+    }
+
+    fn scaled(&self, _values: &[f64], by: f64) -> Vec<f64> {
+        vec![-8.0 / (1.0 + 15.0 * by)]
     }
 
     fn page(&self) -> Page {
@@ -55,10 +63,7 @@ impl Effect for This {
             let left = limited(i, s.signal);
             s.signal = -left.mean;
             let less = if noise[i] > 0.0 { left.variance / noise[i] } else { 1.0 };
-            s.cut(less, &left);
-            s.shot.scale(less);
-            s.read.scale(less);
-            (s.row, s.column, s.common) = (s.row * less, s.column * less, s.common * less);
+            s.cut_all(less, &left);
         }
     }
 

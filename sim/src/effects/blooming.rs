@@ -1,7 +1,7 @@
 //! Blooming: a full well spills into its column.
 
 use super::full_well_saturation::clipped;
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Seen, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 use crate::predict::NORMAL;
 
 /// Charge above the well goes to the pixels above and below.
@@ -23,6 +23,14 @@ impl Effect for This {
     /// Near the brightest level.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         seen.near_peak()
+    }
+
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.8 * plain.range_e])
+    }
+
+    fn scaled(&self, values: &[f64], by: f64) -> Vec<f64> {
+        vec![values[0] * 2.0 / (1.0 + by)]
     }
 
     fn page(&self) -> Page {
@@ -68,7 +76,7 @@ impl Effect for This {
             let rest = own + out.base.read_noise_e * out.base.read_noise_e;
             s.unsure = libm::hypot(s.unsure, left.unsure(less, rest));
             s.shot.shape(|ky, _| less + 2.0 * neighbour / before * libm::cos(ky));
-            s.common *= less * less;
+            (s.common, s.setting) = (s.common * less * less, s.setting * less * less);
             s.signal = column.mean;
         }
         out.bloom_e = out.bloom_e.min(p[0]);

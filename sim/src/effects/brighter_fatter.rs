@@ -1,6 +1,6 @@
 //! Brighter-fatter: charge already in a pixel repels what arrives later.
 
-use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Prediction, Stage, shifted, takes};
+use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Stage, Together, shifted, takes};
 
 /// Flow of arriving charge along the gradient of the charge so far.
 pub struct This;
@@ -27,6 +27,15 @@ impl Effect for This {
 
     fn needs(&self) -> Needs {
         Needs::Variances
+    }
+
+    fn together(&self, p: &[f64]) -> Option<Together> {
+        let name = "a_vertical_per_e + a_horizontal_per_e";
+        Some(Together { name, unit: "1/e", value: p[0] + p[1], slopes: vec![1.0, 1.0] })
+    }
+
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.03 / plain.range_e, 0.022 / plain.range_e])
     }
 
     fn page(&self) -> Page {

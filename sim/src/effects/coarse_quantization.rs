@@ -1,6 +1,6 @@
 //! Coarse quantisation: the camera converts with fewer bits than its format has.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// Codes are multiples of a step.
 pub struct This;
@@ -16,6 +16,14 @@ impl Effect for This {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[Parameter { name: "step_dn", unit: "DN", min: 1.0, max: 256.0, starts: &[2.0, 4.0, 16.0] }]
+    }
+
+    fn example(&self, _: &Plain) -> Option<Vec<f64>> {
+        Some(vec![4.0])
+    }
+
+    fn scaled(&self, _values: &[f64], by: f64) -> Vec<f64> {
+        vec![if by < 0.5 { 2.0 } else { 4.0 }]
     }
 
     fn page(&self) -> Page {

@@ -1,6 +1,6 @@
 //! Column noise: every column has its own noise in every frame.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// One normal number for each column and frame, added with the read noise.
 pub struct This;
@@ -18,6 +18,10 @@ impl Effect for This {
         &[Parameter { name: "e", unit: "e", min: 0.0, max: 1e4, starts: &[0.5] }]
     }
 
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.2 * plain.noise_e])
+    }
+
     fn page(&self) -> Page {
         Page {
             what: "A supply, a reference or a sample circuit that a whole column shares is sampled once for each of them.",
@@ -33,7 +37,7 @@ impl Effect for This {
 
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
         for s in &mut out.sets {
-            s.column += p[0] * p[0];
+            s.column.add(p[0] * p[0]);
         }
     }
 

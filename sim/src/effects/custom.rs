@@ -12,10 +12,12 @@
 //!
 //! Formulas give the change of `mean` (DN), `variance`, `cov_01`, `cov_10`, `cov_11`, `row`, `column`, `common` (DN^2), and of
 //! `parity_01`, `parity_10` (what a neighbour covariance from odd columns, rows has more than from even ones), in terms of
-//! the parameters and of mu (mean above the level of zero charge, DN), exposure (s) and illumination; when frames are drawn,
-//! `mean` may also use row, column and parity (0 or 1).
+//! the parameters and of mu (mean above the level of zero charge, DN), exposure (s) and illumination (relative to the bench's unit);
+//! when frames are drawn, `mean` and `variance` may also use row, column and parity (0 or 1).
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use crate::predict::{HALF, angle};
+
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 use exmex::{Express, FlatEx};
 use std::collections::BTreeMap;
 
@@ -43,6 +45,51 @@ impl Formula {
             })
             .collect();
         self.expression.eval(&values).ok().filter(|v| v.is_finite()).unwrap_or(0.0)
+    }
+
+    /// Whether it is a number at ordinary levels, exposures and lights; where not, at which.
+    fn sound(&self, p: &[f64]) -> Result<(), String> {
+        let values = |v: &[f64; 6]| -> Vec<f64> {
+            let of = |place: &Result<usize, usize>| match place {
+                Ok(i) => p.get(*i).copied().unwrap_or(0.0),
+                Err(i) => v[*i],
+            };
+            self.places.iter().map(of).collect()
+        };
+        for v in [[10.0, 0.01, 1.0, 3.0, 5.0, 0.0], [1000.0, 0.01, 0.5, 3.0, 5.0, 1.0]] {
+            if !self.expression.eval(&values(&v)).is_ok_and(f64::is_finite) {
+                return Err(format!("mu = {} DN, exposure = {} s, illumination = {}", v[0], v[1], v[2]));
+            }
+        }
+        Ok(())
+    }
+
+    fn uses(&self, variable: usize) -> bool {
+        self.places.contains(&Err(variable))
+    }
+
+    /// For every pixel of an image: where it depends on the level alone, from a table over the levels.
+    fn over(&self, p: &[f64], image: &ndarray::Array2<f64>, bare: &[f64; 6]) -> ndarray::Array2<f64> {
+        let at = |level: f64, y: usize, x: usize| {
+            let place = [y as f64, x as f64, ((y + x) % 2) as f64];
+            self.eval(p, &[level, bare[1], bare[2], place[0], place[1], place[2]])
+        };
+        if (3..6).any(|place| self.uses(place)) {
+            return ndarray::Array2::from_shape_fn(image.dim(), |(y, x)| at(image[(y, x)], y, x));
+        }
+        if !self.uses(0) {
+            return ndarray::Array2::from_elem(image.dim(), at(0.0, 0, 0));
+        }
+        const STEPS: usize = 256;
+        let low = image.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = image.iter().copied().fold(f64::NEG_INFINITY, f64::max).max(low + 1e-9);
+        let table: Vec<f64> =
+            (0..=STEPS).map(|i| at(low + (high - low) * i as f64 / STEPS as f64, 0, 0)).collect();
+        image.mapv(|v| {
+            let place = (v - low) / (high - low) * STEPS as f64;
+            let i = (place as usize).min(STEPS - 1);
+            table[i] + (place - i as f64) * (table[i + 1] - table[i])
+        })
     }
 }
 
@@ -91,7 +138,10 @@ pub fn custom(
                 })
             })
             .collect::<Result<Vec<_>, String>>()?;
-        ready.insert(target.clone(), Formula { expression, places });
+        let formula = Formula { expression, places };
+        let place: Vec<f64> = names.iter().map(|n| values[*n]).collect();
+        formula.sound(&place).map_err(|at| format!("custom effect {name}: {target} = \"{text}\" is no number at {at}"))?;
+        ready.insert(target.clone(), formula);
     }
     let parameters: Vec<Parameter> = values
         .iter()
@@ -122,6 +172,10 @@ impl Effect for Custom {
         self.parameters
     }
 
+    fn example(&self, _: &Plain) -> Option<Vec<f64>> {
+        None
+    }
+
     fn page(&self) -> Page {
         Page {
             what: "An effect of the user's own, written as formulas in the model file.",
@@ -141,17 +195,14 @@ impl Effect for Custom {
             let of = |target: &str| self.formulas.get(target).map_or(0.0, |f| f.eval(p, &variables));
             let (variance, h, v, d) = (of("variance"), of("cov_01"), of("cov_10"), of("cov_11"));
             for (k, power) in s.read.0.iter_mut().enumerate() {
-                let (ky, kx) = (
-                    crate::predict::angle(k / crate::predict::GRID),
-                    crate::predict::angle(k % crate::predict::GRID),
-                );
+                let (ky, kx) = (angle(k / HALF), angle(k % HALF));
                 *power += variance
                     + 2.0 * h * libm::cos(kx)
                     + 2.0 * v * libm::cos(ky)
                     + 4.0 * d * libm::cos(kx) * libm::cos(ky);
             }
-            s.row += of("row");
-            s.column += of("column");
+            s.row.add(of("row"));
+            s.column.add(of("column"));
             s.common += of("common");
             s.parity = (s.parity.0 + of("parity_01"), s.parity.1 + of("parity_10"));
             let shift = of("mean");
@@ -162,33 +213,69 @@ impl Effect for Custom {
         }
     }
 
-    /// The mean and the variance of single pixels, rows, columns and frames; a correlation of neighbours is predicted only.
+    /// What odd and even lines differ by is predicted only.
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
-        let mean_rate = d.rate_e_per_s.mean().unwrap_or(0.0);
-        let columns = d.image.ncols();
-        let noise = |target: &str, v: &[f64; 6], index: u32, d: &Drawing<'_>| {
-            let variance = self.formulas.get(target).map_or(0.0, |f| f.eval(p, v));
-            if variance > 0.0 {
-                libm::sqrt(variance) * d.random(target, d.frame, index).normal()
-            } else {
-                0.0
-            }
-        };
         let level = d.image.mean().unwrap_or(0.0);
-        let bare = [level, d.exposure_s, mean_rate, 0.0, 0.0, 0.0];
-        let common = noise("common", &bare, 0, d);
-        let rows: Vec<f64> = (0..d.image.nrows()).map(|y| noise("row", &bare, y as u32, d)).collect();
-        let of_columns: Vec<f64> = (0..columns).map(|x| noise("column", &bare, x as u32, d)).collect();
-        let mut image = d.image.clone();
-        for ((y, x), v) in image.indexed_iter_mut() {
-            let variables = [*v, d.exposure_s, mean_rate, y as f64, x as f64, ((y + x) % 2) as f64];
-            let shift = self.formulas.get("mean").map_or(0.0, |f| f.eval(p, &variables));
-            *v += shift
-                + common
-                + rows[y]
-                + of_columns[x]
-                + noise("variance", &variables, (y * columns + x) as u32, d);
+        let bare = [level, d.exposure_s, d.illumination, 0.0, 0.0, 0.0];
+        let of = |target: &str| self.formulas.get(target).map_or(0.0, |f| f.eval(p, &bare));
+        let tag = |target: &str| format!("{} {target}", self.name);
+        if let Some(mean) = self.formulas.get("mean") {
+            let shift = mean.over(p, &d.image, &bare);
+            d.image += &shift;
         }
-        d.image = image;
+        if let Some(variance) = self.formulas.get("variance") {
+            let shared = [of("cov_01"), of("cov_10"), of("cov_11")];
+            let rng = |y: usize, x: usize, columns: usize| {
+                d.random(&tag("variance"), d.frame, (y * columns + x) as u32).normal()
+            };
+            let columns = d.image.ncols();
+            let noise = ndarray::Array2::from_shape_fn(d.image.dim(), |(y, x)| rng(y, x, columns));
+            if shared.iter().any(|c| *c != 0.0) {
+                d.image += &correlated(&noise, of("variance"), shared);
+            } else {
+                let variance = variance.over(p, &d.image, &bare);
+                d.image += &(noise * variance.mapv(|v| libm::sqrt(v.max(0.0))));
+            }
+        }
+        for (target, axis) in [("row", 0), ("column", 1)] {
+            let variance = of(target);
+            if variance > 0.0 {
+                d.add_to_lines(&tag(target), axis, libm::sqrt(variance));
+            }
+        }
+        let common = of("common");
+        if common > 0.0 {
+            d.image += libm::sqrt(common) * d.random(&tag("common"), d.frame, 0).normal();
+        }
     }
+}
+
+/// Noise of this variance and these covariances with the next column, the next row and along the diagonals, made of white noise by the
+/// filter whose power is theirs; where no noise has them the nearest that there is.
+fn correlated(white: &ndarray::Array2<f64>, variance: f64, [h, v, d]: [f64; 3]) -> ndarray::Array2<f64> {
+    const REACH: i32 = 4;
+    let power = |ky: f64, kx: f64| {
+        let (cy, cx) = (libm::cos(ky), libm::cos(kx));
+        (variance + 2.0 * h * cx + 2.0 * v * cy + 4.0 * d * cx * cy).max(0.0)
+    };
+    // The filter's weights are the Fourier sum of the root of the power.
+    const FINE: usize = 32;
+    let angle = |i: usize| std::f64::consts::TAU * i as f64 / FINE as f64;
+    let weight = |dy: i32, dx: i32| {
+        let of = |i: usize| {
+            let (ky, kx) = (angle(i / FINE), angle(i % FINE));
+            libm::sqrt(power(ky, kx)) * libm::cos(ky * f64::from(dy)) * libm::cos(kx * f64::from(dx))
+        };
+        (0..FINE * FINE).map(of).sum::<f64>() / (FINE * FINE) as f64
+    };
+    let mut out = ndarray::Array2::zeros(white.dim());
+    for dy in -REACH..=REACH {
+        for dx in -REACH..=REACH {
+            let w = weight(dy, dx);
+            if w.abs() > 1e-4 * libm::sqrt(variance.max(0.0)) {
+                out.scaled_add(w, &super::shifted(white, dy, dx));
+            }
+        }
+    }
+    out
 }

@@ -1,6 +1,6 @@
 //! Exposure offset: the effective exposure is the commanded one plus a constant.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// effective = commanded + t0, for light.
 pub struct This;
@@ -16,6 +16,14 @@ impl Effect for This {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[Parameter { name: "t0_s", unit: "s", min: -1.0, max: 1.0, starts: &[1e-6, -1e-6, 1e-4] }]
+    }
+
+    fn needs(&self) -> Needs {
+        Needs::Means
+    }
+
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![5e-4 * plain.bright_s])
     }
 
     fn page(&self) -> Page {

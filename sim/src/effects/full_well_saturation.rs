@@ -2,7 +2,7 @@
 
 use crate::predict::{NORMAL, PLACES};
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Seen, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
 /// min(q, full well).
 pub struct This;
@@ -111,6 +111,14 @@ impl Effect for This {
         seen.near_peak()
     }
 
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.8 * plain.range_e])
+    }
+
+    fn scaled(&self, values: &[f64], by: f64) -> Vec<f64> {
+        vec![values[0] * 2.0 / (1.0 + by)]
+    }
+
     fn page(&self) -> Page {
         Page {
             what: "The well of a pixel is full: more light brings no more charge.",
@@ -145,7 +153,7 @@ impl Effect for This {
             let unknown = 0.1 + 0.9 * left.above.powi(4);
             s.unsure_var = libm::hypot(s.unsure_var, unknown * (1.0 - less) * left.variance);
             s.unsure = libm::hypot(s.unsure, left.unsure(less, rest));
-            s.common *= less * less;
+            (s.common, s.setting) = (s.common * less * less, s.setting * less * less);
             s.signal = left.mean;
         }
     }

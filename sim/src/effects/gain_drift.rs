@@ -1,6 +1,6 @@
 //! Gain drift: the amplifier's gain changes slowly.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// A times 1 + rate * time.
 pub struct This;
@@ -16,6 +16,10 @@ impl Effect for This {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[Parameter { name: "rel_per_s", unit: "1/s", min: -0.05, max: 0.05, starts: &[1e-4, -1e-4] }]
+    }
+
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.006 / (300.0 * plain.frame_s)])
     }
 
     fn page(&self) -> Page {
@@ -42,9 +46,7 @@ impl Effect for This {
         }
         for (s, (sum, n)) in out.sets.iter_mut().zip(of_set) {
             let square = if n > 0.0 { sum / n } else { 1.0 };
-            s.shot.scale(square);
-            s.read.scale(square);
-            (s.row, s.column, s.common) = (s.row * square, s.column * square, s.common * square);
+            s.scale(square);
         }
     }
 

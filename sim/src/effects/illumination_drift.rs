@@ -1,9 +1,14 @@
 //! Illumination drift: the lamp slowly becomes brighter or darker.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
-/// Light times 1 + rate * time.
+/// Light times 1 + rate * time, or 1 + rel * exp(-time / tau).
 pub struct This;
+
+/// Relative change of the light at a time.
+fn change(p: &[f64], time_s: f64) -> f64 {
+    if p[0] >= 0.5 { p[2] * libm::exp(-time_s / p[3].max(1e-9)) } else { p[1] * time_s }
+}
 
 impl Effect for This {
     fn id(&self) -> &'static str {
@@ -15,13 +20,36 @@ impl Effect for This {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "rel_per_s", unit: "1/s", min: -0.05, max: 0.05, starts: &[1e-4, -1e-4] }]
+        &[
+            Parameter { name: "shape", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0, 1.0] },
+            Parameter { name: "rel_per_s", unit: "1/s", min: -0.05, max: 0.05, starts: &[1e-4] },
+            Parameter { name: "rel", unit: "1", min: -0.5, max: 0.5, starts: &[0.01] },
+            Parameter { name: "tau_s", unit: "s", min: 1e-3, max: 1e5, starts: &[] },
+        ]
+    }
+
+    fn uses(&self, p: &[f64], parameter: usize) -> bool {
+        parameter == 0 || (parameter >= 2) == (p[0] >= 0.5)
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        Some(if p[0] >= 0.5 { "it settles" } else { "straight in time" })
+    }
+
+    fn starts(&self, seen: &super::Seen) -> Vec<Vec<f64>> {
+        let mut all = vec![vec![0.0, 1e-4, 0.0, 1.0]];
+        all.extend([0.1, 0.4].map(|part| vec![1.0, 0.0, 0.01, part * seen.duration_s.max(1e-3)]));
+        all
+    }
+
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.0, 0.006 / (300.0 * plain.frame_s), 0.01, 60.0 * plain.frame_s])
     }
 
     fn page(&self) -> Page {
         Page {
             what: "The lamp warms up or ages during the campaign.",
-            equation: "light(t) = light(0) (1 + rate t)",
+            equation: "shape 0: light(t) = light(0) (1 + rate t); shape 1: light(t) = light(late) (1 + rel exp(-t / tau))",
             signature: "the repeated reference level moves with time, in proportion to the light; darks stand still",
             look_alikes: "gain drift moves dark charge and noise too; offset drift moves darks and flats by the same DN",
             remedy: "let the lamp warm up; repeat a reference level and divide it out",
@@ -35,12 +63,12 @@ impl Effect for This {
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
             let Some(info) = c.sets.get(frame.set).filter(|s| s.light.is_some()) else { continue };
             let light = *m - out.base.dark_e_per_s * info.exposure_s;
-            *m += p[0] * frame.time_s * light;
+            *m += change(p, frame.time_s) * light;
         }
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
-        d.image.scaled_add(p[0] * d.time_s * d.exposure_s, d.rate_e_per_s);
+        d.image.scaled_add(change(p, d.time_s) * d.exposure_s, d.rate_e_per_s);
         d.image.mapv_inplace(|q| q.max(0.0));
     }
 }

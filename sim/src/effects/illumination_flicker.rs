@@ -1,6 +1,6 @@
 //! Illumination flicker: the lamp is a little brighter or darker in each frame.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// Each frame's light times 1 + rel N(0, 1).
 pub struct This;
@@ -16,6 +16,10 @@ impl Effect for This {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[Parameter { name: "rel", unit: "1", min: 0.0, max: 0.5, starts: &[0.002] }]
+    }
+
+    fn example(&self, _: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.003])
     }
 
     fn page(&self) -> Page {

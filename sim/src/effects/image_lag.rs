@@ -1,19 +1,84 @@
-//! Image lag: charge that stays behind and is read with the next frame.
+//! Image lag: charge that stays behind and is read with later frames.
 
 use super::temporal_filter::running_average;
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
-/// A share of a frame's charge is handed on to the next; of that, again a share, or all of it is read.
+/// A share of a frame's charge is handed on to the next; of that, again a share, or all of it is read; or two kinds of traps let it go in
+/// times of their own.
 pub struct This;
 
-/// What is read of this charge, where so much was held from before.
-fn read(p: &[f64], charge: f64, held: f64) -> f64 {
-    if p[1] >= 0.5 { (1.0 - p[0]) * (charge + held) } else { (1.0 - p[0]) * charge + held }
+/// How charge is held.
+#[derive(Clone, Copy)]
+enum Held {
+    /// The next frame has all of it, or the same share of it stays again.
+    Next { share: f64, again: bool },
+    /// Shares of the charge, and the times in which they are let go, s.
+    Traps([(f64, f64); 2]),
 }
 
-/// What is held for the next frame.
-fn left(p: &[f64], charge: f64, held: f64) -> f64 {
-    p[0] * if p[1] >= 0.5 { charge + held } else { charge }
+/// Charge that is held from frame to frame.
+type Store = [f64; 2];
+
+impl Held {
+    fn of(p: &[f64]) -> Self {
+        match p[0].round() as i32 {
+            2 => Self::Traps([(p[1], p[2]), (p[3], p[4])]),
+            shape => Self::Next { share: p[1], again: shape == 1 },
+        }
+    }
+
+    /// What is read of this charge so long after the frame before, and what is held after it.
+    fn pass(self, charge: f64, store: Store, after_s: f64) -> (f64, Store) {
+        match self {
+            Self::Next { share, again: false } => ((1.0 - share) * charge + store[0], [share * charge, 0.0]),
+            Self::Next { share, again: true } => {
+                let all = charge + store[0];
+                ((1.0 - share) * all, [share * all, 0.0])
+            }
+            Self::Traps(traps) => {
+                let (mut out, mut next) = (charge, store);
+                for ((share, tau_s), held) in traps.iter().zip(&mut next) {
+                    let stays = libm::exp(-after_s / tau_s.max(1e-9));
+                    out += (1.0 - stays) * *held - share * charge;
+                    *held = stays * *held + share * charge;
+                }
+                (out, next)
+            }
+        }
+    }
+
+    /// What is held where frames of this charge went before, for long, in steps of this time.
+    fn settled(self, charge: f64, every_s: f64) -> Store {
+        match self {
+            Self::Next { share, again: false } => [share * charge, 0.0],
+            Self::Next { share, again: true } => [share / (1.0 - share) * charge, 0.0],
+            Self::Traps(traps) => {
+                traps.map(|(share, tau_s)| share * charge / -libm::expm1(-every_s.max(1e-9) / tau_s.max(1e-9)))
+            }
+        }
+    }
+
+    /// What becomes of shot noise: its variance, relative, and the correlations over 1, 2, ... frames. Charge of a frame comes out in
+    /// parts h0, h1, ... and the variance is the sum of their squares.
+    fn noise(self, every_s: f64) -> (f64, Vec<f64>) {
+        match self {
+            Self::Next { share: f, again: false } => {
+                let once = (1.0 - f) * (1.0 - f) + f * f;
+                (once, vec![f * (1.0 - f) / once])
+            }
+            Self::Next { share, again: true } => running_average(share),
+            Self::Traps(_) => {
+                let (mut parts, mut store, mut charge) = (Vec::new(), [0.0; 2], 1.0);
+                for _ in 0..10 {
+                    let (out, next) = self.pass(charge, store, every_s);
+                    parts.push(out);
+                    (store, charge) = (next, 0.0);
+                }
+                let lag = |k: usize| parts.iter().zip(&parts[k..]).map(|(a, b)| a * b).sum::<f64>();
+                (lag(0), (1..8).map(|k| lag(k) / lag(0)).collect())
+            }
+        }
+    }
 }
 
 impl Effect for This {
@@ -27,38 +92,75 @@ impl Effect for This {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[
+            Parameter { name: "shape", unit: "choice", min: 0.0, max: 2.0, starts: &[0.0, 1.0, 2.0] },
             Parameter { name: "fraction", unit: "1", min: 0.0, max: 0.5, starts: &[0.005] },
-            // 0: the next frame has all of it; 1: it stays as other charge does.
-            Parameter { name: "again", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0, 1.0] },
+            Parameter { name: "tau_s", unit: "s", min: 1e-4, max: 1e4, starts: &[] },
+            Parameter { name: "fraction_2", unit: "1", min: 0.0, max: 0.5, starts: &[0.002] },
+            Parameter { name: "tau_2_s", unit: "s", min: 1e-4, max: 1e4, starts: &[] },
         ]
+    }
+
+    fn uses(&self, p: &[f64], parameter: usize) -> bool {
+        parameter < 2 || p[0].round() as i32 == 2
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        Some(match p[0].round() as i32 {
+            0 => "all of it comes with the next frame",
+            1 => "of what stays, the same share stays again",
+            _ => "two time constants",
+        })
+    }
+
+    fn remembers(&self) -> bool {
+        true
+    }
+
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        let frame = seen.frame_s.max(1e-4);
+        let traps = |short: f64, long: f64| vec![2.0, 0.005, short * frame, 0.002, long * frame];
+        vec![
+            vec![0.0, 0.005, frame, 0.0, frame],
+            vec![1.0, 0.005, frame, 0.0, frame],
+            traps(0.7, 6.0),
+            traps(2.0, 25.0),
+        ]
+    }
+
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.0, 0.003, 0.8 * plain.frame_s, 0.002, 6.0 * plain.frame_s])
     }
 
     fn page(&self) -> Page {
         Page {
-            what: "The photodiode is not emptied: a share of the charge waits for the next read-out.",
-            equation: "out_t = (1 - f) q_t + f q_(t-1); variance times (1 - f)^2 + f^2, covariance of successive frames f (1 - f); with \
-                       again = 1 out_t = (1 - f) (q_t + f q_(t-1) + f^2 q_(t-2) + ...)",
-            signature: "the first frame after a change of level carries the one before; darks after bright frames are raised; steady \
+            what: "The photodiode is not emptied, or traps hold charge: a share of it is read with later frames.",
+            equation: "shape 0: out_t = (1 - f) q_t + f q_(t-1), variance times (1 - f)^2 + f^2, covariance of successive frames f (1 - f); \
+                       shape 1: out_t = (1 - f) (q_t + f q_(t-1) + f^2 q_(t-2) + ...); shape 2: two kinds of traps, each holds a share f and \
+                       lets go exp(-t / tau) of it",
+            signature: "the first frames after a change of level carry the one before; darks after bright frames are raised; steady \
                         levels are right, with slightly less variance",
             look_alikes: "a temporal filter correlates the read noise of darks too, and lasts several frames",
-            remedy: "throw away the first frame after a change; a longer reset; charge flushing",
+            remedy: "throw away the first frames after a change; a longer reset; charge flushing",
             measure: "darks straight after a bright flat, and a bright flat straight after darks",
             sets: takes::TRANSITIONS,
-            source: "Fossum and Hondongwa 2014, IEEE JEDS 2(3); Janesick 2007",
+            source: "Fossum and Hondongwa 2014, IEEE JEDS 2(3); Janesick 2007; persistence: Tulloch 2019, IDW (several time constants)",
         }
     }
 
-    fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
-        let f = p[0];
-        let mut held = 0.0;
-        for m in &mut out.frame_signal {
-            let charge = *m;
-            *m = read(p, charge, held);
-            held = left(p, charge, held);
+    fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
+        let held = Held::of(p);
+        let mut last_s = None;
+        let past = out.base.past_e.unwrap_or(0.0);
+        let first = c.frames.first().map_or(0.0, |f| c.sets.get(f.set).map_or(0.0, |s| s.exposure_s));
+        let mut store = held.settled(past, c.frame_s.max(first));
+        for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
+            // Charge is let go until the frame ends.
+            let end_s = frame.time_s + c.sets.get(frame.set).map_or(0.0, |s| s.exposure_s);
+            let after_s = last_s.map_or(c.frame_s, |last: f64| end_s - last);
+            (*m, store) = held.pass(*m, store, after_s);
+            last_s = Some(end_s);
         }
-        let once = (1.0 - f) * (1.0 - f) + f * f;
-        let (less, memory) =
-            if p[1] >= 0.5 { running_average(f) } else { (once, vec![f * (1.0 - f) / once]) };
+        let (less, memory) = held.noise(c.frame_s);
         for s in &mut out.sets {
             s.shot.scale(less);
             s.shot_memory.clone_from(&memory);
@@ -66,10 +168,22 @@ impl Effect for This {
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
-        let held = d.memory.remove(self.id()).filter(|m| m.dim() == d.image.dim());
-        let held = held.unwrap_or_else(|| ndarray::Array2::zeros(d.image.dim()));
-        let next = ndarray::Zip::from(&d.image).and(&held).map_collect(|q, h| left(p, *q, *h));
-        d.image.zip_mut_with(&held, |q, h| *q = read(p, *q, *h));
-        d.memory.insert(self.id(), next);
+        let held = Held::of(p);
+        let dim = d.image.dim();
+        let mut take = |name: &'static str| {
+            let kept = d.memory.remove(name).filter(|m| m.dim() == dim);
+            kept.unwrap_or_else(|| ndarray::Array2::zeros(dim))
+        };
+        let (mut short, mut long) = (take("image-lag"), take("image-lag-2"));
+        let end_s = d.time_s + d.exposure_s;
+        let last_s = d.memory.get("image-lag-time").map(|t| t[(0, 0)]);
+        let after_s = last_s.map_or(d.exposure_s, |last| (end_s - last).max(0.0));
+        ndarray::Zip::from(&mut d.image).and(&mut short).and(&mut long).for_each(|q, a, b| {
+            let (out, store) = held.pass(*q, [*a, *b], after_s);
+            (*q, [*a, *b]) = (out, store);
+        });
+        d.memory.insert("image-lag", short);
+        d.memory.insert("image-lag-2", long);
+        d.memory.insert("image-lag-time", ndarray::Array2::from_elem((1, 1), end_s));
     }
 }

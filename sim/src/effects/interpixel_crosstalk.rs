@@ -1,6 +1,7 @@
 //! Interpixel crosstalk: charge or capacitance shared with the neighbours before the amplifier.
 
-use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Stage, takes};
+use crate::predict::Filter;
 
 /// Each pixel gives a share to each of its four neighbours.
 pub struct This;
@@ -22,6 +23,10 @@ impl Effect for This {
         Needs::Covariances
     }
 
+    fn example(&self, _: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.008])
+    }
+
     fn page(&self) -> Page {
         Page {
             what: "Charge diffuses, or capacitance couples, to the four neighbours after it was counted by shot noise.",
@@ -37,14 +42,13 @@ impl Effect for This {
     }
 
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
-        for s in &mut out.sets {
-            let before = s.covariance(0, 0);
-            s.shot.shape(|ky, kx| {
-                let h = 1.0 - 4.0 * p[0] + 2.0 * p[0] * (libm::cos(ky) + libm::cos(kx));
-                h * h
-            });
-            s.follow(before);
-        }
+        let h = |ky: f64, kx: f64| {
+            let h = 1.0 - 4.0 * p[0] + 2.0 * p[0] * (libm::cos(ky) + libm::cos(kx));
+            h * h
+        };
+        let filter = Filter::new(&h);
+        // Nothing but charge is there yet.
+        out.sets.iter_mut().for_each(|s| s.filter(&filter));
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {

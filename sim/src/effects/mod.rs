@@ -43,6 +43,8 @@ pub struct Parameter {
 /// What is needed to tell an effect from others, from little to much.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Needs {
+    /// A table of means at known exposures.
+    Means,
     /// A table of means and variances.
     Variances,
     /// A table that has covariances of neighbours too.
@@ -56,6 +58,18 @@ pub enum Needs {
 pub struct Seen {
     /// Signal of the brightest frames, e.
     pub peak_e: f64,
+    /// The same, DN above zero.
+    pub peak_dn: f64,
+    /// Largest code, DN.
+    pub full_scale_dn: f64,
+    /// From the first frame to the last, s.
+    pub duration_s: f64,
+    /// Usual time from frame to frame, s.
+    pub frame_s: f64,
+    /// Rows.
+    pub rows: f64,
+    /// Whether means tell of the light: else they are taken as they are.
+    pub means: bool,
     /// Noise of darks, DN.
     pub dark_noise_dn: f64,
     /// The strongest line in the spectrum of the noise in read-out order, cycles per pixel.
@@ -73,6 +87,64 @@ impl Parameter {
     /// Whether it says which of several kinds, and is not fitted: every start is tried. Its unit is `choice`.
     pub fn is_choice(&self) -> bool {
         self.unit == "choice"
+    }
+
+    /// Whether it may be nothing, so that its value says how strong the effect is.
+    pub fn is_size(&self) -> bool {
+        self.min <= 0.0 && self.max >= 0.0 && !self.is_choice() && !self.starts.is_empty()
+    }
+}
+
+/// A combination of parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Together {
+    /// Its name.
+    pub name: &'static str,
+    /// Its unit.
+    pub unit: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// How it grows with each parameter.
+    pub slopes: Vec<f64>,
+}
+
+/// A camera as examples need it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Plain {
+    /// A, DN/e.
+    pub gain_dn_per_e: f64,
+    /// Signal near full scale, e.
+    pub range_e: f64,
+    /// Exposure that brings it, s.
+    pub bright_s: f64,
+    /// Constant noise, e.
+    pub noise_e: f64,
+    /// Time of a frame, s.
+    pub frame_s: f64,
+    /// Rows.
+    pub rows: f64,
+    /// Largest code, DN.
+    pub full_scale_dn: f64,
+    /// Dark charge of the longest darks, 16 times the full exposure, e.
+    pub long_dark_e: f64,
+}
+
+impl Plain {
+    /// Of a model.
+    pub fn of(model: &crate::Model) -> Self {
+        let gain = model.base.gain_dn_per_e;
+        let range_e = 0.85 * f64::from(model.full_scale_dn()) / gain;
+        let bright_s = range_e / (model.bench.photon_flux_per_s * model.base.quantum_efficiency).max(1e-9);
+        Self {
+            gain_dn_per_e: gain,
+            range_e,
+            bright_s,
+            noise_e: libm::sqrt(model.constant_noise_var_dn2(0.0)) / gain,
+            frame_s: bright_s + model.camera.readout_s,
+            rows: f64::from(model.camera.height),
+            full_scale_dn: f64::from(model.full_scale_dn()),
+            long_dark_e: 16.0 * bright_s * model.base.dark_current_e_per_s,
+        }
     }
 }
 
@@ -210,6 +282,30 @@ pub trait Effect: Sync + Send {
             |p: &Parameter, k: usize| p.starts.get(k).or(p.starts.last()).copied().unwrap_or(p.min.max(0.0));
         (0..tries).map(|k| parameters.iter().map(|p| of(p, k)).collect()).collect()
     }
+    /// Whether a parameter matters where the choices are those of these values.
+    fn uses(&self, _p: &[f64], _parameter: usize) -> bool {
+        true
+    }
+    /// What the choices mean, in words.
+    fn form(&self, _p: &[f64]) -> Option<&'static str> {
+        None
+    }
+    /// What only a combination of parameters may tell, where single ones are not known.
+    fn together(&self, _p: &[f64]) -> Option<Together> {
+        None
+    }
+    /// Whether frames depend on those before them: what was exposed before the first is then not known.
+    fn remembers(&self) -> bool {
+        false
+    }
+    /// Values at which it is plain to see in a campaign of the standard plan; `None` where flats, darks and a scene of unknown contrast
+    /// show nothing of it.
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>>;
+    /// Values so many times as strong, within the bounds.
+    fn scaled(&self, values: &[f64], by: f64) -> Vec<f64> {
+        let of = |(v, p): (&f64, &Parameter)| if p.is_size() { (v * by).clamp(p.min, p.max) } else { *v };
+        values.iter().zip(self.parameters()).map(of).collect()
+    }
     /// What people want to know.
     fn page(&self) -> Page;
     /// Shifts the expected statistics. `p` are the values of [`parameters`](Self::parameters).
@@ -228,8 +324,14 @@ pub struct Drawing<'a> {
     pub image: ndarray::Array2<f64>,
     /// Electrons per second from the light, (rows, columns).
     pub rate_e_per_s: &'a ndarray::Array2<f64>,
+    /// Dark charge per second, e/s, (rows, columns).
+    pub dark_e_per_s: &'a ndarray::Array2<f64>,
     /// Exposure, s.
     pub exposure_s: f64,
+    /// Light relative to the bench's unit.
+    pub illumination: f64,
+    /// Number of the setting of light and exposure, counted from the first.
+    pub setting: u64,
     /// Time, s.
     pub time_s: f64,
     /// Number of the frame.
@@ -290,9 +392,10 @@ pub(crate) use full_well_saturation::Clipped;
 
 effects! {
     nonlinearity brighter_fatter interpixel_crosstalk readout_lowpass spatial_filter temporal_filter image_lag
-    illumination_flicker illumination_drift gain_drift offset_drift row_noise column_noise periodic_interference
+    illumination_setting illumination_flicker illumination_drift light_banding gain_drift offset_drift dark_current_drift row_noise
+    column_noise column_gain_noise periodic_interference
     random_telegraph_noise adc_nonlinearity charge_transfer_inefficiency smear exposure_offset full_well_saturation
-    black_clipping stray_light tap_mismatch blooming coarse_quantization
+    black_clipping stray_light tap_mismatch blooming coarse_quantization companding
 }
 
 /// Effects that a program brought along.
@@ -323,36 +426,9 @@ pub fn find(id: &str) -> Option<&'static dyn Effect> {
     all().into_iter().find(|e| e.id() == id)
 }
 
-/// Values at which an effect of a camera is plain to see in a campaign of the standard plan; `None` where flats, darks and a scene
-/// of unknown contrast show nothing of it.
+/// [`Effect::example`] of an effect for a camera.
 pub fn example(id: &str, model: &crate::Model) -> Option<Vec<f64>> {
-    let gain = model.base.gain_dn_per_e;
-    let range_e = 0.85 * f64::from(model.full_scale_dn()) / gain;
-    let bright_s = range_e / (model.bench.photon_flux_per_s * model.base.quantum_efficiency).max(1e-9);
-    let noise_e = libm::sqrt(model.constant_noise_var_dn2(0.0)) / gain;
-    Some(match id {
-        "nonlinearity" => vec![0.003, 1.0],
-        "brighter-fatter" => vec![0.03 / range_e, 0.022 / range_e],
-        "interpixel-crosstalk" => vec![0.008],
-        "readout-lowpass" => vec![0.02],
-        "spatial-filter" => vec![0.04, 0.0],
-        "temporal-filter" => vec![0.03],
-        "image-lag" => vec![0.003, 0.0],
-        "illumination-flicker" => vec![0.003],
-        "illumination-drift" | "gain-drift" => vec![0.006 / (300.0 * (bright_s + model.camera.readout_s))],
-        "offset-drift" => vec![0.06 / (300.0 * (bright_s + model.camera.readout_s))],
-        "row-noise" | "column-noise" => vec![0.2 * noise_e],
-        "periodic-interference" => vec![0.35 * noise_e * gain, 0.0973],
-        "random-telegraph-noise" => vec![0.01, 7.0 * noise_e],
-        "adc-nonlinearity" => vec![0.05, 0.0, 0.1, 0.0, -0.1, 0.0],
-        "charge-transfer-inefficiency" => vec![0.02 / f64::from(model.camera.height), 0.0],
-        "smear" | "exposure-offset" => vec![5e-4 * bright_s],
-        "full-well-saturation" | "blooming" => vec![0.8 * range_e],
-        "black-clipping" => vec![-0.5],
-        "tap-mismatch" => vec![0.01, 1.0, 0.0],
-        "coarse-quantization" => vec![4.0],
-        _ => return None,
-    })
+    find(id)?.example(&Plain::of(model))
 }
 
 /// Expected statistics of a campaign under the paper's model and some effects, each with its parameters, in the order of the
@@ -372,14 +448,18 @@ pub fn predict(campaign: &Campaign, base: &BaseParameters, effects: &[(&dyn Effe
     }
     run(&mut out, Stage::Charge, Stage::Transfer);
     for s in &mut out.sets {
-        s.read.0.iter_mut().for_each(|p| *p += base.read_noise_e * base.read_noise_e);
+        s.read.add_white(base.read_noise_e * base.read_noise_e);
     }
     run(&mut out, Stage::Read, Stage::Read);
-    let gain = base.gain_dn_per_e;
-    out.bend(|s| s * gain);
+    out.amplify(base.gain_dn_per_e);
     run(&mut out, Stage::Amplifier, Stage::Converter);
-    run(&mut out, Stage::Firmware, Stage::Firmware);
+    let step = out.code_step_dn;
+    out.quantize(campaign, step);
+    // Firmware hands on whole codes.
+    for (e, p) in order.iter().filter(|(e, _)| e.stage() == Stage::Firmware) {
+        e.predict(p, campaign, &mut out);
+        out.quantize(campaign, 1.0);
+    }
     out.frame_signal.iter_mut().for_each(|m| *m += base.offset_dn);
-    out.quantize(campaign);
     out
 }

@@ -1,15 +1,69 @@
 //! Nonlinearity: the signal bends away from a straight line in the light.
 
-use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
-/// v (1 - rel (v / full scale)^order), after the amplifier.
+/// A curve after the amplifier, one of several shapes.
 pub struct This;
+
+/// Knots of the free curve, at equal steps up to full scale; it begins at 0.
+const KNOTS: usize = 6;
+/// Places of the parameters.
+const REL: usize = 1;
+const EXPONENT: usize = 4;
+const KNEE: usize = 5;
+const ASYMPTOTE: usize = 7;
+const FIRST_KNOT: usize = 8;
+
+const fn size(name: &'static str, max: f64, start: f64) -> Parameter {
+    let starts: &[f64] = if start == 0.01 { &[0.01] } else { &[0.003] };
+    Parameter { name, unit: "1", min: -max, max, starts }
+}
+
+/// Natural cubic spline through (0, 0) and values at equal steps: second derivatives at the knots, in steps
+/// (de Boor 2001, A Practical Guide to Splines, ch. IV).
+fn second_derivatives(values: &[f64; KNOTS + 1]) -> [f64; KNOTS + 1] {
+    let (mut below, mut right) = ([0.0; KNOTS + 1], [0.0; KNOTS + 1]);
+    for i in 1..KNOTS {
+        let pivot = 4.0 - below[i - 1];
+        below[i] = 1.0 / pivot;
+        right[i] = (6.0 * (values[i + 1] - 2.0 * values[i] + values[i - 1]) - right[i - 1]) / pivot;
+    }
+    let mut out = [0.0; KNOTS + 1];
+    for i in (1..KNOTS).rev() {
+        out[i] = right[i] - below[i] * out[i + 1];
+    }
+    out
+}
 
 /// The curve.
 fn bent(p: &[f64], full_scale_dn: f64) -> impl Fn(f64) -> f64 {
-    let (rel, order) = (p[0], p[1].round() as i32);
-    // Below zero it goes on as a straight line would: noise there is small.
-    move |v| v * (1.0 - rel * (v.max(0.0) / full_scale_dn).powi(order))
+    let shape = p[0].round() as i32;
+    let p: Vec<f64> = p.to_vec();
+    let mut values = [0.0; KNOTS + 1];
+    values[1..].copy_from_slice(&p[FIRST_KNOT..]);
+    let second = second_derivatives(&values);
+    move |v| {
+        // Below zero it goes on as a straight line would, but for the power law: noise there is small.
+        let x = v.max(0.0) / full_scale_dn;
+        match shape {
+            0..=2 => v * (1.0 - p[REL] * x.powi(shape + 1)),
+            3 => v * (1.0 - x * (p[REL] + x * (p[REL + 1] + x * p[REL + 2]))),
+            4 => full_scale_dn * libm::pow((v / full_scale_dn).abs(), p[EXPONENT]).copysign(v),
+            5 => v.min(p[KNEE]) + p[KNEE + 1] * (v - p[KNEE]).max(0.0),
+            6 => {
+                if v > 0.0 { -p[ASYMPTOTE] * libm::expm1(-v / p[ASYMPTOTE]) } else { v }
+            }
+            _ => {
+                let at = (x * KNOTS as f64).clamp(0.0, 2.0 * KNOTS as f64);
+                let i = (at as usize).min(KNOTS - 1);
+                let (b, a) = (at - i as f64, 1.0 - at + i as f64);
+                let bend = a * values[i]
+                    + b * values[i + 1]
+                    + ((a * a * a - a) * second[i] + (b * b * b - b) * second[i + 1]) / 6.0;
+                v * (1.0 - bend)
+            }
+        }
+    }
 }
 
 impl Effect for This {
@@ -22,26 +76,124 @@ impl Effect for This {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[
-            Parameter { name: "rel", unit: "1", min: -0.45, max: 0.45, starts: &[0.01] },
-            Parameter { name: "order", unit: "choice", min: 1.0, max: 3.0, starts: &[1.0, 2.0, 3.0] },
-        ]
+        const ALL: [Parameter; FIRST_KNOT + KNOTS] = [
+            Parameter {
+                name: "shape",
+                unit: "choice",
+                min: 0.0,
+                max: 7.0,
+                starts: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0],
+            },
+            size("rel", 0.45, 0.01),
+            size("rel_2", 0.45, 0.003),
+            size("rel_3", 0.45, 0.003),
+            Parameter { name: "exponent", unit: "1", min: 0.4, max: 2.5, starts: &[0.97, 1.03] },
+            Parameter { name: "knee_dn", unit: "DN", min: 1.0, max: 65_535.0, starts: &[] },
+            Parameter { name: "ratio", unit: "1", min: 0.05, max: 2.0, starts: &[0.9] },
+            Parameter { name: "asymptote_dn", unit: "DN", min: 1.0, max: 1e8, starts: &[] },
+            size("bend_1", 0.45, 0.003),
+            size("bend_2", 0.45, 0.003),
+            size("bend_3", 0.45, 0.003),
+            size("bend_4", 0.45, 0.003),
+            size("bend_5", 0.45, 0.003),
+            size("bend_6", 0.45, 0.003),
+        ];
+        &ALL
+    }
+
+    fn uses(&self, p: &[f64], parameter: usize) -> bool {
+        match (p[0].round() as i32, parameter) {
+            (_, 0) => true,
+            (0..=2, k) => k == REL,
+            (3, k) => (REL..REL + 3).contains(&k),
+            (4, k) => k == EXPONENT,
+            (5, k) => k == KNEE || k == KNEE + 1,
+            (6, k) => k == ASYMPTOTE,
+            (_, k) => k >= FIRST_KNOT,
+        }
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        Some(match p[0].round() as i32 {
+            0 => "a bend with the square of the signal",
+            1 => "a bend with the cube of the signal",
+            2 => "a bend with the fourth power of the signal",
+            3 => "a polynomial of fourth order",
+            4 => "a power law (a gamma)",
+            5 => "two slopes with a knee between them",
+            6 => "saturation towards an asymptote",
+            _ => "a free curve",
+        })
+    }
+
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        let full = seen.full_scale_dn;
+        let peak = (seen.peak_dn).clamp(1.0, full);
+        let base = |shape: f64| {
+            let mut p = vec![0.0; FIRST_KNOT + KNOTS];
+            (p[0], p[EXPONENT], p[KNEE], p[KNEE + 1], p[ASYMPTOTE]) = (shape, 1.0, 0.5 * peak, 1.0, 30.0 * full);
+            p
+        };
+        let with = |shape: f64, set: &[(usize, f64)]| {
+            let mut p = base(shape);
+            set.iter().for_each(|(i, v)| p[*i] = *v);
+            p
+        };
+        let mut out: Vec<Vec<f64>> = (0..3).map(|k| with(f64::from(k), &[(REL, 0.01)])).collect();
+        if !seen.means {
+            // The variance alone tells no more than one number of a bend.
+            return out;
+        }
+        out.push(with(3.0, &[(REL, 0.01), (REL + 1, 0.003), (REL + 2, 0.003)]));
+        out.extend([0.93, 1.07].map(|e| with(4.0, &[(EXPONENT, e)])));
+        out.extend([0.3, 0.5, 0.7, 0.85].map(|k| with(5.0, &[(KNEE, k * peak), (KNEE + 1, 0.9)])));
+        out.push(with(5.0, &[(KNEE, 0.5 * peak), (KNEE + 1, 1.1)]));
+        out.extend([4.0, 30.0].map(|a| with(6.0, &[(ASYMPTOTE, a * full)])));
+        let knots: Vec<(usize, f64)> = (0..KNOTS).map(|k| (FIRST_KNOT + k, 0.002 * (k + 1) as f64)).collect();
+        out.push(with(7.0, &knots));
+        out
     }
 
     fn needs(&self) -> Needs {
         Needs::Variances
     }
 
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        let mut p = vec![0.0; FIRST_KNOT + KNOTS];
+        (p[REL], p[EXPONENT], p[KNEE], p[KNEE + 1], p[ASYMPTOTE]) =
+            (0.003, 0.99, 0.4 * plain.full_scale_dn, 0.99, 100.0 * plain.full_scale_dn);
+        (p[REL + 1], p[REL + 2]) = (-0.004, 0.006);
+        for (k, v) in [0.001, 0.003, 0.002, 0.003, 0.005, 0.009].into_iter().enumerate() {
+            p[FIRST_KNOT + k] = v;
+        }
+        Some(p)
+    }
+
+    fn scaled(&self, values: &[f64], by: f64) -> Vec<f64> {
+        let mut p = values.to_vec();
+        for (k, v) in p.iter_mut().enumerate() {
+            match k {
+                0 | KNEE => {}
+                EXPONENT => *v = 1.0 + by * (*v - 1.0),
+                ASYMPTOTE => *v /= by,
+                k if k == KNEE + 1 => *v = 1.0 + by * (*v - 1.0),
+                _ => *v *= by,
+            }
+        }
+        p.iter().zip(self.parameters()).map(|(v, p)| v.clamp(p.min, p.max)).collect()
+    }
+
     fn page(&self) -> Page {
         Page {
-            what: "The amplifier's output does not grow in proportion to the charge: a source follower whose capacitance changes \
-                   with the voltage, or an amplifier near its rail.",
-            equation: "D = v (1 - rel (v / v_full)^order), v = A q, order 1, 2 or 3; noise is multiplied by the slope, 1 - 2 rel v / v_full for \
-                       order 1",
-            signature: "mean against exposure bends as -mu^2 (or a higher power); variance over mean falls as (1 - 2 b x)^2 / (1 - b x); neighbours stay \
-                        uncorrelated",
-            look_alikes: "brighter-fatter lowers the variance too, but leaves the mean alone and correlates neighbours",
-            remedy: "correct by the inverse curve, or stay in the lower half of the range",
+            what: "The output does not grow in proportion to the charge: a source follower whose capacitance changes with the voltage, an \
+                   amplifier near its rail, a gamma or a knee that is switched on.",
+            equation: "D = f(v), v = A q; shape 0 to 2: v (1 - rel x^n), x = v / full scale, n = 1, 2, 3; 3: v (1 - rel x - rel_2 x^2 - \
+                       rel_3 x^3); 4: full scale x^exponent; 5: slope 1 up to knee_dn, ratio above; 6: a (1 - exp(-v / a)); 7: v (1 - c(x)), \
+                       c a cubic spline; noise is multiplied by the slope",
+            signature: "the mean against the exposure bends; variance over mean follows the square of the slope; neighbours stay uncorrelated",
+            look_alikes: "brighter-fatter lowers the variance too, but leaves the mean alone and correlates neighbours; lamp settings scatter \
+                          the means about a straight line and leave the variance alone",
+            remedy: "switch gamma and knee off; else correct by the inverse curve, or stay where it is straight",
             measure: "an exposure sweep at fixed light: the mean tells nonlinearity from brighter-fatter",
             sets: takes::SWEEP,
             source: "Janesick 2007, Photon Transfer, ch. 7; EMVA 1288 release 4, linearity",
@@ -49,10 +201,30 @@ impl Effect for This {
     }
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
-        out.bend(bent(p, c.full_scale_dn));
+        out.bend(c, bent(p, c.full_scale_dn));
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
         d.image.mapv_inplace(bent(p, d.full_scale_dn));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The natural spline through 0, 1, 3, 2, 3, 5, 9 at 0 to 6, from its tridiagonal system solved by numpy 2.4 (numpy.linalg.solve).
+    #[test]
+    fn the_spline_is_that_of_numpy() {
+        let mut p = vec![0.0; FIRST_KNOT + KNOTS];
+        p[0] = 7.0;
+        for (k, v) in [1.0, 3.0, 2.0, 3.0, 5.0, 9.0].into_iter().enumerate() {
+            p[FIRST_KNOT + k] = 0.01 * v;
+        }
+        let curve = bent(&p, 6.0);
+        let c = |x: f64| (1.0 - curve(x) / x) * 100.0;
+        for (x, expected) in [(1.0, 1.0), (2.0, 3.0), (6.0, 9.0), (2.5, 2.608_173_076_923_077)] {
+            assert!((c(x) - expected).abs() < 1e-9, "{x}: {}", c(x));
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! Offset drift: the black level wanders.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// Black level plus rate * time.
 pub struct This;
@@ -16,6 +16,10 @@ impl Effect for This {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[Parameter { name: "dn_per_s", unit: "DN/s", min: -10.0, max: 10.0, starts: &[1e-3, -1e-3] }]
+    }
+
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.06 / (300.0 * plain.frame_s)])
     }
 
     fn page(&self) -> Page {

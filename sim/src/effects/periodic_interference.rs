@@ -1,6 +1,6 @@
 //! Periodic interference: a disturbance of one frequency during read-out.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Seen, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
 /// A sine in read-out order, with a new phase in every frame.
 pub struct This;
@@ -24,6 +24,10 @@ impl Effect for This {
     /// At the strongest line that was measured; without one there is nothing to look for.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         seen.line_cycles_per_px.map(|line| vec![self.parameters()[0].starts[0], line]).into_iter().collect()
+    }
+
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.35 * plain.noise_e * plain.gain_dn_per_e, 0.0973])
     }
 
     fn page(&self) -> Page {

@@ -1,6 +1,6 @@
 //! Random telegraph noise: a few pixels jump between two levels.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, Together, takes};
 
 /// A share of the pixels is up or down by half the amplitude, at random in every frame.
 pub struct This;
@@ -19,6 +19,20 @@ impl Effect for This {
             Parameter { name: "fraction", unit: "1", min: 1e-5, max: 0.5, starts: &[0.01] },
             Parameter { name: "amplitude_e", unit: "e", min: 0.0, max: 1e5, starts: &[20.0] },
         ]
+    }
+
+    fn together(&self, p: &[f64]) -> Option<Together> {
+        let (name, value) = ("fraction * amplitude_e^2", p[0] * p[1] * p[1]);
+        Some(Together { name, unit: "e^2", value, slopes: vec![p[1] * p[1], 2.0 * p[0] * p[1]] })
+    }
+
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.01, 7.0 * plain.noise_e])
+    }
+
+    fn scaled(&self, values: &[f64], by: f64) -> Vec<f64> {
+        // As many pixels, with other jumps.
+        vec![values[0], values[1] * by]
     }
 
     fn page(&self) -> Page {
@@ -44,7 +58,7 @@ impl Effect for This {
             // So many pixels have it as chance has it, and each shows of it what few frames show.
             let pixels = (c.shape.0 * c.shape.1) as f64;
             s.unsure = libm::hypot(s.unsure, spread * libm::sqrt(3.0 / (p[0] * pixels).max(1.0)));
-            s.read.0.iter_mut().for_each(|power| *power += p[0] * jump);
+            s.read.add_white(p[0] * jump);
         }
     }
 

@@ -1,6 +1,7 @@
 //! Read-out low-pass: the output stage is too slow for the pixel rate.
 
-use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Stage, takes};
+use crate::predict::Filter;
 
 /// Each pixel keeps a share of the one read before it in the row.
 pub struct This;
@@ -22,6 +23,10 @@ impl Effect for This {
         Needs::Covariances
     }
 
+    fn example(&self, _: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.02])
+    }
+
     fn page(&self) -> Page {
         Page {
             what: "The video chain has a finite bandwidth: part of the last pixel's voltage is still there when the next is \
@@ -38,14 +43,9 @@ impl Effect for This {
 
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
         let a = p[0];
-        for s in &mut out.sets {
-            let before = s.covariance(0, 0);
-            let pass = |_: f64, kx: f64| (1.0 - a) * (1.0 - a) / (1.0 - 2.0 * a * libm::cos(kx) + a * a);
-            s.shot.shape(pass);
-            s.read.shape(pass);
-            s.column *= (1.0 - a) / (1.0 + a);
-            s.follow(before);
-        }
+        let pass = |_: f64, kx: f64| (1.0 - a) * (1.0 - a) / (1.0 - 2.0 * a * libm::cos(kx) + a * a);
+        let filter = Filter::new(&pass);
+        out.sets.iter_mut().for_each(|s| s.filter(&filter));
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {

@@ -1,6 +1,6 @@
 //! Smear: light collected while the charge is moved through the image.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 use ndarray::Axis;
 
 /// Every pixel of a column gets the column's mean light for some time, whatever the exposure.
@@ -17,6 +17,10 @@ impl Effect for This {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[Parameter { name: "transfer_s", unit: "s", min: 0.0, max: 1.0, starts: &[1e-6, 1e-4] }]
+    }
+
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![5e-4 * plain.bright_s])
     }
 
     fn page(&self) -> Page {
@@ -47,15 +51,13 @@ impl Effect for This {
 
 /// Light for some more time in every frame.
 pub(super) fn longer(by_s: f64, c: &Campaign, out: &mut Prediction) {
-    let extra = |set: usize, flux: &[f64]| {
-        let light = c.sets.get(set).and_then(|s| s.light).and_then(|l| flux.get(l));
-        by_s * light.copied().unwrap_or(0.0)
-    };
-    let flux = out.base.flux_e_per_s.clone();
+    let base = out.base.clone();
+    let extra = |set: usize| by_s * c.sets.get(set).map_or(0.0, |s| base.rate_e_per_s(s));
     for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
-        *m += extra(frame.set, &flux);
+        *m += extra(frame.set);
     }
     for (i, s) in out.sets.iter_mut().enumerate() {
-        s.signal += extra(i, &flux);
+        s.signal += extra(i);
+        out.light_e[i] += extra(i);
     }
 }

@@ -1,6 +1,6 @@
 //! Stray light: part of all light is spread over the whole image.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// A share of the mean light falls on every pixel alike.
 pub struct This;
@@ -16,6 +16,10 @@ impl Effect for This {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[Parameter { name: "share", unit: "1", min: 0.0, max: 0.9, starts: &[0.01] }]
+    }
+
+    fn example(&self, _: &Plain) -> Option<Vec<f64>> {
+        None
     }
 
     fn page(&self) -> Page {

@@ -1,6 +1,6 @@
 //! Tap mismatch: parts of the sensor are read through different amplifiers.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// Gain and offset of half of the pixels differ from those of the rest.
 pub struct This;
@@ -33,6 +33,10 @@ impl Effect for This {
         ]
     }
 
+    fn example(&self, _: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.01, 1.0, 0.0])
+    }
+
     fn page(&self) -> Page {
         Page {
             what: "Two taps have different gains or offsets: a step runs through the middle of the image, or every second line differs.",
@@ -56,10 +60,7 @@ impl Effect for This {
         let square = 0.5 * (1.0 + (1.0 + p[0]) * (1.0 + p[0]));
         for s in &mut out.sets {
             s.signal += 0.5 * (p[0] * s.signal + p[1]);
-            let before = s.covariance(0, 0);
-            s.shot.scale(square);
-            s.read.scale(square);
-            s.follow(before);
+            s.scale(square);
         }
     }
 

@@ -1,6 +1,9 @@
 //! Temporal filter: the camera averages successive frames.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Prediction, Stage, takes};
+use crate::predict::SetPrediction;
+use crate::quantize::Correction;
+
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// A running average with weight 1 - alpha for the new frame.
 pub struct This;
@@ -24,10 +27,18 @@ impl Effect for This {
         &[Parameter { name: "alpha", unit: "1", min: 0.0, max: 0.9, starts: &[0.05] }]
     }
 
+    fn remembers(&self) -> bool {
+        true
+    }
+
+    fn example(&self, _: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.03])
+    }
+
     fn page(&self) -> Page {
         Page {
             what: "Firmware noise reduction mixes each frame with the ones before.",
-            equation: "y_t = (1 - alpha) v_t + alpha y_(t-1); variance times (1 - alpha) / (1 + alpha), correlation alpha^k over k frames",
+            equation: "y_t = round((1 - alpha) v_t + alpha y_(t-1)); variance times (1 - alpha) / (1 + alpha), correlation alpha^k over k frames",
             signature: "successive frames correlated, darks too; variance down in darks and flats; first frames after a change carry the \
                         old level",
             look_alikes: "image lag carries charge only: read noise of darks is uncorrelated in time",
@@ -38,28 +49,43 @@ impl Effect for This {
         }
     }
 
-    fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
+    fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let a = p[0];
-        let mut last: Option<f64> = None;
-        for m in &mut out.frame_signal {
-            let now = (1.0 - a) * *m + a * last.unwrap_or(*m);
-            (*m, last) = (now, Some(now));
+        // It adds floor(alpha (last - now) + 1/2) to every code. For each set: the slope of that, what it adds beside, its mean.
+        let of_set = |s: &SetPrediction| {
+            let x = s.pixels();
+            let mut after = x;
+            let mut all = (a, 1.0 / 12.0, Correction::new(a, 1.0, 0.0));
+            for _ in 0..8 {
+                let correction = Correction::new(a, libm::sqrt(x + after), 0.0);
+                let (slope, noise) = correction.linear();
+                after = x * (1.0 - slope) / (1.0 + slope) + noise / (1.0 - slope * slope);
+                all = (slope, noise, correction);
+            }
+            all
+        };
+        let of_sets: Vec<_> = out.sets.iter().map(of_set).collect();
+        let mut last = out.base.past_e.map(|past| past * out.base.gain_dn_per_e);
+        for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
+            let step = last.map_or(0.0, |last| of_sets.get(frame.set).map_or(a * (last - *m), |s| s.2.mean(last - *m)));
+            *m += step;
+            last = Some(*m);
         }
-        let (less, memory) = running_average(a);
-        for s in &mut out.sets {
-            let before = s.covariance(0, 0);
-            s.shot.scale(less);
-            s.read.scale(less);
-            (s.row, s.column, s.common) = (s.row * less, s.column * less, s.common * less);
-            s.follow(before);
-            (s.shot_memory, s.read_memory) = (memory.clone(), memory.clone());
+        for (s, (slope, noise, correction)) in out.sets.iter_mut().zip(of_sets) {
+            let (less, memory) = running_average(slope);
+            s.remember(less, &memory);
+            s.read.add_white(noise / (1.0 - slope * slope));
+            // Only what lies far off is moved: the tails of narrow noise are not normal any more.
+            s.unsure = libm::hypot(s.unsure, 0.15 * correction.narrow() * s.pixels().powi(2));
         }
+        out.whole = true;
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
         if let Some(last) = d.memory.get(self.id()).filter(|m| m.dim() == d.image.dim()) {
             d.image = &d.image * (1.0 - p[0]) + last * p[0];
         }
+        d.image.mapv_inplace(|v| libm::floor(v + 0.5));
         d.memory.insert(self.id(), d.image.clone());
     }
 }

@@ -1,14 +1,16 @@
 //! Observables of a table of means and variances: many labs keep only that.
 
-use super::observe::{Observable, Observations, ObserveError, Statistic};
+use super::campaign::dark_spreads;
+use super::{Half, Observable, Observations, ObserveError, Statistic, covariance, mean, monitor, variance};
 use crate::dataset::Kind;
 use crate::dataset::table::Table;
 use crate::noise::{Counts, pixels_from_scatter, table_points};
+use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, SetInfo};
 
 /// Rows up to the peak of the variance as sets of one pair each.
-pub(super) fn observations(table: &Table) -> Result<Observations, ObserveError> {
+pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
     let mut points = table_points(table);
     let counts = pixels_from_scatter(&mut points);
     let mut missing = vec![
@@ -44,17 +46,17 @@ pub(super) fn observations(table: &Table) -> Result<Observations, ObserveError> 
         )));
     }
     let exposures = kept.iter().all(|&i| table.levels[i].exposure_s.is_some());
-    let mut all = Vec::new();
-    // Rows of one illumination share their light.
-    let mut lights: Vec<u64> = Vec::new();
-    let mut light_of = |place: usize, illumination: f64| {
+    let mut list = Vec::new();
+    // Rows of one lamp share its strength, and those of one illumination its setting.
+    let mut lights: Vec<(Option<u32>, u64)> = Vec::new();
+    let mut light_of = |place: usize, lamp: Option<u32>, illumination: f64| {
         if !exposures {
             return Some(place);
         }
-        let bits = illumination.to_bits();
-        let at = lights.iter().position(|l| *l == bits).unwrap_or(lights.len());
+        let key = (lamp, illumination.to_bits());
+        let at = lights.iter().position(|l| *l == key).unwrap_or(lights.len());
         if at == lights.len() {
-            lights.push(bits);
+            lights.push(key);
         }
         (illumination != 0.0).then_some(at)
     };
@@ -64,49 +66,61 @@ pub(super) fn observations(table: &Table) -> Result<Observations, ObserveError> 
         let illumination = level.illumination.unwrap_or(1.0);
         sets.push(SetInfo {
             exposure_s: if exposures { level.exposure_s.unwrap_or(1.0) } else { 1.0 },
-            light: light_of(place, illumination),
+            light: light_of(place, level.lamp, illumination),
             illumination,
+            light_ratio: 1.0,
             spread: 0.0,
             // Not known; pixels rarely lie at one place between two codes.
             spread_dn: 1.0,
             places: NORMAL,
         });
         frames.push(FrameInfo { set: place, time_s: 0.0 });
-        let mut add = |kind, value: f64, std_err: f64| {
-            all.push(Observable {
-                kind,
+        let turn = Half::TURNS[place % 2];
+        let mut add = |statistic: &'static dyn Statistic, index: usize, half: Half, value: f64, std_err: f64| {
+            list.push(Observable {
+                statistic,
+                index,
                 set: Some(place),
-                half: (place % 2) as u8,
+                half,
                 frames: (place, place + 1),
                 measured: Value { value, std_err },
                 pixels: point.pixels,
             });
         };
-        add(Statistic::Mean, level.mean_dn, 0.0);
+        // Without exposures the mean gives the light: known to both halves.
+        add(&mean::This, 0, if exposures { turn } else { Half::Both }, level.mean_dn, 0.0);
+        if let Some(reading) = level.monitor.filter(|m| *m > 0.0 && exposures) {
+            add(&monitor::This, 0, turn, reading.ln(), 0.0);
+        }
         // One pair: as many degrees of freedom as pixels.
-        add(Statistic::Variance, level.var_dn2, level.var_dn2 * (2.0 / point.pixels).sqrt());
+        add(&variance::This, 0, turn, level.var_dn2, level.var_dn2 * (2.0 / point.pixels).sqrt());
         for (lag, value) in [((0, 1), level.cov_01), ((1, 0), level.cov_10), ((1, 1), level.cov_11)] {
-            if let Some(value) = value {
-                let std_err = level.var_dn2 / point.pixels.sqrt();
-                add(Statistic::Covariance(lag.0, lag.1), value, std_err);
+            let index = LAGS.iter().position(|l| *l == lag);
+            if let (Some(value), Some(index)) = (value, index) {
+                add(&covariance::This, index, turn, value, level.var_dn2 / point.pixels.sqrt());
             }
         }
     }
     let full = top.max(1.0);
-    let kinds = sets.iter().map(|s| if s.light.is_some() { Kind::Flat } else { Kind::Dark }).collect();
+    let kinds: Vec<Kind> =
+        sets.iter().map(|s: &SetInfo| if s.light.is_some() { Kind::Flat } else { Kind::Dark }).collect();
     Ok(Observations {
+        largest_spread: 0.0,
+        dark_spread_dn2: dark_spreads(&sets, &kinds),
         campaign: Campaign {
             frames,
             sets,
             shape: (1000, 1000),
             full_scale_dn: full,
+            frame_s: 0.0,
             line_cycles_per_px: None,
         },
         set_numbers: kept.iter().map(|&i| i as u32).collect(),
         kinds,
-        all,
+        list,
         scenes: [None, None],
         codes: [0..0, 0..0],
+        is_table: true,
         means_given: !exposures,
         missing,
         light_rel_std: None,

@@ -1,10 +1,12 @@
 //! Residuals in words: which statistics stray, how they scale, along which axis and in which frames.
 
-use super::{Direction, Residual, Statistic};
+use crate::inference::Residual;
 
 /// What one statistic does.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Signature {
+    /// Its name.
+    pub name: String,
     /// In words.
     pub text: String,
     /// Root of the mean square of its residuals.
@@ -25,7 +27,7 @@ pub fn signatures(residuals: &[Residual]) -> Vec<Signature> {
             let n = of.len() as f64;
             let squares: f64 = of.iter().map(|r| r.z * r.z).sum();
             let excess = (squares - n) / (2.0 * n).sqrt();
-            (excess > 5.0).then(|| Signature { text: describe(name, &of), rms: (squares / n).sqrt(), excess })
+            (excess > 5.0).then(|| Signature { name: name.clone(), text: describe(name, &of), rms: (squares / n).sqrt(), excess })
         })
         .collect();
     out.sort_by(|a, b| b.excess.total_cmp(&a.excess));
@@ -49,32 +51,14 @@ fn describe(name: &str, of: &[&Residual]) -> String {
     let mut text = format!("{name}: {} from the model{place}, {:+.1} sigma", size(worst), worst.z);
     if let Some(power) = power(of) {
         text += &format!(", growing as mean to the power {power:.1}");
-    } else if of.len() >= 4 && !matches!(worst.statistic, Some(Statistic::Settling(_))) {
+    } else if of.len() >= 4 && !worst.is_of_first_frames() {
         let dark: Vec<f64> = of.iter().filter(|r| r.level_dn < 20.0).map(|r| r.z * r.z).collect();
         if dark.len() >= 3 && dark.iter().sum::<f64>() / dark.len() as f64 > 4.0 {
             text += ", darks too: independent of the light";
         }
     }
-    text += match worst.statistic {
-        Some(Statistic::Covariance(0, _)) => "; correlated along the rows",
-        Some(Statistic::Covariance(_, 0)) => "; correlated along the columns",
-        Some(Statistic::Covariance(..)) => "; correlated along a diagonal",
-        Some(Statistic::RowVariance) => "; shared by whole rows",
-        Some(Statistic::ColumnVariance) => "; shared by whole columns",
-        Some(Statistic::FrameMeanVariance) => "; shared by whole frames, from frame to frame",
-        Some(Statistic::Successive) => "; carried to the next frame",
-        Some(Statistic::Settling(_)) => "; set by what came before",
-        Some(Statistic::Growth(_)) => "; changing across the sensor",
-        Some(Statistic::Parity(0)) => "; every second column differs",
-        Some(Statistic::Parity(_)) => "; every second row differs",
-        Some(Statistic::Leak(Direction::Left | Direction::Right)) => {
-            "; out of the bright patch along the rows"
-        }
-        Some(Statistic::Leak(_)) => "; out of the bright patch along the columns",
-        Some(Statistic::Unequal) => "; a few pixels noisier than the rest",
-        Some(Statistic::Occupancy(_) | Statistic::CodesUsed) => "; in the codes, by their bits",
-        _ => "",
-    };
+    text += "; ";
+    text += worst.meaning();
     text
 }
 

@@ -202,7 +202,7 @@ mod tests {
         let light = |y: usize, x: usize| 300.0 + 0.5 * x as f64 + 2500.0 * profile(y) * profile(x);
         let image = |exposure: f64, set: usize, more: &dyn Fn(usize, usize) -> f64| SceneMean {
             set,
-            half: 0,
+            half: crate::observables::Half::First,
             mean_dn: Array2::from_shape_fn((SIZE, SIZE), |(y, x)| {
                 let at = (y * SIZE + x) as u32;
                 let noise = 0.5 * PixelRng::new(seed, Stream::Effect, set as u64, at, 0).normal();

@@ -1,24 +1,38 @@
 //! Observables of a whole campaign: code occupancy, and the spectrum of the noise in read-out order.
 
-use super::observe::Statistic;
 use crate::statistics::jackknife::Value;
 use crate::statistics::layout::Layout;
 use crate::statistics::median::median;
 use crate::statistics::pass::Summary;
 use crate::statistics::spectrum::Power;
 use ndarray::Array2;
-use radcam_sim::predict::BITS;
 
 /// Mean of the pixels that count, DN.
 pub fn mean_of(image: &Array2<f32>, layout: &Layout) -> f64 {
     image.iter().zip(&layout.mask).map(|(v, m)| f64::from(v * m)).sum::<f64>() / layout.pixels
 }
 
+/// Low bits whose codes are looked at all together; of higher ones each transition is looked at by itself.
+pub const LOW_BITS: usize = 6;
+/// Transitions of high bits that are looked at, at most.
+const TRANSITIONS: usize = 64;
+
+/// Counts around one transition, over all levels.
+#[derive(Debug, Clone, Copy, Default)]
+struct Transition {
+    bend: f64,
+    level: f64,
+    var: f64,
+}
+
 /// Counts of every code, and what each level alone says of the bits.
 pub struct Codes {
     counts: Vec<u64>,
     /// For each level and bit: mean excess of the one kind of codes over the other, and its variance.
-    levels: Vec<[(f64, f64); BITS]>,
+    levels: Vec<[(f64, f64); LOW_BITS]>,
+    /// Codes from one transition to the next.
+    grain: usize,
+    transitions: Vec<Transition>,
 }
 
 /// Deviation of the noise from which a level's histogram is smooth over a few codes, DN^2.
@@ -39,7 +53,10 @@ pub fn occupancy_of(widths: &dyn Fn(u32) -> f64, codes: &std::ops::Range<u32>, b
 impl Codes {
     /// For codes up to a full scale.
     pub fn new(full: u16) -> Self {
-        Self { counts: vec![0; usize::from(full) + 1], levels: Vec::new() }
+        let codes = usize::from(full) + 1;
+        let grain = (codes / TRANSITIONS).max(1 << (LOW_BITS - 1));
+        let transitions = vec![Transition::default(); codes.div_ceil(grain)];
+        Self { counts: vec![0; codes], levels: Vec::new(), grain, transitions }
     }
 
     /// Adds the codes of one level. Narrow levels say nothing: their histogram is all slope.
@@ -50,7 +67,14 @@ impl Codes {
         let n = &said.occupancy.0;
         let last = n.len() - 1;
         self.counts.iter_mut().zip(n).for_each(|(a, b)| *a += b);
-        let mut bits = [(0.0, f64::INFINITY); BITS];
+        for (k, t) in self.transitions.iter_mut().enumerate().skip(1) {
+            let c = k * self.grain;
+            let [a, b, d] = [n[c - 2], n[c - 1], n[c]].map(|n| n as f64);
+            t.bend += b - 0.5 * (a + d);
+            t.level += 0.25 * (a + 2.0 * b + d);
+            t.var += b + 0.25 * (a + d);
+        }
+        let mut bits = [(0.0, f64::INFINITY); LOW_BITS];
         for (b, out) in bits.iter_mut().enumerate() {
             let (first, second) = ((1usize << b) - 1, (1usize << (b + 1)) - 1);
             let (mut value, mut var) = (0.0, 0.0);
@@ -74,17 +98,18 @@ impl Codes {
     }
 
     /// The range of filled codes, and what they say.
-    pub fn finish(self) -> (std::ops::Range<u32>, Vec<(Statistic, Value)>) {
+    pub fn finish(self) -> Said {
         let n = &self.counts;
-        let mut out = Vec::new();
+        let mut out = Said { range: 0..0, used: None, bits: [None; LOW_BITS], transitions: Vec::new() };
         let wide = |c: usize| n[c.saturating_sub(8)..(c + 9).min(n.len())].iter().sum::<u64>();
         let filled: Vec<usize> = (1..n.len().saturating_sub(1)).filter(|c| wide(*c) > 1000).collect();
         if filled.len() < 32 {
-            return (0..0, out);
+            return out;
         }
         let used = filled.iter().filter(|c| n[**c] > 0).count() as f64;
-        out.push((Statistic::CodesUsed, Value { value: used / filled.len() as f64, std_err: 0.02 }));
-        for b in 0..BITS {
+        out.used = Some(Value { value: used / filled.len() as f64, std_err: 0.02 });
+        out.range = filled[0] as u32..filled[filled.len() - 1] as u32;
+        for b in 0..LOW_BITS {
             let sound: Vec<(f64, f64)> =
                 self.levels.iter().map(|l| l[b]).filter(|(_, var)| var.is_finite() && *var > 0.0).collect();
             let weight: f64 = sound.iter().map(|(_, var)| 1.0 / var).sum();
@@ -95,13 +120,57 @@ impl Codes {
             // Pixels stay where they are from frame to frame: levels scatter more than their counts.
             let chi2 = sound.iter().map(|(v, var)| (v - value).powi(2) / var).sum::<f64>()
                 / (sound.len() - 1) as f64;
-            out.push((
-                Statistic::Occupancy(b),
-                Value { value, std_err: (chi2.max(1.0) / weight).sqrt().hypot(2e-4) },
-            ));
+            out.bits[b] = Some(Value { value, std_err: (chi2.max(1.0) / weight).sqrt().hypot(2e-4) });
         }
-        (filled[0] as u32..filled[filled.len() - 1] as u32, out)
+        for (k, t) in self.transitions.iter().enumerate().filter(|(_, t)| t.level > 400.0) {
+            let value = Value { value: t.bend / t.level, std_err: (t.var.sqrt() / t.level).hypot(1e-3) };
+            out.transitions.push((k * self.grain, value));
+        }
+        out
     }
+}
+
+/// What the codes of one half of a campaign say.
+#[derive(Debug, Clone, Default)]
+pub struct Said {
+    /// Codes that are filled.
+    pub range: std::ops::Range<u32>,
+    used: Option<Value>,
+    bits: [Option<Value>; LOW_BITS],
+    transitions: Vec<(usize, Value)>,
+}
+
+impl Said {
+    /// Share of the codes of the range that occur.
+    pub fn used(&self) -> Option<Value> {
+        self.used
+    }
+
+    /// What codes whose bit toggles next have more than those before it, relative.
+    pub fn bit(&self, b: usize) -> Option<Value> {
+        self.bits.get(b).copied().flatten()
+    }
+
+    /// The code above a transition of the high bits, with what the one below it has more than its neighbours, relative.
+    pub fn transitions(&self) -> impl Iterator<Item = (usize, Value)> + '_ {
+        self.transitions.iter().copied()
+    }
+}
+
+/// Share of the codes that occur among those with many samples on both sides, and its error; `None` where they are few.
+pub fn share_used(said: &Summary) -> Option<(f64, f64)> {
+    let n = &said.occupancy.0;
+    const REACH: usize = 16;
+    // Where codes of ordinary width would hold a dozen samples: none of them is missed by chance.
+    let enough = 12 * REACH as u64;
+    let mut sums = vec![0u64; n.len() + 1];
+    n.iter().enumerate().for_each(|(c, n)| sums[c + 1] = sums[c] + n);
+    let many = |c: &usize| sums[*c] - sums[c - REACH] > enough && sums[c + 1 + REACH] - sums[c + 1] > enough;
+    let inside = REACH..n.len().saturating_sub(REACH + 1);
+    let (all, used) = inside.filter(many).fold((0.0, 0.0), |(all, used), c| {
+        (all + 1.0, used + f64::from(u8::from(n[c] > 0)))
+    });
+    (all >= 24.0).then(|| (used / all, 0.02 + 1.0 / all))
 }
 
 /// The power spectrum of the noise in read-out order over many levels, the quiet ones weighing most: they see a line best.

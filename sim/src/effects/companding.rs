@@ -1,0 +1,119 @@
+//! Companding: codes are sent with steps that grow with the level, and expanded again.
+
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
+
+/// A square-root table, or coarser steps above a knee.
+pub struct This;
+
+/// Step of the codes at a level, DN.
+fn step(p: &[f64], level_dn: f64, full_scale_dn: f64) -> f64 {
+    let step = if p[0] >= 0.5 {
+        if level_dn > p[2] { p[3] } else { 1.0 }
+    } else {
+        2.0 * libm::sqrt(level_dn.max(0.0) * full_scale_dn) / p[1]
+    };
+    step.max(1.0)
+}
+
+/// The code that comes back.
+fn expanded(p: &[f64], code: f64, full_scale_dn: f64) -> f64 {
+    if p[0] >= 0.5 {
+        let over = code - p[2];
+        return if over > 0.0 { p[2] + libm::round(over / p[3]) * p[3] } else { code };
+    }
+    let sent = libm::round(p[1] * libm::sqrt(code.max(0.0) / full_scale_dn));
+    full_scale_dn * (sent / p[1]) * (sent / p[1])
+}
+
+impl Effect for This {
+    fn id(&self) -> &'static str {
+        "companding"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Firmware
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &[
+            Parameter { name: "shape", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0, 1.0] },
+            Parameter { name: "codes", unit: "1", min: 16.0, max: 65_536.0, starts: &[] },
+            Parameter { name: "knee_dn", unit: "DN", min: 1.0, max: 65_535.0, starts: &[] },
+            Parameter { name: "step_dn", unit: "DN", min: 1.0, max: 256.0, starts: &[4.0] },
+        ]
+    }
+
+    fn uses(&self, p: &[f64], parameter: usize) -> bool {
+        parameter == 0 || (parameter >= 2) == (p[0] >= 0.5)
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        Some(if p[0] >= 0.5 { "coarser steps above a knee" } else { "a square-root table" })
+    }
+
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        let full = seen.full_scale_dn;
+        let mut all: Vec<Vec<f64>> =
+            [1.0, 0.5, 0.25, 0.125, 0.0625].map(|part| vec![0.0, part * full, 0.3 * full, 4.0]).to_vec();
+        for knee in [0.12, 0.25, 0.5] {
+            all.extend([2.0, 4.0, 8.0].map(|step| vec![1.0, full, knee * full, step]));
+        }
+        all
+    }
+
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        let full = plain.full_scale_dn;
+        Some(vec![0.0, libm::round(0.12 * full), libm::round(0.25 * full), 8.0])
+    }
+
+    fn scaled(&self, values: &[f64], by: f64) -> Vec<f64> {
+        let coarser = libm::round(values[3] * by).max(2.0);
+        vec![values[0], libm::round(values[1] / by).max(16.0), values[2], coarser]
+    }
+
+    fn page(&self) -> Page {
+        Page {
+            what: "The camera sends fewer bits than it converts, by a table whose steps grow with the level, and expands them again.",
+            equation: "sent = round(codes sqrt(D / full scale)), D' = full scale (sent / codes)^2; or steps of step_dn above knee_dn; noise of \
+                       one step q(D)^2 / 12",
+            signature: "codes are missing, the more the brighter; the noise of a step grows with the level; the means stay",
+            look_alikes: "coarse quantisation leaves the same codes out at all levels",
+            remedy: "a pixel format with all bits; else allow for the step in the noise",
+            measure: "the histogram of flats at several levels: which codes occur",
+            sets: takes::SWEEP,
+            source: "EMVA 1288 release 4, section 2 (raw data are required); IEEE 1241-2010",
+        }
+    }
+
+    fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
+        let full = c.full_scale_dn;
+        for (i, s) in out.sets.iter_mut().enumerate() {
+            let level = s.signal + out.base.offset_dn;
+            let spread = c.sets.get(i).map_or(0.0, |s| s.spread_dn);
+            let total = libm::hypot(spread, libm::sqrt(s.covariance(0, 0).max(0.0)));
+            let places = c.sets.get(i).map_or(crate::predict::NORMAL, |s| s.places);
+            let over = |of: &dyn Fn(f64) -> f64| -> f64 {
+                let all = places.iter().zip(crate::predict::PLACES);
+                all.map(|(x, share)| share * of(step(p, level + total * x, full))).sum()
+            };
+            // Whole codes came in: of them rounding to q leaves (q^2 - 1) / 12 where the noise covers a step.
+            let here = step(p, level, full);
+            let wide = s.covariance(0, 0) / (here * here);
+            let added = over(&|q| (q * q - 1.0) / 12.0);
+            s.read.add_white(added.max(0.0));
+            s.codes_used *= over(&|q| 1.0 / q);
+            // Noise narrower than half a step: what is left of it depends on where it lies.
+            let ripple = libm::exp(-2.0 * std::f64::consts::PI.powi(2) * (wide + (spread / here).powi(2)));
+            s.unsure_mean = libm::hypot(s.unsure_mean, here / std::f64::consts::PI * ripple);
+            s.unsure_var = libm::hypot(
+                s.unsure_var,
+                here * here * libm::exp(-2.0 * std::f64::consts::PI.powi(2) * wide) * (0.2 + 4.0 * wide),
+            );
+        }
+    }
+
+    fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
+        let full = d.full_scale_dn;
+        d.image.mapv_inplace(|v| expanded(p, v, full));
+    }
+}

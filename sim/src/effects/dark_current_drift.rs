@@ -1,0 +1,58 @@
+//! Dark current drift: the sensor warms up or cools down.
+
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+
+/// Dark charge per second times 1 + rate * time.
+pub struct This;
+
+impl Effect for This {
+    fn id(&self) -> &'static str {
+        "dark-current-drift"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Light
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &[Parameter { name: "rel_per_s", unit: "1/s", min: -0.05, max: 0.2, starts: &[1e-3] }]
+    }
+
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        // Some 0.3 DN of the long darks at the end.
+        let rel = 0.3 / (plain.long_dark_e * plain.gain_dn_per_e).max(0.1);
+        Some(vec![rel.min(3.0) / (300.0 * plain.frame_s)])
+    }
+
+    fn page(&self) -> Page {
+        Page {
+            what: "The sensor's temperature changes during the campaign, and its dark current with it.",
+            equation: "dark charge = dark current * exposure * (1 + rate t)",
+            signature: "darks of long exposure move with time, in proportion to the exposure; short ones stand still",
+            look_alikes: "offset drift moves darks of all exposures alike; light drift leaves darks alone",
+            remedy: "let the camera warm up; record the sensor's temperature; take darks close to the frames they serve",
+            measure: "darks of long exposure at start, middle and end",
+            sets: takes::LONG,
+            source: "EMVA 1288 release 4, section 7 (dark current and its doubling temperature)",
+        }
+    }
+
+    fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
+        let dark = out.base.dark_e_per_s;
+        let mut of_set = vec![(0.0, 0.0); c.sets.len()];
+        for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
+            let Some(info) = c.sets.get(frame.set) else { continue };
+            let more = p[0] * frame.time_s * dark * info.exposure_s;
+            *m += more;
+            of_set[frame.set] = (of_set[frame.set].0 + more, of_set[frame.set].1 + 1.0);
+        }
+        for (s, (more, frames)) in out.sets.iter_mut().zip(of_set) {
+            s.signal += more / f64::max(frames, 1.0);
+        }
+    }
+
+    fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
+        d.image.scaled_add(p[0] * d.time_s * d.exposure_s, d.dark_e_per_s);
+        d.image.mapv_inplace(|q| q.max(0.0));
+    }
+}

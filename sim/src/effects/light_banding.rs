@@ -1,0 +1,109 @@
+//! Light banding: a rolling shutter under a lamp that ripples.
+
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
+use crate::predict::Ripple;
+
+/// The rows of a frame share a light factor that changes down the image and from frame to frame.
+pub struct This;
+
+/// What an exposure leaves of a ripple: it averages over its own length.
+fn left(ripple_hz: f64, exposure_s: f64) -> f64 {
+    let x = std::f64::consts::PI * ripple_hz * exposure_s;
+    if x < 1e-9 { 1.0 } else { libm::sin(x) / x }
+}
+
+impl Effect for This {
+    fn id(&self) -> &'static str {
+        "light-banding"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Light
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &[
+            Parameter { name: "shape", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0, 1.0] },
+            Parameter { name: "rel", unit: "1", min: 0.0, max: 0.2, starts: &[0.003] },
+            Parameter { name: "cycles_per_row", unit: "1/px", min: 1e-4, max: 0.5, starts: &[] },
+            Parameter { name: "ripple_hz", unit: "Hz", min: 0.0, max: 1e5, starts: &[] },
+            Parameter { name: "next_row", unit: "1", min: 0.0, max: 0.9999, starts: &[] },
+        ]
+    }
+
+    fn uses(&self, p: &[f64], parameter: usize) -> bool {
+        parameter < 2 || (parameter == 4) == (p[0] >= 0.5)
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        Some(if p[0] >= 0.5 { "a slow wander down the rows" } else { "a sine down the rows" })
+    }
+
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        let line = |cycles: f64, hz: f64| vec![0.0, 0.003, cycles, hz, 0.0];
+        let rows = seen.rows.max(2.0);
+        let mut all: Vec<Vec<f64>> = [0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 6.5, 10.0, 15.0]
+            .iter()
+            .map(|n| n / rows)
+            .filter(|f| *f < 0.5)
+            .flat_map(|f| [0.0, 100.0].map(|hz| line(f, hz)))
+            .collect();
+        all.extend([0.8, 0.95, 0.99].map(|next| vec![1.0, 0.003, 0.01, 0.0, next]));
+        all
+    }
+
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.0, 0.004, 3.2 / plain.rows, 0.3 / plain.bright_s, 0.97])
+    }
+
+    fn page(&self) -> Page {
+        Page {
+            what: "The shutter rolls down the rows while the lamp's light ripples: bands run through flats, at another place in each frame.",
+            equation: "light of row y = mean light * (1 + rel sinc(f T) sin(2 pi cycles y + phase)), the phase another in every frame, T the \
+                       exposure, f the ripple's frequency; or a wander with the correlation next_row from row to row",
+            signature: "row means of flats scatter in proportion to the signal, neighbouring rows alike; gone in darks, and for a sine where the \
+                        exposure is a whole number of ripples",
+            look_alikes: "row noise is the same in darks, and its rows are independent",
+            remedy: "a DC-driven lamp; exposures of whole mains periods; a global shutter",
+            measure: "flats at short exposures and bright light, and at whole mains periods",
+            sets: takes::SWEEP,
+            source: "Janesick 2007; flicker detection in rolling shutters: Sheinin et al. 2017, CVPR, Computational imaging on the electric grid",
+        }
+    }
+
+    fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
+        for ((s, light), info) in out.sets.iter_mut().zip(&out.light_e).zip(&c.sets) {
+            let ripple = if p[0] >= 0.5 {
+                ((p[1] * light).powi(2), Ripple::Wander(p[4]))
+            } else {
+                (0.5 * (p[1] * light * left(p[3], info.exposure_s)).powi(2), Ripple::Sine(p[2]))
+            };
+            s.ripples.push(ripple);
+        }
+    }
+
+    fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
+        let turn = std::f64::consts::TAU;
+        let rows = d.image.nrows();
+        let mut random = d.random(self.id(), d.frame, 0);
+        let factors: Vec<f64> = if p[0] >= 0.5 {
+            let mut now = random.normal();
+            let fresh = libm::sqrt(1.0 - p[4] * p[4]);
+            let wander = |y: usize| {
+                if y > 0 {
+                    now = p[4] * now + fresh * d.random(self.id(), d.frame, y as u32).normal();
+                }
+                p[1] * now
+            };
+            (0..rows).map(wander).collect()
+        } else {
+            let phase = turn * random.uniform();
+            let size = p[1] * left(p[3], d.exposure_s);
+            (0..rows).map(|y| size * libm::sin(turn * p[2] * y as f64 + phase)).collect()
+        };
+        for ((mut row, rate), factor) in d.image.outer_iter_mut().zip(d.rate_e_per_s.outer_iter()).zip(factors) {
+            row.scaled_add(factor * d.exposure_s, &rate);
+        }
+        d.image.mapv_inplace(|q| q.max(0.0));
+    }
+}

@@ -1,0 +1,404 @@
+//! Which physical effect is missing: effects are added as long as the evidence pays for them, and a name stands first only where frames
+//! that no fit saw come down to the noise with it.
+
+mod search;
+mod unknown;
+mod verdict;
+mod words;
+
+pub use search::searched;
+pub use verdict::Verdict;
+pub use words::{Signature, signatures};
+
+use crate::inference::{
+    Comparison, Effects, Fitted, P_LIMIT, compare, fit, residuals_of, start,
+};
+use crate::noise::Quantity;
+use crate::observables::Observations;
+use crate::plan::Plan;
+use crate::report::chance;
+use radcam_sim::effects::{Effect, takes};
+use radcam_sim::predict::BaseParameters;
+use rayon::prelude::*;
+use search::{Candidate, NEEDED, candidates, score, search, without};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Candidates within this evidence of the best cannot be told apart.
+const TIE: f64 = 6.0;
+/// Error from which on a fit says little of the parameters.
+const FAR: f64 = 3.0;
+/// Error up to which a name brings a campaign to the noise (contract, section 4).
+const SETTLED: f64 = 1.15;
+/// Share of the excess of the squared error that may be left where deviations are still no chance and a name stands first all the same:
+/// what is left is then a detail of it.
+const UNEXPLAINED: f64 = 0.2;
+/// Names that are given as the nearest of what has none.
+const NEAREST: usize = 3;
+
+/// What an error has beyond that of a model which holds.
+fn excess(error: f64) -> f64 {
+    (error * error - 1.0).max(0.0)
+}
+
+/// What is missing.
+#[derive(Debug, Clone, Serialize)]
+pub struct Missing {
+    /// Identifier; `unknown` where none of the effects explains it.
+    pub effect: String,
+    /// Share of the evidence among all candidates and what has no name.
+    pub confidence: f64,
+    /// How far the error rises without it.
+    pub error_drop: f64,
+    /// Its parameters.
+    pub parameters: BTreeMap<String, Quantity>,
+    /// Which of its forms, in words.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub form: Option<String>,
+    /// Whether it explains a part only.
+    pub partial: bool,
+    /// Of `unknown`: the names that come nearest.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub nearest: Vec<String>,
+    /// What it is tied with: this campaign cannot tell them apart.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tied_with: Option<String>,
+    /// Why.
+    pub evidence: Vec<String>,
+}
+
+/// A rung.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Rung {
+    /// What was added; null for the model as given.
+    pub added: Option<String>,
+    /// Error on frames that the fit did not see.
+    pub error: f64,
+    /// Chance of such residuals.
+    pub p_value: f64,
+}
+
+/// The whole answer.
+#[derive(Debug, Clone, Serialize)]
+pub struct Diagnosis {
+    /// In one plain sentence or two.
+    pub verdict: Verdict,
+    /// Whether the model as given describes the campaign.
+    pub consistent: bool,
+    /// Its error.
+    pub error_before: f64,
+    /// Error with all that was added.
+    pub error_after: f64,
+    /// What is missing, strongest first.
+    pub missing: Vec<Missing>,
+    /// The ladder.
+    pub ladder: Vec<Rung>,
+    /// The one measurement that would tell the closest candidates apart.
+    pub next_measurement: Option<String>,
+    /// That measurement as a plan.
+    #[serde(skip)]
+    pub next_plan: Option<Plan>,
+    /// What could not be looked at, and what is left over.
+    pub notes: Vec<String>,
+    /// The last model.
+    #[serde(skip)]
+    pub fitted: Option<Fitted>,
+    /// Comparisons of the first and the last model.
+    #[serde(skip)]
+    pub comparisons: Vec<Comparison>,
+}
+
+/// An effect that was found, with what it alone explains.
+struct Part {
+    effect: &'static dyn Effect,
+    /// Evidence that is lost without it.
+    evidence: f64,
+    /// Others that would explain it, most evidence first.
+    others: Vec<Candidate>,
+    /// The evidence that something without a name would have in its place.
+    nameless: f64,
+    /// The rest of the model without it.
+    rest: Fitted,
+}
+
+/// Looks for what a model lacks. `base` and `effects` are the model as given; without a base the campaign's own is taken.
+pub fn diagnose(
+    all: &Observations,
+    base: Option<BaseParameters>,
+    effects: Effects,
+    progress: &mut dyn FnMut(&str),
+) -> Diagnosis {
+    let base = base.unwrap_or_else(|| start(all));
+    let model = fit(all, None, &base, &effects);
+    let first = compare(all, &model.base, &model.effects);
+    progress(&format!("error {:.2}", first.error));
+    let found = search(all, &model, first.error > FAR, progress);
+    let parts = parts(all, &model, found.fitted.clone(), found.first, &first);
+    let (parts, whole) = parts;
+    let last = if parts.is_empty() { first.clone() } else { compare(all, &whole.base, &whole.effects) };
+    progress(&format!("error {:.2} with {} effects added", last.error, parts.len()));
+    let mut ladder = vec![Rung { added: None, error: first.error, p_value: first.p_value }];
+    ladder.extend(rungs(all, &model, &parts, &whole, &last));
+    let mut missing = named(all, &parts, &whole, &first, &last, &ladder);
+    let mut notes = all.missing.clone();
+    let (mut next_measurement, mut sets) = (None, takes::PAIRS);
+    for (part, entry) in parts.iter().zip(&missing) {
+        if let Some(other) = tied(part).first()
+            && next_measurement.is_none()
+        {
+            let page = part.effect.page();
+            (next_measurement, sets) =
+                (Some(format!("{} or {}: {}", entry.effect, other.effect.id(), page.measure)), page.sets);
+        }
+    }
+    add_ties(&parts, &whole, &mut missing);
+    add_unknown(all, &parts, &first, &last, &mut missing, &mut notes);
+    if missing.iter().any(|m| m.effect == "unknown") && next_measurement.is_none() {
+        next_measurement = Some(
+            "the statistic that strays most, at more levels and frames; a custom formula in the model file can describe it".into(),
+        );
+    }
+    if all.means_given && !missing.is_empty() {
+        next_measurement = Some(
+            "flats with their neighbour covariances (brighter-fatter) and an exposure sweep at fixed light (nonlinearity)".into(),
+        );
+        sets = takes::SWEEP;
+    }
+    let verdict = Verdict::of(&missing, &first, &model, &whole);
+    Diagnosis {
+        verdict,
+        consistent: missing.is_empty(),
+        error_before: first.error,
+        error_after: last.error,
+        ladder,
+        next_plan: next_measurement.as_ref().map(|about| Plan::of_takes(about, sets)),
+        next_measurement,
+        missing,
+        notes,
+        fitted: Some(whole),
+        comparisons: vec![first, last],
+    }
+}
+
+/// What was found, each by what it explains when it alone is left out; strongest first.
+fn parts(
+    all: &Observations,
+    model: &Fitted,
+    mut whole: Fitted,
+    first: Vec<Candidate>,
+    before: &Comparison,
+) -> (Vec<Part>, Fitted) {
+    let given = model.effects.len();
+    loop {
+        let added: Vec<usize> = (given..whole.effects.len()).collect();
+        let mut parts: Vec<Part> = added
+            .into_par_iter()
+            .map(|i| {
+                let rest = if whole.effects.len() == given + 1 { model.clone() } else { without(all, &whole, i) };
+                let effect = whole.effects[i].0;
+                let evidence = score(all, &rest) - score(all, &whole);
+                let nameless = unknown::evidence(&residuals_of(all, &rest), all.list.len() as f64);
+                Part { effect, evidence, others: Vec::new(), nameless, rest }
+            })
+            .collect();
+        // What does not pay in the presence of the others goes.
+        if let Some(idle) = parts.iter().position(|p| p.evidence < NEEDED) {
+            whole = without(all, &whole, given + idle);
+            continue;
+        }
+        // A single addition that does not help on frames that no fit saw is none.
+        if let [only] = parts.as_slice() {
+            let after = compare(all, &whole.base, &whole.effects);
+            tracing::debug!("{} alone: error {:.4}, was {:.4}", only.effect.id(), after.error, before.error);
+            if after.error > before.error - 1e-3 {
+                return (Vec::new(), model.clone());
+            }
+        }
+        parts.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+        let alone = parts.len() == 1;
+        for part in &mut parts {
+            let others = if alone { first.clone() } else { candidates(all, &part.rest, false) };
+            part.others = others.into_iter().filter(|c| c.effect.id() != part.effect.id()).collect();
+        }
+        return (parts, whole);
+    }
+}
+
+/// Candidates that explain as much as the part that was chosen.
+fn tied(part: &Part) -> Vec<&Candidate> {
+    part.others.iter().filter(|c| part.evidence - c.evidence < TIE).collect()
+}
+
+/// The ladder: the parts added one by one, the strongest first.
+fn rungs(all: &Observations, model: &Fitted, parts: &[Part], whole: &Fitted, last: &Comparison) -> Vec<Rung> {
+    let rung = |k: usize| {
+        let added = Some(parts[k].effect.id().to_string());
+        if k + 1 == parts.len() {
+            return Rung { added, error: last.error, p_value: last.p_value };
+        }
+        let mut effects = model.effects.clone();
+        for part in &parts[..=k] {
+            effects.extend(whole.effects.iter().find(|(e, _)| e.id() == part.effect.id()).cloned());
+        }
+        let fitted = fit(all, None, &whole.base, &effects);
+        let c = compare(all, &fitted.base, &fitted.effects);
+        Rung { added, error: c.error, p_value: c.p_value }
+    };
+    (0..parts.len()).into_par_iter().map(rung).collect()
+}
+
+/// The parts as entries of the answer.
+fn named(
+    all: &Observations,
+    parts: &[Part],
+    whole: &Fitted,
+    first: &Comparison,
+    last: &Comparison,
+    ladder: &[Rung],
+) -> Vec<Missing> {
+    let _ = all;
+    let entry = |(k, part): (usize, &Part)| {
+        let mut entry = describe(whole, part.effect, confidence(part, part.evidence));
+        entry.error_drop = ladder[k].error - ladder[k + 1].error;
+        entry.evidence = reasons(first, last, part.effect);
+        let ties = tied(part);
+        for other in &ties {
+            entry.evidence.push(format!("a tie: {} explains it as well", other.effect.id()));
+        }
+        if let (true, Some(other)) = (ties.is_empty(), part.others.first().filter(|c| c.evidence > NEEDED)) {
+            entry.evidence.push(format!(
+                "next best: {}, its evidence {:.0} below",
+                other.effect.id(),
+                part.evidence - other.evidence
+            ));
+        }
+        entry
+    };
+    parts.iter().enumerate().map(entry).collect()
+}
+
+/// Share of the evidence that one explanation of a part has among all: others, nothing at all, and something without a name.
+fn confidence(part: &Part, evidence: f64) -> f64 {
+    let all = part.others.iter().map(|c| c.evidence).chain([part.evidence, 0.0, part.nameless]);
+    let sum: f64 = all.map(|e| (0.5 * (e - evidence)).clamp(-300.0, 300.0).exp()).sum();
+    1.0 / sum
+}
+
+/// Behind each part what is tied with it.
+fn add_ties(parts: &[Part], whole: &Fitted, missing: &mut Vec<Missing>) {
+    let mut out = Vec::new();
+    for (part, entry) in parts.iter().zip(std::mem::take(missing)) {
+        let drop = entry.error_drop;
+        out.push(entry);
+        for other in tied(part) {
+            let mut entry = describe(&other.fitted, other.effect, confidence(part, other.evidence));
+            entry.error_drop = drop;
+            entry.tied_with = Some(part.effect.id().into());
+            entry
+                .evidence
+                .push(format!("a tie with {}: this campaign cannot tell them apart", part.effect.id()));
+            if whole.effects.iter().all(|(e, _)| e.id() != other.effect.id()) {
+                out.push(entry);
+            }
+        }
+    }
+    *missing = out;
+}
+
+/// What no name explains: first where the names do not bring the campaign to the noise, else in a note.
+fn add_unknown(
+    all: &Observations,
+    parts: &[Part],
+    first: &Comparison,
+    last: &Comparison,
+    missing: &mut Vec<Missing>,
+    notes: &mut Vec<String>,
+) {
+    if last.p_value >= P_LIMIT {
+        return;
+    }
+    let share = excess(last.error) / excess(first.error).max(1e-9);
+    let left = signatures(&last.residuals);
+    if last.error <= SETTLED && (share < UNEXPLAINED || left.is_empty()) {
+        notes.push(format!("what is left is small: error {:.3}, p {}", last.error, chance(last.p_value)));
+        return;
+    }
+    let strayed = if parts.is_empty() { left } else { signatures(&first.residuals) };
+    let mut nearest: Vec<String> = parts.iter().map(|p| p.effect.id().to_string()).collect();
+    if let Some(part) = parts.first() {
+        nearest.extend(part.others.iter().filter(|c| c.evidence > NEEDED).map(|c| c.effect.id().to_string()));
+    }
+    nearest.dedup();
+    nearest.truncate(NEAREST);
+    for m in missing.iter_mut() {
+        m.partial = true;
+        m.evidence.push("explains a part only: its shape is near, its name need not be right".into());
+    }
+    let mut evidence: Vec<String> = strayed.iter().take(6).map(|s| s.text.clone()).collect();
+    if evidence.is_empty() {
+        evidence.push(format!("error {:.3} over all statistics, p {}", last.error, chance(last.p_value)));
+    }
+    let _ = all;
+    missing.insert(
+        0,
+        Missing {
+            effect: "unknown".into(),
+            confidence: 1.0 - last.p_value.min(1.0),
+            error_drop: 0.0,
+            parameters: BTreeMap::new(),
+            form: None,
+            partial: false,
+            nearest,
+            tied_with: None,
+            evidence,
+        },
+    );
+}
+
+/// An effect of a model with its values; what only a combination tells stands as that combination.
+fn describe(fitted: &Fitted, effect: &'static dyn Effect, confidence: f64) -> Missing {
+    let at = fitted.effects.iter().position(|(e, _)| e.id() == effect.id()).unwrap_or(0);
+    let (values, errors) = (&fitted.effects[at].1, &fitted.std_err[at]);
+    let used = effect.parameters().iter().enumerate().filter(|(k, _)| effect.uses(values, *k));
+    let mut parameters: BTreeMap<String, Quantity> = used
+        .map(|(k, p)| (p.name.to_string(), Quantity { value: values[k], std_err: errors[k], unit: p.unit }))
+        .collect();
+    if let Some(t) = effect.together(values) {
+        let variance: f64 = (0..values.len())
+            .flat_map(|a| (0..values.len()).map(move |b| (a, b)))
+            .filter(|(a, b)| t.slopes[*a] != 0.0 && t.slopes[*b] != 0.0)
+            .map(|(a, b)| t.slopes[a] * t.slopes[b] * fitted.covariance_of(at, a, b))
+            .sum();
+        let std_err = variance.max(0.0).sqrt();
+        let of: Vec<usize> = (0..values.len()).filter(|k| t.slopes[*k] != 0.0).collect();
+        // Each alone is known ten times worse, of its own size, than all of them together.
+        let alone = of.iter().map(|&k| errors[k] / values[k].abs().max(1e-300)).fold(f64::INFINITY, f64::min);
+        if std_err / t.value.abs().max(1e-300) < 0.1 * alone {
+            of.iter().for_each(|k| {
+                parameters.remove(effect.parameters()[*k].name);
+            });
+            parameters.insert(t.name.into(), Quantity { value: t.value, std_err, unit: t.unit });
+        }
+    }
+    Missing {
+        effect: effect.id().into(),
+        confidence,
+        error_drop: 0.0,
+        parameters,
+        form: effect.form(values).map(Into::into),
+        partial: false,
+        nearest: Vec::new(),
+        tied_with: None,
+        evidence: Vec::new(),
+    }
+}
+
+/// The statistics that the addition mended, worst first, and what the effect does.
+fn reasons(before: &Comparison, after: &Comparison, effect: &dyn Effect) -> Vec<String> {
+    let strayed = signatures(&before.residuals);
+    let left = signatures(&after.residuals);
+    let mended = |s: &&Signature| left.iter().all(|l| l.name != s.name || l.excess < 0.5 * s.excess);
+    let mut out: Vec<String> = strayed.iter().filter(mended).take(4).map(|s| s.text.clone()).collect();
+    out.push(format!("{}: {}", effect.id(), effect.page().signature));
+    out
+}

@@ -1,0 +1,270 @@
+//! Searches over sets of effects: several lines are followed, what others take over is dropped again.
+
+use crate::inference::{Effects, Fitted, Given, Scored, Screen, as_given, fit, fit_briefly, seen, start};
+
+use crate::observables::{Observations, covariance, frame_scatter};
+use radcam_sim::effects::{self, Effect, Needs};
+use rayon::prelude::*;
+
+/// Effects added at most.
+const MOST: usize = 5;
+/// Evidence (twice the logarithm of a Bayes factor, by BIC) that an addition needs: with some 30 candidates tried, chance
+/// reaches this less than once in a hundred campaigns.
+pub const NEEDED: f64 = 9.0;
+/// Candidates that are fitted, of those that promise most.
+const FITTED: usize = 9;
+/// Starts of one candidate that are fitted for a few rounds; of the most promising candidate, one of every form.
+const STARTS: usize = 3;
+const FORMS: usize = 8;
+/// A second line is followed where its evidence is this near the best line's.
+const NEAR: f64 = 40.0;
+
+/// A candidate after its fit.
+#[derive(Clone)]
+pub struct Candidate {
+    /// The effect.
+    pub effect: &'static dyn Effect,
+    /// The model with it.
+    pub fitted: Fitted,
+    /// Evidence against the model without it.
+    pub evidence: f64,
+}
+
+/// What campaigns of this kind can tell of.
+fn there(all: &Observations) -> Needs {
+    match (all.has(&frame_scatter::This), all.has(&covariance::This)) {
+        (true, _) => Needs::Frames,
+        (_, true) => Needs::Covariances,
+        _ if all.means_given => Needs::Variances,
+        _ => Needs::Variances,
+    }
+}
+
+/// What BIC takes for the parameters of a model.
+fn price(all: &Observations, fitted: &Fitted) -> f64 {
+    fitted.parameters() as f64 * (all.list.len() as f64).ln()
+}
+
+/// Minus twice the logarithm of a model's evidence.
+pub fn score(all: &Observations, fitted: &Fitted) -> f64 {
+    fitted.objective + price(all, fitted)
+}
+
+/// Every effect that a model lacks, fitted beside what it has; most evidence first. `fresh`: from a first guess of the paper's parameters
+/// too, since a fit that is far off may have bent what is sound to please what is not.
+pub fn candidates(all: &Observations, now: &Fitted, fresh: bool) -> Vec<Candidate> {
+    let ids: Vec<&str> = now.effects.iter().map(|(e, _)| e.id()).collect();
+    let there = there(all);
+    let guess = fresh.then(|| now.with_base(start(all)));
+    let screen = Screen::new(all, now);
+    let seen = seen(all, &now.base);
+    let mut promising: Vec<(f64, &'static dyn Effect, Vec<Scored>)> = effects::all()
+        .into_par_iter()
+        .filter(|e| !ids.contains(&e.id()) && e.needs() <= there)
+        .filter(|e| !(all.means_given && e.needs() == Needs::Means))
+        .filter_map(|effect| {
+            let starts = screen.starts(effect, &[], &effect.starts(&seen));
+            let most = starts.first()?.gain;
+            Some((most, effect, starts))
+        })
+        .collect();
+    promising.sort_by(|a, b| b.0.total_cmp(&a.0));
+    for (gain, effect, starts) in promising.iter().take(FITTED + 3) {
+        tracing::debug!("  screen {}: {gain:.1} at {:?}", effect.id(), starts[0].values);
+    }
+    // What moves only errors is not seen by a look at expectations: it is fitted in any case.
+    let always = |p: &(f64, &'static dyn Effect, Vec<Scored>)| p.0.is_infinite();
+    let (first, rest): (Vec<_>, Vec<_>) = promising.into_iter().partition(always);
+    let chosen: Vec<_> = first.into_iter().chain(rest.into_iter().filter(|p| p.0 > NEEDED).take(FITTED)).collect();
+    let best = chosen.iter().map(|p| p.0).filter(|g| g.is_finite()).fold(0.0, f64::max);
+    let mut found: Vec<Candidate> = chosen
+        .into_par_iter()
+        .filter_map(|(gain, effect, starts)| {
+            let forms = if gain >= best { FORMS } else { STARTS };
+            let fitted = from_starts(all, now, guess.as_ref(), effect, &starts, forms)?;
+            let evidence = score(all, now) - score(all, &fitted);
+            Some(Candidate { effect, fitted, evidence })
+        })
+        .collect();
+    found.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+    for c in found.iter().take(6) {
+        let at = c.fitted.effects.len() - 1;
+        let (values, errors) = (&c.fitted.effects[at].1, &c.fitted.std_err[at]);
+        tracing::debug!("{}: evidence {:.1}, {values:?} +- {errors:?}", c.effect.id(), c.evidence);
+    }
+    found.retain(is_something);
+    found
+}
+
+/// The best fit of a model with one more effect, from the most promising of its starts.
+fn from_starts(
+    all: &Observations,
+    now: &Fitted,
+    guess: Option<&Fitted>,
+    effect: &'static dyn Effect,
+    starts: &[Scored],
+    forms: usize,
+) -> Option<Fitted> {
+    // Of each combination of choices the best start, then others.
+    let choices = |v: &[f64]| -> Vec<u64> {
+        let of = effect.parameters().iter().zip(v).filter(|(p, _)| p.is_choice());
+        of.map(|(_, v)| v.to_bits()).collect()
+    };
+    let mut picked: Vec<&Scored> = Vec::new();
+    for s in starts {
+        if !picked.iter().any(|p| choices(&p.values) == choices(&s.values)) {
+            picked.push(s);
+        }
+    }
+    picked.truncate(forms);
+    picked.extend(starts.iter().filter(|s| picked.iter().all(|p| p.values != s.values)).take(1).collect::<Vec<_>>());
+    let bases: Vec<&Fitted> = std::iter::once(now).chain(guess).collect();
+    let tries: Vec<(&Fitted, &Scored)> =
+        bases.into_iter().flat_map(|b| picked.iter().map(move |s| (b, *s))).collect();
+    let brief = tries.into_par_iter().map(|(base, start)| {
+        let mut effects: Effects = base.effects.clone();
+        effects.push((effect, start.values.clone()));
+        fit_briefly(all, &base.base, &effects)
+    });
+    let brief: Vec<Fitted> = brief.collect();
+    let best = brief.iter().min_by(|a, b| score(all, a).total_cmp(&score(all, b)))?;
+    Some(fit(all, None, &best.base, &best.effects))
+}
+
+/// A parameter that is nothing within its error explains nothing, nor does one at the end of its range.
+fn is_something(c: &Candidate) -> bool {
+    let (fitted, at) = (&c.fitted, c.fitted.effects.len() - 1);
+    let (effect, values, errors) = (c.effect, &fitted.effects[at].1, &fitted.std_err[at]);
+    let used = |k: usize| effect.uses(values, k) && !effect.parameters()[k].is_choice();
+    let all: Vec<usize> = (0..values.len()).filter(|k| used(*k)).collect();
+    let at_the_end = all.iter().any(|&k| {
+        let (p, v) = (effect.parameters()[k], values[k]);
+        let near = |end: f64| (v - end).abs() <= 1e-6 * end.abs();
+        p.is_size() && (near(p.max) || p.min < 0.0 && near(p.min))
+    });
+    if at_the_end {
+        return false;
+    }
+    let sizes: Vec<usize> = all.iter().copied().filter(|k| effect.parameters()[*k].is_size()).collect();
+    if let Some(t) = effect.together(values) {
+        // Two that only their combination tells are each unknown, and together something.
+        let of = |(a, b): (usize, usize)| t.slopes[a] * t.slopes[b] * fitted.covariance_of(at, a, b);
+        let variance: f64 = (0..values.len()).flat_map(|a| (0..values.len()).map(move |b| (a, b))).map(of).sum();
+        return t.value.abs() > 2.5 * variance.max(0.0).sqrt();
+    }
+    sizes.is_empty() || sizes.iter().any(|&k| values[k].abs() > 2.5 * errors[k])
+}
+
+/// A set of effects, fitted.
+#[derive(Clone)]
+struct Line {
+    fitted: Fitted,
+    score: f64,
+}
+
+/// What a search found.
+pub struct Found {
+    /// The model with all of it.
+    pub fitted: Fitted,
+    /// Candidates for the first addition.
+    pub first: Vec<Candidate>,
+}
+
+/// Adds effects to a model as long as the evidence pays for them. `given`: so many of the model's effects are not touched.
+pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn FnMut(&str)) -> Found {
+    let given = model.effects.len();
+    let mut lines = vec![Line { score: score(all, model), fitted: model.clone() }];
+    let mut first = Vec::new();
+    let mut done: Vec<Line> = Vec::new();
+    let mut looked_at: Vec<Vec<&str>> = Vec::new();
+    for depth in 0..MOST {
+        let mut next: Vec<Line> = Vec::new();
+        for line in &lines {
+            let names: Vec<&str> = line.fitted.effects.iter().map(|(e, _)| e.id()).collect();
+            if looked_at.contains(&ids(&line.fitted)) {
+                continue;
+            }
+            looked_at.push(ids(&line.fitted));
+            progress(&format!("with {names:?}: trying every effect"));
+            let found = candidates(all, &line.fitted, far && depth == 0);
+            if depth == 0 {
+                first.clone_from(&found);
+            }
+            let good: Vec<&Candidate> = found.iter().filter(|c| c.evidence > NEEDED).collect();
+            let best = good.first().map_or(0.0, |c| c.evidence);
+            if good.is_empty() {
+                done.push(line.clone());
+            }
+            for c in good.iter().take(2).filter(|c| c.evidence > best - NEAR) {
+                let fitted = without_idle(all, c.fitted.clone(), given);
+                next.push(Line { score: score(all, &fitted), fitted });
+            }
+        }
+        next.sort_by(|a, b| a.score.total_cmp(&b.score));
+        next.dedup_by(|a, b| ids(&a.fitted) == ids(&b.fitted));
+        next.truncate(2);
+        if next.is_empty() {
+            break;
+        }
+        lines = next;
+        if depth + 1 == MOST {
+            done.extend(lines.iter().cloned());
+        }
+    }
+    let best = done.into_iter().min_by(|a, b| a.score.total_cmp(&b.score));
+    Found { fitted: best.map_or_else(|| model.clone(), |l| l.fitted), first }
+}
+
+fn ids(fitted: &Fitted) -> Vec<&'static str> {
+    let mut ids: Vec<_> = fitted.effects.iter().map(|(e, _)| e.id()).collect();
+    ids.sort_unstable();
+    ids
+}
+
+/// A model without one of its effects, fitted again.
+pub fn without(all: &Observations, model: &Fitted, which: usize) -> Fitted {
+    let mut effects = model.effects.clone();
+    effects.remove(which);
+    fit(all, None, &model.base, &effects)
+}
+
+/// Drops effects whose evidence does not pay for them any more.
+fn without_idle(all: &Observations, mut model: Fitted, given: usize) -> Fitted {
+    while model.effects.len() > given + 1 {
+        let tries: Vec<Fitted> =
+            (given..model.effects.len() - 1).into_par_iter().map(|i| without(all, &model, i)).collect();
+        let best = tries.into_iter().min_by(|a, b| score(all, a).total_cmp(&score(all, b)));
+        match best {
+            Some(less) if score(all, &less) - score(all, &model) < NEEDED => model = less,
+            _ => break,
+        }
+    }
+    model
+}
+
+/// Finds values of effects' parameters that are not given: one effect after the other is added to what is known. What moves nothing
+/// that was measured stays at its first start.
+pub fn searched(all: &Observations, given: &[Given]) -> Effects {
+    let known = |(e, values): &Given| Some((*e, values.iter().copied().collect::<Option<Vec<f64>>>()?));
+    if given.iter().all(|g| known(g).is_some()) {
+        return given.iter().filter_map(known).collect();
+    }
+    let certain: Effects = given.iter().filter_map(known).collect();
+    let mut now = fit(all, None, &start(all), &certain);
+    for (effect, values) in given.iter().filter(|g| known(g).is_none()) {
+        let hinted = effect.starts(&seen(all, &now.base));
+        let guess = now.with_base(start(all));
+        let starts = Screen::new(all, &now).starts(*effect, values, &hinted);
+        now = from_starts(all, &now, Some(&guess), *effect, &starts, FORMS).unwrap_or_else(|| {
+            let first = hinted.into_iter().next();
+            let first = first.unwrap_or_else(|| effect.parameters().iter().map(|p| p.min.max(0.0)).collect());
+            let mut still = now.clone();
+            still.effects.push((*effect, as_given(&first, values)));
+            still
+        });
+    }
+    let place = |e: &&'static dyn Effect| given.iter().position(|g| g.0.id() == e.id());
+    now.effects.sort_by_key(|(e, _)| place(e));
+    now.effects
+}
+

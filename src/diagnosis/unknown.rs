@@ -1,0 +1,86 @@
+//! `unknown` as a model among models: each statistic is off by a smooth function of the level that nobody has named.
+//!
+//! Kennedy and O'Hagan 2001, J. R. Statist. Soc. B 63, 425 (section 4): a discrepancy function with a prior of its own stands beside the
+//! physics, and its evidence tells whether the physics is enough. Here the function is a sum of cosines of the level's rank whose weights
+//! fall as 1 / (1 + k^2), so that its evidence has a closed form (linear model with a normal prior: Bishop 2006, eq. 3.86).
+
+use crate::fit::cholesky;
+use crate::inference::Residual;
+use std::collections::BTreeMap;
+
+/// Cosines, from the constant on.
+const TERMS: usize = 5;
+/// Sizes of the function, in standard errors of a residual, that are tried.
+const SIZES: [f64; 12] = [0.15, 0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 30.0, 100.0, 300.0, 1e3, 1e4];
+
+/// Evidence (twice the logarithm of a Bayes factor) that the residuals have such a function, summed over the statistics that gain by it;
+/// each pays for its size as BIC has it.
+pub fn evidence(residuals: &[Residual], observations: f64) -> f64 {
+    let mut of: BTreeMap<&str, Vec<&Residual>> = BTreeMap::new();
+    residuals.iter().for_each(|r| of.entry(r.observable.as_str()).or_default().push(r));
+    of.values().map(|rows| (of_statistic(rows) - observations.ln()).max(0.0)).sum()
+}
+
+fn of_statistic(rows: &[&Residual]) -> f64 {
+    let mut order: Vec<&&Residual> = rows.iter().collect();
+    order.sort_by(|a, b| a.level_dn.total_cmp(&b.level_dn));
+    let n = order.len() as f64;
+    let mut matrix = [[0.0; TERMS]; TERMS];
+    let mut with = [0.0; TERMS];
+    for (rank, r) in order.iter().enumerate() {
+        let u = (rank as f64 + 0.5) / n;
+        let terms: [f64; TERMS] = std::array::from_fn(|k| {
+            (std::f64::consts::PI * k as f64 * u).cos() / (1.0 + (k * k) as f64).sqrt()
+        });
+        for i in 0..TERMS {
+            with[i] += terms[i] * r.z;
+            for j in 0..TERMS {
+                matrix[i][j] += terms[i] * terms[j];
+            }
+        }
+    }
+    let gain = |size: f64| {
+        let square = size * size;
+        let mut a: Vec<f64> = (0..TERMS * TERMS)
+            .map(|i| matrix[i / TERMS][i % TERMS] + if i / TERMS == i % TERMS { 1.0 / square } else { 0.0 })
+            .collect();
+        if !cholesky::factor(&mut a, TERMS) {
+            return 0.0;
+        }
+        let log_det: f64 = (0..TERMS).map(|i| 2.0 * a[i * TERMS + i].ln()).sum::<f64>() + TERMS as f64 * square.ln();
+        let mut solved = with.to_vec();
+        cholesky::solve(&a, &mut solved);
+        solved.iter().zip(with).map(|(s, w)| s * w).sum::<f64>() - log_det
+    };
+    SIZES.into_iter().map(gain).fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::observables::mean;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    fn rows(seed: u64, off: impl Fn(f64) -> f64) -> Vec<Residual> {
+        let row = |i: u32| Residual {
+            observable: format!("statistic {}", i % 4),
+            set: Some(i / 4),
+            measured: 0.0,
+            predicted: 0.0,
+            std_err: 1.0,
+            z: PixelRng::new(seed, Stream::Effect, 0, i, 0).normal()
+                + if i % 4 == 0 { off(f64::from(i) / 200.0) } else { 0.0 },
+            level_dn: f64::from(i / 4),
+            statistic: (&mean::This, 0),
+        };
+        (0..200).map(row).collect()
+    }
+
+    /// Of 200 lists of pure noise at most two show anything; a bend of three standard errors is seen in each.
+    #[test]
+    fn noise_is_no_function_and_a_bend_is() {
+        let seen = |off: &dyn Fn(f64) -> f64| (0..200).filter(|s| evidence(&rows(*s, off), 200.0) > 9.0).count();
+        assert!(seen(&|_| 0.0) <= 2);
+        assert_eq!(seen(&|u| 3.0 * (2.0 * u - 1.0)), 200);
+    }
+}

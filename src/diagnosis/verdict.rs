@@ -1,0 +1,133 @@
+//! What a diagnosis comes to: one type that every verb, the demo and the reports print.
+
+use super::Missing;
+use crate::inference::{Agreement, Comparison, Fitted};
+use crate::report::with_unit;
+use radcam_sim::effects::find;
+use serde::Serialize;
+
+/// The verdict.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase", tag = "kind")]
+pub enum Verdict {
+    /// The model that was given describes the campaign.
+    Describes {
+        /// How well.
+        agreement: Agreement,
+        /// In plain words.
+        sentence: String,
+    },
+    /// Effects are missing, and with them the campaign comes down to the noise.
+    Named {
+        /// The strongest.
+        effect: String,
+        /// What this campaign cannot tell from it.
+        or: Vec<String>,
+        /// In plain words.
+        sentence: String,
+    },
+    /// Something is missing that has no name here.
+    Unknown {
+        /// The names that come nearest.
+        nearest: Vec<String>,
+        /// In plain words.
+        sentence: String,
+    },
+}
+
+impl Verdict {
+    /// In plain words.
+    pub fn sentence(&self) -> &str {
+        match self {
+            Self::Describes { sentence, .. } | Self::Named { sentence, .. } | Self::Unknown { sentence, .. } => sentence,
+        }
+    }
+
+    /// Of what was found. `given`, `whole`: the model as given and with all that was found, fitted.
+    pub(super) fn of(missing: &[Missing], first: &Comparison, given: &Fitted, whole: &Fitted) -> Self {
+        let Some(top) = missing.first() else {
+            let agreement = first.agreement;
+            let sentence = match agreement {
+                Agreement::Fails => "Deviations are larger than chance allows, but too small to be named.".into(),
+                _ => format!(
+                    "{} Gain {:.5} DN/e, read noise {:.2} e.",
+                    "The camera does what the model says, to within the noise of this campaign.",
+                    given.base.gain_dn_per_e,
+                    given.base.read_noise_e
+                ),
+            };
+            return Self::Describes { agreement, sentence };
+        };
+        if top.effect == "unknown" {
+            let near = match top.nearest.as_slice() {
+                [] => "No effect of the catalogue comes near.".into(),
+                names => format!("Nearest come {}, but none of them explains it.", names.join(", ")),
+            };
+            let most = top.evidence.first().map_or(String::new(), |e| format!(" What strays most: {e}."));
+            let sentence = format!(
+                "The camera does something that has no name here. {near}{most} Take gain, linearity and read noise of this campaign with \
+                 care until it is known."
+            );
+            return Self::Unknown { nearest: top.nearest.clone(), sentence };
+        }
+        let or: Vec<String> = missing
+            .iter()
+            .skip(1)
+            .take_while(|m| m.tied_with.as_deref() == Some(&top.effect))
+            .map(|m| m.effect.clone())
+            .collect();
+        let sentence = sentence(top, &or, missing, &cost(given, whole));
+        Self::Named { effect: top.effect.clone(), or, sentence }
+    }
+}
+
+/// What the camera does, how much, what it costs and what to do.
+fn sentence(top: &Missing, or: &[String], missing: &[Missing], cost: &str) -> String {
+    let page = find(&top.effect).map(|e| e.page());
+    let what = page.map_or_else(|| format!("It has {}.", top.effect), |p| p.what.to_string());
+    let sizes: Vec<String> = top
+        .parameters
+        .iter()
+        .filter(|(_, q)| q.unit != "choice")
+        .map(|(name, q)| format!("{name} = {}", with_unit(q.value, q.std_err, q.unit)))
+        .collect();
+    let form = top.form.as_ref().map_or(String::new(), |f| format!(", {f}"));
+    let tie = if or.is_empty() {
+        String::new()
+    } else {
+        format!(" This campaign cannot tell it from {}.", or.join(" or "))
+    };
+    let also: Vec<&str> = missing
+        .iter()
+        .skip(1)
+        .filter(|m| m.tied_with.is_none() && m.effect != "unknown")
+        .map(|m| m.effect.as_str())
+        .collect();
+    let also = if also.is_empty() { String::new() } else { format!(" It also has {}.", also.join(", ")) };
+    let remedy = page.map_or(String::new(), |p| format!(" What to do: {}.", p.remedy));
+    format!("{} ({}{form}): {what}{tie}{also}{cost}{remedy}", capital(&top.effect), sizes.join(", "))
+}
+
+/// What a measurement that knows nothing of it is wrong by.
+fn cost(given: &Fitted, whole: &Fitted) -> String {
+    let gain = given.base.gain_dn_per_e / whole.base.gain_dn_per_e - 1.0;
+    let read = given.base.read_noise_e / whole.base.read_noise_e.max(1e-9) - 1.0;
+    let high = |v: f64| if v > 0.0 { "high" } else { "low" };
+    let mut parts = Vec::new();
+    if gain.abs() > 3.0 * whole.base_std_err[0] / whole.base.gain_dn_per_e {
+        parts.push(format!("the gain {:.2} % too {}", 100.0 * gain.abs(), high(gain)));
+    }
+    if read.abs() > 3.0 * whole.base_std_err[1] / whole.base.read_noise_e.max(1e-9) {
+        parts.push(format!("the read noise {:.1} % too {}", 100.0 * read.abs(), high(read)));
+    }
+    if parts.is_empty() {
+        " Gain and read noise come out right all the same.".into()
+    } else {
+        format!(" A measurement that knows nothing of it finds {}.", parts.join(" and "))
+    }
+}
+
+fn capital(id: &str) -> String {
+    let mut letters = id.chars();
+    letters.next().map_or(String::new(), |first| first.to_uppercase().collect::<String>() + letters.as_str())
+}

@@ -1,0 +1,188 @@
+//! Fits a model's free parameters to observables: generalised least squares with errors that the model itself predicts.
+//!
+//! Within a round the errors are held (quasi-likelihood: McCullagh and Nelder 1989, ch. 9), so that no parameter gains by widening the
+//! error of something else: flicker is told by the scatter of frames, and the scatter of a lamp's settings by that of sets.
+
+use super::free::{Common, Free, Point};
+use super::system::{Covariance, Layout, State, System};
+use crate::observables::{Half, Observations, mean};
+use radcam_sim::effects::{self, Effect, Seen};
+use radcam_sim::predict::{BaseParameters, Prediction};
+
+/// Rounds of Levenberg and Marquardt at most.
+const ROUNDS: usize = 40;
+/// Rounds after which the better of two starts shows.
+const FIRST_ROUNDS: usize = 5;
+/// A round that gains less of the objective has arrived.
+const ARRIVED: f64 = 1e-3;
+
+/// Effects with the values of their parameters.
+pub type Effects = Vec<(&'static dyn Effect, Vec<f64>)>;
+
+/// An effect with what is given of its parameters, in their order.
+pub type Given = (&'static dyn Effect, Vec<Option<f64>>);
+
+/// A model with values: the paper's parameters and effects.
+#[derive(Clone)]
+pub struct Fitted {
+    /// The paper's.
+    pub base: BaseParameters,
+    /// Effects with their parameters.
+    pub effects: Effects,
+    /// Minus twice the logarithm of the likelihood.
+    pub objective: f64,
+    /// Standard errors of the effects' parameters.
+    pub std_err: Vec<Vec<f64>>,
+    /// Standard errors of A, read noise, offset, dark current.
+    pub base_std_err: [f64; 4],
+    /// What was free, where it came to lie, and its covariance.
+    pub(super) free: Free,
+    pub(super) point: Point,
+    pub(super) covariance: Covariance,
+}
+
+impl std::fmt::Debug for Fitted {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let effects: Vec<_> = self.effects.iter().map(|(e, p)| (e.id(), p)).collect();
+        write!(f, "{:?} {effects:?} objective {}", self.base, self.objective)
+    }
+}
+
+impl Fitted {
+    /// The prediction for all sets.
+    pub fn predict(&self, all: &Observations) -> Prediction {
+        let list: Vec<(&dyn Effect, &[f64])> = self.effects.iter().map(|(e, p)| (*e, p.as_slice())).collect();
+        effects::predict(&all.campaign, &self.base, &list)
+    }
+
+    /// The same effects beside another guess of the paper's parameters.
+    pub fn with_base(&self, base: BaseParameters) -> Self {
+        Self { base, ..self.clone() }
+    }
+
+    /// Variance of something with these slopes with two parameters of an effect.
+    pub fn covariance_of(&self, effect: usize, a: usize, b: usize) -> f64 {
+        let place = |k: usize| self.free.place(Common::Of(effect, k));
+        let (Some(i), Some(j)) = (place(a), place(b)) else { return f64::NAN };
+        let n = self.free.common.len();
+        self.covariance.common[i * n + j] * self.free.scale[i] * self.free.scale[j]
+    }
+
+    /// Parameters of the effects that were fitted: all but choices and those that the choices do not use.
+    pub fn parameters(&self) -> usize {
+        let of = |(c, fixed): (&Common, &bool)| matches!(c, Common::Of(..)) && !fixed;
+        self.free.common.iter().zip(&self.free.fixed).filter(|p| of(*p)).count()
+    }
+}
+
+/// Values with those that are given.
+pub fn as_given(values: &[f64], given: &[Option<f64>]) -> Vec<f64> {
+    values.iter().enumerate().map(|(i, v)| given.get(i).copied().flatten().unwrap_or(*v)).collect()
+}
+
+/// Fits the paper's parameters and those of some effects, from a start. `half`: on these observables and those of both only.
+pub fn fit(all: &Observations, half: Option<Half>, base: &BaseParameters, effects: &Effects) -> Fitted {
+    fit_for(ROUNDS, all, half, base, effects)
+}
+
+/// The same for a few rounds: enough to see which of several starts is the best.
+pub fn fit_briefly(all: &Observations, base: &BaseParameters, effects: &Effects) -> Fitted {
+    fit_for(FIRST_ROUNDS, all, None, base, effects)
+}
+
+/// Halves that a fit uses.
+pub(super) fn halves(half: Option<Half>) -> Vec<Half> {
+    match half {
+        Some(half) => vec![half, Half::Both],
+        None => vec![Half::First, Half::Second, Half::Both],
+    }
+}
+
+fn fit_for(
+    rounds: usize,
+    all: &Observations,
+    half: Option<Half>,
+    base: &BaseParameters,
+    effects: &Effects,
+) -> Fitted {
+    let layout = Layout::new(all, &halves(half));
+    let (free, mut point) = Free::new(all, base, effects);
+    free.clamp(&mut point);
+    let mut now = layout.at(&free, &point);
+    let mut damping = 1e-3;
+    let mut system = System::new(&layout, &free, &point, &now);
+    for round in 0..rounds {
+        let normal = system.normal();
+        let before = system.objective(&now, &now, &point.lights);
+        let mut found: Option<(Point, State, f64)> = None;
+        for _ in 0..10 {
+            let Some((step, lights)) = normal.step(damping) else {
+                damping *= 10.0;
+                continue;
+            };
+            let mut trial = point.clone();
+            trial.x.iter_mut().zip(&step).for_each(|(x, s)| *x += s);
+            trial.lights.iter_mut().zip(&lights).for_each(|(x, s)| *x += s);
+            free.clamp(&mut trial);
+            let there = layout.at(&free, &trial);
+            let value = system.objective(&now, &there, &trial.lights);
+            if value < before {
+                damping = (damping * 0.2).max(1e-7);
+                found = Some((trial, there, before - value));
+                break;
+            }
+            damping *= 6.0;
+        }
+        let moved = found.is_some();
+        let mut gained = 0.0;
+        if let Some((trial, there, by)) = found {
+            (point, now, gained) = (trial, there, by);
+            system = System::new(&layout, &free, &point, &now);
+        }
+        let factors = system.scatter_factors();
+        let settled = factors.iter().all(|(_, f)| (f - 1.0).abs() < 1e-3);
+        if !settled {
+            factors.iter().for_each(|(i, f)| point.x[*i] *= f);
+            free.clamp(&mut point);
+            now = layout.at(&free, &point);
+            system = System::new(&layout, &free, &point, &now);
+        }
+        if settled && (!moved || round > 1 && gained < ARRIVED) {
+            break;
+        }
+    }
+    let objective = system.likelihood(&now, &point.lights);
+    let covariance = system.normal().covariance();
+    let n = free.common.len();
+    let error = |i: usize| {
+        if free.fixed[i] { 0.0 } else { covariance.common[i * n + i].max(0.0).sqrt() * free.scale[i] }
+    };
+    let of = |what: Common| free.place(what).map_or(0.0, error);
+    let std_err = effects
+        .iter()
+        .enumerate()
+        .map(|(i, (_, p))| (0..p.len()).map(|k| of(Common::Of(i, k))).collect())
+        .collect();
+    let base_std_err = [of(Common::Gain), of(Common::Read), of(Common::Offset), of(Common::Dark)];
+    let (base, effects) = free.unpack(&point);
+    Fitted { base, effects, objective, std_err, base_std_err, free, point, covariance }
+}
+
+/// What the campaign shows before any fit.
+pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
+    let means = all.of(&mean::This).map(|o| o.measured.value);
+    let peak_dn = means.fold(0.0, f64::max) - base.offset_dn;
+    let frames = &all.campaign.frames;
+    let duration_s = frames.last().map_or(0.0, |l| l.time_s - frames[0].time_s);
+    Seen {
+        peak_e: peak_dn / base.gain_dn_per_e,
+        peak_dn,
+        full_scale_dn: all.campaign.full_scale_dn,
+        duration_s,
+        frame_s: all.campaign.frame_s,
+        rows: all.campaign.shape.0 as f64,
+        means: !all.means_given,
+        dark_noise_dn: base.read_noise_e * base.gain_dn_per_e,
+        line_cycles_per_px: all.campaign.line_cycles_per_px,
+    }
+}

@@ -1,0 +1,256 @@
+//! Holds a model against a campaign: fitted on one half of the frames, judged on the other.
+//!
+//! Halves take turns from set to set: the first frames after a change of level belong now to the one, now to the other. Whole
+//! frames go to one half, so that noise that runs from frame to frame within a chunk stays on one side.
+
+use super::fit::{Effects, Fitted, fit, halves};
+use super::system::{Layout, System};
+use crate::observables::{Half, Observable, Observations, Statistic, mean, settling};
+use radcam_sim::predict::BaseParameters;
+use serde::Serialize;
+
+/// Below this chance a model does not describe the campaign.
+pub const P_LIMIT: f64 = 1e-3;
+/// Below this chance one looks again.
+const DOUBT: f64 = 0.05;
+
+/// Whether a model describes a campaign: the one word that every verb and report has for it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Agreement {
+    /// Within the noise.
+    Holds,
+    /// Chance would do so less than once in twenty campaigns.
+    Doubtful,
+    /// Chance would do so less than once in a thousand.
+    Fails,
+}
+
+impl Agreement {
+    /// From the chance of deviations as large as those seen.
+    pub fn of(p_value: f64) -> Self {
+        match p_value {
+            p if p >= DOUBT => Self::Holds,
+            p if p >= P_LIMIT => Self::Doubtful,
+            _ => Self::Fails,
+        }
+    }
+
+    /// In words, of a model.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Holds => "the model holds within the noise",
+            Self::Doubtful => "the model may hold: deviations this large come by chance less than once in twenty campaigns",
+            Self::Fails => "THE MODEL FAILS",
+        }
+    }
+}
+
+/// One residual on frames that the fit did not see.
+#[derive(Debug, Clone, Serialize)]
+pub struct Residual {
+    /// Which statistic.
+    pub observable: String,
+    /// Number of the set; null for the whole campaign.
+    pub set: Option<u32>,
+    /// What was measured, DN or DN^2.
+    pub measured: f64,
+    /// What the model expects.
+    pub predicted: f64,
+    /// Standard error of the difference.
+    pub std_err: f64,
+    /// Their difference over its standard error.
+    pub z: f64,
+    /// Mean of the set above the level of zero charge, DN.
+    #[serde(skip)]
+    pub level_dn: f64,
+    /// The statistic itself, and which of its several.
+    #[serde(skip)]
+    pub statistic: (&'static dyn Statistic, usize),
+}
+
+impl Residual {
+    /// Whether it is set by what came before, and not by its level.
+    pub fn is_of_first_frames(&self) -> bool {
+        self.statistic.0.id() == settling::This.id()
+    }
+
+    /// What a deviation means, in words.
+    pub fn meaning(&self) -> &'static str {
+        self.statistic.0.meaning(self.statistic.1)
+    }
+}
+
+/// A comparison.
+#[derive(Debug, Clone, Serialize)]
+pub struct Comparison {
+    /// Root mean square of the standardised residuals; 1 is agreement.
+    pub error: f64,
+    /// Chance of residuals as large as these, under many comparisons.
+    pub p_value: f64,
+    /// Whether the model describes the campaign.
+    pub consistent: bool,
+    /// The same, with doubt.
+    pub agreement: Agreement,
+    /// Every residual.
+    pub residuals: Vec<Residual>,
+    /// What could not be looked at.
+    pub not_looked_at: Vec<String>,
+}
+
+/// Fits a model on each half of the frames and judges it on the other.
+pub fn compare(all: &Observations, base: &BaseParameters, effects: &Effects) -> Comparison {
+    let (first, second) = rayon::join(
+        || fit(all, Some(Half::First), base, effects),
+        || fit(all, Some(Half::Second), base, effects),
+    );
+    let mut residuals = Vec::new();
+    for (fitted, half) in [(&first, Half::First), (&second, Half::Second)] {
+        residuals.extend(judged(all, fitted, half));
+    }
+    let n = residuals.len() as f64;
+    let error = (residuals.iter().map(|r| r.z * r.z).sum::<f64>() / n.max(1.0)).sqrt();
+    let p_value = p_value(&residuals);
+    Comparison {
+        error,
+        p_value,
+        consistent: p_value >= P_LIMIT,
+        agreement: Agreement::of(p_value),
+        residuals,
+        not_looked_at: all.missing.clone(),
+    }
+}
+
+/// Mean of every set above a zero, DN.
+fn levels(all: &Observations, zero_dn: f64) -> Vec<f64> {
+    let mut sums = vec![(0.0, 0.0); all.campaign.sets.len()];
+    for o in all.of(&mean::This) {
+        if let Some(s) = o.set {
+            sums[s] = (sums[s].0 + o.measured.value, sums[s].1 + 1.0);
+        }
+    }
+    sums.iter().map(|(sum, n)| if *n > 0.0 { sum / n - zero_dn } else { 0.0 }).collect()
+}
+
+/// The residuals of the other half under a fit to this one; the error of the fit is in theirs.
+fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
+    let own = Layout::new(all, &halves(Some(half)));
+    let settings = {
+        let state = own.at(&fitted.free, &fitted.point);
+        System::new(&own, &fitted.free, &fitted.point, &state).settings()
+    };
+    let layout = Layout::new(all, &[half.other()]);
+    let state = layout.at(&fitted.free, &fitted.point);
+    let seen = lights_seen(all, half);
+    let known = |o: &Observable| {
+        let light = o.set.and_then(|s| all.campaign.sets[s].light);
+        light.is_none_or(|l| seen[l])
+    };
+    let levels = levels(all, fitted.base.offset_dn);
+    let slopes = super::system::plain_slopes(&layout, &fitted.free, &fitted.point, &state);
+    let n = fitted.free.common.len();
+    let prediction = fitted.predict(all);
+    let mut out = Vec::new();
+    for (r, (o, e)) in layout.rows.iter().zip(&state.expected).enumerate() {
+        // Light levels that only one half has cannot be judged on the other.
+        if o.statistic.sees_light() && !known(o) {
+            continue;
+        }
+        let row = &slopes[r * n..][..n];
+        let level = o.set.and_then(|s| all.campaign.sets[s].light);
+        let factor = level.and_then(|l| fitted.free.light_of_level.get(l).copied().flatten());
+        let light = row[fitted.free.place(super::free::Common::Light).unwrap_or(0)];
+        let mut variance = 1.0 + fitted.covariance.of(row, factor.map(|k| (k, light))).max(0.0);
+        let mut z = e.z();
+        if o.statistic.sees_light()
+            && let Some(set) = o.set
+        {
+            // A setting is told by the frames of the set that the fit saw, and else it is as nominal.
+            let told = settings.iter().find(|s| s.0 == set);
+            let scatter = prediction.sets[set].setting / (light * e.normal.2).powi(2).max(1e-30);
+            let (shift, left) = told.map_or((0.0, scatter), |s| (s.1, s.2));
+            if prediction.sets[set].setting > 0.0 {
+                z -= light * shift;
+                variance += light * light * left;
+            }
+        }
+        let wider = variance.sqrt();
+        z /= wider;
+        if z.is_finite() {
+            out.push(residual(all, o, e.value, e.std_err * wider, z, &levels));
+        }
+    }
+    out
+}
+
+fn residual(all: &Observations, o: &Observable, predicted: f64, std_err: f64, z: f64, levels: &[f64]) -> Residual {
+    Residual {
+        observable: o.name(),
+        set: o.set.map(|s| all.set_numbers[s]),
+        measured: o.measured.value,
+        predicted,
+        std_err,
+        z,
+        level_dn: o.set.map_or(0.0, |s| levels[s]),
+        statistic: (o.statistic, o.index),
+    }
+}
+
+/// The residuals of everything under a fit to everything.
+pub(crate) fn residuals_of(all: &Observations, fitted: &Fitted) -> Vec<Residual> {
+    let layout = Layout::new(all, &halves(None));
+    let state = layout.at(&fitted.free, &fitted.point);
+    let system = System::new(&layout, &fitted.free, &fitted.point, &state);
+    let levels = levels(all, fitted.base.offset_dn);
+    let rows = layout.rows.iter().zip(&state.expected).zip(&system.z);
+    rows.filter(|(_, z)| z.is_finite())
+        .map(|((o, e), z)| residual(all, o, e.value, e.std_err, *z, &levels))
+        .collect()
+}
+
+/// Whether each light level has a mean in a half.
+fn lights_seen(all: &Observations, half: Half) -> Vec<bool> {
+    let levels = all.campaign.sets.iter().filter_map(|s| s.light).max().map_or(0, |l| l + 1);
+    let mut seen = vec![false; levels];
+    for o in all.of(&mean::This).filter(|o| o.half == half || o.half == Half::Both) {
+        if let Some(l) = o.set.and_then(|s| all.campaign.sets[s].light) {
+            seen[l] = true;
+        }
+    }
+    seen
+}
+
+/// Chance of residuals as large as these: of their sum of squares, of the largest one, and of the largest sum of squares of
+/// any one statistic, the smallest of them times their number.
+fn p_value(residuals: &[Residual]) -> f64 {
+    let tail = |squares: f64, n: f64, slack: f64| {
+        // Errors are known to some per cent and parameters are fitted: the squares scatter a little more than a chi-square.
+        let z = (squares - n * (1.0 + slack)) / (2.0 * n * 1.3).sqrt();
+        0.5 * statrs::function::erf::erfc(z / std::f64::consts::SQRT_2)
+    };
+    let n = residuals.len() as f64;
+    if n < 1.0 {
+        return f64::NAN;
+    }
+    let whole = tail(residuals.iter().map(|r| r.z * r.z).sum(), n, 0.05);
+    let largest = residuals.iter().map(|r| r.z.abs()).fold(0.0, f64::max);
+    let single = (n * statrs::function::erf::erfc(largest / 1.1 / std::f64::consts::SQRT_2)).min(1.0);
+    let mut names: Vec<&str> = residuals.iter().map(|r| r.observable.as_str()).collect();
+    names.sort_unstable();
+    names.dedup();
+    let group = names
+        .iter()
+        .map(|name| {
+            let of: Vec<f64> =
+                residuals.iter().filter(|r| r.observable == *name).map(|r| r.z * r.z).collect();
+            let n = of.len() as f64;
+            // Few of a kind: the chi-square itself.
+            let squares: f64 = of.iter().sum();
+            let chi2 = statrs::distribution::ChiSquared::new(n)
+                .map_or(1.0, |c| statrs::distribution::ContinuousCDF::sf(&c, squares / 1.25));
+            chi2.min(1.0)
+        })
+        .fold(1.0, f64::min)
+        * names.len() as f64;
+    (3.0 * whole.min(single).min(group)).min(1.0)
+}

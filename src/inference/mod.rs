@@ -1,0 +1,17 @@
+//! Fits models to observables, and judges them on frames that the fit did not see.
+//!
+//! The light is a nuisance of its own: every light level has a factor that touches its own sets only, so that the normal equations are an
+//! arrowhead and cost grows with the number of sets (Bjorck 1996, Numerical Methods for Least Squares Problems, 6.3).
+
+mod fit;
+mod free;
+mod judge;
+mod screen;
+mod start;
+mod system;
+
+pub use fit::{Effects, Fitted, Given, as_given, fit, fit_briefly, seen};
+pub use judge::{Agreement, Comparison, P_LIMIT, Residual, compare};
+pub(crate) use judge::residuals_of;
+pub use screen::{Scored, Screen};
+pub use start::{reference_level, start};

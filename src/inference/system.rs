@@ -1,0 +1,570 @@
+//! The normal equations of a fit: common values, and light factors that touch their own sets only.
+
+use super::free::{Common, Free, Point};
+use crate::fit::cholesky;
+use crate::observables::{Expected, Half, Observable, Observations, expectations, monitor};
+use radcam_sim::effects;
+use radcam_sim::predict::Prediction;
+use rayon::prelude::*;
+
+/// From here on the square of a residual says that the model is wrong, and not how large its scatter is.
+const LARGE: f64 = 16.0;
+
+/// Expectations at a place.
+pub struct State {
+    /// One for each observable that takes part.
+    pub expected: Vec<Expected>,
+    /// What the settings of sets scatter by, in units of the light, for each of [`Layout::blocks`].
+    setting: Vec<f64>,
+}
+
+impl State {
+    /// Whether the scatter of settings is far larger there: that is no matter of small moves.
+    pub fn setting_widens(&self, from: &Self) -> bool {
+        self.setting.iter().zip(&from.setting).any(|(a, b)| *a > 4.0 * b)
+    }
+}
+
+/// Which observables take part, and those that see the light of one set together.
+pub struct Layout<'a> {
+    /// The campaign.
+    pub all: &'a Observations,
+    /// Those that take part.
+    pub rows: Vec<&'a Observable>,
+    halves: Vec<Half>,
+    /// Set and rows of those of a set that see its light.
+    blocks: Vec<(usize, Vec<usize>)>,
+}
+
+impl<'a> Layout<'a> {
+    /// Of these halves.
+    pub fn new(all: &'a Observations, halves: &[Half]) -> Self {
+        let rows: Vec<&Observable> = all.list.iter().filter(|o| halves.contains(&o.half)).collect();
+        let mut blocks: Vec<(usize, Vec<usize>)> = Vec::new();
+        let mut place = vec![None; all.campaign.sets.len()];
+        for (i, o) in rows.iter().enumerate() {
+            let Some(set) = o.set.filter(|s| o.statistic.sees_light() && all.campaign.sets[*s].light.is_some())
+            else {
+                continue;
+            };
+            let at = *place[set].get_or_insert_with(|| {
+                blocks.push((set, Vec::new()));
+                blocks.len() - 1
+            });
+            blocks[at].1.push(i);
+        }
+        Self { all, rows, halves: halves.to_vec(), blocks }
+    }
+
+    /// What a prediction expects of them.
+    pub fn state(&self, prediction: &Prediction) -> State {
+        let all = expectations(self.all, prediction, |h| self.halves.contains(&h));
+        let setting = self.blocks.iter().map(|(set, _)| prediction.sets[*set].setting).collect();
+        State { expected: all.into_iter().map(|(_, e)| e).collect(), setting }
+    }
+
+    /// What a model at a place expects of them.
+    pub fn at(&self, free: &Free, point: &Point) -> State {
+        let (base, effects) = free.unpack(point);
+        let list: Vec<_> = effects.iter().map(|(e, p)| (*e as &dyn effects::Effect, p.as_slice())).collect();
+        self.state(&effects::predict(&self.all.campaign, &base, &list))
+    }
+}
+
+/// Rows and what they say of every value, at one place.
+pub struct System<'a> {
+    layout: &'a Layout<'a>,
+    /// Number of common values.
+    n: usize,
+    /// Standardised residuals; after those of the observables, one for each set whose setting scatters.
+    pub z: Vec<f64>,
+    /// What each residual's square is expected to be.
+    expected_square: Vec<f64>,
+    /// Slopes of the expectations with the common values over their errors, row by row.
+    pub slopes: Vec<f64>,
+    /// Slope with the factor of the row's light level.
+    by_light: Vec<f64>,
+    /// Which factor that is.
+    light: Vec<Option<usize>>,
+    /// Rows whose error is a scatter that is fitted, with its logarithm's slopes.
+    scatter: Vec<(usize, Vec<f64>)>,
+    blocks: Vec<Block>,
+    priors: Vec<(usize, f64, f64)>,
+    lights: usize,
+}
+
+/// Observables of one set that see its light, where its setting scatters.
+struct Block {
+    rows: Vec<usize>,
+    /// Slope of each with the light over its error.
+    loads: Vec<f64>,
+    /// Sum of their squares.
+    weight: f64,
+    /// Square of what the light moves the mean by, DN^2.
+    unit: f64,
+    /// Variance of the setting and of what the frames tell of it, in units of the light.
+    variance: f64,
+}
+
+impl<'a> System<'a> {
+    /// At a place.
+    pub fn new(layout: &'a Layout<'a>, free: &Free, point: &Point, now: &State) -> Self {
+        let n = free.common.len();
+        let rows = layout.rows.len();
+        let step_of = |i: usize| {
+            let step = 1e-5 * point.x[i].abs().max(1e-2);
+            if point.x[i] + step > free.bounds[i].1 { -step } else { step }
+        };
+        let columns: Vec<Option<(f64, State)>> = (0..n)
+            .into_par_iter()
+            .map(|i| {
+                if free.fixed[i] {
+                    return None;
+                }
+                let step = step_of(i);
+                let mut moved = point.clone();
+                moved.x[i] += step;
+                Some((step, layout.at(free, &moved)))
+            })
+            .collect();
+        let mut slopes = vec![0.0; rows * n];
+        for (i, column) in columns.iter().enumerate() {
+            let Some((step, there)) = column else { continue };
+            for (r, (a, b)) in now.expected.iter().zip(&there.expected).enumerate() {
+                slopes[r * n + i] = (b.normal.1 - a.normal.1) / step / a.normal.2;
+            }
+        }
+        // All light together: of a set's own observables that is the slope with its own factor.
+        let all_light = free.place(Common::Light).unwrap_or(0);
+        let by_light: Vec<f64> = (0..rows).map(|r| slopes[r * n + all_light]).collect();
+        let level = |o: &&Observable| o.set.and_then(|s| layout.all.campaign.sets[s].light);
+        let factor = |o: &&Observable| level(o).and_then(|l| free.light_of_level.get(l).copied().flatten());
+        let priors = free.lights.iter().zip(&point.lights).enumerate();
+        let mut system = Self {
+            layout,
+            n,
+            z: now.expected.iter().map(Expected::z).collect(),
+            expected_square: vec![1.0; rows],
+            slopes,
+            by_light,
+            light: layout.rows.iter().map(factor).collect(),
+            scatter: Vec::new(),
+            blocks: Vec::new(),
+            priors: priors.filter_map(|(k, (l, x))| Some((k, *x, 1.0 / l.known?.powi(2)))).collect(),
+            lights: free.lights.len(),
+        };
+        system.gather(now, &columns);
+        let monitors = layout.rows.iter().enumerate().filter(|(_, o)| o.is(&monitor::This));
+        for (r, _) in monitors {
+            let slope = |c: &Option<(f64, State)>| {
+                c.as_ref().map_or(0.0, |(step, there)| {
+                    (there.expected[r].normal.2 / now.expected[r].normal.2).ln() / step
+                })
+            };
+            system.scatter.push((r, columns.iter().map(slope).collect()));
+        }
+        system
+    }
+
+    /// Turns what sees the light of a set whose setting scatters into deviations among themselves and one row for their common one.
+    fn gather(&mut self, now: &State, columns: &[Option<(f64, State)>]) {
+        let n = self.n;
+        for (b, (_, rows)) in self.layout.blocks.iter().enumerate() {
+            let loads: Vec<f64> = rows.iter().map(|r| self.by_light[*r]).collect();
+            let weight: f64 = loads.iter().map(|a| a * a).sum();
+            if now.setting[b] <= 0.0 || weight <= 0.0 {
+                continue;
+            }
+            // The setting's scatter is a variance of the mean in DN^2: over the square of what the light moves the mean by.
+            let unit = (loads[0] * now.expected[rows[0]].normal.2).powi(2);
+            let own = now.setting[b] / unit;
+            let variance = own + 1.0 / weight;
+            let project = |values: &[f64]| loads.iter().zip(values).map(|(a, v)| a * v).sum::<f64>() / weight;
+            let z: Vec<f64> = rows.iter().map(|r| self.z[*r]).collect();
+            let common = project(&z);
+            for ((r, a), z) in rows.iter().zip(&loads).zip(&z) {
+                self.z[*r] = z - a * common;
+                self.expected_square[*r] = 1.0 - a * a / weight;
+            }
+            let root = variance.sqrt();
+            let mut last = vec![0.0; n];
+            for (i, out) in last.iter_mut().enumerate() {
+                let of: Vec<f64> = rows.iter().map(|r| self.slopes[r * n + i]).collect();
+                let common = project(&of);
+                for ((r, a), s) in rows.iter().zip(&loads).zip(&of) {
+                    self.slopes[r * n + i] = s - a * common;
+                }
+                *out = common / root;
+            }
+            let level = self.light[rows[0]];
+            rows.iter().for_each(|r| self.by_light[*r] = 0.0);
+            let scatter = |c: &Option<(f64, State)>| {
+                c.as_ref().map_or(0.0, |(step, there)| {
+                    0.5 * ((there.setting[b] / unit + 1.0 / weight) / variance).ln() / step
+                })
+            };
+            self.scatter.push((self.z.len(), columns.iter().map(scatter).collect()));
+            self.z.push(common / root);
+            self.expected_square.push(1.0);
+            self.slopes.extend(last);
+            self.by_light.push(1.0 / root);
+            self.light.push(level);
+            self.blocks.push(Block { rows: rows.clone(), loads, weight, unit, variance });
+        }
+    }
+
+    /// Half the gradient and the normal matrix.
+    pub fn normal(&self) -> Normal {
+        let n = self.n;
+        let mut out = Normal {
+            n,
+            matrix: vec![0.0; n * n],
+            gradient: vec![0.0; n],
+            scatter: (0..n).map(|i| self.is_scatter(i)).collect(),
+            lights: vec![LightTerm { square: 0.0, gradient: 0.0, with: vec![0.0; n] }; self.lights],
+        };
+        for (r, z) in self.z.iter().enumerate() {
+            let row = &self.slopes[r * n..][..n];
+            for i in 0..n {
+                if row[i] == 0.0 {
+                    continue;
+                }
+                out.gradient[i] += row[i] * z;
+                for j in 0..=i {
+                    out.matrix[i * n + j] += row[i] * row[j];
+                }
+            }
+            if let Some(light) = self.light[r] {
+                let (a, term) = (self.by_light[r], &mut out.lights[light]);
+                if a != 0.0 {
+                    term.square += a * a;
+                    term.gradient += a * z;
+                    term.with.iter_mut().zip(row).for_each(|(w, s)| *w += a * s);
+                }
+            }
+        }
+        // Fisher's scoring (Rao 1973, section 5g): a scatter that is fitted is told by the squares of the residuals that have it.
+        for (r, slopes) in &self.scatter {
+            let (square, expected) = ((self.z[*r] * self.z[*r]).min(LARGE), self.expected_square[*r]);
+            for i in 0..n {
+                out.gradient[i] += slopes[i] * (square - expected);
+                for j in 0..=i {
+                    out.matrix[i * n + j] += 2.0 * expected * slopes[i] * slopes[j];
+                }
+            }
+        }
+        for (k, factor, weight) in &self.priors {
+            out.lights[*k].square += weight;
+            out.lights[*k].gradient -= weight * factor;
+        }
+        for i in 0..n {
+            for j in 0..i {
+                out.matrix[j * n + i] = out.matrix[i * n + j];
+            }
+        }
+        out
+    }
+
+    /// Whether a value is a scatter and moves no expectation.
+    fn is_scatter(&self, i: usize) -> bool {
+        let moves = || self.slopes.iter().skip(i).step_by(self.n).any(|s| *s != 0.0);
+        self.scatter.iter().any(|(_, slopes)| slopes[i] != 0.0) && !moves()
+    }
+
+    /// By what every value that is a scatter is to be multiplied, the residuals given: so that their squares are what is expected of them.
+    /// A joint step with what moves expectations overshoots, since each changes what the other sees.
+    pub fn scatter_factors(&self) -> Vec<(usize, f64)> {
+        let rows = self.layout.rows.len();
+        let factor = |i: usize| {
+            let of = self.scatter.iter().filter(|(_, slopes)| slopes[i] != 0.0);
+            if of.clone().all(|(r, _)| *r < rows) {
+                let (square, expected) = of.fold((0.0, 0.0), |(a, b), (r, _)| {
+                    (a + self.z[*r] * self.z[*r], b + self.expected_square[*r])
+                });
+                return (square / f64::max(expected, 1e-9)).sqrt().clamp(0.3, 3.0);
+            }
+            // Settings: the factor of their own variance beside what the frames have.
+            let parts: Vec<(f64, f64, f64)> = self
+                .blocks
+                .iter()
+                .zip(&self.z[rows..])
+                .map(|(b, z)| (z * z * b.variance, b.variance - 1.0 / b.weight, 1.0 / b.weight))
+                .collect();
+            let excess = |f: f64| parts.iter().map(|(e, own, frames)| e / (f * own + frames) - 1.0).sum::<f64>();
+            if excess(1e-8) <= 0.0 {
+                return 1e-4;
+            }
+            let (mut low, mut high) = (1e-8f64, 1e8f64);
+            for _ in 0..60 {
+                let middle = (low * high).sqrt();
+                if excess(middle) > 0.0 { low = middle } else { high = middle }
+            }
+            low.sqrt().clamp(0.05, 20.0)
+        };
+        (0..self.n).filter(|i| self.is_scatter(*i)).map(|i| (i, factor(i))).collect()
+    }
+
+    /// Twice the negative logarithm of the likelihood at another place, with the errors of this one, but for scatter that is fitted.
+    pub fn objective(&self, here: &State, there: &State, lights: &[f64]) -> f64 {
+        let mut z: Vec<f64> = here
+            .expected
+            .iter()
+            .zip(&there.expected)
+            .map(|(a, b)| (b.normal.0 - b.normal.1) / a.normal.2)
+            .collect();
+        let mut sum = 0.0;
+        for (r, _) in self.scatter.iter().filter(|(r, _)| *r < here.expected.len()) {
+            let e = &there.expected[*r];
+            z[*r] = e.z();
+            sum += 2.0 * e.normal.2.ln();
+        }
+        sum += self.of_blocks(&mut z, there, false);
+        sum + z.iter().map(|z| z * z).sum::<f64>() + self.of_priors(lights)
+    }
+
+    fn of_priors(&self, lights: &[f64]) -> f64 {
+        self.priors.iter().map(|(k, _, weight)| weight * lights[*k] * lights[*k]).sum()
+    }
+
+    /// Takes the common deviation off what sees the light of one set, and gives what it costs.
+    fn of_blocks(&self, z: &mut [f64], there: &State, whole: bool) -> f64 {
+        let mut sum = 0.0;
+        let mut known = self.blocks.iter();
+        let mut next = known.next();
+        for (b, (_, rows)) in self.layout.blocks.iter().enumerate() {
+            let Some(block) = next.filter(|block| block.rows == *rows) else { continue };
+            next = known.next();
+            let variance = (there.setting[b] / block.unit + 1.0 / block.weight).max(1e-30);
+            let common = block.loads.iter().zip(rows).map(|(a, r)| a * z[*r]).sum::<f64>() / block.weight;
+            rows.iter().zip(&block.loads).for_each(|(r, a)| z[*r] -= a * common);
+            sum += common * common / variance + variance.ln() + if whole { block.weight.ln() } else { 0.0 };
+        }
+        sum
+    }
+
+    /// Twice the negative logarithm of the likelihood at this place.
+    pub fn likelihood(&self, here: &State, lights: &[f64]) -> f64 {
+        let mut z: Vec<f64> = here.expected.iter().map(Expected::z).collect();
+        let errors: f64 = here.expected.iter().map(|e| 2.0 * e.normal.2.ln()).sum();
+        let blocks = self.of_blocks(&mut z, here, true);
+        let sum = z.iter().map(|z| z * z).sum::<f64>() + errors + blocks + self.of_priors(lights);
+        if sum.is_nan() { f64::INFINITY } else { sum }
+    }
+
+    /// What the frames tell of the light of sets whose setting scatters: its deviation, and the error that this leaves, in units of the
+    /// light; by set.
+    pub fn settings(&self) -> Vec<(usize, f64, f64)> {
+        let first = self.layout.rows.len();
+        let of = |(k, block): (usize, &Block)| {
+            let set = self.layout.rows[block.rows[0]].set?;
+            let own = block.variance - 1.0 / block.weight;
+            let common = self.z[first + k] * block.variance.sqrt();
+            // Between what the frames say and a setting that is as nominal.
+            Some((set, common * own / block.variance, own / block.variance / block.weight))
+        };
+        self.blocks.iter().enumerate().filter_map(of).collect()
+    }
+}
+
+/// What a light factor has to say.
+#[derive(Debug, Clone)]
+struct LightTerm {
+    square: f64,
+    gradient: f64,
+    with: Vec<f64>,
+}
+
+/// Normal equations.
+#[derive(Debug, Clone)]
+pub struct Normal {
+    n: usize,
+    matrix: Vec<f64>,
+    gradient: Vec<f64>,
+    /// Values that are a scatter and move no expectation: see [`System::scatter_factors`].
+    scatter: Vec<bool>,
+    lights: Vec<LightTerm>,
+}
+
+impl Normal {
+    /// The step that they ask for, damped; `None` where there is none.
+    pub fn step(&self, damping: f64) -> Option<(Vec<f64>, Vec<f64>)> {
+        let n = self.n;
+        let (mut a, mut b) = (self.matrix.clone(), self.gradient.clone());
+        for i in 0..n {
+            a[i * n + i] += damping * self.matrix[i * n + i] + 1e-12;
+        }
+        let squares: Vec<f64> = self.lights.iter().map(|l| l.square * (1.0 + damping) + 1e-12).collect();
+        for (l, square) in self.lights.iter().zip(&squares) {
+            for i in (0..n).filter(|i| l.with[*i] != 0.0) {
+                b[i] -= l.with[i] * l.gradient / square;
+                for j in 0..n {
+                    a[i * n + j] -= l.with[i] * l.with[j] / square;
+                }
+            }
+        }
+        for i in (0..n).filter(|i| self.scatter[*i]) {
+            for j in 0..n {
+                (a[i * n + j], a[j * n + i]) = (0.0, 0.0);
+            }
+            (a[i * n + i], b[i]) = (1.0, 0.0);
+        }
+        if !cholesky::factor(&mut a, n) {
+            return None;
+        }
+        cholesky::solve(&a, &mut b);
+        let back = |(l, square): (&LightTerm, &f64)| {
+            (l.gradient - l.with.iter().zip(&b).map(|(w, x)| w * x).sum::<f64>()) / square
+        };
+        let lights = self.lights.iter().zip(&squares).map(back).collect();
+        Some((b, lights))
+    }
+
+    /// Covariance of the common values with the lights eliminated, row by row; values without any hold keep a large error.
+    pub fn covariance(&self) -> Covariance {
+        let n = self.n;
+        let mut a = self.matrix.clone();
+        let lights: Vec<(f64, Vec<f64>)> = self
+            .lights
+            .iter()
+            .map(|l| {
+                let square = l.square + 1e-12;
+                (1.0 / square, l.with.iter().map(|w| w / square).collect())
+            })
+            .collect();
+        for (l, (inverse, _)) in self.lights.iter().zip(&lights) {
+            for i in 0..n {
+                for j in 0..n {
+                    a[i * n + j] -= l.with[i] * l.with[j] * inverse;
+                }
+            }
+        }
+        for k in 0..n {
+            a[k * n + k] += 1e-12 + 1e-10 * self.matrix[k * n + k];
+        }
+        let common = if cholesky::factor(&mut a, n) {
+            let column = |i: usize| {
+                let mut b = vec![0.0; n];
+                b[i] = 1.0;
+                cholesky::solve(&a, &mut b);
+                b
+            };
+            (0..n).flat_map(column).collect()
+        } else {
+            vec![f64::NAN; n * n]
+        };
+        Covariance { n, common, lights }
+    }
+}
+
+/// Covariance of what was fitted.
+#[derive(Debug, Clone)]
+pub struct Covariance {
+    n: usize,
+    /// Of the common values, row by row.
+    pub common: Vec<f64>,
+    /// Variance of every light factor for given common values, and how it follows them.
+    lights: Vec<(f64, Vec<f64>)>,
+}
+
+impl Covariance {
+    /// Variance of something with these slopes with the common values, and this one with a light factor.
+    pub fn of(&self, slopes: &[f64], light: Option<(usize, f64)>) -> f64 {
+        let n = self.n;
+        let mut slopes = slopes.to_vec();
+        let mut own = 0.0;
+        if let Some((k, a)) = light {
+            let (variance, follow) = &self.lights[k];
+            slopes.iter_mut().zip(follow).for_each(|(s, f)| *s -= a * f);
+            own = a * a * variance;
+        }
+        let row = |i: usize| (0..n).map(|j| self.common[i * n + j] * slopes[j]).sum::<f64>();
+        own + (0..n).filter(|i| slopes[*i] != 0.0).map(|i| slopes[i] * row(i)).sum::<f64>()
+    }
+}
+
+/// What moving the expectations in a direction would bring, everything else fitted: a score test (Rao 1973, section 6e).
+pub struct Direction<'s, 'a> {
+    system: &'s System<'a>,
+    normal: Normal,
+}
+
+impl<'s, 'a> Direction<'s, 'a> {
+    /// At the place of a fit.
+    pub fn new(system: &'s System<'a>) -> Self {
+        Self { normal: system.normal(), system }
+    }
+
+    /// What a scatter of settings that follows brings beyond that: of m of them with the sum of squares S that falls to T the likelihood
+    /// gains m ln(S / T), and not S - T.
+    fn narrower(&self, settings: &[(f64, f64)]) -> f64 {
+        let m = settings.len() as f64;
+        let (before, after) =
+            settings.iter().fold((0.0, 0.0), |(a, b), (x, y)| (a + x * x, b + y * y));
+        if m < 4.0 || after >= before {
+            return 0.0;
+        }
+        // The scatter cannot fall below what the frames themselves have.
+        let floor: f64 = self.system.blocks.iter().map(|b| 1.0 / b.weight / b.variance).sum();
+        (m * (before / after.max(floor)).ln() - (before - after)).max(0.0)
+    }
+
+    /// By how much minus twice the logarithm of the likelihood falls for the whole of a move from `now` to `there`, and the multiple of it
+    /// that is best.
+    pub fn gain(&self, now: &State, there: &State) -> Option<(f64, f64)> {
+        let s = self.system;
+        let n = s.n;
+        let mut moves: Vec<f64> = now
+            .expected
+            .iter()
+            .zip(&there.expected)
+            .map(|(a, b)| (b.normal.1 - a.normal.1) / a.normal.2)
+            .collect();
+        let first = moves.len();
+        for block in &s.blocks {
+            let common =
+                block.loads.iter().zip(&block.rows).map(|(a, r)| a * moves[*r]).sum::<f64>() / block.weight;
+            block.rows.iter().zip(&block.loads).for_each(|(r, a)| moves[*r] -= a * common);
+            moves.push(common / block.variance.sqrt());
+        }
+        debug_assert_eq!(moves.len(), first + s.blocks.len());
+        // What the fitted values take over of the move.
+        let mut normal = self.normal.clone();
+        normal.gradient.fill(0.0);
+        normal.lights.iter_mut().for_each(|l| l.gradient = 0.0);
+        for (r, m) in moves.iter().enumerate().filter(|(_, m)| **m != 0.0) {
+            let row = &s.slopes[r * n..][..n];
+            normal.gradient.iter_mut().zip(row).for_each(|(g, s)| *g += s * m);
+            if let Some(light) = s.light[r] {
+                normal.lights[light].gradient += s.by_light[r] * m;
+            }
+        }
+        let (taken, lights) = normal.step(1e-9)?;
+        let (mut with, mut square) = (0.0, 0.0);
+        let mut left_over = Vec::new();
+        for (r, m) in moves.iter().enumerate() {
+            let row = &s.slopes[r * n..][..n];
+            let mut left = m - row.iter().zip(&taken).map(|(s, t)| s * t).sum::<f64>();
+            if let Some(light) = s.light[r] {
+                left -= s.by_light[r] * lights[light];
+            }
+            with += left * s.z[r];
+            square += left * left;
+            if r >= first {
+                left_over.push((s.z[r], s.z[r] - left));
+            }
+        }
+        if square <= 1e-12 || !square.is_finite() {
+            return None;
+        }
+        let multiple = with / square;
+        let whole = 2.0 * with - square + self.narrower(&left_over);
+        Some((whole, multiple))
+    }
+}
+
+/// Slopes of all expectations with the common values over their errors, row by row, none taken together.
+pub fn plain_slopes(layout: &Layout<'_>, free: &Free, point: &Point, now: &State) -> Vec<f64> {
+    let mut apart = State { expected: now.expected.clone(), setting: now.setting.clone() };
+    apart.setting.fill(0.0);
+    System::new(layout, free, point, &apart).slopes
+}

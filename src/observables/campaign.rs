@@ -1,0 +1,301 @@
+//! A campaign of frames as observables.
+
+use super::read::{Chunk, Reading, read};
+use super::{
+    ChunkView, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, Statistic, codes, covariance, mean, successive,
+    variance,
+};
+use crate::dataset::{Dataset, DatasetError, FrameRow, Kind};
+use crate::statistics::covariance::LAGS;
+use crate::statistics::jackknife::Value;
+use crate::statistics::median::median;
+use crate::statistics::pass::Summary;
+use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, SetInfo};
+use std::ops::Range;
+use std::sync::atomic::AtomicBool;
+
+/// Everything that was observed.
+#[derive(Debug, Clone)]
+pub struct Observations {
+    /// Geometry, sets and frames.
+    pub campaign: Campaign,
+    /// Numbers of the sets as the dataset has them.
+    pub set_numbers: Vec<u32>,
+    /// Kinds of the sets.
+    pub kinds: Vec<Kind>,
+    /// The observables.
+    pub list: Vec<Observable>,
+    /// The scene with the long and the short exposure, in each half.
+    pub scenes: [Option<ScenePair>; 2],
+    /// Codes of the histogram's range, in each half.
+    pub codes: [Range<u32>; 2],
+    /// A table of statistics and no frames.
+    pub is_table: bool,
+    /// A table without exposures: the means are taken as they are, and give the light.
+    pub means_given: bool,
+    /// What could not be looked at.
+    pub missing: Vec<String>,
+    /// Known relative error of the light levels.
+    pub light_rel_std: Option<f64>,
+    /// Largest relative deviation of the signal over the pixels of a set.
+    pub largest_spread: f64,
+    /// Spatial variance of the dark charge of every dark set, DN^2: what it has beyond the shortest darks'.
+    pub dark_spread_dn2: Vec<f64>,
+}
+
+impl Observations {
+    /// Observables of one statistic.
+    pub fn of<'a>(&'a self, statistic: &'a dyn Statistic) -> impl Iterator<Item = &'a Observable> {
+        self.list.iter().filter(move |o| o.is(statistic))
+    }
+
+    /// Whether there is any of a statistic.
+    pub fn has(&self, statistic: &dyn Statistic) -> bool {
+        self.list.iter().any(|o| o.is(statistic))
+    }
+}
+
+/// Spatial variance of the dark charge of every set, DN^2; 0 for flats.
+pub fn dark_spreads(sets: &[SetInfo], kinds: &[Kind]) -> Vec<f64> {
+    let darks = || sets.iter().zip(kinds).filter(|(_, kind)| **kind == Kind::Dark);
+    let shortest = darks().min_by(|a, b| a.0.exposure_s.total_cmp(&b.0.exposure_s));
+    let offset = shortest.map_or(0.0, |(s, _)| s.spread_dn);
+    let of = |(s, kind): (&SetInfo, &Kind)| {
+        if *kind == Kind::Dark { (s.spread_dn.powi(2) - offset * offset).max(0.0) } else { 0.0 }
+    };
+    sets.iter().zip(kinds).map(of).collect()
+}
+
+/// Why nothing can be said.
+#[derive(Debug, thiserror::Error)]
+pub enum ObserveError {
+    /// The dataset.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// Nothing to look at.
+    #[error("{0}")]
+    Nothing(String),
+    /// The user asked for the end.
+    #[error("interrupted")]
+    Interrupted,
+}
+
+/// Sets and frames in the order of time, the light levels told apart.
+fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<FrameInfo>) {
+    // Photons that a descriptor states are nominal: one light, in the ratios stated, as accurate as the data show it to be.
+    let nominal = dataset.light_is_nominal();
+    let flats = || settings.iter().filter(|s| s.kind == Kind::Flat && s.illumination > 0.0).map(|s| s.illumination);
+    let usual = median(flats());
+    let mut levels: Vec<u64> = Vec::new();
+    let mut light_of = |kind: Kind, illumination: f64, scene: usize| {
+        if kind == Kind::Dark || illumination == 0.0 {
+            return None;
+        }
+        // A scene has a mean of its own: a light level for itself.
+        let key = match kind {
+            Kind::Flat if nominal => 0,
+            Kind::Flat => illumination.to_bits(),
+            _ => u64::MAX - scene as u64,
+        };
+        let at = levels.iter().position(|l| *l == key).unwrap_or_else(|| {
+            levels.push(key);
+            levels.len() - 1
+        });
+        Some(at)
+    };
+    let set = |(i, s): (usize, &FrameRow)| SetInfo {
+        exposure_s: s.exposure_s,
+        light: light_of(s.kind, s.illumination, i),
+        illumination: s.illumination,
+        light_ratio: if nominal && s.kind == Kind::Flat && usual > 0.0 { s.illumination / usual } else { 1.0 },
+        spread: 0.0,
+        spread_dn: 0.0,
+        places: NORMAL,
+    };
+    let infos = settings.iter().enumerate().map(set).collect();
+    let mut set_of_row = vec![0; dataset.rows().len()];
+    for (i, s) in dataset.sets().iter().enumerate() {
+        s.rows.iter().for_each(|&r| set_of_row[r] = i);
+    }
+    let mut time_s = 0.0;
+    let frame = |(row, set): (&FrameRow, usize)| {
+        let at = row.timestamp_s.unwrap_or(time_s);
+        time_s = at + row.exposure_s;
+        FrameInfo { set, time_s: at }
+    };
+    (infos, dataset.rows().iter().zip(set_of_row).map(frame).collect())
+}
+
+/// Reads a dataset. `progress` is told (pieces done, pieces).
+pub fn of_dataset(
+    dataset: &Dataset,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(usize, usize),
+) -> Result<Observations, ObserveError> {
+    let camera = &dataset.manifest().camera;
+    let shape = (camera.height, camera.width);
+    let sets = dataset.sets();
+    let settings: Vec<_> = sets.iter().map(|s| dataset.settings(s).clone()).collect();
+    let (mut infos, frames) = campaign(dataset, &settings);
+    let Reading { layout, zero_dn, chunks, scenes, codes, lines, saturated, left_out } =
+        read(dataset, stop, progress)?;
+    let mut missing = left_out;
+    if !saturated.is_empty() {
+        let numbers: Vec<String> = saturated.iter().map(|s| sets[s.0].number.to_string()).collect();
+        missing.push(format!("sets {} are clipped at full scale and not looked at", numbers.join(", ")));
+    }
+    if chunks.is_empty() {
+        return Err(ObserveError::Nothing(
+            "no set of darks or flats has two frames that are not clipped: nothing can be compared".into(),
+        ));
+    }
+    for c in &chunks {
+        let above = c.said.frame_means.mean_dn() - zero_dn;
+        let spread_dn = c.said.spatial_var_dn2.max(0.0).sqrt();
+        infos[c.set].spread_dn = spread_dn;
+        infos[c.set].places = c.said.places;
+        infos[c.set].spread = if above > 5.0 { (spread_dn / above).min(0.3) } else { 0.0 };
+    }
+    // Flats have one pattern of light and response. Where the range ended an image has lost it: what others show holds before that.
+    // Dim ones have more of the offsets' pattern.
+    let above = |c: &Chunk| c.said.frame_means.mean_dn() - zero_dn;
+    let top = chunks.iter().map(above).fold(0.0, f64::max);
+    let bright: Vec<usize> = chunks
+        .iter()
+        .filter(|c| settings[c.set].kind == Kind::Flat && above(c) > 0.25 * top)
+        .map(|c| c.set)
+        .collect();
+    let whole = bright.iter().map(|&s| infos[s]).max_by(|a, b| a.spread.total_cmp(&b.spread));
+    if let Some(whole) = whole {
+        for s in bright {
+            if infos[s].spread < 0.9 * whole.spread {
+                (infos[s].spread, infos[s].places) = (whole.spread, whole.places);
+            }
+        }
+    }
+    let mut list = Vec::new();
+    let inflation = Inflation::of(&chunks);
+    for c in &chunks {
+        let rows = &sets[c.set].rows;
+        let first = rows[c.from];
+        let template = Observable {
+            statistic: &mean::This,
+            index: 0,
+            set: Some(c.set),
+            half: c.half,
+            frames: (first, first + c.said.frames),
+            measured: Value { value: 0.0, std_err: 0.0 },
+            pixels: c.said.pixels,
+        };
+        for (extra, &statistic) in STATISTICS.iter().enumerate() {
+            let view = ChunkView { chunk: c, rows, inflation: &inflation, extra };
+            statistic.of_chunk(&view, &mut Put { all: &mut list, template: Observable { statistic, ..template } });
+        }
+    }
+    // What a scene or a clipped set shows matters for the frame that follows it: known beforehand, and judged in neither half.
+    let levels = scenes.iter().map(|s| (s.set, codes::mean_of(&s.mean_dn, &layout)));
+    for (i, level) in levels.chain(saturated) {
+        let rows = &sets[i].rows;
+        list.push(Observable {
+            statistic: &mean::This,
+            index: 0,
+            set: Some(i),
+            half: Half::Both,
+            frames: (rows[0], rows[0] + rows.len()),
+            measured: Value { value: level, std_err: 0.0 },
+            pixels: (shape.0 * shape.1) as f64,
+        });
+    }
+    let line = lines[0].with(&lines[1]).strongest();
+    let mut ranges = [0..0, 0..0];
+    let mut pairs = [None, None];
+    for (half, codes) in Half::TURNS.into_iter().zip(codes) {
+        let said = codes.finish();
+        let of_half: Vec<_> = scenes.iter().filter(|s| s.half == half).collect();
+        pairs[half.place()] = ScenePair::of(&of_half, &settings, zero_dn, &layout);
+        let view = HalfView {
+            chunks: chunks.iter().filter(|c| c.half == half).map(|c| &c.said).collect(),
+            zero_dn,
+            codes: &said,
+            line: line.map(|(place, _)| lines[half.place()].at(place)),
+            scene: pairs[half.place()].as_ref(),
+        };
+        for &statistic in STATISTICS {
+            let measured = Value { value: 0.0, std_err: 0.0 };
+            let template =
+                Observable { statistic, index: 0, set: None, half, frames: (0, 0), measured, pixels: 1.0 };
+            statistic.of_half(&view, &mut Put { all: &mut list, template });
+        }
+        ranges[half.place()] = said.range.clone();
+    }
+    if shape.0.min(shape.1) < 64 {
+        missing.push(format!(
+            "{} x {} pixels are too few for a step between parts of the sensor",
+            shape.1, shape.0
+        ));
+    }
+    if pairs.iter().all(Option::is_none) {
+        missing.push(
+            "no scene with a bright patch at two exposures: smear cannot be told from an exposure offset"
+                .into(),
+        );
+    }
+    if settings.iter().all(|s| s.kind != Kind::Dark) {
+        missing.push("no darks: what is read noise and what is offset cannot be told".into());
+    }
+    let kinds: Vec<Kind> = settings.iter().map(|s| s.kind).collect();
+    let dark_spread_dn2 = dark_spreads(&infos, &kinds);
+    let ends: Vec<f64> = frames.iter().map(|f: &FrameInfo| f.time_s + infos[f.set].exposure_s).collect();
+    let frame_s = median(ends.windows(2).map(|w| w[1] - w[0]));
+    Ok(Observations {
+        // Of flats: what a dark shows beside its charge is the offsets' pattern, which stays.
+        largest_spread: infos
+            .iter()
+            .zip(&kinds)
+            .filter(|(_, kind)| **kind == Kind::Flat)
+            .map(|(s, _)| s.spread)
+            .fold(0.0, f64::max),
+        campaign: Campaign {
+            frames,
+            sets: infos,
+            shape,
+            full_scale_dn: f64::from(camera.full_scale_dn()),
+            frame_s: if frame_s.is_finite() { frame_s.max(0.0) } else { 0.0 },
+            line_cycles_per_px: line.map(|l| l.1),
+        },
+        set_numbers: sets.iter().map(|s| s.number).collect(),
+        kinds,
+        list,
+        scenes: pairs,
+        codes: ranges,
+        is_table: false,
+        means_given: false,
+        missing,
+        light_rel_std: dataset.manifest().bench.as_ref().and_then(|b| b.illumination_rel_std),
+        dark_spread_dn2,
+    })
+}
+
+impl Inflation {
+    fn of(chunks: &[Chunk]) -> Self {
+        let over = |ratio: &dyn Fn(&Summary) -> f64| {
+            let all: Vec<f64> =
+                chunks.iter().map(|c| ratio(&c.said)).filter(|x| x.is_finite() && *x > 0.0).collect();
+            let mean = (all.iter().map(|x| x * x).sum::<f64>() / all.len().max(1) as f64).sqrt();
+            let middle = median(all.iter().copied());
+            // The median, unless a few levels truly scatter more.
+            if middle.is_finite() && mean.is_finite() {
+                middle.max(0.9 * mean.min(1.2 * middle))
+            } else {
+                1.0
+            }
+        };
+        let lags = |r: &Summary| r.covariances.at.iter().map(|c| c.std_err * c.std_err).sum::<f64>();
+        Self {
+            variance: over(&|r| r.var.std_err / variance::theory(r)),
+            covariance: over(&|r| (lags(r) / LAGS.len() as f64).sqrt() / covariance::theory(r)),
+            successive: over(&|r| r.successive.std_err / successive::theory(r)),
+            unequal: over(&|r| r.unequal.std_err / (8.0 / r.pixels).sqrt()),
+        }
+    }
+}

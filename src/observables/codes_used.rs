@@ -1,0 +1,33 @@
+//! Share of the codes within the range of the campaign that occur.
+
+use super::{Expected, HalfView, Observable, Put, Statistic, View};
+
+/// The share.
+#[derive(Debug)]
+pub struct This;
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "share of codes that occur"
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "in the codes, by their bits"
+    }
+
+    fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {
+        if let Some(v) = half.codes.used() {
+            put.put(0, v.value, v.std_err);
+        }
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let step = view.prediction.code_step_dn.max(1.0);
+        // Steps that grow with the level: what the levels have, on average.
+        let flats = view.prediction.sets.iter().zip(&view.all.campaign.sets).filter(|(_, s)| s.light.is_some());
+        let (sum, n) = flats.fold((0.0, 0.0), |(sum, n), (s, _)| (sum + s.codes_used, n + 1.0));
+        let used = if n > 0.0 { sum / n } else { 1.0 };
+        // Which levels fill which part of the range is known roughly.
+        Expected::plain(o, used / step, o.measured.std_err.hypot(0.5 * (1.0 - used)))
+    }
+}

@@ -1,0 +1,25 @@
+//! Variance of the means of columns, DN^2.
+
+use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+
+/// The scatter of whole columns.
+#[derive(Debug)]
+pub struct This;
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "variance of column means"
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "shared by whole columns"
+    }
+
+    fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
+        put.put(0, chunk.said().line_var_dn2[1], 0.0);
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        view.line_variance(o, false)
+    }
+}

@@ -1,0 +1,267 @@
+//! What a prediction says of observables, in the space in which their noise is normal.
+
+use super::{Half, Observable, Observations};
+use radcam_sim::predict::{Prediction, Ripple, SetPrediction, Spectrum};
+
+/// An expectation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Expected {
+    /// Predicted value in the observable's own unit.
+    pub value: f64,
+    /// Standard error in the observable's own unit.
+    pub std_err: f64,
+    /// Measured, predicted and deviation in the space in which the noise is normal.
+    pub normal: (f64, f64, f64),
+}
+
+impl Expected {
+    /// Of an observable whose noise is normal.
+    pub fn plain(o: &Observable, value: f64, std_err: f64) -> Self {
+        Self { value, std_err, normal: (o.measured.value, value, std_err.max(1e-12)) }
+    }
+
+    /// Of a variance from few samples: its cube root is normal (Wilson and Hilferty 1931).
+    pub fn of_few(o: &Observable, value: f64, dof: f64) -> Self {
+        let value = value.max(1e-12);
+        let c = 2.0 / (9.0 * dof);
+        let root = value.cbrt();
+        Self {
+            value,
+            std_err: value * (2.0 / dof).sqrt(),
+            normal: (o.measured.value.max(0.0).cbrt(), (1.0 - c) * root, c.sqrt() * root),
+        }
+    }
+
+    /// Standardised residual.
+    pub fn z(&self) -> f64 {
+        (self.normal.0 - self.normal.1) / self.normal.2
+    }
+}
+
+/// What taking off the mean over `n` frames leaves of the variance of noise that remembers.
+fn left(memory: &[f64], n: f64) -> f64 {
+    let lost: f64 = memory.iter().enumerate().map(|(k, r)| (n - (k + 1) as f64).max(0.0) * r).sum();
+    1.0 - 2.0 * lost / (n * (n - 1.0))
+}
+
+/// Share of a line's variance that is left in means over n pixels with a phase step.
+fn line_mean(phase: f64, n: f64) -> f64 {
+    let half = (0.5 * phase).sin();
+    if half.abs() < 1e-9 { 1.0 } else { ((0.5 * phase * n).sin() / (n * half)).powi(2) }
+}
+
+/// What quantisation in steps of q may do to mean and variance beyond what is predicted for pixels of normal levels, where the noise
+/// and these levels together are narrower than about half a step, DN and DN^2: a quarter of the first terms of the characteristic
+/// function (Widrow and Kollar 2008, ch. 4 and app. B).
+fn quantised(variance: f64, spread: f64, q: f64) -> (f64, f64) {
+    let noise = (variance - q * q / 12.0).max(1e-3 * q * q);
+    let ripple = 0.25 * (-2.0 * std::f64::consts::PI.powi(2) * (noise + spread * spread) / (q * q)).exp();
+    (q / std::f64::consts::PI * ripple, (q * q / std::f64::consts::PI.powi(2) + 4.0 * noise) * ripple)
+}
+
+/// A prediction as the observables of one chunk of frames see it.
+#[derive(Debug)]
+pub struct View<'a> {
+    /// Everything that is expected.
+    pub prediction: &'a Prediction,
+    /// Everything that was observed.
+    pub all: &'a Observations,
+    /// Place of the set; `None` for the whole campaign.
+    pub at: Option<usize>,
+    /// Expected means of the frames, DN.
+    pub frames: &'a [f64],
+    /// How many they are.
+    pub n: f64,
+    /// That less one, and one at least.
+    pub dof: f64,
+    /// Their mean, DN.
+    pub mean: f64,
+    /// Their expected variance, DN^2: the level moves.
+    pub moved: f64,
+    /// While the level moves within a chunk, shading and fixed pattern move with it, pixel by pixel: how much of that neighbours share is
+    /// not known, DN^2.
+    pub moving: f64,
+    /// The part of the noise of pixels and lines that a frame's mean takes with it, DN^2.
+    pub of_mean: f64,
+    /// Covariance of places down the rows with the mean over them, where light changes from row to row; its mean is the variance of that.
+    pub ripple_with_mean: Vec<f64>,
+    /// See `ripple_with_mean`: variance of the mean, DN^2.
+    pub ripple_of_mean: f64,
+    /// Covariance of a pixel with itself, DN^2.
+    pub noise: f64,
+    /// What taking off the mean over the frames leaves of shot noise and of read noise.
+    pub left: (f64, f64),
+    /// What rounding may do to mean and variance beyond what is predicted, DN and DN^2.
+    pub rough: (f64, f64),
+    /// How little few frames show of a light that changes down the rows, DN^2.
+    pub ripple_error: f64,
+}
+
+impl<'a> View<'a> {
+    /// For the frames of an observable.
+    pub fn new(o: &Observable, prediction: &'a Prediction, all: &'a Observations) -> Self {
+        let set = o.set.and_then(|i| prediction.sets.get(i));
+        let frames = prediction.frame_signal.get(o.frames.0..o.frames.1).unwrap_or(&[]);
+        let n = frames.len().max(1) as f64;
+        let dof = (n - 1.0).max(1.0);
+        let mean = frames.iter().sum::<f64>() / n;
+        let moved = frames.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / dof;
+        let shape = all.campaign.shape;
+        let mut view = Self {
+            prediction,
+            all,
+            at: o.set,
+            frames,
+            n,
+            dof,
+            mean,
+            moved,
+            moving: all.largest_spread.powi(2) * moved,
+            of_mean: 0.0,
+            ripple_with_mean: Vec::new(),
+            ripple_of_mean: 0.0,
+            noise: 0.0,
+            left: (1.0, 1.0),
+            rough: (0.0, 0.0),
+            ripple_error: 0.0,
+        };
+        let Some(s) = set else { return view };
+        view.ripple_with_mean = s.ripple_with_mean(shape.0);
+        view.ripple_of_mean =
+            view.ripple_with_mean.iter().sum::<f64>() / view.ripple_with_mean.len().max(1) as f64;
+        view.of_mean = s.of_frame_mean(shape, o.pixels) + view.ripple_of_mean;
+        view.noise = s.covariance(0, 0);
+        if n > 1.5 {
+            view.left = (left(&s.shot_memory, n), left(&s.read_memory, n));
+        }
+        let spread = o.set.and_then(|i| all.campaign.sets.get(i)).map_or(0.0, |s| s.spread_dn);
+        let (mean, variance) = quantised(view.noise, spread, prediction.code_step_dn);
+        // Where the noise covers few codes their widths are in it: not an equation but a bound on what is not predicted, gone where the
+        // noise covers many.
+        let low = &prediction.bit_errors_dn[..6];
+        let widths = 0.5 * low.iter().map(|e| e * e).sum::<f64>();
+        view.rough =
+            (mean, if widths > 0.0 { variance.hypot(widths * (-0.02 * view.noise).exp()) } else { variance });
+        let rows = shape.0 as f64;
+        let ripple_error = |&(v, ripple): &(f64, Ripple)| {
+            // A sine of many cycles has the same mean square whatever its phase; a wander has as many parts as correlation lengths.
+            let parts = match ripple {
+                Ripple::Sine(cycles) => (std::f64::consts::TAU * cycles * rows).powi(2).max(1.0),
+                Ripple::Wander(next) => (rows * (1.0 - next) / (1.0 + next)).max(1.0),
+            };
+            v * (2.0 / (dof * parts)).sqrt()
+        };
+        view.ripple_error = s.ripples.iter().map(ripple_error).fold(0.0, f64::hypot);
+        view
+    }
+
+    /// The set's prediction.
+    pub fn set(&self) -> Option<&'a SetPrediction> {
+        self.at.and_then(|i| self.prediction.sets.get(i))
+    }
+
+    /// Covariance at a lag, as it is measured: about each pixel's and each frame's mean, DN^2.
+    pub fn lag(&self, dy: i32, dx: i32) -> f64 {
+        let Some(s) = self.set() else { return 0.0 };
+        let lost =
+            |power: &Spectrum, left: f64| if left == 1.0 { 0.0 } else { (1.0 - left) * power.lag(dy, dx) };
+        s.covariance(dy, dx) - lost(&s.shot, self.left.0) - lost(&s.read, self.left.1) - self.of_mean
+    }
+
+    /// Error of a mean product of noise that whole lines share, DN^2: there are few of them, and a mean product of n normal pairs has the
+    /// error s^2 / root n (twice that square for a product with itself).
+    pub fn shared(&self, dy: i32, dx: i32) -> f64 {
+        let Some(s) = self.set() else { return 0.0 };
+        let of = |own: f64, count: usize, same: bool| {
+            own * ((1.0 + f64::from(u8::from(same))) / count as f64 / self.dof).sqrt()
+        };
+        let shape = self.all.campaign.shape;
+        of(s.row.lag(0), shape.0, dy == 0).hypot(of(s.column.lag(0), shape.1, dx == 0)).hypot(self.ripple_error)
+    }
+
+    /// A line has one phase a frame: what few frames show of it scatters (random walk of n phases), DN^2.
+    pub fn lines(&self, dy: i32, dx: i32) -> f64 {
+        let Some(s) = self.set() else { return 0.0 };
+        let of = |&(v, px, py): &(f64, f64, f64)| v * (px * f64::from(dx) + py * f64::from(dy)).cos();
+        self.walk() * s.lines.iter().map(of).sum::<f64>().abs()
+    }
+
+    fn walk(&self) -> f64 {
+        1.0 / (self.n * (self.n - 1.0)).max(1.0).sqrt()
+    }
+
+    /// Variance of the means of rows or of columns, as it is measured.
+    pub fn line_variance(&self, o: &Observable, rows: bool) -> Expected {
+        let Some(s) = self.set() else { return Expected::plain(o, 0.0, 1.0) };
+        let shape = self.all.campaign.shape;
+        let (axis, width, count) = if rows { (1, shape.1, shape.0) } else { (0, shape.0, shape.1) };
+        let own = if rows { s.row.lag(0) + s.ripple(0.0) } else { s.column.lag(0) };
+        let of_lines =
+            s.lines.iter().map(|&(v, px, py)| v * line_mean(if rows { px } else { py }, width as f64));
+        let of_lines: f64 = of_lines.sum();
+        let pixels = (s.shot.along(axis) * self.left.0 + s.read.along(axis) * self.left.1) / width as f64;
+        // Of noise across the lines each holds the mean, which the frame's mean takes with it.
+        let across = if rows {
+            s.column.of_mean() / shape.1 as f64
+        } else {
+            s.row.of_mean() / shape.0 as f64 + self.ripple_of_mean
+        };
+        let value = pixels + own + across + of_lines - self.of_mean + 0.3 * self.moving;
+        let dof = self.dof * (count as f64 - 1.0);
+        let ripple = if rows { self.ripple_error } else { 0.0 };
+        let rest = (self.walk() * of_lines)
+            .hypot(0.3 * self.moving)
+            .hypot(self.rough.1.hypot(s.unsure_var) / width as f64)
+            .hypot(ripple);
+        Expected::plain(o, value, (value.abs().max(1e-9) * (2.0 / dof).sqrt()).hypot(rest))
+    }
+
+    /// Mean product of successive residuals over the variance, for noise with these correlations.
+    pub fn product(&self, memory: &[f64]) -> f64 {
+        let n = self.frames.len().max(2);
+        let rho = |k: usize| if k == 0 { 1.0 } else { memory.get(k - 1).copied().unwrap_or(0.0) };
+        let all = |f: usize| (0..n).map(|g| rho(f.abs_diff(g))).sum::<f64>() / n as f64;
+        let of: Vec<f64> = (0..n).map(all).collect();
+        let whole = of.iter().sum::<f64>() / n as f64;
+        let each: f64 = (0..n - 1).map(|f| rho(1) - of[f] - of[f + 1] + whole).sum();
+        each / (n - 1) as f64
+    }
+
+    /// Width of a code under the converter that is predicted.
+    pub fn width(&self, code: u32) -> f64 {
+        let p = self.prediction;
+        if p.code_step_dn > 1.0 {
+            let step = p.code_step_dn.round().max(1.0) as u32;
+            return if code.is_multiple_of(step) { f64::from(step) } else { 0.0 };
+        }
+        // The next code has the lowest bit that is not set, and none below it.
+        let bit = code.trailing_ones() as usize;
+        let lost: f64 = p.bit_errors_dn[..bit.min(p.bit_errors_dn.len())].iter().sum();
+        (1.0 + p.bit_errors_dn.get(bit).copied().unwrap_or(0.0) - lost).max(0.0)
+    }
+
+    /// Whether the converter that is predicted has equal widths of one step.
+    pub fn even_codes(&self) -> bool {
+        self.prediction.code_step_dn <= 1.0 && self.prediction.bit_errors_dn.iter().all(|e| *e == 0.0)
+    }
+}
+
+/// Expectations of the observables that `wanted` takes, in their order.
+pub fn expectations<'a>(
+    all: &'a Observations,
+    prediction: &Prediction,
+    wanted: impl Fn(Half) -> bool,
+) -> Vec<(&'a Observable, Expected)> {
+    let mut out = Vec::with_capacity(all.list.len());
+    let mut last: Option<((Option<usize>, (usize, usize)), View<'_>)> = None;
+    for o in all.list.iter().filter(|o| wanted(o.half)) {
+        let key = (o.set, o.frames);
+        if last.as_ref().is_none_or(|(k, _)| *k != key) {
+            last = Some((key, View::new(o, prediction, all)));
+        }
+        if let Some((_, view)) = &last {
+            out.push((o, o.statistic.expect(o, view)));
+        }
+    }
+    out
+}

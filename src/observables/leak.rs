@@ -1,0 +1,42 @@
+//! Beside a scene's bright patch, against the background away from it: the short exposure scaled up less the long one, DN.
+
+use super::{Direction, Expected, HalfView, Observable, Put, Statistic, View};
+
+/// What leaks out, for each of [`Direction::ALL`].
+#[derive(Debug)]
+pub struct This;
+
+fn way(index: usize) -> Direction {
+    Direction::ALL.get(index).copied().unwrap_or(Direction::Up)
+}
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "leak"
+    }
+
+    fn name(&self, index: usize) -> String {
+        format!("scene, {} the patch", way(index).name())
+    }
+
+    fn meaning(&self, index: usize) -> &'static str {
+        match way(index) {
+            Direction::Left | Direction::Right => "out of the bright patch along the rows",
+            _ => "out of the bright patch along the columns",
+        }
+    }
+
+    fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {
+        for (direction, value) in half.scene.map_or(&[][..], |s| &s.leaks) {
+            let index = Direction::ALL.iter().position(|d| d == direction).unwrap_or(0);
+            put.put(index, value.value, value.std_err);
+        }
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let scene = view.all.scenes[o.half.place()].as_ref();
+        let leak = scene.map_or(0.0, |s| s.expected(way(o.index), view.prediction));
+        // A patch with shading spills here more and there less than its mean does.
+        Expected::plain(o, leak, o.measured.std_err.hypot(0.01 * leak))
+    }
+}

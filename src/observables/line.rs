@@ -1,0 +1,28 @@
+//! Variance in the strongest line of the noise's spectrum in read-out order, DN^2.
+
+use super::{Expected, HalfView, Observable, Put, Statistic, View};
+
+/// The line.
+#[derive(Debug)]
+pub struct This;
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "line in the spectrum"
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "at one frequency"
+    }
+
+    fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {
+        if let Some(v) = half.line {
+            put.put(0, v.value, v.std_err);
+        }
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let line: f64 = view.prediction.sets.first().map_or(0.0, |s| s.lines.iter().map(|l| l.0).sum());
+        Expected::plain(o, line, o.measured.std_err)
+    }
+}

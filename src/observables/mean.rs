@@ -1,0 +1,37 @@
+//! Mean of the frames of a chunk, DN.
+
+use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+
+/// The mean.
+#[derive(Debug)]
+pub struct This;
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "mean"
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "the level of whole sets"
+    }
+
+    fn sees_light(&self) -> bool {
+        true
+    }
+
+    fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
+        put.put(0, chunk.said().frame_means.mean_dn(), 0.0);
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let Some(s) = view.set() else { return Expected::plain(o, 0.0, 1.0) };
+        if view.all.is_table {
+            return Expected::plain(o, view.mean, (view.noise / o.pixels).sqrt());
+        }
+        // Noise that remembers averages out less.
+        let memory = s.shot_memory.first().copied().unwrap_or(0.0).max(0.0);
+        let noise = ((view.of_mean + s.common) * (1.0 + 2.0 * memory) / view.n).sqrt();
+        // The sums are kept in 32 bits and means in some thousandths of a DN.
+        Expected::plain(o, view.mean, noise.hypot(0.002).hypot(view.rough.0).hypot(s.unsure_mean))
+    }
+}

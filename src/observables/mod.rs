@@ -1,0 +1,243 @@
+//! What a campaign says, as a list of observables: each a number with an error, of some frames of one half.
+//!
+//! A statistic is one file here and one word in the list at the end of this one. The file says all that there is to say of it: what more
+//! it sums up over the frames, its values and their errors, what a prediction expects of it, its name and its words.
+//! [`row_shape`](self) is a short one to begin with.
+
+mod campaign;
+mod codes;
+mod expect;
+pub(crate) mod outliers;
+mod read;
+mod scene;
+mod table;
+
+pub use campaign::{Observations, ObserveError, of_dataset};
+pub use expect::{Expected, View, expectations};
+pub use scene::{Direction, ScenePair};
+pub use table::observations as of_table;
+
+use crate::statistics::jackknife::Value;
+use crate::statistics::layout::Layout;
+use crate::statistics::lines::Lines;
+use crate::statistics::pass::{Extra, Summary};
+use read::Chunk;
+
+/// Whether frames are fitted and judged in turn, or known to both.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Half {
+    /// Fitted first, judged second.
+    First,
+    /// Judged first, fitted second.
+    Second,
+    /// Known beforehand: given to both fits and judged in none.
+    Both,
+}
+
+impl Half {
+    /// The two that take turns.
+    pub const TURNS: [Self; 2] = [Self::First, Self::Second];
+
+    /// The other one.
+    pub fn other(self) -> Self {
+        match self {
+            Self::First => Self::Second,
+            Self::Second => Self::First,
+            Self::Both => Self::Both,
+        }
+    }
+
+    /// 0 or 1.
+    pub fn place(self) -> usize {
+        usize::from(self == Self::Second)
+    }
+}
+
+/// One observable.
+#[derive(Debug, Clone, Copy)]
+pub struct Observable {
+    /// What it is.
+    pub statistic: &'static dyn Statistic,
+    /// Which of the statistic's several: a lag, a bit, a direction.
+    pub index: usize,
+    /// Place of its set in [`Observations::campaign`]; `None` for the whole campaign.
+    pub set: Option<usize>,
+    /// Where it is fitted and judged.
+    pub half: Half,
+    /// Frames of the campaign that it is made of.
+    pub frames: (usize, usize),
+    /// What was measured.
+    pub measured: Value,
+    /// Pixels.
+    pub pixels: f64,
+}
+
+impl Observable {
+    /// Its name in reports.
+    pub fn name(&self) -> String {
+        self.statistic.name(self.index)
+    }
+
+    /// Whether it is of this statistic.
+    pub fn is(&self, statistic: &dyn Statistic) -> bool {
+        self.statistic.id() == statistic.id()
+    }
+}
+
+/// Jackknife errors over those of independent normal pixels, over all chunks: one chunk's own jackknife is noisy.
+#[derive(Debug, Clone, Copy)]
+pub struct Inflation {
+    /// Of variances.
+    pub variance: f64,
+    /// Of covariances within a frame.
+    pub covariance: f64,
+    /// Of covariances of successive frames.
+    pub successive: f64,
+    /// Of the spread of the pixels' variances.
+    pub unequal: f64,
+}
+
+/// Frames of one set of one half, as a statistic sees them.
+pub struct ChunkView<'a> {
+    chunk: &'a Chunk,
+    /// Places in the campaign of the set's frames.
+    rows: &'a [usize],
+    /// How errors compare with those of independent normal pixels.
+    pub inflation: &'a Inflation,
+    extra: usize,
+}
+
+impl ChunkView<'_> {
+    /// What the frames say.
+    pub fn said(&self) -> &Summary {
+        &self.chunk.said
+    }
+
+    /// What the statistic's own [`Statistic::add`] summed up, over the degrees of freedom.
+    pub fn sums(&self) -> &[f64] {
+        self.chunk.said.extra.get(self.extra).map_or(&[], Vec::as_slice)
+    }
+
+    /// Mean of the frame before, where that is the first of the set, DN.
+    fn before(&self) -> Option<f64> {
+        self.chunk.before
+    }
+
+    /// From the set's first frame to the chunk's last, as places in the campaign.
+    fn from_the_first(&self) -> (usize, usize) {
+        (self.rows[0], self.rows[self.chunk.from] + self.chunk.said.frames)
+    }
+
+    /// Share of the codes around the level that occur, and its error.
+    fn codes_used(&self) -> Option<(f64, f64)> {
+        self.chunk.codes_used
+    }
+
+    /// Degrees of freedom of what is taken about the pixels' means.
+    pub fn dof(&self) -> f64 {
+        self.chunk.said.frames as f64 - 1.0
+    }
+}
+
+/// One half of a campaign, as a statistic sees it.
+pub struct HalfView<'a> {
+    chunks: Vec<&'a Summary>,
+    zero_dn: f64,
+    /// How often codes occur.
+    codes: &'a codes::Said,
+    /// Variance in the strongest line of the spectrum, DN^2.
+    line: Option<Value>,
+    /// A still scene at two exposures.
+    scene: Option<&'a ScenePair>,
+}
+
+impl<'a> HalfView<'a> {
+    /// Profiles of all chunks, DN, each with its signal, DN.
+    pub fn profiles(&self, of: fn(&Summary) -> &[f64]) -> Vec<(f64, &'a [f64])> {
+        self.chunks.iter().map(|s| (s.frame_means.mean_dn() - self.zero_dn, of(s))).collect()
+    }
+}
+
+/// A value that a statistic puts on the list.
+pub struct Put<'a> {
+    all: &'a mut Vec<Observable>,
+    template: Observable,
+}
+
+impl Put<'_> {
+    /// A value of the statistic with this index; 0 where the prediction knows the error.
+    pub fn put(&mut self, index: usize, value: f64, std_err: f64) {
+        if value.is_finite() {
+            self.all.push(Observable { index, measured: Value { value, std_err }, ..self.template });
+        }
+    }
+
+    /// One that is made of other frames than the chunk's.
+    fn put_over(&mut self, index: usize, frames: (usize, usize), value: f64) {
+        self.all.push(Observable {
+            index,
+            frames,
+            measured: Value { value, std_err: 0.0 },
+            ..self.template
+        });
+    }
+}
+
+/// A statistic of a campaign.
+pub trait Statistic: Sync + std::fmt::Debug {
+    /// Its name in the code and in reports.
+    fn id(&self) -> &'static str;
+    /// The name of one of several.
+    fn name(&self, _index: usize) -> String {
+        self.id().into()
+    }
+    /// What a deviation of it means, in words.
+    fn meaning(&self, index: usize) -> &'static str;
+    /// Whether it tells of the light of its set: what a lamp's setting is off by is common to all of a set that do.
+    fn sees_light(&self) -> bool {
+        false
+    }
+    /// How many sums over the frames it needs beside those that all share ([`Summary`]).
+    fn sums(&self, _layout: &Layout) -> usize {
+        0
+    }
+    /// Adds to them an image of deviations from the pixels' means (rows * columns), DN: sums of products, such that the sums of two halves
+    /// of the frames add up.
+    fn add(&self, _image: &[f32], _lines: &Lines, _layout: &Layout, _sums: &mut [f64]) {}
+    /// Its values for some frames of a set.
+    fn of_chunk(&self, _chunk: &ChunkView<'_>, _put: &mut Put<'_>) {}
+    /// Its values for one half of the campaign.
+    fn of_half(&self, _half: &HalfView<'_>, _put: &mut Put<'_>) {}
+    /// What is expected of it.
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected;
+}
+
+/// Statistics as sums over frames.
+#[derive(Debug)]
+struct Summed(&'static dyn Statistic);
+
+impl Extra for Summed {
+    fn size(&self, layout: &Layout) -> usize {
+        self.0.sums(layout)
+    }
+
+    fn add(&self, image: &[f32], lines: &Lines, layout: &Layout, sums: &mut [f64]) {
+        if !sums.is_empty() {
+            self.0.add(image, lines, layout, sums);
+        }
+    }
+}
+
+macro_rules! statistics {
+    ($($module:ident)*) => {
+        $(pub mod $module;)*
+        /// Every statistic, in the order of reports.
+        pub static STATISTICS: &[&dyn Statistic] = &[$(&$module::This),*];
+        static SUMMED: &[&'static dyn Extra] = &[$(&Summed(&$module::This)),*];
+    };
+}
+
+statistics! {
+    mean settling monitor frame_scatter variance row_variance column_variance row_shape covariance successive unequal growth parity tap
+    occupancy transition codes_used chunk_codes line leak
+}

@@ -1,0 +1,27 @@
+//! Reading of a light monitor, the logarithm: the true light of a set, in a unit of its own.
+
+use super::{Expected, Observable, Statistic, View};
+
+/// The reading.
+#[derive(Debug)]
+pub struct This;
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "light monitor"
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "the light, as the monitor sees it"
+    }
+
+    fn sees_light(&self) -> bool {
+        true
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let light = view.at.and_then(|i| view.prediction.light_e.get(i)).copied().unwrap_or(0.0);
+        let monitor = view.prediction.base.monitor.unwrap_or_default();
+        Expected::plain(o, monitor.ln_per_e + light.max(1e-300).ln(), monitor.rel)
+    }
+}

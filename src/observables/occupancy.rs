@@ -1,0 +1,37 @@
+//! Codes whose bit toggles next against those before it, relative: how often they occur.
+
+use super::codes::{LOW_BITS, occupancy_of};
+use super::{Expected, HalfView, Observable, Put, Statistic, View};
+
+/// The excess, for each of the low bits.
+#[derive(Debug)]
+pub struct This;
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "occupancy of codes"
+    }
+
+    fn name(&self, index: usize) -> String {
+        format!("occupancy of codes, bit {index}")
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "in the codes, by their bits"
+    }
+
+    fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {
+        for b in 0..LOW_BITS {
+            if let Some(v) = half.codes.bit(b) {
+                put.put(b, v.value, v.std_err);
+            }
+        }
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let codes = &view.all.codes[o.half.place()];
+        let value =
+            if view.even_codes() { 0.0 } else { occupancy_of(&|c| view.width(c), codes, o.index) };
+        Expected::plain(o, value, o.measured.std_err)
+    }
+}

@@ -1,0 +1,221 @@
+//! Frames and samples that are no part of a campaign: a flash, a person in the light, a cosmic ray. They are left out and reported, and
+//! decide nothing.
+
+use crate::statistics::median::median;
+use ndarray::Array2;
+
+/// Cells along each side of a frame whose means are looked at.
+const CELLS: usize = 6;
+/// A frame's deviation over what frames of the campaign usually have, from which on it is left out: chance has none of it, and what an
+/// effect does to frames it does to more than a few.
+const FAR: f64 = 12.0;
+/// A sample's deviation from the pixel's other frames over the noise, from which on it is replaced: chance has one in 10^15.
+const STRUCK: f32 = 8.0;
+/// The same for neighbours of one: charge of a ray spreads.
+const BESIDE: f32 = 4.0;
+/// Frames that are compared with each other.
+pub const BLOCK: usize = 8;
+
+/// How far frames lie from those around them.
+#[derive(Debug, Clone, Default)]
+pub struct Apart {
+    /// Deviation of each frame's mean from the median of the block's, DN.
+    pub mean_dn: Vec<f64>,
+    /// Largest deviation of a cell's mean, the frame's mean taken off, DN.
+    pub cell_dn: Vec<f64>,
+    /// Median of the frames' means, DN.
+    pub level_dn: f64,
+}
+
+/// Compares the frames of a block; nothing for fewer than three.
+pub fn apart(block: &[Array2<u16>]) -> Apart {
+    let Some(first) = block.first().filter(|_| block.len() >= 3) else { return Apart::default() };
+    let (rows, columns) = first.dim();
+    let cells: Vec<Vec<f64>> = block.iter().map(cell_means).collect();
+    let means: Vec<f64> = cells.iter().map(|c| c.iter().sum::<f64>() / c.len().max(1) as f64).collect();
+    let level_dn = median(means.iter().copied());
+    if rows < 2 * CELLS || columns < 2 * CELLS {
+        return Apart { mean_dn: means.iter().map(|m| m - level_dn).collect(), cell_dn: Vec::new(), level_dn };
+    }
+    let usual: Vec<f64> =
+        (0..CELLS * CELLS).map(|k| median(cells.iter().zip(&means).map(|(c, m)| c[k] - m))).collect();
+    let cell = |(c, m): (&Vec<f64>, &f64)| {
+        c.iter().zip(&usual).map(|(v, u)| (v - m - u).abs()).fold(0.0, f64::max)
+    };
+    Apart {
+        mean_dn: means.iter().map(|m| m - level_dn).collect(),
+        cell_dn: cells.iter().zip(&means).map(cell).collect(),
+        level_dn,
+    }
+}
+
+fn cell_means(frame: &Array2<u16>) -> Vec<f64> {
+    let (rows, columns) = frame.dim();
+    let mut sums = vec![0u64; CELLS * CELLS];
+    let (height, width) = (rows.div_ceil(CELLS).max(1), columns.div_ceil(CELLS).max(1));
+    for (y, row) in frame.outer_iter().enumerate() {
+        let at = y / height * CELLS;
+        let row = row.as_slice().unwrap_or(&[]);
+        for (part, sum) in row.chunks(width).zip(&mut sums[at..at + CELLS]) {
+            *sum += part.iter().map(|v| u64::from(*v)).sum::<u64>();
+        }
+    }
+    let side = |k: usize, size: usize, n: usize| (n.min((k + 1) * size) - n.min(k * size)) as f64;
+    let of = |(k, sum): (usize, &u64)| {
+        let pixels = side(k / CELLS, height, rows) * side(k % CELLS, width, columns);
+        (pixels > 0.0).then(|| *sum as f64 / pixels)
+    };
+    let all: Vec<f64> = sums.iter().enumerate().filter_map(of).collect();
+    all
+}
+
+/// What frames of a campaign usually have.
+#[derive(Debug, Clone, Copy)]
+pub struct Usual {
+    /// Relative scatter of the means of flats.
+    flat_rel: f64,
+    /// Scatter of the means of darks, DN.
+    dark_dn: f64,
+    /// Deviation of cells in flats, over the root of the level; in darks, DN.
+    flat_cell: f64,
+    dark_cell_dn: f64,
+}
+
+/// A median over this of the absolute deviations of normal numbers is their deviation.
+const OF_NORMAL: f64 = 0.6745;
+
+impl Usual {
+    /// From blocks of frames, darks and flats; `zero_dn`: level of the darks.
+    pub fn of(blocks: &[(bool, Apart)], zero_dn: f64) -> Self {
+        let over = |dark: bool, of: &dyn Fn(&Apart, f64) -> Vec<f64>| {
+            let all = blocks.iter().filter(|b| b.0 == dark).flat_map(|b| {
+                let above = (b.1.level_dn - zero_dn).max(1.0);
+                of(&b.1, above)
+            });
+            let middle = median(all);
+            if middle.is_finite() { middle } else { f64::INFINITY }
+        };
+        // The first two frames of a set may carry what came before.
+        let means = |a: &Apart| a.mean_dn.iter().skip(2).map(|m| m.abs()).collect::<Vec<_>>();
+        let cells = |a: &Apart| a.cell_dn.iter().skip(2).copied().collect::<Vec<_>>();
+        let scaled = |all: Vec<f64>, by: f64| all.into_iter().map(|v| v / by).collect::<Vec<_>>();
+        Self {
+            flat_rel: over(false, &|a, above| scaled(means(a), above)) / OF_NORMAL,
+            dark_dn: over(true, &|a, _| means(a)) / OF_NORMAL,
+            flat_cell: over(false, &|a, above| scaled(cells(a), above.sqrt())),
+            dark_cell_dn: over(true, &|a, _| cells(a)),
+        }
+    }
+
+    /// Places of frames in a block that lie far from the others; `first`: the block begins its set.
+    pub fn strays(&self, a: &Apart, dark: bool, first: bool, zero_dn: f64) -> Vec<usize> {
+        let above = (a.level_dn - zero_dn).max(1.0);
+        let (mean, cell) = if dark {
+            (self.dark_dn, self.dark_cell_dn)
+        } else {
+            // Dim flats have the darks' scatter as well.
+            let dark = |v: f64| if v.is_finite() { v } else { 0.0 };
+            ((self.flat_rel * above).hypot(dark(self.dark_dn)), (self.flat_cell * above.sqrt()).hypot(dark(self.dark_cell_dn)))
+        };
+        // Rounding to whole codes alone moves a mean by some hundredths.
+        let (mean, cell) = (mean.max(0.02), cell.max(0.05));
+        let far = |i: &usize| {
+            let by_cell = a.cell_dn.get(*i).is_some_and(|c| *c > 0.5 * FAR * cell);
+            a.mean_dn[*i].abs() > FAR * mean || by_cell
+        };
+        (0..a.mean_dn.len()).skip(if first { 2 } else { 0 }).filter(far).collect()
+    }
+}
+
+/// Replaces samples that stand far above the same pixel in the block's other frames by the mean of those; says which (frame, pixel).
+pub fn take_struck(block: &mut [Array2<u16>]) -> Vec<(usize, usize)> {
+    let n = block.len();
+    let Some(pixels) = block.first().map(Array2::len).filter(|p| n >= 4 && *p > 0) else { return Vec::new() };
+    let columns = block[0].ncols();
+    let (mut most, mut sum) = (vec![0u16; pixels], vec![0u32; pixels]);
+    for frame in block.iter() {
+        let Some(frame) = frame.as_slice() else { return Vec::new() };
+        for ((m, s), v) in most.iter_mut().zip(&mut sum).zip(frame) {
+            *m = (*m).max(*v);
+            *s += u32::from(*v);
+        }
+    }
+    let others = |i: usize| (sum[i] - u32::from(most[i])) as f32 / (n - 1) as f32;
+    // The largest of n normal numbers lies some 1.4 deviations above the mean of the others, for 4 to 8 of them, and hardly scatters by
+    // its median over the pixels.
+    let step = (pixels / 4096).max(1);
+    let usual = median((0..pixels).step_by(step).map(|i| f64::from(f32::from(most[i]) - others(i)))) as f32;
+    let noise = (usual / 1.4).max(0.5);
+    let level = median((0..pixels).step_by(step).map(|i| f64::from(others(i)))) as f32;
+    // Hot pixels have more shot noise: of the square root of their charge, which lies below their level in DN.
+    let limit = |i: usize| {
+        let more = (others(i) - level).max(0.0);
+        noise * (1.0 + more / (noise * noise)).sqrt()
+    };
+    let mut out = Vec::new();
+    for i in (0..pixels).filter(|&i| f32::from(most[i]) - others(i) > STRUCK * limit(i)) {
+        let Some(f) = block.iter().position(|b| b.as_slice().is_some_and(|b| b[i] == most[i])) else { continue };
+        let (y, x) = (i / columns, i % columns);
+        for yy in y.saturating_sub(1)..=(y + 1).min(pixels / columns - 1) {
+            for xx in x.saturating_sub(1)..=(x + 1).min(columns - 1) {
+                let at = yy * columns + xx;
+                let rest = block.iter().enumerate().filter(|(g, _)| *g != f).map(|(_, b)| f32::from(b[(yy, xx)]));
+                let mean = rest.sum::<f32>() / (n - 1) as f32;
+                let off = f32::from(block[f][(yy, xx)]) - mean;
+                if at == i || off > BESIDE * limit(at) {
+                    block[f][(yy, xx)] = mean.round() as u16;
+                }
+            }
+        }
+        out.push((f, i));
+    }
+    out
+}
+
+/// Whether struck samples lie anywhere, as rays do, and not in the same pixels again, as pixels that blink do.
+pub fn are_rays(pixels: &[usize], samples: f64) -> bool {
+    let mut sorted = pixels.to_vec();
+    sorted.sort_unstable();
+    let again = sorted.windows(2).filter(|w| w[0] == w[1]).count();
+    again * 10 <= pixels.len() && (pixels.len() as f64) < 2e-3 * samples
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    fn block(seed: u64) -> Vec<Array2<u16>> {
+        let at = |f: u64, i: usize| PixelRng::new(seed, Stream::Frame, f, i as u32, 0).normal();
+        let frame = |f: u64| {
+            Array2::from_shape_fn((64, 64), |(y, x)| (1000.0 + x as f64 + 9.0 * at(f, y * 64 + x)).round() as u16)
+        };
+        (0..8).map(frame).collect()
+    }
+
+    #[test]
+    fn a_ray_is_taken_and_noise_is_not() {
+        for seed in 0..20 {
+            assert!(take_struck(&mut block(seed)).is_empty(), "seed {seed}");
+        }
+        let mut hit = block(1);
+        hit[3][(10, 20)] += 400;
+        hit[3][(10, 21)] += 60;
+        let before = block(1);
+        assert_eq!(take_struck(&mut hit), [(3, 10 * 64 + 20)]);
+        assert!(hit[3][(10, 20)].abs_diff(1020) < 30 && hit[3][(10, 21)] < before[3][(10, 21)] + 30);
+    }
+
+    #[test]
+    fn a_flash_and_a_shadow_stray() {
+        let blocks: Vec<(bool, Apart)> = (0..8).map(|s| (false, apart(&block(s)))).collect();
+        let usual = Usual::of(&blocks, 100.0);
+        assert!(blocks.iter().all(|(_, a)| usual.strays(a, false, false, 100.0).is_empty()));
+        let mut flash = block(30);
+        flash[5].mapv_inplace(|v| v + 12);
+        assert_eq!(usual.strays(&apart(&flash), false, false, 100.0), [5]);
+        let mut shadow = block(31);
+        shadow[6].slice_mut(ndarray::s![..12, 40..]).mapv_inplace(|v| v - 20);
+        assert_eq!(usual.strays(&apart(&shadow), false, false, 100.0), [6]);
+    }
+}

@@ -1,0 +1,419 @@
+//! Reads a campaign's frames: a look at the first of every set tells which pixels count, then one pass over all of them.
+//!
+//! Memory holds one frame and its sums on each core, however many frames there are.
+
+use super::{Half, ObserveError, SUMMED, codes, outliers};
+use crate::dataset::{Dataset, Kind};
+use crate::statistics::layout::Layout;
+use crate::statistics::median::median;
+use crate::statistics::pass::{Pass, Summary};
+use ndarray::Array2;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+/// Frames of a set that the first look reads.
+const FIRST: usize = 8;
+/// A set is cut into pieces of about this many frames, and into at most [`PIECES`].
+const PIECE: usize = 8;
+const PIECES: usize = 8;
+/// Share of clipped samples from which a set is not looked at.
+const CLIPPED: f64 = 1e-3;
+
+/// Successive frames of a set with their statistics.
+pub struct Chunk {
+    pub set: usize,
+    /// Place of the first frame within the set.
+    pub from: usize,
+    /// Which half of the campaign it belongs to.
+    pub half: Half,
+    /// Mean of the frame before, where that is the first of the set, DN.
+    pub before: Option<f64>,
+    /// Share of the codes around the level that occur, and its error.
+    pub codes_used: Option<(f64, f64)>,
+    pub said: Summary,
+}
+
+/// Mean image of the frames of a scene that belong to one half, DN.
+pub struct SceneMean {
+    pub set: usize,
+    pub half: Half,
+    pub mean_dn: Array2<f32>,
+}
+
+/// Everything that the frames say.
+pub struct Reading {
+    pub layout: Layout,
+    /// Level of the shortest darks, DN.
+    pub zero_dn: f64,
+    pub chunks: Vec<Chunk>,
+    pub scenes: Vec<SceneMean>,
+    /// Codes and spectra of both halves.
+    pub codes: [codes::Codes; 2],
+    pub lines: [codes::LineSearch; 2],
+    /// Sets that are clipped, with their means, DN.
+    pub saturated: Vec<(usize, f64)>,
+    /// Frames and samples that were left out, in words.
+    pub left_out: Vec<String>,
+}
+
+/// What the first frames of a set show.
+struct Look {
+    /// Clipped pixels.
+    clipped: Vec<usize>,
+    /// Mean of a dark set, DN.
+    dark: Option<Array2<f32>>,
+    /// Mean and temporal variance of the first two frames.
+    pair: Option<(f64, f64)>,
+    /// How far the frames lie from each other; whether they are dark.
+    apart: Option<(bool, outliers::Apart)>,
+}
+
+fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ObserveError> {
+    let set = &dataset.sets()[set];
+    let kind = dataset.settings(set).kind;
+    let mut out = Look { clipped: Vec::new(), dark: None, pair: None, apart: None };
+    if !matches!(kind, Kind::Dark | Kind::Flat) {
+        return Ok(out);
+    }
+    let mut sum = Array2::<f32>::zeros((0, 0));
+    let mut block: Vec<Array2<u16>> = Vec::new();
+    let rows = &set.rows[..set.rows.len().min(FIRST)];
+    for &r in rows {
+        let frame = dataset.read(&dataset.rows()[r])?;
+        if sum.dim() != frame.dim() {
+            sum = Array2::zeros(frame.dim());
+        }
+        if kind == Kind::Dark {
+            sum.zip_mut_with(&frame, |m, &d| *m += f32::from(d));
+        }
+        let over = frame.iter().enumerate().filter(|(_, d)| **d >= full).map(|(i, _)| i);
+        // A set that is clipped as a whole says nothing of single pixels, and takes no memory.
+        out.clipped.extend(over.take(frame.len() / 50 + 1));
+        block.push(frame.as_standard_layout().into_owned());
+    }
+    if let [a, b, ..] = block.as_slice() {
+        out.pair = Some(pair(a, b, full));
+    }
+    out.apart = Some((kind == Kind::Dark, outliers::apart(&block)));
+    if out.clipped.len() * 50 >= rows.len() * sum.len() {
+        out.clipped.clear();
+    }
+    out.dark = (kind == Kind::Dark).then(|| sum / rows.len().max(1) as f32);
+    Ok(out)
+}
+
+/// Mean and temporal variance of two frames where neither is clipped.
+fn pair(a: &Array2<u16>, b: &Array2<u16>, full: u16) -> (f64, f64) {
+    let (mut n, mut sum, mut apart, mut square) = (0.0, 0.0, 0.0, 0.0);
+    for (&a, &b) in a.iter().zip(b).filter(|(a, b)| **a < full && **b < full) {
+        let (a, b) = (f64::from(a), f64::from(b));
+        (n, sum, apart, square) = (n + 1.0, sum + a + b, apart + a - b, square + (a - b) * (a - b));
+    }
+    (0.5 * sum / n, 0.5 * (square / n - (apart / n) * (apart / n)))
+}
+
+/// Growth of variance with the mean between the dimmest and the brightest pair, DN: enough to weigh pixels.
+fn rough_gain(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
+    let points: Vec<_> = pairs.filter(|p| p.0.is_finite() && p.1.is_finite()).collect();
+    let low = points.iter().min_by(|a, b| a.0.total_cmp(&b.0));
+    let high = points.iter().max_by(|a, b| a.0.total_cmp(&b.0));
+    match (low, high) {
+        (Some(low), Some(high)) if high.0 > low.0 + 1.0 => ((high.1 - low.1) / (high.0 - low.0)).max(0.0),
+        _ => 0.0,
+    }
+}
+
+/// Which pixels count, what zero is, and how variance grows with the signal.
+fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64) {
+    let mut used = Array2::from_elem(shape, true);
+    if let Some(used) = used.as_slice_mut() {
+        looks.iter().flat_map(|l| &l.clipped).for_each(|&i| used[i] = false);
+    }
+    let darks: Vec<&Array2<f32>> = looks.iter().filter_map(|l| l.dark.as_ref()).collect();
+    let level = |d: &Array2<f32>| f64::from(d.mean().unwrap_or(0.0));
+    let shortest = darks.iter().min_by(|a, b| level(a).total_cmp(&level(b)));
+    let mut highest = shortest.map(|d| (*d).clone());
+    if let Some(highest) = &mut highest {
+        darks.iter().for_each(|d| highest.zip_mut_with(d, |a, b| *a = a.max(*b)));
+        let middle = median(highest.iter().map(|&d| f64::from(d)));
+        let spread = (median(highest.iter().map(|&d| (f64::from(d) - middle).abs())) / 0.6745).max(0.5);
+        used.zip_mut_with(highest, |u, &d| *u &= (f64::from(d) - middle).abs() < 8.0 * spread);
+    }
+    // Where most fell out, the rule was wrong and not the pixels.
+    if used.iter().filter(|u| **u).count() * 2 < used.len() {
+        used.fill(true);
+    }
+    let mut layout = Layout::new(&used, full);
+    layout.zero = shortest.map(|d| d.iter().copied().collect());
+    layout.gain = rough_gain(looks.iter().filter_map(|l| l.pair));
+    (layout, shortest.map_or(0.0, |d| level(d)))
+}
+
+/// A piece of work: frames `from..to` of a set.
+struct Piece {
+    set: usize,
+    from: usize,
+    to: usize,
+    half: Half,
+    before: bool,
+}
+
+/// Successive frames stay together, so that noise that runs from frame to frame stays on one side. In one set the first piece goes to
+/// half 0, in the next to half 1: both see what follows a change of level.
+fn pieces(dataset: &Dataset) -> Vec<Piece> {
+    let sets = dataset.sets();
+    let still = |i: usize| !matches!(dataset.settings(&sets[i]).kind, Kind::Dark | Kind::Flat);
+    let mut out = Vec::new();
+    for (set, info) in sets.iter().enumerate() {
+        let frames = info.rows.len();
+        let count = if frames < 6 { 1 } else { frames.div_ceil(PIECE).clamp(2, PIECES) };
+        let size = frames.div_ceil(count).max(1);
+        let after_scene = set > 0 && still(set - 1);
+        for (number, start) in (0..frames).step_by(size).enumerate() {
+            let to = (start + size).min(frames);
+            // The first frame after a change carries what came before, pixel by pixel: it has a statistic of its own. A scene leaves
+            // its picture behind for longer than a flat.
+            let skip = match to - start {
+                _ if still(set) || number > 0 => 0,
+                _ if after_scene && count > 1 => continue,
+                4.. if after_scene => 2,
+                3.. => 1,
+                _ => 0,
+            };
+            let half = Half::TURNS[(set + number) % 2];
+            out.push(Piece { set, from: start + skip, to, half, before: skip == 1 });
+        }
+    }
+    out
+}
+
+enum Work {
+    Scene(SceneMean),
+    Noise(Option<Box<Chunk>>),
+    Clipped(usize, f64),
+}
+
+/// What a piece has that is no part of the campaign.
+#[derive(Default)]
+struct LeftOut {
+    /// Places in the set of frames that lie far from the others.
+    frames: Vec<usize>,
+    /// Pixels of struck samples, and the frames' places.
+    struck: Vec<(usize, usize)>,
+}
+
+/// What all pieces are read with.
+struct Reader<'a, 'b> {
+    dataset: &'a Dataset,
+    layout: &'b Layout,
+    pool: Mutex<Vec<Pass<'b>>>,
+    stop: &'a AtomicBool,
+    usual: outliers::Usual,
+    zero_dn: f64,
+    /// Whether samples that stand out are taken for struck ones.
+    clean: bool,
+}
+
+impl<'b> Reader<'_, 'b> {
+    fn frame(&self, set: usize, place: usize) -> Result<Array2<u16>, ObserveError> {
+        if self.stop.load(Ordering::Relaxed) {
+            return Err(ObserveError::Interrupted);
+        }
+        let row = self.dataset.sets()[set].rows[place];
+        Ok(self.dataset.read(&self.dataset.rows()[row])?.as_standard_layout().into_owned())
+    }
+
+    fn piece(&self, p: &Piece) -> Result<(Work, LeftOut), ObserveError> {
+        let kind = self.dataset.settings(&self.dataset.sets()[p.set]).kind;
+        let mut out = LeftOut::default();
+        if !matches!(kind, Kind::Dark | Kind::Flat) {
+            let mut sum = self.frame(p.set, p.from)?.mapv(f32::from);
+            for place in p.from + 1..p.to {
+                sum.zip_mut_with(&self.frame(p.set, place)?, |m, &d| *m += f32::from(d));
+            }
+            let mean_dn = sum / (p.to - p.from) as f32;
+            return Ok((Work::Scene(SceneMean { set: p.set, half: p.half, mean_dn }), out));
+        }
+        // Fresh pages cost as much as the frames: passes are used again.
+        let free = || self.pool.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut pass = free().pop().unwrap_or_else(|| Pass::with(self.layout, SUMMED));
+        let (mut from, mut to) = (p.from, p.to);
+        let work = loop {
+            let stray = self.add(p, from..to, kind == Kind::Dark, &mut pass, &mut out)?;
+            let Some(stray) = stray else { break self.said(p, from, &mut pass) };
+            // The longer run of frames without it is what the piece is made of.
+            out.frames.push(stray);
+            out.struck.clear();
+            pass.clear();
+            if stray - from >= to - stray { to = stray } else { from = stray + 1 }
+            if to < from + 2 {
+                break Ok(Work::Noise(None));
+            }
+        };
+        pass.clear();
+        free().push(pass);
+        Ok((work?, out))
+    }
+
+    /// Adds frames to a pass, until one lies far from the others: its place.
+    fn add(
+        &self,
+        p: &Piece,
+        places: std::ops::Range<usize>,
+        dark: bool,
+        pass: &mut Pass<'b>,
+        out: &mut LeftOut,
+    ) -> Result<Option<usize>, ObserveError> {
+        let wrong = |e: crate::statistics::moments::SizeMismatch| ObserveError::Nothing(e.to_string());
+        let count = places.len().div_ceil(outliers::BLOCK).max(1);
+        let size = places.len().div_ceil(count).max(1);
+        for start in places.clone().step_by(size) {
+            let end = (start + size).min(places.end);
+            let mut block = (start..end).map(|i| self.frame(p.set, i)).collect::<Result<Vec<_>, _>>()?;
+            let apart = outliers::apart(&block);
+            let strays = self.usual.strays(&apart, dark, start < 2, self.zero_dn);
+            // Where many stray nothing does.
+            if let Some(stray) = strays.first().filter(|_| strays.len() * 3 <= block.len()) {
+                return Ok(Some(start + stray));
+            }
+            if self.clean {
+                let struck = outliers::take_struck(&mut block);
+                out.struck.extend(struck.into_iter().map(|(f, pixel)| (pixel, start + f)));
+            }
+            for frame in &block {
+                pass.add(frame.as_slice().unwrap_or(&[])).map_err(wrong)?;
+            }
+        }
+        Ok(None)
+    }
+
+    /// What the frames in a pass say.
+    fn said(&self, p: &Piece, from: usize, pass: &mut Pass<'_>) -> Result<Work, ObserveError> {
+        if pass.clipped() > CLIPPED {
+            return Ok(Work::Clipped(p.set, pass.mean_dn()));
+        }
+        let said = pass.finish();
+        let before = if p.before && from == p.from {
+            Some(codes::mean_of(&self.frame(p.set, from - 1)?.mapv(f32::from), self.layout))
+        } else {
+            None
+        };
+        let chunk = |said: Summary| {
+            let codes_used = codes::share_used(&said);
+            Box::new(Chunk { set: p.set, from, half: p.half, before, codes_used, said })
+        };
+        Ok(Work::Noise(said.map(chunk)))
+    }
+}
+
+/// Frames and samples that were left out, in words.
+fn words(dataset: &Dataset, left_out: &[(usize, LeftOut)]) -> Vec<String> {
+    let name = |set: usize, place: usize| {
+        let set = &dataset.sets()[set];
+        let file = set.rows.get(place).map_or("", |r| dataset.rows()[*r].file.as_str());
+        format!("frame {place} of set {} ({file})", set.number)
+    };
+    let mut out = Vec::new();
+    let frames: Vec<String> =
+        left_out.iter().flat_map(|(set, l)| l.frames.iter().map(|f| name(*set, *f))).collect();
+    if !frames.is_empty() {
+        let shown = frames.iter().take(6).cloned().collect::<Vec<_>>().join(", ");
+        let more = if frames.len() > 6 { format!(" and {} more", frames.len() - 6) } else { String::new() };
+        out.push(format!(
+            "{shown}{more} lie far from the other frames of their sets (a flash, something in the light) and are left out"
+        ));
+    }
+    let struck: usize = left_out.iter().map(|(_, l)| l.struck.len()).sum();
+    if struck > 0 {
+        let mut hit: Vec<String> =
+            left_out.iter().flat_map(|(set, l)| l.struck.iter().map(|s| name(*set, s.1))).collect();
+        hit.dedup();
+        let shown = hit.iter().take(4).cloned().collect::<Vec<_>>().join(", ");
+        let more = if hit.len() > 4 { format!(" and {} more", hit.len() - 4) } else { String::new() };
+        out.push(format!(
+            "{struck} single samples stand far above the same pixel in other frames (cosmic rays) and are left out: in {shown}{more}"
+        ));
+    }
+    out
+}
+
+/// Reads the frames of a dataset. `progress` is told (pieces done, pieces).
+pub fn read(
+    dataset: &Dataset,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(usize, usize),
+) -> Result<Reading, ObserveError> {
+    let camera = &dataset.manifest().camera;
+    let full = camera.full_scale_dn();
+    let sets = dataset.sets().len();
+    let pieces = pieces(dataset);
+    let of = pieces.len() + sets / 4;
+    let mut looks = Vec::with_capacity(sets);
+    for group in (0..sets).collect::<Vec<_>>().chunks(8) {
+        if stop.load(Ordering::Relaxed) {
+            return Err(ObserveError::Interrupted);
+        }
+        looks.extend(group.par_iter().map(|&i| look(dataset, i, full)).collect::<Result<Vec<_>, _>>()?);
+        progress(looks.len() / 4, of);
+    }
+    let (layout, zero_dn) = layout((camera.height, camera.width), full, &looks);
+    let aparts: Vec<_> = looks.iter_mut().filter_map(|l| l.apart.take()).collect();
+    drop(looks);
+    let shape = (camera.height, camera.width);
+    let lines = || codes::LineSearch::new(shape);
+    let new_codes = || codes::Codes::new(full);
+    let mut reader = Reader {
+        dataset,
+        layout: &layout,
+        pool: Mutex::new(Vec::new()),
+        stop,
+        usual: outliers::Usual::of(&aparts, zero_dn),
+        zero_dn,
+        clean: true,
+    };
+    let samples = (camera.height * camera.width) as f64 * dataset.rows().len() as f64;
+    let (mut chunks, mut scenes, mut saturated) = (Vec::new(), Vec::new(), Vec::<(usize, f64)>::new());
+    let (mut all_codes, mut all_lines) = ([new_codes(), new_codes()], [lines(), lines()]);
+    let mut left_out: Vec<(usize, LeftOut)> = Vec::new();
+    loop {
+        let mut seen = 0;
+        for group in pieces.chunks(4 * rayon::current_num_threads()) {
+            let work: Vec<(Work, LeftOut)> =
+                group.par_iter().map(|p| reader.piece(p)).collect::<Result<_, _>>()?;
+            seen += group.len();
+            for (p, (w, out)) in group.iter().zip(work) {
+                left_out.push((p.set, out));
+                match w {
+                    Work::Scene(scene) => scenes.push(scene),
+                    Work::Clipped(set, level) => saturated.push((set, level)),
+                    Work::Noise(None) => {}
+                    Work::Noise(Some(mut chunk)) => {
+                        let half = chunk.half.place();
+                        all_lines[half].add(&chunk.said);
+                        if dataset.settings(&dataset.sets()[chunk.set]).kind == Kind::Flat {
+                            all_codes[half].add(&chunk.said);
+                        }
+                        // Both are long, and their sums are all that is needed.
+                        (chunk.said.power, chunk.said.occupancy.0) = (Vec::new(), Vec::new());
+                        chunks.push(*chunk);
+                    }
+                }
+            }
+            progress(sets / 4 + seen, of);
+        }
+        let struck: Vec<usize> = left_out.iter().flat_map(|(_, l)| l.struck.iter().map(|s| s.0)).collect();
+        if !reader.clean || struck.is_empty() || outliers::are_rays(&struck, samples) {
+            break;
+        }
+        // The same pixels again and again: that is the sensor, and all of it is looked at.
+        reader.clean = false;
+        (chunks, scenes, saturated, left_out) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        (all_codes, all_lines) = ([new_codes(), new_codes()], [lines(), lines()]);
+    }
+    drop(reader);
+    saturated.dedup_by_key(|s| s.0);
+    chunks.retain(|c: &Chunk| saturated.iter().all(|s| s.0 != c.set));
+    let left_out = words(dataset, &left_out);
+    Ok(Reading { layout, zero_dn, chunks, scenes, codes: all_codes, lines: all_lines, saturated, left_out })
+}

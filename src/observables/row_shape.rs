@@ -1,0 +1,88 @@
+//! Covariance of the means of rows some way apart, DN^2: whether rows that scatter do so one by one or in bands.
+
+use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+use crate::statistics::layout::Layout;
+use crate::statistics::lines::Lines;
+
+/// The covariance at these distances.
+#[derive(Debug)]
+pub struct This;
+
+/// Rows apart.
+const LAGS: [usize; 7] = [1, 2, 4, 8, 16, 32, 64];
+
+/// Lags that fit into half of the rows.
+fn lags(rows: usize) -> impl Iterator<Item = (usize, usize)> {
+    LAGS.into_iter().enumerate().filter(move |(_, lag)| 2 * lag < rows)
+}
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "covariance of row means"
+    }
+
+    fn name(&self, index: usize) -> String {
+        match LAGS.get(index) {
+            Some(1) | None => "covariance of the next row's mean".into(),
+            Some(lag) => format!("covariance of row means {lag} apart"),
+        }
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "shared by bands of rows"
+    }
+
+    fn sums(&self, layout: &Layout) -> usize {
+        lags(layout.shape.0).count()
+    }
+
+    fn add(&self, _: &[f32], lines: &Lines, _: &Layout, sums: &mut [f64]) {
+        let rows = lines.row_means();
+        for ((_, lag), sum) in lags(rows.len()).zip(sums) {
+            let products = rows.iter().zip(&rows[lag..]).map(|(a, b)| f64::from(a * b));
+            *sum += products.sum::<f64>() / (rows.len() - lag) as f64;
+        }
+    }
+
+    fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
+        chunk.sums().iter().enumerate().for_each(|(k, sum)| put.put(k, *sum, 0.0));
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let (rows, columns) = view.all.campaign.shape;
+        let (Some(s), lag) = (view.set(), LAGS[o.index.min(LAGS.len() - 1)]) else {
+            return Expected::plain(o, 0.0, 1.0);
+        };
+        // Noise of pixels and rows as a filter leaves it; the frame's mean takes its part.
+        let near = if lag < 4 {
+            let pixels = s.shot.along_lag(lag) * view.left.0 + s.read.along_lag(lag) * view.left.1;
+            pixels / columns as f64 + s.row.lag(lag as i32)
+        } else {
+            0.0
+        };
+        let flat = view.of_mean - s.column.of_mean() / columns as f64 - view.ripple_of_mean;
+        // Of a slow change the mean is taken off as a whole: what is left of a product depends on where the rows lie.
+        let means = &view.ripple_with_mean;
+        let slow = if means.is_empty() {
+            0.0
+        } else {
+            let n = means.len() as f64;
+            let at = |row: f64| means[((row / rows as f64 * n) as usize).min(means.len() - 1)];
+            let upper = (0..means.len()).map(|i| (i as f64 + 0.5) / n * (rows - lag) as f64);
+            let with_mean = upper.map(|row| at(row) + at(row + lag as f64)).sum::<f64>() / n;
+            s.ripple(lag as f64) - with_mean + view.ripple_of_mean
+        };
+        let lines: f64 = s.lines.iter().map(|l| l.0).sum();
+        let own = (s.shot.along(1) + s.read.along(1)) / columns as f64 + s.row.lag(0) + s.ripple(0.0);
+        let alone = own / (((rows - lag) as f64) * view.dof).sqrt();
+        Expected::plain(
+            o,
+            near - flat + slow,
+            alone
+                .hypot(view.ripple_error)
+                .hypot(0.3 * view.moving)
+                .hypot(lines / columns as f64)
+                .hypot(s.unsure_var.hypot(view.rough.1) / columns as f64),
+        )
+    }
+}

@@ -1,0 +1,25 @@
+//! Variance of the means of rows, DN^2.
+
+use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+
+/// The scatter of whole rows.
+#[derive(Debug)]
+pub struct This;
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "variance of row means"
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "shared by whole rows"
+    }
+
+    fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
+        put.put(0, chunk.said().line_var_dn2[0], 0.0);
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        view.line_variance(o, true)
+    }
+}

@@ -1,0 +1,37 @@
+//! The first and the second frame of a set less the mean of those after them in the chunk, DN: what came before.
+
+use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+
+/// The step to the settled level.
+#[derive(Debug)]
+pub struct This;
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "settling"
+    }
+
+    fn name(&self, index: usize) -> String {
+        if index == 0 { "first frame" } else { "second frame" }.into()
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "set by what came before"
+    }
+
+    fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
+        if let Some(before) = chunk.before() {
+            let means = &chunk.said().frame_means;
+            put.put_over(0, chunk.from_the_first(), before - means.mean_dn());
+            put.put_over(1, chunk.from_the_first(), means.first_step_dn());
+        }
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let Some(s) = view.set() else { return Expected::plain(o, 0.0, 1.0) };
+        let rest = view.frames.get(o.index + 1..).unwrap_or(&[]);
+        let m = rest.len().max(1) as f64;
+        let expected = view.frames.get(o.index).copied().unwrap_or(0.0) - rest.iter().sum::<f64>() / m;
+        Expected::plain(o, expected, ((view.of_mean + s.common) * (1.0 + 1.0 / m)).sqrt().hypot(0.002))
+    }
+}

@@ -1,0 +1,55 @@
+//! Covariance of a pixel's noise in successive frames, DN^2.
+
+use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+use crate::statistics::pass::Summary;
+use crate::statistics::successive::error_of;
+use radcam_sim::predict::Spectrum;
+
+/// What is carried to the next frame.
+#[derive(Debug)]
+pub struct This;
+
+/// Standard error for independent normal pixels.
+pub fn theory(r: &Summary) -> f64 {
+    r.var.value * error_of(r.frames) / r.pixels.sqrt()
+}
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "covariance of successive frames"
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "carried to the next frame"
+    }
+
+    fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
+        let r = chunk.said();
+        if r.frames > 2 {
+            put.put(0, r.successive.value, chunk.inflation.successive * theory(r));
+        }
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let Some(s) = view.set() else { return Expected::plain(o, 0.0, 1.0) };
+        // Of the mean product, and of the variance that is left over the frames: nothing where frames are independent.
+        let carried = |power: &Spectrum, memory: &[f64], left: f64| {
+            if memory.is_empty() {
+                return 0.0;
+            }
+            power.lag(0, 0) * (view.product(memory) + left / view.n.max(2.0))
+        };
+        let value = carried(&s.shot, &s.shot_memory, view.left.0) + carried(&s.read, &s.read_memory, view.left.1);
+        Expected::plain(
+            o,
+            value,
+            o.measured
+                .std_err
+                .hypot(0.5 * view.rough.1)
+                .hypot(s.unsure_var)
+                .hypot(view.lines(0, 0))
+                .hypot(0.3 * view.moving)
+                .hypot(view.shared(1, 1)),
+        )
+    }
+}

@@ -1,0 +1,41 @@
+//! Steps between parts of the sensor: right and left half, lower and upper, odd and even columns, odd and even rows; each in proportion
+//! to the signal and constant, DN.
+
+use super::{Expected, HalfView, Observable, Put, Statistic, View};
+use crate::statistics::taps;
+
+/// The step: twice the parts' number, and one more where it is constant.
+#[derive(Debug)]
+pub struct This;
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "step between parts"
+    }
+
+    fn name(&self, index: usize) -> String {
+        let parts = ["left and right", "top and bottom", "even and odd columns", "even and odd rows"];
+        let parts = parts.get(index / 2).unwrap_or(&"parts");
+        format!("{parts}, {}", if index.is_multiple_of(2) { "of the signal" } else { "constant" })
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "a step between parts of the sensor"
+    }
+
+    fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {
+        let (columns, rows) = (half.profiles(|s| &s.columns_dn), half.profiles(|s| &s.rows_dn));
+        let steps = [taps::middle(&columns), taps::middle(&rows), taps::odd(&columns), taps::odd(&rows)];
+        for (parts, step) in steps.into_iter().enumerate() {
+            for (k, value) in step.into_iter().flatten().enumerate() {
+                // Their error is the sensor's pattern, which both halves have: together they know no more than one.
+                put.put(2 * parts + k, value.value, value.std_err * std::f64::consts::SQRT_2);
+            }
+        }
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let tap = view.prediction.taps.get(o.index / 2).copied().unwrap_or_default();
+        Expected::plain(o, if o.index.is_multiple_of(2) { tap.0 } else { tap.1 }, o.measured.std_err)
+    }
+}

@@ -1,0 +1,43 @@
+//! Temporal variance of the pixels, DN^2.
+
+use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+use crate::statistics::pass::Summary;
+
+/// The variance.
+#[derive(Debug)]
+pub struct This;
+
+/// Standard error for independent normal pixels.
+pub fn theory(r: &Summary) -> f64 {
+    r.var.value * (2.0 / (r.pixels * (r.frames as f64 - 1.0))).sqrt()
+}
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "temporal variance"
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "the noise of single pixels"
+    }
+
+    fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
+        let r = chunk.said();
+        put.put(0, r.var.value, chunk.inflation.variance * theory(r));
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let unsure = view.set().map_or(0.0, |s| s.unsure_var);
+        Expected::plain(
+            o,
+            view.lag(0, 0) + view.moving,
+            o.measured
+                .std_err
+                .hypot(view.rough.1)
+                .hypot(unsure)
+                .hypot(view.lines(0, 0))
+                .hypot(0.1 * view.moving)
+                .hypot(view.shared(0, 0)),
+        )
+    }
+}
