@@ -98,6 +98,10 @@ pub struct Capture<'a> {
     pub progress: &'a mut dyn FnMut(Progress),
 }
 
+/// Frames that are thrown away between the search for the exposure and the first frame of the plan: a filter that keeps a third of the last
+/// frame has forgotten it to one part in 10^7.
+const SETTLING: usize = 16;
+
 /// Name of the log inside a dataset: one line a run, with the buffer statistics.
 pub const LOG_FILE: &str = "capture.log";
 
@@ -125,6 +129,7 @@ impl Capture<'_> {
             }
         }
         let mut counts = StreamCounts::default();
+        let searched = !resume && plan.full_exposure_s.is_none() && plan.needs_full_exposure();
         let (mut writer, plan) = if resume {
             self.resume(root)?
         } else {
@@ -150,8 +155,16 @@ impl Capture<'_> {
             }
             self.capture_set(number, set, &plan, &mut writer, &mut clock, &mut counts)
         });
+        let before_plan = if searched {
+            format!(
+                "before the first frame: a search for the full exposure up to {} s, then {SETTLING} frames under the first set's light\n",
+                plan.full_exposure_s.unwrap_or(0.0)
+            )
+        } else {
+            String::new()
+        };
         let line = format!(
-            "completed {} failures {} underruns {} missing {} written {} outcome {}\n",
+            "{before_plan}completed {} failures {} underruns {} missing {} written {} outcome {}\n",
             counts.completed,
             counts.failures,
             counts.underruns,
@@ -222,7 +235,11 @@ impl Capture<'_> {
     fn absolute(&mut self, plan: &Plan, counts: &mut StreamCounts) -> Result<Plan, CaptureError> {
         let full = match plan.full_exposure_s {
             Some(full) => full,
-            None if plan.needs_full_exposure() => self.find_full_exposure(plan, counts)?,
+            None if plan.needs_full_exposure() => {
+                let full = self.find_full_exposure(plan, counts)?;
+                self.settle(plan, full, counts)?;
+                full
+            }
             None => 1.0,
         };
         let bounds = self.camera.capabilities().exposure_s;
@@ -280,6 +297,10 @@ impl Capture<'_> {
                     full_scale_dn = full_scale,
                     "the signal stops below full scale: the well is full; exposures end there"
                 );
+                // How fast the well fills shows at a third of that.
+                let third = bounds.nearest(0.3 * (mean - black) / fastest);
+                let (level, _) = self.pilot(third, counts)?;
+                let fastest = f64::max(fastest, (level - black) / third);
                 return Ok(bounds.nearest(1.05 * (mean - black) / fastest));
             }
             // Of levels that stand out from black: below them offsets and zero make the rate.
@@ -307,6 +328,17 @@ impl Capture<'_> {
     }
 
     /// Mean and share of clipped pixels of a frame at an exposure; the first frame is let pass.
+    /// Lets what the search has exposed fade, under the light of the first set: lag and filters carry it into the first frames else.
+    fn settle(&mut self, plan: &Plan, full_s: f64, counts: &mut StreamCounts) -> Result<(), CaptureError> {
+        let Some(first) = plan.sets.first() else { return Ok(()) };
+        self.bench.apply(&first.bench(), self.camera)?;
+        for _ in 0..SETTLING / 2 {
+            self.pilot(full_s, counts)?;
+        }
+        tracing::info!(exposure_s = full_s, "frames without a place in the plan let the search fade");
+        Ok(())
+    }
+
     fn pilot(&mut self, exposure_s: f64, counts: &mut StreamCounts) -> Result<(f64, f64), CaptureError> {
         self.camera.set_exposure_s(exposure_s)?;
         let full_scale = self.camera.settings()?.pixel_format.full_scale_dn();

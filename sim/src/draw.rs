@@ -210,7 +210,14 @@ impl Sensor {
             .map(|e| e.effect().and_then(|effect| Ok((effect, e.values(effect)?))))
             .collect::<Result<Vec<_>, _>>()?;
         effects.sort_by_key(|(e, _)| e.stage());
-        Ok(Self { model, maps, light: Mutex::new(None), memory: Mutex::default(), setting: Mutex::default(), effects })
+        Ok(Self {
+            model,
+            maps,
+            light: Mutex::new(None),
+            memory: Mutex::default(),
+            setting: Mutex::default(),
+            effects,
+        })
     }
 
     /// The model.

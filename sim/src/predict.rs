@@ -97,7 +97,8 @@ fn cosines() -> &'static [Vec<f64>] {
     static TABLE: OnceLock<Vec<Vec<f64>>> = OnceLock::new();
     TABLE.get_or_init(|| {
         let of = |i: usize, d: usize| share(i) * libm::cos(angle(i) * d as f64);
-        let at = |dy: usize, dx: usize| (0..HALF * HALF).map(|i| of(i / HALF, dy) * of(i % HALF, dx)).collect();
+        let at =
+            |dy: usize, dx: usize| (0..HALF * HALF).map(|i| of(i / HALF, dy) * of(i % HALF, dx)).collect();
         (0..4).flat_map(|dy| (0..4).map(move |dx| at(dy, dx))).collect()
     })
 }
@@ -496,9 +497,7 @@ impl SetPrediction {
 impl Prediction {
     /// Light and dark charge of every frame and set, no noise yet.
     pub(crate) fn begin(c: &Campaign, base: &BaseParameters) -> Self {
-        let light = |s: &SetInfo| {
-            base.rate_e_per_s(s) * s.exposure_s
-        };
+        let light = |s: &SetInfo| base.rate_e_per_s(s) * s.exposure_s;
         let light_e: Vec<f64> = c.sets.iter().map(light).collect();
         let of_sets: Vec<f64> =
             c.sets.iter().zip(&light_e).map(|(s, light)| light + base.dark_e_per_s * s.exposure_s).collect();
@@ -563,8 +562,7 @@ impl Prediction {
     /// Applies a curve to every pixel: to the noise of each with the slope that the noise itself sees, and over the pixels' places.
     pub fn bend(&mut self, c: &Campaign, curve: impl Fn(f64) -> f64) {
         let before: Vec<f64> = self.sets.iter().map(|s| s.signal).collect();
-        let noise: Vec<f64> =
-            self.sets.iter().map(|s| libm::sqrt(s.covariance(0, 0).max(1e-6))).collect();
+        let noise: Vec<f64> = self.sets.iter().map(|s| libm::sqrt(s.covariance(0, 0).max(1e-6))).collect();
         // Mean, and variance over that before, of a pixel at a level.
         let pixel = |level: f64, sd: f64| {
             let all = NODES.map(|(x, share)| (curve(level + sd * x), share));

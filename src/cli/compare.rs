@@ -3,9 +3,9 @@
 use super::Outcome;
 use super::diagnose::observe;
 use super::model::read_effects;
+use crate::dataset::write_whole;
 use crate::diagnosis::{searched, signatures};
 use crate::inference::{compare, start};
-use crate::dataset::write_whole;
 use crate::report::{self, chance};
 use anyhow::Result;
 use std::path::PathBuf;

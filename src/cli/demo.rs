@@ -10,7 +10,7 @@ use crate::plan::Plan;
 use crate::report::noise::{Truth, html, sigmas};
 use crate::report::with_unit;
 use anyhow::{Context, Result, bail};
-use radcam_sim::effects::{EFFECTS, example};
+use radcam_sim::effects::{EFFECTS, Effect, example};
 use radcam_sim::{EffectValues, Model};
 use std::path::{Path, PathBuf};
 
@@ -38,7 +38,8 @@ const REGION: (u32, u32) = (320, 256);
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let mut model = load_model(&arguments.sensor, arguments.seed)?;
-    let hidden = hide(&arguments.hide, &mut model)?;
+    let seed = arguments.seed.unwrap_or(model.base.seed);
+    let hidden = hide(&arguments.hide, &mut model, seed)?;
     let (width, height) = (model.camera.width.min(REGION.0), model.camera.height.min(REGION.1));
     if hidden.is_some() {
         // The whole sensor is drawn for an effect that reaches across it: a small one is enough.
@@ -56,18 +57,21 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     println!("\n{camera}, {width} x {height} px, {how}");
     match hidden {
         None => the_papers(arguments, &model, &camera, &how, &dataset),
-        Some(id) => the_story(arguments, id, &camera, &how, &dataset),
+        Some((effect, values)) => the_story(arguments, effect, &values, &camera, &how, &dataset),
     }
 }
 
+/// An effect with its values.
+type Hidden = (&'static dyn Effect, Vec<f64>);
+
 /// Hides an effect in a model, at a strength that is plain to see.
-fn hide(what: &str, model: &mut Model) -> Result<Option<&'static str>> {
+fn hide(what: &str, model: &mut Model, seed: u64) -> Result<Option<Hidden>> {
     let known = || EFFECTS.iter().filter(|e| example(e.id(), model).is_some());
     let effect = match what {
         "none" => return Ok(None),
+        // The same seed hides the same effect: a multiplicative hash of it (Knuth 1998, 6.4) picks.
         "random" => {
-            let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
-            known().nth(now.subsec_micros() as usize % known().count().max(1))
+            known().nth((seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 33) as usize % known().count().max(1))
         }
         id => known().find(|e| e.id() == id),
     };
@@ -76,13 +80,20 @@ fn hide(what: &str, model: &mut Model) -> Result<Option<&'static str>> {
         bail!("\"{what}\" cannot be hidden; write random, none or one of {}", names.join(", "));
     };
     let values = example(effect.id(), model).unwrap_or_default();
-    let parameters = effect.parameters().iter().zip(values).map(|(p, v)| (p.name.to_string(), v)).collect();
+    let parameters = effect.parameters().iter().zip(&values).map(|(p, v)| (p.name.to_string(), *v)).collect();
     model.effects = vec![EffectValues { id: effect.id().into(), parameters, ..Default::default() }];
-    Ok(Some(effect.id()))
+    Ok(Some((*effect, values)))
 }
 
 /// Found wanting, named, added, and the error falls.
-fn the_story(arguments: &Arguments, id: &str, camera: &str, how: &str, dataset: &Path) -> Result<Outcome> {
+fn the_story(
+    arguments: &Arguments,
+    effect: &'static dyn Effect,
+    hidden: &[f64],
+    camera: &str,
+    how: &str,
+    dataset: &Path,
+) -> Result<Outcome> {
     println!("Something is hidden in this camera. Is the paper's model enough?\n");
     let all = super::diagnose::observe(dataset)?;
     let d = diagnose(&all, None, Vec::new(), &mut |text| tracing::info!("{text}"));
@@ -91,19 +102,36 @@ fn the_story(arguments: &Arguments, id: &str, camera: &str, how: &str, dataset: 
     let page = crate::report::compare::diagnosis("What the model lacks", &format!("{camera}, {how}"), &d);
     write_whole(&path, page.as_bytes())?;
     println!("\n  report:   {}\n  dataset:  {}", path.display(), dataset.display());
-    println!("  next:     radcam effects {id}");
-    // The first name, and what this campaign cannot tell from it.
-    let first = d.missing.iter().position(|m| m.effect == id);
-    let tied = d
-        .missing
-        .iter()
-        .take(first.map_or(0, |f| f + 1))
-        .skip(1)
-        .all(|m| m.evidence.iter().any(|e| e.starts_with("a tie with")));
-    let found = first.is_some() && tied && d.error_after < 1.15;
+    println!("  next:     radcam effects {}", effect.id());
+    let first = d.missing.first();
+    let place = d.missing.iter().position(|m| m.effect == effect.id());
+    // The first name, or what this campaign cannot tell from it.
+    let tied = place
+        .is_some_and(|p| p == 0 || d.missing[p].tied_with.as_deref() == first.map(|m| m.effect.as_str()));
+    let found = tied && d.missing.first().is_none_or(|m| m.effect != "unknown");
+    println!("\n  {:<28} {:<16} {:<28} difference", "hidden", "value", "found");
+    for (k, p) in
+        effect.parameters().iter().enumerate().filter(|(k, p)| effect.uses(hidden, *k) && !p.is_choice())
+    {
+        let quantity = place.and_then(|i| d.missing[i].parameters.get(p.name));
+        let found = quantity.map_or("-".into(), |q| with_unit(q.value, q.std_err, q.unit));
+        let z = quantity.map(|q| (q.value - hidden[k]) / q.std_err).filter(|z| z.is_finite());
+        let z = z.map_or(String::new(), |z| format!("{z:+.1} σ"));
+        let name = format!("{} {}", effect.id(), p.name);
+        println!("  {name:<28} {:<16} {found:<28} {z}", format!("{:.4e}", hidden[k]));
+    }
+    let id = effect.id();
     println!(
         "\nHidden was {id}. {}",
-        if found { "It was named, and the error fell to the noise." } else { "IT WAS NOT FOUND." }
+        match (found, place) {
+            (true, Some(0)) => "It was named first, and the error fell to the noise.".to_string(),
+            (true, _) =>
+                format!("It is tied with {}: this campaign cannot tell them apart.", d.missing[0].effect),
+            (false, Some(_)) => format!("It was found, but {} stands before it.", d.missing[0].effect),
+            (false, None) if d.consistent =>
+                "It is too weak for this campaign: the paper's model holds.".into(),
+            (false, None) => format!("IT WAS NOT FOUND; {} stands first.", d.missing[0].effect),
+        }
     );
     Ok(if found { Outcome::Agreement } else { Outcome::Disagreement })
 }

@@ -98,7 +98,8 @@ mod tests {
 
     #[test]
     fn optional_columns_may_be_absent_or_empty() {
-        let table = Table::parse("# a\nmean_dn,var_dn2,pixels,lamp,about\n10,5,,,x\n20,9,1000,2,y\n").unwrap();
+        let table =
+            Table::parse("# a\nmean_dn,var_dn2,pixels,lamp,about\n10,5,,,x\n20,9,1000,2,y\n").unwrap();
         assert_eq!(table.levels[0].pixels, None);
         assert_eq!((table.levels[1].pixels, table.levels[1].lamp), (Some(1000.0), Some(2)));
         for (text, line, part) in [

@@ -10,9 +10,7 @@ pub use search::searched;
 pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
-use crate::inference::{
-    Comparison, Effects, Fitted, P_LIMIT, compare, fit, residuals_of, start,
-};
+use crate::inference::{Comparison, Effects, Fitted, P_LIMIT, compare, fit, residuals_of, start};
 use crate::noise::Quantity;
 use crate::observables::Observations;
 use crate::plan::Plan;
@@ -194,7 +192,8 @@ fn parts(
         let mut parts: Vec<Part> = added
             .into_par_iter()
             .map(|i| {
-                let rest = if whole.effects.len() == given + 1 { model.clone() } else { without(all, &whole, i) };
+                let rest =
+                    if whole.effects.len() == given + 1 { model.clone() } else { without(all, &whole, i) };
                 let effect = whole.effects[i].0;
                 let evidence = score(all, &rest) - score(all, &whole);
                 let nameless = unknown::evidence(&residuals_of(all, &rest), all.list.len() as f64);

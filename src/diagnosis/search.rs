@@ -57,13 +57,19 @@ pub fn candidates(all: &Observations, now: &Fitted, fresh: bool) -> Vec<Candidat
     let there = there(all);
     let guess = fresh.then(|| now.with_base(start(all)));
     let screen = Screen::new(all, now);
+    let first_seen = guess.as_ref().map(|g| seen(all, &g.base));
     let seen = seen(all, &now.base);
     let mut promising: Vec<(f64, &'static dyn Effect, Vec<Scored>)> = effects::all()
         .into_par_iter()
         .filter(|e| !ids.contains(&e.id()) && e.needs() <= there)
         .filter(|e| !(all.means_given && e.needs() == Needs::Means))
         .filter_map(|effect| {
-            let starts = screen.starts(effect, &[], &effect.starts(&seen));
+            let mut hinted = effect.starts(&seen);
+            if let Some(first) = &first_seen {
+                hinted.extend(effect.starts(first));
+                hinted.dedup();
+            }
+            let starts = screen.starts(effect, &[], &hinted);
             let most = starts.first()?.gain;
             Some((most, effect, starts))
         })
@@ -75,7 +81,8 @@ pub fn candidates(all: &Observations, now: &Fitted, fresh: bool) -> Vec<Candidat
     // What moves only errors is not seen by a look at expectations: it is fitted in any case.
     let always = |p: &(f64, &'static dyn Effect, Vec<Scored>)| p.0.is_infinite();
     let (first, rest): (Vec<_>, Vec<_>) = promising.into_iter().partition(always);
-    let chosen: Vec<_> = first.into_iter().chain(rest.into_iter().filter(|p| p.0 > NEEDED).take(FITTED)).collect();
+    let chosen: Vec<_> =
+        first.into_iter().chain(rest.into_iter().filter(|p| p.0 > NEEDED).take(FITTED)).collect();
     let best = chosen.iter().map(|p| p.0).filter(|g| g.is_finite()).fold(0.0, f64::max);
     let mut found: Vec<Candidate> = chosen
         .into_par_iter()
@@ -117,7 +124,10 @@ fn from_starts(
         }
     }
     picked.truncate(forms);
-    picked.extend(starts.iter().filter(|s| picked.iter().all(|p| p.values != s.values)).take(1).collect::<Vec<_>>());
+    let distinct = picked.len();
+    let more = starts.iter().filter(|s| picked.iter().all(|p| p.values != s.values));
+    let more: Vec<&Scored> = more.take((STARTS + 1).saturating_sub(distinct).max(1)).collect();
+    picked.extend(more);
     let bases: Vec<&Fitted> = std::iter::once(now).chain(guess).collect();
     let tries: Vec<(&Fitted, &Scored)> =
         bases.into_iter().flat_map(|b| picked.iter().map(move |s| (b, *s))).collect();
@@ -149,7 +159,8 @@ fn is_something(c: &Candidate) -> bool {
     if let Some(t) = effect.together(values) {
         // Two that only their combination tells are each unknown, and together something.
         let of = |(a, b): (usize, usize)| t.slopes[a] * t.slopes[b] * fitted.covariance_of(at, a, b);
-        let variance: f64 = (0..values.len()).flat_map(|a| (0..values.len()).map(move |b| (a, b))).map(of).sum();
+        let variance: f64 =
+            (0..values.len()).flat_map(|a| (0..values.len()).map(move |b| (a, b))).map(of).sum();
         return t.value.abs() > 2.5 * variance.max(0.0).sqrt();
     }
     sizes.is_empty() || sizes.iter().any(|&k| values[k].abs() > 2.5 * errors[k])
@@ -252,9 +263,11 @@ pub fn searched(all: &Observations, given: &[Given]) -> Effects {
     let certain: Effects = given.iter().filter_map(known).collect();
     let mut now = fit(all, None, &start(all), &certain);
     for (effect, values) in given.iter().filter(|g| known(g).is_none()) {
-        let hinted = effect.starts(&seen(all, &now.base));
         let guess = now.with_base(start(all));
-        let starts = Screen::new(all, &now).starts(*effect, values, &hinted);
+        let mut hinted = effect.starts(&seen(all, &guess.base));
+        hinted.extend(effect.starts(&seen(all, &now.base)));
+        // From the first guess: a fit that lacks the effect may lie far off.
+        let starts = Screen::new(all, &guess).starts(*effect, values, &hinted);
         now = from_starts(all, &now, Some(&guess), *effect, &starts, FORMS).unwrap_or_else(|| {
             let first = hinted.into_iter().next();
             let first = first.unwrap_or_else(|| effect.parameters().iter().map(|p| p.min.max(0.0)).collect());
@@ -267,4 +280,3 @@ pub fn searched(all: &Observations, given: &[Given]) -> Effects {
     now.effects.sort_by_key(|(e, _)| place(e));
     now.effects
 }
-

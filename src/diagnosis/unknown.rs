@@ -47,7 +47,8 @@ fn of_statistic(rows: &[&Residual]) -> f64 {
         if !cholesky::factor(&mut a, TERMS) {
             return 0.0;
         }
-        let log_det: f64 = (0..TERMS).map(|i| 2.0 * a[i * TERMS + i].ln()).sum::<f64>() + TERMS as f64 * square.ln();
+        let log_det: f64 =
+            (0..TERMS).map(|i| 2.0 * a[i * TERMS + i].ln()).sum::<f64>() + TERMS as f64 * square.ln();
         let mut solved = with.to_vec();
         cholesky::solve(&a, &mut solved);
         solved.iter().zip(with).map(|(s, w)| s * w).sum::<f64>() - log_det
@@ -69,7 +70,7 @@ mod tests {
             predicted: 0.0,
             std_err: 1.0,
             z: PixelRng::new(seed, Stream::Effect, 0, i, 0).normal()
-                + if i % 4 == 0 { off(f64::from(i) / 200.0) } else { 0.0 },
+                + if i.is_multiple_of(4) { off(f64::from(i) / 200.0) } else { 0.0 },
             level_dn: f64::from(i / 4),
             statistic: (&mean::This, 0),
         };
@@ -79,7 +80,8 @@ mod tests {
     /// Of 200 lists of pure noise at most two show anything; a bend of three standard errors is seen in each.
     #[test]
     fn noise_is_no_function_and_a_bend_is() {
-        let seen = |off: &dyn Fn(f64) -> f64| (0..200).filter(|s| evidence(&rows(*s, off), 200.0) > 9.0).count();
+        let seen =
+            |off: &dyn Fn(f64) -> f64| (0..200).filter(|s| evidence(&rows(*s, off), 200.0) > 9.0).count();
         assert!(seen(&|_| 0.0) <= 2);
         assert_eq!(seen(&|u| 3.0 * (2.0 * u - 1.0)), 200);
     }

@@ -39,7 +39,9 @@ impl Verdict {
     /// In plain words.
     pub fn sentence(&self) -> &str {
         match self {
-            Self::Describes { sentence, .. } | Self::Named { sentence, .. } | Self::Unknown { sentence, .. } => sentence,
+            Self::Describes { sentence, .. }
+            | Self::Named { sentence, .. }
+            | Self::Unknown { sentence, .. } => sentence,
         }
     }
 
@@ -48,7 +50,9 @@ impl Verdict {
         let Some(top) = missing.first() else {
             let agreement = first.agreement;
             let sentence = match agreement {
-                Agreement::Fails => "Deviations are larger than chance allows, but too small to be named.".into(),
+                Agreement::Fails => {
+                    "Deviations are larger than chance allows, but too small to be named.".into()
+                }
                 _ => format!(
                     "{} Gain {:.5} DN/e, read noise {:.2} e.",
                     "The camera does what the model says, to within the noise of this campaign.",

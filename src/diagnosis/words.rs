@@ -27,7 +27,12 @@ pub fn signatures(residuals: &[Residual]) -> Vec<Signature> {
             let n = of.len() as f64;
             let squares: f64 = of.iter().map(|r| r.z * r.z).sum();
             let excess = (squares - n) / (2.0 * n).sqrt();
-            (excess > 5.0).then(|| Signature { name: name.clone(), text: describe(name, &of), rms: (squares / n).sqrt(), excess })
+            (excess > 5.0).then(|| Signature {
+                name: name.clone(),
+                text: describe(name, &of),
+                rms: (squares / n).sqrt(),
+                excess,
+            })
         })
         .collect();
     out.sort_by(|a, b| b.excess.total_cmp(&a.excess));

@@ -40,7 +40,9 @@ impl Agreement {
     pub fn words(self) -> &'static str {
         match self {
             Self::Holds => "the model holds within the noise",
-            Self::Doubtful => "the model may hold: deviations this large come by chance less than once in twenty campaigns",
+            Self::Doubtful => {
+                "the model may hold: deviations this large come by chance less than once in twenty campaigns"
+            }
             Self::Fails => "THE MODEL FAILS",
         }
     }
@@ -183,7 +185,14 @@ fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
     out
 }
 
-fn residual(all: &Observations, o: &Observable, predicted: f64, std_err: f64, z: f64, levels: &[f64]) -> Residual {
+fn residual(
+    all: &Observations,
+    o: &Observable,
+    predicted: f64,
+    std_err: f64,
+    z: f64,
+    levels: &[f64],
+) -> Residual {
     Residual {
         observable: o.name(),
         set: o.set.map(|s| all.set_numbers[s]),

@@ -11,7 +11,7 @@ mod start;
 mod system;
 
 pub use fit::{Effects, Fitted, Given, as_given, fit, fit_briefly, seen};
-pub use judge::{Agreement, Comparison, P_LIMIT, Residual, compare};
 pub(crate) use judge::residuals_of;
+pub use judge::{Agreement, Comparison, P_LIMIT, Residual, compare};
 pub use screen::{Scored, Screen};
 pub use start::{reference_level, start};

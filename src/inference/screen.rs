@@ -36,7 +36,12 @@ impl<'a> Screen<'a> {
     }
 
     /// Starts of one more effect, the most promising first; those that move nothing are left out. `given`: values that are known.
-    pub fn starts(&self, effect: &'static dyn Effect, given: &[Option<f64>], hinted: &[Vec<f64>]) -> Vec<Scored> {
+    pub fn starts(
+        &self,
+        effect: &'static dyn Effect,
+        given: &[Option<f64>],
+        hinted: &[Vec<f64>],
+    ) -> Vec<Scored> {
         let state = self.layout.at(&self.free, &self.point);
         let system = System::new(&self.layout, &self.free, &self.point, &state);
         let direction = Direction::new(&system);

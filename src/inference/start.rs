@@ -1,7 +1,7 @@
 //! A first guess of the paper's parameters, from the darks and the slope of the variance.
 
 use crate::dataset::Kind;
-use crate::observables::{Observations, Statistic, mean, monitor, variance};
+use crate::observables::{Half, Observations, Statistic, mean, monitor, variance};
 use crate::statistics::median::median;
 use radcam_sim::predict::{BaseParameters, Monitor};
 
@@ -123,7 +123,12 @@ fn of_the_largest(values: impl Iterator<Item = f64>) -> Option<f64> {
 
 /// The light level that the others are counted from.
 pub fn reference_level(all: &Observations) -> usize {
-    let sets = all.campaign.sets.iter().zip(&all.kinds).filter(|(_, kind)| **kind == Kind::Flat);
+    // Levels that are known to both halves beforehand are those of scenes and clipped sets.
+    let mut measured = vec![false; all.campaign.sets.len()];
+    let taken = all.of(&mean::This).filter(|o| o.half != Half::Both || all.means_given);
+    taken.filter_map(|o| o.set).for_each(|s| measured[s] = true);
+    let sets = all.campaign.sets.iter().zip(all.kinds.iter().zip(measured));
+    let sets = sets.filter(|(_, (kind, measured))| **kind == Kind::Flat && *measured);
     let near =
         sets.min_by(|(a, _), (b, _)| (a.illumination - 1.0).abs().total_cmp(&(b.illumination - 1.0).abs()));
     near.and_then(|(s, _)| s.light).unwrap_or(0)

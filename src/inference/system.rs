@@ -43,7 +43,8 @@ impl<'a> Layout<'a> {
         let mut blocks: Vec<(usize, Vec<usize>)> = Vec::new();
         let mut place = vec![None; all.campaign.sets.len()];
         for (i, o) in rows.iter().enumerate() {
-            let Some(set) = o.set.filter(|s| o.statistic.sees_light() && all.campaign.sets[*s].light.is_some())
+            let Some(set) =
+                o.set.filter(|s| o.statistic.sees_light() && all.campaign.sets[*s].light.is_some())
             else {
                 continue;
             };
@@ -290,7 +291,8 @@ impl<'a> System<'a> {
                 .zip(&self.z[rows..])
                 .map(|(b, z)| (z * z * b.variance, b.variance - 1.0 / b.weight, 1.0 / b.weight))
                 .collect();
-            let excess = |f: f64| parts.iter().map(|(e, own, frames)| e / (f * own + frames) - 1.0).sum::<f64>();
+            let excess =
+                |f: f64| parts.iter().map(|(e, own, frames)| e / (f * own + frames) - 1.0).sum::<f64>();
             if excess(1e-8) <= 0.0 {
                 return 1e-4;
             }
@@ -498,8 +500,7 @@ impl<'s, 'a> Direction<'s, 'a> {
     /// gains m ln(S / T), and not S - T.
     fn narrower(&self, settings: &[(f64, f64)]) -> f64 {
         let m = settings.len() as f64;
-        let (before, after) =
-            settings.iter().fold((0.0, 0.0), |(a, b), (x, y)| (a + x * x, b + y * y));
+        let (before, after) = settings.iter().fold((0.0, 0.0), |(a, b), (x, y)| (a + x * x, b + y * y));
         if m < 4.0 || after >= before {
             return 0.0;
         }

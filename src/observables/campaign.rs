@@ -2,8 +2,8 @@
 
 use super::read::{Chunk, Reading, read};
 use super::{
-    ChunkView, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, Statistic, codes, covariance, mean, successive,
-    variance,
+    ChunkView, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, Statistic, codes,
+    covariance, mean, successive, variance,
 };
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind};
 use crate::statistics::covariance::LAGS;
@@ -39,6 +39,8 @@ pub struct Observations {
     pub light_rel_std: Option<f64>,
     /// Largest relative deviation of the signal over the pixels of a set.
     pub largest_spread: f64,
+    /// Sets that follow a scene: what they carry over has its contrast.
+    pub after_scene: Vec<bool>,
     /// Spatial variance of the dark charge of every dark set, DN^2: what it has beyond the shortest darks'.
     pub dark_spread_dn2: Vec<f64>,
 }
@@ -84,7 +86,8 @@ pub enum ObserveError {
 fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<FrameInfo>) {
     // Photons that a descriptor states are nominal: one light, in the ratios stated, as accurate as the data show it to be.
     let nominal = dataset.light_is_nominal();
-    let flats = || settings.iter().filter(|s| s.kind == Kind::Flat && s.illumination > 0.0).map(|s| s.illumination);
+    let flats =
+        || settings.iter().filter(|s| s.kind == Kind::Flat && s.illumination > 0.0).map(|s| s.illumination);
     let usual = median(flats());
     let mut levels: Vec<u64> = Vec::new();
     let mut light_of = |kind: Kind, illumination: f64, scene: usize| {
@@ -107,7 +110,11 @@ fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<Fram
         exposure_s: s.exposure_s,
         light: light_of(s.kind, s.illumination, i),
         illumination: s.illumination,
-        light_ratio: if nominal && s.kind == Kind::Flat && usual > 0.0 { s.illumination / usual } else { 1.0 },
+        light_ratio: if nominal && s.kind == Kind::Flat && usual > 0.0 {
+            s.illumination / usual
+        } else {
+            1.0
+        },
         spread: 0.0,
         spread_dn: 0.0,
         places: NORMAL,
@@ -173,6 +180,13 @@ pub fn of_dataset(
             }
         }
     }
+    // A level at which the range has ended tells nothing of its light: one for itself.
+    for (i, _) in &saturated {
+        let levels = infos.iter().filter_map(|s| s.light).max().map_or(0, |l| l + 1);
+        if infos[*i].light.is_some() {
+            (infos[*i].light, infos[*i].light_ratio) = (Some(levels), 1.0);
+        }
+    }
     let mut list = Vec::new();
     let inflation = Inflation::of(&chunks);
     for c in &chunks {
@@ -189,7 +203,8 @@ pub fn of_dataset(
         };
         for (extra, &statistic) in STATISTICS.iter().enumerate() {
             let view = ChunkView { chunk: c, rows, inflation: &inflation, extra };
-            statistic.of_chunk(&view, &mut Put { all: &mut list, template: Observable { statistic, ..template } });
+            statistic
+                .of_chunk(&view, &mut Put { all: &mut list, template: Observable { statistic, ..template } });
         }
     }
     // What a scene or a clipped set shows matters for the frame that follows it: known beforehand, and judged in neither half.
@@ -268,6 +283,9 @@ pub fn of_dataset(
         list,
         scenes: pairs,
         codes: ranges,
+        after_scene: (0..sets.len())
+            .map(|i| i > 0 && !matches!(settings[i - 1].kind, Kind::Dark | Kind::Flat))
+            .collect(),
         is_table: false,
         means_given: false,
         missing,

@@ -167,9 +167,9 @@ pub fn share_used(said: &Summary) -> Option<(f64, f64)> {
     n.iter().enumerate().for_each(|(c, n)| sums[c + 1] = sums[c] + n);
     let many = |c: &usize| sums[*c] - sums[c - REACH] > enough && sums[c + 1 + REACH] - sums[c + 1] > enough;
     let inside = REACH..n.len().saturating_sub(REACH + 1);
-    let (all, used) = inside.filter(many).fold((0.0, 0.0), |(all, used), c| {
-        (all + 1.0, used + f64::from(u8::from(n[c] > 0)))
-    });
+    let (all, used) = inside
+        .filter(many)
+        .fold((0.0, 0.0), |(all, used), c| (all + 1.0, used + f64::from(u8::from(n[c] > 0))));
     (all >= 24.0).then(|| (used / all, 0.02 + 1.0 / all))
 }
 

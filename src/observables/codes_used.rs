@@ -24,7 +24,8 @@ impl Statistic for This {
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let step = view.prediction.code_step_dn.max(1.0);
         // Steps that grow with the level: what the levels have, on average.
-        let flats = view.prediction.sets.iter().zip(&view.all.campaign.sets).filter(|(_, s)| s.light.is_some());
+        let flats =
+            view.prediction.sets.iter().zip(&view.all.campaign.sets).filter(|(_, s)| s.light.is_some());
         let (sum, n) = flats.fold((0.0, 0.0), |(sum, n), (s, _)| (sum + s.codes_used, n + 1.0));
         let used = if n > 0.0 { sum / n } else { 1.0 };
         // Which levels fill which part of the range is known roughly.

@@ -116,7 +116,8 @@ impl<'a> View<'a> {
             dof,
             mean,
             moved,
-            moving: all.largest_spread.powi(2) * moved,
+            moving: if o.set.is_some_and(|s| all.after_scene[s]) { 1.0 } else { all.largest_spread.powi(2) }
+                * moved,
             of_mean: 0.0,
             ripple_with_mean: Vec::new(),
             ripple_of_mean: 0.0,
@@ -143,13 +144,22 @@ impl<'a> View<'a> {
         view.rough =
             (mean, if widths > 0.0 { variance.hypot(widths * (-0.02 * view.noise).exp()) } else { variance });
         let rows = shape.0 as f64;
+        // What the frame's mean takes with it does not scatter.
+        let within = 1.0 - view.ripple_of_mean / s.ripple(0.0).max(f64::MIN_POSITIVE);
         let ripple_error = |&(v, ripple): &(f64, Ripple)| {
-            // A sine of many cycles has the same mean square whatever its phase; a wander has as many parts as correlation lengths.
-            let parts = match ripple {
-                Ripple::Sine(cycles) => (std::f64::consts::TAU * cycles * rows).powi(2).max(1.0),
-                Ripple::Wander(next) => (rows * (1.0 - next) / (1.0 + next)).max(1.0),
-            };
-            v * (2.0 / (dof * parts)).sqrt()
+            let v = v * within;
+            match ripple {
+                // Like a line it has one phase a frame.
+                Ripple::Sine(cycles) => {
+                    let part = 1.0 / (std::f64::consts::TAU * cycles * rows).max(1.0);
+                    v * (1.0 / (n * (n - 1.0)).max(1.0) + 2.0 * part * part / dof).sqrt()
+                }
+                // Squares of an autoregression forget twice as fast as it does itself.
+                Ripple::Wander(next) => {
+                    let parts = (rows * (1.0 - next * next) / (1.0 + next * next)).max(1.0);
+                    v * (2.0 / (dof * parts)).sqrt()
+                }
+            }
         };
         view.ripple_error = s.ripples.iter().map(ripple_error).fold(0.0, f64::hypot);
         view
@@ -176,7 +186,9 @@ impl<'a> View<'a> {
             own * ((1.0 + f64::from(u8::from(same))) / count as f64 / self.dof).sqrt()
         };
         let shape = self.all.campaign.shape;
-        of(s.row.lag(0), shape.0, dy == 0).hypot(of(s.column.lag(0), shape.1, dx == 0)).hypot(self.ripple_error)
+        of(s.row.lag(0), shape.0, dy == 0)
+            .hypot(of(s.column.lag(0), shape.1, dx == 0))
+            .hypot(self.ripple_error)
     }
 
     /// A line has one phase a frame: what few frames show of it scatters (random walk of n phases), DN^2.
@@ -240,11 +252,19 @@ impl<'a> View<'a> {
         (1.0 + p.bit_errors_dn.get(bit).copied().unwrap_or(0.0) - lost).max(0.0)
     }
 
+    /// Whether all codes occur at all levels that are predicted.
+    pub fn all_codes(&self) -> bool {
+        self.prediction.sets.iter().all(|s| s.codes_used > 0.999)
+    }
+
     /// Whether the converter that is predicted has equal widths of one step.
     pub fn even_codes(&self) -> bool {
         self.prediction.code_step_dn <= 1.0 && self.prediction.bit_errors_dn.iter().all(|e| *e == 0.0)
     }
 }
+
+/// Set and frames of an observable.
+type Place = (Option<usize>, (usize, usize));
 
 /// Expectations of the observables that `wanted` takes, in their order.
 pub fn expectations<'a>(
@@ -253,7 +273,7 @@ pub fn expectations<'a>(
     wanted: impl Fn(Half) -> bool,
 ) -> Vec<(&'a Observable, Expected)> {
     let mut out = Vec::with_capacity(all.list.len());
-    let mut last: Option<((Option<usize>, (usize, usize)), View<'_>)> = None;
+    let mut last: Option<(Place, View<'_>)> = None;
     for o in all.list.iter().filter(|o| wanted(o.half)) {
         let key = (o.set, o.frames);
         if last.as_ref().is_none_or(|(k, _)| *k != key) {

@@ -124,7 +124,7 @@ impl ChunkView<'_> {
     }
 
     /// From the set's first frame to the chunk's last, as places in the campaign.
-    fn from_the_first(&self) -> (usize, usize) {
+    fn since_the_first(&self) -> (usize, usize) {
         (self.rows[0], self.rows[self.chunk.from] + self.chunk.said.frames)
     }
 
@@ -174,12 +174,7 @@ impl Put<'_> {
 
     /// One that is made of other frames than the chunk's.
     fn put_over(&mut self, index: usize, frames: (usize, usize), value: f64) {
-        self.all.push(Observable {
-            index,
-            frames,
-            measured: Value { value, std_err: 0.0 },
-            ..self.template
-        });
+        self.all.push(Observable { index, frames, measured: Value { value, std_err: 0.0 }, ..self.template });
     }
 }
 

@@ -35,13 +35,16 @@ pub fn apart(block: &[Array2<u16>]) -> Apart {
     let means: Vec<f64> = cells.iter().map(|c| c.iter().sum::<f64>() / c.len().max(1) as f64).collect();
     let level_dn = median(means.iter().copied());
     if rows < 2 * CELLS || columns < 2 * CELLS {
-        return Apart { mean_dn: means.iter().map(|m| m - level_dn).collect(), cell_dn: Vec::new(), level_dn };
+        return Apart {
+            mean_dn: means.iter().map(|m| m - level_dn).collect(),
+            cell_dn: Vec::new(),
+            level_dn,
+        };
     }
     let usual: Vec<f64> =
-        (0..CELLS * CELLS).map(|k| median(cells.iter().zip(&means).map(|(c, m)| c[k] - m))).collect();
-    let cell = |(c, m): (&Vec<f64>, &f64)| {
-        c.iter().zip(&usual).map(|(v, u)| (v - m - u).abs()).fold(0.0, f64::max)
-    };
+        (0..cells[0].len()).map(|k| median(cells.iter().zip(&means).map(|(c, m)| c[k] - m))).collect();
+    let cell =
+        |(c, m): (&Vec<f64>, &f64)| c.iter().zip(&usual).map(|(v, u)| (v - m - u).abs()).fold(0.0, f64::max);
     Apart {
         mean_dn: means.iter().map(|m| m - level_dn).collect(),
         cell_dn: cells.iter().zip(&means).map(cell).collect(),
@@ -115,7 +118,10 @@ impl Usual {
         } else {
             // Dim flats have the darks' scatter as well.
             let dark = |v: f64| if v.is_finite() { v } else { 0.0 };
-            ((self.flat_rel * above).hypot(dark(self.dark_dn)), (self.flat_cell * above.sqrt()).hypot(dark(self.dark_cell_dn)))
+            (
+                (self.flat_rel * above).hypot(dark(self.dark_dn)),
+                (self.flat_cell * above.sqrt()).hypot(dark(self.dark_cell_dn)),
+            )
         };
         // Rounding to whole codes alone moves a mean by some hundredths.
         let (mean, cell) = (mean.max(0.02), cell.max(0.05));
@@ -154,12 +160,15 @@ pub fn take_struck(block: &mut [Array2<u16>]) -> Vec<(usize, usize)> {
     };
     let mut out = Vec::new();
     for i in (0..pixels).filter(|&i| f32::from(most[i]) - others(i) > STRUCK * limit(i)) {
-        let Some(f) = block.iter().position(|b| b.as_slice().is_some_and(|b| b[i] == most[i])) else { continue };
+        let Some(f) = block.iter().position(|b| b.as_slice().is_some_and(|b| b[i] == most[i])) else {
+            continue;
+        };
         let (y, x) = (i / columns, i % columns);
         for yy in y.saturating_sub(1)..=(y + 1).min(pixels / columns - 1) {
             for xx in x.saturating_sub(1)..=(x + 1).min(columns - 1) {
                 let at = yy * columns + xx;
-                let rest = block.iter().enumerate().filter(|(g, _)| *g != f).map(|(_, b)| f32::from(b[(yy, xx)]));
+                let rest =
+                    block.iter().enumerate().filter(|(g, _)| *g != f).map(|(_, b)| f32::from(b[(yy, xx)]));
                 let mean = rest.sum::<f32>() / (n - 1) as f32;
                 let off = f32::from(block[f][(yy, xx)]) - mean;
                 if at == i || off > BESIDE * limit(at) {
@@ -188,7 +197,9 @@ mod tests {
     fn block(seed: u64) -> Vec<Array2<u16>> {
         let at = |f: u64, i: usize| PixelRng::new(seed, Stream::Frame, f, i as u32, 0).normal();
         let frame = |f: u64| {
-            Array2::from_shape_fn((64, 64), |(y, x)| (1000.0 + x as f64 + 9.0 * at(f, y * 64 + x)).round() as u16)
+            Array2::from_shape_fn((64, 64), |(y, x)| {
+                (1000.0 + x as f64 + 9.0 * at(f, y * 64 + x)).round() as u16
+            })
         };
         (0..8).map(frame).collect()
     }

@@ -246,7 +246,11 @@ impl<'b> Reader<'_, 'b> {
             out.frames.push(stray);
             out.struck.clear();
             pass.clear();
-            if stray - from >= to - stray { to = stray } else { from = stray + 1 }
+            if stray - from >= to - stray {
+                to = stray
+            } else {
+                from = stray + 1
+            }
             if to < from + 2 {
                 break Ok(Work::Noise(None));
             }

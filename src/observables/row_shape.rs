@@ -73,13 +73,16 @@ impl Statistic for This {
             s.ripple(lag as f64) - with_mean + view.ripple_of_mean
         };
         let lines: f64 = s.lines.iter().map(|l| l.0).sum();
-        let own = (s.shot.along(1) + s.read.along(1)) / columns as f64 + s.row.lag(0) + s.ripple(0.0);
+        let own = (s.shot.along(1) + s.read.along(1)) / columns as f64 + s.row.lag(0);
+        // A product of rows that have little in common scatters by half of the variance of a square.
+        let common = s.ripple(lag as f64) / s.ripple(0.0).max(f64::MIN_POSITIVE);
+        let ripple = view.ripple_error * (0.5 * (1.0 + common * common)).sqrt();
         let alone = own / (((rows - lag) as f64) * view.dof).sqrt();
         Expected::plain(
             o,
             near - flat + slow,
             alone
-                .hypot(view.ripple_error)
+                .hypot(ripple)
                 .hypot(0.3 * view.moving)
                 .hypot(lines / columns as f64)
                 .hypot(s.unsure_var.hypot(view.rough.1) / columns as f64),

@@ -22,8 +22,8 @@ impl Statistic for This {
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
         if let Some(before) = chunk.before() {
             let means = &chunk.said().frame_means;
-            put.put_over(0, chunk.from_the_first(), before - means.mean_dn());
-            put.put_over(1, chunk.from_the_first(), means.first_step_dn());
+            put.put_over(0, chunk.since_the_first(), before - means.mean_dn());
+            put.put_over(1, chunk.since_the_first(), means.first_step_dn());
         }
     }
 

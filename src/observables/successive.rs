@@ -39,7 +39,8 @@ impl Statistic for This {
             }
             power.lag(0, 0) * (view.product(memory) + left / view.n.max(2.0))
         };
-        let value = carried(&s.shot, &s.shot_memory, view.left.0) + carried(&s.read, &s.read_memory, view.left.1);
+        let value =
+            carried(&s.shot, &s.shot_memory, view.left.0) + carried(&s.read, &s.read_memory, view.left.1);
         Expected::plain(
             o,
             value,

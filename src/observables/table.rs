@@ -76,17 +76,18 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         });
         frames.push(FrameInfo { set: place, time_s: 0.0 });
         let turn = Half::TURNS[place % 2];
-        let mut add = |statistic: &'static dyn Statistic, index: usize, half: Half, value: f64, std_err: f64| {
-            list.push(Observable {
-                statistic,
-                index,
-                set: Some(place),
-                half,
-                frames: (place, place + 1),
-                measured: Value { value, std_err },
-                pixels: point.pixels,
-            });
-        };
+        let mut add =
+            |statistic: &'static dyn Statistic, index: usize, half: Half, value: f64, std_err: f64| {
+                list.push(Observable {
+                    statistic,
+                    index,
+                    set: Some(place),
+                    half,
+                    frames: (place, place + 1),
+                    measured: Value { value, std_err },
+                    pixels: point.pixels,
+                });
+            };
         // Without exposures the mean gives the light: known to both halves.
         add(&mean::This, 0, if exposures { turn } else { Half::Both }, level.mean_dn, 0.0);
         if let Some(reading) = level.monitor.filter(|m| *m > 0.0 && exposures) {
@@ -120,6 +121,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         list,
         scenes: [None, None],
         codes: [0..0, 0..0],
+        after_scene: vec![false; kept.len()],
         is_table: true,
         means_given: !exposures,
         missing,

@@ -123,7 +123,7 @@ pub fn percent(share: f64) -> String {
     match share {
         s if s > 0.999 => "more than 99.9 %".into(),
         s if s < 0.001 => "less than 0.1 %".into(),
-        s if s > 0.99 || s < 0.01 => format!("{:.1} %", 100.0 * s),
+        s if !(0.01..=0.99).contains(&s) => format!("{:.1} %", 100.0 * s),
         s => format!("{:.0} %", 100.0 * s),
     }
 }

@@ -5,7 +5,8 @@
 
 use crate::effects::{campaign, observe, scaled, unit, with};
 use crate::support::radcam;
-use radcam::compare::{Fitted, Observations, fit, start};
+use radcam::inference::{Fitted, compare, fit, start};
+use radcam::observables::{Observations, expectations};
 use radcam_sim::Model;
 use radcam_sim::effects::{EFFECTS, Effect, example, find};
 use std::collections::BTreeMap;
@@ -35,12 +36,13 @@ fn strength(
     let mut hidden = truth.clone();
     hidden.effects.push((effect, values.to_vec()));
     let mut seen = clean.clone();
-    let expected: Vec<f64> = hidden.expected(clean, None).iter().map(|(_, e)| e.value).collect();
-    seen.all.iter_mut().zip(expected).for_each(|(o, v)| o.measured.value = v);
-    let fitted = fit(&seen, None, &truth.base, &[]);
+    let expected: Vec<f64> =
+        expectations(clean, &hidden.predict(clean), |_| true).iter().map(|(_, e)| e.value).collect();
+    seen.list.iter_mut().zip(expected).for_each(|(o, v)| o.measured.value = v);
+    let fitted = fit(&seen, None, &truth.base, &Vec::new());
     let mut of: BTreeMap<String, f64> = BTreeMap::new();
-    for (o, e) in fitted.expected(&seen, None) {
-        *of.entry(o.kind.name()).or_default() += e.z().powi(2);
+    for (o, e) in expectations(&seen, &fitted.predict(&seen), |_| true) {
+        *of.entry(o.name()).or_default() += e.z().powi(2);
     }
     let best = of.iter().max_by(|a, b| a.1.total_cmp(b.1));
     best.map_or((String::new(), 0.0), |(name, squares)| (name.clone(), squares.sqrt()))
@@ -53,7 +55,7 @@ fn values_at(model: &Model, id: &str, wanted: f64) -> Option<(Vec<f64>, f64)> {
     let root = dir.path().join("clean");
     campaign(model.clone(), &root);
     let clean = observe(&root);
-    let truth = fit(&clean, None, &start(&clean), &[]);
+    let truth = fit(&clean, None, &start(&clean), &Vec::new());
     let effect = find(id).unwrap();
     let of = |knob: f64| strength(&clean, &truth, effect, &scaled(id, &plain, knob)).1;
     let (mut low, mut high) = (1e-3f64, 1e2f64);
@@ -91,7 +93,7 @@ fn ask(model: &Model) -> Answer {
         .unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&out.stderr)));
     let missing = json["missing"].as_array().unwrap();
     let name = |m: &serde_json::Value| m["effect"].as_str().unwrap().to_string();
-    let tied = |m: &&serde_json::Value| m["evidence"].to_string().contains("a tie with");
+    let tied = |m: &&serde_json::Value| m["tied_with"].is_string();
     let number = |q: &serde_json::Value, key: &str| q[key].as_f64().unwrap_or(f64::NAN);
     let parameters = missing.first().and_then(|m| m["parameters"].as_object()).into_iter().flatten();
     let first = missing.first().map(name).into_iter();
@@ -269,7 +271,7 @@ fn residuals_of_clean_cameras_are_of_unit_size() {
         let root = dir.path().join("c");
         campaign(sensor(20_000 + k), &root);
         let all = observe(&root);
-        let c = radcam::compare::compare(&all, &start(&all), &[]);
+        let c = compare(&all, &start(&all), &Vec::new());
         errors.push(c.error);
         println!("{k} {:?} {:.3} {:.1e}", all.campaign.shape, c.error, c.p_value);
         for r in &c.residuals {

@@ -95,7 +95,8 @@ fn what_was_captured_before_a_fault_stays_whole() {
     impl Illuminator for Failing {
         fn apply(&mut self, state: &BenchState, camera: &mut dyn Camera) -> Result<BenchState, BenchError> {
             self.1 += 1;
-            if self.1 > 5 {
+            // Once for the search, once to let it fade, and once for each set.
+            if self.1 > 6 {
                 return Err(BenchError::Person("the lamp is broken".into()));
             }
             self.0.apply(state, camera)

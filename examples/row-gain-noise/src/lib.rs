@@ -4,7 +4,7 @@
 //! An effect draws and predicts. [`radcam_sim::effects::register`] makes it known, and every verb takes it: `effects`, `model add`,
 //! `simulate`, `compare`, `diagnose`.
 
-use radcam_sim::effects::{Drawing, Effect, Page, Parameter, Stage, takes};
+use radcam_sim::effects::{Drawing, Effect, Page, Parameter, Plain, Stage, takes};
 use radcam_sim::predict::{Campaign, Prediction};
 
 /// Each row's signal times 1 + rel N(0, 1), anew in every frame.
@@ -23,6 +23,10 @@ impl Effect for RowGainNoise {
         &[Parameter { name: "rel", unit: "1", min: 0.0, max: 0.1, starts: &[0.001] }]
     }
 
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.15 / plain.range_e.sqrt()])
+    }
+
     fn page(&self) -> Page {
         Page {
             what: "The reference of the column converters is sampled for each row, with noise of its own.",
@@ -39,7 +43,7 @@ impl Effect for RowGainNoise {
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
         // After the amplifier everything is in DN above the level of zero charge.
         for s in &mut out.sets {
-            s.row += (p[0] * s.signal).powi(2);
+            s.row.add((p[0] * s.signal).powi(2));
         }
     }
 

@@ -1,6 +1,8 @@
 //! Brighter-fatter: charge already in a pixel repels what arrives later.
 
-use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Stage, Together, shifted, takes};
+use super::{
+    Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Stage, Together, shifted, takes,
+};
 
 /// Flow of arriving charge along the gradient of the charge so far.
 pub struct This;

@@ -101,6 +101,13 @@ impl Effect for This {
             let wide = s.covariance(0, 0) / (here * here);
             let added = over(&|q| (q * q - 1.0) / 12.0);
             s.read.add_white(added.max(0.0));
+            if p[0] < 0.5 && here > 1.001 {
+                // A root's squares are rounded to whole codes, each by its own part of one: few of them do not average out. And whole
+                // codes fall between the table's steps by a pattern of their own: at 3 to 5 DN a step numpy finds some hundredths of its
+                // square more or less.
+                s.unsure_mean = libm::hypot(s.unsure_mean, 0.29 / libm::sqrt(1.0 + 3.5 * total / here));
+                s.unsure_var = libm::hypot(s.unsure_var, 0.06 * here * here);
+            }
             s.codes_used *= over(&|q| 1.0 / q);
             // Noise narrower than half a step: what is left of it depends on where it lies.
             let ripple = libm::exp(-2.0 * std::f64::consts::PI.powi(2) * (wide + (spread / here).powi(2)));

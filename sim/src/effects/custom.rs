@@ -140,7 +140,9 @@ pub fn custom(
             .collect::<Result<Vec<_>, String>>()?;
         let formula = Formula { expression, places };
         let place: Vec<f64> = names.iter().map(|n| values[*n]).collect();
-        formula.sound(&place).map_err(|at| format!("custom effect {name}: {target} = \"{text}\" is no number at {at}"))?;
+        formula
+            .sound(&place)
+            .map_err(|at| format!("custom effect {name}: {target} = \"{text}\" is no number at {at}"))?;
         ready.insert(target.clone(), formula);
     }
     let parameters: Vec<Parameter> = values

@@ -52,9 +52,8 @@ impl Held {
         match self {
             Self::Next { share, again: false } => [share * charge, 0.0],
             Self::Next { share, again: true } => [share / (1.0 - share) * charge, 0.0],
-            Self::Traps(traps) => {
-                traps.map(|(share, tau_s)| share * charge / -libm::expm1(-every_s.max(1e-9) / tau_s.max(1e-9)))
-            }
+            Self::Traps(traps) => traps
+                .map(|(share, tau_s)| share * charge / -libm::expm1(-every_s.max(1e-9) / tau_s.max(1e-9))),
         }
     }
 

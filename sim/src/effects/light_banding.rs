@@ -101,7 +101,9 @@ impl Effect for This {
             let size = p[1] * left(p[3], d.exposure_s);
             (0..rows).map(|y| size * libm::sin(turn * p[2] * y as f64 + phase)).collect()
         };
-        for ((mut row, rate), factor) in d.image.outer_iter_mut().zip(d.rate_e_per_s.outer_iter()).zip(factors) {
+        for ((mut row, rate), factor) in
+            d.image.outer_iter_mut().zip(d.rate_e_per_s.outer_iter()).zip(factors)
+        {
             row.scaled_add(factor * d.exposure_s, &rate);
         }
         d.image.mapv_inplace(|q| q.max(0.0));

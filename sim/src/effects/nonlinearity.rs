@@ -51,7 +51,11 @@ fn bent(p: &[f64], full_scale_dn: f64) -> impl Fn(f64) -> f64 {
             4 => full_scale_dn * libm::pow((v / full_scale_dn).abs(), p[EXPONENT]).copysign(v),
             5 => v.min(p[KNEE]) + p[KNEE + 1] * (v - p[KNEE]).max(0.0),
             6 => {
-                if v > 0.0 { -p[ASYMPTOTE] * libm::expm1(-v / p[ASYMPTOTE]) } else { v }
+                if v > 0.0 {
+                    -p[ASYMPTOTE] * libm::expm1(-v / p[ASYMPTOTE])
+                } else {
+                    v
+                }
             }
             _ => {
                 let at = (x * KNOTS as f64).clamp(0.0, 2.0 * KNOTS as f64);
@@ -131,7 +135,8 @@ impl Effect for This {
         let peak = (seen.peak_dn).clamp(1.0, full);
         let base = |shape: f64| {
             let mut p = vec![0.0; FIRST_KNOT + KNOTS];
-            (p[0], p[EXPONENT], p[KNEE], p[KNEE + 1], p[ASYMPTOTE]) = (shape, 1.0, 0.5 * peak, 1.0, 30.0 * full);
+            (p[0], p[EXPONENT], p[KNEE], p[KNEE + 1], p[ASYMPTOTE]) =
+                (shape, 1.0, 0.5 * peak, 1.0, 30.0 * full);
             p
         };
         let with = |shape: f64, set: &[(usize, f64)]| {

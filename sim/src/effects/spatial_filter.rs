@@ -65,7 +65,8 @@ impl Effect for This {
             // It adds floor(s (v - mean of neighbours) + 1/2) to every code: of four neighbours a quarter of s times a whole number.
             let x = s.pixels();
             let (whole, square) = if d == 0.0 { (0.25, 20.0) } else { (0.125, 72.0) };
-            let correction = Correction::new(whole * strength, libm::sqrt(square * x), libm::sqrt(square) * pattern);
+            let correction =
+                Correction::new(whole * strength, libm::sqrt(square * x), libm::sqrt(square) * pattern);
             let (slope, noise) = correction.linear();
             let strength = (slope / whole).copysign(strength);
             let h = |ky: f64, kx: f64| {

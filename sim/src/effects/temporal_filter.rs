@@ -67,7 +67,8 @@ impl Effect for This {
         let of_sets: Vec<_> = out.sets.iter().map(of_set).collect();
         let mut last = out.base.past_e.map(|past| past * out.base.gain_dn_per_e);
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
-            let step = last.map_or(0.0, |last| of_sets.get(frame.set).map_or(a * (last - *m), |s| s.2.mean(last - *m)));
+            let step = last
+                .map_or(0.0, |last| of_sets.get(frame.set).map_or(a * (last - *m), |s| s.2.mean(last - *m)));
             *m += step;
             last = Some(*m);
         }
