@@ -66,7 +66,7 @@ pub enum NoiseError {
 /// use radcam::noise;
 /// let level = |mean_dn: f64| Level {
 ///     mean_dn, var_dn2: 0.5 * mean_dn + 4.0, pixels: Some(1e6), exposure_s: None, illumination: None,
-///     cov_01: None, cov_10: None, cov_11: None,
+///     cov_01: None, cov_10: None, cov_11: None, lamp: None, monitor: None,
 /// };
 /// let table = Table { levels: [10.0, 100.0, 500.0, 900.0].map(level).into() };
 /// let report = noise::of_table(&table)?;

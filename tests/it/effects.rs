@@ -249,21 +249,57 @@ fn practice_sets_are_diagnosed() {
         ("interpixel-crosstalk", "a", 0.012),
         ("row-noise", "e", 1.2),
         ("nonlinearity", "rel", 0.04),
+        // Of the second group: what firmware rounds, bends of other shapes, a past, settings of the lamp.
+        ("power-law nonlinearity", "exponent", 0.955),
+        ("two-slope nonlinearity", "knee_dn", 2047.5),
+        ("two-slope nonlinearity", "ratio", 0.86),
+        ("temporal-filter-rounded temporal-filter", "alpha", 0.16),
+        ("sharpened-rounded spatial-filter", "strength", 4.0 * 0.05),
+        ("lamp-settings illumination-setting", "rel", 0.004),
+        ("lag-with-a-past image-lag", "fraction", 0.015),
+        ("unequal-codes adc-nonlinearity", "top2_dn", 0.2137),
     ];
     for (name, parameter, truth) in sets {
-        let out = expect(1, &["diagnose", root.join(name).to_str().unwrap(), "--json"]);
+        let (folder, name) = name.split_once(' ').unwrap_or((name, name));
+        let out = expect(1, &["diagnose", root.join(folder).to_str().unwrap(), "--json"]);
         let json: serde_json::Value = serde_json::from_str(&out).unwrap();
         assert_eq!(json["missing"][0]["effect"], name, "{out}");
         let after = json["error_after"].as_f64().unwrap();
         assert!((0.9..1.15).contains(&after), "{name}: {after}");
         let q = &json["missing"][0]["parameters"][parameter];
         let (value, error) = (q["value"].as_f64().unwrap(), q["std_err"].as_f64().unwrap());
+        if name == "adc-nonlinearity" {
+            // Weights of high bits are known up to a common factor and an offset of the camera's: which code edges they give is not compared.
+            continue;
+        }
         assert!((value - truth).abs() < 3.0 * error, "{name}: {parameter} {value} +- {error}, truth {truth}");
     }
     let clean = root.join("clean");
     let out = expect(0, &["diagnose", clean.to_str().unwrap(), "--json"]);
     assert!(out.contains("\"missing\": []"), "{out}");
     expect(0, &["compare", clean.to_str().unwrap()]);
+}
+
+/// The outside generator's table with two lamps and a light monitor: the scatter of the lamps, the late shutter and brighter-fatter, whose
+/// a00 is twice the sum of ours.
+#[test]
+fn a_table_with_lamps_and_a_monitor_is_diagnosed() {
+    let Some(root) = shared("practice") else { return };
+    let out = expect(1, &["diagnose", root.join("table-two-lamps.csv").to_str().unwrap(), "--json"]);
+    let json: serde_json::Value = serde_json::from_str(&out).unwrap();
+    let missing = json["missing"].as_array().unwrap();
+    for (effect, parameter, truth) in [
+        ("illumination-setting", "rel", 0.0015),
+        ("exposure-offset", "t0_s", 0.021),
+        ("brighter-fatter", "a_vertical_per_e + a_horizontal_per_e", 2.4e-6 / 2.0),
+    ] {
+        let found =
+            missing.iter().find(|m| m["effect"] == effect).unwrap_or_else(|| panic!("no {effect}: {out}"));
+        let q = &found["parameters"][parameter];
+        let (value, error) = (q["value"].as_f64().unwrap(), q["std_err"].as_f64().unwrap());
+        assert!((value - truth).abs() < 3.0 * error, "{effect}: {value} +- {error}, truth {truth}");
+    }
+    assert!(json["error_after"].as_f64().unwrap() < 1.15, "{out}");
 }
 
 /// A measured table: the turn-off is found, the line fails, the first addition helps at least six-fold, the rest is described.
