@@ -131,13 +131,12 @@ pub fn diagnose(
     let first = compare(all, &model.base, &model.effects);
     progress(&format!("error {:.2}", first.error));
     let found = search(all, &model, first.error > FAR, progress);
-    let parts = parts(all, &model, found.fitted.clone(), found.first, &first);
-    let (parts, whole) = parts;
+    let (parts, whole) = parts(all, &model, found.fitted, found.first, &first);
     let last = if parts.is_empty() { first.clone() } else { compare(all, &whole.base, &whole.effects) };
     progress(&format!("error {:.2} with {} effects added", last.error, parts.len()));
     let mut ladder = vec![Rung { added: None, error: first.error, p_value: first.p_value }];
     ladder.extend(rungs(all, &model, &parts, &whole, &last));
-    let mut missing = named(all, &parts, &whole, &first, &last, &ladder);
+    let mut missing = named(&parts, &whole, &first, &last, &ladder);
     let mut notes = all.missing.clone();
     let (mut next_measurement, mut sets) = (None, takes::PAIRS);
     for (part, entry) in parts.iter().zip(&missing) {
@@ -150,7 +149,7 @@ pub fn diagnose(
         }
     }
     add_ties(&parts, &whole, &mut missing);
-    add_unknown(all, &parts, &first, &last, &mut missing, &mut notes);
+    add_unknown(&parts, &first, &last, &mut missing, &mut notes);
     if missing.iter().any(|m| m.effect == "unknown") && next_measurement.is_none() {
         next_measurement = Some(
             "the statistic that strays most, at more levels and frames; a custom formula in the model file can describe it".into(),
@@ -248,14 +247,12 @@ fn rungs(all: &Observations, model: &Fitted, parts: &[Part], whole: &Fitted, las
 
 /// The parts as entries of the answer.
 fn named(
-    all: &Observations,
     parts: &[Part],
     whole: &Fitted,
     first: &Comparison,
     last: &Comparison,
     ladder: &[Rung],
 ) -> Vec<Missing> {
-    let _ = all;
     let entry = |(k, part): (usize, &Part)| {
         let mut entry = describe(whole, part.effect, confidence(part, part.evidence));
         entry.error_drop = ladder[k].error - ladder[k + 1].error;
@@ -306,7 +303,6 @@ fn add_ties(parts: &[Part], whole: &Fitted, missing: &mut Vec<Missing>) {
 
 /// What no name explains: first where the names do not bring the campaign to the noise, else in a note.
 fn add_unknown(
-    all: &Observations,
     parts: &[Part],
     first: &Comparison,
     last: &Comparison,
@@ -337,7 +333,6 @@ fn add_unknown(
     if evidence.is_empty() {
         evidence.push(format!("error {:.3} over all statistics, p {}", last.error, chance(last.p_value)));
     }
-    let _ = all;
     missing.insert(
         0,
         Missing {

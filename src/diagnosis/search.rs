@@ -35,7 +35,6 @@ fn there(all: &Observations) -> Needs {
     match (all.has(&frame_scatter::This), all.has(&covariance::This)) {
         (true, _) => Needs::Frames,
         (_, true) => Needs::Covariances,
-        _ if all.means_given => Needs::Variances,
         _ => Needs::Variances,
     }
 }

@@ -60,7 +60,7 @@ impl Fitted {
         Self { base, ..self.clone() }
     }
 
-    /// Variance of something with these slopes with two parameters of an effect.
+    /// Covariance of two parameters of an effect, in their own units.
     pub fn covariance_of(&self, effect: usize, a: usize, b: usize) -> f64 {
         let place = |k: usize| self.free.place(Common::Of(effect, k));
         let (Some(i), Some(j)) = (place(a), place(b)) else { return f64::NAN };
