@@ -16,6 +16,10 @@ const FITTED: usize = 9;
 /// Starts of one candidate that are fitted for a few rounds; of the most promising candidate, one of every form.
 const STARTS: usize = 3;
 const FORMS: usize = 8;
+/// Of the starts of a candidate so many are fitted to the end.
+const FINISHED: usize = 4;
+/// A candidate whose evidence after a few rounds is below this share of the best is not fitted to the end.
+const BEHIND: f64 = 0.3;
 /// A second line is followed where its evidence is this near the best line's.
 const NEAR: f64 = 40.0;
 
@@ -83,13 +87,25 @@ pub fn candidates(all: &Observations, now: &Fitted, fresh: bool) -> Vec<Candidat
     let chosen: Vec<_> =
         first.into_iter().chain(rest.into_iter().filter(|p| p.0 > NEEDED).take(FITTED)).collect();
     let best = chosen.iter().map(|p| p.0).filter(|g| g.is_finite()).fold(0.0, f64::max);
-    let mut found: Vec<Candidate> = chosen
+    let own = score(all, now);
+    let brief: Vec<(&'static dyn Effect, Vec<Fitted>)> = chosen
         .into_par_iter()
-        .filter_map(|(gain, effect, starts)| {
+        .map(|(gain, effect, starts)| {
             let forms = if gain >= best { FORMS } else { STARTS };
-            let fitted = from_starts(all, now, guess.as_ref(), effect, &starts, forms)?;
-            let evidence = score(all, now) - score(all, &fitted);
-            Some(Candidate { effect, fitted, evidence })
+            (effect, from_starts(all, now, guess.as_ref(), effect, &starts, forms, Some(&screen)))
+        })
+        .collect();
+    // A few rounds tell which are far behind; the others are fitted to the end.
+    let evidence = |f: &Fitted| own - score(all, f);
+    let ahead = brief.iter().filter_map(|(_, tries)| Some(evidence(tries.first()?))).fold(0.0, f64::max);
+    let mut found: Vec<Candidate> = brief
+        .into_par_iter()
+        .filter_map(|(effect, mut tries)| {
+            if evidence(tries.first()?) > BEHIND * ahead {
+                tries = finished(all, tries);
+            }
+            let fitted = tries.into_iter().next()?;
+            Some(Candidate { effect, evidence: evidence(&fitted), fitted })
         })
         .collect();
     found.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
@@ -102,7 +118,7 @@ pub fn candidates(all: &Observations, now: &Fitted, fresh: bool) -> Vec<Candidat
     found
 }
 
-/// The best fit of a model with one more effect, from the most promising of its starts.
+/// Models with one more effect, from the most promising of its starts, after a few rounds of a fit; the best first.
 fn from_starts(
     all: &Observations,
     now: &Fitted,
@@ -110,7 +126,8 @@ fn from_starts(
     effect: &'static dyn Effect,
     starts: &[Scored],
     forms: usize,
-) -> Option<Fitted> {
+    screen: Option<&Screen<'_>>,
+) -> Vec<Fitted> {
     // Of each combination of choices the best start, then others.
     let choices = |v: &[f64]| -> Vec<u64> {
         let of = effect.parameters().iter().zip(v).filter(|(p, _)| p.is_choice());
@@ -133,11 +150,23 @@ fn from_starts(
     let brief = tries.into_par_iter().map(|(base, start)| {
         let mut effects: Effects = base.effects.clone();
         effects.push((effect, start.values.clone()));
-        fit_briefly(all, &base.base, &effects)
+        // Slopes at the fit serve beside it, not at a fresh guess.
+        let known = screen.filter(|_| std::ptr::eq(base, now)).map(Screen::slopes);
+        fit_briefly(all, &base.base, &effects, known)
     });
-    let brief: Vec<Fitted> = brief.collect();
-    let best = brief.iter().min_by(|a, b| score(all, a).total_cmp(&score(all, b)))?;
-    Some(fit(all, None, &best.base, &best.effects))
+    sorted(all, brief.collect())
+}
+
+/// The best first.
+fn sorted(all: &Observations, mut models: Vec<Fitted>) -> Vec<Fitted> {
+    models.sort_by(|a, b| score(all, a).total_cmp(&score(all, b)));
+    models
+}
+
+/// The best of some models, fitted to the end; the best first.
+fn finished(all: &Observations, models: Vec<Fitted>) -> Vec<Fitted> {
+    let all_of = models.into_par_iter().take(FINISHED).map(|m| fit(all, None, &m.base, &m.effects));
+    sorted(all, all_of.collect())
 }
 
 /// A parameter that is nothing within its error explains nothing, nor does one at the end of its range.
@@ -267,7 +296,8 @@ pub fn searched(all: &Observations, given: &[Given]) -> Effects {
         hinted.extend(effect.starts(&seen(all, &now.base)));
         // From the first guess: a fit that lacks the effect may lie far off.
         let starts = Screen::new(all, &guess).starts(*effect, values, &hinted);
-        now = from_starts(all, &now, Some(&guess), *effect, &starts, FORMS).unwrap_or_else(|| {
+        let brief = from_starts(all, &now, Some(&guess), *effect, &starts, FORMS, None);
+        now = finished(all, brief).into_iter().next().unwrap_or_else(|| {
             let first = hinted.into_iter().next();
             let first = first.unwrap_or_else(|| effect.parameters().iter().map(|p| p.min.max(0.0)).collect());
             let mut still = now.clone();

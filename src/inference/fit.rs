@@ -4,7 +4,7 @@
 //! error of something else: flicker is told by the scatter of frames, and the scatter of a lamp's settings by that of sets.
 
 use super::free::{Common, Free, Point};
-use super::system::{Covariance, Layout, State, System};
+use super::system::{Covariance, Layout, Slopes, State, System};
 use crate::observables::{Half, Observations, mean};
 use radcam_sim::effects::{self, Effect, Seen};
 use radcam_sim::predict::{BaseParameters, Prediction};
@@ -15,6 +15,8 @@ const ROUNDS: usize = 40;
 const FIRST_ROUNDS: usize = 5;
 /// A round that gains less of the objective has arrived.
 const ARRIVED: f64 = 1e-3;
+/// Slopes are taken again where a round gains more than this share of the one before: with slopes that hold, each is far smaller.
+const SLOW: f64 = 0.1;
 
 /// Effects with the values of their parameters.
 pub type Effects = Vec<(&'static dyn Effect, Vec<f64>)>;
@@ -82,12 +84,18 @@ pub fn as_given(values: &[f64], given: &[Option<f64>]) -> Vec<f64> {
 
 /// Fits the paper's parameters and those of some effects, from a start. `half`: on these observables and those of both only.
 pub fn fit(all: &Observations, half: Option<Half>, base: &BaseParameters, effects: &Effects) -> Fitted {
-    fit_for(ROUNDS, all, half, base, effects)
+    fit_for(ROUNDS, all, half, base, effects, None)
 }
 
-/// The same for a few rounds: enough to see which of several starts is the best.
-pub fn fit_briefly(all: &Observations, base: &BaseParameters, effects: &Effects) -> Fitted {
-    fit_for(FIRST_ROUNDS, all, None, base, effects)
+/// The same for a few rounds: enough to see which of several starts is the best. `known`: slopes at a place that is near but for the last
+/// effect.
+pub(crate) fn fit_briefly(
+    all: &Observations,
+    base: &BaseParameters,
+    effects: &Effects,
+    known: Option<&Slopes>,
+) -> Fitted {
+    fit_for(FIRST_ROUNDS, all, None, base, effects, known)
 }
 
 /// Halves that a fit uses.
@@ -104,18 +112,22 @@ fn fit_for(
     half: Option<Half>,
     base: &BaseParameters,
     effects: &Effects,
+    known: Option<&Slopes>,
 ) -> Fitted {
     let layout = Layout::new(all, &halves(half));
     let (free, mut point) = Free::new(all, base, effects);
     free.clamp(&mut point);
     let mut now = layout.at(&free, &point);
     let mut damping = 1e-3;
-    let mut system = System::new(&layout, &free, &point, &now);
-    for round in 0..rounds {
+    let mut slopes = Slopes::beside(known, &layout, &free, &point, &now);
+    let mut fresh = known.is_none();
+    let mut system = System::new(&layout, &free, &point, &now, &slopes);
+    let mut last = f64::INFINITY;
+    for _ in 0..rounds {
         let normal = system.normal();
         let before = system.objective(&now, &now, &point.lights);
         let mut found: Option<(Point, State, f64)> = None;
-        for _ in 0..10 {
+        for _ in 0..if fresh { 10 } else { 2 } {
             let Some((step, lights)) = normal.step(damping) else {
                 damping *= 10.0;
                 continue;
@@ -133,11 +145,10 @@ fn fit_for(
             }
             damping *= 6.0;
         }
-        let moved = found.is_some();
         let mut gained = 0.0;
         if let Some((trial, there, by)) = found {
             (point, now, gained) = (trial, there, by);
-            system = System::new(&layout, &free, &point, &now);
+            system = System::new(&layout, &free, &point, &now, &slopes);
         }
         let factors = system.scatter_factors();
         let settled = factors.iter().all(|(_, f)| (f - 1.0).abs() < 1e-3);
@@ -145,11 +156,22 @@ fn fit_for(
             factors.iter().for_each(|(i, f)| point.x[*i] *= f);
             free.clamp(&mut point);
             now = layout.at(&free, &point);
-            system = System::new(&layout, &free, &point, &now);
         }
-        if settled && (!moved || round > 1 && gained < ARRIVED) {
+        let arrived = settled && gained < ARRIVED;
+        if arrived && fresh {
             break;
         }
+        // Slopes serve for as long as each round brings little beside the one before.
+        fresh = arrived || gained > SLOW * last || gained == 0.0;
+        last = if fresh { f64::INFINITY } else { gained };
+        if fresh {
+            slopes = Slopes::new(&layout, &free, &point, &now);
+        }
+        system = System::new(&layout, &free, &point, &now, &slopes);
+    }
+    if !fresh && rounds > FIRST_ROUNDS {
+        slopes = Slopes::new(&layout, &free, &point, &now);
+        system = System::new(&layout, &free, &point, &now, &slopes);
     }
     let objective = system.likelihood(&now, &point.lights);
     let covariance = system.normal().covariance();

@@ -4,7 +4,7 @@
 //! frames go to one half, so that noise that runs from frame to frame within a chunk stays on one side.
 
 use super::fit::{Effects, Fitted, fit, halves};
-use super::system::{Layout, System};
+use super::system::{Layout, Slopes, System};
 use crate::observables::{Half, Observable, Observations, Statistic, mean, settling};
 use radcam_sim::predict::BaseParameters;
 use serde::Serialize;
@@ -139,7 +139,8 @@ fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
     let own = Layout::new(all, &halves(Some(half)));
     let settings = {
         let state = own.at(&fitted.free, &fitted.point);
-        System::new(&own, &fitted.free, &fitted.point, &state).settings()
+        let slopes = Slopes::new(&own, &fitted.free, &fitted.point, &state);
+        System::new(&own, &fitted.free, &fitted.point, &state, &slopes).settings()
     };
     let layout = Layout::new(all, &[half.other()]);
     let state = layout.at(&fitted.free, &fitted.point);
@@ -149,7 +150,7 @@ fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
         light.is_none_or(|l| seen[l])
     };
     let levels = levels(all, fitted.base.offset_dn);
-    let slopes = super::system::plain_slopes(&layout, &fitted.free, &fitted.point, &state);
+    let slopes = Slopes::new(&layout, &fitted.free, &fitted.point, &state).over_errors(&state);
     let n = fitted.free.common.len();
     let prediction = fitted.predict(all);
     let mut out = Vec::new();
@@ -209,7 +210,8 @@ fn residual(
 pub(crate) fn residuals_of(all: &Observations, fitted: &Fitted) -> Vec<Residual> {
     let layout = Layout::new(all, &halves(None));
     let state = layout.at(&fitted.free, &fitted.point);
-    let system = System::new(&layout, &fitted.free, &fitted.point, &state);
+    let slopes = Slopes::new(&layout, &fitted.free, &fitted.point, &state);
+    let system = System::new(&layout, &fitted.free, &fitted.point, &state, &slopes);
     let levels = levels(all, fitted.base.offset_dn);
     let rows = layout.rows.iter().zip(&state.expected).zip(&system.z);
     rows.filter(|(_, z)| z.is_finite())

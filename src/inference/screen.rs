@@ -2,12 +2,14 @@
 
 use super::fit::{Fitted, as_given, halves};
 use super::free::Free;
-use super::system::{Direction, Layout, State, System};
+use super::system::{Direction, Layout, Slopes, State, System};
 use crate::observables::Observations;
 use radcam_sim::effects::{self, Effect};
 
 /// Sizes, relative to an effect's own start, at which its shape is looked at: many shapes change with the size.
 const SIZES: [f64; 3] = [1.0, 0.1, 10.0];
+/// A move that reaches this share of what a move in proportion would reach at best is one.
+const IN_PROPORTION: f64 = 0.9;
 
 /// A start with what it promises.
 #[derive(Debug, Clone)]
@@ -25,6 +27,8 @@ pub struct Screen<'a> {
     layout: Layout<'a>,
     free: Free,
     point: super::free::Point,
+    state: State,
+    slopes: Slopes,
 }
 
 impl<'a> Screen<'a> {
@@ -32,7 +36,14 @@ impl<'a> Screen<'a> {
     pub fn new(all: &'a Observations, now: &'a Fitted) -> Self {
         let layout = Layout::new(all, &halves(None));
         let (free, point) = Free::new(all, &now.base, &now.effects);
-        Self { now, all, layout, free, point }
+        let state = layout.at(&free, &point);
+        let slopes = Slopes::new(&layout, &free, &point, &state);
+        Self { now, all, layout, free, point, state, slopes }
+    }
+
+    /// Slopes at the fit.
+    pub(crate) fn slopes(&self) -> &Slopes {
+        &self.slopes
     }
 
     /// Starts of one more effect, the most promising first; those that move nothing are left out. `given`: values that are known.
@@ -42,16 +53,13 @@ impl<'a> Screen<'a> {
         given: &[Option<f64>],
         hinted: &[Vec<f64>],
     ) -> Vec<Scored> {
-        let state = self.layout.at(&self.free, &self.point);
-        let system = System::new(&self.layout, &self.free, &self.point, &state);
-        let direction = Direction::new(&system);
-        self.starts_in(&state, &direction, effect, given, hinted)
+        let system = System::new(&self.layout, &self.free, &self.point, &self.state, &self.slopes);
+        Direction::new(&system).map_or_else(Vec::new, |d| self.starts_in(&d, effect, given, hinted))
     }
 
     /// The same with the slopes at hand.
     fn starts_in(
         &self,
-        state: &State,
         direction: &Direction<'_, '_>,
         effect: &'static dyn Effect,
         given: &[Option<f64>],
@@ -77,30 +85,85 @@ impl<'a> Screen<'a> {
             for size in if has_size { &SIZES[..] } else { &SIZES[..1] } {
                 let values = sized(&values, *size);
                 let there = self.at(effect, &values);
-                if there.setting_widens(state) {
+                if there.setting_widens(&self.state) {
                     take(values, f64::INFINITY);
                     continue;
                 }
-                let Some((whole, multiple)) = direction.gain(state, &there) else { continue };
-                take(values.clone(), whole);
-                if !has_size || !multiple.is_finite() || multiple == 0.0 {
+                let Some(moved) = self.left(direction, &there).and_then(|l| direction.gain(&l)) else { continue };
+                take(values.clone(), moved.whole);
+                if !has_size || !moved.multiple.is_finite() || moved.multiple == 0.0 {
                     continue;
                 }
                 // The best multiple, if the move is in proportion to the size, and if it is so to its square.
-                for by in [multiple, multiple.abs().sqrt()] {
-                    if by < 0.0 && !crosses || multiple < 0.0 && by > 0.0 {
+                let mut reached = moved.whole;
+                for by in [moved.multiple, moved.multiple.abs().sqrt()] {
+                    if by < 0.0 && !crosses || moved.multiple < 0.0 && by > 0.0 {
                         continue;
                     }
                     let values = sized(&values, by.clamp(-1e4, 1e4));
-                    if let Some((whole, _)) = direction.gain(state, &self.at(effect, &values)) {
-                        take(values, whole);
+                    let there = self.left(direction, &self.at(effect, &values));
+                    if let Some(there) = there.and_then(|l| direction.gain(&l)) {
+                        take(values, there.whole);
+                        reached = reached.max(there.whole);
+                    }
+                    if reached > IN_PROPORTION * moved.best {
+                        break;
                     }
                 }
+                // A shape that does not change with the size has shown all.
+                if reached > IN_PROPORTION * moved.best {
+                    break;
+                }
             }
-            out.extend(best);
+            let refined = best.as_ref().and_then(|b| self.refined(direction, effect, given, b));
+            out.extend(refined.or(best));
         }
         out.sort_by(|a, b| b.gain.total_cmp(&a.gain));
         out
+    }
+
+    fn left(&self, direction: &Direction<'_, '_>, there: &State) -> Option<Vec<f64>> {
+        direction.left_of(&self.state, there)
+    }
+
+    /// Where an effect has several sizes, the best of all of them together, in one step from a start.
+    fn refined(
+        &self,
+        direction: &Direction<'_, '_>,
+        effect: &'static dyn Effect,
+        given: &[Option<f64>],
+        start: &Scored,
+    ) -> Option<Scored> {
+        let parameters = effect.parameters();
+        let known = |k: usize| given.get(k).copied().flatten().is_some();
+        let free: Vec<usize> = (0..parameters.len())
+            .filter(|k| parameters[*k].is_size() && effect.uses(&start.values, *k) && !known(*k))
+            .collect();
+        if free.len() < 2 || !start.gain.is_finite() {
+            return None;
+        }
+        let from = self.left(direction, &self.at(effect, &start.values))?;
+        let step = |k: usize| 0.01 * start.values[k].abs().max(1e-3 * parameters[k].max.abs().min(1.0));
+        let moves: Option<Vec<Vec<f64>>> = free
+            .iter()
+            .map(|&k| {
+                let mut values = start.values.clone();
+                values[k] += step(k);
+                let mut left = self.left(direction, &self.at(effect, &values))?;
+                left.iter_mut().zip(&from).for_each(|(l, f)| *l -= f);
+                Some(left)
+            })
+            .collect();
+        let multiples = direction.together(&from, &moves?)?;
+        let mut values = start.values.clone();
+        for (&k, m) in free.iter().zip(multiples) {
+            let p = parameters[k];
+            let moved = (values[k] + m * step(k)).clamp(p.min, p.max);
+            // A fit that keeps signs does not pass through 0.
+            values[k] = if effect.keeps_sign() && moved * values[k] <= 0.0 { 0.1 * values[k] } else { moved };
+        }
+        let gain = direction.gain(&self.left(direction, &self.at(effect, &values))?)?.whole;
+        (gain > start.gain).then_some(Scored { values, gain })
     }
 
     /// A fit that keeps signs begins at every combination of them; another passes from one to the other.

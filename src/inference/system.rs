@@ -107,34 +107,99 @@ struct Block {
     variance: f64,
 }
 
-impl<'a> System<'a> {
+/// How expectations change with the common values, at some place.
+#[derive(Clone)]
+pub struct Slopes {
+    common: Vec<Common>,
+    /// Per unit of [`Point::x`], row by row.
+    expected: Vec<f64>,
+    /// Change of the logarithm of the error of rows whose error is fitted, per unit of [`Point::x`].
+    scatter: Vec<(usize, Vec<f64>)>,
+    /// Change of [`State::setting`], block by block.
+    setting: Vec<f64>,
+    scale: Vec<f64>,
+}
+
+impl Slopes {
     /// At a place.
-    pub fn new(layout: &'a Layout<'a>, free: &Free, point: &Point, now: &State) -> Self {
-        let n = free.common.len();
-        let rows = layout.rows.len();
+    pub fn new(layout: &Layout<'_>, free: &Free, point: &Point, now: &State) -> Self {
+        Self::beside(None, layout, free, point, now)
+    }
+
+    /// At a place near one where they are known: of what is not known there only.
+    pub fn beside(
+        known: Option<&Self>,
+        layout: &Layout<'_>,
+        free: &Free,
+        point: &Point,
+        now: &State,
+    ) -> Self {
+        let (n, rows, blocks) = (free.common.len(), layout.rows.len(), layout.blocks.len());
+        let monitors: Vec<usize> =
+            (0..rows).filter(|r| layout.rows[*r].is(&monitor::This)).collect();
+        let mut out = Self {
+            common: free.common.clone(),
+            expected: vec![0.0; rows * n],
+            scatter: monitors.iter().map(|r| (*r, vec![0.0; n])).collect(),
+            setting: vec![0.0; blocks * n],
+            scale: free.scale.clone(),
+        };
+        let place = |i: usize| known?.common.iter().position(|c| *c == free.common[i]);
+        let fresh: Vec<usize> = (0..n).filter(|i| !free.fixed[*i] && place(*i).is_none()).collect();
         let step_of = |i: usize| {
             let step = 1e-5 * point.x[i].abs().max(1e-2);
             if point.x[i] + step > free.bounds[i].1 { -step } else { step }
         };
-        let columns: Vec<Option<(f64, State)>> = (0..n)
+        let moved: Vec<(usize, f64, State)> = fresh
             .into_par_iter()
             .map(|i| {
-                if free.fixed[i] {
-                    return None;
-                }
-                let step = step_of(i);
                 let mut moved = point.clone();
-                moved.x[i] += step;
-                Some((step, layout.at(free, &moved)))
+                moved.x[i] += step_of(i);
+                (i, step_of(i), layout.at(free, &moved))
             })
             .collect();
-        let mut slopes = vec![0.0; rows * n];
-        for (i, column) in columns.iter().enumerate() {
-            let Some((step, there)) = column else { continue };
+        for (i, step, there) in &moved {
             for (r, (a, b)) in now.expected.iter().zip(&there.expected).enumerate() {
-                slopes[r * n + i] = (b.normal.1 - a.normal.1) / step / a.normal.2;
+                out.expected[r * n + i] = (b.normal.1 - a.normal.1) / step;
+            }
+            for (r, slopes) in &mut out.scatter {
+                slopes[*i] = (there.expected[*r].normal.2 / now.expected[*r].normal.2).ln() / step;
+            }
+            for (b, (was, is)) in now.setting.iter().zip(&there.setting).enumerate() {
+                out.setting[b * n + i] = (is - was) / step;
             }
         }
+        let Some(known) = known else { return out };
+        let m = known.common.len();
+        for i in (0..n).filter(|i| !free.fixed[*i]) {
+            let Some(k) = place(i) else { continue };
+            let by = free.scale[i] / known.scale[k];
+            (0..rows).for_each(|r| out.expected[r * n + i] = by * known.expected[r * m + k]);
+            (0..blocks).for_each(|b| out.setting[b * n + i] = by * known.setting[b * m + k]);
+            for ((_, slopes), (_, of)) in out.scatter.iter_mut().zip(&known.scatter) {
+                slopes[i] = by * of[k];
+            }
+        }
+        out
+    }
+
+    /// Over the errors of the expectations.
+    pub fn over_errors(&self, now: &State) -> Vec<f64> {
+        let n = self.common.len();
+        let mut out = self.expected.clone();
+        for (row, e) in out.chunks_exact_mut(n).zip(&now.expected) {
+            row.iter_mut().for_each(|s| *s /= e.normal.2);
+        }
+        out
+    }
+}
+
+impl<'a> System<'a> {
+    /// At a place, with slopes there or near.
+    pub fn new(layout: &'a Layout<'a>, free: &Free, point: &Point, now: &State, known: &Slopes) -> Self {
+        let n = free.common.len();
+        let rows = layout.rows.len();
+        let slopes = known.over_errors(now);
         // All light together: of a set's own observables that is the slope with its own factor.
         let all_light = free.place(Common::Light).unwrap_or(0);
         let by_light: Vec<f64> = (0..rows).map(|r| slopes[r * n + all_light]).collect();
@@ -154,21 +219,13 @@ impl<'a> System<'a> {
             priors: priors.filter_map(|(k, (l, x))| Some((k, *x, 1.0 / l.known?.powi(2)))).collect(),
             lights: free.lights.len(),
         };
-        system.gather(now, &columns);
-        let monitors = layout.rows.iter().enumerate().filter(|(_, o)| o.is(&monitor::This));
-        for (r, _) in monitors {
-            let slope = |c: &Option<(f64, State)>| {
-                c.as_ref().map_or(0.0, |(step, there)| {
-                    (there.expected[r].normal.2 / now.expected[r].normal.2).ln() / step
-                })
-            };
-            system.scatter.push((r, columns.iter().map(slope).collect()));
-        }
+        system.gather(now, known);
+        system.scatter.extend(known.scatter.iter().cloned());
         system
     }
 
     /// Turns what sees the light of a set whose setting scatters into deviations among themselves and one row for their common one.
-    fn gather(&mut self, now: &State, columns: &[Option<(f64, State)>]) {
+    fn gather(&mut self, now: &State, known: &Slopes) {
         let n = self.n;
         for (b, (_, rows)) in self.layout.blocks.iter().enumerate() {
             let loads: Vec<f64> = rows.iter().map(|r| self.by_light[*r]).collect();
@@ -199,12 +256,8 @@ impl<'a> System<'a> {
             }
             let level = self.light[rows[0]];
             rows.iter().for_each(|r| self.by_light[*r] = 0.0);
-            let scatter = |c: &Option<(f64, State)>| {
-                c.as_ref().map_or(0.0, |(step, there)| {
-                    0.5 * ((there.setting[b] / unit + 1.0 / weight) / variance).ln() / step
-                })
-            };
-            self.scatter.push((self.z.len(), columns.iter().map(scatter).collect()));
+            let scatter = known.setting[b * n..][..n].iter().map(|s| 0.5 * s / unit / variance).collect();
+            self.scatter.push((self.z.len(), scatter));
             self.z.push(common / root);
             self.expected_square.push(1.0);
             self.slopes.extend(last);
@@ -387,18 +440,40 @@ pub struct Normal {
     lights: Vec<LightTerm>,
 }
 
+/// Normal equations with the lights eliminated, factored.
+pub struct Solver {
+    factor: Vec<f64>,
+    squares: Vec<f64>,
+}
+
+impl Solver {
+    /// The step that gradients ask for: of the common values and of the lights.
+    fn solve(&self, normal: &Normal, gradient: Vec<f64>, lights: &[f64]) -> (Vec<f64>, Vec<f64>) {
+        let mut b = gradient;
+        for ((l, square), gradient) in normal.lights.iter().zip(&self.squares).zip(lights) {
+            b.iter_mut().zip(&l.with).for_each(|(b, w)| *b -= w * gradient / square);
+        }
+        b.iter_mut().zip(&normal.scatter).filter(|(_, s)| **s).for_each(|(b, _)| *b = 0.0);
+        cholesky::solve(&self.factor, &mut b);
+        let back = |((l, square), gradient): ((&LightTerm, &f64), &f64)| {
+            (gradient - l.with.iter().zip(&b).map(|(w, x)| w * x).sum::<f64>()) / square
+        };
+        let lights = normal.lights.iter().zip(&self.squares).zip(lights).map(back).collect();
+        (b, lights)
+    }
+}
+
 impl Normal {
-    /// The step that they ask for, damped; `None` where there is none.
-    pub fn step(&self, damping: f64) -> Option<(Vec<f64>, Vec<f64>)> {
+    /// Damped; `None` where there is no solution.
+    fn solver(&self, damping: f64) -> Option<Solver> {
         let n = self.n;
-        let (mut a, mut b) = (self.matrix.clone(), self.gradient.clone());
+        let mut a = self.matrix.clone();
         for i in 0..n {
             a[i * n + i] += damping * self.matrix[i * n + i] + 1e-12;
         }
         let squares: Vec<f64> = self.lights.iter().map(|l| l.square * (1.0 + damping) + 1e-12).collect();
         for (l, square) in self.lights.iter().zip(&squares) {
             for i in (0..n).filter(|i| l.with[*i] != 0.0) {
-                b[i] -= l.with[i] * l.gradient / square;
                 for j in 0..n {
                     a[i * n + j] -= l.with[i] * l.with[j] / square;
                 }
@@ -408,17 +483,15 @@ impl Normal {
             for j in 0..n {
                 (a[i * n + j], a[j * n + i]) = (0.0, 0.0);
             }
-            (a[i * n + i], b[i]) = (1.0, 0.0);
+            a[i * n + i] = 1.0;
         }
-        if !cholesky::factor(&mut a, n) {
-            return None;
-        }
-        cholesky::solve(&a, &mut b);
-        let back = |(l, square): (&LightTerm, &f64)| {
-            (l.gradient - l.with.iter().zip(&b).map(|(w, x)| w * x).sum::<f64>()) / square
-        };
-        let lights = self.lights.iter().zip(&squares).map(back).collect();
-        Some((b, lights))
+        cholesky::factor(&mut a, n).then_some(Solver { factor: a, squares })
+    }
+
+    /// The step that they ask for, damped; `None` where there is none.
+    pub fn step(&self, damping: f64) -> Option<(Vec<f64>, Vec<f64>)> {
+        let lights: Vec<f64> = self.lights.iter().map(|l| l.gradient).collect();
+        Some(self.solver(damping)?.solve(self, self.gradient.clone(), &lights))
     }
 
     /// Covariance of the common values with the lights eliminated, row by row; values without any hold keep a large error.
@@ -484,16 +557,29 @@ impl Covariance {
     }
 }
 
+/// By how much minus twice the logarithm of the likelihood falls.
+#[derive(Debug, Clone, Copy)]
+pub struct Gain {
+    /// For the whole of a move.
+    pub whole: f64,
+    /// The multiple of the move that is best, if it is in proportion.
+    pub multiple: f64,
+    /// What that would bring.
+    pub best: f64,
+}
+
 /// What moving the expectations in a direction would bring, everything else fitted: a score test (Rao 1973, section 6e).
 pub struct Direction<'s, 'a> {
     system: &'s System<'a>,
     normal: Normal,
+    solver: Solver,
 }
 
 impl<'s, 'a> Direction<'s, 'a> {
-    /// At the place of a fit.
-    pub fn new(system: &'s System<'a>) -> Self {
-        Self { normal: system.normal(), system }
+    /// At the place of a fit; `None` where its values cannot be told apart.
+    pub fn new(system: &'s System<'a>) -> Option<Self> {
+        let normal = system.normal();
+        Some(Self { solver: normal.solver(1e-9)?, normal, system })
     }
 
     /// What a scatter of settings that follows brings beyond that: of m of them with the sum of squares S that falls to T the likelihood
@@ -509,9 +595,9 @@ impl<'s, 'a> Direction<'s, 'a> {
         (m * (before / after.max(floor)).ln() - (before - after)).max(0.0)
     }
 
-    /// By how much minus twice the logarithm of the likelihood falls for the whole of a move from `now` to `there`, and the multiple of it
-    /// that is best.
-    pub fn gain(&self, now: &State, there: &State) -> Option<(f64, f64)> {
+    /// What a move from `now` to `there` leaves once the fitted values have taken over what they can of it; `None` where that cannot be
+    /// told.
+    pub fn left_of(&self, now: &State, there: &State) -> Option<Vec<f64>> {
         let s = self.system;
         let n = s.n;
         let mut moves: Vec<f64> = now
@@ -520,52 +606,63 @@ impl<'s, 'a> Direction<'s, 'a> {
             .zip(&there.expected)
             .map(|(a, b)| (b.normal.1 - a.normal.1) / a.normal.2)
             .collect();
-        let first = moves.len();
         for block in &s.blocks {
             let common =
                 block.loads.iter().zip(&block.rows).map(|(a, r)| a * moves[*r]).sum::<f64>() / block.weight;
             block.rows.iter().zip(&block.loads).for_each(|(r, a)| moves[*r] -= a * common);
             moves.push(common / block.variance.sqrt());
         }
-        debug_assert_eq!(moves.len(), first + s.blocks.len());
-        // What the fitted values take over of the move.
-        let mut normal = self.normal.clone();
-        normal.gradient.fill(0.0);
-        normal.lights.iter_mut().for_each(|l| l.gradient = 0.0);
+        let mut gradient = vec![0.0; n];
+        let mut lights = vec![0.0; self.normal.lights.len()];
         for (r, m) in moves.iter().enumerate().filter(|(_, m)| **m != 0.0) {
             let row = &s.slopes[r * n..][..n];
-            normal.gradient.iter_mut().zip(row).for_each(|(g, s)| *g += s * m);
+            gradient.iter_mut().zip(row).for_each(|(g, s)| *g += s * m);
             if let Some(light) = s.light[r] {
-                normal.lights[light].gradient += s.by_light[r] * m;
+                lights[light] += s.by_light[r] * m;
             }
         }
-        let (taken, lights) = normal.step(1e-9)?;
-        let (mut with, mut square) = (0.0, 0.0);
-        let mut left_over = Vec::new();
-        for (r, m) in moves.iter().enumerate() {
+        let (taken, lights) = self.solver.solve(&self.normal, gradient, &lights);
+        for (r, m) in moves.iter_mut().enumerate() {
             let row = &s.slopes[r * n..][..n];
-            let mut left = m - row.iter().zip(&taken).map(|(s, t)| s * t).sum::<f64>();
+            *m -= row.iter().zip(&taken).map(|(s, t)| s * t).sum::<f64>();
             if let Some(light) = s.light[r] {
-                left -= s.by_light[r] * lights[light];
+                *m -= s.by_light[r] * lights[light];
             }
-            with += left * s.z[r];
+        }
+        moves.iter().all(|m| m.is_finite()).then_some(moves)
+    }
+
+    /// What a move that leaves this would bring.
+    pub fn gain(&self, left: &[f64]) -> Option<Gain> {
+        let s = self.system;
+        let (mut with, mut square) = (0.0, 0.0);
+        for (left, z) in left.iter().zip(&s.z) {
+            with += left * z;
             square += left * left;
-            if r >= first {
-                left_over.push((s.z[r], s.z[r] - left));
-            }
         }
         if square <= 1e-12 || !square.is_finite() {
             return None;
         }
-        let multiple = with / square;
+        let first = left.len() - s.blocks.len();
+        let left_over: Vec<(f64, f64)> =
+            left[first..].iter().zip(&s.z[first..]).map(|(left, z)| (*z, z - left)).collect();
         let whole = 2.0 * with - square + self.narrower(&left_over);
-        Some((whole, multiple))
+        Some(Gain { whole, multiple: with / square, best: with * with / square })
     }
-}
 
-/// Slopes of all expectations with the common values over their errors, row by row, none taken together.
-pub fn plain_slopes(layout: &Layout<'_>, free: &Free, point: &Point, now: &State) -> Vec<f64> {
-    let mut apart = State { expected: now.expected.clone(), setting: now.setting.clone() };
-    apart.setting.fill(0.0);
-    System::new(layout, free, point, &apart).slopes
+    /// From a move that leaves `from`, the multiples of further moves that together bring most.
+    pub fn together(&self, from: &[f64], moves: &[Vec<f64>]) -> Option<Vec<f64>> {
+        let k = moves.len();
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let rest: Vec<f64> = self.system.z.iter().zip(from).map(|(z, m)| z - m).collect();
+        let mut a: Vec<f64> = (0..k * k).map(|i| dot(&moves[i / k], &moves[i % k])).collect();
+        let mut b: Vec<f64> = moves.iter().map(|m| dot(m, &rest)).collect();
+        for i in 0..k {
+            a[i * k + i] = a[i * k + i] * (1.0 + 1e-9) + 1e-12;
+        }
+        cholesky::factor(&mut a, k).then(|| {
+            cholesky::solve(&a, &mut b);
+            b
+        })
+    }
 }
