@@ -12,7 +12,7 @@ pub use words::{Signature, signatures};
 
 use crate::inference::{Comparison, Effects, Fitted, P_LIMIT, compare, fit, residuals_of, start};
 use crate::noise::Quantity;
-use crate::observables::Observations;
+use crate::observables::{Observations, covariance};
 use crate::plan::Plan;
 use crate::report::chance;
 use radcam_sim::effects::{Effect, takes};
@@ -136,7 +136,9 @@ pub fn diagnose(
     progress(&format!("error {:.2} with {} effects added", last.error, parts.len()));
     let mut ladder = vec![Rung { added: None, error: first.error, p_value: first.p_value }];
     ladder.extend(rungs(all, &model, &parts, &whole, &last));
-    let mut missing = named(&parts, &whole, &first, &last, &ladder);
+    // Neighbours tell the parts of a combination apart.
+    let apart = all.has(&covariance::This);
+    let mut missing = named(&parts, &whole, &first, &last, &ladder, apart);
     let mut notes = all.missing.clone();
     let (mut next_measurement, mut sets) = (None, takes::PAIRS);
     for (part, entry) in parts.iter().zip(&missing) {
@@ -148,7 +150,7 @@ pub fn diagnose(
                 (Some(format!("{} or {}: {}", entry.effect, other.effect.id(), page.measure)), page.sets);
         }
     }
-    add_ties(&parts, &whole, &mut missing);
+    add_ties(&parts, &whole, &mut missing, apart);
     add_unknown(&parts, &first, &last, &mut missing, &mut notes);
     if missing.iter().any(|m| m.effect == "unknown") && next_measurement.is_none() {
         next_measurement = Some(
@@ -252,9 +254,10 @@ fn named(
     first: &Comparison,
     last: &Comparison,
     ladder: &[Rung],
+    apart: bool,
 ) -> Vec<Missing> {
     let entry = |(k, part): (usize, &Part)| {
-        let mut entry = describe(whole, part.effect, confidence(part, part.evidence));
+        let mut entry = describe(whole, part.effect, confidence(part, part.evidence), apart);
         entry.error_drop = ladder[k].error - ladder[k + 1].error;
         entry.evidence = reasons(first, last, part.effect);
         let ties = tied(part);
@@ -281,13 +284,13 @@ fn confidence(part: &Part, evidence: f64) -> f64 {
 }
 
 /// Behind each part what is tied with it.
-fn add_ties(parts: &[Part], whole: &Fitted, missing: &mut Vec<Missing>) {
+fn add_ties(parts: &[Part], whole: &Fitted, missing: &mut Vec<Missing>, apart: bool) {
     let mut out = Vec::new();
     for (part, entry) in parts.iter().zip(std::mem::take(missing)) {
         let drop = entry.error_drop;
         out.push(entry);
         for other in tied(part) {
-            let mut entry = describe(&other.fitted, other.effect, confidence(part, other.evidence));
+            let mut entry = describe(&other.fitted, other.effect, confidence(part, other.evidence), apart);
             entry.error_drop = drop;
             entry.tied_with = Some(part.effect.id().into());
             entry
@@ -349,8 +352,9 @@ fn add_unknown(
     );
 }
 
-/// An effect of a model with its values; what only a combination tells stands as that combination.
-fn describe(fitted: &Fitted, effect: &'static dyn Effect, confidence: f64) -> Missing {
+/// An effect of a model with its values; what only a combination tells stands as that combination. `apart`: whether the campaign has
+/// what tells the parts of a combination apart.
+fn describe(fitted: &Fitted, effect: &'static dyn Effect, confidence: f64, apart: bool) -> Missing {
     let at = fitted.effects.iter().position(|(e, _)| e.id() == effect.id()).unwrap_or(0);
     let (values, errors) = (&fitted.effects[at].1, &fitted.std_err[at]);
     let used = effect.parameters().iter().enumerate().filter(|(k, _)| effect.uses(values, *k));
@@ -367,7 +371,7 @@ fn describe(fitted: &Fitted, effect: &'static dyn Effect, confidence: f64) -> Mi
         let of: Vec<usize> = (0..values.len()).filter(|k| t.slopes[*k] != 0.0).collect();
         // Each alone is known ten times worse, of its own size, than all of them together.
         let alone = of.iter().map(|&k| errors[k] / values[k].abs().max(1e-300)).fold(f64::INFINITY, f64::min);
-        if std_err / t.value.abs().max(1e-300) < 0.1 * alone {
+        if !apart || std_err / t.value.abs().max(1e-300) < 0.1 * alone {
             of.iter().for_each(|k| {
                 parameters.remove(effect.parameters()[*k].name);
             });

@@ -152,7 +152,9 @@ fn from_starts(
         effects.push((effect, start.values.clone()));
         // Slopes at the fit serve beside it, not at a fresh guess.
         let known = screen.filter(|_| std::ptr::eq(base, now)).map(Screen::slopes);
-        fit_briefly(all, &base.base, &effects, known)
+        let f=fit_briefly(all, &base.base, &effects, known);
+        if std::env::var("DBG").is_ok() { eprintln!("try {} known {} start {:?} {:?} -> {:?} score {}", effect.id(), known.is_some(), start.gain, start.values, f.effects.last().unwrap().1, score(all, now)-score(all,&f)); }
+        f
     });
     sorted(all, brief.collect())
 }

@@ -15,8 +15,10 @@ const ROUNDS: usize = 40;
 const FIRST_ROUNDS: usize = 5;
 /// A round that gains less of the objective has arrived.
 const ARRIVED: f64 = 1e-3;
-/// Slopes are taken again where a round gains more than this share of the one before: with slopes that hold, each is far smaller.
-const SLOW: f64 = 0.1;
+/// Slopes are taken again after a step that gains less than this share of what it promised.
+const HOLDS: f64 = 0.8;
+/// Slopes serve in so many rounds at most, on average.
+const SERVED: usize = 3;
 
 /// Effects with the values of their parameters.
 pub type Effects = Vec<(&'static dyn Effect, Vec<f64>)>;
@@ -122,11 +124,12 @@ fn fit_for(
     let mut slopes = Slopes::beside(known, &layout, &free, &point, &now);
     let mut fresh = known.is_none();
     let mut system = System::new(&layout, &free, &point, &now, &slopes);
-    let mut last = f64::INFINITY;
-    for _ in 0..rounds {
+    let mut taken = 0;
+    for _ in 0..SERVED * rounds {
         let normal = system.normal();
         let before = system.objective(&now, &now, &point.lights);
         let mut found: Option<(Point, State, f64)> = None;
+        let mut promised = f64::INFINITY;
         for _ in 0..if fresh { 10 } else { 2 } {
             let Some((step, lights)) = normal.step(damping) else {
                 damping *= 10.0;
@@ -140,6 +143,7 @@ fn fit_for(
             let value = system.objective(&now, &there, &trial.lights);
             if value < before {
                 damping = (damping * 0.2).max(1e-7);
+                promised = system.promised(&step, &lights);
                 found = Some((trial, there, before - value));
                 break;
             }
@@ -161,10 +165,13 @@ fn fit_for(
         if arrived && fresh {
             break;
         }
-        // Slopes serve for as long as each round brings little beside the one before.
-        fresh = arrived || gained > SLOW * last || gained == 0.0;
-        last = if fresh { f64::INFINITY } else { gained };
+        // Slopes serve for as long as steps bring what they promise.
+        fresh = arrived || gained < HOLDS * promised;
         if fresh {
+            taken += 1;
+            if taken == rounds {
+                break;
+            }
             slopes = Slopes::new(&layout, &free, &point, &now);
         }
         system = System::new(&layout, &free, &point, &now, &slopes);

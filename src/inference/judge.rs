@@ -153,6 +153,14 @@ fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
     let slopes = Slopes::new(&layout, &fitted.free, &fitted.point, &state).over_errors(&state);
     let n = fitted.free.common.len();
     let prediction = fitted.predict(all);
+    let all_light = fitted.free.place(super::free::Common::Light).unwrap_or(0);
+    // Square of what the light of a set moves its mean by, DN^2: the unit of its setting.
+    let mut units = vec![0.0; all.campaign.sets.len()];
+    for (r, (o, e)) in layout.rows.iter().zip(&state.expected).enumerate() {
+        if let Some(set) = o.set.filter(|_| o.is(&mean::This)) {
+            units[set] = (slopes[r * n + all_light] * e.normal.2).powi(2);
+        }
+    }
     let mut out = Vec::new();
     for (r, (o, e)) in layout.rows.iter().zip(&state.expected).enumerate() {
         // Light levels that only one half has cannot be judged on the other.
@@ -162,7 +170,7 @@ fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
         let row = &slopes[r * n..][..n];
         let level = o.set.and_then(|s| all.campaign.sets[s].light);
         let factor = level.and_then(|l| fitted.free.light_of_level.get(l).copied().flatten());
-        let light = row[fitted.free.place(super::free::Common::Light).unwrap_or(0)];
+        let light = row[all_light];
         let mut variance = 1.0 + fitted.covariance.of(row, factor.map(|k| (k, light))).max(0.0);
         let mut z = e.z();
         if o.statistic.sees_light()
@@ -170,7 +178,7 @@ fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
         {
             // A setting is told by the frames of the set that the fit saw, and else it is as nominal.
             let told = settings.iter().find(|s| s.0 == set);
-            let scatter = prediction.sets[set].setting / (light * e.normal.2).powi(2).max(1e-30);
+            let scatter = prediction.sets[set].setting / units[set].max(1e-30);
             let (shift, left) = told.map_or((0.0, scatter), |s| (s.1, s.2));
             if prediction.sets[set].setting > 0.0 {
                 z -= light * shift;

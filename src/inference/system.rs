@@ -377,6 +377,17 @@ impl<'a> System<'a> {
         sum + z.iter().map(|z| z * z).sum::<f64>() + self.of_priors(lights)
     }
 
+    /// By how much a step would lessen the sum of squares if expectations followed their slopes.
+    pub fn promised(&self, step: &[f64], lights: &[f64]) -> f64 {
+        let of = |(r, z): (usize, &f64)| {
+            let row = &self.slopes[r * self.n..][..self.n];
+            let common: f64 = row.iter().zip(step).map(|(s, x)| s * x).sum();
+            let left = z - common - self.light[r].map_or(0.0, |k| self.by_light[r] * lights[k]);
+            z * z - left * left
+        };
+        self.z.iter().enumerate().map(of).sum()
+    }
+
     fn of_priors(&self, lights: &[f64]) -> f64 {
         self.priors.iter().map(|(k, _, weight)| weight * lights[*k] * lights[*k]).sum()
     }

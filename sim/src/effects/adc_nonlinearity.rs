@@ -28,13 +28,42 @@ fn errors(p: &[f64], bits: usize) -> [f64; BITS] {
     out
 }
 
-/// What the voltage of every code is too large by, DN.
-fn excess(errors: &[f64], bits: usize) -> Vec<f64> {
-    let mut out = vec![0.0; 1 << bits];
-    for code in 1..out.len() {
-        out[code] = out[code & (code - 1)] + errors[code.trailing_zeros() as usize];
+/// What the voltage of a code is too large by, as steps at the codes where bits of wrong weight change.
+struct Steps {
+    /// Codes between two steps.
+    apart: usize,
+    /// The step at each multiple of that, DN, from the first on.
+    height: Vec<f64>,
+    /// Their sums: what is too large from that step on.
+    sum: Vec<f64>,
+}
+
+impl Steps {
+    /// Of the bits whose error is not 0.
+    fn new(errors: &[f64], bits: usize) -> Self {
+        let lowest = errors[..bits].iter().position(|e| *e != 0.0).unwrap_or(bits);
+        let of = |code: usize| -> f64 {
+            (lowest..bits).filter(|b| code >> (b - lowest) & 1 == 1).map(|b| errors[b]).sum()
+        };
+        let sum: Vec<f64> = (0..1usize << (bits - lowest)).map(of).collect();
+        let height = sum.windows(2).map(|w| w[1] - w[0]).collect();
+        Self { apart: 1 << lowest, height, sum }
     }
-    out
+
+    /// Mean over normal noise about a level, DN, and its slope with the level.
+    fn over(&self, level: f64, sd: f64) -> (f64, f64) {
+        // A code begins half a step below it. Steps beyond four deviations are passed or not reached.
+        let edge = |k: usize| ((k + 1) * self.apart) as f64 - 0.5;
+        let place = |at: f64| (((at + 0.5) / self.apart as f64).max(0.0) as usize).min(self.height.len());
+        let (from, to) = (place(level - 4.0 * sd), place(level + 4.0 * sd));
+        let (mut mean, mut slope) = (self.sum[from], 0.0);
+        for k in from..to {
+            let t = (level - edge(k)) / sd;
+            mean += self.height[k] * 0.5 * libm::erfc(-t / std::f64::consts::SQRT_2);
+            slope += self.height[k] * libm::exp(-0.5 * t * t);
+        }
+        (mean, slope / (sd * std::f64::consts::TAU.sqrt()))
+    }
 }
 
 fn depth(full_scale_dn: f64) -> usize {
@@ -129,12 +158,9 @@ impl Effect for This {
         if high.iter().all(|e| *e == 0.0) {
             return;
         }
-        // A code comes out too small by what its voltage is too large by: the mean of that over the samples, and its slope over their
-        // noise, which multiplies it.
-        let excess = excess(&high, bits);
-        const SAMPLES: i32 = 24;
-        let weight = |k: i32| libm::exp(-0.5 * (3.5 * f64::from(k) / f64::from(SAMPLES)).powi(2));
-        let weights: Vec<f64> = (-SAMPLES..=SAMPLES).map(weight).collect();
+        // A code comes out too small by what its voltage is too large by: the mean of that over the samples; its slope multiplies their
+        // noise.
+        let steps = Steps::new(&high, bits);
         let mut shifts = vec![0.0; out.sets.len()];
         for (i, s) in out.sets.iter_mut().enumerate() {
             let level = s.signal + out.base.offset_dn;
@@ -142,16 +168,9 @@ impl Effect for This {
             let noise = libm::sqrt(s.covariance(0, 0).max(0.01));
             let (mut mean, mut slope) = (0.0, 0.0);
             for (x, share) in places.iter().zip(PLACES) {
-                let mut sums = [0.0; 3];
-                for k in -SAMPLES..=SAMPLES {
-                    let t = 3.5 * f64::from(k) / f64::from(SAMPLES);
-                    let code = (level + spread * x + noise * t + 0.5).clamp(0.0, c.full_scale_dn);
-                    let (w, e) = (weights[(k + SAMPLES) as usize], excess[code as usize]);
-                    sums = [sums[0] + w, sums[1] + w * e, sums[2] + w * e * t];
-                }
-                mean += share * sums[1] / sums[0];
-                // Stein: the mean slope over normal noise is its product with the noise.
-                slope += share * sums[2] / sums[0] / noise;
+                let of = steps.over(level + spread * x, noise);
+                mean += share * of.0;
+                slope += share * of.1;
             }
             shifts[i] = -mean;
             s.gain((1.0 - slope).max(0.1));

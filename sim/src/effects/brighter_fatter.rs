@@ -1,7 +1,7 @@
 //! Brighter-fatter: charge already in a pixel repels what arrives later.
 
 use super::{
-    Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Stage, Together, shifted, takes,
+    Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Seen, Stage, Together, shifted, takes,
 };
 
 /// Flow of arriving charge along the gradient of the charge so far.
@@ -29,6 +29,11 @@ impl Effect for This {
 
     fn needs(&self) -> Needs {
         Needs::Variances
+    }
+
+    /// Alike along both axes, and mostly along one.
+    fn starts(&self, _: &Seen) -> Vec<Vec<f64>> {
+        vec![vec![1e-6, 1e-6], vec![1e-6, 1e-7], vec![1e-7, 1e-6]]
     }
 
     fn together(&self, p: &[f64]) -> Option<Together> {
