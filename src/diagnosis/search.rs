@@ -152,9 +152,7 @@ fn from_starts(
         effects.push((effect, start.values.clone()));
         // Slopes at the fit serve beside it, not at a fresh guess.
         let known = screen.filter(|_| std::ptr::eq(base, now)).map(Screen::slopes);
-        let f=fit_briefly(all, &base.base, &effects, known);
-        if std::env::var("DBG").is_ok() { eprintln!("try {} known {} start {:?} {:?} -> {:?} score {}", effect.id(), known.is_some(), start.gain, start.values, f.effects.last().unwrap().1, score(all, now)-score(all,&f)); }
-        f
+        fit_briefly(all, &base.base, &effects, known)
     });
     sorted(all, brief.collect())
 }

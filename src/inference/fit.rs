@@ -192,8 +192,9 @@ fn fit_for(
         .enumerate()
         .map(|(i, (_, p))| (0..p.len()).map(|k| of(Common::Of(i, k))).collect())
         .collect();
-    let base_std_err = [of(Common::Gain), of(Common::Read), of(Common::Offset), of(Common::Dark)];
     let (base, effects) = free.unpack(&point);
+    let gain_error = of(Common::Gain) * base.gain_dn_per_e;
+    let base_std_err = [gain_error, of(Common::Read), of(Common::Offset), of(Common::Dark)];
     Fitted { base, effects, objective, std_err, base_std_err, free, point, covariance }
 }
 

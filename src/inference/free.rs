@@ -13,7 +13,7 @@ const LIGHT_FLOOR: f64 = 5e-5;
 /// A value that is common to all sets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Common {
-    /// A, DN/e.
+    /// Logarithm of A over its start: means stay where they are while it and that of the light move against each other.
     Gain,
     /// Read noise, e.
     Read,
@@ -86,7 +86,7 @@ impl Free {
         // Of a table the level without light was taken off.
         let table = all.is_table;
         let mut list = vec![
-            (Common::Gain, base.gain_dn_per_e, 0.0, false, (1e-6 * base.gain_dn_per_e, f64::INFINITY)),
+            (Common::Gain, 0.0, 1.0, false, (-14.0, 14.0)),
             (Common::Read, base.read_noise_e, 0.0, false, positive),
             (Common::Offset, base.offset_dn, 0.0, table, any),
             (Common::Dark, base.dark_e_per_s, 0.0, table, any),
@@ -166,7 +166,7 @@ impl Free {
         for ((what, x), scale) in self.common.iter().zip(&at.x).zip(&self.scale) {
             let v = x * scale;
             match *what {
-                Common::Gain => base.gain_dn_per_e = v,
+                Common::Gain => base.gain_dn_per_e *= v.exp(),
                 Common::Read => base.read_noise_e = v,
                 Common::Offset => base.offset_dn = v,
                 Common::Dark => base.dark_e_per_s = v,
