@@ -193,8 +193,18 @@ fn fit_for(
         .map(|(i, (_, p))| (0..p.len()).map(|k| of(Common::Of(i, k))).collect())
         .collect();
     let (base, effects) = free.unpack(&point);
-    let gain_error = of(Common::Gain) * base.gain_dn_per_e;
-    let base_std_err = [gain_error, of(Common::Read), of(Common::Offset), of(Common::Dark)];
+    // What is fitted beside the gain is charge in DN; in e it has the gain's error too.
+    let in_e = |what: Common, value: f64| {
+        let (Some(g), Some(i)) = (free.place(Common::Gain), free.place(what)) else { return 0.0 };
+        let (with, scale) = (covariance.common[i * n + g] * free.scale[i], of(what));
+        (scale * scale - 2.0 * value * with + (value * of(Common::Gain)).powi(2)).max(0.0).sqrt()
+    };
+    let base_std_err = [
+        of(Common::Gain) * base.gain_dn_per_e,
+        in_e(Common::Read, base.read_noise_e),
+        of(Common::Offset),
+        if free.place(Common::Dark).is_some_and(|i| free.fixed[i]) { 0.0 } else { in_e(Common::Dark, base.dark_e_per_s) },
+    ];
     Fitted { base, effects, objective, std_err, base_std_err, free, point, covariance }
 }
 

@@ -13,7 +13,7 @@ const LIGHT_FLOOR: f64 = 5e-5;
 /// A value that is common to all sets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Common {
-    /// Logarithm of A over its start: means stay where they are while it and that of the light move against each other.
+    /// Logarithm of A over its start, what light, dark current and read noise are in DN held: all but variances stay where they are.
     Gain,
     /// Read noise, e.
     Read,
@@ -163,10 +163,14 @@ impl Free {
     pub fn unpack(&self, at: &Point) -> (BaseParameters, Effects) {
         let mut base = self.template.clone();
         let mut values = self.values.clone();
+        let mut in_e = 1.0;
         for ((what, x), scale) in self.common.iter().zip(&at.x).zip(&self.scale) {
             let v = x * scale;
             match *what {
-                Common::Gain => base.gain_dn_per_e *= v.exp(),
+                Common::Gain => {
+                    base.gain_dn_per_e *= v.exp();
+                    in_e = (-v).exp();
+                }
                 Common::Read => base.read_noise_e = v,
                 Common::Offset => base.offset_dn = v,
                 Common::Dark => base.dark_e_per_s = v,
@@ -185,6 +189,9 @@ impl Free {
                 Common::Of(i, k) => values[i][k] = v,
             }
         }
+        base.read_noise_e *= in_e;
+        base.dark_e_per_s *= in_e;
+        base.flux_e_per_s.iter_mut().for_each(|f| *f *= in_e);
         for (light, factor) in self.lights.iter().zip(&at.lights) {
             base.flux_e_per_s[light.level] *= factor.exp();
         }
