@@ -50,6 +50,13 @@ impl Spectrum {
         self.0.iter_mut().for_each(|p| *p += variance);
     }
 
+    /// Adds noise of this power at each frequency (vertical, horizontal angle).
+    pub fn add(&mut self, power: impl Fn(f64, f64) -> f64) {
+        for (i, p) in self.0.iter_mut().enumerate() {
+            *p += power(angle(i / HALF), angle(i % HALF));
+        }
+    }
+
     /// Covariance at a lag: rows down, columns to the right; at most 3 of each.
     pub fn lag(&self, dy: i32, dx: i32) -> f64 {
         if let Some(variance) = self.of_white() {
@@ -168,6 +175,25 @@ impl Ripple {
             Self::Wander(next) => libm::pow(next.clamp(0.0, 1.0), rows.abs()),
         }
     }
+
+    /// Mean correlation of a row with all of so many: the sums of a cosine and of a geometric series.
+    fn with_mean(&self, row: f64, rows: f64) -> f64 {
+        match *self {
+            Self::Sine(cycles) => {
+                let half = std::f64::consts::PI * cycles;
+                if libm::sin(half).abs() < 1e-9 {
+                    return 1.0;
+                }
+                let to_the_ends = libm::sin((2.0 * row + 1.0) * half) + libm::sin((2.0 * (rows - row) - 1.0) * half);
+                to_the_ends / (2.0 * rows * libm::sin(half))
+            }
+            Self::Wander(next) => {
+                let next = next.clamp(0.0, 1.0 - 1e-9);
+                let to_the_ends = libm::pow(next, row + 1.0) + libm::pow(next, rows - row);
+                (1.0 + next - to_the_ends) / (1.0 - next) / rows
+            }
+        }
+    }
 }
 
 /// A frame of a campaign.
@@ -273,7 +299,7 @@ pub struct SetPrediction {
     pub row: LineNoise,
     /// Noise common to the pixels of a column, from column to column.
     pub column: LineNoise,
-    /// Light that changes from row to row within a frame: variance and how.
+    /// What changes slowly from row to row within a frame: variance and how.
     pub ripples: Vec<(f64, Ripple)>,
     /// Variance common to the pixels of a frame.
     pub common: f64,
@@ -468,22 +494,16 @@ impl SetPrediction {
         self.ripples.iter().map(|(v, ripple)| v * ripple.correlation(rows)).sum()
     }
 
-    /// Covariance of the light of places down the rows with the mean over all of them, where light changes from row to row. A slow
-    /// change: some dozens of places tell of it as all rows do. Empty where nothing does.
+    /// Covariance of the light of places down the rows with the mean over all of them, where light changes from row to row: some dozens
+    /// of places tell of it as all rows do. Empty where nothing does.
     pub fn ripple_with_mean(&self, rows: usize) -> Vec<f64> {
         if self.ripples.is_empty() {
             return Vec::new();
         }
         let n = rows.clamp(1, 48);
-        let apart = rows as f64 / n as f64;
-        // Sums of the covariance up to each distance.
-        let mut sums = Vec::with_capacity(n);
-        let mut sum = 0.0;
-        for d in 0..n {
-            sum += self.ripple(d as f64 * apart);
-            sums.push(sum);
-        }
-        (0..n).map(|i| (sums[i] + sums[n - 1 - i] - sums[0]) / n as f64).collect()
+        let place = |i: usize| (i as f64 + 0.5) * rows as f64 / n as f64 - 0.5;
+        let of = |row: f64| self.ripples.iter().map(|(v, r)| v * r.with_mean(row, rows as f64)).sum();
+        (0..n).map(|i| of(place(i))).collect()
     }
 
     /// Variance of a frame's mean over rows x columns pixels by what pixels and lines have of their own.

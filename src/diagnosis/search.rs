@@ -3,11 +3,11 @@
 use crate::inference::{Effects, Fitted, Given, Scored, Screen, as_given, fit, fit_briefly, seen, start};
 
 use crate::observables::{Observations, covariance, frame_scatter};
-use radcam_sim::effects::{self, Effect, Needs};
+use radcam_sim::effects::{self, Effect, Needs, Seen};
 use rayon::prelude::*;
 
 /// Effects added at most.
-const MOST: usize = 5;
+const MOST: usize = 8;
 /// Evidence (twice the logarithm of a Bayes factor, by BIC) that an addition needs: with some 30 candidates tried, chance
 /// reaches this less than once in a hundred campaigns.
 pub const NEEDED: f64 = 9.0;
@@ -114,7 +114,7 @@ pub fn candidates(all: &Observations, now: &Fitted, fresh: bool) -> Vec<Candidat
         let (values, errors) = (&c.fitted.effects[at].1, &c.fitted.std_err[at]);
         tracing::debug!("{}: evidence {:.1}, {values:?} +- {errors:?}", c.effect.id(), c.evidence);
     }
-    found.retain(is_something);
+    found.retain(|c| is_something(c, &seen));
     found
 }
 
@@ -169,8 +169,9 @@ fn finished(all: &Observations, models: Vec<Fitted>) -> Vec<Fitted> {
     sorted(all, all_of.collect())
 }
 
-/// A parameter that is nothing within its error explains nothing, nor does one at the end of its range.
-fn is_something(c: &Candidate) -> bool {
+/// A parameter that is nothing within its error explains nothing, nor does one at the end of its range, nor what has become another
+/// effect.
+fn is_something(c: &Candidate, seen: &Seen) -> bool {
     let (fitted, at) = (&c.fitted, c.fitted.effects.len() - 1);
     let (effect, values, errors) = (c.effect, &fitted.effects[at].1, &fitted.std_err[at]);
     let used = |k: usize| effect.uses(values, k) && !effect.parameters()[k].is_choice();
@@ -180,7 +181,7 @@ fn is_something(c: &Candidate) -> bool {
         let near = |end: f64| (v - end).abs() <= 1e-6 * end.abs();
         p.is_size() && (near(p.max) || p.min < 0.0 && near(p.min))
     });
-    if at_the_end {
+    if at_the_end || effect.is_another(values, seen) {
         return false;
     }
     let sizes: Vec<usize> = all.iter().copied().filter(|k| effect.parameters()[*k].is_size()).collect();

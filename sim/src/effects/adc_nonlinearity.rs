@@ -25,6 +25,13 @@ fn errors(p: &[f64], bits: usize) -> [f64; BITS] {
             out[bits - 1 - k] += p[1 + EACH + k];
         }
     }
+    if part != 0 {
+        // Errors in proportion to the weights are gain: about the straight line they are none.
+        let weight = |b: usize| (1u32 << b) as f64;
+        let sum = |of: &dyn Fn(usize) -> f64| (0..bits).map(of).sum::<f64>();
+        let gain = sum(&|b| weight(b) * out[b]) / sum(&|b| weight(b) * weight(b)).max(1.0);
+        (0..bits).for_each(|b| out[b] -= gain * weight(b));
+    }
     out
 }
 

@@ -52,6 +52,11 @@ impl Effect for This {
         all
     }
 
+    /// What the rows of a frame share is flicker.
+    fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
+        if p[0] >= 0.5 { libm::pow(p[4], seen.rows) > 0.5 } else { p[2] * seen.rows < 0.25 }
+    }
+
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.0, 0.004, 3.2 / plain.rows, 0.3 / plain.bright_s, 0.97])
     }

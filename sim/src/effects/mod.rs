@@ -298,6 +298,10 @@ pub trait Effect: Sync + Send {
     fn remembers(&self) -> bool {
         false
     }
+    /// Whether it is another effect at these values: a limit of its shape.
+    fn is_another(&self, _p: &[f64], _seen: &Seen) -> bool {
+        false
+    }
     /// Values at which it is plain to see in a campaign of the standard plan; `None` where flats, darks and a scene of unknown contrast
     /// show nothing of it.
     fn example(&self, plain: &Plain) -> Option<Vec<f64>>;
@@ -393,7 +397,7 @@ pub(crate) use full_well_saturation::Clipped;
 effects! {
     nonlinearity brighter_fatter interpixel_crosstalk readout_lowpass spatial_filter temporal_filter image_lag
     illumination_setting illumination_flicker illumination_drift light_banding gain_drift offset_drift dark_current_drift row_noise
-    column_noise column_gain_noise periodic_interference
+    column_noise column_gain_noise read_noise_correlation periodic_interference
     random_telegraph_noise adc_nonlinearity charge_transfer_inefficiency smear exposure_offset full_well_saturation
     black_clipping stray_light tap_mismatch blooming coarse_quantization companding
 }

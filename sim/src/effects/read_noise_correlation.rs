@@ -1,0 +1,68 @@
+//! Read-noise correlation: the read noise of a pixel comes back in the next one of its row.
+
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+
+/// Normal numbers of single pixels, each added to its own pixel and, with the same or the opposite sign, to the next of the row.
+pub struct This;
+
+fn sign(p: &[f64]) -> f64 {
+    if p[0] >= 0.5 { 1.0 } else { -1.0 }
+}
+
+impl Effect for This {
+    fn id(&self) -> &'static str {
+        "read-noise-correlation"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Read
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &[
+            Parameter { name: "shape", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0, 1.0] },
+            Parameter { name: "e", unit: "e", min: 0.0, max: 1e4, starts: &[1.0, 1.0] },
+        ]
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        Some(if sign(p) > 0.0 { "with the same sign" } else { "with the opposite sign" })
+    }
+
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![0.0, 0.4 * plain.noise_e])
+    }
+
+    fn page(&self) -> Page {
+        Page {
+            what: "Correlated double sampling or an AC-coupled amplifier carries noise from one pixel of a row to the next.",
+            equation: "v(n) + e (N(n) -+ N(n - 1)), n the pixel's place in its row; variance + 2 e^2, covariance with the next -+ e^2",
+            signature: "neighbours along a row are correlated by the same amount at every level, darks too; nothing along the columns",
+            look_alikes: "a low-pass of the video signal correlates shot noise as well, in proportion to the variance",
+            remedy: "a longer time constant of the coupling, a faster clamp; a slower pixel clock",
+            measure: "a run of darks: the covariance of neighbours along the rows",
+            sets: takes::DARKS,
+            source: "Janesick 2001, ch. 6 (correlated double sampling and its noise)",
+        }
+    }
+
+    fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
+        let (sign, square) = (sign(p), p[1] * p[1]);
+        for s in &mut out.sets {
+            s.read.add(|_, kx| 2.0 * square * (1.0 + sign * libm::cos(kx)));
+        }
+    }
+
+    fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
+        let (id, frame, columns) = (self.id(), d.frame, d.image.ncols());
+        for y in 0..d.image.nrows() {
+            let at = |x: usize| (y * (columns + 1) + x) as u32;
+            let mut last = d.random(id, frame, at(0)).normal();
+            for x in 0..columns {
+                let own = d.random(id, frame, at(x + 1)).normal();
+                d.image[(y, x)] += p[1] * (own + sign(p) * last);
+                last = own;
+            }
+        }
+    }
+}
