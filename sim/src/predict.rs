@@ -172,25 +172,30 @@ impl Ripple {
     pub fn correlation(&self, rows: f64) -> f64 {
         match *self {
             Self::Sine(cycles) => libm::cos(std::f64::consts::TAU * cycles * rows),
-            Self::Wander(next) => libm::pow(next.clamp(0.0, 1.0), rows.abs()),
+            Self::Wander(next) => libm::exp(rows.abs() * libm::log(next.clamp(1e-300, 1.0))),
         }
     }
 
-    /// Mean correlation of a row with all of so many: the sums of a cosine and of a geometric series.
-    fn with_mean(&self, row: f64, rows: f64) -> f64 {
+    /// Mean correlation of the rows from the first to `to` with all of so many: sums of cosines and of geometric series.
+    pub fn with_mean(&self, to: f64, rows: f64) -> f64 {
         match *self {
             Self::Sine(cycles) => {
                 let half = std::f64::consts::PI * cycles;
-                if libm::sin(half).abs() < 1e-9 {
+                let one = libm::sin(half);
+                if one.abs() < 1e-9 {
                     return 1.0;
                 }
-                let to_the_ends = libm::sin((2.0 * row + 1.0) * half) + libm::sin((2.0 * (rows - row) - 1.0) * half);
-                to_the_ends / (2.0 * rows * libm::sin(half))
+                // A row has (sin((2y + 1) half) + sin((2 (rows - y) - 1) half)) / (2 rows sin half).
+                let square = |n: f64| libm::sin(n * half).powi(2);
+                (square(to) + square(rows) - square(rows - to)) / (2.0 * rows * to * one * one)
             }
             Self::Wander(next) => {
-                let next = next.clamp(0.0, 1.0 - 1e-9);
-                let to_the_ends = libm::pow(next, row + 1.0) + libm::pow(next, rows - row);
-                (1.0 + next - to_the_ends) / (1.0 - next) / rows
+                // A row has (1 + next - next^(y + 1) - next^(rows - y)) / (rows (1 - next)).
+                let next = next.clamp(1e-12, 1.0 - 1e-9);
+                let less = 1.0 - next;
+                let power = |n: f64| libm::exp(n * libm::log(next));
+                let ends = next * (1.0 - power(to)) * (1.0 + power(rows - to)) / less / to;
+                (1.0 + next - ends) / less / rows
             }
         }
     }
@@ -494,16 +499,9 @@ impl SetPrediction {
         self.ripples.iter().map(|(v, ripple)| v * ripple.correlation(rows)).sum()
     }
 
-    /// Covariance of the light of places down the rows with the mean over all of them, where light changes from row to row: some dozens
-    /// of places tell of it as all rows do. Empty where nothing does.
-    pub fn ripple_with_mean(&self, rows: usize) -> Vec<f64> {
-        if self.ripples.is_empty() {
-            return Vec::new();
-        }
-        let n = rows.clamp(1, 48);
-        let place = |i: usize| (i as f64 + 0.5) * rows as f64 / n as f64 - 0.5;
-        let of = |row: f64| self.ripples.iter().map(|(v, r)| v * r.with_mean(row, rows as f64)).sum();
-        (0..n).map(|i| of(place(i))).collect()
+    /// Covariance of what changes slowly down the rows, in the first `to` of so many rows, with its mean over all of them.
+    pub fn ripple_with_mean(&self, to: usize, rows: usize) -> f64 {
+        self.ripples.iter().map(|(v, r)| v * r.with_mean(to as f64, rows as f64)).sum()
     }
 
     /// Variance of a frame's mean over rows x columns pixels by what pixels and lines have of their own.

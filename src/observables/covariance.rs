@@ -1,6 +1,6 @@
 //! Covariance of pixels at small lags within a frame, DN^2.
 
-use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::covariance::LAGS;
 use crate::statistics::pass::Summary;
 
@@ -48,12 +48,13 @@ impl Statistic for This {
             o,
             // While the level moves, shading moves neighbours together and fixed pattern does not: anything between.
             view.lag(dy, dx) + 0.5 * view.moving,
-            o.measured
-                .std_err
-                .hypot(unsure)
-                .hypot(view.lines(dy, dx))
-                .hypot(0.3 * view.moving)
-                .hypot(view.shared(dy, dx)),
+            in_quadrature(&[
+                o.measured.std_err,
+                unsure,
+                view.lines(dy, dx),
+                0.3 * view.moving,
+                view.shared(dy, dx),
+            ]),
         )
     }
 }

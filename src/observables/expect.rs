@@ -38,6 +38,11 @@ impl Expected {
     }
 }
 
+/// Root of the sum of the squares of errors: plainer and faster than a chain of [`f64::hypot`], which guards against overflow.
+pub fn in_quadrature(errors: &[f64]) -> f64 {
+    errors.iter().map(|e| e * e).sum::<f64>().sqrt()
+}
+
 /// What taking off the mean over `n` frames leaves of the variance of noise that remembers.
 fn left(memory: &[f64], n: f64) -> f64 {
     let lost: f64 = memory.iter().enumerate().map(|(k, r)| (n - (k + 1) as f64).max(0.0) * r).sum();
@@ -83,9 +88,7 @@ pub struct View<'a> {
     pub moving: f64,
     /// The part of the noise of pixels and lines that a frame's mean takes with it, DN^2.
     pub of_mean: f64,
-    /// Covariance of places down the rows with the mean over them, where light changes from row to row; its mean is the variance of that.
-    pub ripple_with_mean: Vec<f64>,
-    /// See `ripple_with_mean`: variance of the mean, DN^2.
+    /// Variance, DN^2, of the mean over all rows of what changes slowly down them.
     pub ripple_of_mean: f64,
     /// Covariance of a pixel with itself, DN^2.
     pub noise: f64,
@@ -119,7 +122,6 @@ impl<'a> View<'a> {
             moving: if o.set.is_some_and(|s| all.after_scene[s]) { 1.0 } else { all.largest_spread.powi(2) }
                 * moved,
             of_mean: 0.0,
-            ripple_with_mean: Vec::new(),
             ripple_of_mean: 0.0,
             noise: 0.0,
             left: (1.0, 1.0),
@@ -127,9 +129,7 @@ impl<'a> View<'a> {
             ripple_error: 0.0,
         };
         let Some(s) = set else { return view };
-        view.ripple_with_mean = s.ripple_with_mean(shape.0);
-        view.ripple_of_mean =
-            view.ripple_with_mean.iter().sum::<f64>() / view.ripple_with_mean.len().max(1) as f64;
+        view.ripple_of_mean = s.ripple_with_mean(shape.0, shape.0);
         view.of_mean = s.of_frame_mean(shape, o.pixels) + view.ripple_of_mean;
         view.noise = s.covariance(0, 0);
         if n > 1.5 {
@@ -186,9 +186,8 @@ impl<'a> View<'a> {
             own * ((1.0 + f64::from(u8::from(same))) / count as f64 / self.dof).sqrt()
         };
         let shape = self.all.campaign.shape;
-        of(s.row.lag(0), shape.0, dy == 0)
-            .hypot(of(s.column.lag(0), shape.1, dx == 0))
-            .hypot(self.ripple_error)
+        let (rows, columns) = (of(s.row.lag(0), shape.0, dy == 0), of(s.column.lag(0), shape.1, dx == 0));
+        in_quadrature(&[rows, columns, self.ripple_error])
     }
 
     /// A line has one phase a frame: what few frames show of it scatters (random walk of n phases), DN^2.
@@ -221,11 +220,13 @@ impl<'a> View<'a> {
         let value = pixels + own + across + of_lines - self.of_mean + 0.3 * self.moving;
         let dof = self.dof * (count as f64 - 1.0);
         let ripple = if rows { self.ripple_error } else { 0.0 };
-        let rest = (self.walk() * of_lines)
-            .hypot(0.3 * self.moving)
-            .hypot(self.rough.1.hypot(s.unsure_var) / width as f64)
-            .hypot(ripple);
-        Expected::plain(o, value, (value.abs().max(1e-9) * (2.0 / dof).sqrt()).hypot(rest))
+        let own = value.abs().max(1e-9) * (2.0 / dof).sqrt();
+        let single = in_quadrature(&[self.rough.1, s.unsure_var]) / width as f64;
+        Expected::plain(
+            o,
+            value,
+            in_quadrature(&[own, self.walk() * of_lines, 0.3 * self.moving, single, ripple]),
+        )
     }
 
     /// Mean product of successive residuals over the variance, for noise with these correlations.

@@ -1,6 +1,6 @@
 //! Mean of the frames of a chunk, DN.
 
-use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 
 /// The mean.
 #[derive(Debug)]
@@ -32,6 +32,6 @@ impl Statistic for This {
         let memory = s.shot_memory.first().copied().unwrap_or(0.0).max(0.0);
         let noise = ((view.of_mean + s.common) * (1.0 + 2.0 * memory) / view.n).sqrt();
         // The sums are kept in 32 bits and means in some thousandths of a DN.
-        Expected::plain(o, view.mean, noise.hypot(0.002).hypot(view.rough.0).hypot(s.unsure_mean))
+        Expected::plain(o, view.mean, in_quadrature(&[noise, 0.002, view.rough.0, s.unsure_mean]))
     }
 }

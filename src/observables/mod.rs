@@ -13,7 +13,7 @@ mod scene;
 mod table;
 
 pub use campaign::{Observations, ObserveError, of_dataset};
-pub use expect::{Expected, View, expectations};
+pub use expect::{Expected, View, expectations, in_quadrature};
 pub use scene::{Direction, ScenePair};
 pub use table::observations as of_table;
 

@@ -1,6 +1,6 @@
 //! Covariance of the means of rows some way apart, DN^2: whether rows that scatter do so one by one or in bands.
 
-use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 
@@ -62,15 +62,10 @@ impl Statistic for This {
         };
         let flat = view.of_mean - s.column.of_mean() / columns as f64 - view.ripple_of_mean;
         // Of a slow change the mean is taken off as a whole: what is left of a product depends on where the rows lie.
-        let means = &view.ripple_with_mean;
-        let slow = if means.is_empty() {
+        let slow = if s.ripples.is_empty() {
             0.0
         } else {
-            let n = means.len() as f64;
-            let at = |row: f64| means[((row / rows as f64 * n) as usize).min(means.len() - 1)];
-            let upper = (0..means.len()).map(|i| (i as f64 + 0.5) / n * (rows - lag) as f64);
-            let with_mean = upper.map(|row| at(row) + at(row + lag as f64)).sum::<f64>() / n;
-            s.ripple(lag as f64) - with_mean + view.ripple_of_mean
+            s.ripple(lag as f64) - 2.0 * s.ripple_with_mean(rows - lag, rows) + view.ripple_of_mean
         };
         let lines: f64 = s.lines.iter().map(|l| l.0).sum();
         let own = (s.shot.along(1) + s.read.along(1)) / columns as f64 + s.row.lag(0);
@@ -78,14 +73,8 @@ impl Statistic for This {
         let common = s.ripple(lag as f64) / s.ripple(0.0).max(f64::MIN_POSITIVE);
         let ripple = view.ripple_error * (0.5 * (1.0 + common * common)).sqrt();
         let alone = own / (((rows - lag) as f64) * view.dof).sqrt();
-        Expected::plain(
-            o,
-            near - flat + slow,
-            alone
-                .hypot(ripple)
-                .hypot(0.3 * view.moving)
-                .hypot(lines / columns as f64)
-                .hypot(s.unsure_var.hypot(view.rough.1) / columns as f64),
-        )
+        let single = in_quadrature(&[s.unsure_var, view.rough.1]) / columns as f64;
+        let error = in_quadrature(&[alone, ripple, 0.3 * view.moving, lines / columns as f64, single]);
+        Expected::plain(o, near - flat + slow, error)
     }
 }

@@ -1,6 +1,6 @@
 //! Temporal variance of the pixels, DN^2.
 
-use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::pass::Summary;
 
 /// The variance.
@@ -31,13 +31,14 @@ impl Statistic for This {
         Expected::plain(
             o,
             view.lag(0, 0) + view.moving,
-            o.measured
-                .std_err
-                .hypot(view.rough.1)
-                .hypot(unsure)
-                .hypot(view.lines(0, 0))
-                .hypot(0.1 * view.moving)
-                .hypot(view.shared(0, 0)),
+            in_quadrature(&[
+                o.measured.std_err,
+                view.rough.1,
+                unsure,
+                view.lines(0, 0),
+                0.1 * view.moving,
+                view.shared(0, 0),
+            ]),
         )
     }
 }

@@ -928,6 +928,7 @@ def run(said, what, seed, place=None):
         print(f"{head} ERROR {fault}  [{row['diagnose_s']:.1f} s]", flush=True)
     else:
         row |= judge(what, answer) | {"before": answer["error_before"], "after": answer["error_after"]}
+        row["p"] = [r["p_value"] for r in (answer["ladder"][0], answer["ladder"][-1])]
         row |= {"consistent": answer["consistent"], "sure": answer["missing"][0]["confidence"] if answer["missing"] else None}
         entries = [f"{m['effect']} {m['confidence']:.2f}{' (partial)' if m.get('partial') else ''}" for m in answer["missing"]]
         near = f"; nearest: {' '.join(row['nearest'])}" if row["nearest"] else ""
