@@ -5,7 +5,7 @@ use super::diagnose::observe;
 use super::model::read_effects;
 use crate::dataset::write_whole;
 use crate::diagnosis::{searched, signatures};
-use crate::inference::{compare, start};
+use crate::inference::{compare, fit, start};
 use crate::report::{self, chance};
 use anyhow::Result;
 use std::path::PathBuf;
@@ -28,7 +28,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let effects = read_effects(arguments.model.as_deref())?;
     let all = observe(&arguments.dataset)?;
-    let c = compare(&all, &start(&all), &searched(&all, &effects));
+    let c = compare(&all, &fit(&all, &start(&all), &searched(&all, &effects)));
     if let Some(path) = &arguments.report {
         let subtitle = arguments.dataset.display().to_string();
         write_whole(path, report::compare::html("Model against measurement", &subtitle, &c).as_bytes())?;

@@ -204,7 +204,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         Action::Fit { model: path, dataset } => {
             let list = read_effects(Some(path))?;
             let all = observe(dataset)?;
-            let fitted = fit(&all, None, &start(&all), &searched(&all, &list));
+            let fitted = fit(&all, &start(&all), &searched(&all, &list));
             let model = fitted_model(&all, &fitted, Some(path), dataset)?;
             write(path, &model)?;
             show(path, &model);

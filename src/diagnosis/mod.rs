@@ -10,7 +10,7 @@ pub use search::searched;
 pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
-use crate::inference::{Comparison, Effects, Fitted, P_LIMIT, compare, fit, residuals_of, start};
+use crate::inference::{Comparison, Effects, Fitted, P_LIMIT, compare, fit, fit_near, residuals_of, start};
 use crate::noise::Quantity;
 use crate::observables::{Observations, covariance};
 use crate::plan::Plan;
@@ -18,7 +18,7 @@ use crate::report::chance;
 use radcam_sim::effects::{Effect, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
-use search::{Candidate, NEEDED, candidates, score, search, without};
+use search::{Candidate, NEEDED, RIVALS, candidates, score, search, without};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -127,12 +127,12 @@ pub fn diagnose(
     progress: &mut dyn FnMut(&str),
 ) -> Diagnosis {
     let base = base.unwrap_or_else(|| start(all));
-    let model = fit(all, None, &base, &effects);
-    let first = compare(all, &model.base, &model.effects);
+    let model = fit(all, &base, &effects);
+    let first = compare(all, &model);
     progress(&format!("error {:.2}", first.error));
     let found = search(all, &model, first.error > FAR, progress);
     let (parts, whole) = parts(all, &model, found.fitted, found.first, &first);
-    let last = if parts.is_empty() { first.clone() } else { compare(all, &whole.base, &whole.effects) };
+    let last = if parts.is_empty() { first.clone() } else { compare(all, &whole) };
     progress(&format!("error {:.2} with {} effects added", last.error, parts.len()));
     let mut ladder = vec![Rung { added: None, error: first.error, p_value: first.p_value }];
     ladder.extend(rungs(all, &model, &parts, &whole, &last));
@@ -203,12 +203,13 @@ fn parts(
             .collect();
         // What does not pay in the presence of the others goes.
         if let Some(idle) = parts.iter().position(|p| p.evidence < NEEDED) {
-            whole = without(all, &whole, given + idle);
+            let less = without(all, &whole, given + idle);
+            whole = fit(all, &less.base, &less.effects);
             continue;
         }
         // A single addition that does not help on frames that no fit saw is none.
         if let [only] = parts.as_slice() {
-            let after = compare(all, &whole.base, &whole.effects);
+            let after = compare(all, &whole);
             tracing::debug!("{} alone: error {:.4}, was {:.4}", only.effect.id(), after.error, before.error);
             if after.error > before.error - 1e-3 {
                 return (Vec::new(), model.clone());
@@ -217,7 +218,7 @@ fn parts(
         parts.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
         let alone = parts.len() == 1;
         for part in &mut parts {
-            let others = if alone { first.clone() } else { candidates(all, &part.rest, false) };
+            let others = if alone { first.clone() } else { candidates(all, &part.rest, false, RIVALS) };
             part.others = others.into_iter().filter(|c| c.effect.id() != part.effect.id()).collect();
         }
         return (parts, whole);
@@ -240,8 +241,8 @@ fn rungs(all: &Observations, model: &Fitted, parts: &[Part], whole: &Fitted, las
         for part in &parts[..=k] {
             effects.extend(whole.effects.iter().find(|(e, _)| e.id() == part.effect.id()).cloned());
         }
-        let fitted = fit(all, None, &whole.base, &effects);
-        let c = compare(all, &fitted.base, &fitted.effects);
+        let fitted = fit_near(all, None, whole, &effects);
+        let c = compare(all, &fitted);
         Rung { added, error: c.error, p_value: c.p_value }
     };
     (0..parts.len()).into_par_iter().map(rung).collect()

@@ -1,6 +1,8 @@
 //! Searches over sets of effects: several lines are followed, what others take over is dropped again.
 
-use crate::inference::{Effects, Fitted, Given, Scored, Screen, as_given, fit, fit_briefly, seen, start};
+use crate::inference::{
+    Effects, Fitted, Given, Scored, Screen, as_given, fit, fit_briefly, fit_near, seen, start,
+};
 
 use crate::observables::{Observations, covariance, frame_scatter};
 use radcam_sim::effects::{self, Effect, Needs, Seen};
@@ -13,6 +15,8 @@ const MOST: usize = 8;
 pub const NEEDED: f64 = 9.0;
 /// Candidates that are fitted, of those that promise most.
 const FITTED: usize = 9;
+/// The same where what stands in a model already is held against others.
+pub const RIVALS: usize = 4;
 /// Starts of one candidate that are fitted for a few rounds; of the most promising candidate, one of every form.
 const STARTS: usize = 3;
 const FORMS: usize = 8;
@@ -20,6 +24,8 @@ const FORMS: usize = 8;
 const FINISHED: usize = 4;
 /// A candidate whose evidence after a few rounds is below this share of the best is not fitted to the end.
 const BEHIND: f64 = 0.3;
+/// A candidate that gains this share of its evidence beside another one explains something else.
+const SOMETHING_ELSE: f64 = 0.5;
 /// A second line is followed where its evidence is this near the best line's.
 const NEAR: f64 = 40.0;
 
@@ -54,8 +60,9 @@ pub fn score(all: &Observations, fitted: &Fitted) -> f64 {
 }
 
 /// Every effect that a model lacks, fitted beside what it has; most evidence first. `fresh`: from a first guess of the paper's parameters
-/// too, since a fit that is far off may have bent what is sound to please what is not.
-pub fn candidates(all: &Observations, now: &Fitted, fresh: bool) -> Vec<Candidate> {
+/// too, since a fit that is far off may have bent what is sound to please what is not. `most`: so many are fitted, of those that promise
+/// most.
+pub fn candidates(all: &Observations, now: &Fitted, fresh: bool, most: usize) -> Vec<Candidate> {
     let ids: Vec<&str> = now.effects.iter().map(|(e, _)| e.id()).collect();
     let there = there(all);
     let guess = fresh.then(|| now.with_base(start(all)));
@@ -85,7 +92,7 @@ pub fn candidates(all: &Observations, now: &Fitted, fresh: bool) -> Vec<Candidat
     let always = |p: &(f64, &'static dyn Effect, Vec<Scored>)| p.0.is_infinite();
     let (first, rest): (Vec<_>, Vec<_>) = promising.into_iter().partition(always);
     let chosen: Vec<_> =
-        first.into_iter().chain(rest.into_iter().filter(|p| p.0 > NEEDED).take(FITTED)).collect();
+        first.into_iter().chain(rest.into_iter().filter(|p| p.0 > NEEDED).take(most)).collect();
     let best = chosen.iter().map(|p| p.0).filter(|g| g.is_finite()).fold(0.0, f64::max);
     let own = score(all, now);
     let brief: Vec<(&'static dyn Effect, Vec<Fitted>)> = chosen
@@ -165,7 +172,7 @@ fn sorted(all: &Observations, mut models: Vec<Fitted>) -> Vec<Fitted> {
 
 /// The best of some models, fitted to the end; the best first.
 fn finished(all: &Observations, models: Vec<Fitted>) -> Vec<Fitted> {
-    let all_of = models.into_par_iter().take(FINISHED).map(|m| fit(all, None, &m.base, &m.effects));
+    let all_of = models.into_par_iter().take(FINISHED).map(|m| fit_near(all, None, &m, &m.effects));
     sorted(all, all_of.collect())
 }
 
@@ -224,9 +231,13 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
             if looked_at.contains(&ids(&line.fitted)) {
                 continue;
             }
+            if names.len() >= given + MOST {
+                done.push(line.clone());
+                continue;
+            }
             looked_at.push(ids(&line.fitted));
             progress(&format!("with {names:?}: trying every effect"));
-            let found = candidates(all, &line.fitted, far && depth == 0);
+            let found = candidates(all, &line.fitted, far && depth == 0, FITTED);
             if depth == 0 {
                 first.clone_from(&found);
             }
@@ -236,7 +247,8 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
                 done.push(line.clone());
             }
             for c in good.iter().take(2).filter(|c| c.evidence > best - NEAR) {
-                let fitted = without_idle(all, c.fitted.clone(), given);
+                let with_others = with_others(all, c, &good, given);
+                let fitted = without_idle(all, with_others, given);
                 next.push(Line { score: score(all, &fitted), fitted });
             }
         }
@@ -252,7 +264,8 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
         }
     }
     let best = done.into_iter().min_by(|a, b| a.score.total_cmp(&b.score));
-    Found { fitted: best.map_or_else(|| model.clone(), |l| l.fitted), first }
+    let best = best.map(|l| fit(all, &l.fitted.base, &l.fitted.effects));
+    Found { fitted: best.unwrap_or_else(|| model.clone()), first }
 }
 
 fn ids(fitted: &Fitted) -> Vec<&'static str> {
@@ -261,11 +274,29 @@ fn ids(fitted: &Fitted) -> Vec<&'static str> {
     ids
 }
 
+/// A candidate's model with the other candidates that explain something else: what each gains beside it is most of what it gained alone.
+fn with_others(all: &Observations, chosen: &Candidate, good: &[&Candidate], given: usize) -> Fitted {
+    let mut model = chosen.fitted.clone();
+    for other in good.iter().filter(|c| c.effect.id() != chosen.effect.id()) {
+        let Some(own) = other.fitted.effects.last().filter(|_| model.effects.len() < given + MOST) else {
+            continue;
+        };
+        let mut effects = model.effects.clone();
+        effects.push(own.clone());
+        let both = fit_near(all, None, &model, &effects);
+        let gain = score(all, &model) - score(all, &both);
+        if gain > SOMETHING_ELSE * other.evidence && gain > NEEDED {
+            model = both;
+        }
+    }
+    model
+}
+
 /// A model without one of its effects, fitted again.
 pub fn without(all: &Observations, model: &Fitted, which: usize) -> Fitted {
     let mut effects = model.effects.clone();
     effects.remove(which);
-    fit(all, None, &model.base, &effects)
+    fit_near(all, None, model, &effects)
 }
 
 /// Drops effects whose evidence does not pay for them any more.
@@ -290,7 +321,7 @@ pub fn searched(all: &Observations, given: &[Given]) -> Effects {
         return given.iter().filter_map(known).collect();
     }
     let certain: Effects = given.iter().filter_map(known).collect();
-    let mut now = fit(all, None, &start(all), &certain);
+    let mut now = fit(all, &start(all), &certain);
     for (effect, values) in given.iter().filter(|g| known(g).is_none()) {
         let guess = now.with_base(start(all));
         let mut hinted = effect.starts(&seen(all, &guess.base));

@@ -8,6 +8,7 @@ use super::system::{Covariance, Layout, Slopes, State, System};
 use crate::observables::{Half, Observations, mean};
 use radcam_sim::effects::{self, Effect, Seen};
 use radcam_sim::predict::{BaseParameters, Prediction};
+use std::sync::Arc;
 
 /// Rounds of Levenberg and Marquardt at most.
 const ROUNDS: usize = 40;
@@ -43,6 +44,8 @@ pub struct Fitted {
     pub(super) free: Free,
     pub(super) point: Point,
     pub(super) covariance: Covariance,
+    /// Slopes there or near.
+    pub(super) slopes: Arc<Slopes>,
 }
 
 impl std::fmt::Debug for Fitted {
@@ -84,13 +87,18 @@ pub fn as_given(values: &[f64], given: &[Option<f64>]) -> Vec<f64> {
     values.iter().enumerate().map(|(i, v)| given.get(i).copied().flatten().unwrap_or(*v)).collect()
 }
 
-/// Fits the paper's parameters and those of some effects, from a start. `half`: on these observables and those of both only.
-pub fn fit(all: &Observations, half: Option<Half>, base: &BaseParameters, effects: &Effects) -> Fitted {
-    fit_for(ROUNDS, all, half, base, effects, None)
+/// Fits the paper's parameters and those of some effects, from a start.
+pub fn fit(all: &Observations, base: &BaseParameters, effects: &Effects) -> Fitted {
+    fit_for(ROUNDS, all, None, base, effects, None)
 }
 
-/// The same for a few rounds: enough to see which of several starts is the best. `known`: slopes at a place that is near but for the last
-/// effect.
+/// The same beside another fit whose slopes serve at first, and its errors as far as they are the same. `half`: on these observables and
+/// those of both only.
+pub(crate) fn fit_near(all: &Observations, half: Option<Half>, near: &Fitted, effects: &Effects) -> Fitted {
+    fit_for(ROUNDS, all, half, &near.base, effects, Some(&near.slopes))
+}
+
+/// The same for a few rounds: enough to see which of several starts is the best.
 pub(crate) fn fit_briefly(
     all: &Observations,
     base: &BaseParameters,
@@ -143,7 +151,8 @@ fn fit_for(
             let value = system.objective(&now, &there, &trial.lights);
             if value < before {
                 damping = (damping * 0.2).max(1e-7);
-                promised = system.promised(&step, &lights);
+                let moved: Vec<f64> = trial.x.iter().zip(&point.x).map(|(a, b)| a - b).collect();
+                promised = system.promised(&moved, &lights);
                 found = Some((trial, there, before - value));
                 break;
             }
@@ -161,12 +170,13 @@ fn fit_for(
             free.clamp(&mut point);
             now = layout.at(&free, &point);
         }
+        // Slopes serve for as long as steps bring what they promise.
+        let hold = gained >= HOLDS * promised;
         let arrived = settled && gained < ARRIVED;
-        if arrived && fresh {
+        if arrived && (fresh || known.is_some() && hold) {
             break;
         }
-        // Slopes serve for as long as steps bring what they promise.
-        fresh = arrived || gained < HOLDS * promised;
+        fresh = arrived || !hold;
         if fresh {
             taken += 1;
             if taken == rounds {
@@ -176,7 +186,7 @@ fn fit_for(
         }
         system = System::new(&layout, &free, &point, &now, &slopes);
     }
-    if !fresh && rounds > FIRST_ROUNDS {
+    if !fresh && known.is_none() && rounds > FIRST_ROUNDS {
         slopes = Slopes::new(&layout, &free, &point, &now);
         system = System::new(&layout, &free, &point, &now, &slopes);
     }
@@ -203,9 +213,14 @@ fn fit_for(
         of(Common::Gain) * base.gain_dn_per_e,
         in_e(Common::Read, base.read_noise_e),
         of(Common::Offset),
-        if free.place(Common::Dark).is_some_and(|i| free.fixed[i]) { 0.0 } else { in_e(Common::Dark, base.dark_e_per_s) },
+        if free.place(Common::Dark).is_some_and(|i| free.fixed[i]) {
+            0.0
+        } else {
+            in_e(Common::Dark, base.dark_e_per_s)
+        },
     ];
-    Fitted { base, effects, objective, std_err, base_std_err, free, point, covariance }
+    let slopes = Arc::new(slopes);
+    Fitted { base, effects, objective, std_err, base_std_err, free, point, covariance, slopes }
 }
 
 /// What the campaign shows before any fit.

@@ -33,6 +33,15 @@ pub enum Common {
     Of(usize, usize),
 }
 
+/// What a common value is, whatever the model that it stands in.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Key {
+    /// One of the paper's, or of the campaign.
+    Base(Common),
+    /// A parameter of an effect with these choices.
+    Of(&'static str, usize, Vec<u64>),
+}
+
 /// A light level with a factor of its own.
 #[derive(Debug, Clone, Copy)]
 pub struct Light {
@@ -204,6 +213,14 @@ impl Free {
             *x = x.clamp(*min, *max);
         }
         at.lights.iter_mut().for_each(|l| *l = l.clamp(-30.0, 30.0));
+    }
+
+    /// What a value is.
+    pub fn key(&self, i: usize) -> Key {
+        let Common::Of(effect, parameter) = self.common[i] else { return Key::Base(self.common[i]) };
+        let (e, values) = (self.effects[effect], &self.values[effect]);
+        let choices = e.parameters().iter().zip(values).filter(|(p, _)| p.is_choice());
+        Key::Of(e.id(), parameter, choices.map(|(_, v)| v.to_bits()).collect())
     }
 
     /// Place of a common value.

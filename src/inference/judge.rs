@@ -3,10 +3,9 @@
 //! Halves take turns from set to set: the first frames after a change of level belong now to the one, now to the other. Whole
 //! frames go to one half, so that noise that runs from frame to frame within a chunk stays on one side.
 
-use super::fit::{Effects, Fitted, fit, halves};
+use super::fit::{Fitted, fit_near, halves};
 use super::system::{Layout, Slopes, System};
 use crate::observables::{Half, Observable, Observations, Statistic, mean, settling};
-use radcam_sim::predict::BaseParameters;
 use serde::Serialize;
 
 /// Below this chance a model does not describe the campaign.
@@ -101,11 +100,9 @@ pub struct Comparison {
 }
 
 /// Fits a model on each half of the frames and judges it on the other.
-pub fn compare(all: &Observations, base: &BaseParameters, effects: &Effects) -> Comparison {
-    let (first, second) = rayon::join(
-        || fit(all, Some(Half::First), base, effects),
-        || fit(all, Some(Half::Second), base, effects),
-    );
+pub fn compare(all: &Observations, model: &Fitted) -> Comparison {
+    let of = |half| fit_near(all, Some(half), model, &model.effects);
+    let (first, second) = rayon::join(|| of(Half::First), || of(Half::Second));
     let mut residuals = Vec::new();
     for (fitted, half) in [(&first, Half::First), (&second, Half::Second)] {
         residuals.extend(judged(all, fitted, half));

@@ -10,8 +10,8 @@ mod screen;
 mod start;
 mod system;
 
-pub(crate) use fit::fit_briefly;
 pub use fit::{Effects, Fitted, Given, as_given, fit, seen};
+pub(crate) use fit::{fit_briefly, fit_near};
 pub(crate) use judge::residuals_of;
 pub use judge::{Agreement, Comparison, P_LIMIT, Residual, compare};
 pub use screen::{Scored, Screen};

@@ -89,7 +89,9 @@ impl<'a> Screen<'a> {
                     take(values, f64::INFINITY);
                     continue;
                 }
-                let Some(moved) = self.left(direction, &there).and_then(|l| direction.gain(&l)) else { continue };
+                let Some(moved) = self.left(direction, &there).and_then(|l| direction.gain(&l)) else {
+                    continue;
+                };
                 take(values.clone(), moved.whole);
                 if !has_size || !moved.multiple.is_finite() || moved.multiple == 0.0 {
                     continue;

@@ -1,6 +1,6 @@
 //! The normal equations of a fit: common values, and light factors that touch their own sets only.
 
-use super::free::{Common, Free, Point};
+use super::free::{Common, Free, Key, Point};
 use crate::fit::cholesky;
 use crate::observables::{Expected, Half, Observable, Observations, expectations, monitor};
 use radcam_sim::effects;
@@ -31,6 +31,8 @@ pub struct Layout<'a> {
     pub all: &'a Observations,
     /// Those that take part.
     pub rows: Vec<&'a Observable>,
+    /// Their places in [`Observations::list`].
+    places: Vec<usize>,
     halves: Vec<Half>,
     /// Set and rows of those of a set that see its light.
     blocks: Vec<(usize, Vec<usize>)>,
@@ -39,7 +41,8 @@ pub struct Layout<'a> {
 impl<'a> Layout<'a> {
     /// Of these halves.
     pub fn new(all: &'a Observations, halves: &[Half]) -> Self {
-        let rows: Vec<&Observable> = all.list.iter().filter(|o| halves.contains(&o.half)).collect();
+        let (places, rows): (Vec<usize>, Vec<&Observable>) =
+            all.list.iter().enumerate().filter(|(_, o)| halves.contains(&o.half)).unzip();
         let mut blocks: Vec<(usize, Vec<usize>)> = Vec::new();
         let mut place = vec![None; all.campaign.sets.len()];
         for (i, o) in rows.iter().enumerate() {
@@ -54,7 +57,7 @@ impl<'a> Layout<'a> {
             });
             blocks[at].1.push(i);
         }
-        Self { all, rows, halves: halves.to_vec(), blocks }
+        Self { all, rows, places, halves: halves.to_vec(), blocks }
     }
 
     /// What a prediction expects of them.
@@ -110,7 +113,11 @@ struct Block {
 /// How expectations change with the common values, at some place.
 #[derive(Clone)]
 pub struct Slopes {
-    common: Vec<Common>,
+    /// What each is of; `None` for what is not known.
+    keys: Vec<Option<Key>>,
+    /// Places of the rows in [`Observations::list`], and sets of the blocks.
+    rows: Vec<usize>,
+    sets: Vec<usize>,
     /// Per unit of [`Point::x`], row by row.
     expected: Vec<f64>,
     /// Change of the logarithm of the error of rows whose error is fitted, per unit of [`Point::x`].
@@ -126,7 +133,7 @@ impl Slopes {
         Self::beside(None, layout, free, point, now)
     }
 
-    /// At a place near one where they are known: of what is not known there only.
+    /// At a place near one where they are known, maybe of another model or of other halves: of what is not known there only.
     pub fn beside(
         known: Option<&Self>,
         layout: &Layout<'_>,
@@ -135,17 +142,22 @@ impl Slopes {
         now: &State,
     ) -> Self {
         let (n, rows, blocks) = (free.common.len(), layout.rows.len(), layout.blocks.len());
-        let monitors: Vec<usize> =
-            (0..rows).filter(|r| layout.rows[*r].is(&monitor::This)).collect();
+        let monitors = (0..rows).filter(|r| layout.rows[*r].is(&monitor::This));
         let mut out = Self {
-            common: free.common.clone(),
+            keys: (0..n).map(|i| (!free.fixed[i]).then(|| free.key(i))).collect(),
+            rows: layout.places.clone(),
+            sets: layout.blocks.iter().map(|(set, _)| *set).collect(),
             expected: vec![0.0; rows * n],
-            scatter: monitors.iter().map(|r| (*r, vec![0.0; n])).collect(),
+            scatter: monitors.map(|r| (r, vec![0.0; n])).collect(),
             setting: vec![0.0; blocks * n],
             scale: free.scale.clone(),
         };
-        let place = |i: usize| known?.common.iter().position(|c| *c == free.common[i]);
-        let fresh: Vec<usize> = (0..n).filter(|i| !free.fixed[*i] && place(*i).is_none()).collect();
+        let place = |i: usize| {
+            let known = known.filter(|k| k.has_all(&out.rows, &out.sets))?;
+            known.keys.iter().position(|k| k.is_some() && *k == out.keys[i])
+        };
+        let places: Vec<Option<usize>> = (0..n).map(place).collect();
+        let fresh: Vec<usize> = (0..n).filter(|i| !free.fixed[*i] && places[*i].is_none()).collect();
         let step_of = |i: usize| {
             let step = 1e-5 * point.x[i].abs().max(1e-2);
             if point.x[i] + step > free.bounds[i].1 { -step } else { step }
@@ -169,23 +181,44 @@ impl Slopes {
                 out.setting[b * n + i] = (is - was) / step;
             }
         }
-        let Some(known) = known else { return out };
-        let m = known.common.len();
-        for i in (0..n).filter(|i| !free.fixed[*i]) {
-            let Some(k) = place(i) else { continue };
-            let by = free.scale[i] / known.scale[k];
-            (0..rows).for_each(|r| out.expected[r * n + i] = by * known.expected[r * m + k]);
-            (0..blocks).for_each(|b| out.setting[b * n + i] = by * known.setting[b * m + k]);
-            for ((_, slopes), (_, of)) in out.scatter.iter_mut().zip(&known.scatter) {
-                slopes[i] = by * of[k];
-            }
+        if let Some(known) = known {
+            out.take(known, &places);
         }
         out
     }
 
+    /// Whether these rows and blocks are among its own; all are in order.
+    fn has_all(&self, rows: &[usize], sets: &[usize]) -> bool {
+        let among = |few: &[usize], all: &[usize]| few.iter().all(|x| all.binary_search(x).is_ok());
+        among(rows, &self.rows) && sets.iter().all(|s| self.sets.contains(s))
+    }
+
+    /// Takes over what is known elsewhere, each from its place there.
+    fn take(&mut self, known: &Self, places: &[Option<usize>]) {
+        let (n, m) = (self.scale.len(), known.scale.len());
+        let own = |r: usize| known.rows.binary_search(&r).unwrap_or(0);
+        let row_of: Vec<usize> = self.rows.iter().map(|r| own(*r)).collect();
+        let block = |set: &usize| known.sets.iter().position(|s| s == set).unwrap_or(0);
+        let block_of: Vec<usize> = self.sets.iter().map(block).collect();
+        for (i, k) in places.iter().enumerate() {
+            let Some(k) = *k else { continue };
+            let by = self.scale[i] / known.scale[k];
+            for (r, from) in row_of.iter().enumerate() {
+                self.expected[r * n + i] = by * known.expected[from * m + k];
+            }
+            for (b, from) in block_of.iter().enumerate() {
+                self.setting[b * n + i] = by * known.setting[from * m + k];
+            }
+            for (r, slopes) in &mut self.scatter {
+                let from = known.scatter.iter().find(|(row, _)| *row == row_of[*r]);
+                slopes[i] = from.map_or(0.0, |(_, of)| by * of[k]);
+            }
+        }
+    }
+
     /// Over the errors of the expectations.
     pub fn over_errors(&self, now: &State) -> Vec<f64> {
-        let n = self.common.len();
+        let n = self.scale.len();
         let mut out = self.expected.clone();
         for (row, e) in out.chunks_exact_mut(n).zip(&now.expected) {
             row.iter_mut().for_each(|s| *s /= e.normal.2);

@@ -271,7 +271,7 @@ fn residuals_of_clean_cameras_are_of_unit_size() {
         let root = dir.path().join("c");
         campaign(sensor(20_000 + k), &root);
         let all = observe(&root);
-        let c = compare(&all, &start(&all), &Vec::new());
+        let c = compare(&all, &fit(&all, &start(&all), &Vec::new()));
         errors.push(c.error);
         println!("{k} {:?} {:.3} {:.1e}", all.campaign.shape, c.error, c.p_value);
         for r in &c.residuals {

@@ -5,7 +5,7 @@ use radcam::bench::Illuminator;
 use radcam::capture::Capture;
 use radcam::dataset::{Dataset, Kind};
 use radcam::diagnosis::{Diagnosis, diagnose};
-use radcam::inference::{compare, start};
+use radcam::inference::{compare, fit, start};
 use radcam::observables::{Observations, of_dataset};
 use radcam::plan::{Plan, SetPlan};
 use radcam_sim::effects::{EFFECTS, Effect, example, find};
@@ -94,7 +94,7 @@ fn strays_from(mut model: Model, held: &[(&'static dyn Effect, Vec<f64>)]) -> Op
     let root = dir.path().join("c");
     campaign(model, &root);
     let all = observe(&root);
-    let c = compare(&all, &start(&all), &held.to_vec());
+    let c = compare(&all, &fit(&all, &start(&all), &held.to_vec()));
     println!("{effects:?} error {:.3}, p {:.1e}", c.error, c.p_value);
     // Some 1400 residuals: the error of an error of 1 is 0.02; six of them, and what the predictions leave out.
     (!(0.85..1.2).contains(&c.error)).then(|| {

@@ -1,7 +1,8 @@
 //! Brighter-fatter: charge already in a pixel repels what arrives later.
 
 use super::{
-    Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Seen, Stage, Together, shifted, takes,
+    Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Seen, Stage, Together, shifted,
+    takes,
 };
 
 /// Flow of arriving charge along the gradient of the charge so far.
