@@ -39,7 +39,7 @@ fn strength(
     let expected: Vec<f64> =
         expectations(clean, &hidden.predict(clean), |_| true).iter().map(|(_, e)| e.value).collect();
     seen.list.iter_mut().zip(expected).for_each(|(o, v)| o.measured.value = v);
-    let fitted = fit(&seen, None, &truth.base, &Vec::new());
+    let fitted = fit(&seen, &truth.base, &Vec::new());
     let mut of: BTreeMap<String, f64> = BTreeMap::new();
     for (o, e) in expectations(&seen, &fitted.predict(&seen), |_| true) {
         *of.entry(o.name()).or_default() += e.z().powi(2);
@@ -55,7 +55,7 @@ fn values_at(model: &Model, id: &str, wanted: f64) -> Option<(Vec<f64>, f64)> {
     let root = dir.path().join("clean");
     campaign(model.clone(), &root);
     let clean = observe(&root);
-    let truth = fit(&clean, None, &start(&clean), &Vec::new());
+    let truth = fit(&clean, &start(&clean), &Vec::new());
     let effect = find(id).unwrap();
     let of = |knob: f64| strength(&clean, &truth, effect, &scaled(id, &plain, knob)).1;
     let (mut low, mut high) = (1e-3f64, 1e2f64);
