@@ -4,7 +4,7 @@
 //! (Wiener-Khinchin); covariances at small lags come back by the inverse transform.
 
 use crate::effects::Clipped;
-use crate::quantize::{NODES, rounded};
+use crate::quantize::{NODES, reaches_zero, rounded, rounded_from_zero};
 
 /// Side of the grid of spatial frequencies.
 pub const GRID: usize = 16;
@@ -247,6 +247,8 @@ pub struct Campaign {
     pub shape: (usize, usize),
     /// Largest code, DN.
     pub full_scale_dn: f64,
+    /// Whether levels count from code 0; of tables the level without light was taken off.
+    pub from_code_0: bool,
     /// Usual time from the end of a frame to the end of the next, s.
     pub frame_s: f64,
     /// The strongest line that the noise's spectrum has in read-out order, cycles per pixel.
@@ -352,6 +354,8 @@ pub struct Prediction {
     pub code_step_dn: f64,
     /// Whether firmware has handed on whole codes already.
     pub whole: bool,
+    /// Nothing lies below this level, DN above that of zero charge.
+    pub floor_dn: f64,
     /// Gain of the right half over the left, minus 1, and its offset, DN; of the lower half over the upper; of odd columns over even
     /// ones; of odd rows.
     pub taps: [(f64, f64); 4],
@@ -527,6 +531,7 @@ impl Prediction {
             bit_errors_dn: [0.0; BITS],
             code_step_dn: 1.0,
             whole: false,
+            floor_dn: f64::NEG_INFINITY,
             taps: [(0.0, 0.0); 4],
             smear_s: 0.0,
             bloom_e: f64::INFINITY,
@@ -540,11 +545,23 @@ impl Prediction {
         }
         let square = step * step;
         let mut shifts = vec![0.0; self.sets.len()];
+        let may_be_clipped = c.from_code_0 && self.base.offset_dn + self.floor_dn < 0.0;
         for (i, s) in self.sets.iter_mut().enumerate() {
             let variance = s.covariance(0, 0) / square;
-            let spread = c.sets.get(i).map_or(0.0, |s| s.spread_dn) / step;
+            let (spread, places) =
+                c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread_dn / step, &s.places));
             let level = (s.signal + self.base.offset_dn) / step;
-            let rounded = rounded(level, spread, variance);
+            let rounded = if may_be_clipped && reaches_zero(level, spread, places, variance) {
+                // Levels are measured once they are clipped: before, they lie further apart.
+                let slope = rounded_from_zero(level, spread, places, variance).slope;
+                let found = rounded_from_zero(level, spread / slope.clamp(0.3, 1.0), places, variance);
+                // The pixels' places are known as a few shares.
+                s.unsure = libm::hypot(s.unsure, 0.3 * square * square * found.unequal);
+                s.unsure_mean = libm::hypot(s.unsure_mean, 0.02 * step * found.mean.abs());
+                found
+            } else {
+                rounded(level, spread, variance)
+            };
             shifts[i] = step * rounded.mean;
             // What pixels or frames share comes through with the slope; what each has of its own, with the whole of its variance.
             let through = rounded.slope * rounded.slope;

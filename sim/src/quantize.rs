@@ -1,5 +1,7 @@
 //! What rounding to whole steps does to noise that covers about a step or less.
 
+use crate::effects::cut;
+use crate::predict::PLACES as SHARES;
 use std::sync::OnceLock;
 
 /// Statistics of rounded noise over many pixels, in steps.
@@ -99,6 +101,67 @@ pub fn rounded(level: f64, spread: f64, variance: f64) -> Rounded {
     }
 }
 
+/// From this deviation on, in steps, codes are so many that clipping at code 0 is that of a continuous level.
+const MANY: f64 = 8.0;
+/// Levels this many deviations above code 0 are not clipped.
+const CLEAR: f64 = 6.5;
+
+/// Whether normal noise of this variance about these levels reaches code 0.
+pub fn reaches_zero(level: f64, spread: f64, places: &[f64], variance: f64) -> bool {
+    let lowest = places.iter().copied().fold(0.0, f64::min);
+    level + spread * lowest < CLEAR * variance.max(0.0).sqrt() + 0.5
+}
+
+/// max(code, 0) of a rounded level with normal noise: mean, slope of the mean, variance and fourth cumulant; sums over the codes.
+fn from_zero(level: f64, sd: f64) -> Pixel {
+    let sd = sd.max(0.02);
+    let below = |edge: f64| upper((level - edge) / sd);
+    let density = |edge: f64| libm::exp(-0.5 * ((edge - level) / sd).powi(2)) / (sd * std::f64::consts::TAU.sqrt());
+    let first = (level - 6.0 * sd).floor().max(0.0);
+    let codes = ((level + 6.0 * sd).ceil() - first).max(0.0) as usize;
+    let (mut passed, mut slope) = (0.0, 0.0);
+    let mut shares = Vec::with_capacity(codes + 1);
+    for k in 0..=codes {
+        let edge = first + k as f64 + 0.5;
+        let here = if k == codes { 1.0 } else { below(edge) };
+        shares.push(here - passed);
+        passed = here;
+        slope += density(edge);
+    }
+    let moment = |about: f64, power: i32| {
+        shares.iter().enumerate().map(|(k, p)| p * (first + k as f64 - about).powi(power)).sum::<f64>()
+    };
+    let mean = moment(0.0, 1);
+    let (second, fourth) = (moment(mean, 2), moment(mean, 4));
+    [mean, slope, second, fourth - 3.0 * second * second]
+}
+
+/// Normal noise of this variance in pixels at these places, whose codes below 0 come out as 0; all in steps.
+pub fn rounded_from_zero(level: f64, spread: f64, places: &[f64; SHARES.len()], variance: f64) -> Rounded {
+    let variance = variance.max(0.0);
+    let sd = variance.sqrt();
+    let pixel = |level: f64| {
+        if sd < MANY {
+            return from_zero(level, sd);
+        }
+        // Upside down: what is cut off lies below.
+        let left = cut(-level, variance, 0.0);
+        let kept = 1.0 - left.above;
+        [-left.mean, kept, left.variance + kept / 12.0, left.fourth]
+    };
+    let all = places.map(|x| pixel(level + spread * x));
+    let average = |i: usize| all.iter().zip(SHARES).map(|(p, share)| share * p[i]).sum::<f64>();
+    let second = average(2);
+    let apart = |p: &Pixel| (p[2] - second) * (p[2] - second);
+    Rounded {
+        mean: average(0) - level,
+        slope: average(1),
+        variance: second - variance,
+        unequal: all.iter().zip(SHARES).map(|(p, share)| share * apart(p)).sum(),
+        fourth: average(3),
+    }
+}
+
 /// floor(a u + 1/2) of whole numbers u with normal noise: what firmware adds to a code.
 #[derive(Debug, Clone, Copy)]
 pub struct Correction {
@@ -192,6 +255,32 @@ impl Correction {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Against sums over drawn numbers: a million of each, within five standard errors.
+    #[test]
+    fn codes_below_zero_come_out_as_zero() {
+        use crate::rng::{PixelRng, Stream};
+        for (level, sd) in [(0.0, 1.06), (0.7, 0.4), (-1.0, 2.0), (5.0, 12.0), (3.0, 0.5)] {
+            let n = 1_000_000;
+            let draw = |i: u32| {
+                let v: f64 = level + sd * PixelRng::new(7, Stream::Effect, 0, i, 0).normal();
+                v.round().max(0.0)
+            };
+            let all: Vec<f64> = (0..n).map(draw).collect();
+            let mean = all.iter().sum::<f64>() / f64::from(n);
+            let moment = |k: i32| all.iter().map(|v| (v - mean).powi(k)).sum::<f64>() / f64::from(n);
+            let (second, fourth) = (moment(2), moment(4));
+            let found = rounded_from_zero(level, 0.0, &[0.0; SHARES.len()], sd * sd);
+            let error = (second / f64::from(n)).sqrt();
+            assert!((found.mean + level - mean).abs() < 5.0 * error, "{level} {sd}: {found:?}, mean {mean}");
+            let error = ((fourth - second * second) / f64::from(n)).sqrt();
+            let got = found.variance + sd * sd;
+            assert!((got - second).abs() < 5.0 * error, "{level} {sd}: {got}, drawn {second}");
+            let got = found.fourth + 3.0 * got * got;
+            let error = (moment(8) / f64::from(n)).sqrt();
+            assert!((got - fourth).abs() < 5.0 * error, "{level} {sd}: {got}, drawn {fourth}");
+        }
+    }
 
     /// Levels spread over several codes: the mean variance lacks the sum over k of exp(-(2 pi k sd)^2) / (2 pi^2 k^2) (Widrow and
     /// Kollar 2008, ch. 4).

@@ -275,6 +275,7 @@ pub fn of_dataset(
             sets: infos,
             shape,
             full_scale_dn: f64::from(camera.full_scale_dn()),
+            from_code_0: true,
             frame_s: if frame_s.is_finite() { frame_s.max(0.0) } else { 0.0 },
             line_cycles_per_px: line.map(|l| l.1),
         },

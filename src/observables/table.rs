@@ -113,6 +113,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
             sets,
             shape: (1000, 1000),
             full_scale_dn: full,
+            from_code_0: false,
             frame_s: 0.0,
             line_cycles_per_px: None,
         },

@@ -49,6 +49,7 @@ impl Effect for This {
     }
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
+        out.floor_dn = out.floor_dn.max(p[0]);
         let noise: Vec<f64> = out.sets.iter().map(|s| s.covariance(0, 0)).collect();
         let limited = |set: usize, level: f64| {
             // Clipped from below: upside down.

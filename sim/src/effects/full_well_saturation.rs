@@ -35,7 +35,7 @@ impl Clipped {
 
 /// min(x, limit) of normal x: moments of a truncated normal variable (Johnson, Kotz and Balakrishnan 1994, 13.10) and of the mass
 /// at the limit.
-fn cut(mean: f64, variance: f64, limit: f64) -> Clipped {
+pub(crate) fn cut(mean: f64, variance: f64, limit: f64) -> Clipped {
     let sd = libm::sqrt(variance.max(1e-12));
     let c = (limit - mean) / sd;
     if c > 8.0 {

@@ -392,7 +392,7 @@ macro_rules! effects {
     };
 }
 
-pub(crate) use full_well_saturation::Clipped;
+pub(crate) use full_well_saturation::{Clipped, cut};
 
 effects! {
     nonlinearity brighter_fatter interpixel_crosstalk readout_lowpass spatial_filter temporal_filter image_lag
