@@ -548,8 +548,7 @@ impl Prediction {
         let may_be_clipped = c.from_code_0 && self.base.offset_dn + self.floor_dn < 0.0;
         for (i, s) in self.sets.iter_mut().enumerate() {
             let variance = s.covariance(0, 0) / square;
-            let (spread, places) =
-                c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread_dn / step, &s.places));
+            let (spread, places) = c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread_dn / step, &s.places));
             let level = (s.signal + self.base.offset_dn) / step;
             let rounded = if may_be_clipped && reaches_zero(level, spread, places, variance) {
                 // Levels are measured once they are clipped: before, they lie further apart.

@@ -116,7 +116,8 @@ pub fn reaches_zero(level: f64, spread: f64, places: &[f64], variance: f64) -> b
 fn from_zero(level: f64, sd: f64) -> Pixel {
     let sd = sd.max(0.02);
     let below = |edge: f64| upper((level - edge) / sd);
-    let density = |edge: f64| libm::exp(-0.5 * ((edge - level) / sd).powi(2)) / (sd * std::f64::consts::TAU.sqrt());
+    let density =
+        |edge: f64| libm::exp(-0.5 * ((edge - level) / sd).powi(2)) / (sd * std::f64::consts::TAU.sqrt());
     let first = (level - 6.0 * sd).floor().max(0.0);
     let codes = ((level + 6.0 * sd).ceil() - first).max(0.0) as usize;
     let (mut passed, mut slope) = (0.0, 0.0);

@@ -10,7 +10,9 @@ pub use search::searched;
 pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
-use crate::inference::{Comparison, Effects, Fitted, P_LIMIT, compare, fit, fit_near, residuals_of, start};
+use crate::inference::{
+    Comparison, Effects, Fitted, P_LIMIT, by_statistic, compare, fit, fit_near, residuals_of, start,
+};
 use crate::noise::Quantity;
 use crate::observables::{Observations, covariance};
 use crate::plan::Plan;
@@ -28,16 +30,10 @@ const TIE: f64 = 6.0;
 const FAR: f64 = 3.0;
 /// Error up to which a name brings a campaign to the noise (contract, section 4).
 const SETTLED: f64 = 1.15;
-/// Share of the excess of the squared error that may be left where deviations are still no chance and a name stands first all the same:
-/// what is left is then a detail of it.
+/// Share of what a statistic strayed by that may be left where that is still no chance and a name stands first all the same.
 const UNEXPLAINED: f64 = 0.2;
 /// Names that are given as the nearest of what has none.
 const NEAREST: usize = 3;
-
-/// What an error has beyond that of a model which holds.
-fn excess(error: f64) -> f64 {
-    (error * error - 1.0).max(0.0)
-}
 
 /// What is missing.
 #[derive(Debug, Clone, Serialize)]
@@ -305,6 +301,15 @@ fn add_ties(parts: &[Part], whole: &Fitted, missing: &mut Vec<Missing>, apart: b
     *missing = out;
 }
 
+/// Whether each statistic that still strays by more than chance has lost most of what it strayed by: then what is left is a detail of what
+/// was named, and nothing else.
+fn mended(first: &Comparison, last: &Comparison) -> bool {
+    let (before, after) = (by_statistic(&first.residuals), by_statistic(&last.residuals));
+    let limit = P_LIMIT / after.len().max(1) as f64;
+    let was = |name: &str| before.iter().find(|b| b.name == name).map_or(0.0, |b| b.excess);
+    after.iter().filter(|a| a.chance < limit).all(|a| a.excess < UNEXPLAINED * was(&a.name))
+}
+
 /// What no name explains: first where the names do not bring the campaign to the noise, else in a note.
 fn add_unknown(
     parts: &[Part],
@@ -316,9 +321,8 @@ fn add_unknown(
     if last.p_value >= P_LIMIT {
         return;
     }
-    let share = excess(last.error) / excess(first.error).max(1e-9);
     let left = signatures(&last.residuals);
-    if last.error <= SETTLED && (share < UNEXPLAINED || left.is_empty()) {
+    if last.error <= SETTLED && !parts.is_empty() && mended(first, last) {
         notes.push(format!("what is left is small: error {:.3}, p {}", last.error, chance(last.p_value)));
         return;
     }

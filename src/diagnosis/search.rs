@@ -192,12 +192,9 @@ fn is_something(c: &Candidate, seen: &Seen) -> bool {
         return false;
     }
     let sizes: Vec<usize> = all.iter().copied().filter(|k| effect.parameters()[*k].is_size()).collect();
-    if let Some(t) = effect.together(values) {
-        // Two that only their combination tells are each unknown, and together something.
-        let of = |(a, b): (usize, usize)| t.slopes[a] * t.slopes[b] * fitted.covariance_of(at, a, b);
-        let variance: f64 =
-            (0..values.len()).flat_map(|a| (0..values.len()).map(move |b| (a, b))).map(of).sum();
-        return t.value.abs() > 2.5 * variance.max(0.0).sqrt();
+    // Two that only their combination tells are each unknown; the evidence says that together they are something.
+    if effect.together(values).is_some() {
+        return true;
     }
     sizes.is_empty() || sizes.iter().any(|&k| values[k].abs() > 2.5 * errors[k])
 }

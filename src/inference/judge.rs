@@ -7,6 +7,7 @@ use super::fit::{Fitted, fit_near, halves};
 use super::system::{Layout, Slopes, System};
 use crate::observables::{Half, Observable, Observations, Statistic, mean, settling};
 use serde::Serialize;
+use std::collections::BTreeMap;
 
 /// Below this chance a model does not describe the campaign.
 pub const P_LIMIT: f64 = 1e-3;
@@ -236,37 +237,60 @@ fn lights_seen(all: &Observations, half: Half) -> Vec<bool> {
     seen
 }
 
-/// Chance of residuals as large as these: of their sum of squares, of the largest one, and of the largest sum of squares of
-/// any one statistic, the smallest of them times their number.
-fn p_value(residuals: &[Residual]) -> f64 {
-    let tail = |squares: f64, n: f64, slack: f64| {
-        // Errors are known to some per cent and parameters are fitted: the squares scatter a little more than a chi-square.
-        let z = (squares - n * (1.0 + slack)) / (2.0 * n * 1.3).sqrt();
-        0.5 * statrs::function::erf::erfc(z / std::f64::consts::SQRT_2)
+/// What the residuals of one statistic say together.
+#[derive(Debug, Clone)]
+pub struct Together {
+    /// Name of the statistic.
+    pub name: String,
+    /// Chance of a sum of squares, or of a sum, as large as theirs.
+    pub chance: f64,
+    /// By how much the larger of the sum of squares and the square of the sum over n passes what chance expects.
+    pub excess: f64,
+}
+
+/// Errors are known to so much of themselves at worst: a standardised residual may have this deviation.
+const SLACK: f64 = 1.2;
+
+/// The residuals by statistic.
+pub fn by_statistic(residuals: &[Residual]) -> Vec<Together> {
+    let mut of: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+    residuals.iter().for_each(|r| of.entry(r.observable.as_str()).or_default().push(r.z));
+    let together = |(name, z): (&str, Vec<f64>)| {
+        let n = z.len() as f64;
+        let squares: f64 = z.iter().map(|z| z * z).sum();
+        let sum: f64 = z.iter().sum();
+        let chi2 = statrs::distribution::ChiSquared::new(n)
+            .map_or(1.0, |c| statrs::distribution::ContinuousCDF::sf(&c, squares / (SLACK * SLACK)));
+        // What strays a little to one side in every set.
+        let aside = two_sided(sum / n.sqrt() / SLACK);
+        Together {
+            name: name.to_string(),
+            chance: (2.0 * chi2.min(aside)).min(1.0),
+            excess: (squares - n).max(sum * sum / n - 1.0).max(0.0),
+        }
     };
+    of.into_iter().map(together).collect()
+}
+
+/// Chance that a normal number lies at least so far off.
+fn two_sided(z: f64) -> f64 {
+    statrs::function::erf::erfc(z.abs() / std::f64::consts::SQRT_2)
+}
+
+/// Chance of residuals as large as these: of their sum of squares, of the largest one, and of those of any one statistic, the smallest of
+/// them times their number.
+fn p_value(residuals: &[Residual]) -> f64 {
     let n = residuals.len() as f64;
     if n < 1.0 {
         return f64::NAN;
     }
-    let whole = tail(residuals.iter().map(|r| r.z * r.z).sum(), n, 0.05);
+    // Errors are known to some per cent and parameters are fitted: the squares scatter a little more than a chi-square.
+    let squares: f64 = residuals.iter().map(|r| r.z * r.z).sum();
+    let z = (squares - n * 1.05) / (2.0 * n * 1.3).sqrt();
+    let whole = 0.5 * statrs::function::erf::erfc(z / std::f64::consts::SQRT_2);
     let largest = residuals.iter().map(|r| r.z.abs()).fold(0.0, f64::max);
-    let single = (n * statrs::function::erf::erfc(largest / 1.1 / std::f64::consts::SQRT_2)).min(1.0);
-    let mut names: Vec<&str> = residuals.iter().map(|r| r.observable.as_str()).collect();
-    names.sort_unstable();
-    names.dedup();
-    let group = names
-        .iter()
-        .map(|name| {
-            let of: Vec<f64> =
-                residuals.iter().filter(|r| r.observable == *name).map(|r| r.z * r.z).collect();
-            let n = of.len() as f64;
-            // Few of a kind: the chi-square itself.
-            let squares: f64 = of.iter().sum();
-            let chi2 = statrs::distribution::ChiSquared::new(n)
-                .map_or(1.0, |c| statrs::distribution::ContinuousCDF::sf(&c, squares / 1.25));
-            chi2.min(1.0)
-        })
-        .fold(1.0, f64::min)
-        * names.len() as f64;
+    let single = (n * two_sided(largest / 1.1)).min(1.0);
+    let groups = by_statistic(residuals);
+    let group = groups.iter().map(|g| g.chance).fold(1.0, f64::min) * groups.len() as f64;
     (3.0 * whole.min(single).min(group)).min(1.0)
 }

@@ -233,6 +233,6 @@ macro_rules! statistics {
 }
 
 statistics! {
-    mean settling monitor frame_scatter variance row_variance column_variance row_shape covariance successive unequal growth parity tap
+    mean settling monitor frame_scatter succession variance row_variance column_variance row_shape covariance successive unequal growth parity tap
     occupancy transition codes_used chunk_codes line leak
 }

@@ -5,14 +5,17 @@
 pub struct FrameMeans {
     frames: u64,
     first_dn: f64,
+    last_dn: f64,
     mean_dn: f64,
     squares: f64,
+    /// Sum of the squares of the steps from frame to frame.
+    steps: f64,
 }
 
 impl FrameMeans {
     /// Adds the mean of the next frame, DN.
     pub fn add(&mut self, mean_dn: f64) {
-        self.merge(&Self { frames: 1, first_dn: mean_dn, mean_dn, squares: 0.0 });
+        self.merge(&Self { frames: 1, first_dn: mean_dn, last_dn: mean_dn, mean_dn, ..Self::default() });
     }
 
     /// Adds the frames that follow.
@@ -24,6 +27,8 @@ impl FrameMeans {
         let (a, b) = (self.frames as f64, later.frames as f64);
         let apart = later.mean_dn - self.mean_dn;
         self.squares += later.squares + apart * apart * a * b / (a + b);
+        self.steps += later.steps + (later.first_dn - self.last_dn).powi(2);
+        self.last_dn = later.last_dn;
         self.mean_dn += apart * b / (a + b);
         self.frames += later.frames;
     }
@@ -41,6 +46,14 @@ impl FrameMeans {
     /// Variance with n - 1 in the denominator, DN^2.
     pub fn variance_dn2(&self) -> f64 {
         self.squares / (self.frames as f64 - 1.0)
+    }
+
+    /// Sum of the products of successive deviations from the mean over that of their squares: steps d' - d have the sum of squares
+    /// 2 sum d^2 - (first^2 + last^2) - 2 sum d d'.
+    pub fn succession(&self) -> f64 {
+        let end = |dn: f64| (dn - self.mean_dn).powi(2);
+        let products = self.squares - 0.5 * (end(self.first_dn) + end(self.last_dn) + self.steps);
+        products / self.squares
     }
 
     /// The first frame less the mean of the others, DN.

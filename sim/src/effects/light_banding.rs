@@ -27,7 +27,7 @@ impl Effect for This {
             Parameter { name: "rel", unit: "1", min: 0.0, max: 0.2, starts: &[0.003] },
             Parameter { name: "cycles_per_row", unit: "1/px", min: 1e-4, max: 0.5, starts: &[] },
             Parameter { name: "ripple_hz", unit: "Hz", min: 0.0, max: 1e5, starts: &[] },
-            Parameter { name: "next_row", unit: "1", min: 0.0, max: 0.9999, starts: &[] },
+            Parameter { name: "next_row", unit: "1", min: 0.7, max: 0.9999, starts: &[] },
         ]
     }
 
@@ -46,7 +46,8 @@ impl Effect for This {
             .iter()
             .map(|n| n / rows)
             .filter(|f| *f < 0.5)
-            .flat_map(|f| [0.0, 100.0].map(|hz| line(f, hz)))
+            // A ripple that turns little within an exposure, and one that turns about once.
+            .flat_map(|f| [0.2, 1.0].map(|turns| line(f, turns / seen.frame_s.max(1e-5))))
             .collect();
         all.extend([0.8, 0.95, 0.99].map(|next| vec![1.0, 0.003, 0.01, 0.0, next]));
         all

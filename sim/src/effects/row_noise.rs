@@ -36,6 +36,11 @@ impl Effect for This {
         wanders(p).then_some("in part shared by bands of rows")
     }
 
+    /// What all rows of a frame share is no noise of rows.
+    fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
+        wanders(p) && libm::pow(p[3], seen.rows) > 0.1
+    }
+
     fn starts(&self, _: &Seen) -> Vec<Vec<f64>> {
         vec![
             vec![0.0, 0.5, 0.0, 0.0],

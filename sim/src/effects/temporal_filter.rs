@@ -14,6 +14,11 @@ pub(super) fn running_average(a: f64) -> (f64, Vec<f64>) {
     ((1.0 - a) / (1.0 + a), (1..=8).map(|k| libm::pow(a, f64::from(k))).collect())
 }
 
+/// Whether the camera keeps more than whole codes of the running mean.
+fn fine(p: &[f64]) -> bool {
+    p[1] >= 0.5
+}
+
 impl Effect for This {
     fn id(&self) -> &'static str {
         "temporal-filter"
@@ -24,7 +29,14 @@ impl Effect for This {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "alpha", unit: "1", min: 0.0, max: 0.9, starts: &[0.05] }]
+        &[
+            Parameter { name: "alpha", unit: "1", min: 0.0, max: 0.9, starts: &[0.05] },
+            Parameter { name: "kept", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0, 1.0] },
+        ]
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        Some(if fine(p) { "the mean is kept in parts of a code" } else { "the mean is kept in whole codes" })
     }
 
     fn remembers(&self) -> bool {
@@ -32,13 +44,13 @@ impl Effect for This {
     }
 
     fn example(&self, _: &Plain) -> Option<Vec<f64>> {
-        Some(vec![0.03])
+        Some(vec![0.03, 0.0])
     }
 
     fn page(&self) -> Page {
         Page {
             what: "Firmware noise reduction mixes each frame with the ones before.",
-            equation: "y_t = round((1 - alpha) v_t + alpha y_(t-1)); variance times (1 - alpha) / (1 + alpha), correlation alpha^k over k frames",
+            equation: "y_t = (1 - alpha) v_t + alpha y_(t-1), rounded to whole codes before it is kept or after; variance times (1 - alpha) / (1 + alpha), correlation alpha^k over k frames",
             signature: "successive frames correlated, darks too; variance down in darks and flats; first frames after a change carry the \
                         old level",
             look_alikes: "image lag carries charge only: read noise of darks is uncorrelated in time",
@@ -53,6 +65,9 @@ impl Effect for This {
         let a = p[0];
         // It adds floor(alpha (last - now) + 1/2) to every code. For each set: the slope of that, what it adds beside, its mean.
         let of_set = |s: &SetPrediction| {
+            if fine(p) {
+                return (a, 0.0, Correction::new(0.0, 1.0, 0.0));
+            }
             let x = s.pixels();
             let mut after = x;
             let mut all = (a, 1.0 / 12.0, Correction::new(a, 1.0, 0.0));
@@ -67,8 +82,8 @@ impl Effect for This {
         let of_sets: Vec<_> = out.sets.iter().map(of_set).collect();
         let mut last = out.base.past_e.map(|past| past * out.base.gain_dn_per_e);
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
-            let step = last
-                .map_or(0.0, |last| of_sets.get(frame.set).map_or(a * (last - *m), |s| s.2.mean(last - *m)));
+            let rounded = of_sets.get(frame.set).filter(|_| !fine(p));
+            let step = last.map_or(0.0, |last| rounded.map_or(a * (last - *m), |s| s.2.mean(last - *m)));
             *m += step;
             last = Some(*m);
         }
@@ -76,17 +91,22 @@ impl Effect for This {
             let (less, memory) = running_average(slope);
             s.remember(less, &memory);
             s.read.add_white(noise / (1.0 - slope * slope));
+            if fine(p) {
+                continue;
+            }
             // Only what lies far off is moved: the tails of narrow noise are not normal any more.
             s.unsure = libm::hypot(s.unsure, 0.15 * correction.narrow() * s.pixels().powi(2));
         }
-        out.whole = true;
+        out.whole = !fine(p);
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
         if let Some(last) = d.memory.get(self.id()).filter(|m| m.dim() == d.image.dim()) {
             d.image = &d.image * (1.0 - p[0]) + last * p[0];
         }
-        d.image.mapv_inplace(|v| libm::floor(v + 0.5));
+        if !fine(p) {
+            d.image.mapv_inplace(|v| libm::floor(v + 0.5));
+        }
         d.memory.insert(self.id(), d.image.clone());
     }
 }
