@@ -508,6 +508,24 @@ impl SetPrediction {
         self.ripples.iter().map(|(v, r)| v * r.with_mean(to as f64, rows as f64)).sum()
     }
 
+    /// Mean over pairs of pixels of the square of the covariance that whole lines, bands or frames give them, DN^4.
+    pub fn shared_squares(&self, rows: usize, columns: usize) -> f64 {
+        let height = rows as f64;
+        let of = |(v, ripple): &(f64, Ripple)| {
+            v * v
+                * match *ripple {
+                    // cos^2 x = (1 + cos 2x) / 2.
+                    Ripple::Sine(cycles) => 0.5 + 0.5 * Ripple::Sine(2.0 * cycles).with_mean(height, height),
+                    Ripple::Wander(next) => Ripple::Wander(next * next).with_mean(height, height),
+                }
+        };
+        let lines: f64 = self.lines.iter().map(|l| 0.5 * l.0 * l.0).sum();
+        self.ripples.iter().map(of).sum::<f64>()
+            + lines
+            + self.row.lag(0).powi(2) / height
+            + self.column.lag(0).powi(2) / columns as f64
+    }
+
     /// Variance of a frame's mean over rows x columns pixels by what pixels and lines have of their own.
     pub fn of_frame_mean(&self, (rows, columns): (usize, usize), pixels: f64) -> f64 {
         (self.shot.of_mean() + self.read.of_mean()) / pixels

@@ -11,7 +11,7 @@ pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
 use crate::inference::{
-    Comparison, Effects, Fitted, P_LIMIT, by_statistic, compare, fit, fit_near, residuals_of, start,
+    Comparison, Effects, Fitted, P_LIMIT, Together, by_statistic, compare, fit, fit_near, residuals_of, start,
 };
 use crate::noise::Quantity;
 use crate::observables::{Observations, covariance};
@@ -32,6 +32,8 @@ const FAR: f64 = 3.0;
 const SETTLED: f64 = 1.15;
 /// Share of what a statistic strayed by that may be left where that is still no chance and a name stands first all the same.
 const UNEXPLAINED: f64 = 0.2;
+/// Share of what all statistics strayed by together that is a detail.
+const DETAIL: f64 = 1e-3;
 /// Names that are given as the nearest of what has none.
 const NEAREST: usize = 3;
 
@@ -301,13 +303,15 @@ fn add_ties(parts: &[Part], whole: &Fitted, missing: &mut Vec<Missing>, apart: b
     *missing = out;
 }
 
-/// Whether each statistic that still strays by more than chance has lost most of what it strayed by: then what is left is a detail of what
-/// was named, and nothing else.
+/// Whether each statistic that still strays by more than chance has lost most of what it strayed by, or strays by next to nothing beside
+/// what all did: then what is left is a detail of what was named, and nothing else.
 fn mended(first: &Comparison, last: &Comparison) -> bool {
     let (before, after) = (by_statistic(&first.residuals), by_statistic(&last.residuals));
     let limit = P_LIMIT / after.len().max(1) as f64;
     let was = |name: &str| before.iter().find(|b| b.name == name).map_or(0.0, |b| b.excess);
-    after.iter().filter(|a| a.chance < limit).all(|a| a.excess < UNEXPLAINED * was(&a.name))
+    let all: f64 = before.iter().map(|b| b.excess).sum();
+    let detail = |a: &Together| a.excess < (UNEXPLAINED * was(&a.name)).max(DETAIL * all);
+    after.iter().filter(|a| a.chance < limit).all(detail)
 }
 
 /// What no name explains: first where the names do not bring the campaign to the noise, else in a note.

@@ -1,6 +1,6 @@
 //! Excess spread of the pixels' variances, relative: whether some pixels are noisier than the rest.
 
-use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 
 /// The spread.
 #[derive(Debug)]
@@ -30,10 +30,21 @@ impl Statistic for This {
         // Shot noise of unequal dark charge: only pixels that stand out are known to have more of it.
         let dark = view.at.map_or(0.0, |set| view.all.dark_spread_dn2[set]);
         let charge = dark * view.prediction.base.gain_dn_per_e.powi(2);
+        // Pixels whose noise is alike have sample variances that are alike: of the scatter 2 s^4 / dof the mean over pairs of pixels of
+        // (covariance / s^2)^2 is missing.
+        let (rows, columns) = view.all.campaign.shape;
+        let alike = s.shared_squares(rows, columns) / square * 2.0 / view.dof / allowed;
         Expected::plain(
             o,
-            (s.unequal + s.fourth / (view.n * allowed)) / square,
-            o.measured.std_err.hypot((s.unsure + charge) / square).hypot(0.002).hypot(rest),
+            (s.unequal + s.fourth / (view.n * allowed)) / square - alike,
+            in_quadrature(&[
+                o.measured.std_err,
+                (s.unsure + charge) / square,
+                0.002,
+                rest,
+                // How much alike depends on phases, of which there is one a frame.
+                0.3 * alike,
+            ]),
         )
     }
 }
