@@ -311,7 +311,9 @@ fn mended(first: &Comparison, last: &Comparison) -> bool {
     let was = |name: &str| before.iter().find(|b| b.name == name).map_or(0.0, |b| b.excess);
     let all: f64 = before.iter().map(|b| b.excess).sum();
     let detail = |a: &Together| a.excess < (UNEXPLAINED * was(&a.name)).max(DETAIL * all);
-    after.iter().filter(|a| a.chance < limit).all(detail)
+    let strays =
+        |a: &&Together| a.chance < limit || a.name.contains("light settings") && a.chance < 0.1 * P_LIMIT;
+    after.iter().filter(strays).all(detail)
 }
 
 /// What no name explains: first where the names do not bring the campaign to the noise, else in a note.

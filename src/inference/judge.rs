@@ -110,7 +110,11 @@ pub fn compare(all: &Observations, model: &Fitted) -> Comparison {
     }
     let n = residuals.len() as f64;
     let error = (residuals.iter().map(|r| r.z * r.z).sum::<f64>() / n.max(1.0)).sqrt();
-    let p_value = p_value(&residuals);
+    let orders = setting_orders(all, model);
+    // Of so few numbers the smallest chance times theirs and that of all others.
+    let by_order = orders.iter().map(|r| two_sided(r.z)).fold(1.0, f64::min) * (orders.len() + 1) as f64;
+    let p_value = p_value(&residuals).min(by_order);
+    residuals.extend(orders);
     Comparison {
         error,
         p_value,
@@ -119,6 +123,42 @@ pub fn compare(all: &Observations, model: &Fitted) -> Comparison {
         residuals,
         not_looked_at: all.missing.clone(),
     }
+}
+
+/// Sets from which on the order of their settings tells something.
+const FEWEST_SETTINGS: usize = 8;
+
+/// Whether the settings of sets scatter one by one, as they are said to: the correlation of successive ones in the order of time, and in
+/// that of the signal. A lamp that jumps or a response that bends is no scatter.
+fn setting_orders(all: &Observations, model: &Fitted) -> Vec<Residual> {
+    let layout = Layout::new(all, &halves(None));
+    let state = layout.at(&model.free, &model.point);
+    let mut scores = System::new(&layout, &model.free, &model.point, &state, &model.slopes).setting_scores();
+    if scores.len() < FEWEST_SETTINGS {
+        return Vec::new();
+    }
+    let levels = levels(all, model.base.offset_dn);
+    let mut order = |name: &str, key: &dyn Fn(usize) -> f64| {
+        scores.sort_by(|a, b| key(a.0).total_cmp(&key(b.0)));
+        let n = scores.len() as f64;
+        let mean = scores.iter().map(|s| s.1).sum::<f64>() / n;
+        let square: f64 = scores.iter().map(|s| (s.1 - mean).powi(2)).sum();
+        let product: f64 = scores.windows(2).map(|s| (s[0].1 - mean) * (s[1].1 - mean)).sum();
+        // R. L. Anderson 1942, Ann. Math. Stat. 13, 1.
+        let (predicted, std_err) = (-1.0 / n, (n - 2.0) / n / (n - 1.0).sqrt());
+        let measured = product / square.max(1e-300);
+        Residual {
+            observable: format!("succession of light settings, in the order of {name}"),
+            set: None,
+            measured,
+            predicted,
+            std_err,
+            z: (measured - predicted) / std_err,
+            level_dn: 0.0,
+            statistic: (&mean::This, 0),
+        }
+    };
+    vec![order("time", &|set| set as f64), order("the signal", &|set| levels[set])]
 }
 
 /// Mean of every set above a zero, DN.

@@ -450,6 +450,12 @@ impl<'a> System<'a> {
         if sum.is_nan() { f64::INFINITY } else { sum }
     }
 
+    /// Deviations of the settings of sets, each over what it is expected to scatter by; by set.
+    pub fn setting_scores(&self) -> Vec<(usize, f64)> {
+        let sets = self.blocks.iter().filter_map(|b| self.layout.rows[b.rows[0]].set);
+        sets.zip(self.z[self.layout.rows.len()..].iter().copied()).collect()
+    }
+
     /// What the frames tell of the light of sets whose setting scatters: its deviation, and the error that this leaves, in units of the
     /// light; by set.
     pub fn settings(&self) -> Vec<(usize, f64, f64)> {

@@ -22,7 +22,9 @@ impl Statistic for This {
     }
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
-        let line: f64 = view.prediction.sets.first().map_or(0.0, |s| s.lines.iter().map(|l| l.0).sum());
+        // The same in all sets, but where clipping takes of it.
+        let of_sets = view.prediction.sets.iter().map(|s| s.lines.iter().map(|l| l.0).sum::<f64>());
+        let line = of_sets.fold(0.0, f64::max);
         Expected::plain(o, line, o.measured.std_err)
     }
 }

@@ -27,8 +27,9 @@ impl Effect for This {
             .to_vec()
     }
 
-    fn example(&self, _: &Plain) -> Option<Vec<f64>> {
-        Some(vec![-0.5])
+    /// Code 0 clips in any case.
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![if plain.black_dn < 1.0 { 1.0 } else { -0.5 }])
     }
 
     fn scaled(&self, _values: &[f64], by: f64) -> Vec<f64> {

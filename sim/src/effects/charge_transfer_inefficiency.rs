@@ -55,7 +55,7 @@ impl Effect for This {
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
-        Some(vec![0.0, 0.02 / plain.rows, 0.0, 0.3 * plain.range_e])
+        Some(vec![0.0, 0.03 / plain.rows, 0.0, 0.3 * plain.range_e])
     }
 
     fn page(&self) -> Page {

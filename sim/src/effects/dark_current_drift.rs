@@ -19,8 +19,9 @@ impl Effect for This {
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
-        // Some 0.3 DN of the long darks at the end.
-        let rel = 0.3 / (plain.long_dark_e * plain.gain_dn_per_e).max(0.1);
+        // Some 0.3 DN of the long darks at the end, or a tenth of the noise.
+        let rel = (0.1 * plain.noise_e * plain.gain_dn_per_e).max(0.3)
+            / (plain.long_dark_e * plain.gain_dn_per_e).max(0.1);
         Some(vec![rel.min(3.0) / (300.0 * plain.frame_s)])
     }
 

@@ -127,6 +127,8 @@ pub struct Plain {
     pub full_scale_dn: f64,
     /// Dark charge of the longest darks, 16 times the full exposure, e.
     pub long_dark_e: f64,
+    /// Black level, DN.
+    pub black_dn: f64,
 }
 
 impl Plain {
@@ -144,6 +146,7 @@ impl Plain {
             rows: f64::from(model.camera.height),
             full_scale_dn: f64::from(model.full_scale_dn()),
             long_dark_e: 16.0 * bright_s * model.base.dark_current_e_per_s,
+            black_dn: model.base.black_level_dn,
         }
     }
 }

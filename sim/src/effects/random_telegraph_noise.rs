@@ -1,6 +1,6 @@
 //! Random telegraph noise: a few pixels jump between two levels.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, Together, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, Together, takes};
 
 /// A share of the pixels is up or down by half the amplitude, at random in every frame.
 pub struct This;
@@ -24,6 +24,12 @@ impl Effect for This {
     fn together(&self, p: &[f64]) -> Option<Together> {
         let (name, value) = ("fraction * amplitude_e^2", p[0] * p[1] * p[1]);
         Some(Together { name, unit: "e^2", value, slopes: vec![p[1] * p[1], 2.0 * p[0] * p[1]] })
+    }
+
+    /// Jumps of some dark noise.
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        let noise_e = (seen.dark_noise_dn * seen.peak_e / seen.peak_dn.max(1e-9)).max(1.0);
+        [(0.01, 3.0), (0.01, 8.0), (0.001, 20.0)].map(|(share, jump)| vec![share, jump * noise_e]).to_vec()
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
