@@ -275,15 +275,29 @@ impl<'b> Reader<'_, 'b> {
         for start in places.clone().step_by(size) {
             let end = (start + size).min(places.end);
             let mut block = (start..end).map(|i| self.frame(p.set, i)).collect::<Result<Vec<_>, _>>()?;
-            let apart = outliers::apart(&block);
-            let strays = self.usual.strays(&apart, dark, start < 2, self.zero_dn);
-            // Where many stray nothing does.
-            if let Some(stray) = strays.first().filter(|_| strays.len() * 3 <= block.len()) {
-                return Ok(Some(start + stray));
-            }
-            if self.clean {
+            let strays = |block: &[Array2<u16>]| {
+                let apart = outliers::apart(block);
+                let strays = self.usual.strays(&apart, dark, start < 2, self.zero_dn);
+                // Where many stray nothing does.
+                strays.first().copied().filter(|_| strays.len() * 3 <= block.len())
+            };
+            let mut stray = strays(&block);
+            if self.clean && (stray.is_none() || block.len() > 2) {
+                // A frame may stray by a few struck samples alone.
+                let whole = stray.map(|_| block.clone());
                 let struck = outliers::take_struck(&mut block);
-                out.struck.extend(struck.into_iter().map(|(f, pixel)| (pixel, start + f)));
+                if let Some(whole) = whole {
+                    stray = strays(&block);
+                    if stray.is_some() {
+                        block = whole;
+                    }
+                }
+                if stray.is_none() {
+                    out.struck.extend(struck.into_iter().map(|(f, pixel)| (pixel, start + f)));
+                }
+            }
+            if let Some(stray) = stray {
+                return Ok(Some(start + stray));
             }
             for frame in &block {
                 pass.add(frame.as_slice().unwrap_or(&[])).map_err(wrong)?;
