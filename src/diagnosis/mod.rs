@@ -332,7 +332,6 @@ fn add_unknown(
         notes.push(format!("what is left is small: error {:.3}, p {}", last.error, chance(last.p_value)));
         return;
     }
-    let strayed = if parts.is_empty() { left } else { signatures(&first.residuals) };
     let mut nearest: Vec<String> = parts.iter().map(|p| p.effect.id().to_string()).collect();
     if let Some(part) = parts.first() {
         nearest.extend(part.others.iter().filter(|c| c.evidence > NEEDED).map(|c| c.effect.id().to_string()));
@@ -343,7 +342,15 @@ fn add_unknown(
         m.partial = true;
         m.evidence.push("explains a part only: its shape is near, its name need not be right".into());
     }
-    let mut evidence: Vec<String> = strayed.iter().take(6).map(|s| s.text.clone()).collect();
+    // What is left once all names are in says what to look for; what strayed before, where to look.
+    let of = |c: &Comparison, most: usize| {
+        signatures(&c.residuals).iter().take(most).map(|s| s.text.clone()).collect::<Vec<_>>()
+    };
+    let mut evidence = of(last, if parts.is_empty() { 6 } else { 4 });
+    if !parts.is_empty() {
+        evidence.iter_mut().for_each(|text| text.insert_str(0, "left with all that is named: "));
+        evidence.extend(of(first, 3));
+    }
     if evidence.is_empty() {
         evidence.push(format!("error {:.3} over all statistics, p {}", last.error, chance(last.p_value)));
     }

@@ -9,6 +9,7 @@ mod dataset;
 mod effects;
 mod noise;
 mod program;
+mod real;
 mod support;
 
 #[cfg(feature = "aravis")]

@@ -382,3 +382,22 @@ fn a_calibration_over_the_wire_gives_the_same_k() {
     let error = wire.dark.std_err_dn.hypot(here.dark.std_err_dn);
     assert!((off.mapv(|x| x * x).mean().unwrap().sqrt() / error - 1.0).abs() < 0.1);
 }
+
+/// The user's own path: served, found, its exposure searched for, captured, diagnosed. Two cameras as the paper has them, two with something
+/// hidden that remembers what the search exposed.
+#[test]
+fn what_is_captured_over_the_wire_is_judged_right() {
+    let _port = gige_port();
+    for (sensor, hide) in
+        [("cmos12", "none"), ("xc77", "none"), ("cmos12", "image-lag"), ("ccd16", "temporal-filter")]
+    {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("demo");
+        let said = expect(
+            0,
+            &["demo", "--sensor", sensor, "--hide", hide, "--seed", "4", "-o", folder.to_str().unwrap()],
+        );
+        let last = said.lines().last().unwrap_or_default();
+        assert!(hide == "none" || last.contains("named first"), "{sensor} {hide}: {said}");
+    }
+}

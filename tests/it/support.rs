@@ -53,6 +53,7 @@ pub fn shared(folder: &str) -> Option<PathBuf> {
     if path.exists() {
         return Some(path);
     }
+    assert!(std::env::var_os("RADCAM_TEST_SHARED").is_none(), "{} is not there", path.display());
     println!("SKIPPED: {} is not there", path.display());
     None
 }

@@ -993,7 +993,8 @@ def matrix(rows):
 # Kind and seed of `--quick`; all at plain strength (the upper end of the range, or what stands here).
 QUICK = (
     ("clean", 1), ("black level too low", 1), ("row-noise", 1), ("nonlinearity, square", 1), ("offset-drift", 1),
-    ("noise of odd frames", 1), ("noise shared by 2x2", 1), ("excess noise, power 1.5", 1),
+    ("noise of odd frames", 1), ("noise shared by 2x2", 1), ("gain of every second frame", 1), ("cosmic rays", 1),
+    ("telegraph noise, fast", 2), ("temporal-filter", 2),
 )
 
 
