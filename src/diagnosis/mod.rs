@@ -327,7 +327,6 @@ fn add_unknown(
     if last.p_value >= P_LIMIT {
         return;
     }
-    let left = signatures(&last.residuals);
     if last.error <= SETTLED && !parts.is_empty() && mended(first, last) {
         notes.push(format!("what is left is small: error {:.3}, p {}", last.error, chance(last.p_value)));
         return;

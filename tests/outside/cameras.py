@@ -441,7 +441,7 @@ def offset_drift(c, v, f):
     return v + c.s * f.t
 
 
-@kind("black level too low", "black-clipping", (0.4, 2), "1", "constants")
+@kind("black level too low", CLEAN, (0.4, 2), "1", "constants")
 def black_low(c, _, f):
     """Black level = read noise / s, without an offset pattern; codes below 0 are cut."""
     c.black, c.offset = c.read * c.gain / c.s, np.zeros((c.n, c.n))
@@ -672,7 +672,7 @@ def shared(c, q, f):
     return q + c.s * np.kron(c.normal(c.n // 2, c.n // 2), np.ones((2, 2)))
 
 
-@kind("1/f noise down the rows", OUTSIDE, (0.2, 2), "e", "read", "row-noise periodic-interference offset-drift")
+@kind("1/f noise down the rows", "row-noise", (0.2, 2), "e", "read")
 def pink_rows(c, q, f):
     """q + s w(y); w is a slow random series (AR(1) or 1/f) drawn anew each frame."""
     return q + c.s * wander(c)
