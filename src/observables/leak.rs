@@ -1,6 +1,6 @@
 //! Beside a scene's bright patch, against the background away from it: the short exposure scaled up less the long one, DN.
 
-use super::{Direction, Expected, HalfView, Observable, Put, Statistic, View};
+use super::{Direction, Expected, HalfView, Observable, Put, Statistic, View, in_quadrature};
 
 /// What leaks out, for each of [`Direction::ALL`].
 #[derive(Debug)]
@@ -36,7 +36,10 @@ impl Statistic for This {
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let scene = view.all.scenes[o.half.place()].as_ref();
         let leak = scene.map_or(0.0, |s| s.expected(way(o.index), view.prediction));
-        // A patch with shading spills here more and there less than its mean does.
-        Expected::plain(o, leak, o.measured.std_err.hypot(0.01 * leak))
+        // A patch with shading spills here more and there less than its mean does; a step between taps lies somewhere beside the patch.
+        let level = view.prediction.sets.iter().map(|s| s.signal).fold(0.0, f64::max);
+        let step = view.prediction.taps.iter().map(|(gain, offset)| (gain * level).abs() + offset.abs());
+        let step: f64 = step.sum();
+        Expected::plain(o, leak, in_quadrature(&[o.measured.std_err, 0.01 * leak, 0.5 * step]))
     }
 }

@@ -160,19 +160,25 @@ impl Effect for This {
         for s in &mut out.sets {
             s.unsure = libm::hypot(s.unsure, 0.5 * widths * s.covariance(0, 0));
         }
-        let mut high = wrong;
-        high[..low].fill(0.0);
-        if high.iter().all(|e| *e == 0.0) {
+        // A code comes out too small by what its voltage is too large by: the mean of that over the samples; its slope multiplies their
+        // noise. Bits whose steps the samples cover many times average out.
+        let from_bit = |lowest: usize| {
+            let mut of = wrong;
+            of[..lowest].fill(0.0);
+            of.iter().any(|e| *e != 0.0).then(|| Steps::new(&of, bits))
+        };
+        let steps: Vec<Option<Steps>> = (0..=low).map(from_bit).collect();
+        if steps.iter().all(Option::is_none) {
             return;
         }
-        // A code comes out too small by what its voltage is too large by: the mean of that over the samples; its slope multiplies their
-        // noise.
-        let steps = Steps::new(&high, bits);
         let mut shifts = vec![0.0; out.sets.len()];
         for (i, s) in out.sets.iter_mut().enumerate() {
             let level = s.signal + out.base.offset_dn;
             let (spread, places) = c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread_dn, &s.places));
-            let noise = libm::sqrt(s.covariance(0, 0).max(0.01));
+            // Each place stands for levels a third of a deviation around it.
+            let noise = libm::sqrt(s.covariance(0, 0).max(0.01) + (0.35 * spread).powi(2));
+            let lowest = libm::log2(noise).floor().clamp(0.0, low as f64) as usize;
+            let Some(steps) = &steps[lowest] else { continue };
             let (mut mean, mut slope) = (0.0, 0.0);
             for (x, share) in places.iter().zip(PLACES) {
                 let of = steps.over(level + spread * x, noise);
