@@ -11,7 +11,8 @@ pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
 use crate::inference::{
-    Comparison, Effects, Fitted, P_LIMIT, Together, by_statistic, compare, fit, fit_near, residuals_of, start,
+    Comparison, DOUBT, Effects, Fitted, P_LIMIT, Together, by_statistic, compare, fit, fit_near,
+    residuals_of, start,
 };
 use crate::noise::Quantity;
 use crate::observables::{Observations, covariance};
@@ -307,7 +308,7 @@ fn add_ties(parts: &[Part], whole: &Fitted, missing: &mut Vec<Missing>, apart: b
 /// what all did: then what is left is a detail of what was named, and nothing else.
 fn mended(first: &Comparison, last: &Comparison) -> bool {
     let (before, after) = (by_statistic(&first.residuals), by_statistic(&last.residuals));
-    let limit = P_LIMIT / after.len().max(1) as f64;
+    let limit = DOUBT / after.len().max(1) as f64;
     let was = |name: &str| before.iter().find(|b| b.name == name).map_or(0.0, |b| b.excess);
     let all: f64 = before.iter().map(|b| b.excess).sum();
     let detail = |a: &Together| a.excess < (UNEXPLAINED * was(&a.name)).max(DETAIL * all);
@@ -324,7 +325,8 @@ fn add_unknown(
     missing: &mut Vec<Missing>,
     notes: &mut Vec<String>,
 ) {
-    if last.p_value >= P_LIMIT {
+    // A name must hold; the model as given, only not fail.
+    if last.p_value >= if parts.is_empty() { P_LIMIT } else { DOUBT } {
         return;
     }
     if last.error <= SETTLED && !parts.is_empty() && mended(first, last) {

@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 /// Below this chance a model does not describe the campaign.
 pub const P_LIMIT: f64 = 1e-3;
 /// Below this chance one looks again.
-const DOUBT: f64 = 0.05;
+pub const DOUBT: f64 = 0.05;
 
 /// Whether a model describes a campaign: the one word that every verb and report has for it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]

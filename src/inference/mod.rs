@@ -13,6 +13,6 @@ mod system;
 pub use fit::{Effects, Fitted, Given, as_given, fit, seen};
 pub(crate) use fit::{fit_briefly, fit_near};
 pub(crate) use judge::residuals_of;
-pub use judge::{Agreement, Comparison, P_LIMIT, Residual, Together, by_statistic, compare};
+pub use judge::{Agreement, Comparison, DOUBT, P_LIMIT, Residual, Together, by_statistic, compare};
 pub use screen::{Scored, Screen};
 pub use start::{reference_level, start};
