@@ -136,7 +136,7 @@ impl Usual {
 /// Replaces samples that stand far above the same pixel in the block's other frames by the mean of those; says which (frame, pixel).
 pub fn take_struck(block: &mut [Array2<u16>]) -> Vec<(usize, usize)> {
     let n = block.len();
-    let Some(pixels) = block.first().map(Array2::len).filter(|p| n >= 4 && *p > 0) else { return Vec::new() };
+    let Some(pixels) = block.first().map(Array2::len).filter(|p| n >= 3 && *p > 0) else { return Vec::new() };
     let columns = block[0].ncols();
     let (mut most, mut sum) = (vec![0u16; pixels], vec![0u32; pixels]);
     for frame in block.iter() {
@@ -147,11 +147,12 @@ pub fn take_struck(block: &mut [Array2<u16>]) -> Vec<(usize, usize)> {
         }
     }
     let others = |i: usize| (sum[i] - u32::from(most[i])) as f32 / (n - 1) as f32;
-    // The largest of n normal numbers lies some 1.4 deviations above the mean of the others, for 4 to 8 of them, and hardly
+    // The largest of n normal numbers lies some 1.3 to 1.5 deviations above that of the others, for 3 to 8 of them, and hardly
     // scatters by its median over the pixels.
     let step = (pixels / 4096).max(1);
     let usual = median((0..pixels).step_by(step).map(|i| f64::from(f32::from(most[i]) - others(i)))) as f32;
-    let noise = (usual / 1.4).max(0.5);
+    // Three frames of narrow noise on coarse codes differ by whole steps.
+    let noise = (usual / 1.4).max(if n < 4 { 2.0 } else { 0.5 });
     let level = median((0..pixels).step_by(step).map(|i| f64::from(others(i)))) as f32;
     // Hot pixels have more shot noise: of the square root of their charge, which lies below their level in DN.
     let limit = |i: usize| {
