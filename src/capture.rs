@@ -327,7 +327,6 @@ impl Capture<'_> {
         Ok(exposure)
     }
 
-    /// Mean and share of clipped pixels of a frame at an exposure; the first frame is let pass.
     /// Lets what the search has exposed fade, under the light of the first set: lag and filters carry it into the first frames else.
     fn settle(&mut self, plan: &Plan, full_s: f64, counts: &mut StreamCounts) -> Result<(), CaptureError> {
         let Some(first) = plan.sets.first() else { return Ok(()) };
@@ -339,6 +338,7 @@ impl Capture<'_> {
         Ok(())
     }
 
+    /// Mean and share of clipped pixels of a frame at an exposure; the first frame is let pass.
     fn pilot(&mut self, exposure_s: f64, counts: &mut StreamCounts) -> Result<(f64, f64), CaptureError> {
         self.camera.set_exposure_s(exposure_s)?;
         let full_scale = self.camera.settings()?.pixel_format.full_scale_dn();

@@ -29,6 +29,7 @@ mod quantize;
 pub mod rng;
 mod scene;
 pub mod sensors;
+mod spectrum;
 mod surface;
 
 pub use draw::{Conditions, Expected, Region, Sensor};

@@ -1,205 +1,9 @@
 //! Expected statistics of a whole campaign: what every model must say before it is held against measurements.
-//!
-//! Noise is carried as a power spectrum over the sensor, so that charge sharing and filters are multiplications
-//! (Wiener-Khinchin); covariances at small lags come back by the inverse transform.
 
 use crate::effects::Clipped;
 use crate::quantize::{NODES, reaches_zero, rounded, rounded_from_zero};
 
-/// Side of the grid of spatial frequencies.
-pub const GRID: usize = 16;
-
-/// Frequencies from 0 to half a cycle per pixel along one axis: those below 0 mirror them, since every spectrum here is even along
-/// each axis.
-pub const HALF: usize = GRID / 2 + 1;
-
-/// Power of the noise at HALF x HALF spatial frequencies (row-major: vertical, horizontal), e^2 or DN^2 for each pixel.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Spectrum(pub Vec<f64>);
-
-/// The angle of frequency number i, radians per pixel.
-pub fn angle(i: usize) -> f64 {
-    std::f64::consts::TAU * i as f64 / GRID as f64
-}
-
-/// Share of frequency number i among all of one axis.
-fn share(i: usize) -> f64 {
-    (if i == 0 || i == HALF - 1 { 1.0 } else { 2.0 }) / GRID as f64
-}
-
-impl Spectrum {
-    /// Noise without correlation.
-    pub fn white(variance: f64) -> Self {
-        Self(vec![variance; HALF * HALF])
-    }
-
-    /// Multiplies the power at each frequency (vertical, horizontal angle).
-    pub fn shape(&mut self, gain: impl Fn(f64, f64) -> f64) {
-        for (i, p) in self.0.iter_mut().enumerate() {
-            *p *= gain(angle(i / HALF), angle(i % HALF));
-        }
-    }
-
-    /// Multiplies all power.
-    pub fn scale(&mut self, by: f64) {
-        self.0.iter_mut().for_each(|p| *p *= by);
-    }
-
-    /// Adds noise without correlation.
-    pub fn add_white(&mut self, variance: f64) {
-        self.0.iter_mut().for_each(|p| *p += variance);
-    }
-
-    /// Adds noise of this power at each frequency (vertical, horizontal angle).
-    pub fn add(&mut self, power: impl Fn(f64, f64) -> f64) {
-        for (i, p) in self.0.iter_mut().enumerate() {
-            *p += power(angle(i / HALF), angle(i % HALF));
-        }
-    }
-
-    /// Covariance at a lag: rows down, columns to the right; at most 3 of each.
-    pub fn lag(&self, dy: i32, dx: i32) -> f64 {
-        if let Some(variance) = self.of_white() {
-            return if (dy, dx) == (0, 0) { variance } else { 0.0 };
-        }
-        let table = &cosines()[((dy.abs().min(3)) * 4 + dx.abs().min(3)) as usize];
-        // Sums that do not wait for each other: a fit asks for this some million times.
-        let mut lanes = [0.0; HALF];
-        for (powers, cosines) in self.0.as_chunks::<HALF>().0.iter().zip(table.as_chunks::<HALF>().0) {
-            for i in 0..HALF {
-                lanes[i] += powers[i] * cosines[i];
-            }
-        }
-        lanes.iter().sum()
-    }
-
-    /// The variance, where noise is without correlation.
-    fn of_white(&self) -> Option<f64> {
-        let first = self.0[0];
-        self.0.iter().all(|p| *p == first).then_some(first)
-    }
-
-    /// Power of the mean over all pixels, times their number.
-    pub fn of_mean(&self) -> f64 {
-        self.0[0]
-    }
-
-    /// Power of the means of rows (axis 1) or of columns (axis 0), times the pixels of one: what has no variation along them.
-    pub fn along(&self, axis: usize) -> f64 {
-        (0..HALF).map(|i| share(i) * self.0[if axis == 1 { i * HALF } else { i }]).sum()
-    }
-
-    /// Covariance of the means of rows this far apart, times the pixels of one.
-    pub fn along_lag(&self, rows: usize) -> f64 {
-        if self.of_white().is_some() {
-            return 0.0;
-        }
-        (0..HALF).map(|i| share(i) * self.0[i * HALF] * libm::cos(angle(i) * rows as f64)).sum()
-    }
-}
-
-/// The cosine of each frequency at each lag from 0 to 3 in both directions, times the frequency's share.
-fn cosines() -> &'static [Vec<f64>] {
-    use std::sync::OnceLock;
-    static TABLE: OnceLock<Vec<Vec<f64>>> = OnceLock::new();
-    TABLE.get_or_init(|| {
-        let of = |i: usize, d: usize| share(i) * libm::cos(angle(i) * d as f64);
-        let at =
-            |dy: usize, dx: usize| (0..HALF * HALF).map(|i| of(i / HALF, dy) * of(i % HALF, dx)).collect();
-        (0..4).flat_map(|dy| (0..4).map(move |dx| at(dy, dx))).collect()
-    })
-}
-
-/// Noise that the pixels of a line share: its power from line to line at HALF frequencies, e^2, then DN^2.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct LineNoise([f64; HALF]);
-
-impl LineNoise {
-    /// Adds noise that lines do not share.
-    pub fn add(&mut self, variance: f64) {
-        self.0.iter_mut().for_each(|p| *p += variance);
-    }
-
-    /// Covariance of lines this far apart.
-    pub fn lag(&self, d: i32) -> f64 {
-        if self.0.iter().all(|p| *p == self.0[0]) {
-            return if d == 0 { self.0[0] } else { 0.0 };
-        }
-        let of = |(i, p): (usize, &f64)| share(i) * p * libm::cos(angle(i) * f64::from(d));
-        self.0.iter().enumerate().map(of).sum()
-    }
-
-    /// Power of the mean over all lines, times their number.
-    pub fn of_mean(&self) -> f64 {
-        self.0[0]
-    }
-
-    fn scale(&mut self, by: f64) {
-        self.0.iter_mut().for_each(|p| *p *= by);
-    }
-}
-
-/// A linear filter of the image: what it does to power at every frequency.
-pub struct Filter<'a> {
-    power: &'a dyn Fn(f64, f64) -> f64,
-    table: Vec<f64>,
-}
-
-impl<'a> Filter<'a> {
-    /// From the square of its gain at a vertical and a horizontal angle, radians per pixel; even in both.
-    pub fn new(power: &'a dyn Fn(f64, f64) -> f64) -> Self {
-        let table = (0..HALF * HALF).map(|i| power(angle(i / HALF), angle(i % HALF))).collect();
-        Self { power, table }
-    }
-
-    /// Acts on one kind of noise.
-    pub fn apply(&self, noise: &mut Spectrum) {
-        noise.0.iter_mut().zip(&self.table).for_each(|(p, h)| *p *= h);
-    }
-}
-
-/// How a light that ripples while a rolling shutter runs changes from row to row.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Ripple {
-    /// A sine of so many cycles per row, with a phase of its own in every frame.
-    Sine(f64),
-    /// A slow wander: correlation from one row to the next.
-    Wander(f64),
-}
-
-impl Ripple {
-    /// Correlation of rows this far apart.
-    pub fn correlation(&self, rows: f64) -> f64 {
-        match *self {
-            Self::Sine(cycles) => libm::cos(std::f64::consts::TAU * cycles * rows),
-            Self::Wander(next) => libm::exp(rows.abs() * libm::log(next.clamp(1e-300, 1.0))),
-        }
-    }
-
-    /// Mean correlation of the rows from the first to `to` with all of so many: sums of cosines and of geometric series.
-    pub fn with_mean(&self, to: f64, rows: f64) -> f64 {
-        match *self {
-            Self::Sine(cycles) => {
-                let half = std::f64::consts::PI * cycles;
-                let one = libm::sin(half);
-                if one.abs() < 1e-9 {
-                    return 1.0;
-                }
-                // A row has (sin((2y + 1) half) + sin((2 (rows - y) - 1) half)) / (2 rows sin half).
-                let square = |n: f64| libm::sin(n * half).powi(2);
-                (square(to) + square(rows) - square(rows - to)) / (2.0 * rows * to * one * one)
-            }
-            Self::Wander(next) => {
-                // A row has (1 + next - next^(y + 1) - next^(rows - y)) / (rows (1 - next)).
-                let next = next.clamp(1e-12, 1.0 - 1e-9);
-                let less = 1.0 - next;
-                let power = |n: f64| libm::exp(n * libm::log(next));
-                let ends = next * (1.0 - power(to)) * (1.0 + power(rows - to)) / less / to;
-                (1.0 + next - ends) / less / rows
-            }
-        }
-    }
-}
+pub use crate::spectrum::{Filter, GRID, HALF, LineNoise, Ripple, Spectrum, angle};
 
 /// A frame of a campaign.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -423,17 +227,15 @@ impl SetPrediction {
         let before = self.pixels();
         filter.apply(&mut self.shot);
         filter.apply(&mut self.read);
-        for i in 0..HALF {
-            self.row.0[i] *= filter.table[i * HALF];
-            self.column.0[i] *= filter.table[i];
-        }
-        self.common *= filter.table[0];
-        self.setting *= filter.table[0];
-        self.lines.iter_mut().for_each(|(v, px, py)| *v *= (filter.power)(*py, *px));
+        filter.apply_to_rows(&mut self.row);
+        filter.apply_to_columns(&mut self.column);
+        self.common *= filter.of_mean();
+        self.setting *= filter.of_mean();
+        self.lines.iter_mut().for_each(|(v, px, py)| *v *= filter.at(*py, *px));
         for (v, ripple) in &mut self.ripples {
             *v *= match ripple {
-                Ripple::Sine(cycles) => (filter.power)(std::f64::consts::TAU * *cycles, 0.0),
-                Ripple::Wander(_) => filter.table[0],
+                Ripple::Sine(cycles) => filter.at(std::f64::consts::TAU * *cycles, 0.0),
+                Ripple::Wander(_) => filter.of_mean(),
             };
         }
         self.follow(before);

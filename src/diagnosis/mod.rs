@@ -11,7 +11,7 @@ pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
 use crate::inference::{
-    Comparison, DOUBT, Effects, Fitted, P_LIMIT, Together, by_statistic, compare, fit, fit_near,
+    Comparison, DOUBT, Effects, Fitted, OfStatistic, P_LIMIT, by_statistic, compare, fit, fit_near,
     residuals_of, start,
 };
 use crate::noise::Quantity;
@@ -133,6 +133,15 @@ pub fn diagnose(
     let (parts, whole) = parts(all, &model, found.fitted, found.first, &first);
     let last = if parts.is_empty() { first.clone() } else { compare(all, &whole) };
     progress(&format!("error {:.2} with {} effects added", last.error, parts.len()));
+    for part in &parts {
+        tracing::debug!(
+            effect = part.effect.id(),
+            evidence = part.evidence,
+            nameless = part.nameless,
+            next = part.others.first().map_or(0.0, |c| c.evidence),
+            "part"
+        );
+    }
     let mut ladder = vec![Rung { added: None, error: first.error, p_value: first.p_value }];
     ladder.extend(rungs(all, &model, &parts, &whole, &last));
     // Neighbours tell the parts of a combination apart.
@@ -311,10 +320,8 @@ fn mended(first: &Comparison, last: &Comparison) -> bool {
     let limit = DOUBT / after.len().max(1) as f64;
     let was = |name: &str| before.iter().find(|b| b.name == name).map_or(0.0, |b| b.excess);
     let all: f64 = before.iter().map(|b| b.excess).sum();
-    let detail = |a: &Together| a.excess < (UNEXPLAINED * was(&a.name)).max(DETAIL * all);
-    let strays =
-        |a: &&Together| a.chance < limit || a.name.contains("light settings") && a.chance < 0.1 * P_LIMIT;
-    after.iter().filter(strays).all(detail)
+    let detail = |a: &OfStatistic| a.excess < (UNEXPLAINED * was(&a.name)).max(DETAIL * all);
+    after.iter().filter(|a| a.chance < limit).all(detail)
 }
 
 /// What no name explains: first where the names do not bring the campaign to the noise, else in a note.

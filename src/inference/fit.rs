@@ -4,7 +4,10 @@
 //! error of something else: flicker is told by the scatter of frames, and the scatter of a lamp's settings by that of sets.
 
 use super::free::{Common, Free, Point};
-use super::system::{Covariance, Layout, Slopes, State, System};
+use super::layout::{Layout, State};
+use super::normal::Covariance;
+use super::slopes::Slopes;
+use super::system::System;
 use crate::observables::{Half, Observations, mean};
 use radcam_sim::effects::{self, Effect, Seen};
 use radcam_sim::predict::{BaseParameters, Prediction};

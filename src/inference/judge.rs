@@ -4,8 +4,11 @@
 //! frames go to one half, so that noise that runs from frame to frame within a chunk stays on one side.
 
 use super::fit::{Fitted, fit_near, halves};
-use super::system::{Layout, Slopes, System};
+use super::layout::Layout;
+use super::slopes::Slopes;
+use super::system::System;
 use crate::observables::{Half, Observable, Observations, Statistic, mean, settling};
+use crate::statistics::succession;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -140,12 +143,8 @@ fn setting_orders(all: &Observations, model: &Fitted) -> Vec<Residual> {
     let levels = levels(all, model.base.offset_dn);
     let mut order = |name: &str, key: &dyn Fn(usize) -> f64| {
         scores.sort_by(|a, b| key(a.0).total_cmp(&key(b.0)));
-        let n = scores.len() as f64;
-        let mean = scores.iter().map(|s| s.1).sum::<f64>() / n;
-        let square: f64 = scores.iter().map(|s| (s.1 - mean).powi(2)).sum();
-        let product: f64 = scores.windows(2).map(|s| (s[0].1 - mean) * (s[1].1 - mean)).sum();
-        // R. L. Anderson 1942, Ann. Math. Stat. 13, 1.
-        let (predicted, std_err) = (-1.0 / n, (n - 2.0) / n / (n - 1.0).sqrt());
+        let (square, product) = succession::sums(scores.iter().map(|s| s.1));
+        let (predicted, std_err) = succession::of_independent(scores.len() as f64);
         let measured = product / square.max(1e-300);
         Residual {
             observable: format!("succession of light settings, in the order of {name}"),
@@ -279,7 +278,7 @@ fn lights_seen(all: &Observations, half: Half) -> Vec<bool> {
 
 /// What the residuals of one statistic say together.
 #[derive(Debug, Clone)]
-pub struct Together {
+pub struct OfStatistic {
     /// Name of the statistic.
     pub name: String,
     /// Chance of a sum of squares, or of a sum, as large as theirs.
@@ -288,11 +287,14 @@ pub struct Together {
     pub excess: f64,
 }
 
-/// Errors are known to so much of themselves at worst: a standardised residual may have this deviation.
-const SLACK: f64 = 1.2;
+/// By so much a statistic's standardised residuals may pass what chance gives, since errors are predicted to some per cent and parameters
+/// were fitted: the sum of their squares by a quarter, their mean by a fifth of its deviation.
+const SLACK_OF_SQUARES: f64 = 1.25;
+/// See [`SLACK_OF_SQUARES`].
+const SLACK_OF_MEAN: f64 = 1.2;
 
 /// The residuals by statistic.
-pub fn by_statistic(residuals: &[Residual]) -> Vec<Together> {
+pub fn by_statistic(residuals: &[Residual]) -> Vec<OfStatistic> {
     let mut of: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     residuals.iter().for_each(|r| of.entry(r.observable.as_str()).or_default().push(r.z));
     let together = |(name, z): (&str, Vec<f64>)| {
@@ -300,10 +302,10 @@ pub fn by_statistic(residuals: &[Residual]) -> Vec<Together> {
         let squares: f64 = z.iter().map(|z| z * z).sum();
         let sum: f64 = z.iter().sum();
         let chi2 = statrs::distribution::ChiSquared::new(n)
-            .map_or(1.0, |c| statrs::distribution::ContinuousCDF::sf(&c, squares / (SLACK * SLACK)));
+            .map_or(1.0, |c| statrs::distribution::ContinuousCDF::sf(&c, squares / SLACK_OF_SQUARES));
         // What strays a little to one side in every set.
-        let aside = two_sided(sum / n.sqrt() / SLACK);
-        Together {
+        let aside = two_sided(sum / n.sqrt() / SLACK_OF_MEAN);
+        OfStatistic {
             name: name.to_string(),
             chance: (2.0 * chi2.min(aside)).min(1.0),
             excess: (squares - n).max(sum * sum / n - 1.0).max(0.0),

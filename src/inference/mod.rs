@@ -3,16 +3,20 @@
 //! The light is a nuisance of its own: every light level has a factor that touches its own sets only, so that the normal equations are an
 //! arrowhead and cost grows with the number of sets (Bjorck 1996, Numerical Methods for Least Squares Problems, 6.3).
 
+mod direction;
 mod fit;
 mod free;
 mod judge;
+mod layout;
+mod normal;
 mod screen;
+mod slopes;
 mod start;
 mod system;
 
 pub use fit::{Effects, Fitted, Given, as_given, fit, seen};
 pub(crate) use fit::{fit_briefly, fit_near};
 pub(crate) use judge::residuals_of;
-pub use judge::{Agreement, Comparison, DOUBT, P_LIMIT, Residual, Together, by_statistic, compare};
+pub use judge::{Agreement, Comparison, DOUBT, OfStatistic, P_LIMIT, Residual, by_statistic, compare};
 pub use screen::{Scored, Screen};
 pub use start::{reference_level, start};

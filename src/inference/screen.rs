@@ -1,8 +1,11 @@
 //! A quick look at what an effect would bring: by score tests, before anything is fitted.
 
+use super::direction::Direction;
 use super::fit::{Fitted, as_given, halves};
 use super::free::Free;
-use super::system::{Direction, Layout, Slopes, State, System};
+use super::layout::{Layout, State};
+use super::slopes::Slopes;
+use super::system::System;
 use crate::observables::Observations;
 use radcam_sim::effects::{self, Effect};
 

@@ -62,3 +62,30 @@ impl FrameMeans {
         (self.first_dn - self.mean_dn) * n / (n - 1.0)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::statistics::succession::sums;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    /// Merged in parts, the running sums give what the plain definition does.
+    #[test]
+    fn succession_is_that_of_the_definition() {
+        for n in [4u32, 5, 9, 30] {
+            let means: Vec<f64> =
+                (0..n).map(|i| 2000.0 + PixelRng::new(3, Stream::Effect, n.into(), i, 0).normal()).collect();
+            let (square, product) = sums(means.iter().copied());
+            for split in 0..means.len() {
+                let mut parts = [FrameMeans::default(), FrameMeans::default()];
+                means.iter().enumerate().for_each(|(i, m)| parts[usize::from(i >= split)].add(*m));
+                let [mut all, later] = parts;
+                all.merge(&later);
+                assert!(
+                    (all.succession() - product / square).abs() < 1e-9,
+                    "{n} frames, {split} in the first part"
+                );
+            }
+        }
+    }
+}

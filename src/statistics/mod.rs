@@ -13,6 +13,7 @@ pub mod moments;
 pub mod occupancy;
 pub mod pass;
 pub mod spectrum;
+pub mod succession;
 pub mod successive;
 pub mod taps;
 pub mod variance;

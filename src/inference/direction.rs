@@ -1,0 +1,116 @@
+//! What moving the expectations in some direction would bring, before anything is fitted.
+
+use super::layout::State;
+use super::normal::{Normal, Solver};
+use super::system::System;
+use crate::fit::cholesky;
+
+/// By how much minus twice the logarithm of the likelihood falls.
+#[derive(Debug, Clone, Copy)]
+pub struct Gain {
+    /// For the whole of a move.
+    pub whole: f64,
+    /// The multiple of the move that is best, if it is in proportion.
+    pub multiple: f64,
+    /// What that would bring.
+    pub best: f64,
+}
+
+/// What moving the expectations in a direction would bring, everything else fitted: a score test (Rao 1973, section 6e).
+pub struct Direction<'s, 'a> {
+    system: &'s System<'a>,
+    normal: Normal,
+    solver: Solver,
+}
+
+impl<'s, 'a> Direction<'s, 'a> {
+    /// At the place of a fit; `None` where its values cannot be told apart.
+    pub fn new(system: &'s System<'a>) -> Option<Self> {
+        let normal = system.normal();
+        Some(Self { solver: normal.solver(1e-9)?, normal, system })
+    }
+
+    /// What a scatter of settings that follows brings beyond that: of m of them with the sum of squares S that falls to T the likelihood
+    /// gains m ln(S / T), and not S - T.
+    fn narrower(&self, settings: &[(f64, f64)]) -> f64 {
+        let m = settings.len() as f64;
+        let (before, after) = settings.iter().fold((0.0, 0.0), |(a, b), (x, y)| (a + x * x, b + y * y));
+        if m < 4.0 || after >= before {
+            return 0.0;
+        }
+        // The scatter cannot fall below what the frames themselves have.
+        let floor: f64 = self.system.blocks.iter().map(|b| 1.0 / b.weight / b.variance).sum();
+        (m * (before / after.max(floor)).ln() - (before - after)).max(0.0)
+    }
+
+    /// What a move from `now` to `there` leaves once the fitted values have taken over what they can of it; `None` where that cannot be
+    /// told.
+    pub fn left_of(&self, now: &State, there: &State) -> Option<Vec<f64>> {
+        let s = self.system;
+        let n = s.n;
+        let mut moves: Vec<f64> = now
+            .expected
+            .iter()
+            .zip(&there.expected)
+            .map(|(a, b)| (b.normal.1 - a.normal.1) / a.normal.2)
+            .collect();
+        for block in &s.blocks {
+            let common =
+                block.loads.iter().zip(&block.rows).map(|(a, r)| a * moves[*r]).sum::<f64>() / block.weight;
+            block.rows.iter().zip(&block.loads).for_each(|(r, a)| moves[*r] -= a * common);
+            moves.push(common / block.variance.sqrt());
+        }
+        let mut gradient = vec![0.0; n];
+        let mut lights = vec![0.0; self.normal.lights.len()];
+        for (r, m) in moves.iter().enumerate().filter(|(_, m)| **m != 0.0) {
+            let row = &s.slopes[r * n..][..n];
+            gradient.iter_mut().zip(row).for_each(|(g, s)| *g += s * m);
+            if let Some(light) = s.light[r] {
+                lights[light] += s.by_light[r] * m;
+            }
+        }
+        let (taken, lights) = self.solver.solve(&self.normal, gradient, &lights);
+        for (r, m) in moves.iter_mut().enumerate() {
+            let row = &s.slopes[r * n..][..n];
+            *m -= row.iter().zip(&taken).map(|(s, t)| s * t).sum::<f64>();
+            if let Some(light) = s.light[r] {
+                *m -= s.by_light[r] * lights[light];
+            }
+        }
+        moves.iter().all(|m| m.is_finite()).then_some(moves)
+    }
+
+    /// What a move that leaves this would bring.
+    pub fn gain(&self, left: &[f64]) -> Option<Gain> {
+        let s = self.system;
+        let (mut with, mut square) = (0.0, 0.0);
+        for (left, z) in left.iter().zip(&s.z) {
+            with += left * z;
+            square += left * left;
+        }
+        if square <= 1e-12 || !square.is_finite() {
+            return None;
+        }
+        let first = left.len() - s.blocks.len();
+        let left_over: Vec<(f64, f64)> =
+            left[first..].iter().zip(&s.z[first..]).map(|(left, z)| (*z, z - left)).collect();
+        let whole = 2.0 * with - square + self.narrower(&left_over);
+        Some(Gain { whole, multiple: with / square, best: with * with / square })
+    }
+
+    /// From a move that leaves `from`, the multiples of further moves that together bring most.
+    pub fn together(&self, from: &[f64], moves: &[Vec<f64>]) -> Option<Vec<f64>> {
+        let k = moves.len();
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let rest: Vec<f64> = self.system.z.iter().zip(from).map(|(z, m)| z - m).collect();
+        let mut a: Vec<f64> = (0..k * k).map(|i| dot(&moves[i / k], &moves[i % k])).collect();
+        let mut b: Vec<f64> = moves.iter().map(|m| dot(m, &rest)).collect();
+        for i in 0..k {
+            a[i * k + i] = a[i * k + i] * (1.0 + 1e-9) + 1e-12;
+        }
+        cholesky::factor(&mut a, k).then(|| {
+            cholesky::solve(&a, &mut b);
+            b
+        })
+    }
+}

@@ -1,0 +1,71 @@
+//! Which observables take part in a fit, and what a model expects of them.
+
+use super::free::{Free, Point};
+use crate::observables::{Expected, Half, Observable, Observations, expectations};
+use radcam_sim::effects;
+use radcam_sim::predict::Prediction;
+
+/// Expectations at a place.
+pub struct State {
+    /// One for each observable that takes part.
+    pub expected: Vec<Expected>,
+    /// What the settings of sets scatter by, in units of the light, for each of [`Layout::blocks`].
+    pub(super) setting: Vec<f64>,
+}
+
+impl State {
+    /// Whether the scatter of settings is far larger there: that is no matter of small moves.
+    pub fn setting_widens(&self, from: &Self) -> bool {
+        self.setting.iter().zip(&from.setting).any(|(a, b)| *a > 4.0 * b)
+    }
+}
+
+/// Which observables take part, and those that see the light of one set together.
+pub struct Layout<'a> {
+    /// The campaign.
+    pub all: &'a Observations,
+    /// Those that take part.
+    pub rows: Vec<&'a Observable>,
+    /// Their places in [`Observations::list`].
+    pub(super) places: Vec<usize>,
+    halves: Vec<Half>,
+    /// Set and rows of those of a set that see its light.
+    pub(super) blocks: Vec<(usize, Vec<usize>)>,
+}
+
+impl<'a> Layout<'a> {
+    /// Of these halves.
+    pub fn new(all: &'a Observations, halves: &[Half]) -> Self {
+        let (places, rows): (Vec<usize>, Vec<&Observable>) =
+            all.list.iter().enumerate().filter(|(_, o)| halves.contains(&o.half)).unzip();
+        let mut blocks: Vec<(usize, Vec<usize>)> = Vec::new();
+        let mut place = vec![None; all.campaign.sets.len()];
+        for (i, o) in rows.iter().enumerate() {
+            let Some(set) =
+                o.set.filter(|s| o.statistic.sees_light() && all.campaign.sets[*s].light.is_some())
+            else {
+                continue;
+            };
+            let at = *place[set].get_or_insert_with(|| {
+                blocks.push((set, Vec::new()));
+                blocks.len() - 1
+            });
+            blocks[at].1.push(i);
+        }
+        Self { all, rows, places, halves: halves.to_vec(), blocks }
+    }
+
+    /// What a prediction expects of them.
+    pub fn state(&self, prediction: &Prediction) -> State {
+        let all = expectations(self.all, prediction, |h| self.halves.contains(&h));
+        let setting = self.blocks.iter().map(|(set, _)| prediction.sets[*set].setting).collect();
+        State { expected: all.into_iter().map(|(_, e)| e).collect(), setting }
+    }
+
+    /// What a model at a place expects of them.
+    pub fn at(&self, free: &Free, point: &Point) -> State {
+        let (base, effects) = free.unpack(point);
+        let list: Vec<_> = effects.iter().map(|(e, p)| (*e as &dyn effects::Effect, p.as_slice())).collect();
+        self.state(&effects::predict(&self.all.campaign, &base, &list))
+    }
+}

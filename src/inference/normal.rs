@@ -1,0 +1,139 @@
+//! Normal equations: an arrowhead, since light factors touch their own sets only.
+
+use crate::fit::cholesky;
+
+/// What a light factor has to say.
+#[derive(Debug, Clone)]
+pub(super) struct LightTerm {
+    pub(super) square: f64,
+    pub(super) gradient: f64,
+    pub(super) with: Vec<f64>,
+}
+
+/// Normal equations.
+#[derive(Debug, Clone)]
+pub struct Normal {
+    pub(super) n: usize,
+    pub(super) matrix: Vec<f64>,
+    pub(super) gradient: Vec<f64>,
+    /// Values that are a scatter and move no expectation: see [`System::scatter_factors`].
+    pub(super) scatter: Vec<bool>,
+    pub(super) lights: Vec<LightTerm>,
+}
+
+/// Normal equations with the lights eliminated, factored.
+pub struct Solver {
+    factor: Vec<f64>,
+    squares: Vec<f64>,
+}
+
+impl Solver {
+    /// The step that gradients ask for: of the common values and of the lights.
+    pub fn solve(&self, normal: &Normal, gradient: Vec<f64>, lights: &[f64]) -> (Vec<f64>, Vec<f64>) {
+        let mut b = gradient;
+        for ((l, square), gradient) in normal.lights.iter().zip(&self.squares).zip(lights) {
+            b.iter_mut().zip(&l.with).for_each(|(b, w)| *b -= w * gradient / square);
+        }
+        b.iter_mut().zip(&normal.scatter).filter(|(_, s)| **s).for_each(|(b, _)| *b = 0.0);
+        cholesky::solve(&self.factor, &mut b);
+        let back = |((l, square), gradient): ((&LightTerm, &f64), &f64)| {
+            (gradient - l.with.iter().zip(&b).map(|(w, x)| w * x).sum::<f64>()) / square
+        };
+        let lights = normal.lights.iter().zip(&self.squares).zip(lights).map(back).collect();
+        (b, lights)
+    }
+}
+
+impl Normal {
+    /// Damped; `None` where there is no solution.
+    pub fn solver(&self, damping: f64) -> Option<Solver> {
+        let n = self.n;
+        let mut a = self.matrix.clone();
+        for i in 0..n {
+            a[i * n + i] += damping * self.matrix[i * n + i] + 1e-12;
+        }
+        let squares: Vec<f64> = self.lights.iter().map(|l| l.square * (1.0 + damping) + 1e-12).collect();
+        for (l, square) in self.lights.iter().zip(&squares) {
+            for i in (0..n).filter(|i| l.with[*i] != 0.0) {
+                for j in 0..n {
+                    a[i * n + j] -= l.with[i] * l.with[j] / square;
+                }
+            }
+        }
+        for i in (0..n).filter(|i| self.scatter[*i]) {
+            for j in 0..n {
+                (a[i * n + j], a[j * n + i]) = (0.0, 0.0);
+            }
+            a[i * n + i] = 1.0;
+        }
+        cholesky::factor(&mut a, n).then_some(Solver { factor: a, squares })
+    }
+
+    /// The step that they ask for, damped; `None` where there is none.
+    pub fn step(&self, damping: f64) -> Option<(Vec<f64>, Vec<f64>)> {
+        let lights: Vec<f64> = self.lights.iter().map(|l| l.gradient).collect();
+        Some(self.solver(damping)?.solve(self, self.gradient.clone(), &lights))
+    }
+
+    /// Covariance of the common values with the lights eliminated, row by row; values without any hold keep a large error.
+    pub fn covariance(&self) -> Covariance {
+        let n = self.n;
+        let mut a = self.matrix.clone();
+        let lights: Vec<(f64, Vec<f64>)> = self
+            .lights
+            .iter()
+            .map(|l| {
+                let square = l.square + 1e-12;
+                (1.0 / square, l.with.iter().map(|w| w / square).collect())
+            })
+            .collect();
+        for (l, (inverse, _)) in self.lights.iter().zip(&lights) {
+            for i in 0..n {
+                for j in 0..n {
+                    a[i * n + j] -= l.with[i] * l.with[j] * inverse;
+                }
+            }
+        }
+        for k in 0..n {
+            a[k * n + k] += 1e-12 + 1e-10 * self.matrix[k * n + k];
+        }
+        let common = if cholesky::factor(&mut a, n) {
+            let column = |i: usize| {
+                let mut b = vec![0.0; n];
+                b[i] = 1.0;
+                cholesky::solve(&a, &mut b);
+                b
+            };
+            (0..n).flat_map(column).collect()
+        } else {
+            vec![f64::NAN; n * n]
+        };
+        Covariance { n, common, lights }
+    }
+}
+
+/// Covariance of what was fitted.
+#[derive(Debug, Clone)]
+pub struct Covariance {
+    n: usize,
+    /// Of the common values, row by row.
+    pub common: Vec<f64>,
+    /// Variance of every light factor for given common values, and how it follows them.
+    lights: Vec<(f64, Vec<f64>)>,
+}
+
+impl Covariance {
+    /// Variance of something with these slopes with the common values, and this one with a light factor.
+    pub fn of(&self, slopes: &[f64], light: Option<(usize, f64)>) -> f64 {
+        let n = self.n;
+        let mut slopes = slopes.to_vec();
+        let mut own = 0.0;
+        if let Some((k, a)) = light {
+            let (variance, follow) = &self.lights[k];
+            slopes.iter_mut().zip(follow).for_each(|(s, f)| *s -= a * f);
+            own = a * a * variance;
+        }
+        let row = |i: usize| (0..n).map(|j| self.common[i * n + j] * slopes[j]).sum::<f64>();
+        own + (0..n).filter(|i| slopes[*i] != 0.0).map(|i| slopes[i] * row(i)).sum::<f64>()
+    }
+}

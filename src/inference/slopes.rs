@@ -1,0 +1,123 @@
+//! How expectations change with what is fitted: taken by differences, and handed from fit to fit as long as they serve.
+
+use super::free::{Free, Key, Point};
+use super::layout::{Layout, State};
+use crate::observables::monitor;
+use rayon::prelude::*;
+
+/// How expectations change with the common values, at some place.
+#[derive(Clone)]
+pub struct Slopes {
+    /// What each is of; `None` for what is not known.
+    keys: Vec<Option<Key>>,
+    /// Places of the rows in [`Observations::list`], and sets of the blocks.
+    rows: Vec<usize>,
+    sets: Vec<usize>,
+    /// Per unit of [`Point::x`], row by row.
+    expected: Vec<f64>,
+    /// Change of the logarithm of the error of rows whose error is fitted, per unit of [`Point::x`].
+    pub(super) scatter: Vec<(usize, Vec<f64>)>,
+    /// Change of [`State::setting`], block by block.
+    pub(super) setting: Vec<f64>,
+    scale: Vec<f64>,
+}
+
+impl Slopes {
+    /// At a place.
+    pub fn new(layout: &Layout<'_>, free: &Free, point: &Point, now: &State) -> Self {
+        Self::beside(None, layout, free, point, now)
+    }
+
+    /// At a place near one where they are known, maybe of another model or of other halves: of what is not known there only.
+    pub fn beside(
+        known: Option<&Self>,
+        layout: &Layout<'_>,
+        free: &Free,
+        point: &Point,
+        now: &State,
+    ) -> Self {
+        let (n, rows, blocks) = (free.common.len(), layout.rows.len(), layout.blocks.len());
+        let monitors = (0..rows).filter(|r| layout.rows[*r].is(&monitor::This));
+        let mut out = Self {
+            keys: (0..n).map(|i| (!free.fixed[i]).then(|| free.key(i))).collect(),
+            rows: layout.places.clone(),
+            sets: layout.blocks.iter().map(|(set, _)| *set).collect(),
+            expected: vec![0.0; rows * n],
+            scatter: monitors.map(|r| (r, vec![0.0; n])).collect(),
+            setting: vec![0.0; blocks * n],
+            scale: free.scale.clone(),
+        };
+        let place = |i: usize| {
+            let known = known.filter(|k| k.has_all(&out.rows, &out.sets))?;
+            known.keys.iter().position(|k| k.is_some() && *k == out.keys[i])
+        };
+        let places: Vec<Option<usize>> = (0..n).map(place).collect();
+        let fresh: Vec<usize> = (0..n).filter(|i| !free.fixed[*i] && places[*i].is_none()).collect();
+        let step_of = |i: usize| {
+            let step = 1e-5 * point.x[i].abs().max(1e-2);
+            if point.x[i] + step > free.bounds[i].1 { -step } else { step }
+        };
+        let moved: Vec<(usize, f64, State)> = fresh
+            .into_par_iter()
+            .map(|i| {
+                let mut moved = point.clone();
+                moved.x[i] += step_of(i);
+                (i, step_of(i), layout.at(free, &moved))
+            })
+            .collect();
+        for (i, step, there) in &moved {
+            for (r, (a, b)) in now.expected.iter().zip(&there.expected).enumerate() {
+                out.expected[r * n + i] = (b.normal.1 - a.normal.1) / step;
+            }
+            for (r, slopes) in &mut out.scatter {
+                slopes[*i] = (there.expected[*r].normal.2 / now.expected[*r].normal.2).ln() / step;
+            }
+            for (b, (was, is)) in now.setting.iter().zip(&there.setting).enumerate() {
+                out.setting[b * n + i] = (is - was) / step;
+            }
+        }
+        if let Some(known) = known {
+            out.take(known, &places);
+        }
+        out
+    }
+
+    /// Whether these rows and blocks are among its own; all are in order.
+    fn has_all(&self, rows: &[usize], sets: &[usize]) -> bool {
+        let among = |few: &[usize], all: &[usize]| few.iter().all(|x| all.binary_search(x).is_ok());
+        among(rows, &self.rows) && sets.iter().all(|s| self.sets.contains(s))
+    }
+
+    /// Takes over what is known elsewhere, each from its place there.
+    fn take(&mut self, known: &Self, places: &[Option<usize>]) {
+        let (n, m) = (self.scale.len(), known.scale.len());
+        let own = |r: usize| known.rows.binary_search(&r).unwrap_or(0);
+        let row_of: Vec<usize> = self.rows.iter().map(|r| own(*r)).collect();
+        let block = |set: &usize| known.sets.iter().position(|s| s == set).unwrap_or(0);
+        let block_of: Vec<usize> = self.sets.iter().map(block).collect();
+        for (i, k) in places.iter().enumerate() {
+            let Some(k) = *k else { continue };
+            let by = self.scale[i] / known.scale[k];
+            for (r, from) in row_of.iter().enumerate() {
+                self.expected[r * n + i] = by * known.expected[from * m + k];
+            }
+            for (b, from) in block_of.iter().enumerate() {
+                self.setting[b * n + i] = by * known.setting[from * m + k];
+            }
+            for (r, slopes) in &mut self.scatter {
+                let from = known.scatter.iter().find(|(row, _)| *row == row_of[*r]);
+                slopes[i] = from.map_or(0.0, |(_, of)| by * of[k]);
+            }
+        }
+    }
+
+    /// Over the errors of the expectations.
+    pub fn over_errors(&self, now: &State) -> Vec<f64> {
+        let n = self.scale.len();
+        let mut out = self.expected.clone();
+        for (row, e) in out.chunks_exact_mut(n).zip(&now.expected) {
+            row.iter_mut().for_each(|s| *s /= e.normal.2);
+        }
+        out
+    }
+}
