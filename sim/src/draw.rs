@@ -209,7 +209,7 @@ impl Sensor {
             .iter()
             .map(|e| e.effect().and_then(|effect| Ok((effect, e.values(effect)?))))
             .collect::<Result<Vec<_>, _>>()?;
-        effects.sort_by_key(|(e, _)| e.stage());
+        effects.sort_by_key(|(e, p)| e.stage_with(p));
         Ok(Self {
             model,
             maps,
@@ -368,7 +368,10 @@ impl Sensor {
             memory: &mut memory,
         };
         let run = |d: &mut Drawing<'_>, from: Stage, to: Stage| {
-            effects.iter().filter(|(e, _)| (from..=to).contains(&e.stage())).for_each(|(e, p)| e.draw(p, d));
+            effects
+                .iter()
+                .filter(|(e, p)| (from..=to).contains(&e.stage_with(p)))
+                .for_each(|(e, p)| e.draw(p, d));
         };
         run(&mut d, Stage::Light, Stage::Light);
         // Shot noise, and the read noise for later.
@@ -396,7 +399,7 @@ impl Sensor {
         d.image += s.black_level_dn;
         d.image.mapv_inplace(code);
         // Firmware takes whole codes and hands on whole codes.
-        for (e, p) in effects.iter().filter(|(e, _)| e.stage() == Stage::Firmware) {
+        for (e, p) in effects.iter().filter(|(e, p)| e.stage_with(p) == Stage::Firmware) {
             e.draw(p, &mut d);
             d.image.mapv_inplace(code);
         }

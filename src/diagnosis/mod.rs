@@ -11,8 +11,7 @@ pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
 use crate::inference::{
-    Comparison, DOUBT, Effects, Fitted, OfStatistic, P_LIMIT, by_statistic, compare, fit, fit_near,
-    residuals_of, start,
+    Comparison, DOUBT, Effects, Fitted, P_LIMIT, compare, fit, fit_near, residuals_of, start,
 };
 use crate::noise::Quantity;
 use crate::observables::{Observations, covariance};
@@ -29,12 +28,12 @@ use std::collections::BTreeMap;
 const TIE: f64 = 6.0;
 /// Error from which on a fit says little of the parameters.
 const FAR: f64 = 3.0;
-/// Error up to which a name brings a campaign to the noise (contract, section 4).
-const SETTLED: f64 = 1.15;
-/// Share of what a statistic strayed by that may be left where that is still no chance and a name stands first all the same.
-const UNEXPLAINED: f64 = 0.2;
-/// Share of what all statistics strayed by together that is a detail.
-const DETAIL: f64 = 1e-3;
+/// A name stands first only where deviations as large as those that it leaves come by chance at least so often: one right name in a hundred
+/// is called unknown for it.
+const HOLDS: f64 = 0.01;
+/// Evidence that names need together where the model as given holds: five standard errors. Below, many a shape that nobody has named would
+/// be taken for the nearest name.
+const TRACE: f64 = 25.0;
 /// Names that are given as the nearest of what has none.
 const NEAREST: usize = 3;
 
@@ -130,7 +129,12 @@ pub fn diagnose(
     let first = compare(all, &model);
     progress(&format!("error {:.2}", first.error));
     let found = search(all, &model, first.error > FAR, progress);
-    let (parts, whole) = parts(all, &model, found.fitted, found.first, &first);
+    let (mut parts, mut whole) = parts(all, &model, found.fitted, found.first, &first);
+    let mut notes = all.missing.clone();
+    if first.p_value >= DOUBT && score(all, &model) - score(all, &whole) < TRACE {
+        notes.extend(parts.iter().map(|p| trace(p)));
+        (parts, whole) = (Vec::new(), model.clone());
+    }
     let last = if parts.is_empty() { first.clone() } else { compare(all, &whole) };
     progress(&format!("error {:.2} with {} effects added", last.error, parts.len()));
     for part in &parts {
@@ -147,7 +151,6 @@ pub fn diagnose(
     // Neighbours tell the parts of a combination apart.
     let apart = all.has(&covariance::This);
     let mut missing = named(&parts, &whole, &first, &last, &ladder, apart);
-    let mut notes = all.missing.clone();
     let (mut next_measurement, mut sets) = (None, takes::PAIRS);
     for (part, entry) in parts.iter().zip(&missing) {
         if let Some(other) = tied(part).first()
@@ -159,7 +162,7 @@ pub fn diagnose(
         }
     }
     add_ties(&parts, &whole, &mut missing, apart);
-    add_unknown(&parts, &first, &last, &mut missing, &mut notes);
+    add_unknown(&parts, &first, &last, &mut missing);
     if missing.iter().any(|m| m.effect == "unknown") && next_measurement.is_none() {
         next_measurement = Some(
             "the statistic that strays most, at more levels and frames; a custom formula in the model file can describe it".into(),
@@ -231,6 +234,15 @@ fn parts(
         }
         return (parts, whole);
     }
+}
+
+/// What is too weak for a name.
+fn trace(part: &Part) -> String {
+    format!(
+        "a trace of {}, evidence {:.0}: the model holds without it, and below {TRACE:.0} no name is given",
+        part.effect.id(),
+        part.evidence
+    )
 }
 
 /// Candidates that explain as much as the part that was chosen.
@@ -313,31 +325,14 @@ fn add_ties(parts: &[Part], whole: &Fitted, missing: &mut Vec<Missing>, apart: b
     *missing = out;
 }
 
-/// Whether each statistic that still strays by more than chance has lost most of what it strayed by, or strays by next to nothing beside
-/// what all did: then what is left is a detail of what was named, and nothing else.
-fn mended(first: &Comparison, last: &Comparison) -> bool {
-    let (before, after) = (by_statistic(&first.residuals), by_statistic(&last.residuals));
-    let limit = DOUBT / after.len().max(1) as f64;
-    let was = |name: &str| before.iter().find(|b| b.name == name).map_or(0.0, |b| b.excess);
-    let all: f64 = before.iter().map(|b| b.excess).sum();
-    let detail = |a: &OfStatistic| a.excess < (UNEXPLAINED * was(&a.name)).max(DETAIL * all);
-    after.iter().filter(|a| a.chance < limit).all(detail)
-}
-
 /// What no name explains: first where the names do not bring the campaign to the noise, else in a note.
-fn add_unknown(
-    parts: &[Part],
-    first: &Comparison,
-    last: &Comparison,
-    missing: &mut Vec<Missing>,
-    notes: &mut Vec<String>,
-) {
+fn add_unknown(parts: &[Part], first: &Comparison, last: &Comparison, missing: &mut Vec<Missing>) {
+    let named = !parts.is_empty();
+    // Something without a name must not explain a part better than its name does.
+    let better = |p: &Part| p.nameless > p.evidence + TIE;
+    let nameless = parts.first().is_some_and(better);
     // A name must hold; the model as given, only not fail.
-    if last.p_value >= if parts.is_empty() { P_LIMIT } else { DOUBT } {
-        return;
-    }
-    if last.error <= SETTLED && !parts.is_empty() && mended(first, last) {
-        notes.push(format!("what is left is small: error {:.3}, p {}", last.error, chance(last.p_value)));
+    if !nameless && last.p_value >= if named { HOLDS } else { P_LIMIT } {
         return;
     }
     let mut nearest: Vec<String> = parts.iter().map(|p| p.effect.id().to_string()).collect();
@@ -359,6 +354,14 @@ fn add_unknown(
         evidence.iter_mut().for_each(|text| text.insert_str(0, "left with all that is named: "));
         evidence.extend(of(first, 3));
     }
+    if let Some(part) = parts.first().filter(|p| better(p)) {
+        evidence.push(format!(
+            "a smooth function of the level that has no name explains it better than {} does: evidence {:.0} and {:.0}",
+            part.effect.id(),
+            part.nameless,
+            part.evidence
+        ));
+    }
     if evidence.is_empty() {
         evidence.push(format!("error {:.3} over all statistics, p {}", last.error, chance(last.p_value)));
     }
@@ -366,7 +369,10 @@ fn add_unknown(
         0,
         Missing {
             effect: "unknown".into(),
-            confidence: 1.0 - last.p_value.min(1.0),
+            confidence: match parts.first() {
+                Some(part) if last.p_value >= DOUBT => confidence(part, part.nameless),
+                _ => 1.0 - last.p_value.min(1.0),
+            },
             error_drop: 0.0,
             parameters: BTreeMap::new(),
             form: None,

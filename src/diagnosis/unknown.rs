@@ -13,12 +13,14 @@ const TERMS: usize = 5;
 /// Sizes of the function, in standard errors of a residual, that are tried.
 const SIZES: [f64; 12] = [0.15, 0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 30.0, 100.0, 300.0, 1e3, 1e4];
 
-/// Evidence (twice the logarithm of a Bayes factor) that the residuals have such a function, summed over the statistics that gain by it;
+/// Evidence (twice the logarithm of a Bayes factor) that the residuals have such a function, summed over the statistics of sets that gain by it;
 /// each pays for its size as BIC has it.
 pub fn evidence(residuals: &[Residual], observations: f64) -> f64 {
     let mut of: BTreeMap<&str, Vec<&Residual>> = BTreeMap::new();
     residuals.iter().for_each(|r| of.entry(r.observable.as_str()).or_default().push(r));
-    of.values().map(|rows| (of_statistic(rows) - observations.ln()).max(0.0)).sum()
+    // Of the whole campaign there is one value in each half, and no level.
+    let of_levels = of.values().filter(|rows| rows.iter().any(|r| r.set.is_some()));
+    of_levels.map(|rows| (of_statistic(rows) - observations.ln()).max(0.0)).sum()
 }
 
 fn of_statistic(rows: &[&Residual]) -> f64 {

@@ -8,7 +8,7 @@ use super::layout::{Layout, State};
 use super::normal::Covariance;
 use super::slopes::Slopes;
 use super::system::System;
-use crate::observables::{Half, Observations, mean};
+use crate::observables::{Half, Observations, codes_used, mean};
 use radcam_sim::effects::{self, Effect, Seen};
 use radcam_sim::predict::{BaseParameters, Prediction};
 use std::sync::Arc;
@@ -229,6 +229,7 @@ fn fit_for(
 /// What the campaign shows before any fit.
 pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
     let means = all.of(&mean::This).map(|o| o.measured.value);
+    let share = all.of(&codes_used::This).map(|o| o.measured.value).reduce(f64::max);
     let peak_dn = means.fold(0.0, f64::max) - base.offset_dn;
     let frames = &all.campaign.frames;
     let duration_s = frames.last().map_or(0.0, |l| l.time_s - frames[0].time_s);
@@ -242,5 +243,6 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
         means: !all.means_given,
         dark_noise_dn: base.read_noise_e * base.gain_dn_per_e,
         line_cycles_per_px: all.campaign.line_cycles_per_px,
+        code_step_dn: share.filter(|s| *s > 0.0).map(f64::recip),
     }
 }

@@ -1,6 +1,6 @@
 //! Coarse quantisation: the camera converts with fewer bits than its format has.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
 /// Codes are multiples of a step.
 pub struct This;
@@ -16,6 +16,12 @@ impl Effect for This {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[Parameter { name: "step_dn", unit: "DN", min: 1.0, max: 256.0, starts: &[2.0, 4.0, 16.0] }]
+    }
+
+    /// The step that the codes show, and usual ones.
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        let seen = seen.code_step_dn.filter(|s| *s > 1.2).map(f64::round);
+        seen.into_iter().chain([2.0, 4.0, 16.0]).map(|s| vec![s]).collect()
     }
 
     fn example(&self, _: &Plain) -> Option<Vec<f64>> {

@@ -74,6 +74,8 @@ pub struct Seen {
     pub dark_noise_dn: f64,
     /// The strongest line in the spectrum of the noise in read-out order, cycles per pixel.
     pub line_cycles_per_px: Option<f64>,
+    /// Codes for each one that occurs, about the levels.
+    pub code_step_dn: Option<f64>,
 }
 
 impl Seen {
@@ -265,6 +267,10 @@ pub trait Effect: Sync + Send {
     fn id(&self) -> &'static str;
     /// Its place in the chain.
     fn stage(&self) -> Stage;
+    /// The same where a choice among its parameters decides.
+    fn stage_with(&self, _values: &[f64]) -> Stage {
+        self.stage()
+    }
     /// Its parameters.
     fn parameters(&self) -> &'static [Parameter];
     /// Whether a fit leaves the sign of the parameters as it finds it: where positive and negative are two ways of the same thing, and
@@ -442,10 +448,10 @@ pub fn example(id: &str, model: &crate::Model) -> Option<Vec<f64>> {
 /// chain.
 pub fn predict(campaign: &Campaign, base: &BaseParameters, effects: &[(&dyn Effect, &[f64])]) -> Prediction {
     let mut order: Vec<_> = effects.to_vec();
-    order.sort_by_key(|(e, _)| e.stage());
+    order.sort_by_key(|(e, p)| e.stage_with(p));
     let mut out = Prediction::begin(campaign, base);
     let run = |out: &mut Prediction, from: Stage, to: Stage| {
-        for (e, p) in order.iter().filter(|(e, _)| (from..=to).contains(&e.stage())) {
+        for (e, p) in order.iter().filter(|(e, p)| (from..=to).contains(&e.stage_with(p))) {
             e.predict(p, campaign, out);
         }
     };
@@ -463,7 +469,7 @@ pub fn predict(campaign: &Campaign, base: &BaseParameters, effects: &[(&dyn Effe
     let step = out.code_step_dn;
     out.quantize(campaign, step);
     // Firmware hands on whole codes.
-    for (e, p) in order.iter().filter(|(e, _)| e.stage() == Stage::Firmware) {
+    for (e, p) in order.iter().filter(|(e, p)| e.stage_with(p) == Stage::Firmware) {
         e.predict(p, campaign, &mut out);
         out.quantize(campaign, 1.0);
     }

@@ -1,6 +1,6 @@
 //! Spatial filter: the camera sharpens or smooths its images.
 
-use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 use crate::predict::Filter;
 use crate::quantize::Correction;
 
@@ -16,6 +16,11 @@ fn diagonal(p: &[f64]) -> f64 {
     }
 }
 
+/// Whether the filter sees more than whole codes.
+fn fine(p: &[f64]) -> bool {
+    p[2] >= 0.5
+}
+
 impl Effect for This {
     fn id(&self) -> &'static str {
         "spatial-filter"
@@ -25,12 +30,27 @@ impl Effect for This {
         Stage::Firmware
     }
 
+    fn stage_with(&self, p: &[f64]) -> Stage {
+        if fine(p) { Stage::Converter } else { Stage::Firmware }
+    }
+
     fn parameters(&self) -> &'static [Parameter] {
         &[
             Parameter { name: "strength", unit: "1", min: -0.49, max: 3.0, starts: &[0.05] },
             // 4 neighbours, 8 alike, 8 with the diagonal ones at half.
-            Parameter { name: "kernel", unit: "choice", min: 0.0, max: 2.0, starts: &[0.0, 1.0, 2.0] },
+            Parameter { name: "kernel", unit: "choice", min: 0.0, max: 2.0, starts: &[0.0] },
+            // Of whole codes, or of samples with more bits than the codes that are sent.
+            Parameter { name: "of", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0] },
         ]
+    }
+
+    /// Each kernel, of whole codes and of finer ones.
+    fn starts(&self, _: &Seen) -> Vec<Vec<f64>> {
+        (0..6).map(|k| vec![0.05, f64::from(k % 3), f64::from(k / 3)]).collect()
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        Some(if fine(p) { "before codes are rounded" } else { "of whole codes" })
     }
 
     fn needs(&self) -> Needs {
@@ -38,7 +58,7 @@ impl Effect for This {
     }
 
     fn example(&self, _: &Plain) -> Option<Vec<f64>> {
-        Some(vec![0.04, 0.0])
+        Some(vec![0.04, 0.0, 0.0])
     }
 
     fn page(&self) -> Page {
@@ -58,6 +78,17 @@ impl Effect for This {
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let (strength, d) = (p[0], diagonal(p));
+        let power = |strength: f64| {
+            move |ky: f64, kx: f64| {
+                let (cy, cx) = (libm::cos(ky), libm::cos(kx));
+                let h = 1.0 + strength * (1.0 - (1.0 - d) * 0.5 * (cy + cx) - d * cy * cx);
+                h * h
+            }
+        };
+        if fine(p) {
+            out.sets.iter_mut().for_each(|s| s.filter(&Filter::new(&power(strength))));
+            return;
+        }
         // The offsets' pattern, which the darkest sets have alone, is not smooth as shading is.
         let known = c.sets.iter().map(|s| s.spread_dn).filter(|s| *s > 0.0);
         let pattern = known.fold(f64::INFINITY, f64::min).min(1e3);
@@ -69,12 +100,7 @@ impl Effect for This {
                 Correction::new(whole * strength, libm::sqrt(square * x), libm::sqrt(square) * pattern);
             let (slope, noise) = correction.linear();
             let strength = (slope / whole).copysign(strength);
-            let h = |ky: f64, kx: f64| {
-                let (cy, cx) = (libm::cos(ky), libm::cos(kx));
-                let h = 1.0 + strength * (1.0 - (1.0 - d) * 0.5 * (cy + cx) - d * cy * cx);
-                h * h
-            };
-            s.filter(&Filter::new(&h));
+            s.filter(&Filter::new(&power(strength)));
             s.read.add_white(noise);
             // The tails of narrow noise are not normal any more.
             s.unsure = libm::hypot(s.unsure, 0.15 * correction.narrow() * s.pixels().powi(2));
