@@ -305,6 +305,12 @@ impl SetPrediction {
         self.ripples.iter().map(|(v, ripple)| v * ripple.correlation(rows)).sum()
     }
 
+    /// The same over that of a row with itself; 0 where there is none.
+    pub fn ripple_correlation(&self, rows: f64) -> f64 {
+        let all = self.ripple(0.0);
+        if all > 0.0 { self.ripple(rows) / all } else { 0.0 }
+    }
+
     /// Covariance of what changes slowly down the rows, in the first `to` of so many rows, with its mean over all of them.
     pub fn ripple_with_mean(&self, to: usize, rows: usize) -> f64 {
         self.ripples.iter().map(|(v, r)| v * r.with_mean(to as f64, rows as f64)).sum()

@@ -73,6 +73,7 @@ mod tests {
             std_err: 1.0,
             z: PixelRng::new(seed, Stream::Effect, 0, i, 0).normal()
                 + if i.is_multiple_of(4) { off(f64::from(i) / 200.0) } else { 0.0 },
+            independent_z: 0.0,
             level_dn: f64::from(i / 4),
             statistic: (&mean::This, 0),
         };

@@ -54,6 +54,7 @@ impl<'s, 'a> Direction<'s, 'a> {
             .zip(&there.expected)
             .map(|(a, b)| (b.normal.1 - a.normal.1) / a.normal.2)
             .collect();
+        s.white.apply(&mut moves, 1);
         for block in &s.blocks {
             let common =
                 block.loads.iter().zip(&block.rows).map(|(a, r)| a * moves[*r]).sum::<f64>() / block.weight;

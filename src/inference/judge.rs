@@ -7,6 +7,7 @@ use super::fit::{Fitted, fit_near, halves};
 use super::layout::Layout;
 use super::slopes::Slopes;
 use super::system::System;
+use super::white::White;
 use crate::observables::{Half, Observable, Observations, Statistic, mean, settling};
 use crate::statistics::succession;
 use serde::Serialize;
@@ -66,6 +67,9 @@ pub struct Residual {
     pub std_err: f64,
     /// Their difference over its standard error.
     pub z: f64,
+    /// The same once what the statistics of the same frames have in common is taken for one number.
+    #[serde(skip)]
+    pub independent_z: f64,
     /// Mean of the set above the level of zero charge, DN.
     #[serde(skip)]
     pub level_dn: f64,
@@ -153,6 +157,7 @@ fn setting_orders(all: &Observations, model: &Fitted) -> Vec<Residual> {
             predicted,
             std_err,
             z: (measured - predicted) / std_err,
+            independent_z: (measured - predicted) / std_err,
             level_dn: 0.0,
             statistic: (&mean::This, 0),
         }
@@ -199,6 +204,8 @@ fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
         }
     }
     let mut out = Vec::new();
+    let mut places = Vec::new();
+    let mut wider_by = vec![1.0; layout.rows.len()];
     for (r, (o, e)) in layout.rows.iter().zip(&state.expected).enumerate() {
         // Light levels that only one half has cannot be judged on the other.
         if o.statistic.sees_light() && !known(o) {
@@ -226,8 +233,14 @@ fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
         z /= wider;
         if z.is_finite() {
             out.push(residual(all, o, e.value, e.std_err * wider, z, &levels));
+            places.push(r);
+            wider_by[r] = wider;
         }
     }
+    let mut z = vec![0.0; layout.rows.len()];
+    places.iter().zip(&out).for_each(|(r, residual)| z[*r] = residual.z);
+    White::new(&layout, &state.expected, |r| wider_by[r]).apply(&mut z, 1);
+    places.iter().zip(&mut out).for_each(|(r, residual)| residual.independent_z = z[*r]);
     out
 }
 
@@ -246,6 +259,7 @@ fn residual(
         predicted,
         std_err,
         z,
+        independent_z: z,
         level_dn: o.set.map_or(0.0, |s| levels[s]),
         statistic: (o.statistic, o.index),
     }
@@ -296,7 +310,7 @@ const SLACK_OF_MEAN: f64 = 1.2;
 /// The residuals by statistic.
 pub fn by_statistic(residuals: &[Residual]) -> Vec<OfStatistic> {
     let mut of: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
-    residuals.iter().for_each(|r| of.entry(r.observable.as_str()).or_default().push(r.z));
+    residuals.iter().for_each(|r| of.entry(r.observable.as_str()).or_default().push(r.independent_z));
     let together = |(name, z): (&str, Vec<f64>)| {
         let n = z.len() as f64;
         let squares: f64 = z.iter().map(|z| z * z).sum();
@@ -327,10 +341,10 @@ fn p_value(residuals: &[Residual]) -> f64 {
         return f64::NAN;
     }
     // Errors are known to some per cent and parameters are fitted: the squares scatter a little more than a chi-square.
-    let squares: f64 = residuals.iter().map(|r| r.z * r.z).sum();
+    let squares: f64 = residuals.iter().map(|r| r.independent_z * r.independent_z).sum();
     let z = (squares - n * 1.05) / (2.0 * n * 1.3).sqrt();
     let whole = 0.5 * statrs::function::erf::erfc(z / std::f64::consts::SQRT_2);
-    let largest = residuals.iter().map(|r| r.z.abs()).fold(0.0, f64::max);
+    let largest = residuals.iter().map(|r| r.independent_z.abs()).fold(0.0, f64::max);
     let single = (n * two_sided(largest / 1.1)).min(1.0);
     let groups = by_statistic(residuals);
     let group = groups.iter().map(|g| g.chance).fold(1.0, f64::min) * groups.len() as f64;

@@ -4,6 +4,7 @@ use super::free::{Free, Point};
 use crate::observables::{Expected, Half, Observable, Observations, expectations};
 use radcam_sim::effects;
 use radcam_sim::predict::Prediction;
+use std::collections::BTreeMap;
 
 /// Expectations at a place.
 pub struct State {
@@ -31,6 +32,8 @@ pub struct Layout<'a> {
     halves: Vec<Half>,
     /// Set and rows of those of a set that see its light.
     pub(super) blocks: Vec<(usize, Vec<usize>)>,
+    /// Rows of the same frames.
+    pub(super) chunks: Vec<Vec<usize>>,
 }
 
 impl<'a> Layout<'a> {
@@ -52,7 +55,12 @@ impl<'a> Layout<'a> {
             });
             blocks[at].1.push(i);
         }
-        Self { all, rows, places, halves: halves.to_vec(), blocks }
+        let mut chunks: BTreeMap<_, Vec<usize>> = BTreeMap::new();
+        for (i, o) in rows.iter().enumerate() {
+            chunks.entry((o.set, o.frames)).or_default().push(i);
+        }
+        let chunks = chunks.into_values().collect();
+        Self { all, rows, places, halves: halves.to_vec(), blocks, chunks }
     }
 
     /// What a prediction expects of them.

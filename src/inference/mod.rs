@@ -13,6 +13,7 @@ mod screen;
 mod slopes;
 mod start;
 mod system;
+mod white;
 
 pub use fit::{Effects, Fitted, Given, as_given, fit, seen};
 pub(crate) use fit::{fit_briefly, fit_near};

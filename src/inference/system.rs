@@ -4,6 +4,7 @@ use super::free::{Common, Free, Point};
 use super::layout::{Layout, State};
 use super::normal::{LightTerm, Normal};
 use super::slopes::Slopes;
+use super::white::White;
 use crate::observables::{Expected, Observable};
 
 /// From here on the square of a residual says that the model is wrong, and not how large its scatter is.
@@ -27,6 +28,7 @@ pub struct System<'a> {
     /// Rows whose error is a scatter that is fitted, with its logarithm's slopes.
     scatter: Vec<(usize, Vec<f64>)>,
     pub(super) blocks: Vec<Block>,
+    pub(super) white: White,
     priors: Vec<(usize, f64, f64)>,
     lights: usize,
 }
@@ -49,7 +51,11 @@ impl<'a> System<'a> {
     pub fn new(layout: &'a Layout<'a>, free: &Free, point: &Point, now: &State, known: &Slopes) -> Self {
         let n = free.common.len();
         let rows = layout.rows.len();
-        let slopes = known.over_errors(now);
+        let white = White::new(layout, &now.expected, |_| 1.0);
+        let mut slopes = known.over_errors(now);
+        white.apply(&mut slopes, n);
+        let mut z: Vec<f64> = now.expected.iter().map(Expected::z).collect();
+        white.apply(&mut z, 1);
         // All light together: of a set's own observables that is the slope with its own factor.
         let all_light = free.place(Common::Light).unwrap_or(0);
         let by_light: Vec<f64> = (0..rows).map(|r| slopes[r * n + all_light]).collect();
@@ -59,13 +65,14 @@ impl<'a> System<'a> {
         let mut system = Self {
             layout,
             n,
-            z: now.expected.iter().map(Expected::z).collect(),
+            z,
             expected_square: vec![1.0; rows],
             slopes,
             by_light,
             light: layout.rows.iter().map(factor).collect(),
             scatter: Vec::new(),
             blocks: Vec::new(),
+            white,
             priors: priors.filter_map(|(k, (l, x))| Some((k, *x, 1.0 / l.known?.powi(2)))).collect(),
             lights: free.lights.len(),
         };
@@ -217,6 +224,7 @@ impl<'a> System<'a> {
             .zip(&there.expected)
             .map(|(a, b)| (b.normal.0 - b.normal.1) / a.normal.2)
             .collect();
+        self.white.apply(&mut z, 1);
         let mut sum = 0.0;
         for (r, _) in self.scatter.iter().filter(|(r, _)| *r < here.expected.len()) {
             let e = &there.expected[*r];
@@ -261,7 +269,9 @@ impl<'a> System<'a> {
     /// Twice the negative logarithm of the likelihood at this place.
     pub fn likelihood(&self, here: &State, lights: &[f64]) -> f64 {
         let mut z: Vec<f64> = here.expected.iter().map(Expected::z).collect();
+        self.white.apply(&mut z, 1);
         let errors: f64 = here.expected.iter().map(|e| 2.0 * e.normal.2.ln()).sum();
+        let errors = errors + self.white.log_det();
         let blocks = self.of_blocks(&mut z, here, true);
         let sum = z.iter().map(|z| z * z).sum::<f64>() + errors + blocks + self.of_priors(lights);
         if sum.is_nan() { f64::INFINITY } else { sum }

@@ -56,5 +56,6 @@ impl Statistic for This {
                 view.shared(dy, dx),
             ]),
         )
+        .with_common(view.common(dy))
     }
 }

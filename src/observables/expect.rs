@@ -10,6 +10,8 @@ pub struct Expected {
     pub value: f64,
     /// Standard error in the observable's own unit.
     pub std_err: f64,
+    /// The part of the error that all observables of the same frames have in common, with its sign.
+    pub common: f64,
     /// Measured, predicted and deviation in the space in which the noise is normal.
     pub normal: (f64, f64, f64),
 }
@@ -17,7 +19,12 @@ pub struct Expected {
 impl Expected {
     /// Of an observable whose noise is normal.
     pub fn plain(o: &Observable, value: f64, std_err: f64) -> Self {
-        Self { value, std_err, normal: (o.measured.value, value, std_err.max(1e-12)) }
+        Self { value, std_err, common: 0.0, normal: (o.measured.value, value, std_err.max(1e-12)) }
+    }
+
+    /// The same, where a part of the error is common to the observables of these frames.
+    pub fn with_common(self, common: f64) -> Self {
+        Self { common, ..self }
     }
 
     /// Of a variance from few samples: its cube root is normal (Wilson and Hilferty 1931).
@@ -28,6 +35,7 @@ impl Expected {
         Self {
             value,
             std_err: value * (2.0 / dof).sqrt(),
+            common: 0.0,
             normal: (o.measured.value.max(0.0).cbrt(), (1.0 - c) * root, c.sqrt() * root),
         }
     }
@@ -190,6 +198,11 @@ impl<'a> View<'a> {
         in_quadrature(&[rows, columns, self.ripple_error])
     }
 
+    /// The part of that which all statistics of the same frames have in common: these show too much or too little of a ripple.
+    pub fn common(&self, dy: i32) -> f64 {
+        self.set().map_or(0.0, |s| self.ripple_error * s.ripple_correlation(f64::from(dy)))
+    }
+
     /// A line has one phase a frame: what few frames show of it scatters (random walk of n phases), DN^2.
     pub fn lines(&self, dy: i32, dx: i32) -> f64 {
         let Some(s) = self.set() else { return 0.0 };
@@ -227,6 +240,7 @@ impl<'a> View<'a> {
             value,
             in_quadrature(&[own, self.walk() * of_lines, 0.3 * self.moving, single, ripple]),
         )
+        .with_common(ripple)
     }
 
     /// Mean product of successive residuals over the variance, for noise with these correlations.

@@ -70,11 +70,11 @@ impl Statistic for This {
         let lines: f64 = s.lines.iter().map(|l| l.0).sum();
         let own = (s.shot.along(1) + s.read.along(1)) / columns as f64 + s.row.lag(0);
         // A product of rows that have little in common scatters by half of the variance of a square.
-        let common = s.ripple(lag as f64) / s.ripple(0.0).max(f64::MIN_POSITIVE);
+        let common = s.ripple_correlation(lag as f64);
         let ripple = view.ripple_error * (0.5 * (1.0 + common * common)).sqrt();
         let alone = own / (((rows - lag) as f64) * view.dof).sqrt();
         let single = in_quadrature(&[s.unsure_var, view.rough.1]) / columns as f64;
         let error = in_quadrature(&[alone, ripple, 0.3 * view.moving, lines / columns as f64, single]);
-        Expected::plain(o, near - flat + slow, error)
+        Expected::plain(o, near - flat + slow, error).with_common(view.ripple_error * common)
     }
 }

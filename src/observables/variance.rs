@@ -40,5 +40,6 @@ impl Statistic for This {
                 view.shared(0, 0),
             ]),
         )
+        .with_common(view.common(0))
     }
 }
