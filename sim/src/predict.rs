@@ -128,6 +128,8 @@ pub struct SetPrediction {
     pub unsure: f64,
     /// By so much variance and covariances are not known, e^2, then DN^2.
     pub unsure_var: f64,
+    /// By so much variance is not known while the level still moves, e^2, then DN^2.
+    pub unsure_moving: f64,
     /// By so much the mean is not known, e, then DN.
     pub unsure_mean: f64,
     /// Lines in the spectrum: (variance, phase from column to column, phase from row to row), radians.
@@ -189,6 +191,7 @@ impl SetPrediction {
             fourth: 0.0,
             unsure: 0.0,
             unsure_var: 0.0,
+            unsure_moving: 0.0,
             unsure_mean: 0.0,
             lines: Vec::new(),
             growth: (0.0, 0.0),
@@ -264,6 +267,7 @@ impl SetPrediction {
     /// What is known of single pixels, where their variance is multiplied by `by`.
     fn pixels_follow(&mut self, by: f64) {
         self.unsure_var *= by;
+        self.unsure_moving *= by;
         for fourth_power in [&mut self.unequal, &mut self.fourth, &mut self.unsure] {
             *fourth_power *= by * by;
         }

@@ -27,7 +27,9 @@ impl Statistic for This {
     }
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
-        let unsure = view.set().map_or(0.0, |s| s.unsure_var);
+        let (unsure, moving) = view.set().map_or((0.0, 0.0), |s| (s.unsure_var, s.unsure_moving));
+        // Between a sixteenth of a code and none the level no longer moves.
+        let moving = if view.moved > 0.004 { moving } else { 0.0 };
         Expected::plain(
             o,
             view.lag(0, 0) + view.moving,
@@ -35,8 +37,9 @@ impl Statistic for This {
                 o.measured.std_err,
                 view.rough.1,
                 unsure,
+                moving,
                 view.lines(0, 0),
-                0.1 * view.moving,
+                0.3 * view.moving,
                 view.shared(0, 0),
             ]),
         )

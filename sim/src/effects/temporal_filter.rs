@@ -81,18 +81,32 @@ impl Effect for This {
         };
         let of_sets: Vec<_> = out.sets.iter().map(of_set).collect();
         let mut last = out.base.past_e.map(|past| past * out.base.gain_dn_per_e);
+        let mut moves = vec![false; of_sets.len()];
+        let mut set = None;
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
             let rounded = of_sets.get(frame.set).filter(|_| !fine(p));
             let step = last.map_or(0.0, |last| rounded.map_or(a * (last - *m), |s| s.2.mean(last - *m)));
             *m += step;
             last = Some(*m);
+            // The first frame of a set has a statistic of its own.
+            if set == Some(frame.set) && rounded.is_some() && step.abs() > 0.25 {
+                moves[frame.set] = true;
+            }
+            set = Some(frame.set);
         }
-        for (s, (slope, noise, correction)) in out.sets.iter_mut().zip(of_sets) {
+        for ((s, (slope, noise, correction)), moves) in out.sets.iter_mut().zip(of_sets).zip(moves) {
             let (less, memory) = running_average(slope);
             s.remember(less, &memory);
             s.read.add_white(noise / (1.0 - slope * slope));
             if fine(p) {
                 continue;
+            }
+            if moves {
+                // While the level still moves, rounding follows the noise of one frame in a few with the density of alpha u at a threshold
+                // in place of its mean, 1: up to (2 pi)^(-1/2) / sd, and the variance by twice that.
+                let x = s.pixels();
+                let slope = 1.0 / libm::sqrt(std::f64::consts::TAU * x.max(1.0));
+                s.unsure_moving = libm::hypot(s.unsure_moving, 2.0 * slope * x / 3.0);
             }
             // Only what lies far off is moved: the tails of narrow noise are not normal any more.
             s.unsure = libm::hypot(s.unsure, 0.15 * correction.narrow() * s.pixels().powi(2));
