@@ -132,6 +132,8 @@ pub struct SetPrediction {
     pub unsure_moving: f64,
     /// By so much the mean is not known, e, then DN.
     pub unsure_mean: f64,
+    /// What a pixel's mean may deviate by from an offset and a gain of its own, one standard deviation, e, then DN.
+    pub uneven: f64,
     /// Lines in the spectrum: (variance, phase from column to column, phase from row to row), radians.
     pub lines: Vec<(f64, f64, f64)>,
     /// Change of the neighbour covariances per unit of distance from the output, as a share of the shot variance: along rows,
@@ -193,6 +195,7 @@ impl SetPrediction {
             unsure_var: 0.0,
             unsure_moving: 0.0,
             unsure_mean: 0.0,
+            uneven: 0.0,
             lines: Vec::new(),
             growth: (0.0, 0.0),
             parity: (0.0, 0.0),
@@ -212,6 +215,7 @@ impl SetPrediction {
         self.shared(square);
         self.setting *= square;
         self.unsure_mean *= square.abs().sqrt();
+        self.uneven *= square.abs().sqrt();
         self.pixels_follow(square);
     }
 
@@ -281,6 +285,8 @@ impl SetPrediction {
         // The pixels' places are known as a few shares.
         self.unsure = libm::hypot(self.unsure, 0.3 * left.unequal);
         self.unsure_mean = libm::hypot(self.unsure_mean, 0.1 * left.lost * (1.0 - left.above));
+        // Pixels on both sides of the limit: no more than what is cut off.
+        self.uneven = libm::hypot(self.uneven, left.lost * (1.0 - left.above));
     }
 
     /// All noise of a clipped image: shared noise is lost where pixels are clipped.
@@ -346,6 +352,23 @@ impl SetPrediction {
     }
 }
 
+/// Deviation of a rounded mean from the level, in steps, for noise of this variance in squares of the step: the first term of the
+/// characteristic function, as a root mean square over all levels (Widrow and Kollar 2008, ch. 4).
+fn quantised_mean(variance: f64) -> f64 {
+    let square = std::f64::consts::PI * std::f64::consts::PI;
+    libm::exp(-2.0 * square * variance.max(0.0)) / (std::f64::consts::PI * std::f64::consts::SQRT_2)
+}
+
+/// Root mean square of what is left of values at [`PLACES`] beside a straight line.
+fn off_a_line(places: &[f64; PLACES.len()], values: &[f64]) -> f64 {
+    let all = || places.iter().zip(PLACES).zip(values);
+    let mean = |of: &dyn Fn(f64, f64) -> f64| all().map(|((x, share), v)| share * of(*x, *v)).sum::<f64>();
+    let (mx, mv) = (mean(&|x, _| x), mean(&|_, v| v));
+    let xx = mean(&|x, _| (x - mx) * (x - mx));
+    let slope = if xx > 0.0 { mean(&|x, v| (x - mx) * (v - mv)) / xx } else { 0.0 };
+    libm::sqrt(mean(&|x, v| (v - mv - slope * (x - mx)).powi(2)))
+}
+
 impl Prediction {
     /// Light and dark charge of every frame and set, no noise yet.
     pub(crate) fn begin(c: &Campaign, base: &BaseParameters) -> Self {
@@ -392,6 +415,7 @@ impl Prediction {
                 rounded(level, spread, variance)
             };
             shifts[i] = step * rounded.mean;
+            s.uneven = libm::hypot(s.uneven, step * quantised_mean(variance));
             // What pixels or frames share comes through with the slope; what each has of its own, with the whole of its variance.
             let through = rounded.slope * rounded.slope;
             let mut kept = 0.0;
@@ -447,6 +471,8 @@ impl Prediction {
             let apart: f64 = all.iter().map(|(share, _, q)| share * (q - square) * (q - square)).sum();
             let own = s.pixels();
             s.signal = all.iter().map(|(share, mean, _)| share * mean).sum();
+            let bent: Vec<f64> = all.iter().map(|(_, mean, _)| mean - s.signal).collect();
+            s.uneven = libm::hypot(s.uneven, off_a_line(&c.sets[set].places, &bent));
             s.scale(square);
             s.unequal += apart * own * own;
         }

@@ -31,9 +31,10 @@ const FAR: f64 = 3.0;
 /// A name stands first only where deviations as large as those that it leaves come by chance at least so often: one right name in a hundred
 /// is called unknown for it.
 const HOLDS: f64 = 0.01;
-/// Evidence that names need together where the model as given holds: five standard errors. Below, many a shape that nobody has named would
+/// Evidence that names need together where the model as given holds: beyond five standard errors, of whose 25 some 7 are the price of a
+/// parameter. Below, many a shape that nobody has named would
 /// be taken for the nearest name.
-const TRACE: f64 = 25.0;
+const TRACE: f64 = 20.0;
 /// Names that are given as the nearest of what has none.
 const NEAREST: usize = 3;
 

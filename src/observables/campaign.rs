@@ -187,6 +187,8 @@ pub fn of_dataset(
             (infos[*i].light, infos[*i].light_ratio) = (Some(levels), 1.0);
         }
     }
+    let still = |i: usize| !matches!(settings[i].kind, Kind::Dark | Kind::Flat);
+    let after_scene: Vec<bool> = (0..sets.len()).map(|i| i > 0 && still(i - 1)).collect();
     let mut list = Vec::new();
     let inflation = Inflation::of(&chunks);
     for c in &chunks {
@@ -230,6 +232,11 @@ pub fn of_dataset(
         pairs[half.place()] = ScenePair::of(&of_half, &settings, zero_dn, &layout);
         let view = HalfView {
             chunks: chunks.iter().filter(|c| c.half == half).map(|c| &c.said).collect(),
+            sets: chunks
+                .iter()
+                .filter(|c| c.half == half)
+                .map(|c| (settings[c.set].exposure_s, after_scene[c.set]))
+                .collect(),
             zero_dn,
             codes: &said,
             line: line.map(|(place, _)| lines[half.place()].at(place)),
@@ -284,9 +291,7 @@ pub fn of_dataset(
         list,
         scenes: pairs,
         codes: ranges,
-        after_scene: (0..sets.len())
-            .map(|i| i > 0 && !matches!(settings[i - 1].kind, Kind::Dark | Kind::Flat))
-            .collect(),
+        after_scene,
         is_table: false,
         means_given: false,
         missing,

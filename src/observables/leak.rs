@@ -40,6 +40,8 @@ impl Statistic for This {
         let level = view.prediction.sets.iter().map(|s| s.signal).fold(0.0, f64::max);
         let step = view.prediction.taps.iter().map(|(gain, offset)| (gain * level).abs() + offset.abs());
         let step: f64 = step.sum();
-        Expected::plain(o, leak, in_quadrature(&[o.measured.std_err, 0.01 * leak, 0.5 * step]))
+        // Nor are the rows of the patch and of the background under the same light where that ripples.
+        let ripple = view.prediction.sets.iter().map(|s| s.ripple(0.0)).fold(0.0, f64::max).sqrt();
+        Expected::plain(o, leak, in_quadrature(&[o.measured.std_err, 0.01 * leak, 0.5 * step, ripple]))
     }
 }

@@ -142,6 +142,8 @@ impl ChunkView<'_> {
 /// One half of a campaign, as a statistic sees it.
 pub struct HalfView<'a> {
     chunks: Vec<&'a Summary>,
+    /// Exposure of the set of each, s, and whether that follows a scene.
+    sets: Vec<(f64, bool)>,
     zero_dn: f64,
     /// How often codes occur.
     codes: &'a codes::Said,
@@ -234,5 +236,5 @@ macro_rules! statistics {
 
 statistics! {
     mean settling monitor frame_scatter succession variance row_variance column_variance row_shape covariance successive unequal growth parity tap
-    occupancy transition codes_used chunk_codes line leak
+    occupancy transition codes_used chunk_codes line profile leak
 }

@@ -12,6 +12,7 @@ pub mod median;
 pub mod moments;
 pub mod occupancy;
 pub mod pass;
+pub mod profiles;
 pub mod spectrum;
 pub mod succession;
 pub mod successive;
