@@ -130,6 +130,8 @@ pub struct SetPrediction {
     pub unsure_var: f64,
     /// By so much variance is not known while the level still moves, e^2, then DN^2.
     pub unsure_moving: f64,
+    /// By so much the first frame of a set is not known, DN.
+    pub unsure_first: f64,
     /// By so much the mean is not known, e, then DN.
     pub unsure_mean: f64,
     /// What a pixel's mean may deviate by from an offset and a gain of its own, one standard deviation, e, then DN.
@@ -194,6 +196,7 @@ impl SetPrediction {
             unsure: 0.0,
             unsure_var: 0.0,
             unsure_moving: 0.0,
+            unsure_first: 0.0,
             unsure_mean: 0.0,
             uneven: 0.0,
             lines: Vec::new(),

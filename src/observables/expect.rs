@@ -198,6 +198,13 @@ impl<'a> View<'a> {
         in_quadrature(&[rows, columns, self.ripple_error])
     }
 
+    /// By how much products of neighbours scatter more where some pixels have most of the noise and neighbours are alike, as beside the edge
+    /// of what is clipped: the root of the mean square of the pixels' variances over the square of their mean.
+    pub fn unlike(&self) -> f64 {
+        let square = self.noise * self.noise;
+        self.set().map_or(1.0, |s| (1.0 + s.unequal.max(0.0) / square.max(f64::MIN_POSITIVE)).sqrt())
+    }
+
     /// The part of that which all statistics of the same frames have in common: these show too much or too little of a ripple.
     pub fn common(&self, dy: i32) -> f64 {
         self.set().map_or(0.0, |s| self.ripple_error * s.ripple_correlation(f64::from(dy)))

@@ -1,6 +1,6 @@
 //! Growth of the neighbours' covariance across the sensor, along rows (0) and columns (1), DN^2.
 
-use super::{ChunkView, Expected, Observable, Put, Statistic, View, covariance};
+use super::{ChunkView, Expected, Observable, Put, Statistic, View, covariance, in_quadrature};
 
 /// What one end has more than the other.
 #[derive(Debug)]
@@ -28,7 +28,8 @@ impl Statistic for This {
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let Some(s) = view.set() else { return Expected::plain(o, 0.0, 1.0) };
         let growth = if o.index == 0 { s.growth.0 } else { s.growth.1 };
-        let std_err = o.measured.std_err.hypot(0.3 * view.moving).hypot(2.0 * view.shared(1, 1));
+        let own = o.measured.std_err * view.unlike();
+        let std_err = in_quadrature(&[own, 0.3 * view.moving, 2.0 * view.shared(1, 1)]);
         Expected::plain(o, 0.5 * growth * s.shot.lag(0, 0), std_err)
     }
 }

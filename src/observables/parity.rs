@@ -1,6 +1,6 @@
 //! Neighbours' covariance of odd columns (0), rows (1) less that of even ones, DN^2.
 
-use super::{ChunkView, Expected, Observable, Put, Statistic, View, covariance};
+use super::{ChunkView, Expected, Observable, Put, Statistic, View, covariance, in_quadrature};
 
 /// What odd lines have more than even ones.
 #[derive(Debug)]
@@ -28,6 +28,7 @@ impl Statistic for This {
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let Some(s) = view.set() else { return Expected::plain(o, 0.0, 1.0) };
         let parity = if o.index == 0 { s.parity.0 } else { s.parity.1 };
-        Expected::plain(o, parity, o.measured.std_err.hypot(0.3 * view.moving).hypot(2.0 * view.shared(1, 1)))
+        let own = o.measured.std_err * view.unlike();
+        Expected::plain(o, parity, in_quadrature(&[own, 0.3 * view.moving, 2.0 * view.shared(1, 1)]))
     }
 }

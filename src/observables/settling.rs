@@ -1,6 +1,6 @@
 //! The first and the second frame of a set less the mean of those after them in the chunk, DN: what came before.
 
-use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 
 /// The step to the settled level.
 #[derive(Debug)]
@@ -32,6 +32,7 @@ impl Statistic for This {
         let rest = view.frames.get(o.index + 1..).unwrap_or(&[]);
         let m = rest.len().max(1) as f64;
         let expected = view.frames.get(o.index).copied().unwrap_or(0.0) - rest.iter().sum::<f64>() / m;
-        Expected::plain(o, expected, ((view.of_mean + s.common) * (1.0 + 1.0 / m)).sqrt().hypot(0.002))
+        let noise = ((view.of_mean + s.common) * (1.0 + 1.0 / m)).sqrt();
+        Expected::plain(o, expected, in_quadrature(&[noise, 0.002, s.unsure_first]))
     }
 }

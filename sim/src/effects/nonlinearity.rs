@@ -163,6 +163,11 @@ impl Effect for This {
         Needs::Variances
     }
 
+    /// Beyond a full well charge still rises by a few per cent of what light brings: pixels differ, and few are full at first.
+    fn is_another(&self, p: &[f64], _: &Seen) -> bool {
+        p[0].round() as i32 == 5 && p[KNEE + 1] < 0.1
+    }
+
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
         let mut p = vec![0.0; FIRST_KNOT + KNOTS];
         (p[REL], p[EXPONENT], p[KNEE], p[KNEE + 1], p[ASYMPTOTE]) =

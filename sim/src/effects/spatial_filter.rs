@@ -92,7 +92,10 @@ impl Effect for This {
         // The offsets' pattern, which the darkest sets have alone, is not smooth as shading is.
         let known = c.sets.iter().map(|s| s.spread_dn).filter(|s| *s > 0.0);
         let pattern = known.fold(f64::INFINITY, f64::min).min(1e3);
-        for s in &mut out.sets {
+        for (i, s) in out.sets.iter_mut().enumerate() {
+            // That of a long dark is of its dark current too.
+            let dark = c.sets.get(i).filter(|s| s.light.is_none() && s.spread_dn > 0.0);
+            let pattern = dark.map_or(pattern, |s| s.spread_dn);
             // It adds floor(s (v - mean of neighbours) + 1/2) to every code: of four neighbours a quarter of s times a whole number.
             let x = s.pixels();
             let (whole, square) = if d == 0.0 { (0.25, 20.0) } else { (0.125, 72.0) };

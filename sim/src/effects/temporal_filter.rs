@@ -109,6 +109,8 @@ impl Effect for This {
                 s.unsure_moving = libm::hypot(s.unsure_moving, 2.0 * slope * x / 3.0);
             }
             // Only what lies far off is moved: the tails of narrow noise are not normal any more.
+            // Where a step lies between its thresholds decides what it moves the first frame by: the sawtooth of rounding has this deviation.
+            s.unsure_first = libm::hypot(s.unsure_first, correction.narrow() / libm::sqrt(12.0));
             s.unsure = libm::hypot(s.unsure, 0.15 * correction.narrow() * s.pixels().powi(2));
         }
         out.whole = !fine(p);
