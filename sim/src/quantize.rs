@@ -114,6 +114,9 @@ pub fn reaches_zero(level: f64, spread: f64, places: &[f64], variance: f64) -> b
 
 /// max(code, 0) of a rounded level with normal noise: mean, slope of the mean, variance and fourth cumulant; sums over the codes.
 fn from_zero(level: f64, sd: f64) -> Pixel {
+    if sd >= WIDE {
+        return from_zero_of_wide(level, sd);
+    }
     let sd = sd.max(0.02);
     let below = |edge: f64| upper((level - edge) / sd);
     let density =
@@ -135,6 +138,35 @@ fn from_zero(level: f64, sd: f64) -> Pixel {
     let mean = moment(0.0, 1);
     let (second, fourth) = (moment(mean, 2), moment(mean, 4));
     [mean, slope, second, fourth - 3.0 * second * second]
+}
+
+/// The same where rounding adds 1/12 and nothing else: raw moments of all codes less those of the codes below 0, which come out as 0.
+fn from_zero_of_wide(level: f64, sd: f64) -> Pixel {
+    let variance = sd * sd + 1.0 / 12.0;
+    let square = level * level;
+    let fourth = square * square + 6.0 * square * variance + 3.0 * variance * variance - 1.0 / 120.0;
+    let mut raw = [level, square + variance, level * (square + 3.0 * variance), fourth];
+    let mut slope = 1.0;
+    let below = |edge: f64| upper((level - edge) / sd);
+    let scale = 1.0 / (sd * std::f64::consts::TAU.sqrt());
+    let (mut edge, mut passed) = (-0.5, below(-0.5));
+    while passed > 1e-12 {
+        let lower = below(edge - 1.0);
+        let (code, share) = (edge - 0.5, passed - lower);
+        let mut power = share;
+        for moment in &mut raw {
+            power *= code;
+            *moment -= power;
+        }
+        slope -= scale * libm::exp(-0.5 * ((edge - level) / sd).powi(2));
+        (edge, passed) = (edge - 1.0, lower);
+    }
+    let [mean, second, third, fourth] = raw;
+    let square = mean * mean;
+    let variance = second - square;
+    let fourth = fourth - 4.0 * mean * third + 6.0 * square * second - 3.0 * square * square;
+    // The slope of the mean: densities at the edges above 0, of which all add up to 1.
+    [mean, slope, variance, fourth - 3.0 * variance * variance]
 }
 
 /// Normal noise of this variance in pixels at these places, whose codes below 0 come out as 0; all in steps.

@@ -96,8 +96,11 @@ fn strays_from(mut model: Model, held: &[(&'static dyn Effect, Vec<f64>)]) -> Op
     let all = observe(&root);
     let c = compare(&all, &fit(&all, &start(&all), &held.to_vec()));
     println!("{effects:?} error {:.3}, p {:.1e}", c.error, c.p_value);
-    // Some 1400 residuals: the error of an error of 1 is 0.02; six of them, and what the predictions leave out.
-    (!(0.85..1.2).contains(&c.error)).then(|| {
+    // Some 1400 residuals: the error of an error of 1 is 0.02; six of them, and what the predictions leave out. Under a light that ripples
+    // twenty statistics of some frames share one random number: of 50 such groups the error is 0.1, and the chance must be none.
+    let ripples = held.iter().any(|(e, _)| e.id() == "light-banding");
+    let allowed = if ripples && c.p_value > 0.01 { 0.7..1.3 } else { 0.85..1.2 };
+    (!allowed.contains(&c.error)).then(|| {
         let worst = radcam::diagnosis::signatures(&c.residuals);
         format!("{effects:?} {:.3}: {:?}", c.error, worst.first().map(|s| s.text.clone()))
     })
