@@ -392,7 +392,10 @@ fn describe(fitted: &Fitted, effect: &'static dyn Effect, confidence: f64, apart
     let (values, errors) = (&fitted.effects[at].1, &fitted.std_err[at]);
     let used = effect.parameters().iter().enumerate().filter(|(k, _)| effect.uses(values, *k));
     let mut parameters: BTreeMap<String, Quantity> = used
-        .map(|(k, p)| (p.name.to_string(), Quantity { value: values[k], std_err: errors[k], unit: p.unit }))
+        .map(|(k, p)| {
+            let std_err = errors[k].hypot(effect.resolution(k));
+            (p.name.to_string(), Quantity { value: values[k], std_err, unit: p.unit })
+        })
         .collect();
     if let Some(t) = effect.together(values) {
         let variance: f64 = (0..values.len())

@@ -41,13 +41,15 @@ const WIDE_DN2: f64 = 36.0;
 /// Occupancy of bit `b` expected of a converter with these widths, as [`Codes::finish`] measures it.
 pub fn occupancy_of(widths: &dyn Fn(u32) -> f64, codes: &std::ops::Range<u32>, b: usize) -> f64 {
     let (first, second) = ((1u32 << b) - 1, (1u32 << (b + 1)) - 1);
-    let bend = |c: u32| widths(c) - 0.5 * (widths(c - 1) + widths(c + 1));
-    let mean = |residue: u32| {
-        let all: Vec<f64> =
-            codes.clone().filter(|c| *c > 0 && c & second == residue).take(256).map(bend).collect();
-        all.iter().sum::<f64>() / all.len().max(1) as f64
+    let relative = |residue: u32| {
+        let (mut bend, mut level) = (0.0, 0.0);
+        for c in codes.clone().filter(|c| *c > 0 && c & second == residue).take(256) {
+            let (own, beside) = (widths(c), 0.5 * (widths(c - 1) + widths(c + 1)));
+            (bend, level) = (bend + own - beside, level + 0.5 * (own + beside));
+        }
+        bend / f64::max(level, 1e-9)
     };
-    mean(first) - mean(second)
+    relative(first) - relative(second)
 }
 
 impl Codes {

@@ -36,6 +36,11 @@ impl Effect for This {
         vec![-8.0 / (1.0 + 15.0 * by)]
     }
 
+    /// Anything between two edges of codes: the deviation of a number that is anywhere within one step.
+    fn resolution(&self, _: usize) -> f64 {
+        1.0 / libm::sqrt(12.0)
+    }
+
     fn page(&self) -> Page {
         Page {
             what: "The black level is too low, or the camera cuts off what lies below it: half of the dark noise is lost.",

@@ -291,6 +291,10 @@ pub trait Effect: Sync + Send {
             |p: &Parameter, k: usize| p.starts.get(k).or(p.starts.last()).copied().unwrap_or(p.min.max(0.0));
         (0..tries).map(|k| parameters.iter().map(|p| of(p, k)).collect()).collect()
     }
+    /// What a parameter may be off by beside its statistical error, in its own unit: values that give the same codes.
+    fn resolution(&self, _parameter: usize) -> f64 {
+        0.0
+    }
     /// Whether a parameter matters where the choices are those of these values.
     fn uses(&self, _p: &[f64], _parameter: usize) -> bool {
         true
