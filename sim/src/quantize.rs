@@ -112,9 +112,14 @@ pub fn reaches_zero(level: f64, spread: f64, places: &[f64], variance: f64) -> b
     level + spread * lowest < CLEAR * variance.max(0.0).sqrt() + 0.5
 }
 
+/// From this deviation on rounding adds 1/12 so exactly, but for exp(-2 pi^2) = 3e-9, that moments of few codes may be left over from it.
+const SMOOTH: f64 = 1.0;
+/// Levels this many deviations below the first edge show code 0 alone: the rest is 6e-16.
+const ALL_BELOW: f64 = 8.0;
+
 /// max(code, 0) of a rounded level with normal noise: mean, slope of the mean, variance and fourth cumulant; sums over the codes.
 fn from_zero(level: f64, sd: f64) -> Pixel {
-    if sd >= WIDE {
+    if sd >= SMOOTH {
         return from_zero_of_wide(level, sd);
     }
     let sd = sd.max(0.02);
@@ -142,6 +147,10 @@ fn from_zero(level: f64, sd: f64) -> Pixel {
 
 /// The same where rounding adds 1/12 and nothing else: raw moments of all codes less those of the codes below 0, which come out as 0.
 fn from_zero_of_wide(level: f64, sd: f64) -> Pixel {
+    // So far below 0 that every pixel shows code 0: the sum below would pass through each code down to the level.
+    if level + ALL_BELOW * sd < 0.5 {
+        return [0.0; 4];
+    }
     let variance = sd * sd + 1.0 / 12.0;
     let square = level * level;
     let fourth = square * square + 6.0 * square * variance + 3.0 * variance * variance - 1.0 / 120.0;
@@ -313,6 +322,20 @@ mod tests {
             let error = (moment(8) / f64::from(n)).sqrt();
             assert!((got - fourth).abs() < 5.0 * error, "{level} {sd}: {got}, drawn {fourth}");
         }
+    }
+
+    /// Both sums agree where one takes over from the other, and a level far below 0 costs nothing.
+    #[test]
+    fn wide_noise_below_zero_is_summed_alike() {
+        for level in [-1e9, -7.0, -5.2, -3.0, -0.4, 0.0, 1.7, 30.0] {
+            let narrow = from_zero(level, SMOOTH - 1e-9);
+            let wide = from_zero_of_wide(level, SMOOTH);
+            for (a, b) in narrow.iter().zip(wide) {
+                // The fourth moment about 0 is some 1e6 at a level of 30.
+                assert!((a - b).abs() < 1e-5, "{level}: {narrow:?} {wide:?}");
+            }
+        }
+        assert_eq!(from_zero_of_wide(-1e300, 5.0), [0.0; 4]);
     }
 
     /// Levels spread over several codes: the mean variance lacks the sum over k of exp(-(2 pi k sd)^2) / (2 pi^2 k^2) (Widrow and
