@@ -6,9 +6,9 @@ use super::diagnose::observe;
 
 use crate::dataset::{Dataset, write_whole};
 use crate::diagnosis::searched;
-use crate::inference::{Fitted, Given, fit, start};
+use crate::inference::{Fitted, Given, compare, fit, start};
 use crate::observables::Observations;
-use crate::report::with_unit;
+use crate::report::{chance, six_digits, with_unit};
 use anyhow::{Context, Result, bail};
 use radcam_sim::effects;
 use radcam_sim::{EffectValues, Model};
@@ -89,6 +89,21 @@ pub fn read_effects(path: Option<&Path>) -> Result<Vec<Given>> {
     model.effects.iter().map(of).collect()
 }
 
+/// The effects of a model as a fit takes them: what an earlier fit has found, and has an error therefore, is searched for anew, choices
+/// included; what a person has given is kept, and so is where a formula of the user's own began.
+fn to_be_fitted(model: &Model) -> Result<Vec<Given>> {
+    let of = |e: &EffectValues| {
+        let mut e = e.clone();
+        if effects::find(&e.id).is_some() {
+            let found = &e.std_err;
+            e.parameters.retain(|name, _| !found.contains_key(name));
+        }
+        let effect = e.effect()?;
+        Ok((effect, e.given(effect)))
+    };
+    model.effects.iter().map(of).collect()
+}
+
 /// A model file with fitted values: the one that was given, or one of the campaign's own size.
 pub fn fitted_model(
     all: &Observations,
@@ -141,11 +156,11 @@ pub fn fitted_model(
 fn show(path: &Path, model: &Model) {
     let b = &model.base;
     println!("{}: {}", path.display(), model.about);
-    println!("  A                {} DN/e", b.gain_dn_per_e);
-    println!("  read noise       {} e", b.read_noise_e);
-    println!("  black level      {} DN", b.black_level_dn);
-    println!("  dark current     {} e/s", b.dark_current_e_per_s);
-    println!("  sigma_K          {}", b.sigma_k);
+    println!("  A                {} DN/e", six_digits(b.gain_dn_per_e));
+    println!("  read noise       {} e", six_digits(b.read_noise_e));
+    println!("  black level      {} DN", six_digits(b.black_level_dn));
+    println!("  dark current     {} e/s", six_digits(b.dark_current_e_per_s));
+    println!("  sigma_K          {}", six_digits(b.sigma_k));
     if model.effects.is_empty() {
         println!("  no effects: the paper's model");
     }
@@ -202,12 +217,24 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             show(path, &model);
         }
         Action::Fit { model: path, dataset } => {
-            let list = read_effects(Some(path))?;
+            let list = to_be_fitted(&read(path)?)?;
             let all = observe(dataset)?;
             let fitted = fit(&all, &start(&all), &searched(&all, &list));
             let model = fitted_model(&all, &fitted, Some(path), dataset)?;
             write(path, &model)?;
             show(path, &model);
+            let c = compare(&all, &fitted);
+            println!("fitted to {}: {}", dataset.display(), c.agreement.words());
+            let (b, e) = (&fitted.base, &fitted.base_std_err);
+            println!("  A                {}", with_unit(b.gain_dn_per_e, e[0], "DN/e"));
+            println!("  read noise       {}", with_unit(b.read_noise_e, e[1], "e"));
+            println!("  zero level       {}", with_unit(b.offset_dn, e[2], "DN"));
+            println!("  dark current     {}", with_unit(b.dark_e_per_s, e[3], "e/s"));
+            println!(
+                "  error            {:.3} on frames that the fit did not see (1: agreement to within noise)",
+                c.error
+            );
+            println!("  p-value          {} over {} residuals", chance(c.p_value), c.residuals.len());
         }
     }
     Ok(Outcome::Agreement)

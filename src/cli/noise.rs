@@ -62,8 +62,7 @@ fn print(path: &Path, r: &NoiseReport) {
         with_error(r.offset_dn.value, r.offset_dn.std_err),
         r.offset_source
     );
-    let verdict =
-        if r.consistent() { "the levels lie on the line" } else { "THE LEVELS DO NOT LIE ON A LINE" };
+    let verdict = r.agreement().of_a_line();
     println!(
         "  {:<16} {:.2} for {} degrees of freedom, Q = {:.4}: {verdict}",
         "chi-square", r.chi2, r.dof, r.q

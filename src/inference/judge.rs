@@ -8,49 +8,11 @@ use super::layout::Layout;
 use super::slopes::Slopes;
 use super::system::System;
 use super::white::White;
+use crate::agreement::{Agreement, P_LIMIT};
 use crate::observables::{Half, Observable, Observations, Statistic, mean, settling};
 use crate::statistics::succession;
 use serde::Serialize;
 use std::collections::BTreeMap;
-
-/// Below this chance a model does not describe the campaign.
-pub const P_LIMIT: f64 = 1e-3;
-/// Below this chance one looks again.
-pub const DOUBT: f64 = 0.05;
-
-/// Whether a model describes a campaign: the one word that every verb and report has for it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Agreement {
-    /// Within the noise.
-    Holds,
-    /// Chance would do so less than once in twenty campaigns.
-    Doubtful,
-    /// Chance would do so less than once in a thousand.
-    Fails,
-}
-
-impl Agreement {
-    /// From the chance of deviations as large as those seen.
-    pub fn of(p_value: f64) -> Self {
-        match p_value {
-            p if p >= DOUBT => Self::Holds,
-            p if p >= P_LIMIT => Self::Doubtful,
-            _ => Self::Fails,
-        }
-    }
-
-    /// In words, of a model.
-    pub fn words(self) -> &'static str {
-        match self {
-            Self::Holds => "the model holds within the noise",
-            Self::Doubtful => {
-                "the model may hold: deviations this large come by chance less than once in twenty campaigns"
-            }
-            Self::Fails => "THE MODEL FAILS",
-        }
-    }
-}
 
 /// One residual on frames that the fit did not see.
 #[derive(Debug, Clone, Serialize)]

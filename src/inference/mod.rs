@@ -15,9 +15,10 @@ mod start;
 mod system;
 mod white;
 
+pub use crate::agreement::{Agreement, DOUBT, P_LIMIT};
 pub use fit::{Effects, Fitted, Given, as_given, fit, seen};
 pub(crate) use fit::{fit_briefly, fit_near};
 pub(crate) use judge::residuals_of;
-pub use judge::{Agreement, Comparison, DOUBT, OfStatistic, P_LIMIT, Residual, by_statistic, compare};
+pub use judge::{Comparison, OfStatistic, Residual, by_statistic, compare};
 pub use screen::{Scored, Screen};
 pub use start::{reference_level, start};

@@ -22,8 +22,9 @@ mod levels;
 mod report;
 
 pub use levels::{Measured, Point, Zero, measure, points, table_points, zero};
-pub use report::{Estimate, LevelReport, Method, NoiseReport, Q_LIMIT, Quantity};
+pub use report::{Estimate, LevelReport, Method, NoiseReport, Quantity};
 
+use crate::agreement::P_LIMIT;
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, DatasetError, Kind};
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
@@ -126,7 +127,7 @@ pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, Nois
             zero.source
         ));
     }
-    if best.q < Q_LIMIT {
+    if best.q < P_LIMIT {
         notes.push(
             "the levels do not lie on a line: the model lacks something, and the errors above do not hold"
                 .into(),

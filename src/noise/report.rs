@@ -1,5 +1,6 @@
 //! What an estimate says, in the names of the JSON.
 
+use crate::agreement::Agreement;
 use crate::dataset::Kind;
 use serde::Serialize;
 
@@ -117,12 +118,14 @@ pub struct NoiseReport {
     pub notes: Vec<String>,
 }
 
-/// Below this chance the line does not describe the levels.
-pub const Q_LIMIT: f64 = 1e-3;
-
 impl NoiseReport {
     /// Whether the levels lie on the line. With no degrees of freedom nothing speaks against it.
+    pub fn agreement(&self) -> Agreement {
+        Agreement::of(if self.q.is_nan() { 1.0 } else { self.q })
+    }
+
+    /// Whether nothing speaks clearly against the line.
     pub fn consistent(&self) -> bool {
-        self.q.is_nan() || self.q >= Q_LIMIT
+        self.agreement() != Agreement::Fails
     }
 }

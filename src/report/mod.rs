@@ -61,10 +61,11 @@ fn page(title: &str, subtitle: &str, body: Markup) -> String {
 /// assert_eq!(with_error(1234.5, 56.0), "1234 ± 56"); // ties go to the even digit
 /// assert_eq!(with_error(2.5, f64::NAN), "2.5");
 /// assert_eq!(with_error(2.134e-6, 1.1e-7), "(2.13 ± 0.11)e-6");
+/// assert_eq!(with_error(3_937_768.0, 283_911.0), "(3.94 ± 0.28)e6");
 /// ```
 pub fn with_error(value: f64, std_err: f64) -> String {
     let size = value.abs().max(std_err);
-    if size > 0.0 && size < 1e-4 && std_err > 0.0 {
+    if size > 0.0 && !(1e-4..1e6).contains(&size) && std_err > 0.0 {
         let power = size.log10().floor() as i32;
         let unit = 10f64.powi(power);
         return format!("({})e{power}", with_error(value / unit, std_err / unit));
@@ -73,6 +74,22 @@ pub fn with_error(value: f64, std_err: f64) -> String {
         Some(digits) => format!("{value:.digits$} ± {std_err:.digits$}"),
         None => format!("{value}"),
     }
+}
+
+/// A value whose error is not known, to six digits: `0.216947`.
+///
+/// ```
+/// use radcam::report::six_digits;
+/// assert_eq!(six_digits(0.21694656829898232), "0.216947");
+/// assert_eq!(six_digits(110.76973488632103), "110.77");
+/// assert_eq!(six_digits(0.0), "0");
+/// ```
+pub fn six_digits(value: f64) -> String {
+    let power = if value == 0.0 { 0.0 } else { value.abs().log10().floor() };
+    let digits = (5.0 - power).clamp(0.0, 12.0) as usize;
+    let text = format!("{value:.digits$}");
+    let text = if digits > 0 { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    text.into()
 }
 
 /// A value with its error and its unit as people write it; shares and choices have none.

@@ -39,11 +39,8 @@ fn quantity(q: Quantity) -> String {
 /// The page of a noise estimate.
 pub fn html(title: &str, subtitle: &str, report: &NoiseReport, truth: Option<&Truth>) -> String {
     let used = report.levels.iter().filter(|l| l.used).count();
-    let verdict = if report.consistent() {
-        html! { b.good { "the levels lie on the line" } }
-    } else {
-        html! { b.bad { "the levels do not lie on a line" } }
-    };
+    let class = if report.consistent() { "good" } else { "bad" };
+    let verdict = html! { b class=(class) { (report.agreement().of_a_line()) } };
     let body = html! {
         div.cards {
             div { span { "gain A" } b { (quantity(report.gain_dn_per_e)) } }
