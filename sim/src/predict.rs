@@ -128,8 +128,12 @@ pub struct SetPrediction {
     pub unsure: f64,
     /// By so much variance and covariances are not known, e^2, then DN^2.
     pub unsure_var: f64,
+    /// By so much variance is not known beside that, and no covariance: what single pixels have of their own, e^2, then DN^2.
+    pub unsure_own: f64,
     /// By so much variance is not known while the level still moves, e^2, then DN^2.
     pub unsure_moving: f64,
+    /// What the mean of the pixels' fourth cumulants may be off by, DN^4.
+    pub unsure_fourth: f64,
     /// By so much the first frame of a set is not known, DN.
     pub unsure_first: f64,
     /// By so much the mean is not known, e, then DN.
@@ -195,7 +199,9 @@ impl SetPrediction {
             fourth: 0.0,
             unsure: 0.0,
             unsure_var: 0.0,
+            unsure_own: 0.0,
             unsure_moving: 0.0,
+            unsure_fourth: 0.0,
             unsure_first: 0.0,
             unsure_mean: 0.0,
             uneven: 0.0,
@@ -274,8 +280,10 @@ impl SetPrediction {
     /// What is known of single pixels, where their variance is multiplied by `by`.
     fn pixels_follow(&mut self, by: f64) {
         self.unsure_var *= by;
+        self.unsure_own *= by;
         self.unsure_moving *= by;
-        for fourth_power in [&mut self.unequal, &mut self.fourth, &mut self.unsure] {
+        let powers = [&mut self.unequal, &mut self.fourth, &mut self.unsure, &mut self.unsure_fourth];
+        for fourth_power in powers {
             *fourth_power *= by * by;
         }
     }

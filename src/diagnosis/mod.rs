@@ -398,12 +398,7 @@ fn describe(fitted: &Fitted, effect: &'static dyn Effect, confidence: f64, apart
         })
         .collect();
     if let Some(t) = effect.together(values) {
-        let variance: f64 = (0..values.len())
-            .flat_map(|a| (0..values.len()).map(move |b| (a, b)))
-            .filter(|(a, b)| t.slopes[*a] != 0.0 && t.slopes[*b] != 0.0)
-            .map(|(a, b)| t.slopes[a] * t.slopes[b] * fitted.covariance_of(at, a, b))
-            .sum();
-        let std_err = variance.max(0.0).sqrt();
+        let std_err = fitted.std_err_of(at, &t.slopes);
         let of: Vec<usize> = (0..values.len()).filter(|k| t.slopes[*k] != 0.0).collect();
         // Each alone is known ten times worse, of its own size, than all of them together.
         let alone = of.iter().map(|&k| errors[k] / values[k].abs().max(1e-300)).fold(f64::INFINITY, f64::min);

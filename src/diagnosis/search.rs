@@ -192,8 +192,8 @@ fn is_something(c: &Candidate, seen: &Seen) -> bool {
         return false;
     }
     let sizes: Vec<usize> = all.iter().copied().filter(|k| effect.parameters()[*k].is_size()).collect();
-    // Two that only their combination tells are each unknown; the evidence says that together they are something.
-    if effect.together(values).is_some() {
+    // Two that only their combination tells are each unknown.
+    if effect.together(values).is_some_and(|t| t.value.abs() > 2.5 * fitted.std_err_of(at, &t.slopes)) {
         return true;
     }
     sizes.is_empty() || sizes.iter().any(|&k| values[k].abs() > 2.5 * errors[k])

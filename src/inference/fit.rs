@@ -58,6 +58,9 @@ impl std::fmt::Debug for Fitted {
     }
 }
 
+/// From this square of their correlation on two parameters are known as one.
+const ALIKE: f64 = 0.999;
+
 impl Fitted {
     /// The prediction for all sets.
     pub fn predict(&self, all: &Observations) -> Prediction {
@@ -76,6 +79,21 @@ impl Fitted {
         let (Some(i), Some(j)) = (place(a), place(b)) else { return f64::NAN };
         let n = self.free.common.len();
         self.covariance.common[i * n + j] * self.free.scale[i] * self.free.scale[j]
+    }
+
+    /// Standard error of a combination of an effect's parameters, by its slopes with them. Of two that only their combination tells it is that
+    /// of the one with the other held: the rest is the difference of two large numbers.
+    pub fn std_err_of(&self, effect: usize, slopes: &[f64]) -> f64 {
+        let of: Vec<usize> = (0..slopes.len()).filter(|k| slopes[*k] != 0.0).collect();
+        let covariance = |a: usize, b: usize| slopes[a] * slopes[b] * self.covariance_of(effect, a, b);
+        if let &[a, b] = &of[..] {
+            let (aa, bb, ab) = (covariance(a, a), covariance(b, b), covariance(a, b));
+            if ab * ab > ALIKE * aa * bb {
+                return (aa - ab * ab / bb).max(0.0).sqrt();
+            }
+        }
+        let all = of.iter().flat_map(|a| of.iter().map(|b| covariance(*a, *b)));
+        all.sum::<f64>().max(0.0).sqrt()
     }
 
     /// Parameters of the effects that were fitted: all but choices and those that the choices do not use.

@@ -116,7 +116,7 @@ impl Free {
                 if e.keeps_sign() && p.is_size() {
                     if *v < 0.0 { max = max.min(0.0) } else { min = min.max(0.0) }
                 }
-                let fixed = p.is_choice() || !e.uses(values, k);
+                let fixed = p.is_choice() || e.is_whole(k) || !e.uses(values, k);
                 list.push((Common::Of(i, k), *v, scale, fixed, (min, max)));
             }
         }

@@ -1,6 +1,7 @@
 //! Residuals of the same frames whose errors have a part in common, made independent.
 //!
-//! Under a light that ripples a few frames show too much or too little of the ripple, and twenty statistics of these frames show the same.
+//! Under a light that ripples a few frames show too much or too little of the ripple, and twenty statistics of these frames show the same; so
+//! it is with a line, which has one phase a frame.
 //! With b_i the share of the error of number i that is common, the correlation matrix is D + b b', D = diag(1 - b_i^2). With a = D^(-1/2) b
 //! the matrix (I - k a a') D^(-1/2), k = (1 - (1 + |a|^2)^(-1/2)) / |a|^2, makes such numbers independent with variance 1 (by the square root
 //! of I + a a', whose eigenvectors are a and all that is orthogonal to it).
@@ -25,23 +26,32 @@ struct Group {
     log_det: f64,
 }
 
+impl Group {
+    /// For the share of each error that is common.
+    fn new(rows: Vec<usize>, shares: &[f64]) -> Self {
+        let kept: Vec<f64> = shares.iter().map(|b| 1.0 - b * b).collect();
+        let loads: Vec<f64> = shares.iter().zip(&kept).map(|(b, d)| b / d.sqrt()).collect();
+        let square: f64 = loads.iter().map(|a| a * a).sum();
+        let k = (1.0 - 1.0 / (1.0 + square).sqrt()) / square.max(f64::MIN_POSITIVE);
+        let log_det = kept.iter().map(|d| d.ln()).sum::<f64>() + square.ln_1p();
+        let own = kept.iter().map(|d| 1.0 / d.sqrt()).collect();
+        Self { rows, loads, own, k, log_det }
+    }
+}
+
 impl White {
     /// For expectations; `wider`: by how much errors are wider than these.
     pub fn new(layout: &Layout<'_>, expected: &[Expected], wider: impl Fn(usize) -> f64) -> Self {
+        if expected.iter().all(|e| e.common == 0.0) {
+            return Self(Vec::new());
+        }
         let group = |chunk: &Vec<usize>| {
             let rows: Vec<usize> = chunk.iter().copied().filter(|r| expected[*r].common != 0.0).collect();
-            let share = |r: &usize| expected[*r].common / expected[*r].std_err / wider(*r);
-            let kept: Vec<f64> = rows.iter().map(|r| (1.0 - share(r).powi(2)).max(OWN)).collect();
-            let loads: Vec<f64> = rows
-                .iter()
-                .zip(&kept)
-                .map(|(r, d)| share(r).clamp(-1.0, 1.0) * ((1.0 - OWN) / d).sqrt())
-                .collect();
-            let square: f64 = loads.iter().map(|a| a * a).sum();
-            let k = (1.0 - 1.0 / (1.0 + square).sqrt()) / square.max(f64::MIN_POSITIVE);
-            let log_det = kept.iter().map(|d| d.ln()).sum::<f64>() + square.ln_1p();
-            let own = kept.iter().map(|d| 1.0 / d.sqrt()).collect();
-            (rows.len() > 1).then_some(Group { rows, loads, own, k, log_det })
+            let most = (1.0 - OWN).sqrt();
+            let share =
+                |r: &usize| (expected[*r].common / expected[*r].std_err / wider(*r)).clamp(-most, most);
+            let shares: Vec<f64> = rows.iter().map(share).collect();
+            (rows.len() > 1).then(|| Group::new(rows, &shares))
         };
         Self(layout.chunks.iter().filter_map(group).collect())
     }
@@ -67,5 +77,43 @@ impl White {
     /// Logarithm of the determinant of the correlations.
     pub fn log_det(&self) -> f64 {
         self.0.iter().map(|g| g.log_det).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    fn group(shares: &[f64]) -> White {
+        White(vec![Group::new((0..shares.len()).collect(), shares)])
+    }
+
+    /// Numbers with a part in common, of both signs: after it their covariances are those of independent ones within five standard errors.
+    #[test]
+    fn common_errors_are_taken_apart() {
+        let shares = [0.9, -0.7, 0.3, 0.0, 0.97];
+        let (white, draws, n) = (group(&shares), 40_000u32, shares.len());
+        let mut products = vec![0.0; n * n];
+        for draw in 0..draws {
+            let mut rng = PixelRng::new(5, Stream::Effect, 0, draw, 0);
+            let common = rng.normal();
+            let mut values: Vec<f64> =
+                shares.iter().map(|b| b * common + (1.0 - b * b).sqrt() * rng.normal()).collect();
+            white.apply(&mut values, 1);
+            (0..n * n).for_each(|k| products[k] += values[k / n] * values[k % n] / f64::from(draws));
+        }
+        for (k, product) in products.iter().enumerate() {
+            let (value, variance) = if k / n == k % n { (1.0, 2.0) } else { (0.0, 1.0) };
+            let error = (variance / f64::from(draws)).sqrt();
+            assert!((product - value).abs() < 5.0 * error, "{k}: {product}");
+        }
+    }
+
+    /// Of two numbers the determinant is 1 less the square of their correlation.
+    #[test]
+    fn the_determinant_is_that_of_the_correlations() {
+        let (a, b) = (0.8, -0.6);
+        assert!((group(&[a, b]).log_det() - (1.0 - (a * b * a * b)).ln()).abs() < 1e-12);
     }
 }

@@ -109,7 +109,7 @@ impl Codes {
             return out;
         }
         let used = filled.iter().filter(|c| n[**c] > 0).count() as f64;
-        out.used = Some(Value { value: used / filled.len() as f64, std_err: 0.02 });
+        out.used = Some(share_of(used, filled.len() as f64));
         out.range = filled[0] as u32..filled[filled.len() - 1] as u32;
         for b in 0..LOW_BITS {
             let sound: Vec<(f64, f64)> =
@@ -172,7 +172,13 @@ pub fn share_used(said: &Summary) -> Option<(f64, f64)> {
     let (all, used) = inside
         .filter(many)
         .fold((0.0, 0.0), |(all, used), c| (all + 1.0, used + f64::from(u8::from(n[c] > 0))));
-    (all >= 24.0).then(|| (used / all, 0.02 + 1.0 / all))
+    let share = share_of(used, all);
+    (all >= 24.0).then_some((share.value, share.std_err))
+}
+
+/// A share of codes: of steps that are alike it is known to a code at each end; steps of a table or of unequal bits are predicted to 2 %.
+fn share_of(used: f64, all: f64) -> Value {
+    Value { value: used / all, std_err: 0.02 * used / all + 1.0 / all }
 }
 
 /// The power spectrum of the noise in read-out order over many levels, the quiet ones weighing most: they see a line best.
@@ -181,13 +187,15 @@ pub struct LineSearch {
     power: Vec<f64>,
     weight: f64,
     frames: f64,
+    /// Sum over the levels of the square of what a line's power in few frames scatters by.
+    walk: f64,
 }
 
 impl LineSearch {
     /// For frames of this shape.
     pub fn new(shape: (usize, usize)) -> Self {
         let length = Power::length(shape);
-        Self { length, power: vec![0.0; length / 2 + 1], weight: 0.0, frames: 0.0 }
+        Self { length, power: vec![0.0; length / 2 + 1], weight: 0.0, frames: 0.0, walk: 0.0 }
     }
 
     /// Adds the spectrum of one level.
@@ -201,6 +209,8 @@ impl LineSearch {
         let up = w * n / (n - 1.0);
         self.power.iter_mut().zip(&said.power).for_each(|(a, b)| *a += up * b);
         self.weight += w * n;
+        // One phase a frame, about the pixels' means: its power in n frames has the relative error 1 / sqrt(n (n - 1)).
+        self.walk += w * w * n / (n - 1.0);
         self.frames += n;
     }
 
@@ -211,6 +221,7 @@ impl LineSearch {
             power: self.power.iter().zip(&other.power).map(|(a, b)| a + b).collect(),
             weight: self.weight + other.weight,
             frames: self.frames + other.frames,
+            walk: self.walk + other.walk,
         }
     }
 
@@ -252,6 +263,8 @@ impl LineSearch {
         let unit = 2.0 / (self.weight * self.length as f64);
         let variance = excess.max(0.0) * unit;
         let error = floor * 7f64.sqrt() / self.frames.sqrt() * unit;
-        Value { value: variance, std_err: error.hypot(0.1 * variance) }
+        // What few frames show of the line, and what a place between two bins leaves outside those that are summed.
+        let walk = self.walk.sqrt() / self.weight;
+        Value { value: variance, std_err: error.hypot(variance * walk.hypot(0.02)) }
     }
 }

@@ -56,6 +56,6 @@ impl Statistic for This {
                 view.shared(dy, dx),
             ]),
         )
-        .with_common(view.common(dy))
+        .with_common(view.common(dy, dx))
     }
 }

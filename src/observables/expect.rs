@@ -205,16 +205,19 @@ impl<'a> View<'a> {
         self.set().map_or(1.0, |s| (1.0 + s.unequal.max(0.0) / square.max(f64::MIN_POSITIVE)).sqrt())
     }
 
-    /// The part of that which all statistics of the same frames have in common: these show too much or too little of a ripple.
-    pub fn common(&self, dy: i32) -> f64 {
-        self.set().map_or(0.0, |s| self.ripple_error * s.ripple_correlation(f64::from(dy)))
+    /// The error at a lag that all statistics of the same frames have in common: these show too much or too little of a ripple or a line.
+    /// With its sign; where there are both, the larger.
+    pub fn common(&self, dy: i32, dx: i32) -> f64 {
+        let ripple = self.set().map_or(0.0, |s| self.ripple_error * s.ripple_correlation(f64::from(dy)));
+        let line = self.lines(dy, dx);
+        if line.abs() > ripple.abs() { line } else { ripple }
     }
 
-    /// A line has one phase a frame: what few frames show of it scatters (random walk of n phases), DN^2.
+    /// A line has one phase a frame: what few frames show of it scatters (random walk of n phases), DN^2; with the sign of its covariance.
     pub fn lines(&self, dy: i32, dx: i32) -> f64 {
         let Some(s) = self.set() else { return 0.0 };
         let of = |&(v, px, py): &(f64, f64, f64)| v * (px * f64::from(dx) + py * f64::from(dy)).cos();
-        self.walk() * s.lines.iter().map(of).sum::<f64>().abs()
+        self.walk() * s.lines.iter().map(of).sum::<f64>()
     }
 
     fn walk(&self) -> f64 {
@@ -241,13 +244,13 @@ impl<'a> View<'a> {
         let dof = self.dof * (count as f64 - 1.0);
         let ripple = if rows { self.ripple_error } else { 0.0 };
         let own = value.abs().max(1e-9) * (2.0 / dof).sqrt();
-        let single = in_quadrature(&[self.rough.1, s.unsure_var]) / width as f64;
+        let single = in_quadrature(&[self.rough.1, s.unsure_var, s.unsure_own]) / width as f64;
         Expected::plain(
             o,
             value,
             in_quadrature(&[own, self.walk() * of_lines, 0.3 * self.moving, single, ripple]),
         )
-        .with_common(ripple)
+        .with_common(ripple.max(self.walk() * of_lines))
     }
 
     /// Mean product of successive residuals over the variance, for noise with these correlations.

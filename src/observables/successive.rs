@@ -9,9 +9,10 @@ use radcam_sim::predict::Spectrum;
 #[derive(Debug)]
 pub struct This;
 
-/// Standard error for independent normal pixels.
+/// Standard error for independent normal pixels: of each in proportion to its own variance, so that a few noisy ones decide.
 pub fn theory(r: &Summary) -> f64 {
-    r.var.value * error_of(r.frames) / r.pixels.sqrt()
+    let mean_square = 1.0 + r.unequal.value.max(0.0);
+    r.var.value * (mean_square / r.pixels).sqrt() * error_of(r.frames)
 }
 
 impl Statistic for This {

@@ -28,7 +28,9 @@ impl Statistic for This {
         let value = if view.even_codes() {
             0.0
         } else {
-            view.width(code - 1) - 0.5 * (view.width(code - 2) + view.width(code))
+            // Of the mean of the three, as it is measured.
+            let (own, beside) = (view.width(code - 1), 0.5 * (view.width(code - 2) + view.width(code)));
+            (own - beside) / f64::max(0.5 * (own + beside), 1e-9)
         };
         // Where codes are left out by a table that follows the level, which of them is not predicted.
         let table = if view.all_codes() { 0.0 } else { 2.0 };

@@ -40,6 +40,7 @@ impl Statistic for This {
             in_quadrature(&[
                 o.measured.std_err,
                 (s.unsure + charge) / square,
+                s.unsure_fourth / (view.n * allowed) / square,
                 0.002,
                 rest,
                 // How much alike depends on phases, of which there is one a frame.

@@ -2,6 +2,7 @@
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::pass::Summary;
+use radcam_sim::predict::SetPrediction;
 
 /// The variance.
 #[derive(Debug)]
@@ -27,7 +28,8 @@ impl Statistic for This {
     }
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
-        let (unsure, moving) = view.set().map_or((0.0, 0.0), |s| (s.unsure_var, s.unsure_moving));
+        let known = |s: &SetPrediction| (s.unsure_var.hypot(s.unsure_own), s.unsure_moving);
+        let (unsure, moving) = view.set().map_or((0.0, 0.0), known);
         // Between a sixteenth of a code and none the level no longer moves.
         let moving = if view.moved > 0.004 { moving } else { 0.0 };
         Expected::plain(
@@ -39,10 +41,10 @@ impl Statistic for This {
                 unsure,
                 moving,
                 view.lines(0, 0),
-                0.3 * view.moving,
+                0.1 * view.moving,
                 view.shared(0, 0),
             ]),
         )
-        .with_common(view.common(0))
+        .with_common(view.common(0, 0))
     }
 }

@@ -5,7 +5,7 @@ use radcam::bench::Illuminator;
 use radcam::capture::Capture;
 use radcam::dataset::{Dataset, Kind};
 use radcam::diagnosis::{Diagnosis, diagnose};
-use radcam::inference::{compare, fit, start};
+use radcam::inference::{Comparison, compare, fit, start};
 use radcam::observables::{Observations, of_dataset};
 use radcam::plan::{Plan, SetPlan};
 use radcam_sim::effects::{EFFECTS, Effect, example, find};
@@ -85,24 +85,32 @@ fn strays(seed: u64, effects: &[(&str, f64)]) -> Option<String> {
 }
 
 /// As [`strays`], for values.
-fn strays_from(mut model: Model, held: &[(&'static dyn Effect, Vec<f64>)]) -> Option<String> {
-    for (effect, values) in held {
-        model = with(model, effect.id(), values);
-    }
+fn strays_from(model: Model, held: &[(&'static dyn Effect, Vec<f64>)]) -> Option<String> {
     let effects: Vec<_> = held.iter().map(|(e, values)| (e.id(), values)).collect();
-    let dir = tempfile::tempdir().unwrap();
-    let root = dir.path().join("c");
-    campaign(model, &root);
-    let all = observe(&root);
-    let c = compare(&all, &fit(&all, &start(&all), &held.to_vec()));
-    println!("{effects:?} error {:.3}, p {:.1e}", c.error, c.p_value);
+    let one = |more: u64| {
+        let mut model = model.clone();
+        model.base.seed += more;
+        for (effect, values) in held {
+            model = with(model, effect.id(), values);
+        }
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("c");
+        campaign(model, &root);
+        let all = observe(&root);
+        let c = compare(&all, &fit(&all, &start(&all), &held.to_vec()));
+        println!("{effects:?} error {:.3}, p {:.1e}", c.error, c.p_value);
+        c
+    };
     // Some 1400 residuals: the error of an error of 1 is 0.02; six of them, and what the predictions leave out. Under a light that ripples
-    // twenty statistics of some frames share one random number: of 50 such groups the error is 0.1, and the chance must be none.
+    // twenty statistics of some frames share one random number: of 50 such groups the error of the error is 0.1, of four campaigns 0.05.
     let ripples = held.iter().any(|(e, _)| e.id() == "light-banding");
-    let allowed = if ripples && c.p_value > 0.01 { 0.7..1.3 } else { 0.85..1.2 };
-    (!allowed.contains(&c.error)).then(|| {
-        let worst = radcam::diagnosis::signatures(&c.residuals);
-        format!("{effects:?} {:.3}: {:?}", c.error, worst.first().map(|s| s.text.clone()))
+    let all: Vec<_> = (0..if ripples { 4 } else { 1 }).map(|k| one(1_000_000 * k)).collect();
+    let error = (all.iter().map(|c| c.error * c.error).sum::<f64>() / all.len() as f64).sqrt();
+    (!(0.85..1.2).contains(&error) || all.iter().any(|c| c.p_value < 1e-3)).then(|| {
+        let worst =
+            |c: &Comparison| radcam::diagnosis::signatures(&c.residuals).into_iter().map(|s| s.text).take(3);
+        let worst: Vec<_> = all.iter().map(|c| (c.p_value, worst(c).collect::<Vec<_>>())).collect();
+        format!("{effects:?} {error:.3}: {worst:#?}")
     })
 }
 
@@ -642,6 +650,30 @@ fn open_values_of_a_model_are_found() {
     let (found, std_err) =
         (fitted.effects[0].parameters["full_well_e"], fitted.effects[0].std_err["full_well_e"]);
     assert!((found - values[0]).abs() < 4.0 * std_err, "{found} +- {std_err}, hidden {}", values[0]);
+}
+
+/// What an earlier fit has found is searched for anew on other data, choices included; a fit says how well it does and how well the paper's
+/// values are known.
+#[test]
+fn a_fit_forgets_what_other_data_chose() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    let mut bent = vec![0.0, 0.03, 0.0, 0.0, 1.0, 2000.0, 0.85, 1e5];
+    bent.resize(14, 0.0);
+    let mut knee = bent.clone();
+    knee[0] = 5.0;
+    campaign(with(unit(5), "nonlinearity", &bent), Path::new(&at("bent")));
+    campaign(with(unit(6), "nonlinearity", &knee), Path::new(&at("knee")));
+    expect(0, &["model", "new", &at("m.toml")]);
+    expect(0, &["model", "add", &at("m.toml"), "nonlinearity"]);
+    for (data, shape) in [("bent", 0.0), ("knee", 5.0)] {
+        let said = expect(0, &["model", "fit", &at("m.toml"), &at(data)]);
+        let fitted = Model::from_toml(&std::fs::read_to_string(at("m.toml")).unwrap()).unwrap();
+        assert_eq!(fitted.effects[0].parameters["shape"], shape, "{said}");
+        assert!(said.contains("the model holds") && said.contains("p-value"), "{said}");
+        let gain = said.lines().rev().find(|l| l.trim_start().starts_with("A ")).unwrap_or_default();
+        assert!(gain.contains("±"), "{said}");
+    }
 }
 
 /// A well that is full below full scale: the exposures that a capture chooses end there.

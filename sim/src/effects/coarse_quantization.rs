@@ -24,6 +24,15 @@ impl Effect for This {
         seen.into_iter().chain([2.0, 4.0, 16.0]).map(|s| vec![s]).collect()
     }
 
+    fn is_whole(&self, _: usize) -> bool {
+        true
+    }
+
+    /// A step of 4.003 codes, as of a scale from 1023 to 4095, leaves out the same share of them.
+    fn resolution(&self, _: usize) -> f64 {
+        0.01
+    }
+
     fn example(&self, _: &Plain) -> Option<Vec<f64>> {
         Some(vec![4.0])
     }

@@ -102,18 +102,30 @@ impl Effect for This {
             let added = over(&|q| (q * q - 1.0) / 12.0);
             s.read.add_white(added.max(0.0));
             if p[0] < 0.5 && here > 1.001 {
-                // A root's squares are rounded to whole codes, each by its own part of one: few of them do not average out. And whole
-                // codes fall between the table's steps by a pattern of their own: at 3 to 5 DN a step numpy finds some hundredths of its
-                // square more or less.
+                // A root's squares are rounded to whole codes, each by its own part of one, and whole codes fall between the table's steps
+                // by a pattern of their own: steps of few codes do not average out. Bounds of the root mean squares over tables and
+                // levels that tests/outside/companding.py prints.
+                let r = libm::sqrt(wide.max(0.0));
+                let (square, variance) = (here * here, s.covariance(0, 0));
+                let of_variance = 0.3 / here;
                 s.unsure_mean = libm::hypot(s.unsure_mean, 0.29 / libm::sqrt(1.0 + 3.5 * total / here));
-                s.unsure_var = libm::hypot(s.unsure_var, 0.06 * here * here);
+                s.unsure_own = libm::hypot(s.unsure_own, of_variance * square);
+                let apart = of_variance / (1.0 + 8.0 * r * r * r);
+                s.unsure = libm::hypot(s.unsure, apart * variance * variance);
+                let fourth = 0.6 / (1.0 + 0.6 * r * r * r);
+                s.unsure_fourth = libm::hypot(s.unsure_fourth, fourth * variance * variance);
+            }
+            if p[0] >= 0.5 {
+                // Half a step above a code goes up: of whole codes in an even step that is half a code on average, in an odd one nothing.
+                let above = over(&|q| f64::from(u8::from(q > 1.0)));
+                s.unsure_mean = libm::hypot(s.unsure_mean, 0.5 * above);
             }
             s.codes_used *= over(&|q| 1.0 / q);
             // Noise narrower than half a step: what is left of it depends on where it lies.
             let ripple = libm::exp(-2.0 * std::f64::consts::PI.powi(2) * (wide + (spread / here).powi(2)));
             s.unsure_mean = libm::hypot(s.unsure_mean, here / std::f64::consts::PI * ripple);
-            s.unsure_var = libm::hypot(
-                s.unsure_var,
+            s.unsure_own = libm::hypot(
+                s.unsure_own,
                 here * here * libm::exp(-2.0 * std::f64::consts::PI.powi(2) * wide) * (0.2 + 4.0 * wide),
             );
         }

@@ -295,6 +295,10 @@ pub trait Effect: Sync + Send {
     fn resolution(&self, _parameter: usize) -> f64 {
         0.0
     }
+    /// Whether a parameter is a whole number that the codes show: its starts are tried one by one, and none is fitted.
+    fn is_whole(&self, _parameter: usize) -> bool {
+        false
+    }
     /// Whether a parameter matters where the choices are those of these values.
     fn uses(&self, _p: &[f64], _parameter: usize) -> bool {
         true

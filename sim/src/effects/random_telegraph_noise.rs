@@ -22,8 +22,10 @@ impl Effect for This {
     }
 
     fn together(&self, p: &[f64]) -> Option<Together> {
-        let (name, value) = ("fraction * amplitude_e^2", p[0] * p[1] * p[1]);
-        Some(Together { name, unit: "e^2", value, slopes: vec![p[1] * p[1], 2.0 * p[0] * p[1]] })
+        // What the variances of the pixels spread by; the mean variance says nothing beside a read noise that nobody knows.
+        let cube = p[1].powi(3);
+        let (name, value) = ("fraction * amplitude_e^4", p[0] * p[1] * cube);
+        Some(Together { name, unit: "e^4", value, slopes: vec![p[1] * cube, 4.0 * p[0] * cube] })
     }
 
     /// Jumps of some dark noise.

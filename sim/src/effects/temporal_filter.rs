@@ -63,10 +63,14 @@ impl Effect for This {
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let a = p[0];
-        // It adds floor(alpha (last - now) + 1/2) to every code. For each set: the slope of that, what it adds beside, its mean.
+        // It adds floor(alpha (last - now) + 1/2) to every code, whether what it keeps is rounded or not. For each set: the slope of that, what it adds beside, its mean.
         let of_set = |s: &SetPrediction| {
             if fine(p) {
-                return (a, 0.0, Correction::new(0.0, 1.0, 0.0));
+                // What is kept is the running mean itself, whatever of it is shown.
+                let x = s.pixels();
+                let correction = Correction::new(a, libm::sqrt(x + x * running_average(a).0), 0.0);
+                let (slope, noise) = correction.linear();
+                return (slope, noise, correction);
             }
             let x = s.pixels();
             let mut after = x;
@@ -84,22 +88,30 @@ impl Effect for This {
         let mut moves = vec![false; of_sets.len()];
         let mut set = None;
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
-            let rounded = of_sets.get(frame.set).filter(|_| !fine(p));
-            let step = last.map_or(0.0, |last| rounded.map_or(a * (last - *m), |s| s.2.mean(last - *m)));
+            let Some(of_set) = of_sets.get(frame.set) else { continue };
+            let away = last.map_or(0.0, |last| last - *m);
+            let step = of_set.2.mean(away);
+            last = Some(*m + if fine(p) { a * away } else { step });
             *m += step;
-            last = Some(*m);
             // The first frame of a set has a statistic of its own.
-            if set == Some(frame.set) && rounded.is_some() && step.abs() > 0.25 {
+            if set == Some(frame.set) && step.abs() > 0.25 {
                 moves[frame.set] = true;
             }
             set = Some(frame.set);
         }
         for ((s, (slope, noise, correction)), moves) in out.sets.iter_mut().zip(of_sets).zip(moves) {
-            let (less, memory) = running_average(slope);
-            s.remember(less, &memory);
-            s.read.add_white(noise / (1.0 - slope * slope));
             if fine(p) {
-                continue;
+                // o_t = (1 - s) x_t + s y_(t-1) and noise, y the running mean with variance v: cov(o_t, y_t) is carried on by s a^(k-1).
+                let (v, _) = running_average(a);
+                let less = (1.0 - slope) * (1.0 - slope) + slope * slope * v;
+                let carried = slope * ((1.0 - slope) * (1.0 - a) + slope * a * v) / less;
+                let memory: Vec<f64> = (0..8).map(|k| carried * libm::pow(a, f64::from(k))).collect();
+                s.remember(less, &memory);
+                s.read.add_white(noise);
+            } else {
+                let (less, memory) = running_average(slope);
+                s.remember(less, &memory);
+                s.read.add_white(noise / (1.0 - slope * slope));
             }
             if moves {
                 // While the level still moves, rounding follows the noise of one frame in a few with the density of alpha u at a threshold
@@ -108,12 +120,13 @@ impl Effect for This {
                 let slope = 1.0 / libm::sqrt(std::f64::consts::TAU * x.max(1.0));
                 s.unsure_moving = libm::hypot(s.unsure_moving, 2.0 * slope * x / 3.0);
             }
-            // Only what lies far off is moved: the tails of narrow noise are not normal any more.
             // Where a step lies between its thresholds decides what it moves the first frame by: the sawtooth of rounding has this deviation.
             s.unsure_first = libm::hypot(s.unsure_first, correction.narrow() / libm::sqrt(12.0));
+            // Only what lies far off is moved: the tails of narrow noise are not normal any more.
             s.unsure = libm::hypot(s.unsure, 0.15 * correction.narrow() * s.pixels().powi(2));
         }
-        out.whole = !fine(p);
+        // Whole codes came in, and what is added is whole.
+        out.whole = true;
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
