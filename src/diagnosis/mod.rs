@@ -32,8 +32,8 @@ const FAR: f64 = 3.0;
 /// is called unknown for it.
 const HOLDS: f64 = 0.01;
 /// Evidence that names need together where the model as given holds: beyond five standard errors, of whose 25 some 7 are the price of a
-/// parameter. Below, many a shape that nobody has named would
-/// be taken for the nearest name.
+/// parameter.
+/// Below, many a shape that nobody has named would be taken for the nearest name.
 const TRACE: f64 = 20.0;
 /// Names that are given as the nearest of what has none.
 const NEAREST: usize = 3;
@@ -133,7 +133,7 @@ pub fn diagnose(
     let (mut parts, mut whole) = parts(all, &model, found.fitted, found.first, &first);
     let mut notes = all.missing.clone();
     if first.p_value >= DOUBT && score(all, &model) - score(all, &whole) < TRACE {
-        notes.extend(parts.iter().map(|p| trace(p)));
+        notes.extend(parts.iter().map(trace));
         (parts, whole) = (Vec::new(), model.clone());
     }
     let last = if parts.is_empty() { first.clone() } else { compare(all, &whole) };
@@ -326,7 +326,7 @@ fn add_ties(parts: &[Part], whole: &Fitted, missing: &mut Vec<Missing>, apart: b
     *missing = out;
 }
 
-/// What no name explains: first where the names do not bring the campaign to the noise, else in a note.
+/// What no name explains: first where the names do not bring the campaign to the noise, or explain less than a smooth function does.
 fn add_unknown(parts: &[Part], first: &Comparison, last: &Comparison, missing: &mut Vec<Missing>) {
     let named = !parts.is_empty();
     // Something without a name must not explain a part better than its name does.

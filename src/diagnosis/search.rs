@@ -111,8 +111,11 @@ pub fn candidates(all: &Observations, now: &Fitted, fresh: bool, most: usize) ->
             if evidence(tries.first()?) > BEHIND * ahead {
                 tries = finished(all, tries);
             }
-            let fitted = tries.into_iter().next()?;
-            Some(Candidate { effect, evidence: evidence(&fitted), fitted })
+            // Of its forms the best whose values are known.
+            tries
+                .into_iter()
+                .map(|fitted| Candidate { effect, evidence: evidence(&fitted), fitted })
+                .find(|c| is_something(c, &seen))
         })
         .collect();
     found.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
@@ -121,7 +124,6 @@ pub fn candidates(all: &Observations, now: &Fitted, fresh: bool, most: usize) ->
         let (values, errors) = (&c.fitted.effects[at].1, &c.fitted.std_err[at]);
         tracing::debug!("{}: evidence {:.1}, {values:?} +- {errors:?}", c.effect.id(), c.evidence);
     }
-    found.retain(|c| is_something(c, &seen));
     found
 }
 

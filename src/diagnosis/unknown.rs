@@ -2,7 +2,8 @@
 //!
 //! Kennedy and O'Hagan 2001, J. R. Statist. Soc. B 63, 425 (section 4): a discrepancy function with a prior of its own stands beside the
 //! physics, and its evidence tells whether the physics is enough. Here the function is a sum of cosines of the level's rank whose weights
-//! fall as 1 / (1 + k^2), so that its evidence has a closed form (linear model with a normal prior: Bishop 2006, eq. 3.86).
+//! fall as 1 / (1 + k^2), so that its evidence has a closed form (linear model with a normal prior: Bishop 2006, eq. 3.86). Or every set is
+//! off by a number of its own, which both halves of its frames show.
 
 use crate::fit::cholesky;
 use crate::inference::Residual;
@@ -13,17 +14,32 @@ const TERMS: usize = 5;
 /// Sizes of the function, in standard errors of a residual, that are tried.
 const SIZES: [f64; 12] = [0.15, 0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 30.0, 100.0, 300.0, 1e3, 1e4];
 
-/// Evidence (twice the logarithm of a Bayes factor) that the residuals have such a function, summed over the statistics of sets that gain by it;
+/// Evidence (twice the logarithm of a Bayes factor) that the residuals have such a function or numbers, summed over the statistics of sets that gain by it;
 /// each pays for its size as BIC has it.
 pub fn evidence(residuals: &[Residual], observations: f64) -> f64 {
     let mut of: BTreeMap<&str, Vec<&Residual>> = BTreeMap::new();
     residuals.iter().for_each(|r| of.entry(r.observable.as_str()).or_default().push(r));
     // Of the whole campaign there is one value in each half, and no level.
     let of_levels = of.values().filter(|rows| rows.iter().any(|r| r.set.is_some()));
-    of_levels.map(|rows| (of_statistic(rows) - observations.ln()).max(0.0)).sum()
+    of_levels.map(|rows| (smooth(rows).max(of_sets(rows)) - observations.ln()).max(0.0)).sum()
 }
 
-fn of_statistic(rows: &[&Residual]) -> f64 {
+/// Every set has a number of its own, of variance q in squares of the error: of k residuals with the sum s the evidence is
+/// q s^2 / (1 + k q) - ln(1 + k q).
+fn of_sets(rows: &[&Residual]) -> f64 {
+    let mut sets: BTreeMap<Option<u32>, (f64, f64)> = BTreeMap::new();
+    for r in rows {
+        let (k, sum) = sets.entry(r.set).or_default();
+        (*k, *sum) = (*k + 1.0, *sum + r.z);
+    }
+    let gain = |size: f64| {
+        let q = size * size;
+        sets.values().map(|(k, s)| q * s * s / (1.0 + k * q) - (k * q).ln_1p()).sum::<f64>()
+    };
+    SIZES.into_iter().map(gain).fold(0.0, f64::max)
+}
+
+fn smooth(rows: &[&Residual]) -> f64 {
     let mut order: Vec<&&Residual> = rows.iter().collect();
     order.sort_by(|a, b| a.level_dn.total_cmp(&b.level_dn));
     let n = order.len() as f64;

@@ -102,7 +102,8 @@ impl Codes {
     /// The range of filled codes, and what they say.
     pub fn finish(self) -> Said {
         let n = &self.counts;
-        let mut out = Said { range: 0..0, used: None, bits: [None; LOW_BITS], transitions: Vec::new() };
+        let mut out =
+            Said { range: 0..0, used: None, gaps: None, bits: [None; LOW_BITS], transitions: Vec::new() };
         let wide = |c: usize| n[c.saturating_sub(8)..(c + 9).min(n.len())].iter().sum::<u64>();
         let filled: Vec<usize> = (1..n.len().saturating_sub(1)).filter(|c| wide(*c) > 1000).collect();
         if filled.len() < 32 {
@@ -110,6 +111,7 @@ impl Codes {
         }
         let used = filled.iter().filter(|c| n[**c] > 0).count() as f64;
         out.used = Some(share_of(used, filled.len() as f64));
+        out.gaps = gaps(n);
         out.range = filled[0] as u32..filled[filled.len() - 1] as u32;
         for b in 0..LOW_BITS {
             let sound: Vec<(f64, f64)> =
@@ -138,6 +140,7 @@ pub struct Said {
     /// Codes that are filled.
     pub range: std::ops::Range<u32>,
     used: Option<Value>,
+    gaps: Option<Value>,
     bits: [Option<Value>; LOW_BITS],
     transitions: Vec<(usize, Value)>,
 }
@@ -146,6 +149,11 @@ impl Said {
     /// Share of the codes of the range that occur.
     pub fn used(&self) -> Option<Value> {
         self.used
+    }
+
+    /// Share of empty codes among those whose neighbours are both filled.
+    pub fn gaps(&self) -> Option<Value> {
+        self.gaps
     }
 
     /// What codes whose bit toggles next have more than those before it, relative.
@@ -174,6 +182,16 @@ pub fn share_used(said: &Summary) -> Option<(f64, f64)> {
         .fold((0.0, 0.0), |(all, used), c| (all + 1.0, used + f64::from(u8::from(n[c] > 0))));
     let share = share_of(used, all);
     (all >= 24.0).then_some((share.value, share.std_err))
+}
+
+/// Share of empty codes among those whose neighbours both hold many samples, with the error of half a code.
+fn gaps(n: &[u64]) -> Option<Value> {
+    // Where the neighbours hold so many, a code of at least half their width is empty once in 1e21 times.
+    const MANY: u64 = 100;
+    let between = n.windows(3).filter(|w| w[0] >= MANY && w[2] >= MANY);
+    let (all, empty) =
+        between.fold((0.0, 0.0), |(all, e), w| (all + 1.0, e + f64::from(u8::from(w[1] == 0))));
+    (all >= 64.0).then(|| Value { value: empty / all, std_err: 0.5 / all })
 }
 
 /// A share of codes: of steps that are alike it is known to a code at each end; steps of a table or of unequal bits are predicted to 2 %.

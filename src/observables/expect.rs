@@ -40,6 +40,13 @@ impl Expected {
         }
     }
 
+    /// The same where the value may be off by so much more: of a cube root by a third of that share.
+    pub fn unsure(self, by: f64) -> Self {
+        let (measured, root, error) = self.normal;
+        let more = by / (3.0 * self.value.powf(2.0 / 3.0));
+        Self { std_err: self.std_err.hypot(by), normal: (measured, root, error.hypot(more)), ..self }
+    }
+
     /// Standardised residual.
     pub fn z(&self) -> f64 {
         (self.normal.0 - self.normal.1) / self.normal.2

@@ -31,7 +31,7 @@ impl Lines {
     }
 
     /// Mean of every column of the last image that was complete.
-    pub fn column_means<'a>(&'a self, layout: &'a Layout) -> impl Iterator<Item = f32> + 'a {
+    pub fn column_means<'a>(&'a self, layout: &'a Layout) -> impl ExactSizeIterator<Item = f32> + 'a {
         self.column_sums.iter().zip(&layout.column_pixels).map(|(s, n)| s / n.max(1.0))
     }
 }

@@ -651,9 +651,9 @@ def diagonal(c, q, f):
     return (1 - c.s) * q + c.s * np.roll(q, (1, 1), (0, 1))
 
 
-@kind("coupling that grows", OUTSIDE, (0.001, 0.01), "1", "stored", "interpixel-crosstalk brighter-fatter")
+@kind("coupling that grows", "brighter-fatter", (0.001, 0.01), "1", "stored")
 def coupling(c, q, f):
-    """q + s / q_peak times the sum over the four neighbours n of (n^2 - q^2) / 2: coupling in proportion to the level."""
+    """q + s / q_peak times the sum over the four neighbours n of (n^2 - q^2) / 2: (n - q) moves the boundary that charge (n + q) / 2 crosses."""
     return q + c.s / c.peak * (near4(q**2) - 4 * q**2) / 2
 
 

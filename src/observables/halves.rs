@@ -1,0 +1,68 @@
+//! Variance of what the halves of a frame differ by, DN^2: upper and lower, left and right. Whether the sensor is read and lit as one.
+
+use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+use crate::statistics::layout::Layout;
+use crate::statistics::lines::Lines;
+
+/// The difference of the halves; rows, then columns.
+#[derive(Debug)]
+pub struct This;
+
+/// Mean of the second half of some numbers less that of the first; a line in the middle belongs to neither.
+fn difference(values: impl ExactSizeIterator<Item = f32>) -> f64 {
+    let (n, half) = (values.len(), values.len() / 2);
+    let of = |(i, v): (usize, f32)| match i {
+        i if i < half => -f64::from(v),
+        i if i >= n - half => f64::from(v),
+        _ => 0.0,
+    };
+    values.enumerate().map(of).sum::<f64>() / half.max(1) as f64
+}
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "difference of halves"
+    }
+
+    fn name(&self, index: usize) -> String {
+        format!("variance of {}", ["lower less upper half", "right less left half"][index.min(1)])
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "halves of the sensor that scatter apart, from frame to frame"
+    }
+
+    fn sums(&self, layout: &Layout) -> usize {
+        if layout.shape.0.min(layout.shape.1) < 16 { 0 } else { 2 }
+    }
+
+    fn add(&self, _: &[f32], lines: &Lines, layout: &Layout, sums: &mut [f64]) {
+        let rows = difference(lines.row_means().iter().copied());
+        let columns = difference(lines.column_means(layout));
+        sums[0] += rows * rows;
+        sums[1] += columns * columns;
+    }
+
+    fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
+        chunk.sums().iter().enumerate().for_each(|(k, sum)| put.put(k, *sum, 0.0));
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let Some(s) = view.set() else { return Expected::plain(o, 0.0, 1.0) };
+        let (rows, columns) = view.all.campaign.shape;
+        let pixels = s.shot.of_mean() * view.left.0 + s.read.of_mean() * view.left.1;
+        // The mean of each half has twice the variance of that of all, and there are two.
+        let own = 4.0 * pixels / o.pixels;
+        let (lines, common) = if o.index == 0 {
+            // With V of a half and W of the whole, W = (V + C) / 2: 2 V - 2 C = 4 (V - W).
+            let half = s.ripple_with_mean(rows / 2, rows / 2);
+            (4.0 * s.row.of_mean() / rows as f64, 4.0 * (half - view.ripple_of_mean).max(0.0))
+        } else {
+            (4.0 * s.column.of_mean() / columns as f64, 0.0)
+        };
+        // What all frames share is brighter where the light is: halves differ by no more than pixels do.
+        let shading = view.all.largest_spread.powi(2) * (s.common + view.moved);
+        let interference: f64 = s.lines.iter().map(|l| l.0).sum::<f64>() / (rows.min(columns) as f64);
+        Expected::of_few(o, own + lines + common, view.dof).unsure(shading + interference + common)
+    }
+}

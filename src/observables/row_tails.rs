@@ -1,0 +1,84 @@
+//! Kurtosis of the means of rows about their own: whether all rows scatter alike, or a few of them at a time.
+
+use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+use crate::statistics::layout::Layout;
+use crate::statistics::lines::Lines;
+use radcam_sim::predict::Ripple;
+
+/// The kurtosis; 3 for normal rows.
+#[derive(Debug)]
+pub struct This;
+
+/// Rows and frames from which on it tells something.
+const ROWS: usize = 32;
+const FRAMES: usize = 3;
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "kurtosis of row means"
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "a few rows at a time that scatter more than the rest"
+    }
+
+    fn sums(&self, layout: &Layout) -> usize {
+        usize::from(layout.shape.0 >= ROWS)
+    }
+
+    fn add(&self, _: &[f32], lines: &Lines, _: &Layout, sums: &mut [f64]) {
+        let rows = lines.row_means();
+        sums[0] += rows.iter().map(|m| f64::from(*m).powi(4)).sum::<f64>() / rows.len() as f64;
+    }
+
+    fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
+        let r = chunk.said();
+        let square = r.line_var_dn2[0].powi(2);
+        if let (Some(fourth), true) = (chunk.sums().first(), r.frames >= FRAMES && square > 0.0) {
+            // Each frame's deviation from those before it is scaled to the variance of a frame: they are independent.
+            put.put(0, fourth / square, 0.0);
+        }
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let Some(s) = view.set() else { return Expected::plain(o, 3.0, 1.0) };
+        let (rows, columns) = view.all.campaign.shape;
+        let (ripple, white) = (s.ripple(0.0), (s.shot.along(1) + s.read.along(1)) / columns as f64 + s.row.lag(0));
+        let all = ripple + white;
+        // A slow wander gives fewer independent rows.
+        let length = |r: &Ripple| match r {
+            Ripple::Wander(next) => (1.0 + next) / (1.0 - next),
+            Ripple::Sine(_) => 1.0,
+        };
+        let longest = s.ripples.iter().map(|(_, r)| length(r)).fold(1.0, f64::max);
+        let n = rows as f64 * view.dof / (1.0 + ripple / all * (longest - 1.0));
+        // Of a sine it is 1.5, and of the difference of two 2.25: of a frame from the mean of those before it somewhere between.
+        let sine = s.ripples.iter().map(|(v, r)| if let Ripple::Sine(_) = r { *v } else { 0.0 }).sum::<f64>() / all;
+        // Rows of unequal pixels scatter unequally.
+        let unequal = 3.0 * s.unequal.max(0.0) / (view.noise * view.noise).max(1e-12) / columns as f64;
+        // What whole frames share moves rows by their shading.
+        let shading = view.all.largest_spread.powi(2) * (s.common + view.moved) / all.max(1e-12);
+        let lines: f64 = s.lines.iter().map(|l| l.0).sum::<f64>() / columns as f64 / all.max(1e-12);
+        let unsure = 0.5 * unequal + 0.4 * sine * sine + 3.0 * shading + 3.0 * lines + 0.02;
+        kurtosis(o, n.max(16.0), unequal - 1.1 * sine * sine, unsure)
+    }
+}
+
+/// Expected kurtosis of n normal numbers and more, in the space in which it is normal (Anscombe and Glynn 1983, Biometrika 70, 227).
+fn kurtosis(o: &Observable, n: f64, more: f64, unsure: f64) -> Expected {
+    let expected = 3.0 * (n - 1.0) / (n + 1.0);
+    let variance = 24.0 * n * (n - 2.0) * (n - 3.0) / ((n + 1.0).powi(2) * (n + 3.0) * (n + 5.0));
+    let skewness = 6.0 * (n * n - 5.0 * n + 2.0) / ((n + 7.0) * (n + 9.0))
+        * (6.0 * (n + 3.0) * (n + 5.0) / (n * (n - 2.0) * (n - 3.0))).sqrt();
+    let a = 6.0 + 8.0 / skewness * (2.0 / skewness + (1.0 + 4.0 / (skewness * skewness)).sqrt());
+    let x = (o.measured.value - more - expected) / variance.sqrt();
+    // Beyond the end of the transformation's range nothing is expected at all.
+    let root = ((1.0 - 2.0 / a) / (1.0 + x * (2.0 / (a - 4.0)).sqrt()).max(1e-6)).cbrt();
+    let z = (1.0 - 2.0 / (9.0 * a) - root) / (2.0 / (9.0 * a)).sqrt();
+    Expected {
+        value: expected + more,
+        std_err: variance.sqrt().hypot(unsure),
+        common: 0.0,
+        normal: (z, 0.0, (1.0 + unsure * unsure / variance).sqrt()),
+    }
+}
