@@ -398,7 +398,7 @@ fn describe(fitted: &Fitted, effect: &'static dyn Effect, confidence: f64, apart
         })
         .collect();
     if let Some(t) = effect.together(values) {
-        let std_err = fitted.std_err_of(at, &t.slopes);
+        let std_err = fitted.std_err_of(at, &t);
         let of: Vec<usize> = (0..values.len()).filter(|k| t.slopes[*k] != 0.0).collect();
         // Each alone is known ten times worse, of its own size, than all of them together.
         let alone = of.iter().map(|&k| errors[k] / values[k].abs().max(1e-300)).fold(f64::INFINITY, f64::min);

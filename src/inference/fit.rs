@@ -9,7 +9,7 @@ use super::normal::Covariance;
 use super::slopes::Slopes;
 use super::system::System;
 use crate::observables::{Half, Observations, codes_used, mean};
-use radcam_sim::effects::{self, Effect, Seen};
+use radcam_sim::effects::{self, Effect, Seen, Together};
 use radcam_sim::predict::{BaseParameters, Prediction};
 use std::sync::Arc;
 
@@ -81,18 +81,20 @@ impl Fitted {
         self.covariance.common[i * n + j] * self.free.scale[i] * self.free.scale[j]
     }
 
-    /// Standard error of a combination of an effect's parameters, by its slopes with them. Of two that only their combination tells it is that
-    /// of the one with the other held: the rest is the difference of two large numbers.
-    pub fn std_err_of(&self, effect: usize, slopes: &[f64]) -> f64 {
-        let of: Vec<usize> = (0..slopes.len()).filter(|k| slopes[*k] != 0.0).collect();
-        let covariance = |a: usize, b: usize| slopes[a] * slopes[b] * self.covariance_of(effect, a, b);
-        if let &[a, b] = &of[..] {
+    /// Standard error of a combination of an effect's parameters. Of the factors of a product that only the product tells it is that of one
+    /// with the other held: slopes at one place say nothing of factors that may be anything.
+    pub fn std_err_of(&self, effect: usize, of: &Together) -> f64 {
+        let places: Vec<usize> = (0..of.slopes.len()).filter(|k| of.slopes[*k] != 0.0).collect();
+        let covariance = |a: usize, b: usize| of.slopes[a] * of.slopes[b] * self.covariance_of(effect, a, b);
+        let values = &self.effects[effect].1;
+        let sum: f64 = places.iter().map(|k| of.slopes[*k] * values[*k]).sum();
+        if let (&[a, b], true) = (&places[..], (sum - of.value).abs() > 1e-6 * of.value.abs()) {
             let (aa, bb, ab) = (covariance(a, a), covariance(b, b), covariance(a, b));
             if ab * ab > ALIKE * aa * bb {
                 return (aa - ab * ab / bb).max(0.0).sqrt();
             }
         }
-        let all = of.iter().flat_map(|a| of.iter().map(|b| covariance(*a, *b)));
+        let all = places.iter().flat_map(|a| places.iter().map(|b| covariance(*a, *b)));
         all.sum::<f64>().max(0.0).sqrt()
     }
 

@@ -19,7 +19,7 @@ impl Statistic for This {
     }
 
     fn meaning(&self, _: usize) -> &'static str {
-        "a few rows at a time that scatter more than the rest"
+        "rows that scatter in bursts where it is larger, like a sine where it is smaller"
     }
 
     fn sums(&self, layout: &Layout) -> usize {
@@ -59,7 +59,10 @@ impl Statistic for This {
         // What whole frames share moves rows by their shading.
         let shading = view.all.largest_spread.powi(2) * (s.common + view.moved) / all.max(1e-12);
         let lines: f64 = s.lines.iter().map(|l| l.0).sum::<f64>() / columns as f64 / all.max(1e-12);
-        let unsure = 0.5 * unequal + 0.4 * sine * sine + 3.0 * shading + 3.0 * lines + 0.02;
+        // What rows share is noise in one camera and hum in another, whose kurtosis is that of a sine: only bursts are no noise of rows.
+        let rows_share = (s.row.lag(0) + ripple) / all.max(1e-12);
+        let hum = if o.measured.value < 3.0 { 1.5 * rows_share * rows_share } else { 0.0 };
+        let unsure = hum + 0.5 * unequal + 0.4 * sine * sine + 3.0 * shading + 3.0 * lines + 0.02;
         kurtosis(o, n.max(16.0), unequal - 1.1 * sine * sine, unsure)
     }
 }
