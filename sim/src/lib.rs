@@ -25,7 +25,7 @@ mod model;
 mod optics;
 mod poisson;
 pub mod predict;
-pub mod quantize;
+mod quantize;
 pub mod rng;
 mod scene;
 pub mod sensors;

@@ -1,7 +1,7 @@
 //! Expected statistics of a whole campaign: what every model must say before it is held against measurements.
 
 use crate::effects::Clipped;
-use crate::quantize::{NODES, reaches_zero, rounded, rounded_from_zero, share_below};
+use crate::quantize::{NODES, reaches_zero, rounded, rounded_from_zero};
 
 pub use crate::spectrum::{Filter, GRID, HALF, LineNoise, Ripple, Spectrum, angle};
 
@@ -128,8 +128,6 @@ pub struct SetPrediction {
     pub unsure: f64,
     /// By so much variance and covariances are not known, e^2, then DN^2.
     pub unsure_var: f64,
-    /// Share of the samples that are cut off at the lowest code.
-    pub cut_off: f64,
     /// By so much variance is not known beside that, and no covariance: what single pixels have of their own, e^2, then DN^2.
     pub unsure_own: f64,
     /// By so much variance is not known while the level still moves, e^2, then DN^2.
@@ -201,7 +199,6 @@ impl SetPrediction {
             fourth: 0.0,
             unsure: 0.0,
             unsure_var: 0.0,
-            cut_off: 0.0,
             unsure_own: 0.0,
             unsure_moving: 0.0,
             unsure_fourth: 0.0,
@@ -418,7 +415,6 @@ impl Prediction {
             let (spread, places) = c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread_dn / step, &s.places));
             let level = (s.signal + self.base.offset_dn) / step;
             let rounded = if may_be_clipped && reaches_zero(level, spread, places, variance) {
-                s.cut_off = s.cut_off.max(share_below(0.5, level, spread, places, variance));
                 // Levels are measured once they are clipped: before, they lie further apart.
                 let slope = rounded_from_zero(level, spread, places, variance).slope;
                 let found = rounded_from_zero(level, spread / slope.clamp(0.3, 1.0), places, variance);

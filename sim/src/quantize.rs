@@ -178,12 +178,6 @@ fn from_zero_of_wide(level: f64, sd: f64) -> Pixel {
     [mean, slope, variance, fourth - 3.0 * variance * variance]
 }
 
-/// Share of samples below an edge: normal noise of this variance in pixels at these places.
-pub fn share_below(edge: f64, level: f64, spread: f64, places: &[f64; SHARES.len()], variance: f64) -> f64 {
-    let sd = variance.max(1e-4).sqrt();
-    places.iter().zip(SHARES).map(|(x, share)| share * upper((level + spread * x - edge) / sd)).sum()
-}
-
 /// Normal noise of this variance in pixels at these places, whose codes below 0 come out as 0; all in steps.
 pub fn rounded_from_zero(level: f64, spread: f64, places: &[f64; SHARES.len()], variance: f64) -> Rounded {
     let variance = variance.max(0.0);

@@ -193,7 +193,6 @@ pub fn of_dataset(
     let inflation = Inflation::of(&chunks);
     for c in &chunks {
         let rows = &sets[c.set].rows;
-        let dark = settings[c.set].kind == Kind::Dark;
         let first = rows[c.from];
         let template = Observable {
             statistic: &mean::This,
@@ -205,7 +204,7 @@ pub fn of_dataset(
             pixels: c.said.pixels,
         };
         for (extra, &statistic) in STATISTICS.iter().enumerate() {
-            let view = ChunkView { chunk: c, rows, dark, inflation: &inflation, extra };
+            let view = ChunkView { chunk: c, rows, inflation: &inflation, extra };
             statistic
                 .of_chunk(&view, &mut Put { all: &mut list, template: Observable { statistic, ..template } });
         }

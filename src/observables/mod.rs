@@ -102,7 +102,6 @@ pub struct ChunkView<'a> {
     chunk: &'a Chunk,
     /// Places in the campaign of the set's frames.
     rows: &'a [usize],
-    dark: bool,
     /// How errors compare with those of independent normal pixels.
     pub inflation: &'a Inflation,
     extra: usize,
@@ -117,11 +116,6 @@ impl ChunkView<'_> {
     /// What the statistic's own [`Statistic::add`] summed up, over the degrees of freedom.
     pub fn sums(&self) -> &[f64] {
         self.chunk.said.extra.get(self.extra).map_or(&[], Vec::as_slice)
-    }
-
-    /// Whether the frames are darks.
-    pub fn is_dark(&self) -> bool {
-        self.dark
     }
 
     /// Mean of the frame before, where that is the first of the set, DN.
@@ -242,5 +236,5 @@ macro_rules! statistics {
 
 statistics! {
     mean settling monitor frame_scatter succession variance row_variance column_variance row_shape row_tails halves covariance successive unequal growth parity tap
-    occupancy transition codes_used chunk_codes gaps lowest_code line profile leak
+    occupancy transition codes_used chunk_codes gaps line profile leak
 }

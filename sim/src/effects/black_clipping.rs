@@ -3,7 +3,6 @@
 use super::full_well_saturation::clipped;
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 use crate::predict::NORMAL;
-use crate::quantize::share_below;
 
 /// max(v, level), counted from the level of zero charge.
 pub struct This;
@@ -69,9 +68,6 @@ impl Effect for This {
         }
         for (i, s) in out.sets.iter_mut().enumerate() {
             let left = limited(i, s.signal);
-            let (spread, places) = c.sets.get(i).map_or((0.0, NORMAL), |s| (s.spread_dn, s.places));
-            // All of the code that the limit lies in, wherever within it.
-            s.cut_off = share_below(p[0] + 0.5, s.signal, spread, &places, noise[i]);
             s.signal = -left.mean;
             let less = if noise[i] > 0.0 { left.variance / noise[i] } else { 1.0 };
             s.cut_all(less, &left);

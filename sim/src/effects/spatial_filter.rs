@@ -63,7 +63,7 @@ impl Effect for This {
 
     fn page(&self) -> Page {
         Page {
-            what: "Firmware sharpens (edge enhancement) or smooths (noise reduction) after conversion.",
+            what: "Firmware sharpens (edge enhancement) or smooths (noise reduction) after conversion: whole codes, or more bits than it hands out.",
             equation: "y = v + s (v - mean of the neighbours): kernel 0 the nearest 4, 1 all 8 alike, 2 the diagonal ones at half weight; power \
                        times (1 + s (1 - (1 - d) (cos k_y + cos k_x) / 2 - d cos k_y cos k_x))^2, d = 0, 1/2, 1/3",
             signature: "neighbours correlated in darks as in flats, along both axes: negative with sharpening, positive with \
