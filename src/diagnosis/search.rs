@@ -119,38 +119,12 @@ pub fn candidates(all: &Observations, now: &Fitted, fresh: bool, most: usize) ->
         })
         .collect();
     found.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
-    if fresh {
-        // Far off a fit may end beside the best values: those that the best candidate has found for what both know are tried.
-        let best = found.first().cloned();
-        for c in found.iter_mut().skip(1) {
-            let Some(tried) = best.as_ref().and_then(|b| with_values_of(all, b, c)) else { continue };
-            let evidence = evidence(&tried);
-            if evidence > c.evidence {
-                (c.fitted, c.evidence) = (tried, evidence);
-            }
-        }
-        found.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
-    }
     for c in found.iter().take(6) {
         let at = c.fitted.effects.len() - 1;
         let (values, errors) = (&c.fitted.effects[at].1, &c.fitted.std_err[at]);
         tracing::debug!("{}: evidence {:.1}, {values:?} +- {errors:?}", c.effect.id(), c.evidence);
     }
     found
-}
-
-/// A candidate fitted again from the best one's paper parameters and from its values of parameters of the same name and unit.
-fn with_values_of(all: &Observations, best: &Candidate, other: &Candidate) -> Option<Fitted> {
-    let ((_, known), mut effects) = (best.fitted.effects.last()?, other.fitted.effects.clone());
-    let (effect, values) = effects.last_mut()?;
-    let mut shared = false;
-    for (p, value) in effect.parameters().iter().zip(values).filter(|(p, _)| !p.is_choice()) {
-        let mut of_best = best.effect.parameters().iter().zip(known);
-        if let Some((_, v)) = of_best.find(|(q, _)| q.name == p.name && q.unit == p.unit) {
-            (*value, shared) = (*v, true);
-        }
-    }
-    shared.then(|| fit(all, &best.fitted.base, &effects))
 }
 
 /// Models with one more effect, from the most promising of its starts, after a few rounds of a fit; the best first.
