@@ -10,9 +10,8 @@ pub use search::searched;
 pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
-use crate::inference::{
-    Comparison, DOUBT, Effects, Fitted, P_LIMIT, compare, fit, fit_near, residuals_of, start,
-};
+use crate::agreement::{DOUBT, P_LIMIT};
+use crate::inference::{Comparison, Effects, Fitted, compare, fit, fit_near, residuals_of, start};
 use crate::noise::Quantity;
 use crate::observables::{Observations, covariance};
 use crate::plan::Plan;

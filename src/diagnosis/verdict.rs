@@ -1,7 +1,8 @@
 //! What a diagnosis comes to: one type that every verb, the demo and the reports print.
 
 use super::Missing;
-use crate::inference::{Agreement, Comparison, Fitted};
+use crate::agreement::Agreement;
+use crate::inference::{Comparison, Fitted};
 use crate::report::with_unit;
 use radcam_sim::effects::find;
 use serde::Serialize;

@@ -15,7 +15,6 @@ mod start;
 mod system;
 mod white;
 
-pub use crate::agreement::{Agreement, DOUBT, P_LIMIT};
 pub use fit::{Effects, Fitted, Given, as_given, fit, seen};
 pub(crate) use fit::{fit_briefly, fit_near};
 pub(crate) use judge::residuals_of;
