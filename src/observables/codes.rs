@@ -286,3 +286,20 @@ impl LineSearch {
         Value { value: variance, std_err: error.hypot(variance * walk.hypot(0.02)) }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::gaps;
+
+    /// Codes times 1.01, rounded down, leave out one code in 101; codes as they are, and multiples of four, leave out no single one.
+    #[test]
+    fn multiplied_codes_leave_single_ones_out() {
+        let mut counts = vec![0u64; 1200];
+        (0..1000).for_each(|c| counts[(1.01 * f64::from(c)).floor() as usize] += 500);
+        let found = gaps(&counts).unwrap();
+        assert!((found.value - 1.0 / 101.0).abs() < 2.0 * found.std_err, "{found:?}");
+        assert_eq!(gaps(&[500; 1000]).unwrap().value, 0.0);
+        let coarse: Vec<u64> = (0..1000).map(|c| if c % 4 == 0 { 500 } else { 0 }).collect();
+        assert!(gaps(&coarse).is_none());
+    }
+}

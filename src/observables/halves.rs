@@ -66,3 +66,24 @@ impl Statistic for This {
         Expected::of_few(o, own + lines + common, view.dof).unsure(shading + interference + common)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::difference;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    /// Of independent lines the difference of the means of both halves has four times the variance of the mean of all: within five standard
+    /// errors over 4000 draws. A line in the middle is in neither half.
+    #[test]
+    fn halves_differ_by_four_times_the_variance_of_the_mean() {
+        let square = |draw: u32| {
+            let mut rng = PixelRng::new(3, Stream::Effect, 0, draw, 0);
+            let lines: Vec<f32> = (0..96).map(|_| rng.normal() as f32).collect();
+            difference(lines.into_iter()).powi(2)
+        };
+        let variance = (0..4000).map(square).sum::<f64>() / 4000.0;
+        let expected = 4.0 / 96.0;
+        assert!((variance - expected).abs() < 5.0 * expected * (2.0 / 4000f64).sqrt(), "{variance}");
+        assert_eq!(difference([1.0, 1.0, 900.0, 3.0, 3.0].into_iter()), 2.0);
+    }
+}
