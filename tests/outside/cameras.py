@@ -2,7 +2,7 @@
 
     cameras.py --radcam PATH --out DIR --seeds 1,2 [--only KIND,...] [--strength F] [--keep]   a line for every camera
     cameras.py --radcam PATH --out DIR --campaign N [--first-seed S] [--rows FILE]             N cameras, then a table
-    cameras.py --radcam PATH --out DIR --quick                                                 eight cameras, for CI
+    cameras.py --radcam PATH --out DIR --quick                                                 eleven cameras, for CI
     cameras.py --list                                                                          the kinds, as a table
     cameras.py --table FILE                                                                    the table of recorded rows
 

@@ -63,7 +63,8 @@ impl Effect for This {
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let a = p[0];
-        // It adds floor(alpha (last - now) + 1/2) to every code, whether what it keeps is rounded or not. For each set: the slope of that, what it adds beside, its mean.
+        // It adds floor(alpha (last - now) + 1/2) to every code, whether what it keeps is rounded or not. For each set: the slope of that,
+        // what it adds beside, its mean.
         let of_set = |s: &SetPrediction| {
             if fine(p) {
                 // What is kept is the running mean itself, whatever of it is shown.
