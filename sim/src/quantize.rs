@@ -256,15 +256,28 @@ impl Correction {
     /// The slope with which it follows the noise, and the variance of what it adds beside that: the regression of the rounded number
     /// on u, E[u r] / var u, and the rest of its variance in time (Bussgang 1952: of normal noise both follow from the thresholds).
     pub fn linear(&self) -> (f64, f64) {
-        if self.slope == 0.0 {
-            return (0.0, 0.0);
-        }
-        let Some(steps) = self.steps() else { return (self.slope, 1.0 / 12.0) };
+        let Some(all) = self.of_pixels() else {
+            return if self.slope == 0.0 { (0.0, 0.0) } else { (self.slope, 1.0 / 12.0) };
+        };
+        let (slope, variance) =
+            all.iter().fold((0.0, 0.0), |(a, b), (share, s, v)| (a + share * s, b + share * v));
+        (slope, (variance - slope * slope * self.sd * self.sd).max(0.0))
+    }
+
+    /// Variance, from pixel to pixel, of what it adds to their variance: its own, and `with` times its slope, since it follows the noise.
+    pub fn unequal(&self, with: f64) -> f64 {
+        let all = self.of_pixels().unwrap_or_default();
+        let mean: f64 = all.iter().map(|(share, s, v)| share * (v + with * s)).sum();
+        all.iter().map(|(share, s, v)| share * (v + with * s - mean) * (v + with * s - mean)).sum()
+    }
+
+    /// Share, slope and variance of the pixels at each place of the pattern; `None` where rounding does not matter.
+    fn of_pixels(&self) -> Option<Vec<(f64, f64, f64)>> {
+        let steps = self.steps()?;
         let thresholds: Vec<f64> = (1..=steps).map(|k| self.threshold(k)).collect();
         let nodes = if self.pattern > 0.0 { &NODES[..] } else { &[(0.0, 1.0)] };
         let density = |x: f64| libm::exp(-0.5 * x * x) / libm::sqrt(std::f64::consts::TAU);
-        let (mut slope, mut variance) = (0.0, 0.0);
-        for (x, share) in nodes {
+        let of = |(x, share): &(f64, f64)| {
             let u = self.pattern * x;
             let (mut with, mut mean, mut square) = (0.0, 0.0, 0.0);
             for (k, t) in thresholds.iter().enumerate() {
@@ -274,10 +287,9 @@ impl Correction {
                 mean += above - below;
                 square += (2 * k + 1) as f64 * (above + below);
             }
-            slope += share * with / self.sd;
-            variance += share * (square - mean * mean);
-        }
-        (slope, (variance - slope * slope * self.sd * self.sd).max(0.0))
+            (*share, with / self.sd, square - mean * mean)
+        };
+        Some(nodes.iter().map(of).collect())
     }
 
     /// Its mean where u has this mean.

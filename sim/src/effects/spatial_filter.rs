@@ -102,11 +102,18 @@ impl Effect for This {
             let correction =
                 Correction::new(whole * strength, libm::sqrt(square * x), libm::sqrt(square) * pattern);
             let (slope, noise) = correction.linear();
+            let moved = (slope.abs() / (whole * strength).abs().max(1e-9)).min(1.0) * correction.narrow();
             let strength = (slope / whole).copysign(strength);
             s.filter(&Filter::new(&power(strength)));
             s.read.add_white(noise);
-            // The tails of narrow noise are not normal any more.
-            s.unsure = libm::hypot(s.unsure, 0.15 * correction.narrow() * s.pixels().powi(2));
+            // Of five places in the pattern.
+            let unequal = correction.unequal(2.0 * x / whole);
+            s.unequal += unequal;
+            s.unsure = libm::hypot(s.unsure, unequal);
+            // The tails of narrow noise are not normal any more, as far as anything is moved.
+            s.unsure_fourth = libm::hypot(s.unsure_fourth, 0.3 * moved * s.pixels().powi(2));
+            // A few pixels whose level lies at a threshold are moved more than others.
+            s.unsure = libm::hypot(s.unsure, 0.05 * moved * s.pixels().powi(2));
         }
         out.whole = true;
     }

@@ -19,6 +19,11 @@ fn fine(p: &[f64]) -> bool {
     p[1] >= 0.5
 }
 
+/// Whether the filter sees more than whole codes too.
+fn sees_more(p: &[f64]) -> bool {
+    p[1] >= 1.5
+}
+
 impl Effect for This {
     fn id(&self) -> &'static str {
         "temporal-filter"
@@ -28,15 +33,24 @@ impl Effect for This {
         Stage::Firmware
     }
 
+    fn stage_with(&self, p: &[f64]) -> Stage {
+        if sees_more(p) { Stage::Converter } else { Stage::Firmware }
+    }
+
     fn parameters(&self) -> &'static [Parameter] {
         &[
             Parameter { name: "alpha", unit: "1", min: 0.0, max: 0.9, starts: &[0.05] },
-            Parameter { name: "kept", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0, 1.0] },
+            // Whole codes, parts of a code, parts of a code of samples with more bits than the codes that are sent.
+            Parameter { name: "kept", unit: "choice", min: 0.0, max: 2.0, starts: &[0.0, 1.0, 2.0] },
         ]
     }
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {
-        Some(if fine(p) { "the mean is kept in parts of a code" } else { "the mean is kept in whole codes" })
+        Some(match (fine(p), sees_more(p)) {
+            (_, true) => "before codes are rounded",
+            (true, _) => "the mean is kept in parts of a code",
+            _ => "the mean is kept in whole codes",
+        })
     }
 
     fn remembers(&self) -> bool {
@@ -50,7 +64,7 @@ impl Effect for This {
     fn page(&self) -> Page {
         Page {
             what: "Firmware noise reduction mixes each frame with the ones before.",
-            equation: "y_t = (1 - alpha) v_t + alpha y_(t-1), rounded to whole codes before it is kept or after; variance times (1 - alpha) / (1 + alpha), correlation alpha^k over k frames",
+            equation: "y_t = (1 - alpha) v_t + alpha y_(t-1), rounded to whole codes before it is kept, after, or v is not rounded yet; variance times (1 - alpha) / (1 + alpha), correlation alpha^k over k frames",
             signature: "successive frames correlated, darks too; variance down in darks and flats; first frames after a change carry the \
                         old level",
             look_alikes: "image lag carries charge only: read noise of darks is uncorrelated in time",
@@ -63,6 +77,16 @@ impl Effect for This {
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let a = p[0];
+        if sees_more(p) {
+            let (less, memory) = running_average(a);
+            out.sets.iter_mut().for_each(|s| s.remember(less, &memory));
+            let mut last = out.base.past_e.map(|past| past * out.base.gain_dn_per_e);
+            for m in &mut out.frame_signal {
+                *m += last.map_or(0.0, |last| a * (last - *m));
+                last = Some(*m);
+            }
+            return;
+        }
         // It adds floor(alpha (last - now) + 1/2) to every code, whether what it keeps is rounded or not. For each set: the slope of that,
         // what it adds beside, its mean.
         let of_set = |s: &SetPrediction| {
@@ -123,8 +147,12 @@ impl Effect for This {
             }
             // Where a step lies between its thresholds decides what it moves the first frame by: the sawtooth of rounding has this deviation.
             s.unsure_first = libm::hypot(s.unsure_first, correction.narrow() / libm::sqrt(12.0));
-            // Only what lies far off is moved: the tails of narrow noise are not normal any more.
-            s.unsure = libm::hypot(s.unsure, 0.15 * correction.narrow() * s.pixels().powi(2));
+            // Only what lies far off is moved, and towards the rest: the tails of narrow noise are short, as far as anything is moved.
+            let moved = (slope / a.max(1e-9)).min(1.0) * correction.narrow() * s.pixels().powi(2);
+            s.fourth -= 0.7 * moved;
+            s.unsure_fourth = libm::hypot(s.unsure_fourth, 0.35 * moved);
+            // A few pixels whose level lies at a threshold are moved more than others.
+            s.unsure = libm::hypot(s.unsure, 0.05 * moved);
         }
         // Whole codes came in, and what is added is whole.
         out.whole = true;
