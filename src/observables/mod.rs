@@ -235,6 +235,6 @@ macro_rules! statistics {
 }
 
 statistics! {
-    mean settling monitor frame_scatter succession variance row_variance column_variance row_shape row_tails halves covariance successive unequal growth parity tap
+    mean settling monitor frame_scatter succession variance kurtosis row_variance column_variance row_shape row_tails halves covariance successive unequal growth parity tap
     occupancy transition codes_used chunk_codes gaps line profile leak
 }

@@ -19,7 +19,7 @@ impl Statistic for This {
     }
 
     fn meaning(&self, _: usize) -> &'static str {
-        "rows that scatter in bursts where it is larger, like a sine where it is smaller"
+        "rows that scatter in bursts"
     }
 
     fn sums(&self, layout: &Layout) -> usize {
@@ -55,14 +55,16 @@ impl Statistic for This {
         // Of a sine it is 1.5, and of the difference of two 2.25: of a frame from the mean of those before it somewhere between.
         let sine = s.ripples.iter().map(|(v, r)| if let Ripple::Sine(_) = r { *v } else { 0.0 }).sum::<f64>() / all;
         // Rows of unequal pixels scatter unequally.
-        let unequal = 3.0 * s.unequal.max(0.0) / (view.noise * view.noise).max(1e-12) / columns as f64;
+        let noisy = s.unequal.max(0.0) / (view.noise * view.noise).max(1e-12);
+        let unequal = 3.0 * noisy / columns as f64;
         // What whole frames share moves rows by their shading.
         let shading = view.all.largest_spread.powi(2) * (s.common + view.moved) / all;
         let lines: f64 = s.lines.iter().map(|l| l.0).sum::<f64>() / columns as f64 / all;
         // What rows share is noise in one camera and hum in another, whose kurtosis is that of a sine: only bursts are no noise of rows.
         let rows_share = (s.row.lag(0) + ripple) / all;
         let hum = if o.measured.value < 3.0 { 1.5 * rows_share * rows_share } else { 0.0 };
-        let unsure = hum + 0.5 * unequal + 0.4 * sine * sine + 3.0 * shading + 3.0 * lines + 0.02;
+        // Pixels that are noisier than the rest may lie in the same rows, as beside that edge: all rows' noise is then that of a few.
+        let unsure = hum + noisy + 0.4 * sine * sine + 3.0 * shading + 3.0 * lines + 0.02;
         kurtosis(o.measured.value, n.max(16.0), unequal - 1.1 * sine * sine, unsure)
     }
 }

@@ -1,0 +1,87 @@
+//! Kurtosis of the noise: whether the deviations of the pixels are normal.
+
+use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
+use crate::statistics::layout::Layout;
+use crate::statistics::lines::Lines;
+
+/// The fourth power of the deviations over the square of their variance, over all pixels and frames; 3 for normal noise.
+#[derive(Debug)]
+pub struct This;
+
+impl Statistic for This {
+    fn id(&self) -> &'static str {
+        "kurtosis of the noise"
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "noise with rare large deviations where it is larger, of two levels or cut short where it is smaller"
+    }
+
+    fn sums(&self, _: &Layout) -> usize {
+        1
+    }
+
+    fn add(&self, image: &[f32], _: &Lines, layout: &Layout, sums: &mut [f64]) {
+        // Eight sums side by side, a row at a time, lose nothing that counts.
+        let row = |row: &[f32]| {
+            let (eights, rest) = row.as_chunks::<8>();
+            let mut sums = [0f32; 8];
+            for eight in eights {
+                for (sum, v) in sums.iter_mut().zip(eight) {
+                    let square = v * v;
+                    *sum += square * square;
+                }
+            }
+            f64::from(sums.iter().sum::<f32>()) + rest.iter().map(|v| f64::from(*v).powi(4)).sum::<f64>()
+        };
+        sums[0] += image.chunks(layout.columns().max(1)).map(row).sum::<f64>();
+    }
+
+    fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
+        let r = chunk.said();
+        let square = r.var.value.powi(2);
+        if let (Some(fourth), true) = (chunk.sums().first(), square > 0.0) {
+            put.put(0, fourth / r.pixels / square, 0.0);
+        }
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let Some(s) = view.set() else { return Expected::plain(o, 3.0, 1.0) };
+        let variance = view.noise.max(1e-9);
+        let square = variance * variance;
+        // The deviation of frame k from the mean of those before it, scaled to the variance of a frame, has ((k - 1) / k)^2 (1 + 1 / (k - 1)^3)
+        // of the fourth cumulant of a frame.
+        let of_frame = |k: f64| ((k - 1.0) / k).powi(2) * (1.0 + (k - 1.0).powi(-3));
+        let kept = (2..=view.frames.len().max(2)).map(|k| of_frame(k as f64)).sum::<f64>() / view.dof;
+        // A Poisson number has its mean as every cumulant; a mean of several is nearer to a normal one.
+        let poisson = s.shot.lag(0, 0) * view.prediction.base.gain_dn_per_e.powi(2);
+        // Pixels with more light have more shot noise, and some have more dark current.
+        let set = view.at.map(|i| &view.all.campaign.sets[i]);
+        let uneven = set.map_or(0.0, |info| (s.shot.lag(0, 0) * info.spread).powi(2));
+        let dark = view.at.map_or(0.0, |i| view.all.dark_spread_dn2[i]) * view.prediction.base.gain_dn_per_e.powi(2);
+        // A sine of random phase has -3/2 of the square of its variance.
+        let sine = s.ripples.iter().map(|r| r.0 * r.0).sum::<f64>();
+        let own = 3.0 * (s.unequal + uneven) + kept * (s.fourth + poisson);
+        // The mean of n fourth powers of normal numbers, over the square of their variance, has the variance 24 sum(rho^4) / n.
+        let rho = |c: f64| (c / variance).powi(4);
+        let neighbours: f64 = (-2..=2).flat_map(|y| (-2..=2).map(move |x| rho(view.lag(y, x)))).sum();
+        let (rows, columns) = view.all.campaign.shape;
+        let lines = rho(s.row.lag(0) + s.ripple(0.0)) * columns as f64 + rho(s.column.lag(0)) * rows as f64;
+        let waves = s.lines.iter().map(|l| rho(l.0)).sum::<f64>() * o.pixels;
+        let later: f64 = s.shot_memory.iter().chain(&s.read_memory).map(|r| 2.0 * r.powi(4)).sum();
+        let alike = (neighbours + lines + waves) * (1.0 + later);
+        let dof = o.pixels * view.dof;
+        let rest = 6.0 * (view.rough.1.hypot(view.moving) / variance);
+        Expected::plain(
+            o,
+            3.0 * dof / (dof + 2.0) + own / square,
+            in_quadrature(&[
+                (24.0 * alike.max(1.0) / dof).sqrt(),
+                3.0 * (s.unsure + dark + 0.3 * uneven + 0.1 * s.unequal.abs()) / square,
+                (s.unsure_fourth + 0.3 * poisson + 0.3 * s.fourth.abs() + 1.5 * sine) / square,
+                0.01,
+                rest,
+            ]),
+        )
+    }
+}
