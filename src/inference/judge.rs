@@ -10,8 +10,10 @@ use super::system::System;
 use super::white::White;
 use crate::agreement::{Agreement, P_LIMIT};
 use crate::observables::{Half, Observable, Observations, Statistic, mean, settling};
-use crate::statistics::succession;
+use crate::statistics::{step, succession};
 use serde::Serialize;
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+use statrs::function::erf::erfc_inv;
 use std::collections::BTreeMap;
 
 /// One residual on frames that the fit did not see.
@@ -97,34 +99,81 @@ pub fn compare(all: &Observations, model: &Fitted) -> Comparison {
 /// Sets from which on the order of their settings tells something.
 const FEWEST_SETTINGS: usize = 8;
 
-/// Whether the settings of sets scatter one by one, as they are said to: the correlation of successive ones in the order of time, and in
-/// that of the signal. A lamp that jumps or a response that bends is no scatter.
+/// Whether the settings of sets scatter one by one, as they are said to: whether those of the same light differ as others do, the correlation
+/// of successive ones, and the largest step between two runs of them, in the order of time and in that of the signal. A lamp that jumps, a
+/// response that bends or has a step is no scatter.
 fn setting_orders(all: &Observations, model: &Fitted) -> Vec<Residual> {
     let layout = Layout::new(all, &halves(None));
     let state = layout.at(&model.free, &model.point);
     let mut scores = System::new(&layout, &model.free, &model.point, &state, &model.slopes).setting_scores();
+    // The only set at a light tells nothing: its light is what it shows.
+    scores.retain(|s| s.1.abs() > 1e-6);
     if scores.len() < FEWEST_SETTINGS {
         return Vec::new();
     }
     let levels = levels(all, model.base.offset_dn);
-    let mut order = |name: &str, key: &dyn Fn(usize) -> f64| {
-        scores.sort_by(|a, b| key(a.0).total_cmp(&key(b.0)));
+    let told = |observable: String, measured: f64, predicted: f64, std_err: f64, z: f64| Residual {
+        observable,
+        set: None,
+        measured,
+        predicted,
+        std_err,
+        z,
+        independent_z: z,
+        level_dn: 0.0,
+        statistic: (&mean::This, 0),
+    };
+    // As many standard deviations as have this chance.
+    let as_z = |p_value: f64| std::f64::consts::SQRT_2 * erfc_inv(p_value.clamp(1e-300, 1.0));
+    let mut out = Vec::new();
+    if let Some((mean_square, dof)) = repeats(all, &scores) {
+        // They may be too alike; chi-squared has the deviation sqrt(2 / dof).
+        let alike = ChiSquared::new(dof).map_or(1.0, |c| (2.0 * c.cdf(dof * mean_square)).min(1.0));
+        let name = "light settings that come back".to_string();
+        out.push(told(name, mean_square, 1.0, (2.0 / dof).sqrt(), -as_z(alike)));
+    }
+    for by_signal in [false, true] {
+        let name = if by_signal { "the signal" } else { "time" };
+        scores.sort_by(|a, b| if by_signal { levels[a.0].total_cmp(&levels[b.0]) } else { a.0.cmp(&b.0) });
         let (square, product) = succession::sums(scores.iter().map(|s| s.1));
         let (predicted, std_err) = succession::of_independent(scores.len() as f64);
         let measured = product / square.max(1e-300);
-        Residual {
-            observable: format!("succession of light settings, in the order of {name}"),
-            set: None,
+        let of_light = |what: &str| format!("{what} of light settings, in the order of {name}");
+        out.push(told(
+            of_light("succession"),
             measured,
             predicted,
             std_err,
-            z: (measured - predicted) / std_err,
-            independent_z: (measured - predicted) / std_err,
-            level_dn: 0.0,
-            statistic: (&mean::This, 0),
+            (measured - predicted) / std_err,
+        ));
+        let values: Vec<f64> = scores.iter().map(|s| s.1).collect();
+        if let Some(step) = step::largest(&values) {
+            let (z, size) = (as_z(step.p_value), step.difference);
+            out.push(told(of_light("step"), size, 0.0, size.abs() / z.max(1e-9), z.copysign(size)));
         }
-    };
-    vec![order("time", &|set| set as f64), order("the signal", &|set| levels[set])]
+    }
+    out
+}
+
+/// Mean square, over that of all, of the deviations of settings from the mean of those with the same light and exposure, and its degrees of
+/// freedom: a lamp that is set again does not come back to the same error, and a response that bends does.
+fn repeats(all: &Observations, scores: &[(usize, f64)]) -> Option<(f64, f64)> {
+    let key = |set: usize| (all.campaign.sets[set].light, all.campaign.sets[set].exposure_s.to_bits());
+    let mut groups: BTreeMap<_, Vec<f64>> = BTreeMap::new();
+    for (i, (set, score)) in scores.iter().enumerate() {
+        // Sets in a row of the same light are one setting.
+        if i == 0 || key(scores[i - 1].0) != key(*set) {
+            groups.entry(key(*set)).or_default().push(*score);
+        }
+    }
+    let (mut square, mut dof) = (0.0, 0.0);
+    for group in groups.values() {
+        let mean = group.iter().sum::<f64>() / group.len() as f64;
+        square += group.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+        dof += group.len() as f64 - 1.0;
+    }
+    let whole = scores.iter().map(|s| s.1 * s.1).sum::<f64>() / scores.len() as f64;
+    (dof >= 1.0 && whole > 0.0).then(|| (square / dof / whole, dof))
 }
 
 /// Mean of every set above a zero, DN.
@@ -277,8 +326,7 @@ pub fn by_statistic(residuals: &[Residual]) -> Vec<OfStatistic> {
         let n = z.len() as f64;
         let squares: f64 = z.iter().map(|z| z * z).sum();
         let sum: f64 = z.iter().sum();
-        let chi2 = statrs::distribution::ChiSquared::new(n)
-            .map_or(1.0, |c| statrs::distribution::ContinuousCDF::sf(&c, squares / SLACK_OF_SQUARES));
+        let chi2 = ChiSquared::new(n).map_or(1.0, |c| c.sf(squares / SLACK_OF_SQUARES));
         // What strays a little to one side in every set.
         let aside = two_sided(sum / n.sqrt() / SLACK_OF_MEAN);
         OfStatistic {

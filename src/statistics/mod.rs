@@ -14,6 +14,7 @@ pub mod occupancy;
 pub mod pass;
 pub mod profiles;
 pub mod spectrum;
+pub mod step;
 pub mod succession;
 pub mod successive;
 pub mod taps;
