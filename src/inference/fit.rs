@@ -58,9 +58,6 @@ impl std::fmt::Debug for Fitted {
     }
 }
 
-/// From this square of their correlation on two parameters are known as one.
-const ALIKE: f64 = 0.999;
-
 impl Fitted {
     /// The prediction for all sets.
     pub fn predict(&self, all: &Observations) -> Prediction {
@@ -81,19 +78,10 @@ impl Fitted {
         self.covariance.common[i * n + j] * self.free.scale[i] * self.free.scale[j]
     }
 
-    /// Standard error of a combination of an effect's parameters. Of the factors of a product that only the product tells it is that of one
-    /// with the other held: slopes at one place say nothing of factors that may be anything.
+    /// Standard error of a combination of an effect's parameters.
     pub fn std_err_of(&self, effect: usize, of: &Together) -> f64 {
         let places: Vec<usize> = (0..of.slopes.len()).filter(|k| of.slopes[*k] != 0.0).collect();
         let covariance = |a: usize, b: usize| of.slopes[a] * of.slopes[b] * self.covariance_of(effect, a, b);
-        let values = &self.effects[effect].1;
-        let sum: f64 = places.iter().map(|k| of.slopes[*k] * values[*k]).sum();
-        if let (&[a, b], true) = (&places[..], (sum - of.value).abs() > 1e-6 * of.value.abs()) {
-            let (aa, bb, ab) = (covariance(a, a), covariance(b, b), covariance(a, b));
-            if ab * ab > ALIKE * aa * bb {
-                return (aa - ab * ab / bb).max(0.0).sqrt();
-            }
-        }
         let all = places.iter().flat_map(|a| places.iter().map(|b| covariance(*a, *b)));
         all.sum::<f64>().max(0.0).sqrt()
     }
@@ -214,7 +202,9 @@ fn fit_for(
         system = System::new(&layout, &free, &point, &now, &slopes);
     }
     let objective = system.likelihood(&now, &point.lights);
-    let covariance = system.normal().covariance();
+    let mut normal = system.normal();
+    (0..free.common.len()).for_each(|i| normal.add_weight(i, free.own_weight(i, &point)));
+    let covariance = normal.covariance();
     let n = free.common.len();
     let error = |i: usize| {
         if free.fixed[i] { 0.0 } else { covariance.common[i * n + i].max(0.0).sqrt() * free.scale[i] }

@@ -10,6 +10,10 @@ use radcam_sim::predict::BaseParameters;
 /// No lamp is known better than this, relative.
 const LIGHT_FLOOR: f64 = 5e-5;
 
+/// Errors of positive parameters beyond so many times themselves are cut: from two and a half times itself on a value is nothing at all, and
+/// one that is known to a fifth of itself has its error changed by less than a two-hundredth.
+const FACTOR: f64 = 2.0;
+
 /// A value that is common to all sets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Common {
@@ -221,6 +225,15 @@ impl Free {
         let (e, values) = (self.effects[effect], &self.values[effect]);
         let choices = e.parameters().iter().zip(values).filter(|(p, _)| p.is_choice());
         Key::Of(e.id(), parameter, choices.map(|(_, v)| v.to_bits()).collect())
+    }
+
+    /// Weight of what is known of a common value by its size alone: an effect's parameter that cannot be below 0 is known to [`FACTOR`]
+    /// times itself. Slopes at one place say nothing of what lies further off, and factors of which the campaign tells the product only
+    /// would else seem to allow anything.
+    pub fn own_weight(&self, i: usize, point: &Point) -> f64 {
+        let Common::Of(effect, k) = self.common[i] else { return 0.0 };
+        let p = self.effects[effect].parameters()[k];
+        if p.min >= 0.0 && point.x[i] > 0.0 { (FACTOR * point.x[i]).powi(-2) } else { 0.0 }
     }
 
     /// Place of a common value.

@@ -45,6 +45,11 @@ impl Solver {
 }
 
 impl Normal {
+    /// Adds what is known of a common value beside the campaign: its weight, 1 over its variance.
+    pub fn add_weight(&mut self, i: usize, weight: f64) {
+        self.matrix[i * self.n + i] += weight;
+    }
+
     /// Damped; `None` where there is no solution.
     pub fn solver(&self, damping: f64) -> Option<Solver> {
         let n = self.n;
