@@ -293,8 +293,8 @@ impl SetPrediction {
         self.pixels_follow(less);
         self.unequal += left.unequal;
         self.fourth += left.fourth;
-        // The pixels' places are known as a few shares.
-        self.unsure = libm::hypot(self.unsure, 0.3 * left.unequal);
+        // The pixels' places are known as a few shares; where nearly all are clipped, next to nothing of the few that are not.
+        self.unsure = libm::hypot(self.unsure, (0.3 + 0.7 * left.above * left.above) * left.unequal);
         self.unsure_mean = libm::hypot(self.unsure_mean, 0.1 * left.lost * (1.0 - left.above));
         // Pixels on both sides of the limit: no more than what is cut off.
         self.uneven = libm::hypot(self.uneven, left.lost * (1.0 - left.above));

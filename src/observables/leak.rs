@@ -1,6 +1,7 @@
 //! Beside a scene's bright patch, against the background away from it: the short exposure scaled up less the long one, DN.
 
-use super::{Direction, Expected, HalfView, Observable, Put, Statistic, View, in_quadrature};
+use super::{Direction, Expected, HalfView, Observable, Put, ScenePair, Statistic, View, in_quadrature};
+use radcam_sim::predict::Prediction;
 
 /// What leaks out, for each of [`Direction::ALL`].
 #[derive(Debug)]
@@ -35,13 +36,14 @@ impl Statistic for This {
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let scene = view.all.scenes[o.half.place()].as_ref();
-        let leak = scene.map_or(0.0, |s| s.expected(way(o.index), view.prediction));
+        let of = |f: fn(&ScenePair, Direction, &Prediction) -> f64| scene.map_or(0.0, |s| f(s, way(o.index), view.prediction));
+        let (leak, unsure) = (of(ScenePair::expected), of(ScenePair::unsure));
         // A patch with shading spills here more and there less than its mean does; a step between taps lies somewhere beside the patch.
         let level = view.prediction.sets.iter().map(|s| s.signal).fold(0.0, f64::max);
         let step = view.prediction.taps.iter().map(|(gain, offset)| (gain * level).abs() + offset.abs());
         let step: f64 = step.sum();
         // Nor are the rows of the patch and of the background under the same light where that ripples.
         let ripple = view.prediction.sets.iter().map(|s| s.ripple(0.0)).fold(0.0, f64::max).sqrt();
-        Expected::plain(o, leak, in_quadrature(&[o.measured.std_err, 0.01 * leak, 0.5 * step, ripple]))
+        Expected::plain(o, leak, in_quadrature(&[o.measured.std_err, 0.01 * leak, unsure, 0.5 * step, ripple]))
     }
 }

@@ -15,6 +15,9 @@ use std::ops::Range;
 /// Pixels beside the patch that are looked at for leaks, counted from its edge; the first has part of the edge.
 const NEAR: Range<usize> = 1..12;
 
+/// Share of what spills beyond the next pixels that may be lost on its way, or spread otherwise: barriers differ.
+const LOST: f64 = 0.7;
+
 /// Which way from the patch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
@@ -28,11 +31,13 @@ pub enum Direction {
     Right,
     /// Along the columns, farther than [`Direction::Up`] and [`Direction::Down`] look.
     Columns,
+    /// The pixels next to the patch along the columns: what spills goes there first.
+    Next,
 }
 
 impl Direction {
     /// All of them.
-    pub const ALL: [Self; 5] = [Self::Up, Self::Down, Self::Left, Self::Right, Self::Columns];
+    pub const ALL: [Self; 6] = [Self::Up, Self::Down, Self::Left, Self::Right, Self::Columns, Self::Next];
 
     /// In words.
     pub fn name(self) -> &'static str {
@@ -42,6 +47,7 @@ impl Direction {
             Self::Left => "left of",
             Self::Right => "right of",
             Self::Columns => "far above and below",
+            Self::Next => "next to",
         }
     }
 }
@@ -136,6 +142,11 @@ impl ScenePair {
             Direction::Left => against(by_row(&before(left)), rest),
             Direction::Right => against(by_row(&behind(right, columns)), rest),
             Direction::Columns => rest_far.and_then(|rest| against(by_column(&far, true), rest)),
+            Direction::Next => {
+                let next: Vec<usize> =
+                    first.checked_sub(1).into_iter().chain(Some(last + 1).filter(|y| *y < rows)).collect();
+                against(by_column(&next, true), rest)
+            }
         };
         let leaks: Vec<_> = Direction::ALL.into_iter().filter_map(|d| Some((d, leak(d)?))).collect();
         let light = |wanted: bool| {
@@ -171,7 +182,23 @@ impl ScenePair {
             }
             Direction::Up => smear - self.spilled(p, NEAR.start..NEAR.end.min(self.rows[1])),
             Direction::Down => smear - self.spilled(p, NEAR.start..NEAR.end.min(self.rows[2])),
+            Direction::Next => smear - self.spilled(p, 0..1),
         }
+    }
+
+    /// By how much that is not known, DN: a part of what spills may be lost on its way, and next to the patch the light of its edge is bent
+    /// by whatever bends the patch.
+    pub fn unsure(&self, direction: Direction, p: &Prediction) -> f64 {
+        let range = match direction {
+            Direction::Left | Direction::Right => return 0.0,
+            Direction::Next => {
+                return 0.05 * (self.patch_dn - self.background_dn).abs() + 0.5 * self.spilled(p, 0..1);
+            }
+            Direction::Columns => NEAR.end..self.rows[1].max(self.rows[2]),
+            Direction::Up => NEAR.start..NEAR.end.min(self.rows[1]),
+            Direction::Down => NEAR.start..NEAR.end.min(self.rows[2]),
+        };
+        LOST * self.spilled(p, range)
     }
 
     /// What blooming leaves in pixels so far from the patch, in the long exposure, DN.

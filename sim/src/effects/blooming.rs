@@ -77,6 +77,10 @@ impl Effect for This {
             s.unsure = libm::hypot(s.unsure, left.unsure(less, rest));
             s.shot.shape(|ky, _| less + 2.0 * neighbour / before * libm::cos(ky));
             (s.common, s.setting) = (s.common * less * less, s.setting * less * less);
+            // How much of it finds room depends on where bright and dark pixels lie in their column: somewhere between none of it, and all
+            // as long as the column has room.
+            let (none, all) = (left.mean, limited(i, before, 0.0, 0.0).mean);
+            s.unsure_mean = libm::hypot(s.unsure_mean, 0.25 * (all - none).abs());
             s.signal = column.mean;
         }
         out.bloom_e = out.bloom_e.min(p[0]);
