@@ -39,7 +39,16 @@ impl Effect for This {
 
     fn together(&self, p: &[f64]) -> Option<Together> {
         let name = "a_vertical_per_e + a_horizontal_per_e";
-        Some(Together { name, unit: "1/e", value: p[0] + p[1], slopes: vec![1.0, 1.0] })
+        let sum = p[0] + p[1];
+        // The variance is mu (1 - 2 s mu + (2/3) r (2 s mu)^2) to second order, s the sum and r between 1 (far neighbours too) and 1.5 (one
+        // axis alone). Any r between them, where two axes alike have 1.25, has the deviation 0.5 / root 12: s is off by 0.2 s^2 mu.
+        Some(Together {
+            name,
+            unit: "1/e",
+            value: sum,
+            slopes: vec![1.0, 1.0],
+            unsure_per_e: 0.2 * sum * sum,
+        })
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {

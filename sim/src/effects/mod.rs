@@ -108,6 +108,8 @@ pub struct Together {
     pub value: f64,
     /// How it grows with each parameter.
     pub slopes: Vec<f64>,
+    /// Where nothing tells the parts apart: what it may be off by for that, per electron of the brightest signal.
+    pub unsure_per_e: f64,
 }
 
 /// A camera as examples need it.

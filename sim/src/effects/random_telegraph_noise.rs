@@ -25,7 +25,8 @@ impl Effect for This {
         // What the variances of the pixels spread by; the mean variance says nothing beside a read noise that nobody knows.
         let cube = p[1].powi(3);
         let (name, value) = ("fraction * amplitude_e^4", p[0] * p[1] * cube);
-        Some(Together { name, unit: "e^4", value, slopes: vec![p[1] * cube, 4.0 * p[0] * cube] })
+        let slopes = vec![p[1] * cube, 4.0 * p[0] * cube];
+        Some(Together { name, unit: "e^4", value, slopes, unsure_per_e: 0.0 })
     }
 
     /// Jumps of some dark noise.
