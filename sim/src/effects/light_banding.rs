@@ -6,6 +6,10 @@ use crate::predict::Ripple;
 /// The rows of a frame share a light factor that changes down the image and from frame to frame.
 pub struct This;
 
+/// Correlation from row to row of the fastest wander. Rows are read some 10 us apart: light that forgets within six of them changes faster
+/// than lamps do.
+const SHORTEST: f64 = 0.85;
+
 /// What an exposure leaves of a ripple: it averages over its own length.
 fn left(ripple_hz: f64, exposure_s: f64) -> f64 {
     let x = std::f64::consts::PI * ripple_hz * exposure_s;
@@ -27,7 +31,7 @@ impl Effect for This {
             Parameter { name: "rel", unit: "1", min: 0.0, max: 0.2, starts: &[0.003] },
             Parameter { name: "cycles_per_row", unit: "1/px", min: 1e-4, max: 0.5, starts: &[] },
             Parameter { name: "ripple_hz", unit: "Hz", min: 0.0, max: 1e5, starts: &[] },
-            Parameter { name: "next_row", unit: "1", min: 0.7, max: 0.9999, starts: &[] },
+            Parameter { name: "next_row", unit: "1", min: SHORTEST, max: 0.9999, starts: &[] },
         ]
     }
 
@@ -49,13 +53,17 @@ impl Effect for This {
             // A ripple that turns little within an exposure, and one that turns about once.
             .flat_map(|f| [0.2, 1.0].map(|turns| line(f, turns / seen.frame_s.max(1e-5))))
             .collect();
-        all.extend([0.8, 0.95, 0.99].map(|next| vec![1.0, 0.003, 0.01, 0.0, next]));
+        all.extend([0.92, 0.97, 0.99].map(|next| vec![1.0, 0.003, 0.01, 0.0, next]));
         all
     }
 
-    /// What the rows of a frame share is flicker.
+    /// What the rows of a frame share is flicker; what only rows side by side share is no lamp's.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
-        if p[0] >= 0.5 { libm::pow(p[4], seen.rows) > 0.5 } else { p[2] * seen.rows < 0.25 }
+        if p[0] >= 0.5 {
+            libm::pow(p[4], seen.rows) > 0.5 || p[4] < 1.001 * SHORTEST
+        } else {
+            p[2] * seen.rows < 0.5
+        }
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
