@@ -11,7 +11,7 @@ pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
 use crate::agreement::{DOUBT, P_LIMIT};
-use crate::inference::{Comparison, Effects, Fitted, compare, fit, fit_near, residuals_of, start};
+use crate::inference::{Comparison, Effects, Fitted, compare, fit, fit_near, residuals_of, seen, start};
 use crate::noise::Quantity;
 use crate::observables::{Observations, covariance};
 use crate::plan::Plan;
@@ -19,7 +19,7 @@ use crate::report::chance;
 use radcam_sim::effects::{Effect, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
-use search::{Candidate, NEEDED, RIVALS, candidates, score, search, without};
+use search::{Candidate, NEEDED, RIVALS, candidates, is_something, score, search, without};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -30,6 +30,9 @@ const FAR: f64 = 3.0;
 /// A name stands first only where deviations as large as those that it leaves come by chance at least so often: one right name in a hundred
 /// is called unknown for it.
 const HOLDS: f64 = 0.01;
+/// Share of its evidence that something without a name is not given: numbers without a meaning follow the last per mille of any statistic
+/// better than physics does.
+const NEARLY_ALL: f64 = 1e-3;
 /// Evidence that names need together where the model as given holds: beyond five standard errors, of whose 25 some 7 are the price of a
 /// parameter.
 /// Below, many a shape that nobody has named would be taken for the nearest name.
@@ -148,9 +151,10 @@ pub fn diagnose(
     }
     let mut ladder = vec![Rung { added: None, error: first.error, p_value: first.p_value }];
     ladder.extend(rungs(all, &model, &parts, &whole, &last));
-    // Neighbours tell the parts of a combination apart.
-    let apart = all.has(&covariance::This);
-    let mut missing = named(&parts, &whole, &first, &last, &ladder, apart);
+    let seen = seen(all, &whole.base);
+    // Neighbours tell the parts of a combination apart; without them how it splits moves it, by the brightest signal.
+    let split = (!all.has(&covariance::This)).then_some(seen.peak_e);
+    let mut missing = named(&parts, &whole, &first, &last, &ladder, split);
     let (mut next_measurement, mut sets) = (None, takes::PAIRS);
     for (part, entry) in parts.iter().zip(&missing) {
         if let Some(other) = tied(part).first()
@@ -161,8 +165,10 @@ pub fn diagnose(
                 (Some(format!("{} or {}: {}", entry.effect, other.effect.id(), page.measure)), page.sets);
         }
     }
-    add_ties(&parts, &whole, &mut missing, apart);
-    add_unknown(&parts, &first, &last, &mut missing);
+    add_ties(&parts, &whole, &mut missing, split);
+    let place = |p: &Part| whole.effects.iter().rposition(|(e, _)| e.id() == p.effect.id());
+    let nothing = parts.first().and_then(place).is_some_and(|at| !is_something(&whole, at, &seen));
+    add_unknown(&parts, nothing, &first, &last, &mut missing);
     if missing.iter().any(|m| m.effect == "unknown") && next_measurement.is_none() {
         next_measurement = Some(
             "the statistic that strays most, at more levels and frames; a custom formula in the model file can describe it".into(),
@@ -209,6 +215,7 @@ fn parts(
                 let effect = whole.effects[i].0;
                 let evidence = score(all, &rest) - score(all, &whole);
                 let nameless = unknown::evidence(&residuals_of(all, &rest), all.list.len() as f64);
+                let nameless = (1.0 - NEARLY_ALL) * nameless;
                 Part { effect, evidence, others: Vec::new(), nameless, rest }
             })
             .collect();
@@ -217,6 +224,14 @@ fn parts(
             let less = without(all, &whole, given + idle);
             whole = fit(all, &less.base, &less.effects);
             continue;
+        }
+        // So does what the campaign contradicts where it agrees with the rest: settings that are in order, say.
+        if parts.len() > 1 && compare(all, &whole).p_value < HOLDS {
+            let contradicted = parts.iter().position(|p| compare(all, &p.rest).p_value >= HOLDS);
+            if let Some(at) = contradicted {
+                whole = parts.swap_remove(at).rest;
+                continue;
+            }
         }
         // A single addition that does not help on frames that no fit saw is none.
         if let [only] = parts.as_slice() {
@@ -275,10 +290,10 @@ fn named(
     first: &Comparison,
     last: &Comparison,
     ladder: &[Rung],
-    apart: bool,
+    split: Option<f64>,
 ) -> Vec<Missing> {
     let entry = |(k, part): (usize, &Part)| {
-        let mut entry = describe(whole, part.effect, confidence(part, part.evidence), apart);
+        let mut entry = describe(whole, part.effect, confidence(part, part.evidence), split);
         entry.error_drop = ladder[k].error - ladder[k + 1].error;
         entry.evidence = reasons(first, last, part.effect);
         let ties = tied(part);
@@ -305,13 +320,13 @@ fn confidence(part: &Part, evidence: f64) -> f64 {
 }
 
 /// Behind each part what is tied with it.
-fn add_ties(parts: &[Part], whole: &Fitted, missing: &mut Vec<Missing>, apart: bool) {
+fn add_ties(parts: &[Part], whole: &Fitted, missing: &mut Vec<Missing>, split: Option<f64>) {
     let mut out = Vec::new();
     for (part, entry) in parts.iter().zip(std::mem::take(missing)) {
         let drop = entry.error_drop;
         out.push(entry);
         for other in tied(part) {
-            let mut entry = describe(&other.fitted, other.effect, confidence(part, other.evidence), apart);
+            let mut entry = describe(&other.fitted, other.effect, confidence(part, other.evidence), split);
             entry.error_drop = drop;
             entry.tied_with = Some(part.effect.id().into());
             entry
@@ -326,13 +341,20 @@ fn add_ties(parts: &[Part], whole: &Fitted, missing: &mut Vec<Missing>, apart: b
 }
 
 /// What no name explains: first where the names do not bring the campaign to the noise, or explain less than a smooth function does.
-fn add_unknown(parts: &[Part], first: &Comparison, last: &Comparison, missing: &mut Vec<Missing>) {
+/// `nothing`: what the first of them is said to have is nothing within its errors.
+fn add_unknown(
+    parts: &[Part],
+    nothing: bool,
+    first: &Comparison,
+    last: &Comparison,
+    missing: &mut Vec<Missing>,
+) {
     let named = !parts.is_empty();
     // Something without a name must not explain a part better than its name does.
-    let better = |p: &Part| p.nameless > p.evidence + TIE;
+    let better = |p: &Part| p.nameless > p.evidence;
     let nameless = parts.first().is_some_and(better);
     // A name must hold; the model as given, only not fail.
-    if !nameless && last.p_value >= if named { HOLDS } else { P_LIMIT } {
+    if !nameless && !nothing && last.p_value >= if named { HOLDS } else { P_LIMIT } {
         return;
     }
     let mut nearest: Vec<String> = parts.iter().map(|p| p.effect.id().to_string()).collect();
@@ -362,6 +384,10 @@ fn add_unknown(parts: &[Part], first: &Comparison, last: &Comparison, missing: &
             part.evidence
         ));
     }
+    if let Some(part) = parts.first().filter(|_| nothing) {
+        evidence
+            .push(format!("every size of {} is nothing within its errors beside the rest", part.effect.id()));
+    }
     if evidence.is_empty() {
         evidence.push(format!("error {:.3} over all statistics, p {}", last.error, chance(last.p_value)));
     }
@@ -370,6 +396,7 @@ fn add_unknown(parts: &[Part], first: &Comparison, last: &Comparison, missing: &
         Missing {
             effect: "unknown".into(),
             confidence: match parts.first() {
+                Some(part) if nothing => confidence(part, part.nameless).max(0.5),
                 Some(part) if last.p_value >= DOUBT => confidence(part, part.nameless),
                 _ => 1.0 - last.p_value.min(1.0),
             },
@@ -384,9 +411,9 @@ fn add_unknown(parts: &[Part], first: &Comparison, last: &Comparison, missing: &
     );
 }
 
-/// An effect of a model with its values; what only a combination tells stands as that combination. `apart`: whether the campaign has
-/// what tells the parts of a combination apart.
-fn describe(fitted: &Fitted, effect: &'static dyn Effect, confidence: f64, apart: bool) -> Missing {
+/// An effect of a model with its values; what only a combination tells stands as that combination. `split`: the brightest signal, e, where
+/// nothing tells the parts of a combination apart.
+fn describe(fitted: &Fitted, effect: &'static dyn Effect, confidence: f64, split: Option<f64>) -> Missing {
     let at = fitted.effects.iter().position(|(e, _)| e.id() == effect.id()).unwrap_or(0);
     let (values, errors) = (&fitted.effects[at].1, &fitted.std_err[at]);
     let used = effect.parameters().iter().enumerate().filter(|(k, _)| effect.uses(values, *k));
@@ -397,11 +424,11 @@ fn describe(fitted: &Fitted, effect: &'static dyn Effect, confidence: f64, apart
         })
         .collect();
     if let Some(t) = effect.together(values) {
-        let std_err = fitted.std_err_of(at, &t);
+        let std_err = fitted.std_err_of(at, &t).hypot(t.unsure_per_e * split.unwrap_or(0.0));
         let of: Vec<usize> = (0..values.len()).filter(|k| t.slopes[*k] != 0.0).collect();
         // Each alone is known ten times worse, of its own size, than all of them together.
         let alone = of.iter().map(|&k| errors[k] / values[k].abs().max(1e-300)).fold(f64::INFINITY, f64::min);
-        if !apart || std_err / t.value.abs().max(1e-300) < 0.1 * alone {
+        if split.is_some() || std_err / t.value.abs().max(1e-300) < 0.1 * alone {
             of.iter().for_each(|k| {
                 parameters.remove(effect.parameters()[*k].name);
             });

@@ -115,7 +115,7 @@ pub fn candidates(all: &Observations, now: &Fitted, fresh: bool, most: usize) ->
             tries
                 .into_iter()
                 .map(|fitted| Candidate { effect, evidence: evidence(&fitted), fitted })
-                .find(|c| is_something(c, &seen))
+                .find(|c| stands(c, &seen))
         })
         .collect();
     found.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
@@ -178,11 +178,15 @@ fn finished(all: &Observations, models: Vec<Fitted>) -> Vec<Fitted> {
     sorted(all, all_of.collect())
 }
 
+/// Whether a candidate is something by itself: see [`is_something`].
+fn stands(c: &Candidate, seen: &Seen) -> bool {
+    is_something(&c.fitted, c.fitted.effects.len() - 1, seen)
+}
+
 /// A parameter that is nothing within its error explains nothing, nor does one at the end of its range, nor what has become another
 /// effect.
-fn is_something(c: &Candidate, seen: &Seen) -> bool {
-    let (fitted, at) = (&c.fitted, c.fitted.effects.len() - 1);
-    let (effect, values, errors) = (c.effect, &fitted.effects[at].1, &fitted.std_err[at]);
+pub fn is_something(fitted: &Fitted, at: usize, seen: &Seen) -> bool {
+    let ((effect, values), errors) = (&fitted.effects[at], &fitted.std_err[at]);
     let used = |k: usize| effect.uses(values, k) && !effect.parameters()[k].is_choice();
     let all: Vec<usize> = (0..values.len()).filter(|k| used(*k)).collect();
     let at_the_end = all.iter().any(|&k| {
@@ -325,10 +329,12 @@ pub fn searched(all: &Observations, given: &[Given]) -> Effects {
         let guess = now.with_base(start(all));
         let mut hinted = effect.starts(&seen(all, &guess.base));
         hinted.extend(effect.starts(&seen(all, &now.base)));
-        // From the first guess: a fit that lacks the effect may lie far off.
-        let starts = Screen::new(all, &guess).starts(*effect, values, &hinted);
-        let brief = from_starts(all, &now, Some(&guess), *effect, &starts, FORMS, None);
-        now = finished(all, brief).into_iter().next().unwrap_or_else(|| {
+        // From the first guess too: a fit that lacks the effect may lie far off.
+        let brief = [&guess, &now].map(|from| {
+            let starts = Screen::new(all, from).starts(*effect, values, &hinted);
+            from_starts(all, &now, Some(&guess), *effect, &starts, FORMS, None)
+        });
+        now = finished(all, sorted(all, brief.concat())).into_iter().next().unwrap_or_else(|| {
             let first = hinted.into_iter().next();
             let first = first.unwrap_or_else(|| effect.parameters().iter().map(|p| p.min.max(0.0)).collect());
             let mut still = now.clone();

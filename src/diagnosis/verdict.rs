@@ -115,16 +115,19 @@ fn sentence(top: &Missing, or: &[String], missing: &[Missing], cost: &str) -> St
 
 /// What a measurement that knows nothing of it is wrong by.
 fn cost(given: &Fitted, whole: &Fitted) -> String {
-    let gain = given.base.gain_dn_per_e / whole.base.gain_dn_per_e - 1.0;
-    let read = given.base.read_noise_e / whole.base.read_noise_e.max(1e-9) - 1.0;
-    let high = |v: f64| if v > 0.0 { "high" } else { "low" };
-    let mut parts = Vec::new();
-    if gain.abs() > 3.0 * whole.base_std_err[0] / whole.base.gain_dn_per_e {
-        parts.push(format!("the gain {:.2} % too {}", 100.0 * gain.abs(), high(gain)));
-    }
-    if read.abs() > 3.0 * whole.base_std_err[1] / whole.base.read_noise_e.max(1e-9) {
-        parts.push(format!("the read noise {:.1} % too {}", 100.0 * read.abs(), high(read)));
-    }
+    let of = |what: &str, given: f64, whole: f64, std_err: f64, decimals: usize| {
+        let whole = whole.max(1e-9);
+        (((given - whole) / std_err).abs() > 3.0)
+            .then(|| format!("the {what} {}", wrong_by(given.max(1e-9) / whole, decimals)))
+    };
+    let (g, w, errors) = (&given.base, &whole.base, &whole.base_std_err);
+    let parts: Vec<String> = [
+        of("gain", g.gain_dn_per_e, w.gain_dn_per_e, errors[0], 2),
+        of("read noise", g.read_noise_e, w.read_noise_e, errors[1], 1),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
     if parts.is_empty() {
         " Gain and read noise come out right all the same.".into()
     } else {
@@ -132,7 +135,38 @@ fn cost(given: &Fitted, whole: &Fitted) -> String {
     }
 }
 
+/// A ratio in words: per cent as long as they say something, then a factor.
+fn wrong_by(ratio: f64, decimals: usize) -> String {
+    let high = if ratio > 1.0 { "high" } else { "low" };
+    let factor = ratio.max(1.0 / ratio);
+    if factor < 2.0 {
+        format!("{:.decimals$} % too {high}", 100.0 * (ratio - 1.0).abs())
+    } else if factor < 100.0 {
+        format!("too {high} by a factor of {factor:.1}")
+    } else {
+        format!("too {high} by a factor of more than 100")
+    }
+}
+
 fn capital(id: &str) -> String {
     let mut letters = id.chars();
     letters.next().map_or(String::new(), |first| first.to_uppercase().collect::<String>() + letters.as_str())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::wrong_by;
+
+    #[test]
+    fn ratios_are_said_in_words() {
+        for (ratio, text) in [
+            (1.0123, "1.23 % too high"),
+            (0.9, "10.00 % too low"),
+            (0.25, "too low by a factor of 4.0"),
+            (5e5, "too high by a factor of more than 100"),
+            (0.0, "too low by a factor of more than 100"),
+        ] {
+            assert_eq!(wrong_by(ratio, 2), text);
+        }
+    }
 }
