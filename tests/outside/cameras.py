@@ -806,7 +806,9 @@ def denoiser(c, code, f):
     return code - c.s * d * (np.abs(d) < limit)
 
 
-@kind("median filter", OUTSIDE, (0.02, 0.2), "1", "digital", "spatial-filter")
+# The contract's spatial-filter is any in-camera smoothing after the noise, and this is one; what acts only below or above a threshold has
+# no name there.
+@kind("median filter", "spatial-filter", (0.02, 0.2), "1", "digital")
 def median(c, code, f):
     """(1 - s) code + s (median of its 3x3 box)."""
     return (1 - c.s) * code + c.s * box9(code, np.median)
