@@ -16,6 +16,20 @@ const BESIDE: f32 = 4.0;
 /// Frames that are compared with each other.
 pub const BLOCK: usize = 8;
 
+/// Whether what a frame deviates by may be what the one before it carries over, dying away: of that the one before has more.
+pub fn dies_away(before_dn: f64, own_dn: f64) -> bool {
+    2.0 * before_dn.abs() >= own_dn.abs()
+}
+
+/// Mean of a frame as [`Apart::mean_dn`] has it, DN.
+pub fn mean_dn(frame: &Array2<u16>) -> f64 {
+    mean_of(&cell_means(frame))
+}
+
+fn mean_of(cells: &[f64]) -> f64 {
+    cells.iter().sum::<f64>() / cells.len().max(1) as f64
+}
+
 /// How far frames lie from those around them.
 #[derive(Debug, Clone, Default)]
 pub struct Apart {
@@ -32,7 +46,7 @@ pub fn apart(block: &[Array2<u16>]) -> Apart {
     let Some(first) = block.first().filter(|_| block.len() >= 3) else { return Apart::default() };
     let (rows, columns) = first.dim();
     let cells: Vec<Vec<f64>> = block.iter().map(cell_means).collect();
-    let means: Vec<f64> = cells.iter().map(|c| c.iter().sum::<f64>() / c.len().max(1) as f64).collect();
+    let means: Vec<f64> = cells.iter().map(|c| mean_of(c)).collect();
     let level_dn = median(means.iter().copied());
     if rows < 2 * CELLS || columns < 2 * CELLS {
         return Apart {
@@ -110,8 +124,8 @@ impl Usual {
         }
     }
 
-    /// Places of frames in a block that lie far from the others; `first`: the block begins its set.
-    pub fn strays(&self, a: &Apart, dark: bool, first: bool, zero_dn: f64) -> Vec<usize> {
+    /// Places of frames in a block that lie far from the others; `start`: place of its first frame in the set.
+    pub fn strays(&self, a: &Apart, dark: bool, start: usize, zero_dn: f64) -> Vec<usize> {
         let above = (a.level_dn - zero_dn).max(1.0);
         let (mean, cell) = if dark {
             (self.dark_dn, self.dark_cell_dn)
@@ -129,7 +143,8 @@ impl Usual {
             let by_cell = a.cell_dn.get(*i).is_some_and(|c| *c > 0.5 * FAR * cell);
             a.mean_dn[*i].abs() > FAR * mean || by_cell
         };
-        (0..a.mean_dn.len()).skip(if first { 2 } else { 0 }).filter(far).collect()
+        // The first frame of a set may carry what came before.
+        (0..a.mean_dn.len()).skip(usize::from(start == 0)).filter(far).collect()
     }
 }
 
@@ -222,12 +237,19 @@ mod tests {
     fn a_flash_and_a_shadow_stray() {
         let blocks: Vec<(bool, Apart)> = (0..8).map(|s| (false, apart(&block(s)))).collect();
         let usual = Usual::of(&blocks, 100.0);
-        assert!(blocks.iter().all(|(_, a)| usual.strays(a, false, false, 100.0).is_empty()));
+        assert!(blocks.iter().all(|(_, a)| usual.strays(a, false, 8, 100.0).is_empty()));
         let mut flash = block(30);
         flash[5].mapv_inplace(|v| v + 12);
-        assert_eq!(usual.strays(&apart(&flash), false, false, 100.0), [5]);
+        assert_eq!(usual.strays(&apart(&flash), false, 8, 100.0), [5]);
         let mut shadow = block(31);
         shadow[6].slice_mut(ndarray::s![..12, 40..]).mapv_inplace(|v| v - 20);
-        assert_eq!(usual.strays(&apart(&shadow), false, false, 100.0), [6]);
+        assert_eq!(usual.strays(&apart(&shadow), false, 8, 100.0), [6]);
+        // In the second frame of a set too, and never the first.
+        let mut second = block(32);
+        second[1].mapv_inplace(|v| v + 12);
+        assert_eq!(usual.strays(&apart(&second), false, 0, 100.0), [1]);
+        let mut first = block(33);
+        first[0].mapv_inplace(|v| v + 12);
+        assert!(usual.strays(&apart(&first), false, 0, 100.0).is_empty());
     }
 }
