@@ -277,17 +277,19 @@ impl<'b> Reader<'_, 'b> {
             let mut block = (start..end).map(|i| self.frame(p.set, i)).collect::<Result<Vec<_>, _>>()?;
             let strays = |block: &[Array2<u16>]| {
                 let apart = outliers::apart(block);
-                let strays = self.usual.strays(&apart, dark, start, self.zero_dn);
-                // Where many stray nothing does.
-                let stray = strays.first().copied().filter(|_| strays.len() * 3 <= block.len())?;
                 // The first frames of a set may carry what came before.
-                let before = match stray.checked_sub(1) {
+                let before = |stray: usize| match stray.checked_sub(1) {
                     Some(before) => Some(apart.mean_dn[before]),
                     None => self.frame(p.set, start - 1).ok().map(|f| outliers::mean_dn(&f) - apart.level_dn),
                 };
-                let carried = start + stray <= 2
-                    && before.is_none_or(|before| outliers::dies_away(before, apart.mean_dn[stray]));
-                (!carried).then_some(stray)
+                let carried = |stray: usize| {
+                    let dies_away = |b: f64| outliers::dies_away(b, apart.mean_dn[stray]);
+                    start + stray <= 2 && before(stray).is_none_or(dies_away)
+                };
+                let mut strays = self.usual.strays(&apart, dark, start, self.zero_dn);
+                strays.retain(|stray| !carried(*stray));
+                // Where many stray nothing does.
+                strays.first().copied().filter(|_| strays.len() * 3 <= block.len())
             };
             let mut stray = strays(&block);
             if self.clean && (stray.is_none() || block.len() > 2) {
