@@ -62,7 +62,8 @@ impl Statistic for This {
         // A sine of random phase has -3/2 of the square of its variance.
         let sine = s.ripples.iter().map(|r| r.0 * r.0).sum::<f64>();
         let own = 3.0 * (s.unequal + uneven) + kept * (s.fourth + poisson);
-        // The mean of n fourth powers of normal numbers, over the square of their variance, has the variance 24 sum(rho^4) / n.
+        // The mean of n fourth powers of normal numbers, over the square of their variance, has the variance 24 sum(rho^4) / n: what scatters
+        // is the fourth Hermite polynomial, whose covariance is 24 rho^4 (Mehler 1866; Cramer 1946, 27.4, for independent numbers).
         let rho = |c: f64| (c / variance).powi(4);
         let neighbours: f64 = (-2..=2).flat_map(|y| (-2..=2).map(move |x| rho(view.lag(y, x)))).sum();
         let (rows, columns) = view.all.campaign.shape;

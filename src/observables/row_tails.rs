@@ -63,7 +63,7 @@ impl Statistic for This {
         // What rows share is noise in one camera and hum in another, whose kurtosis is that of a sine: only bursts are no noise of rows.
         let rows_share = (s.row.lag(0) + ripple) / all;
         let hum = if o.measured.value < 3.0 { 1.5 * rows_share * rows_share } else { 0.0 };
-        // Pixels that are noisier than the rest may lie in the same rows, as beside that edge: all rows' noise is then that of a few.
+        // Pixels that are noisier than the rest may lie in the same rows, as beside the edge of what is clipped: few rows then have the noise.
         let unsure = hum + noisy + 0.4 * sine * sine + 3.0 * shading + 3.0 * lines + 0.02;
         kurtosis(o.measured.value, n.max(16.0), unequal - 1.1 * sine * sine, unsure)
     }
