@@ -22,6 +22,7 @@ mod draw;
 pub mod effects;
 mod maps;
 mod model;
+mod normal;
 mod optics;
 mod poisson;
 pub mod predict;

@@ -3,7 +3,7 @@
 use crate::effects::Clipped;
 use crate::quantize::{NODES, reaches_zero, rounded, rounded_from_zero};
 
-pub use crate::spectrum::{Filter, GRID, HALF, LineNoise, Ripple, Spectrum, angle};
+pub use crate::spectrum::{Filter, GRID, HALF, LAGS, LineNoise, Ripple, Spectrum, angle};
 
 /// A frame of a campaign.
 #[derive(Debug, Clone, Copy, PartialEq)]

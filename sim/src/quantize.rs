@@ -1,6 +1,7 @@
 //! What rounding to whole steps does to noise that covers about a step or less.
 
 use crate::effects::cut;
+use crate::normal::{tail, upper};
 use crate::predict::PLACES as SHARES;
 use std::sync::OnceLock;
 
@@ -85,7 +86,7 @@ pub fn rounded(level: f64, spread: f64, variance: f64) -> Rounded {
     for i in -HALF..=HALF {
         let t = 3.0 * f64::from(i) / f64::from(HALF);
         let [mean, slope, var, fourth] = pixel(level + spread * t);
-        let w = libm::exp(-0.5 * t * t);
+        let w = tail(t).0;
         for (sum, v) in sums.iter_mut().zip([1.0, mean, slope, var, var * var, fourth]) {
             *sum += w * v;
         }
@@ -123,19 +124,17 @@ fn from_zero(level: f64, sd: f64) -> Pixel {
         return from_zero_of_wide(level, sd);
     }
     let sd = sd.max(0.02);
-    let below = |edge: f64| upper((level - edge) / sd);
-    let density =
-        |edge: f64| libm::exp(-0.5 * ((edge - level) / sd).powi(2)) / (sd * std::f64::consts::TAU.sqrt());
     let first = (level - 6.0 * sd).floor().max(0.0);
     let codes = ((level + 6.0 * sd).ceil() - first).max(0.0) as usize;
     let (mut passed, mut slope) = (0.0, 0.0);
-    let mut shares = Vec::with_capacity(codes + 1);
-    for k in 0..=codes {
-        let edge = first + k as f64 + 0.5;
-        let here = if k == codes { 1.0 } else { below(edge) };
-        shares.push(here - passed);
+    // Six deviations of less than a step to both sides.
+    let mut shares = [0.0; 16];
+    for (k, share) in shares.iter_mut().enumerate().take(codes + 1) {
+        let (density, below) = tail((level - first - k as f64 - 0.5) / sd);
+        let here = if k == codes { 1.0 } else { below };
+        *share = here - passed;
         passed = here;
-        slope += density(edge);
+        slope += density / sd;
     }
     let moment = |about: f64, power: i32| {
         shares.iter().enumerate().map(|(k, p)| p * (first + k as f64 - about).powi(power)).sum::<f64>()
@@ -156,19 +155,18 @@ fn from_zero_of_wide(level: f64, sd: f64) -> Pixel {
     let fourth = square * square + 6.0 * square * variance + 3.0 * variance * variance - 1.0 / 120.0;
     let mut raw = [level, square + variance, level * (square + 3.0 * variance), fourth];
     let mut slope = 1.0;
-    let below = |edge: f64| upper((level - edge) / sd);
-    let scale = 1.0 / (sd * std::f64::consts::TAU.sqrt());
-    let (mut edge, mut passed) = (-0.5, below(-0.5));
+    let below = |edge: f64| tail((level - edge) / sd);
+    let (mut edge, (mut density, mut passed)) = (-0.5, below(-0.5));
     while passed > 1e-12 {
-        let lower = below(edge - 1.0);
+        let (next, lower) = below(edge - 1.0);
         let (code, share) = (edge - 0.5, passed - lower);
         let mut power = share;
         for moment in &mut raw {
             power *= code;
             *moment -= power;
         }
-        slope -= scale * libm::exp(-0.5 * ((edge - level) / sd).powi(2));
-        (edge, passed) = (edge - 1.0, lower);
+        slope -= density / sd;
+        (edge, density, passed) = (edge - 1.0, next, lower);
     }
     let [mean, second, third, fourth] = raw;
     let square = mean * mean;
@@ -224,10 +222,6 @@ pub const NODES: [(f64, f64); 5] = [
     (-2.856_970_013_872_806, 0.011_257_411_327_721),
 ];
 
-fn upper(x: f64) -> f64 {
-    0.5 * libm::erfc(x / std::f64::consts::SQRT_2)
-}
-
 impl Correction {
     /// With this slope on noise of this deviation, where the means of u differ from pixel to pixel by this one.
     pub fn new(slope: f64, sd: f64, pattern: f64) -> Self {
@@ -276,14 +270,13 @@ impl Correction {
         let steps = self.steps()?;
         let thresholds: Vec<f64> = (1..=steps).map(|k| self.threshold(k)).collect();
         let nodes = if self.pattern > 0.0 { &NODES[..] } else { &[(0.0, 1.0)] };
-        let density = |x: f64| libm::exp(-0.5 * x * x) / libm::sqrt(std::f64::consts::TAU);
         let of = |(x, share): &(f64, f64)| {
             let u = self.pattern * x;
             let (mut with, mut mean, mut square) = (0.0, 0.0, 0.0);
             for (k, t) in thresholds.iter().enumerate() {
                 let (above, below) = ((t - u) / self.sd, (t + u) / self.sd);
-                with += density(above) + density(below);
-                let (above, below) = (upper(above), upper(below));
+                let ((at_above, above), (at_below, below)) = (tail(above), tail(below));
+                with += at_above + at_below;
                 mean += above - below;
                 square += (2 * k + 1) as f64 * (above + below);
             }

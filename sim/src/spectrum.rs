@@ -1,12 +1,17 @@
 //! Noise as a power spectrum over the sensor, so that charge sharing and filters are multiplications (Wiener-Khinchin); covariances at
 //! small lags come back by the inverse transform. Noise of whole lines, and light that ripples from row to row, have forms of their own.
 
+use std::sync::OnceLock;
+
 /// Side of the grid of spatial frequencies.
 pub const GRID: usize = 16;
 
 /// Frequencies from 0 to half a cycle per pixel along one axis: those below 0 mirror them, since every spectrum here is even along
 /// each axis.
 pub const HALF: usize = GRID / 2 + 1;
+
+/// Covariances are known at lags from 0 to this, less one.
+pub const LAGS: usize = 4;
 
 /// Power of the noise at HALF x HALF spatial frequencies (row-major: vertical, horizontal), e^2 or DN^2 for each pixel.
 #[derive(Debug, Clone, PartialEq)]
@@ -57,7 +62,8 @@ impl Spectrum {
         if let Some(variance) = self.of_white() {
             return if (dy, dx) == (0, 0) { variance } else { 0.0 };
         }
-        let table = &cosines()[((dy.abs().min(3)) * 4 + dx.abs().min(3)) as usize];
+        let lag = |d: i32| (d.unsigned_abs() as usize).min(LAGS - 1);
+        let table = &cosines()[lag(dy) * LAGS + lag(dx)];
         // Sums that do not wait for each other: a fit asks for this some million times.
         let mut lanes = [0.0; HALF];
         for (powers, cosines) in self.0.as_chunks::<HALF>().0.iter().zip(table.as_chunks::<HALF>().0) {
@@ -66,6 +72,23 @@ impl Spectrum {
             }
         }
         lanes.iter().sum()
+    }
+
+    /// Covariance at every lag of up to 3 rows and columns.
+    pub fn lags(&self) -> [[f64; LAGS]; LAGS] {
+        let mut out = [[0.0; LAGS]; LAGS];
+        if let Some(variance) = self.of_white() {
+            out[0][0] = variance;
+            return out;
+        }
+        let cosines = along_one_axis();
+        for (powers, down) in self.0.as_chunks::<HALF>().0.iter().zip(cosines) {
+            for dx in 0..LAGS {
+                let along: f64 = powers.iter().zip(cosines).map(|(p, c)| p * c[dx]).sum();
+                (0..LAGS).for_each(|dy| out[dy][dx] += along * down[dy]);
+            }
+        }
+        out
     }
 
     /// The variance, where noise is without correlation.
@@ -93,15 +116,23 @@ impl Spectrum {
     }
 }
 
-/// The cosine of each frequency at each lag from 0 to 3 in both directions, times the frequency's share.
+/// The cosine of each frequency of one axis at each lag, times the frequency's share.
+fn along_one_axis() -> &'static [[f64; LAGS]; HALF] {
+    static TABLE: OnceLock<[[f64; LAGS]; HALF]> = OnceLock::new();
+    TABLE.get_or_init(|| {
+        std::array::from_fn(|i| std::array::from_fn(|d| share(i) * libm::cos(angle(i) * d as f64)))
+    })
+}
+
+/// The same of both axes, frequency by frequency, for every lag of both.
 fn cosines() -> &'static [Vec<f64>] {
-    use std::sync::OnceLock;
     static TABLE: OnceLock<Vec<Vec<f64>>> = OnceLock::new();
     TABLE.get_or_init(|| {
-        let of = |i: usize, d: usize| share(i) * libm::cos(angle(i) * d as f64);
-        let at =
-            |dy: usize, dx: usize| (0..HALF * HALF).map(|i| of(i / HALF, dy) * of(i % HALF, dx)).collect();
-        (0..4).flat_map(|dy| (0..4).map(move |dx| at(dy, dx))).collect()
+        let one = along_one_axis();
+        let at = |dy: usize, dx: usize| {
+            (0..HALF * HALF).map(|i| one[i / HALF][dy] * one[i % HALF][dx]).collect()
+        };
+        (0..LAGS).flat_map(|dy| (0..LAGS).map(move |dx| at(dy, dx))).collect()
     })
 }
 

@@ -1,7 +1,7 @@
 //! What a prediction says of observables, in the space in which their noise is normal.
 
 use super::{Half, Observable, Observations};
-use radcam_sim::predict::{Prediction, Ripple, SetPrediction, Spectrum};
+use radcam_sim::predict::{LAGS, Prediction, Ripple, SetPrediction};
 
 /// An expectation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -79,6 +79,28 @@ fn quantised(variance: f64, spread: f64, q: f64) -> (f64, f64) {
     (q / std::f64::consts::PI * ripple, (q * q / std::f64::consts::PI.powi(2) + 4.0 * noise) * ripple)
 }
 
+/// Covariances of the noise of a set, DN^2, by rows and columns apart; several statistics of several chunks ask for each.
+#[derive(Debug, Clone, Copy, Default)]
+struct Lags {
+    shot: [[f64; LAGS]; LAGS],
+    read: [[f64; LAGS]; LAGS],
+    row: [f64; LAGS],
+    column: [f64; LAGS],
+    ripple: [f64; LAGS],
+}
+
+impl Lags {
+    fn of(s: &SetPrediction) -> Self {
+        Self {
+            shot: s.shot.lags(),
+            read: s.read.lags(),
+            row: std::array::from_fn(|d| s.row.lag(d as i32)),
+            column: std::array::from_fn(|d| s.column.lag(d as i32)),
+            ripple: std::array::from_fn(|d| s.ripple(d as f64)),
+        }
+    }
+}
+
 /// A prediction as the observables of one chunk of frames see it.
 #[derive(Debug)]
 pub struct View<'a> {
@@ -113,11 +135,12 @@ pub struct View<'a> {
     pub rough: (f64, f64),
     /// How little few frames show of a light that changes down the rows, DN^2.
     pub ripple_error: f64,
+    lags: Lags,
 }
 
 impl<'a> View<'a> {
     /// For the frames of an observable.
-    pub fn new(o: &Observable, prediction: &'a Prediction, all: &'a Observations) -> Self {
+    fn new(o: &Observable, prediction: &'a Prediction, all: &'a Observations, lags: Lags) -> Self {
         let set = o.set.and_then(|i| prediction.sets.get(i));
         let frames = prediction.frame_signal.get(o.frames.0..o.frames.1).unwrap_or(&[]);
         let n = frames.len().max(1) as f64;
@@ -142,6 +165,7 @@ impl<'a> View<'a> {
             left: (1.0, 1.0),
             rough: (0.0, 0.0),
             ripple_error: 0.0,
+            lags,
         };
         let Some(s) = set else { return view };
         view.ripple_of_mean = s.ripple_with_mean(shape.0, shape.0);
@@ -185,12 +209,19 @@ impl<'a> View<'a> {
         self.at.and_then(|i| self.prediction.sets.get(i))
     }
 
-    /// Covariance at a lag, as it is measured: about each pixel's and each frame's mean, DN^2.
+    /// Covariance at a lag of at most 3 rows and columns, as it is measured: about each pixel's and each frame's mean, DN^2.
     pub fn lag(&self, dy: i32, dx: i32) -> f64 {
         let Some(s) = self.set() else { return 0.0 };
-        let lost =
-            |power: &Spectrum, left: f64| if left == 1.0 { 0.0 } else { (1.0 - left) * power.lag(dy, dx) };
-        s.covariance(dy, dx) - lost(&s.shot, self.left.0) - lost(&s.read, self.left.1) - self.of_mean
+        let place = |d: i32| (d.unsigned_abs() as usize).min(LAGS - 1);
+        let (of, y, x) = (&self.lags, place(dy), place(dx));
+        let line = |&(v, px, py): &(f64, f64, f64)| v * (px * f64::from(dx) + py * f64::from(dy)).cos();
+        self.left.0 * of.shot[y][x]
+            + self.left.1 * of.read[y][x]
+            + of.row[y]
+            + of.column[x]
+            + of.ripple[y]
+            + s.lines.iter().map(line).sum::<f64>()
+            - self.of_mean
     }
 
     /// Error of a mean product of noise that whole lines share, DN^2: there are few of them, and a mean product of n normal pairs has the
@@ -263,6 +294,9 @@ impl<'a> View<'a> {
     /// Mean product of successive residuals over the variance, for noise with these correlations.
     pub fn product(&self, memory: &[f64]) -> f64 {
         let n = self.frames.len().max(2);
+        if memory.iter().all(|r| *r == 0.0) {
+            return -1.0 / n as f64;
+        }
         let rho = |k: usize| if k == 0 { 1.0 } else { memory.get(k - 1).copied().unwrap_or(0.0) };
         let all = |f: usize| (0..n).map(|g| rho(f.abs_diff(g))).sum::<f64>() / n as f64;
         let of: Vec<f64> = (0..n).map(all).collect();
@@ -305,11 +339,14 @@ pub fn expectations<'a>(
     wanted: impl Fn(Half) -> bool,
 ) -> Vec<(&'a Observable, Expected)> {
     let mut out = Vec::with_capacity(all.list.len());
-    let mut last: Option<(Place, View<'_>)> = None;
+    let (mut last, mut lags): (Option<(Place, View<'_>)>, _) = (None, (None, Lags::default()));
     for o in all.list.iter().filter(|o| wanted(o.half)) {
         let key = (o.set, o.frames);
         if last.as_ref().is_none_or(|(k, _)| *k != key) {
-            last = Some((key, View::new(o, prediction, all)));
+            if let Some(s) = o.set.filter(|s| lags.0 != Some(*s)).and_then(|s| prediction.sets.get(s)) {
+                lags = (o.set, Lags::of(s));
+            }
+            last = Some((key, View::new(o, prediction, all, lags.1)));
         }
         if let Some((_, view)) = &last {
             out.push((o, o.statistic.expect(o, view)));

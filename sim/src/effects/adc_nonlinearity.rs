@@ -1,6 +1,7 @@
 //! ADC nonlinearity: bits of the converter have wrong weights, so that codes have unequal widths.
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+use crate::normal::tail;
 use crate::predict::{BITS, NORMAL, PLACES};
 
 /// The weights of the six lowest bits, of the six highest, or of both are off by some part of a step.
@@ -37,39 +38,46 @@ fn errors(p: &[f64], bits: usize) -> [f64; BITS] {
 
 /// What the voltage of a code is too large by, as steps at the codes where bits of wrong weight change.
 struct Steps {
-    /// Codes between two steps.
-    apart: usize,
-    /// The step at each multiple of that, DN, from the first on.
-    height: Vec<f64>,
-    /// Their sums: what is too large from that step on.
-    sum: Vec<f64>,
+    /// Number of bits.
+    bits: usize,
+    /// The lowest bit whose error is not 0: a step stands at each multiple of its weight.
+    lowest: usize,
+    errors: [f64; BITS],
+    /// The step where this bit is set and all below it are cleared, DN.
+    height: [f64; BITS],
 }
 
 impl Steps {
     /// Of the bits whose error is not 0.
-    fn new(errors: &[f64], bits: usize) -> Self {
+    fn new(errors: [f64; BITS], bits: usize) -> Self {
         let lowest = errors[..bits].iter().position(|e| *e != 0.0).unwrap_or(bits);
-        let of = |code: usize| -> f64 {
-            (lowest..bits).filter(|b| code >> (b - lowest) & 1 == 1).map(|b| errors[b]).sum()
-        };
-        let sum: Vec<f64> = (0..1usize << (bits - lowest)).map(of).collect();
-        let height = sum.windows(2).map(|w| w[1] - w[0]).collect();
-        Self { apart: 1 << lowest, height, sum }
+        let mut height = errors;
+        for b in lowest + 1..bits {
+            height[b] = errors[b] - errors[lowest..b].iter().sum::<f64>();
+        }
+        Self { bits, lowest, errors, height }
+    }
+
+    /// What is too large between the step of this number and the next.
+    fn sum(&self, number: usize) -> f64 {
+        (self.lowest..self.bits).filter(|b| number >> (b - self.lowest) & 1 == 1).map(|b| self.errors[b]).sum()
     }
 
     /// Mean over normal noise about a level, DN, and its slope with the level.
     fn over(&self, level: f64, sd: f64) -> (f64, f64) {
+        let (apart, last) = (1usize << self.lowest, (1usize << (self.bits - self.lowest)) - 1);
         // A code begins half a step below it. Steps beyond four deviations are passed or not reached.
-        let edge = |k: usize| ((k + 1) * self.apart) as f64 - 0.5;
-        let place = |at: f64| (((at + 0.5) / self.apart as f64).max(0.0) as usize).min(self.height.len());
+        let edge = |number: usize| (number * apart) as f64 - 0.5;
+        let place = |at: f64| (((at + 0.5) / apart as f64).max(0.0) as usize).min(last);
         let (from, to) = (place(level - 4.0 * sd), place(level + 4.0 * sd));
-        let (mut mean, mut slope) = (self.sum[from], 0.0);
-        for k in from..to {
-            let t = (level - edge(k)) / sd;
-            mean += self.height[k] * 0.5 * libm::erfc(-t / std::f64::consts::SQRT_2);
-            slope += self.height[k] * libm::exp(-0.5 * t * t);
+        let (mut mean, mut slope) = (self.sum(from), 0.0);
+        for number in from + 1..=to {
+            let height = self.height[self.lowest + number.trailing_zeros() as usize];
+            let (density, passed) = tail((edge(number) - level) / sd);
+            mean += height * passed;
+            slope += height * density;
         }
-        (mean, slope / (sd * std::f64::consts::TAU.sqrt()))
+        (mean, slope / sd)
     }
 }
 
@@ -165,7 +173,7 @@ impl Effect for This {
         let from_bit = |lowest: usize| {
             let mut of = wrong;
             of[..lowest].fill(0.0);
-            of.iter().any(|e| *e != 0.0).then(|| Steps::new(&of, bits))
+            of.iter().any(|e| *e != 0.0).then(|| Steps::new(of, bits))
         };
         let steps: Vec<Option<Steps>> = (0..=low).map(from_bit).collect();
         if steps.iter().all(Option::is_none) {
