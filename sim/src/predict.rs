@@ -1,6 +1,7 @@
 //! Expected statistics of a whole campaign: what every model must say before it is held against measurements.
 
 use crate::effects::Clipped;
+use crate::normal::upper;
 use crate::quantize::{NODES, reaches_zero, rounded, rounded_from_zero};
 
 pub use crate::spectrum::{Filter, GRID, HALF, LAGS, LineNoise, Ripple, Spectrum, angle};
@@ -415,8 +416,8 @@ impl Prediction {
             let (spread, places) = c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread_dn / step, &s.places));
             let level = (s.signal + self.base.offset_dn) / step;
             let rounded = if may_be_clipped && reaches_zero(level, spread, places, variance) {
-                // Levels are measured once they are clipped: before, they lie further apart.
-                let slope = rounded_from_zero(level, spread, places, variance).slope;
+                // Levels are measured once they are clipped: before, they lie further apart, by the share of the pixels that is not clipped.
+                let slope = upper(-level / libm::sqrt(variance + spread * spread).max(0.02));
                 let found = rounded_from_zero(level, spread / slope.clamp(0.3, 1.0), places, variance);
                 // The pixels' places are known as a few shares.
                 s.unsure = libm::hypot(s.unsure, 0.3 * square * square * found.unequal);

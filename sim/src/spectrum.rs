@@ -50,10 +50,10 @@ impl Spectrum {
         self.0.iter_mut().for_each(|p| *p += variance);
     }
 
-    /// Adds noise of this power at each frequency (vertical, horizontal angle).
-    pub fn add(&mut self, power: impl Fn(f64, f64) -> f64) {
-        for (i, p) in self.0.iter_mut().enumerate() {
-            *p += power(angle(i / HALF), angle(i % HALF));
+    /// Adds noise whose power depends on the horizontal frequency only.
+    pub fn add_along_rows(&mut self, power: &[f64; HALF]) {
+        for row in self.0.as_chunks_mut::<HALF>().0 {
+            row.iter_mut().zip(power).for_each(|(p, more)| *p += more);
         }
     }
 
@@ -107,12 +107,13 @@ impl Spectrum {
         (0..HALF).map(|i| share(i) * self.0[if axis == 1 { i * HALF } else { i }]).sum()
     }
 
-    /// Covariance of the means of rows this far apart, times the pixels of one.
+    /// Covariance of the means of rows this far apart, at most 3, times the pixels of one.
     pub fn along_lag(&self, rows: usize) -> f64 {
         if self.of_white().is_some() {
             return 0.0;
         }
-        (0..HALF).map(|i| share(i) * self.0[i * HALF] * libm::cos(angle(i) * rows as f64)).sum()
+        let cosines = along_one_axis();
+        (0..HALF).map(|i| self.0[i * HALF] * cosines[i][rows.min(LAGS - 1)]).sum()
     }
 }
 
@@ -146,13 +147,13 @@ impl LineNoise {
         self.0.iter_mut().for_each(|p| *p += variance);
     }
 
-    /// Covariance of lines this far apart.
+    /// Covariance of lines this far apart, at most 3.
     pub fn lag(&self, d: i32) -> f64 {
         if self.0.iter().all(|p| *p == self.0[0]) {
             return if d == 0 { self.0[0] } else { 0.0 };
         }
-        let of = |(i, p): (usize, &f64)| share(i) * p * libm::cos(angle(i) * f64::from(d));
-        self.0.iter().enumerate().map(of).sum()
+        let lag = (d.unsigned_abs() as usize).min(LAGS - 1);
+        self.0.iter().zip(along_one_axis()).map(|(p, cosines)| p * cosines[lag]).sum()
     }
 
     /// Power of the mean over all lines, times their number.
@@ -217,6 +218,9 @@ pub enum Ripple {
 impl Ripple {
     /// Correlation of rows this far apart.
     pub fn correlation(&self, rows: f64) -> f64 {
+        if rows == 0.0 {
+            return 1.0;
+        }
         match *self {
             Self::Sine(cycles) => libm::cos(std::f64::consts::TAU * cycles * rows),
             Self::Wander(next) => libm::exp(rows.abs() * libm::log(next.clamp(1e-300, 1.0))),

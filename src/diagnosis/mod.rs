@@ -19,7 +19,7 @@ use crate::report::chance;
 use radcam_sim::effects::{Effect, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
-use search::{Candidate, NEEDED, RIVALS, candidates, is_something, score, search, without};
+use search::{Candidate, NEEDED, is_something, rivals, score, search, without};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -244,8 +244,11 @@ fn parts(
         parts.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
         let alone = parts.len() == 1;
         for part in &mut parts {
-            let others = if alone { first.clone() } else { candidates(all, &part.rest, false, RIVALS) };
-            part.others = others.into_iter().filter(|c| c.effect.id() != part.effect.id()).collect();
+            part.others = if alone {
+                first.iter().filter(|c| c.effect.id() != part.effect.id()).cloned().collect()
+            } else {
+                rivals(all, &part.rest, part.effect, part.evidence)
+            };
         }
         return (parts, whole);
     }

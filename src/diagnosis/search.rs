@@ -16,7 +16,10 @@ pub const NEEDED: f64 = 9.0;
 /// Candidates that are fitted, of those that promise most.
 const FITTED: usize = 9;
 /// The same where what stands in a model already is held against others.
-pub const RIVALS: usize = 4;
+const RIVALS: usize = 4;
+/// What promises less than this share of the evidence of what stands in a model already is no rival of it: a fit brings more than a look
+/// promises, but what comes near promises a tenth of it at least.
+const NO_RIVAL: f64 = 0.03;
 /// Starts of one candidate that are fitted for a few rounds; of the most promising candidate, one of every form.
 const STARTS: usize = 3;
 const FORMS: usize = 8;
@@ -59,11 +62,24 @@ pub fn score(all: &Observations, fitted: &Fitted) -> f64 {
     fitted.objective + price(all, fitted)
 }
 
+/// What could stand in a model in place of an effect that has this evidence, fitted beside the rest; most evidence first.
+pub fn rivals(all: &Observations, rest: &Fitted, of: &dyn Effect, evidence: f64) -> Vec<Candidate> {
+    candidates(all, rest, false, RIVALS, Some((of.id(), evidence)))
+}
+
 /// Every effect that a model lacks, fitted beside what it has; most evidence first. `fresh`: from a first guess of the paper's parameters
 /// too, since a fit that is far off may have bent what is sound to please what is not. `most`: so many are fitted, of those that promise
-/// most.
-pub fn candidates(all: &Observations, now: &Fitted, fresh: bool, most: usize) -> Vec<Candidate> {
-    let ids: Vec<&str> = now.effects.iter().map(|(e, _)| e.id()).collect();
+/// most. `against`: one that is not to be among them, and its evidence.
+fn candidates(
+    all: &Observations,
+    now: &Fitted,
+    fresh: bool,
+    most: usize,
+    against: Option<(&str, f64)>,
+) -> Vec<Candidate> {
+    let mut ids: Vec<&str> = now.effects.iter().map(|(e, _)| e.id()).collect();
+    ids.extend(against.map(|a| a.0));
+    let against = against.map_or(0.0, |a| a.1);
     let there = there(all);
     let guess = fresh.then(|| now.with_base(start(all)));
     let screen = Screen::new(all, now);
@@ -88,11 +104,12 @@ pub fn candidates(all: &Observations, now: &Fitted, fresh: bool, most: usize) ->
     for (gain, effect, starts) in promising.iter().take(FITTED + 3) {
         tracing::debug!("  screen {}: {gain:.1} at {:?}", effect.id(), starts[0].values);
     }
+    let needed = NEEDED.max(NO_RIVAL * against);
     // What moves only errors is not seen by a look at expectations: it is fitted in any case.
     let always = |p: &(f64, &'static dyn Effect, Vec<Scored>)| p.0.is_infinite();
     let (first, rest): (Vec<_>, Vec<_>) = promising.into_iter().partition(always);
     let chosen: Vec<_> =
-        first.into_iter().chain(rest.into_iter().filter(|p| p.0 > NEEDED).take(most)).collect();
+        first.into_iter().chain(rest.into_iter().filter(|p| p.0 > needed).take(most)).collect();
     let best = chosen.iter().map(|p| p.0).filter(|g| g.is_finite()).fold(0.0, f64::max);
     let own = score(all, now);
     let brief: Vec<(&'static dyn Effect, Vec<Fitted>)> = chosen
@@ -104,7 +121,7 @@ pub fn candidates(all: &Observations, now: &Fitted, fresh: bool, most: usize) ->
         .collect();
     // A few rounds tell which are far behind; the others are fitted to the end.
     let evidence = |f: &Fitted| own - score(all, f);
-    let ahead = brief.iter().filter_map(|(_, tries)| Some(evidence(tries.first()?))).fold(0.0, f64::max);
+    let ahead = brief.iter().filter_map(|(_, tries)| Some(evidence(tries.first()?))).fold(against, f64::max);
     let mut found: Vec<Candidate> = brief
         .into_par_iter()
         .filter_map(|(effect, mut tries)| {
@@ -240,7 +257,7 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
             }
             looked_at.push(ids(&line.fitted));
             progress(&format!("with {names:?}: trying every effect"));
-            let found = candidates(all, &line.fitted, far && depth == 0, FITTED);
+            let found = candidates(all, &line.fitted, far && depth == 0, FITTED, None);
             if depth == 0 {
                 first.clone_from(&found);
             }

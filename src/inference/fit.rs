@@ -19,8 +19,10 @@ const ROUNDS: usize = 40;
 const FIRST_ROUNDS: usize = 5;
 /// A round that gains less of the objective has arrived.
 const ARRIVED: f64 = 1e-3;
-/// Slopes are taken again after a step that gains less than this share of what it promised.
+/// A step that gains less than this share of what it promised was promised too much.
 const HOLDS: f64 = 0.8;
+/// Slopes are taken again after more than so many such steps, one after the other.
+const MENDED: usize = 1;
 /// Slopes serve in so many rounds at most, on average.
 const SERVED: usize = 3;
 
@@ -143,7 +145,7 @@ fn fit_for(
     let mut slopes = Slopes::beside(known, &layout, &free, &point, &now);
     let mut fresh = known.is_none();
     let mut system = System::new(&layout, &free, &point, &now, &slopes);
-    let mut taken = 0;
+    let (mut taken, mut missed) = (0, 0);
     for _ in 0..SERVED * rounds {
         let normal = system.normal();
         let before = system.objective(&now, &now, &point.lights);
@@ -162,18 +164,22 @@ fn fit_for(
             let value = system.objective(&now, &there, &trial.lights);
             if value < before {
                 damping = (damping * 0.2).max(1e-7);
-                let moved: Vec<f64> = trial.x.iter().zip(&point.x).map(|(a, b)| a - b).collect();
-                promised = system.promised(&moved, &lights);
+                promised = system.promised(&trial.from(&point).x, &lights);
                 found = Some((trial, there, before - value));
                 break;
             }
             damping *= 6.0;
         }
         let mut gained = 0.0;
+        let mut hold = false;
         if let Some((trial, there, by)) = found {
+            // Slopes serve for as long as steps bring what they promise; once they do not, what the step did mends them.
+            hold = by >= HOLDS * promised;
+            missed = if hold { 0 } else { missed + 1 };
+            system.follow(&mut slopes, &free, &trial.from(&point), &now, &there, &normal);
             (point, now, gained) = (trial, there, by);
-            system = System::new(&layout, &free, &point, &now, &slopes);
         }
+        system = System::new(&layout, &free, &point, &now, &slopes);
         let factors = system.scatter_factors();
         let settled = factors.iter().all(|(_, f)| (f - 1.0).abs() < 1e-3);
         if !settled {
@@ -181,21 +187,22 @@ fn fit_for(
             free.clamp(&mut point);
             now = layout.at(&free, &point);
         }
-        // Slopes serve for as long as steps bring what they promise.
-        let hold = gained >= HOLDS * promised;
         let arrived = settled && gained < ARRIVED;
         if arrived && (fresh || known.is_some() && hold) {
             break;
         }
-        fresh = arrived || !hold;
+        fresh = arrived || missed > MENDED;
         if fresh {
             taken += 1;
             if taken == rounds {
                 break;
             }
+            missed = 0;
             slopes = Slopes::new(&layout, &free, &point, &now);
         }
-        system = System::new(&layout, &free, &point, &now, &slopes);
+        if fresh || !settled {
+            system = System::new(&layout, &free, &point, &now, &slopes);
+        }
     }
     if !fresh && known.is_none() && rounds > FIRST_ROUNDS {
         slopes = Slopes::new(&layout, &free, &point, &now);

@@ -85,6 +85,14 @@ pub struct Point {
     pub lights: Vec<f64>,
 }
 
+impl Point {
+    /// The way from another place to this one.
+    pub fn from(&self, other: &Self) -> Self {
+        let between = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect();
+        Self { x: between(&self.x, &other.x), lights: between(&self.lights, &other.lights) }
+    }
+}
+
 impl Free {
     /// For a model, and the place where it stands.
     pub fn new(all: &Observations, base: &BaseParameters, effects: &Effects) -> (Self, Point) {

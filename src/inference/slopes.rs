@@ -111,6 +111,33 @@ impl Slopes {
         }
     }
 
+    /// Makes the slopes say of a step what it did (Broyden 1965), which costs no prediction. What they missed is given to the values in
+    /// proportion to what each moved, in units of what the campaign tells of it: `weights`, the diagonal of the normal matrix. `said`: what
+    /// the slopes made of the step, row by row.
+    pub fn follow(&mut self, moved: &[f64], weights: &[f64], said: &[f64], from: &State, to: &State) {
+        let weighted: Vec<f64> = moved.iter().zip(weights).map(|(x, w)| x * w).collect();
+        let square: f64 = weighted.iter().zip(moved).map(|(w, x)| w * x).sum();
+        if square <= 0.0 || !square.is_finite() {
+            return;
+        }
+        let rows = self.expected.chunks_exact_mut(moved.len()).zip(said);
+        for ((row, said), (a, b)) in rows.zip(from.expected.iter().zip(&to.expected)) {
+            let missed = (b.normal.1 - a.normal.1 - said) / square;
+            if missed != 0.0 && missed.is_finite() {
+                row.iter_mut().zip(&weighted).for_each(|(s, w)| *s += missed * w);
+            }
+        }
+    }
+
+    /// What they make of a step of the common values and of the factor of each row's light, whose slope is that of the value `light`.
+    pub fn said(&self, moved: &[f64], light: Option<usize>, factors: impl Fn(usize) -> f64) -> Vec<f64> {
+        let of = |(r, row): (usize, &[f64])| {
+            let common: f64 = row.iter().zip(moved).map(|(s, x)| s * x).sum();
+            common + light.map_or(0.0, |i| row[i] * factors(r))
+        };
+        self.expected.chunks_exact(moved.len()).enumerate().map(of).collect()
+    }
+
     /// Over the errors of the expectations.
     pub fn over_errors(&self, now: &State) -> Vec<f64> {
         let n = self.scale.len();

@@ -140,10 +140,9 @@ impl<'a> System<'a> {
                 if row[i] == 0.0 {
                     continue;
                 }
-                out.gradient[i] += row[i] * z;
-                for j in 0..=i {
-                    out.matrix[i * n + j] += row[i] * row[j];
-                }
+                let by = row[i];
+                out.gradient[i] += by * z;
+                out.matrix[i * n..][..=i].iter_mut().zip(row).for_each(|(sum, s)| *sum += by * s);
             }
             if let Some(light) = self.light[r] {
                 let (a, term) = (self.by_light[r], &mut out.lights[light]);
@@ -244,6 +243,14 @@ impl<'a> System<'a> {
             z * z - left * left
         };
         self.z.iter().enumerate().map(of).sum()
+    }
+
+    /// Makes slopes say of a step what it did.
+    pub fn follow(&self, slopes: &mut Slopes, free: &Free, moved: &Point, from: &State, to: &State, normal: &Normal) {
+        let light = |r: usize| self.light[r].map_or(0.0, |k| moved.lights[k]);
+        let said = slopes.said(&moved.x, free.place(Common::Light), light);
+        let weights: Vec<f64> = (0..self.n).map(|i| normal.matrix[i * self.n + i]).collect();
+        slopes.follow(&moved.x, &weights, &said, from, to);
     }
 
     fn of_priors(&self, lights: &[f64]) -> f64 {

@@ -43,7 +43,10 @@ pub fn occupancy_of(widths: &dyn Fn(u32) -> f64, codes: &std::ops::Range<u32>, b
     let (first, second) = ((1u32 << b) - 1, (1u32 << (b + 1)) - 1);
     let relative = |residue: u32| {
         let (mut bend, mut level) = (0.0, 0.0);
-        for c in codes.clone().filter(|c| *c > 0 && c & second == residue).take(256) {
+        // The first code of this kind that has one below it.
+        let first = codes.start.max(1);
+        let from = first + (residue.wrapping_sub(first) & second);
+        for c in (from..codes.end).step_by(second as usize + 1).take(256) {
             let (own, beside) = (widths(c), 0.5 * (widths(c - 1) + widths(c + 1)));
             (bend, level) = (bend + own - beside, level + 0.5 * (own + beside));
         }

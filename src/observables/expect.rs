@@ -246,7 +246,9 @@ impl<'a> View<'a> {
     /// The error at a lag that all statistics of the same frames have in common: these show too much or too little of a ripple or a line.
     /// With its sign; where there are both, the larger.
     pub fn common(&self, dy: i32, dx: i32) -> f64 {
-        let ripple = self.set().map_or(0.0, |s| self.ripple_error * s.ripple_correlation(f64::from(dy)));
+        let of = &self.lags.ripple;
+        let beside = (dy.unsigned_abs() as usize).min(LAGS - 1);
+        let ripple = if of[0] > 0.0 { self.ripple_error * of[beside] / of[0] } else { 0.0 };
         let line = self.lines(dy, dx);
         if line.abs() > ripple.abs() { line } else { ripple }
     }

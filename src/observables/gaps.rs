@@ -30,9 +30,16 @@ impl Statistic for This {
             return Expected::plain(o, 0.0, o.measured.std_err);
         }
         let codes = &view.all.codes[o.half.place()];
-        let share = |width: f64| {
-            codes.clone().filter(|c| view.width(*c) <= width).count() as f64 / codes.len().max(1) as f64
-        };
+        // Codes whose lowest bits are all set, so many and no more, have one width.
+        let kinds: Vec<(f64, f64)> = (0..u16::BITS)
+            .map(|bits| {
+                let (first, apart) = ((1u32 << bits) - 1, 1u32 << (bits + 1));
+                let below = |end: u32| end.saturating_sub(first).div_ceil(apart);
+                let share = f64::from(below(codes.end) - below(codes.start)) / codes.len().max(1) as f64;
+                (view.width(first), share)
+            })
+            .collect();
+        let share = |width: f64| kinds.iter().filter(|k| k.0 <= width).map(|k| k.1).sum::<f64>();
         // Weights of bits are known to some tenths of a step: narrow codes may be none, and those that are none narrow ones.
         let unsure = share(NARROW) - 0.5 * share(0.0);
         Expected::plain(o, share(0.0), o.measured.std_err.hypot(unsure))

@@ -61,16 +61,16 @@ impl Statistic for This {
             0.0
         };
         let flat = view.of_mean - s.column.of_mean() / columns as f64 - view.ripple_of_mean;
+        let common = s.ripple_correlation(lag as f64);
         // Of a slow change the mean is taken off as a whole: what is left of a product depends on where the rows lie.
         let slow = if s.ripples.is_empty() {
             0.0
         } else {
-            s.ripple(lag as f64) - 2.0 * s.ripple_with_mean(rows - lag, rows) + view.ripple_of_mean
+            common * s.ripple(0.0) - 2.0 * s.ripple_with_mean(rows - lag, rows) + view.ripple_of_mean
         };
         let lines: f64 = s.lines.iter().map(|l| l.0).sum();
         let own = (s.shot.along(1) + s.read.along(1)) / columns as f64 + s.row.lag(0);
         // A product of rows that have little in common scatters by half of the variance of a square.
-        let common = s.ripple_correlation(lag as f64);
         let ripple = view.ripple_error * (0.5 * (1.0 + common * common)).sqrt();
         let alone = own / (((rows - lag) as f64) * view.dof).sqrt();
         let single = in_quadrature(&[s.unsure_var, view.rough.1]) / columns as f64;

@@ -1,5 +1,6 @@
 //! Brighter-fatter: charge already in a pixel repels what arrives later.
 
+use crate::predict::{HALF, angle};
 use super::{
     Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Seen, Stage, Together, shifted,
     takes,
@@ -74,13 +75,14 @@ impl Effect for This {
 
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
         let (a_v, a_h) = (p[0], p[1]);
+        let one = |i: usize| 1.0 - libm::cos(angle(i));
+        let g: Vec<f64> =
+            (0..HALF * HALF).map(|i| -2.0 * (a_v * one(i / HALF) + a_h * one(i % HALF))).collect();
         for s in &mut out.sets {
-            let mu = s.signal.max(0.0);
-            s.shot.shape(|ky, kx| {
-                let g = -2.0 * a_v * (1.0 - libm::cos(ky)) - 2.0 * a_h * (1.0 - libm::cos(kx));
-                let x = 2.0 * g * mu;
-                if x.abs() < 1e-9 { 1.0 } else { libm::expm1(x) / x }
-            });
+            for (power, g) in s.shot.0.iter_mut().zip(&g) {
+                let x = 2.0 * g * s.signal.max(0.0);
+                *power *= if x.abs() < 1e-9 { 1.0 } else { libm::expm1(x) / x };
+            }
         }
     }
 

@@ -1,5 +1,6 @@
 //! Read-noise correlation: the read noise of a pixel comes back in the next one of its row.
 
+use crate::predict::angle;
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// Normal numbers of single pixels, each added to its own pixel and, with the same or the opposite sign, to the next of the row.
@@ -48,9 +49,8 @@ impl Effect for This {
 
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
         let (sign, square) = (sign(p), p[1] * p[1]);
-        for s in &mut out.sets {
-            s.read.add(|_, kx| 2.0 * square * (1.0 + sign * libm::cos(kx)));
-        }
+        let power = std::array::from_fn(|i| 2.0 * square * (1.0 + sign * libm::cos(angle(i))));
+        out.sets.iter_mut().for_each(|s| s.read.add_along_rows(&power));
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
