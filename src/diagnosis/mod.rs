@@ -37,6 +37,8 @@ const NEARLY_ALL: f64 = 1e-3;
 /// parameter.
 /// Below, many a shape that nobody has named would be taken for the nearest name.
 const TRACE: f64 = 20.0;
+/// Beyond this mean square of the residuals that were fitted no campaign agrees with a model: of twenty residuals one in a thousand has it.
+const AGREES: f64 = 2.3;
 /// Names that are given as the nearest of what has none.
 const NEAREST: usize = 3;
 
@@ -227,9 +229,10 @@ fn parts(
         }
         // So does what the campaign contradicts where it agrees with the rest: settings that are in order, say.
         if parts.len() > 1 && compare(all, &whole).p_value < HOLDS {
-            let contradicted = parts.iter().position(|p| compare(all, &p.rest).p_value >= HOLDS);
-            if let Some(at) = contradicted {
-                whole = parts.swap_remove(at).rest;
+            let near = |p: &&Part| p.rest.mean_square < AGREES;
+            let contradicted = parts.iter().filter(near).find(|p| compare(all, &p.rest).p_value >= HOLDS);
+            if let Some(part) = contradicted {
+                whole = fit(all, &part.rest.base, &part.rest.effects);
                 continue;
             }
         }
@@ -279,7 +282,7 @@ fn rungs(all: &Observations, model: &Fitted, parts: &[Part], whole: &Fitted, las
         for part in &parts[..=k] {
             effects.extend(whole.effects.iter().find(|(e, _)| e.id() == part.effect.id()).cloned());
         }
-        let fitted = fit_near(all, None, whole, &effects);
+        let fitted = fit_near(all, whole, &effects);
         let c = compare(all, &fitted);
         Rung { added, error: c.error, p_value: c.p_value }
     };

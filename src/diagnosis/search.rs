@@ -191,7 +191,7 @@ fn sorted(all: &Observations, mut models: Vec<Fitted>) -> Vec<Fitted> {
 
 /// The best of some models, fitted to the end; the best first.
 fn finished(all: &Observations, models: Vec<Fitted>) -> Vec<Fitted> {
-    let all_of = models.into_par_iter().take(FINISHED).map(|m| fit_near(all, None, &m, &m.effects));
+    let all_of = models.into_par_iter().take(FINISHED).map(|m| fit_near(all, &m, &m.effects));
     sorted(all, all_of.collect())
 }
 
@@ -303,7 +303,7 @@ fn with_others(all: &Observations, chosen: &Candidate, good: &[&Candidate], give
         };
         let mut effects = model.effects.clone();
         effects.push(own.clone());
-        let both = fit_near(all, None, &model, &effects);
+        let both = fit_near(all, &model, &effects);
         let gain = score(all, &model) - score(all, &both);
         if gain > SOMETHING_ELSE * other.evidence && gain > NEEDED {
             model = both;
@@ -316,7 +316,7 @@ fn with_others(all: &Observations, chosen: &Candidate, good: &[&Candidate], give
 pub fn without(all: &Observations, model: &Fitted, which: usize) -> Fitted {
     let mut effects = model.effects.clone();
     effects.remove(which);
-    fit_near(all, None, model, &effects)
+    fit_near(all, model, &effects)
 }
 
 /// Drops effects whose evidence does not pay for them any more.

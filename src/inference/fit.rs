@@ -17,12 +17,15 @@ use std::sync::Arc;
 const ROUNDS: usize = 40;
 /// Rounds after which the better of two starts shows.
 const FIRST_ROUNDS: usize = 5;
-/// A round that gains less of the objective has arrived.
+/// A round that gains less of the objective has arrived, where residuals are of the size of their errors; where they are larger, by their mean
+/// square less.
 const ARRIVED: f64 = 1e-3;
 /// A step that gains less than this share of what it promised was promised too much.
 const HOLDS: f64 = 0.8;
 /// Slopes are taken again after more than so many such steps, one after the other.
-const MENDED: usize = 1;
+const MENDED: usize = 2;
+/// A mean square of residuals from which on a model is far off.
+const FAR_SQUARE: f64 = 4.0;
 /// Slopes serve in so many rounds at most, on average.
 const SERVED: usize = 3;
 
@@ -41,6 +44,8 @@ pub struct Fitted {
     pub effects: Effects,
     /// Minus twice the logarithm of the likelihood.
     pub objective: f64,
+    /// Mean square of the standardised residuals of what was fitted.
+    pub mean_square: f64,
     /// Standard errors of the effects' parameters.
     pub std_err: Vec<Vec<f64>>,
     /// Standard errors of A, read noise, offset, dark current.
@@ -105,10 +110,15 @@ pub fn fit(all: &Observations, base: &BaseParameters, effects: &Effects) -> Fitt
     fit_for(ROUNDS, all, None, base, effects, None)
 }
 
-/// The same beside another fit whose slopes serve at first, and its errors as far as they are the same. `half`: on these observables and
-/// those of both only.
-pub(crate) fn fit_near(all: &Observations, half: Option<Half>, near: &Fitted, effects: &Effects) -> Fitted {
-    fit_for(ROUNDS, all, half, &near.base, effects, Some(&near.slopes))
+/// The same beside another fit whose slopes serve at first.
+pub(crate) fn fit_near(all: &Observations, near: &Fitted, effects: &Effects) -> Fitted {
+    fit_for(ROUNDS, all, None, &near.base, effects, Some(&near.slopes))
+}
+
+/// A fit again, on the observables of one half and those of both. Where it is far off few rounds will do: the halves tell how far.
+pub(super) fn fit_half(all: &Observations, half: Half, whole: &Fitted) -> Fitted {
+    let rounds = if whole.mean_square > FAR_SQUARE { FIRST_ROUNDS } else { ROUNDS };
+    fit_for(rounds, all, Some(half), &whole.base, &whole.effects, Some(&whole.slopes))
 }
 
 /// The same for a few rounds: enough to see which of several starts is the best.
@@ -187,8 +197,9 @@ fn fit_for(
             free.clamp(&mut point);
             now = layout.at(&free, &point);
         }
-        let arrived = settled && gained < ARRIVED;
-        if arrived && (fresh || known.is_some() && hold) {
+        let mean_square = (before / layout.rows.len() as f64).max(1.0);
+        let arrived = settled && gained < ARRIVED * mean_square;
+        if arrived && (fresh || known.is_some() && hold && gained < ARRIVED) {
             break;
         }
         fresh = arrived || missed > MENDED;
@@ -198,7 +209,9 @@ fn fit_for(
                 break;
             }
             missed = 0;
-            slopes = Slopes::new(&layout, &free, &point, &now);
+            // A first look takes again only what it adds.
+            let keeps = known.filter(|_| rounds == FIRST_ROUNDS);
+            slopes = Slopes::beside(keeps, &layout, &free, &point, &now);
         }
         if fresh || !settled {
             system = System::new(&layout, &free, &point, &now, &slopes);
@@ -209,6 +222,7 @@ fn fit_for(
         system = System::new(&layout, &free, &point, &now, &slopes);
     }
     let objective = system.likelihood(&now, &point.lights);
+    let mean_square = system.z.iter().map(|z| z * z).sum::<f64>() / layout.rows.len() as f64;
     let mut normal = system.normal();
     (0..free.common.len()).for_each(|i| normal.add_weight(i, free.own_weight(i, &point)));
     let covariance = normal.covariance();
@@ -240,7 +254,7 @@ fn fit_for(
         },
     ];
     let slopes = Arc::new(slopes);
-    Fitted { base, effects, objective, std_err, base_std_err, free, point, covariance, slopes }
+    Fitted { base, effects, objective, mean_square, std_err, base_std_err, free, point, covariance, slopes }
 }
 
 /// What the campaign shows before any fit.

@@ -3,7 +3,7 @@
 //! Halves take turns from set to set: the first frames after a change of level belong now to the one, now to the other. Whole
 //! frames go to one half, so that noise that runs from frame to frame within a chunk stays on one side.
 
-use super::fit::{Fitted, fit_near, halves};
+use super::fit::{Fitted, fit_half, halves};
 use super::layout::Layout;
 use super::slopes::Slopes;
 use super::system::System;
@@ -73,11 +73,11 @@ pub struct Comparison {
 
 /// Fits a model on each half of the frames and judges it on the other.
 pub fn compare(all: &Observations, model: &Fitted) -> Comparison {
-    let of = |half| fit_near(all, Some(half), model, &model.effects);
+    let of = |half| fit_half(all, half, model);
     let (first, second) = rayon::join(|| of(Half::First), || of(Half::Second));
     let mut residuals = Vec::new();
     for (fitted, half) in [(&first, Half::First), (&second, Half::Second)] {
-        residuals.extend(judged(all, fitted, half));
+        residuals.extend(judged(all, model, fitted, half));
     }
     let n = residuals.len() as f64;
     let error = (residuals.iter().map(|r| r.z * r.z).sum::<f64>() / n.max(1.0)).sqrt();
@@ -188,22 +188,23 @@ fn levels(all: &Observations, zero_dn: f64) -> Vec<f64> {
 }
 
 /// The residuals of the other half under a fit to this one; the error of the fit is in theirs.
-fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
+fn judged(all: &Observations, model: &Fitted, fitted: &Fitted, half: Half) -> Vec<Residual> {
     let own = Layout::new(all, &halves(Some(half)));
     let settings = {
         let state = own.at(&fitted.free, &fitted.point);
-        let slopes = Slopes::new(&own, &fitted.free, &fitted.point, &state);
+        let slopes = Slopes::beside(Some(&fitted.slopes), &own, &fitted.free, &fitted.point, &state);
         System::new(&own, &fitted.free, &fitted.point, &state, &slopes).settings()
     };
     let layout = Layout::new(all, &[half.other()]);
     let state = layout.at(&fitted.free, &fitted.point);
     let seen = lights_seen(all, half);
-    let known = |o: &Observable| {
+    let is_seen = |o: &Observable| {
         let light = o.set.and_then(|s| all.campaign.sets[s].light);
         light.is_none_or(|l| seen[l])
     };
     let levels = levels(all, fitted.base.offset_dn);
-    let slopes = Slopes::new(&layout, &fitted.free, &fitted.point, &state).over_errors(&state);
+    let known = Some(&*model.slopes);
+    let slopes = Slopes::beside(known, &layout, &fitted.free, &fitted.point, &state).over_errors(&state);
     let n = fitted.free.common.len();
     let prediction = fitted.predict(all);
     let all_light = fitted.free.place(super::free::Common::Light).unwrap_or(0);
@@ -219,7 +220,7 @@ fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
     let mut wider_by = vec![1.0; layout.rows.len()];
     for (r, (o, e)) in layout.rows.iter().zip(&state.expected).enumerate() {
         // Light levels that only one half has cannot be judged on the other.
-        if o.statistic.sees_light() && !known(o) {
+        if o.statistic.sees_light() && !is_seen(o) {
             continue;
         }
         let row = &slopes[r * n..][..n];
@@ -280,7 +281,7 @@ fn residual(
 pub(crate) fn residuals_of(all: &Observations, fitted: &Fitted) -> Vec<Residual> {
     let layout = Layout::new(all, &halves(None));
     let state = layout.at(&fitted.free, &fitted.point);
-    let slopes = Slopes::new(&layout, &fitted.free, &fitted.point, &state);
+    let slopes = Slopes::beside(Some(&fitted.slopes), &layout, &fitted.free, &fitted.point, &state);
     let system = System::new(&layout, &fitted.free, &fitted.point, &state, &slopes);
     let levels = levels(all, fitted.base.offset_dn);
     let rows = layout.rows.iter().zip(&state.expected).zip(&system.z);

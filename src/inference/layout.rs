@@ -65,9 +65,9 @@ impl<'a> Layout<'a> {
 
     /// What a prediction expects of them.
     pub fn state(&self, prediction: &Prediction) -> State {
-        let all = expectations(self.all, prediction, |h| self.halves.contains(&h));
+        let expected = expectations(self.all, prediction, |h| self.halves.contains(&h));
         let setting = self.blocks.iter().map(|(set, _)| prediction.sets[*set].setting).collect();
-        State { expected: all.into_iter().map(|(_, e)| e).collect(), setting }
+        State { expected, setting }
     }
 
     /// What a model at a place expects of them.

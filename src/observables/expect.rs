@@ -335,11 +335,11 @@ impl<'a> View<'a> {
 type Place = (Option<usize>, (usize, usize));
 
 /// Expectations of the observables that `wanted` takes, in their order.
-pub fn expectations<'a>(
-    all: &'a Observations,
+pub fn expectations(
+    all: &Observations,
     prediction: &Prediction,
     wanted: impl Fn(Half) -> bool,
-) -> Vec<(&'a Observable, Expected)> {
+) -> Vec<Expected> {
     let mut out = Vec::with_capacity(all.list.len());
     let (mut last, mut lags): (Option<(Place, View<'_>)>, _) = (None, (None, Lags::default()));
     for o in all.list.iter().filter(|o| wanted(o.half)) {
@@ -351,7 +351,7 @@ pub fn expectations<'a>(
             last = Some((key, View::new(o, prediction, all, lags.1)));
         }
         if let Some((_, view)) = &last {
-            out.push((o, o.statistic.expect(o, view)));
+            out.push(o.statistic.expect(o, view));
         }
     }
     out

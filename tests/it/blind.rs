@@ -37,11 +37,11 @@ fn strength(
     hidden.effects.push((effect, values.to_vec()));
     let mut seen = clean.clone();
     let expected: Vec<f64> =
-        expectations(clean, &hidden.predict(clean), |_| true).iter().map(|(_, e)| e.value).collect();
+        expectations(clean, &hidden.predict(clean), |_| true).iter().map(|e| e.value).collect();
     seen.list.iter_mut().zip(expected).for_each(|(o, v)| o.measured.value = v);
     let fitted = fit(&seen, &truth.base, &Vec::new());
     let mut of: BTreeMap<String, f64> = BTreeMap::new();
-    for (o, e) in expectations(&seen, &fitted.predict(&seen), |_| true) {
+    for (o, e) in seen.list.iter().zip(expectations(&seen, &fitted.predict(&seen), |_| true)) {
         *of.entry(o.name()).or_default() += e.z().powi(2);
     }
     let best = of.iter().max_by(|a, b| a.1.total_cmp(b.1));
