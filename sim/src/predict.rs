@@ -366,7 +366,7 @@ impl SetPrediction {
 
 /// Deviation of a rounded mean from the level, in steps, for noise of this variance in squares of the step: the first term of the
 /// characteristic function, as a root mean square over all levels (Widrow and Kollar 2008, ch. 4).
-fn quantised_mean(variance: f64) -> f64 {
+pub(crate) fn quantised_mean(variance: f64) -> f64 {
     let square = std::f64::consts::PI * std::f64::consts::PI;
     libm::exp(-2.0 * square * variance.max(0.0)) / (std::f64::consts::PI * std::f64::consts::SQRT_2)
 }

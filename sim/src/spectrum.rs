@@ -130,9 +130,8 @@ fn cosines() -> &'static [Vec<f64>] {
     static TABLE: OnceLock<Vec<Vec<f64>>> = OnceLock::new();
     TABLE.get_or_init(|| {
         let one = along_one_axis();
-        let at = |dy: usize, dx: usize| {
-            (0..HALF * HALF).map(|i| one[i / HALF][dy] * one[i % HALF][dx]).collect()
-        };
+        let at =
+            |dy: usize, dx: usize| (0..HALF * HALF).map(|i| one[i / HALF][dy] * one[i % HALF][dx]).collect();
         (0..LAGS).flat_map(|dy| (0..LAGS).map(move |dx| at(dy, dx))).collect()
     })
 }

@@ -246,7 +246,15 @@ impl<'a> System<'a> {
     }
 
     /// Makes slopes say of a step what it did.
-    pub fn follow(&self, slopes: &mut Slopes, free: &Free, moved: &Point, from: &State, to: &State, normal: &Normal) {
+    pub fn follow(
+        &self,
+        slopes: &mut Slopes,
+        free: &Free,
+        moved: &Point,
+        from: &State,
+        to: &State,
+        normal: &Normal,
+    ) {
         let light = |r: usize| self.light[r].map_or(0.0, |k| moved.lights[k]);
         let said = slopes.said(&moved.x, free.place(Common::Light), light);
         let weights: Vec<f64> = (0..self.n).map(|i| normal.matrix[i * self.n + i]).collect();

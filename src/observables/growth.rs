@@ -28,7 +28,9 @@ impl Statistic for This {
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let Some(s) = view.set() else { return Expected::plain(o, 0.0, 1.0) };
         let growth = if o.index == 0 { s.growth.0 } else { s.growth.1 };
-        let own = o.measured.std_err * view.unlike();
+        // Of pixels that are not alike it is not known how unlike they are.
+        let noise = (view.noise * view.noise).max(f64::MIN_POSITIVE);
+        let own = o.measured.std_err * (view.unlike().powi(2) + s.unsure / noise).sqrt();
         let std_err = in_quadrature(&[own, 0.3 * view.moving, 2.0 * view.shared(1, 1)]);
         Expected::plain(o, 0.5 * growth * s.shot.lag(0, 0), std_err)
     }

@@ -57,6 +57,8 @@ impl Statistic for This {
         // Rows of unequal pixels scatter unequally.
         let noisy = s.unequal.max(0.0) / (view.noise * view.noise).max(1e-12);
         let unequal = 3.0 * noisy / columns as f64;
+        // Tails of the pixels' noise that are not known go on, each row's mean having so many pixels.
+        let tails = (3.0 * s.unsure + s.unsure_fourth) / (view.noise * view.noise).max(1e-12) / columns as f64;
         // What whole frames share moves rows by their shading.
         let shading = view.all.largest_spread.powi(2) * (s.common + view.moved) / all;
         let lines: f64 = s.lines.iter().map(|l| l.0).sum::<f64>() / columns as f64 / all;
@@ -64,7 +66,7 @@ impl Statistic for This {
         let rows_share = (s.row.lag(0) + ripple) / all;
         let hum = if o.measured.value < 3.0 { 1.5 * rows_share * rows_share } else { 0.0 };
         // Pixels that are noisier than the rest may lie in the same rows, as beside the edge of what is clipped: few rows then have the noise.
-        let unsure = hum + noisy + 0.4 * sine * sine + 3.0 * shading + 3.0 * lines + 0.02;
+        let unsure = hum + noisy + tails + 0.4 * sine * sine + 3.0 * shading + 3.0 * lines + 0.02;
         kurtosis(o.measured.value, n.max(16.0), unequal - 1.1 * sine * sine, unsure)
     }
 }

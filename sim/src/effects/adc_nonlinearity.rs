@@ -60,7 +60,10 @@ impl Steps {
 
     /// What is too large between the step of this number and the next.
     fn sum(&self, number: usize) -> f64 {
-        (self.lowest..self.bits).filter(|b| number >> (b - self.lowest) & 1 == 1).map(|b| self.errors[b]).sum()
+        (self.lowest..self.bits)
+            .filter(|b| number >> (b - self.lowest) & 1 == 1)
+            .map(|b| self.errors[b])
+            .sum()
     }
 
     /// Mean over normal noise about a level, DN, and its slope with the level.

@@ -1,10 +1,10 @@
 //! Brighter-fatter: charge already in a pixel repels what arrives later.
 
-use crate::predict::{HALF, angle};
 use super::{
     Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Seen, Stage, Together, shifted,
     takes,
 };
+use crate::predict::{HALF, angle};
 
 /// Flow of arriving charge along the gradient of the charge so far.
 pub struct This;

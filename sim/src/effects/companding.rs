@@ -1,5 +1,8 @@
 //! Companding: codes are sent with steps that grow with the level, and expanded again.
 
+use crate::normal::upper;
+use crate::predict::quantised_mean;
+
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
 /// A square-root table, or coarser steps above a knee.
@@ -121,13 +124,23 @@ impl Effect for This {
                 s.unsure_mean = libm::hypot(s.unsure_mean, 0.5 * above);
             }
             s.codes_used *= over(&|q| 1.0 / q);
-            // Noise narrower than half a step: what is left of it depends on where it lies.
-            let ripple = libm::exp(-2.0 * std::f64::consts::PI.powi(2) * (wide + (spread / here).powi(2)));
-            s.unsure_mean = libm::hypot(s.unsure_mean, here / std::f64::consts::PI * ripple);
-            s.unsure_own = libm::hypot(
-                s.unsure_own,
-                here * here * libm::exp(-2.0 * std::f64::consts::PI.powi(2) * wide) * (0.2 + 4.0 * wide),
-            );
+            // Noise narrower than half a step: what is left of it depends on where it lies, from pixel to pixel, and the spread of the levels
+            // has the steps in it.
+            let square = here * here;
+            let turn = 2.0 * std::f64::consts::PI.powi(2);
+            let spread = (spread * spread / square - 1.0 / 12.0).max(0.0);
+            let left = libm::exp(-turn * wide);
+            let ripple = here / std::f64::consts::PI * libm::exp(-turn * (wide + spread));
+            s.unsure_mean = libm::hypot(s.unsure_mean, ripple);
+            s.unsure_own = libm::hypot(s.unsure_own, square * left * (0.2 + 4.0 * wide));
+            if here > 1.001 {
+                // A pixel at d steps from an edge has the variance p (1 - p), p = Phi(d / r), at most 1 / 4: its square is anything up to
+                // 1 / 16. Levels in the middle of a step pass an edge so seldom that moments over the variance have no bound.
+                let seldom = 0.5 / upper(0.5 / libm::sqrt(wide.max(0.0) + spread)).max(1e-6);
+                s.unsure = libm::hypot(s.unsure, square * square * left / 16.0 * seldom);
+                s.unsure_fourth = libm::hypot(s.unsure_fourth, square * square * left / 8.0 * seldom);
+                s.uneven = libm::hypot(s.uneven, here * quantised_mean(wide));
+            }
         }
     }
 

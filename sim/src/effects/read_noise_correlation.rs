@@ -1,7 +1,7 @@
 //! Read-noise correlation: the read noise of a pixel comes back in the next one of its row.
 
-use crate::predict::angle;
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+use crate::predict::angle;
 
 /// Normal numbers of single pixels, each added to its own pixel and, with the same or the opposite sign, to the next of the row.
 pub struct This;
