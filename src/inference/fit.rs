@@ -4,30 +4,17 @@
 //! error of something else: flicker is told by the scatter of frames, and the scatter of a lamp's settings by that of sets.
 
 use super::free::{Common, Free, Point};
-use super::layout::{Layout, State};
+use super::iteration::{Effort, Iteration};
+use super::layout::Layout;
 use super::normal::Covariance;
 use super::slopes::Slopes;
-use super::system::System;
 use crate::observables::{Half, Observations, codes_used, mean};
 use radcam_sim::effects::{self, Effect, Seen, Together};
 use radcam_sim::predict::{BaseParameters, Prediction};
 use std::sync::Arc;
 
-/// Rounds of Levenberg and Marquardt at most.
-const ROUNDS: usize = 40;
-/// Rounds after which the better of two starts shows.
-const FIRST_ROUNDS: usize = 5;
-/// A round that gains less of the objective has arrived, where residuals are of the size of their errors; where they are larger, by their mean
-/// square less.
-const ARRIVED: f64 = 1e-3;
-/// A step that gains less than this share of what it promised was promised too much.
-const HOLDS: f64 = 0.8;
-/// Slopes are taken again after more than so many such steps, one after the other.
-const MENDED: usize = 2;
-/// A mean square of residuals from which on a model is far off.
+/// A mean square of residuals from which on a model is so far off that halves need no full fit to tell how far.
 const FAR_SQUARE: f64 = 4.0;
-/// Slopes serve in so many rounds at most, on average.
-const SERVED: usize = 3;
 
 /// Effects with the values of their parameters.
 pub type Effects = Vec<(&'static dyn Effect, Vec<f64>)>;
@@ -107,18 +94,18 @@ pub fn as_given(values: &[f64], given: &[Option<f64>]) -> Vec<f64> {
 
 /// Fits the paper's parameters and those of some effects, from a start.
 pub fn fit(all: &Observations, base: &BaseParameters, effects: &Effects) -> Fitted {
-    fit_for(ROUNDS, all, None, base, effects, None)
+    fit_for(Effort::Full, all, None, base, effects, None)
 }
 
 /// The same beside another fit whose slopes serve at first.
 pub(crate) fn fit_near(all: &Observations, near: &Fitted, effects: &Effects) -> Fitted {
-    fit_for(ROUNDS, all, None, &near.base, effects, Some(&near.slopes))
+    fit_for(Effort::Full, all, None, &near.base, effects, Some(&near.slopes))
 }
 
 /// A fit again, on the observables of one half and those of both. Where it is far off few rounds will do: the halves tell how far.
 pub(super) fn fit_half(all: &Observations, half: Half, whole: &Fitted) -> Fitted {
-    let rounds = if whole.mean_square > FAR_SQUARE { FIRST_ROUNDS } else { ROUNDS };
-    fit_for(rounds, all, Some(half), &whole.base, &whole.effects, Some(&whole.slopes))
+    let effort = if whole.mean_square > FAR_SQUARE { Effort::Short } else { Effort::Full };
+    fit_for(effort, all, Some(half), &whole.base, &whole.effects, Some(&whole.slopes))
 }
 
 /// The same for a few rounds: enough to see which of several starts is the best.
@@ -128,7 +115,7 @@ pub(crate) fn fit_briefly(
     effects: &Effects,
     known: Option<&Slopes>,
 ) -> Fitted {
-    fit_for(FIRST_ROUNDS, all, None, base, effects, known)
+    fit_for(Effort::Look, all, None, base, effects, known)
 }
 
 /// Halves that a fit uses.
@@ -140,7 +127,7 @@ pub(super) fn halves(half: Option<Half>) -> Vec<Half> {
 }
 
 fn fit_for(
-    rounds: usize,
+    effort: Effort,
     all: &Observations,
     half: Option<Half>,
     base: &BaseParameters,
@@ -148,113 +135,59 @@ fn fit_for(
     known: Option<&Slopes>,
 ) -> Fitted {
     let layout = Layout::new(all, &halves(half));
-    let (free, mut point) = Free::new(all, base, effects);
-    free.clamp(&mut point);
-    let mut now = layout.at(&free, &point);
-    let mut damping = 1e-3;
-    let mut slopes = Slopes::beside(known, &layout, &free, &point, &now);
-    let mut fresh = known.is_none();
-    let mut system = System::new(&layout, &free, &point, &now, &slopes);
-    let (mut taken, mut missed) = (0, 0);
-    for _ in 0..SERVED * rounds {
-        let normal = system.normal();
-        let before = system.objective(&now, &now, &point.lights);
-        let mut found: Option<(Point, State, f64)> = None;
-        let mut promised = f64::INFINITY;
-        for _ in 0..if fresh { 10 } else { 2 } {
-            let Some((step, lights)) = normal.step(damping) else {
-                damping *= 10.0;
-                continue;
-            };
-            let mut trial = point.clone();
-            trial.x.iter_mut().zip(&step).for_each(|(x, s)| *x += s);
-            trial.lights.iter_mut().zip(&lights).for_each(|(x, s)| *x += s);
-            free.clamp(&mut trial);
-            let there = layout.at(&free, &trial);
-            let value = system.objective(&now, &there, &trial.lights);
-            if value < before {
-                damping = (damping * 0.2).max(1e-7);
-                promised = system.promised(&trial.from(&point).x, &lights);
-                found = Some((trial, there, before - value));
-                break;
-            }
-            damping *= 6.0;
-        }
-        let mut gained = 0.0;
-        let mut hold = false;
-        if let Some((trial, there, by)) = found {
-            // Slopes serve for as long as steps bring what they promise; once they do not, what the step did mends them.
-            hold = by >= HOLDS * promised;
-            missed = if hold { 0 } else { missed + 1 };
-            system.follow(&mut slopes, &free, &trial.from(&point), &now, &there, &normal);
-            (point, now, gained) = (trial, there, by);
-        }
-        system = System::new(&layout, &free, &point, &now, &slopes);
-        let factors = system.scatter_factors();
-        let settled = factors.iter().all(|(_, f)| (f - 1.0).abs() < 1e-3);
-        if !settled {
-            factors.iter().for_each(|(i, f)| point.x[*i] *= f);
-            free.clamp(&mut point);
-            now = layout.at(&free, &point);
-        }
-        let mean_square = (before / layout.rows.len() as f64).max(1.0);
-        let arrived = settled && gained < ARRIVED * mean_square;
-        if arrived && (fresh || known.is_some() && hold && gained < ARRIVED) {
-            break;
-        }
-        fresh = arrived || missed > MENDED;
-        if fresh {
-            taken += 1;
-            if taken == rounds {
-                break;
-            }
-            missed = 0;
-            // A first look takes again only what it adds.
-            let keeps = known.filter(|_| rounds == FIRST_ROUNDS);
-            slopes = Slopes::beside(keeps, &layout, &free, &point, &now);
-        }
-        if fresh || !settled {
-            system = System::new(&layout, &free, &point, &now, &slopes);
-        }
-    }
-    if !fresh && known.is_none() && rounds > FIRST_ROUNDS {
-        slopes = Slopes::new(&layout, &free, &point, &now);
-        system = System::new(&layout, &free, &point, &now, &slopes);
-    }
+    let (free, start) = Free::new(all, base, effects);
+    let mut iteration = Iteration::new(&layout, &free, start, known);
+    iteration.run(effort, known);
+    let Iteration { point, now, slopes, system, .. } = iteration;
     let objective = system.likelihood(&now, &point.lights);
     let mean_square = system.z.iter().map(|z| z * z).sum::<f64>() / layout.rows.len() as f64;
     let mut normal = system.normal();
     (0..free.common.len()).for_each(|i| normal.add_weight(i, free.own_weight(i, &point)));
     let covariance = normal.covariance();
-    let n = free.common.len();
-    let error = |i: usize| {
-        if free.fixed[i] { 0.0 } else { covariance.common[i * n + i].max(0.0).sqrt() * free.scale[i] }
-    };
-    let of = |what: Common| free.place(what).map_or(0.0, error);
-    let std_err = effects
-        .iter()
-        .enumerate()
-        .map(|(i, (_, p))| (0..p.len()).map(|k| of(Common::Of(i, k))).collect())
-        .collect();
+    let errors = Errors { free: &free, covariance: &covariance };
     let (base, effects) = free.unpack(&point);
-    // What is fitted beside the gain is charge in DN; in e it has the gain's error too.
-    let in_e = |what: Common, value: f64| {
-        let (Some(g), Some(i)) = (free.place(Common::Gain), free.place(what)) else { return 0.0 };
-        let (with, scale) = (covariance.common[i * n + g] * free.scale[i], of(what));
-        (scale * scale - 2.0 * value * with + (value * of(Common::Gain)).powi(2)).max(0.0).sqrt()
-    };
-    let base_std_err = [
-        of(Common::Gain) * base.gain_dn_per_e,
-        in_e(Common::Read, base.read_noise_e),
-        of(Common::Offset),
-        if free.place(Common::Dark).is_some_and(|i| free.fixed[i]) {
-            0.0
-        } else {
-            in_e(Common::Dark, base.dark_e_per_s)
-        },
-    ];
+    let of_effect = |i: usize, p: &Vec<f64>| (0..p.len()).map(|k| errors.of(Common::Of(i, k))).collect();
+    let std_err = effects.iter().enumerate().map(|(i, (_, p))| of_effect(i, p)).collect();
+    let base_std_err = errors.of_base(&base);
     let slopes = Arc::new(slopes);
     Fitted { base, effects, objective, mean_square, std_err, base_std_err, free, point, covariance, slopes }
+}
+
+/// Standard errors of what is free, in its own units.
+struct Errors<'a> {
+    free: &'a Free,
+    covariance: &'a Covariance,
+}
+
+impl Errors<'_> {
+    /// Covariance of two common values over their scales.
+    fn covariance(&self, i: usize, j: usize) -> f64 {
+        self.covariance.common[i * self.free.common.len() + j]
+    }
+
+    /// 0 for what is not free.
+    fn of(&self, what: Common) -> f64 {
+        let place = self.free.place(what).filter(|i| !self.free.fixed[*i]);
+        place.map_or(0.0, |i| self.covariance(i, i).max(0.0).sqrt() * self.free.scale[i])
+    }
+
+    /// What is fitted beside the gain is charge in DN; in e it has the gain's error too.
+    fn in_e(&self, what: Common, value_e: f64) -> f64 {
+        let (Some(gain), Some(i)) = (self.free.place(Common::Gain), self.free.place(what)) else { return 0.0 };
+        let (with, own) = (self.covariance(i, gain) * self.free.scale[i], self.of(what));
+        (own * own - 2.0 * value_e * with + (value_e * self.of(Common::Gain)).powi(2)).max(0.0).sqrt()
+    }
+
+    /// Of A, read noise, offset and dark current.
+    fn of_base(&self, base: &BaseParameters) -> [f64; 4] {
+        let no_dark = self.free.place(Common::Dark).is_some_and(|i| self.free.fixed[i]);
+        [
+            self.of(Common::Gain) * base.gain_dn_per_e,
+            self.in_e(Common::Read, base.read_noise_e),
+            self.of(Common::Offset),
+            if no_dark { 0.0 } else { self.in_e(Common::Dark, base.dark_e_per_s) },
+        ]
+    }
 }
 
 /// What the campaign shows before any fit.

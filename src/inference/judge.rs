@@ -77,7 +77,7 @@ pub fn compare(all: &Observations, model: &Fitted) -> Comparison {
     let (first, second) = rayon::join(|| of(Half::First), || of(Half::Second));
     let mut residuals = Vec::new();
     for (fitted, half) in [(&first, Half::First), (&second, Half::Second)] {
-        residuals.extend(judged(all, model, fitted, half));
+        residuals.extend(judged(all, fitted, half));
     }
     let n = residuals.len() as f64;
     let error = (residuals.iter().map(|r| r.z * r.z).sum::<f64>() / n.max(1.0)).sqrt();
@@ -188,7 +188,7 @@ fn levels(all: &Observations, zero_dn: f64) -> Vec<f64> {
 }
 
 /// The residuals of the other half under a fit to this one; the error of the fit is in theirs.
-fn judged(all: &Observations, model: &Fitted, fitted: &Fitted, half: Half) -> Vec<Residual> {
+fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
     let own = Layout::new(all, &halves(Some(half)));
     let settings = {
         let state = own.at(&fitted.free, &fitted.point);
@@ -203,8 +203,8 @@ fn judged(all: &Observations, model: &Fitted, fitted: &Fitted, half: Half) -> Ve
         light.is_none_or(|l| seen[l])
     };
     let levels = levels(all, fitted.base.offset_dn);
-    let known = Some(&*model.slopes);
-    let slopes = Slopes::beside(known, &layout, &fitted.free, &fitted.point, &state).over_errors(&state);
+    // How errors of what was fitted show in frames that the fit did not see: slopes that only served the fit would not do.
+    let slopes = Slopes::new(&layout, &fitted.free, &fitted.point, &state).over_errors(&state);
     let n = fitted.free.common.len();
     let prediction = fitted.predict(all);
     let all_light = fitted.free.place(super::free::Common::Light).unwrap_or(0);

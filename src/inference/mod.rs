@@ -6,6 +6,7 @@
 mod direction;
 mod fit;
 mod free;
+mod iteration;
 mod judge;
 mod layout;
 mod normal;
