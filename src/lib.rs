@@ -42,6 +42,7 @@ pub mod fit;
 pub mod frame;
 pub mod inference;
 pub mod noise;
+pub mod number;
 pub mod observables;
 pub mod pixel_format;
 pub mod plan;

@@ -6,24 +6,12 @@ use crate::effects::{Drawing, Effect, Memory, Stage};
 use crate::maps::Maps;
 use crate::model::{Model, ModelError};
 use crate::poisson::{Site, poisson_lanes};
+use crate::region::Region;
 use crate::rng::{Keys, LANES, floor, integer_bits, noise_lanes};
 use crate::scene::{Scene, light_map};
 use ndarray::Array2;
 use rayon::prelude::*;
 use std::sync::{Arc, Mutex, PoisonError};
-
-/// Part of the sensor that is read out, pixels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Region {
-    /// First column.
-    pub x: u32,
-    /// First row.
-    pub y: u32,
-    /// Columns.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-}
 
 /// All that the physics of one frame depends on, beside the model and the frame's number.
 #[derive(Debug, Clone, Copy, PartialEq)]

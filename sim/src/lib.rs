@@ -18,6 +18,8 @@
 //! # Ok::<(), radcam_sim::ModelError>(())
 //! ```
 
+mod chart;
+mod clipping;
 mod draw;
 pub mod effects;
 mod maps;
@@ -27,15 +29,18 @@ mod optics;
 mod poisson;
 pub mod predict;
 mod quantize;
+mod region;
 pub mod rng;
 mod scene;
 pub mod sensors;
 mod spectrum;
 mod surface;
 
-pub use draw::{Conditions, Expected, Region, Sensor};
+pub use chart::Square;
+pub use draw::{Conditions, Expected, Sensor};
 pub use maps::Maps;
 pub use model::{Base, Bench, Body, EffectValues, FORMAT, Model, ModelError};
 pub use optics::{Band, Optics};
-pub use scene::{PATCH_BACKGROUND, Scene, Square};
+pub use region::Region;
+pub use scene::{PATCH_BACKGROUND, Scene};
 pub use surface::{Spectrum, Texture};

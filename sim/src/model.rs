@@ -3,9 +3,9 @@
 //! The base of every model is the paper's: D = (K I + N_DC + N_S + N_R) A + N_Q (Healey and Kondepudy 1994,
 //! eq. 6 and 20), with a black level added before conversion, which the paper's camera does not have.
 
+use crate::chart::{Square, default_chart};
 use crate::effects::{self, Effect};
 use crate::optics::{Band, Optics};
-use crate::scene::{Square, default_chart};
 use crate::surface::Texture;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

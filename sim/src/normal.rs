@@ -2,6 +2,13 @@
 
 use std::sync::OnceLock;
 
+/// Shares of the pixels, from the lowest to the highest, whose levels [`crate::predict::SetInfo::places`] gives: few where the tails are.
+pub const PLACES: [f64; 9] = [0.01, 0.04, 0.1, 0.2, 0.3, 0.2, 0.1, 0.04, 0.01];
+
+/// [`crate::predict::SetInfo::places`] of normal levels.
+pub const NORMAL: [f64; PLACES.len()] =
+    [-2.718_725, -1.950_477, -1.326_337, -0.699_978, 0.0, 0.699_978, 1.326_337, 1.950_477, 2.718_725];
+
 /// Beyond so many deviations the tail is 0 or 1: 1e-17 is lost.
 const END: f64 = 8.5;
 /// Places of the table per deviation. A cubic through values and slopes is off by h^4 / 384 times the fourth derivative (Davis 1963, 3.5),

@@ -1,9 +1,10 @@
 //! Expected statistics of a whole campaign: what every model must say before it is held against measurements.
 
-use crate::effects::Clipped;
+use crate::clipping::Clipped;
 use crate::normal::upper;
 use crate::quantize::{NODES, reaches_zero, rounded, rounded_from_zero};
 
+pub use crate::normal::{NORMAL, PLACES};
 pub use crate::spectrum::{Filter, GRID, HALF, LAGS, LineNoise, Ripple, Spectrum, angle};
 
 /// A frame of a campaign.
@@ -14,13 +15,6 @@ pub struct FrameInfo {
     /// Start of its exposure, s from the start of the campaign.
     pub time_s: f64,
 }
-
-/// Shares of the pixels, from the lowest to the highest, whose levels [`SetInfo::places`] gives: few where the tails are.
-pub const PLACES: [f64; 9] = [0.01, 0.04, 0.1, 0.2, 0.3, 0.2, 0.1, 0.04, 0.01];
-
-/// [`SetInfo::places`] of normal levels.
-pub const NORMAL: [f64; PLACES.len()] =
-    [-2.718_725, -1.950_477, -1.326_337, -0.699_978, 0.0, 0.699_978, 1.326_337, 1.950_477, 2.718_725];
 
 /// A set of frames: darks or flats of one exposure and light.
 #[derive(Debug, Clone, Copy, PartialEq)]

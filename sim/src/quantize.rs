@@ -1,8 +1,8 @@
 //! What rounding to whole steps does to noise that covers about a step or less.
 
-use crate::effects::cut;
+use crate::clipping::cut;
+use crate::normal::PLACES as SHARES;
 use crate::normal::{tail, upper};
-use crate::predict::PLACES as SHARES;
 use std::sync::OnceLock;
 
 /// Statistics of rounded noise over many pixels, in steps.

@@ -1,9 +1,9 @@
 //! What stands before the camera, and how it is lit (Section III of the paper, eq. 7 to 19).
 
-use crate::draw::Region;
 use crate::model::{Bench, Body, Model};
 use crate::optics::shares;
-use crate::surface::{FINE, Texture, aperture, inner, smooth};
+use crate::region::Region;
+use crate::surface::{FINE, aperture, inner, smooth};
 use ndarray::{Array2, Zip};
 use serde::{Deserialize, Serialize};
 
@@ -25,39 +25,6 @@ pub const PATCH_BACKGROUND: f64 = 0.08;
 
 /// Reflectance between the squares of the chart.
 const GAP: f64 = 0.03;
-
-/// A square of the chart.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Square {
-    /// What it is called.
-    pub name: String,
-    /// Mean reflectance R relative to the card, one number, or one for each band.
-    pub reflectance: Vec<f64>,
-    /// How its paint varies.
-    #[serde(default)]
-    pub texture: Texture,
-}
-
-/// The six squares that a bench has where its file names none: greys of a chart, whose variation has nothing to do with
-/// how bright they are.
-pub(crate) fn default_chart() -> Vec<Square> {
-    let square = |(name, reflectance, grain): (&str, f64, f64)| Square {
-        name: name.into(),
-        reflectance: vec![reflectance],
-        texture: Texture { grain, grain_length_px: 0.7, ..Default::default() },
-    };
-    [
-        ("white", 1.0, 0.006),
-        ("neutral-8", 0.82, 0.036),
-        ("neutral-6.5", 0.6, 0.012),
-        ("neutral-5", 0.66, 0.048),
-        ("neutral-3.5", 0.5, 0.024),
-        ("black", 0.55, 0.06),
-    ]
-    .map(square)
-    .into()
-}
 
 impl Bench {
     /// Where square number `index` of the chart is seen, without its edges, pixels.

@@ -4,20 +4,11 @@
 //! at one site can pull so far that every good point is thrown out; here the median starts ([`Start::Median`]), and the
 //! mean stays as an option ([`Start::Mean`]).
 
+pub use super::robust::Start;
 use super::robust::{self, Light, Location};
 use super::window;
 use crate::statistics::median::median_of;
 use ndarray::{Array2, Zip};
-
-/// Where the search for outliers starts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Start {
-    /// Median over the configurations.
-    #[default]
-    Median,
-    /// Mean over the configurations, as in the paper (eq. 48).
-    Mean,
-}
 
 /// How K is estimated.
 #[derive(Debug, Clone, Copy, PartialEq)]

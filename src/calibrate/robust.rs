@@ -4,10 +4,19 @@
 //! from a sorting network (Batcher's odd-even merge, Knuth, "The Art of Computer Programming", vol. 3, algorithm 5.2.2M),
 //! which takes the same steps for every pixel.
 
-use super::pattern::Start;
 use ndarray::Array2;
 use radcam_sim::rng::{PixelRng, Stream};
 use rayon::prelude::*;
+
+/// Where the search for outliers starts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Start {
+    /// Median over the configurations.
+    #[default]
+    Median,
+    /// Mean over the configurations, as in the paper (eq. 48).
+    Mean,
+}
 
 /// Pixels side by side.
 const LANES: usize = 16;

@@ -1,12 +1,13 @@
 //! `radcam compare`
 
 use super::Outcome;
-use super::diagnose::observe;
 use super::model::read_effects;
+use super::observe::observe;
 use crate::dataset::write_whole;
 use crate::diagnosis::{searched, signatures};
 use crate::inference::{compare, fit, start};
-use crate::report::{self, chance};
+use crate::number::chance;
+use crate::report;
 use anyhow::Result;
 use std::path::PathBuf;
 

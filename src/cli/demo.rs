@@ -6,9 +6,9 @@ use super::{Outcome, noise};
 use crate::camera::StreamOptions;
 use crate::dataset::write_whole;
 use crate::diagnosis::diagnose;
+use crate::number::with_unit;
 use crate::plan::Plan;
 use crate::report::noise::{Truth, html, sigmas};
-use crate::report::with_unit;
 use anyhow::{Context, Result, bail};
 use radcam_sim::effects::{EFFECTS, Effect, example};
 use radcam_sim::{EffectValues, Model};
@@ -95,7 +95,7 @@ fn the_story(
     dataset: &Path,
 ) -> Result<Outcome> {
     println!("Something is hidden in this camera. Is the paper's model enough?\n");
-    let all = super::diagnose::observe(dataset)?;
+    let all = super::observe::observe(dataset)?;
     let d = diagnose(&all, None, Vec::new(), &mut |text| tracing::info!("{text}"));
     super::diagnose::print(dataset, &d);
     let path = arguments.output.join("report.html");

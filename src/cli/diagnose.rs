@@ -1,13 +1,12 @@
 //! `radcam diagnose`
 
-use super::common::STOP;
+use super::Outcome;
 use super::model::{fitted_model, read_effects};
-use super::{Outcome, progress::Show};
-use crate::dataset::table::Table;
-use crate::dataset::{Dataset, write_whole};
+use super::observe::observe;
+use crate::dataset::write_whole;
 use crate::diagnosis::{Diagnosis, diagnose, searched};
-use crate::observables::{Observations, of_dataset, of_table};
-use crate::report::{self, chance, with_unit};
+use crate::number::{chance, with_unit};
+use crate::report;
 use anyhow::Result;
 use std::path::{Path, PathBuf};
 
@@ -30,16 +29,6 @@ pub struct Arguments {
     /// Print JSON
     #[arg(long)]
     json: bool,
-}
-
-/// Observables of whatever the path is.
-pub fn observe(path: &Path) -> Result<Observations> {
-    if path.is_file() && Table::is_table(path) {
-        return Ok(of_table(&Table::open(path)?)?);
-    }
-    let dataset = Dataset::open(path)?;
-    let mut show = Show::new("reading");
-    Ok(of_dataset(&dataset, &STOP, &mut |done, of| show.step(done, of))?)
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {

@@ -1,7 +1,7 @@
 //! `radcam effects`
 
 use super::Outcome;
-use crate::report::pretty;
+use crate::number::pretty;
 use anyhow::{Result, bail};
 use radcam_sim::effects::{all, find};
 

@@ -17,6 +17,7 @@ mod diagnose;
 mod effects;
 mod model;
 mod noise;
+mod observe;
 mod plan_calibration;
 mod progress;
 mod region;

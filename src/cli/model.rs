@@ -2,13 +2,13 @@
 
 use super::Outcome;
 use super::common::load_model;
-use super::diagnose::observe;
+use super::observe::observe;
 
 use crate::dataset::{Dataset, write_whole};
 use crate::diagnosis::searched;
 use crate::inference::{Fitted, Given, compare, fit, start};
+use crate::number::{chance, six_digits, with_unit};
 use crate::observables::Observations;
-use crate::report::{chance, six_digits, with_unit};
 use anyhow::{Context, Result, bail};
 use radcam_sim::effects;
 use radcam_sim::{EffectValues, Model};

@@ -5,7 +5,8 @@ use super::{Outcome, progress::Show};
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, write_whole};
 use crate::noise::{NoiseReport, of_dataset, of_table};
-use crate::report::{self, with_error, with_unit};
+use crate::number::{with_error, with_unit};
+use crate::report;
 use anyhow::Result;
 use std::path::{Path, PathBuf};
 

@@ -3,7 +3,8 @@
 use super::common::STOP;
 use super::{Outcome, progress::Show};
 use crate::dataset::write_whole;
-use crate::report::{self, with_error};
+use crate::number::with_error;
+use crate::report;
 use crate::reproduce;
 use anyhow::Result;
 use std::path::PathBuf;

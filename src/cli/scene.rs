@@ -3,7 +3,7 @@
 use super::Outcome;
 use super::region::RegionArguments;
 use crate::dataset::{image, write_whole};
-use crate::report::with_error;
+use crate::number::with_error;
 use crate::scene_variation::map;
 use anyhow::Result;
 use std::path::PathBuf;

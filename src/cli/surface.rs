@@ -2,7 +2,7 @@
 
 use super::Outcome;
 use super::region::RegionArguments;
-use crate::report::with_error;
+use crate::number::with_error;
 use crate::surfaces::{Library, NONE_BELOW};
 use anyhow::{Result, bail};
 use std::path::PathBuf;

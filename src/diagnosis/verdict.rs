@@ -3,7 +3,7 @@
 use super::Missing;
 use crate::agreement::Agreement;
 use crate::inference::{Comparison, Fitted};
-use crate::report::with_unit;
+use crate::number::with_unit;
 use radcam_sim::effects::find;
 use serde::Serialize;
 

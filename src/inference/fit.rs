@@ -6,6 +6,7 @@
 use super::free::{Common, Free, Point};
 use super::iteration::{Effort, Iteration};
 use super::layout::Layout;
+use super::model::Effects;
 use super::normal::Covariance;
 use super::slopes::Slopes;
 use crate::observables::{Half, Observations, codes_used, mean};
@@ -15,12 +16,6 @@ use std::sync::Arc;
 
 /// A mean square of residuals from which on a model is so far off that halves need no full fit to tell how far.
 const FAR_SQUARE: f64 = 4.0;
-
-/// Effects with the values of their parameters.
-pub type Effects = Vec<(&'static dyn Effect, Vec<f64>)>;
-
-/// An effect with what is given of its parameters, in their order.
-pub type Given = (&'static dyn Effect, Vec<Option<f64>>);
 
 /// A model with values: the paper's parameters and effects.
 #[derive(Clone)]
@@ -85,11 +80,6 @@ impl Fitted {
         let of = |(c, fixed): (&Common, &bool)| matches!(c, Common::Of(..)) && !fixed;
         self.free.common.iter().zip(&self.free.fixed).filter(|p| of(*p)).count()
     }
-}
-
-/// Values with those that are given.
-pub fn as_given(values: &[f64], given: &[Option<f64>]) -> Vec<f64> {
-    values.iter().enumerate().map(|(i, v)| given.get(i).copied().flatten().unwrap_or(*v)).collect()
 }
 
 /// Fits the paper's parameters and those of some effects, from a start.
@@ -173,7 +163,9 @@ impl Errors<'_> {
 
     /// What is fitted beside the gain is charge in DN; in e it has the gain's error too.
     fn in_e(&self, what: Common, value_e: f64) -> f64 {
-        let (Some(gain), Some(i)) = (self.free.place(Common::Gain), self.free.place(what)) else { return 0.0 };
+        let (Some(gain), Some(i)) = (self.free.place(Common::Gain), self.free.place(what)) else {
+            return 0.0;
+        };
         let (with, own) = (self.covariance(i, gain) * self.free.scale[i], self.of(what));
         (own * own - 2.0 * value_e * with + (value_e * self.of(Common::Gain)).powi(2)).max(0.0).sqrt()
     }

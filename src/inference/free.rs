@@ -1,6 +1,6 @@
 //! What is free in a fit, as one list of values over their scales, and the light factors beside it.
 
-use super::fit::Effects;
+use super::model::Effects;
 use super::start::reference_level;
 use crate::dataset::Kind;
 use crate::observables::{Observations, mean};

@@ -1,9 +1,10 @@
 //! A quick look at what an effect would bring: by score tests, before anything is fitted.
 
 use super::direction::Direction;
-use super::fit::{Fitted, as_given, halves};
+use super::fit::{Fitted, halves};
 use super::free::Free;
 use super::layout::{Layout, State};
+use super::model::as_given;
 use super::slopes::Slopes;
 use super::system::System;
 use crate::observables::Observations;

@@ -1,8 +1,9 @@
 //! The variance budget as a plot and a page (Fig. 4 of the paper).
 
+use super::page;
 use super::svg::{Panel, picture};
-use super::{page, with_error};
 use crate::budget::{Level, NAMES};
+use crate::number::with_error;
 use crate::scene_variation::Variation;
 use maud::{Markup, html};
 

@@ -3,6 +3,7 @@
 use super::page;
 use crate::diagnosis::{Diagnosis, Missing, signatures};
 use crate::inference::{Comparison, Residual};
+use crate::number::{chance, percent, with_unit};
 use maud::{Markup, html};
 
 /// A comparison as a page.
@@ -20,7 +21,7 @@ pub fn diagnosis(title: &str, subtitle: &str, d: &Diagnosis) -> String {
             h2 { (m.effect) " " span.note { (heading(m)) } }
             ul {
                 @for (name, q) in &m.parameters {
-                    li { (name) " = " (super::with_unit(q.value, q.std_err, q.unit)) }
+                    li { (name) " = " (with_unit(q.value, q.std_err, q.unit)) }
                 }
                 @for text in &m.evidence { li { (text) } }
             }
@@ -43,7 +44,7 @@ pub fn heading(m: &Missing) -> String {
             parts.push(format!("nearest: {}", m.nearest.join(", ")));
         }
     } else {
-        parts.push(format!("{} of the evidence", super::percent(m.confidence)));
+        parts.push(format!("{} of the evidence", percent(m.confidence)));
     }
     parts.extend(m.form.clone());
     if let Some(other) = &m.tied_with {
@@ -76,7 +77,7 @@ fn body(c: &Comparison) -> Markup {
         div.cards {
             div { span { "error (1: agreement to within noise)" }
                 b class=(if c.consistent { "good" } else { "bad" }) { (format!("{:.3}", c.error)) } }
-            div { span { "p-value" } b { (super::chance(c.p_value)) } }
+            div { span { "p-value" } b { (chance(c.p_value)) } }
             div { span { "residuals" } b { (c.residuals.len()) } }
         }
         @let strayed = signatures(&c.residuals);

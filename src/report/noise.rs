@@ -1,8 +1,9 @@
 //! The photon-transfer page: points, line, residuals, estimators, levels.
 
+use super::page;
 use super::svg::{Mark, Panel, picture, range};
-use super::{page, with_error, with_unit};
 use crate::noise::{LevelReport, NoiseReport, Quantity};
+use crate::number::{with_error, with_unit};
 use maud::{Markup, html};
 
 /// What a simulated camera was made with, for comparison.

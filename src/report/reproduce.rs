@@ -1,7 +1,8 @@
 //! The page of `radcam reproduce`: the paper's numbers and its four figures.
 
 use super::svg::{Mark, Panel, picture, range};
-use super::{budget, noise, page, with_error};
+use super::{budget, noise, page};
+use crate::number::with_error;
 use crate::reproduce::{Figures, Reproduction};
 use maud::{Markup, html};
 

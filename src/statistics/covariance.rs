@@ -2,8 +2,6 @@
 //! columns.
 
 use super::jackknife::{BLOCKS, Blocks, Value};
-use super::layout::Layout;
-use super::pass::Quadratic;
 
 /// Lags: rows down, columns right, both diagonal signs.
 pub const LAGS: [(i32, i32); 10] =
@@ -88,9 +86,10 @@ impl Covariance {
     }
 }
 
-impl Quadratic for Covariance {
+impl Covariance {
+    /// Adds row `y` of an image whose rows up to `y` are there.
     #[inline(always)]
-    fn row(&mut self, y: usize, image: &[f32], _: &Layout) {
+    pub fn add_row(&mut self, y: usize, image: &[f32]) {
         let (rows, columns) = self.shape;
         for (lag, (dy, dx)) in LAGS.into_iter().enumerate() {
             let (dy, shift) = (dy as usize, dx.unsigned_abs() as usize);
@@ -115,13 +114,15 @@ impl Quadratic for Covariance {
         self.rows += 1;
     }
 
-    fn end(&mut self, _: &[f32], _: &Layout) {
+    /// The image is complete.
+    pub fn end_image(&mut self) {
         if self.rows >= ROWS {
             self.flush();
         }
     }
 
-    fn absorb(&mut self, other: &Self) {
+    /// Adds the sums of another.
+    pub fn add_sums(&mut self, other: &Self) {
         let from = other.sums.iter().zip(&other.now);
         self.sums.iter_mut().zip(from).for_each(|(s, (o, n))| *s += o + f64::from(*n));
     }

@@ -2,7 +2,6 @@
 
 use super::covariance::Covariance;
 use super::jackknife::Blocks;
-use super::pass::Quadratic;
 use ndarray::Array2;
 
 /// Which pixels count, and what is known of them: the same for all sets of a campaign.
@@ -49,7 +48,7 @@ impl Layout {
         };
         // Pairs of pixels that count are the products of the mask.
         let mut pairs = Covariance::new(used.dim());
-        (0..layout.shape.0).for_each(|y| pairs.row(y, &layout.mask, &layout));
+        (0..layout.shape.0).for_each(|y| pairs.add_row(y, &layout.mask));
         layout.pairs = pairs;
         layout
     }

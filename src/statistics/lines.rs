@@ -1,7 +1,7 @@
 //! Variance of the means of rows and of columns: noise that whole lines share.
 
 use super::layout::Layout;
-use super::pass::Quadratic;
+use super::quadratic::Quadratic;
 
 /// Squares of the deviations of row means and of column means.
 #[derive(Debug, Clone)]

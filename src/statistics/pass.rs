@@ -12,21 +12,12 @@ use super::layout::Layout;
 use super::lines::Lines;
 use super::moments::SizeMismatch;
 use super::occupancy::Occupancy;
+use super::quadratic::Quadratic;
 use super::spectrum::Power;
 use super::successive::Successive;
 use super::variance::Variance;
 use radcam_sim::predict::PLACES;
 use rayon::prelude::*;
-
-/// A sum of products of deviations.
-pub trait Quadratic {
-    /// Adds row `y` of an image of deviations whose rows up to `y` are there.
-    fn row(&mut self, y: usize, image: &[f32], layout: &Layout);
-    /// The image is complete.
-    fn end(&mut self, image: &[f32], layout: &Layout);
-    /// Adds the sums of another.
-    fn absorb(&mut self, other: &Self);
-}
 
 /// One more statistic that is a sum of products of deviations, made from whole images of them.
 pub trait Extra: Sync + std::fmt::Debug {
@@ -58,6 +49,21 @@ struct Sums {
     lines: Lines,
     power: Power,
     extra: Vec<(&'static dyn Extra, Vec<f64>)>,
+}
+
+impl Quadratic for Covariance {
+    #[inline(always)]
+    fn row(&mut self, y: usize, image: &[f32], _: &Layout) {
+        self.add_row(y, image);
+    }
+
+    fn end(&mut self, _: &[f32], _: &Layout) {
+        self.end_image();
+    }
+
+    fn absorb(&mut self, other: &Self) {
+        self.add_sums(other);
+    }
 }
 
 impl Quadratic for Sums {

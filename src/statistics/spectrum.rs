@@ -78,7 +78,7 @@ impl Power {
         self.power.clone()
     }
 
-    /// Adds an image of deviations whose lines are known: a sum of products, as [`super::pass::Quadratic`] is.
+    /// Adds an image of deviations whose lines are known: a sum of products, as [`super::quadratic::Quadratic`] is.
     pub fn add(&mut self, image: &[f32], lines: &Lines, layout: &Layout) {
         let columns = layout.columns();
         let rows = self.length.div_ceil(columns);

@@ -2,7 +2,7 @@
 
 use super::jackknife::{Blocks, Value};
 use super::layout::Layout;
-use super::pass::Quadratic;
+use super::quadratic::Quadratic;
 
 /// Squared deviations of every pixel.
 #[derive(Debug, Clone)]

@@ -1,6 +1,6 @@
 //! Black clipping: what lies below a level is cut off.
 
-use super::full_well_saturation::clipped;
+use crate::clipping::clipped;
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 use crate::predict::NORMAL;
 

@@ -1,6 +1,6 @@
 //! Blooming: a full well spills into its column.
 
-use super::full_well_saturation::clipped;
+use crate::clipping::clipped;
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 use crate::predict::NORMAL;
 

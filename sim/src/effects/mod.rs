@@ -411,8 +411,6 @@ macro_rules! effects {
     };
 }
 
-pub(crate) use full_well_saturation::{Clipped, cut};
-
 effects! {
     nonlinearity brighter_fatter interpixel_crosstalk readout_lowpass spatial_filter temporal_filter image_lag
     illumination_setting illumination_flicker illumination_drift light_banding gain_drift offset_drift dark_current_drift row_noise

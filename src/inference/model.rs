@@ -1,0 +1,14 @@
+//! Which effects a model has, and what is known of their values.
+
+use radcam_sim::effects::Effect;
+
+/// Effects with the values of their parameters.
+pub type Effects = Vec<(&'static dyn Effect, Vec<f64>)>;
+
+/// An effect with what is given of its parameters, in their order.
+pub type Given = (&'static dyn Effect, Vec<Option<f64>>);
+
+/// Values with those that are given.
+pub fn as_given(values: &[f64], given: &[Option<f64>]) -> Vec<f64> {
+    values.iter().enumerate().map(|(i, v)| given.get(i).copied().flatten().unwrap_or(*v)).collect()
+}

@@ -1,0 +1,93 @@
+//! Numbers as text: as many digits as their errors are worth, and units.
+
+/// A value and its error with as many digits as the error is worth: `0.38004 ± 0.00021`.
+///
+/// ```
+/// use radcam::number::with_error;
+/// assert_eq!(with_error(0.380041, 0.000213), "0.38004 ± 0.00021");
+/// assert_eq!(with_error(1234.5, 56.0), "1234 ± 56"); // ties go to the even digit
+/// assert_eq!(with_error(2.5, f64::NAN), "2.5");
+/// assert_eq!(with_error(2.134e-6, 1.1e-7), "(2.13 ± 0.11)e-6");
+/// assert_eq!(with_error(3_937_768.0, 283_911.0), "(3.94 ± 0.28)e6");
+/// ```
+pub fn with_error(value: f64, std_err: f64) -> String {
+    let size = value.abs().max(std_err);
+    if size > 0.0 && !(1e-4..1e6).contains(&size) && std_err > 0.0 {
+        let power = size.log10().floor() as i32;
+        let unit = 10f64.powi(power);
+        return format!("({})e{power}", with_error(value / unit, std_err / unit));
+    }
+    match digits(std_err) {
+        Some(digits) => format!("{value:.digits$} ± {std_err:.digits$}"),
+        None => format!("{value}"),
+    }
+}
+
+/// A value whose error is not known, to six digits: `0.216947`.
+///
+/// ```
+/// use radcam::number::six_digits;
+/// assert_eq!(six_digits(0.21694656829898232), "0.216947");
+/// assert_eq!(six_digits(110.76973488632103), "110.77");
+/// assert_eq!(six_digits(0.0), "0");
+/// ```
+pub fn six_digits(value: f64) -> String {
+    let power = if value == 0.0 { 0.0 } else { value.abs().log10().floor() };
+    let digits = (5.0 - power).clamp(0.0, 12.0) as usize;
+    let text = format!("{value:.digits$}");
+    let text = if digits > 0 { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    text.into()
+}
+
+/// A value with its error and its unit as people write it; shares and choices have none.
+///
+/// ```
+/// use radcam::number::with_unit;
+/// assert_eq!(with_unit(7.25, 0.31, "DN^2"), "7.25 ± 0.31 DN²");
+/// assert_eq!(with_unit(0.0124, 0.0011, "1"), "0.0124 ± 0.0011");
+/// ```
+pub fn with_unit(value: f64, std_err: f64, unit: &str) -> String {
+    format!("{} {}", with_error(value, std_err), pretty(unit)).trim_end().into()
+}
+
+/// A unit as people write it.
+pub fn pretty(unit: &str) -> &str {
+    match unit {
+        "DN^2" => "DN²",
+        "DN/e" => "DN/e⁻",
+        "e" => "e⁻",
+        "1" | "choice" => "",
+        other => other,
+    }
+}
+
+/// A chance, as people write it.
+///
+/// ```
+/// use radcam::number::chance;
+/// assert_eq!(chance(0.784), "0.78");
+/// assert_eq!(chance(2.34e-210), "2.3e-210");
+/// assert_eq!(chance(0.0), "< 1e-300"); // smaller than a number holds
+/// ```
+pub fn chance(p: f64) -> String {
+    match p {
+        p if p >= 0.01 => format!("{p:.2}"),
+        p if p < 1e-300 => "< 1e-300".into(),
+        p => format!("{p:.1e}"),
+    }
+}
+
+/// Decimals that show two digits of an error.
+fn digits(std_err: f64) -> Option<usize> {
+    (std_err.is_finite() && std_err > 0.0).then(|| (1.0 - std_err.log10().floor()).clamp(0.0, 12.0) as usize)
+}
+
+/// A share in per cent, with a word where rounding would say all or nothing.
+pub fn percent(share: f64) -> String {
+    match share {
+        s if s > 0.999 => "more than 99.9 %".into(),
+        s if s < 0.001 => "less than 0.1 %".into(),
+        s if !(0.01..=0.99).contains(&s) => format!("{:.1} %", 100.0 * s),
+        s => format!("{:.0} %", 100.0 * s),
+    }
+}
