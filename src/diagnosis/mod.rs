@@ -16,7 +16,7 @@ use crate::noise::Quantity;
 use crate::number::chance;
 use crate::observables::{Observations, covariance};
 use crate::plan::Plan;
-use radcam_sim::effects::{Effect, takes};
+use radcam_sim::effects::{Effect, Take, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
 use search::{Candidate, NEEDED, is_something, rivals, score, search, without};
@@ -39,6 +39,8 @@ const NEARLY_ALL: f64 = 1e-3;
 const TRACE: f64 = 20.0;
 /// Beyond this mean square of the residuals that were fitted no campaign agrees with a model: of twenty residuals one in a thousand has it.
 const AGREES: f64 = 2.3;
+/// A single addition lowers the error by so much at least.
+const HELPS: f64 = 1e-3;
 /// Names that are given as the nearest of what has none.
 const NEAREST: usize = 3;
 
@@ -47,9 +49,10 @@ const NEAREST: usize = 3;
 pub struct Missing {
     /// Identifier; `unknown` where none of the effects explains it.
     pub effect: String,
-    /// Share of the evidence among all candidates and what has no name.
+    /// Share of the evidence among all candidates and what has no name; of `unknown`, where no name holds, one less the chance of such
+    /// residuals.
     pub confidence: f64,
-    /// How far the error rises without it.
+    /// How far the error falls on the rung of the ladder that adds it.
     pub error_drop: f64,
     /// Its parameters.
     pub parameters: BTreeMap<String, Quantity>,
@@ -142,7 +145,100 @@ pub fn diagnose(
     }
     let last = if parts.is_empty() { first.clone() } else { compare(all, &whole) };
     progress(&format!("error {:.2} with {} effects added", last.error, parts.len()));
-    for part in &parts {
+    let mut ladder = vec![Rung { added: None, error: first.error, p_value: first.p_value }];
+    ladder.extend(rungs(all, &model, &parts, &whole, &last));
+    let missing = missing(all, &parts, &whole, [&first, &last], &ladder);
+    let next = next_measurement(all, &parts, &missing);
+    Diagnosis {
+        verdict: Verdict::of(&missing, &first, &model, &whole),
+        consistent: missing.is_empty(),
+        error_before: first.error,
+        error_after: last.error,
+        ladder,
+        next_plan: next.as_ref().map(|(about, sets)| Plan::of_takes(about, *sets)),
+        next_measurement: next.map(|n| n.0),
+        missing,
+        notes,
+        fitted: Some(whole),
+        comparisons: vec![first, last],
+    }
+}
+
+/// The entries of the answer: `unknown` where names are not enough, then the parts, each with what ties with it.
+fn missing(
+    all: &Observations,
+    parts: &[Part],
+    whole: &Fitted,
+    [first, last]: [&Comparison; 2],
+    ladder: &[Rung],
+) -> Vec<Missing> {
+    let seen = seen(all, &whole.base);
+    // Neighbours tell the parts of a combination apart; without them how it splits moves it, by the brightest signal.
+    let split = (!all.has(&covariance::This)).then_some(seen.peak_e);
+    let named = named(parts, whole, first, last, ladder, split);
+    let mut out = with_ties(parts, whole, named, split);
+    let place = |p: &Part| whole.effects.iter().rposition(|(e, _)| e.id() == p.effect.id());
+    let nothing = parts.first().and_then(place).is_some_and(|at| !is_something(whole, at, &seen));
+    if let Some(unknown) = unknown(parts, nothing, first, last) {
+        for m in &mut out {
+            m.partial = true;
+            m.evidence.push("explains a part only: its shape is near, its name need not be right".into());
+        }
+        out.insert(0, unknown);
+    }
+    out
+}
+
+/// The one measurement that tells most, in words, and its sets.
+fn next_measurement(
+    all: &Observations,
+    parts: &[Part],
+    missing: &[Missing],
+) -> Option<(String, &'static [Take])> {
+    if all.means_given && !missing.is_empty() {
+        let words = "flats with their neighbour covariances (brighter-fatter) and an exposure sweep at fixed light (nonlinearity)";
+        return Some((words.into(), takes::SWEEP));
+    }
+    let tie = parts.iter().find_map(|part| {
+        let page = part.effect.page();
+        let other = tied(part).first()?.effect.id();
+        Some((format!("{} or {other}: {}", part.effect.id(), page.measure), page.sets))
+    });
+    tie.or_else(|| {
+        let words = "the statistic that strays most, at more levels and frames; a custom formula in the model file can describe it";
+        missing.iter().any(|m| m.effect == "unknown").then(|| (words.into(), takes::PAIRS))
+    })
+}
+
+/// What was found, each by what it explains when it alone is left out, strongest first; and the model with all of it.
+fn parts(
+    all: &Observations,
+    model: &Fitted,
+    mut whole: Fitted,
+    first: Vec<Candidate>,
+    before: &Comparison,
+) -> (Vec<Part>, Fitted) {
+    let mut parts = left_out(all, model, &whole);
+    while let Some(less) = without_one(all, &parts, &whole) {
+        whole = fit(all, &less.base, &less.effects);
+        parts = left_out(all, model, &whole);
+    }
+    // A single addition that does not help on frames that no fit saw is none.
+    if let [only] = parts.as_slice() {
+        let after = compare(all, &whole);
+        tracing::debug!("{} alone: error {:.4}, was {:.4}", only.effect.id(), after.error, before.error);
+        if after.error > before.error - HELPS {
+            return (Vec::new(), model.clone());
+        }
+    }
+    parts.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+    let alone = parts.len() == 1;
+    for part in &mut parts {
+        part.others = if alone {
+            first.iter().filter(|c| c.effect.id() != part.effect.id()).cloned().collect()
+        } else {
+            rivals(all, &part.rest, part.effect, part.evidence)
+        };
         tracing::debug!(
             effect = part.effect.id(),
             evidence = part.evidence,
@@ -151,110 +247,33 @@ pub fn diagnose(
             "part"
         );
     }
-    let mut ladder = vec![Rung { added: None, error: first.error, p_value: first.p_value }];
-    ladder.extend(rungs(all, &model, &parts, &whole, &last));
-    let seen = seen(all, &whole.base);
-    // Neighbours tell the parts of a combination apart; without them how it splits moves it, by the brightest signal.
-    let split = (!all.has(&covariance::This)).then_some(seen.peak_e);
-    let mut missing = named(&parts, &whole, &first, &last, &ladder, split);
-    let (mut next_measurement, mut sets) = (None, takes::PAIRS);
-    for (part, entry) in parts.iter().zip(&missing) {
-        if let Some(other) = tied(part).first()
-            && next_measurement.is_none()
-        {
-            let page = part.effect.page();
-            (next_measurement, sets) =
-                (Some(format!("{} or {}: {}", entry.effect, other.effect.id(), page.measure)), page.sets);
-        }
-    }
-    add_ties(&parts, &whole, &mut missing, split);
-    let place = |p: &Part| whole.effects.iter().rposition(|(e, _)| e.id() == p.effect.id());
-    let nothing = parts.first().and_then(place).is_some_and(|at| !is_something(&whole, at, &seen));
-    add_unknown(&parts, nothing, &first, &last, &mut missing);
-    if missing.iter().any(|m| m.effect == "unknown") && next_measurement.is_none() {
-        next_measurement = Some(
-            "the statistic that strays most, at more levels and frames; a custom formula in the model file can describe it".into(),
-        );
-    }
-    if all.means_given && !missing.is_empty() {
-        next_measurement = Some(
-            "flats with their neighbour covariances (brighter-fatter) and an exposure sweep at fixed light (nonlinearity)".into(),
-        );
-        sets = takes::SWEEP;
-    }
-    let verdict = Verdict::of(&missing, &first, &model, &whole);
-    Diagnosis {
-        verdict,
-        consistent: missing.is_empty(),
-        error_before: first.error,
-        error_after: last.error,
-        ladder,
-        next_plan: next_measurement.as_ref().map(|about| Plan::of_takes(about, sets)),
-        next_measurement,
-        missing,
-        notes,
-        fitted: Some(whole),
-        comparisons: vec![first, last],
-    }
+    (parts, whole)
 }
 
-/// What was found, each by what it explains when it alone is left out; strongest first.
-fn parts(
-    all: &Observations,
-    model: &Fitted,
-    mut whole: Fitted,
-    first: Vec<Candidate>,
-    before: &Comparison,
-) -> (Vec<Part>, Fitted) {
+/// Every effect that was added to a model, with what is lost without it.
+fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Vec<Part> {
     let given = model.effects.len();
-    loop {
-        let added: Vec<usize> = (given..whole.effects.len()).collect();
-        let mut parts: Vec<Part> = added
-            .into_par_iter()
-            .map(|i| {
-                let rest =
-                    if whole.effects.len() == given + 1 { model.clone() } else { without(all, &whole, i) };
-                let effect = whole.effects[i].0;
-                let evidence = score(all, &rest) - score(all, &whole);
-                let nameless = unknown::evidence(&residuals_of(all, &rest), all.list.len() as f64);
-                let nameless = (1.0 - NEARLY_ALL) * nameless;
-                Part { effect, evidence, others: Vec::new(), nameless, rest }
-            })
-            .collect();
-        // What does not pay in the presence of the others goes.
-        if let Some(idle) = parts.iter().position(|p| p.evidence < NEEDED) {
-            let less = without(all, &whole, given + idle);
-            whole = fit(all, &less.base, &less.effects);
-            continue;
-        }
-        // So does what the campaign contradicts where it agrees with the rest: settings that are in order, say.
-        if parts.len() > 1 && compare(all, &whole).p_value < HOLDS {
-            let near = |p: &&Part| p.rest.mean_square < AGREES;
-            let contradicted = parts.iter().filter(near).find(|p| compare(all, &p.rest).p_value >= HOLDS);
-            if let Some(part) = contradicted {
-                whole = fit(all, &part.rest.base, &part.rest.effects);
-                continue;
-            }
-        }
-        // A single addition that does not help on frames that no fit saw is none.
-        if let [only] = parts.as_slice() {
-            let after = compare(all, &whole);
-            tracing::debug!("{} alone: error {:.4}, was {:.4}", only.effect.id(), after.error, before.error);
-            if after.error > before.error - 1e-3 {
-                return (Vec::new(), model.clone());
-            }
-        }
-        parts.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
-        let alone = parts.len() == 1;
-        for part in &mut parts {
-            part.others = if alone {
-                first.iter().filter(|c| c.effect.id() != part.effect.id()).cloned().collect()
-            } else {
-                rivals(all, &part.rest, part.effect, part.evidence)
-            };
-        }
-        return (parts, whole);
+    let part = |i: usize| {
+        let rest = if whole.effects.len() == given + 1 { model.clone() } else { without(all, whole, i) };
+        let effect = whole.effects[i].0;
+        let evidence = score(all, &rest) - score(all, whole);
+        let nameless = unknown::evidence(&residuals_of(all, &rest), all.list.len() as f64);
+        Part { effect, evidence, others: Vec::new(), nameless: (1.0 - NEARLY_ALL) * nameless, rest }
+    };
+    (given..whole.effects.len()).into_par_iter().map(part).collect()
+}
+
+/// The model without an effect that does not belong there, where there is one: it does not pay in the presence of the others, or the
+/// campaign contradicts it where it agrees with the rest (settings that are in order, say).
+fn without_one<'p>(all: &Observations, parts: &'p [Part], whole: &Fitted) -> Option<&'p Fitted> {
+    if let Some(idle) = parts.iter().find(|p| p.evidence < NEEDED) {
+        return Some(&idle.rest);
     }
+    if parts.len() < 2 || compare(all, whole).p_value >= HOLDS {
+        return None;
+    }
+    let near = parts.iter().filter(|p| p.rest.mean_square < AGREES);
+    near.map(|p| &p.rest).find(|rest| compare(all, rest).p_value >= HOLDS)
 }
 
 /// What is too weak for a name.
@@ -326,63 +345,46 @@ fn confidence(part: &Part, evidence: f64) -> f64 {
 }
 
 /// Behind each part what is tied with it.
-fn add_ties(parts: &[Part], whole: &Fitted, missing: &mut Vec<Missing>, split: Option<f64>) {
+fn with_ties(parts: &[Part], whole: &Fitted, named: Vec<Missing>, split: Option<f64>) -> Vec<Missing> {
     let mut out = Vec::new();
-    for (part, entry) in parts.iter().zip(std::mem::take(missing)) {
+    for (part, entry) in parts.iter().zip(named) {
         let drop = entry.error_drop;
         out.push(entry);
         for other in tied(part) {
+            if whole.effects.iter().any(|(e, _)| e.id() == other.effect.id()) {
+                continue;
+            }
             let mut entry = describe(&other.fitted, other.effect, confidence(part, other.evidence), split);
             entry.error_drop = drop;
             entry.tied_with = Some(part.effect.id().into());
             entry
                 .evidence
                 .push(format!("a tie with {}: this campaign cannot tell them apart", part.effect.id()));
-            if whole.effects.iter().all(|(e, _)| e.id() != other.effect.id()) {
-                out.push(entry);
-            }
+            out.push(entry);
         }
     }
-    *missing = out;
+    out
 }
 
-/// What no name explains: first where the names do not bring the campaign to the noise, or explain less than a smooth function does.
-/// `nothing`: what the first of them is said to have is nothing within its errors.
-fn add_unknown(
-    parts: &[Part],
-    nothing: bool,
-    first: &Comparison,
-    last: &Comparison,
-    missing: &mut Vec<Missing>,
-) {
-    let named = !parts.is_empty();
+/// What no name explains, where the names do not bring the campaign to the noise, or explain less than a smooth function does. `nothing`:
+/// what the first of them is said to have is nothing within its errors.
+fn unknown(parts: &[Part], nothing: bool, first: &Comparison, last: &Comparison) -> Option<Missing> {
+    let strongest = parts.first();
     // Something without a name must not explain a part better than its name does.
-    let better = |p: &Part| p.nameless > p.evidence;
-    let nameless = parts.first().is_some_and(better);
+    let better = strongest.filter(|p| p.nameless > p.evidence);
     // A name must hold; the model as given, only not fail.
-    if !nameless && !nothing && last.p_value >= if named { HOLDS } else { P_LIMIT } {
-        return;
+    let holds = last.p_value >= if strongest.is_some() { HOLDS } else { P_LIMIT };
+    if holds && better.is_none() && !nothing {
+        return None;
     }
     let mut nearest: Vec<String> = parts.iter().map(|p| p.effect.id().to_string()).collect();
-    if let Some(part) = parts.first() {
+    if let Some(part) = strongest {
         nearest.extend(part.others.iter().filter(|c| c.evidence > NEEDED).map(|c| c.effect.id().to_string()));
     }
     nearest.dedup();
     nearest.truncate(NEAREST);
-    for m in missing.iter_mut() {
-        m.partial = true;
-        m.evidence.push("explains a part only: its shape is near, its name need not be right".into());
-    }
-    // What is left once all names are in says what to look for; what strayed before, where to look.
-    let of = |c: &Comparison, most: usize| {
-        signatures(&c.residuals).iter().take(most).map(|s| s.text.clone()).collect::<Vec<_>>()
-    };
-    let mut evidence = of(last, if parts.is_empty() { 6 } else { 4 });
-    if !parts.is_empty() {
-        evidence.iter_mut().for_each(|text| text.insert_str(0, "left with all that is named: "));
-        evidence.extend(of(first, 3));
-    }
-    if let Some(part) = parts.first().filter(|p| better(p)) {
+    let mut evidence = what_strays(first, last, strongest.is_some());
+    if let Some(part) = better {
         evidence.push(format!(
             "a smooth function of the level that has no name explains it better than {} does: evidence {:.0} and {:.0}",
             part.effect.id(),
@@ -390,31 +392,41 @@ fn add_unknown(
             part.evidence
         ));
     }
-    if let Some(part) = parts.first().filter(|_| nothing) {
+    if let Some(part) = strongest.filter(|_| nothing) {
         evidence
             .push(format!("every size of {} is nothing within its errors beside the rest", part.effect.id()));
     }
     if evidence.is_empty() {
         evidence.push(format!("error {:.3} over all statistics, p {}", last.error, chance(last.p_value)));
     }
-    missing.insert(
-        0,
-        Missing {
-            effect: "unknown".into(),
-            confidence: match parts.first() {
-                Some(part) if nothing => confidence(part, part.nameless).max(0.5),
-                Some(part) if last.p_value >= DOUBT => confidence(part, part.nameless),
-                _ => 1.0 - last.p_value.min(1.0),
-            },
-            error_drop: 0.0,
-            parameters: BTreeMap::new(),
-            form: None,
-            partial: false,
-            nearest,
-            tied_with: None,
-            evidence,
-        },
-    );
+    let confidence = match strongest {
+        Some(part) if nothing => confidence(part, part.nameless).max(0.5),
+        Some(part) if last.p_value >= DOUBT => confidence(part, part.nameless),
+        _ => 1.0 - last.p_value.min(1.0),
+    };
+    Some(Missing {
+        effect: "unknown".into(),
+        confidence,
+        error_drop: 0.0,
+        parameters: BTreeMap::new(),
+        form: None,
+        partial: false,
+        nearest,
+        tied_with: None,
+        evidence,
+    })
+}
+
+/// What is left once all names are in says what to look for; what strayed before, where to look.
+fn what_strays(first: &Comparison, last: &Comparison, named: bool) -> Vec<String> {
+    let of = |c: &Comparison, most: usize| -> Vec<String> {
+        signatures(&c.residuals).into_iter().take(most).map(|s| s.text).collect()
+    };
+    if !named {
+        return of(last, 6);
+    }
+    let left = of(last, 4).into_iter().map(|text| format!("left with all that is named: {text}"));
+    left.chain(of(first, 3)).collect()
 }
 
 /// An effect of a model with its values; what only a combination tells stands as that combination. `split`: the brightest signal, e, where

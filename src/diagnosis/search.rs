@@ -25,6 +25,8 @@ const STARTS: usize = 3;
 const FORMS: usize = 8;
 /// Of the starts of a candidate so many are fitted to the end.
 const FINISHED: usize = 4;
+/// A size is something from so many of its errors on: 0 is rejected at 1 in 80.
+const KNOWN: f64 = 2.5;
 /// A candidate whose evidence after a few rounds is below this share of the best is not fitted to the end.
 const BEHIND: f64 = 0.3;
 /// A candidate that gains this share of its evidence beside another one explains something else.
@@ -64,84 +66,117 @@ pub fn score(all: &Observations, fitted: &Fitted) -> f64 {
 
 /// What could stand in a model in place of an effect that has this evidence, fitted beside the rest; most evidence first.
 pub fn rivals(all: &Observations, rest: &Fitted, of: &dyn Effect, evidence: f64) -> Vec<Candidate> {
-    candidates(all, rest, false, RIVALS, Some((of.id(), evidence)))
+    Look { all, now: rest, guess: None, most: RIVALS, not: Some(of.id()), against: evidence }.candidates()
 }
 
 /// Every effect that a model lacks, fitted beside what it has; most evidence first. `fresh`: from a first guess of the paper's parameters
-/// too, since a fit that is far off may have bent what is sound to please what is not. `most`: so many are fitted, of those that promise
-/// most. `against`: one that is not to be among them, and its evidence.
-fn candidates(
-    all: &Observations,
-    now: &Fitted,
-    fresh: bool,
-    most: usize,
-    against: Option<(&str, f64)>,
-) -> Vec<Candidate> {
-    let mut ids: Vec<&str> = now.effects.iter().map(|(e, _)| e.id()).collect();
-    ids.extend(against.map(|a| a.0));
-    let against = against.map_or(0.0, |a| a.1);
-    let there = there(all);
+/// too, since a fit that is far off may have bent what is sound to please what is not.
+fn candidates(all: &Observations, now: &Fitted, fresh: bool) -> Vec<Candidate> {
     let guess = fresh.then(|| now.with_base(start(all)));
-    let screen = Screen::new(all, now);
-    let first_seen = guess.as_ref().map(|g| seen(all, &g.base));
-    let seen = seen(all, &now.base);
-    let mut promising: Vec<(f64, &'static dyn Effect, Vec<Scored>)> = effects::all()
-        .into_par_iter()
-        .filter(|e| !ids.contains(&e.id()) && e.needs() <= there)
-        .filter(|e| !(all.means_given && e.needs() == Needs::Means))
-        .filter_map(|effect| {
+    Look { all, now, guess, most: FITTED, not: None, against: 0.0 }.candidates()
+}
+
+/// A look for what could be added to a model.
+struct Look<'a> {
+    all: &'a Observations,
+    now: &'a Fitted,
+    /// The same effects beside a first guess of the paper's parameters.
+    guess: Option<Fitted>,
+    /// So many are fitted, of those that promise most.
+    most: usize,
+    /// One that is not to be among them.
+    not: Option<&'a str>,
+    /// Its evidence.
+    against: f64,
+}
+
+/// An effect with its starts, the best first, and what that promises.
+struct Promising {
+    gain: f64,
+    effect: &'static dyn Effect,
+    starts: Vec<Scored>,
+}
+
+impl Look<'_> {
+    fn candidates(&self) -> Vec<Candidate> {
+        let screen = Screen::new(self.all, self.now);
+        let chosen = self.chosen(self.screened(&screen));
+        let best = chosen.iter().map(|p| p.gain).filter(|g| g.is_finite()).fold(0.0, f64::max);
+        let brief: Vec<(&'static dyn Effect, Vec<Fitted>)> = chosen
+            .into_par_iter()
+            .map(|p| {
+                let forms = if p.gain >= best { FORMS } else { STARTS };
+                let guess = self.guess.as_ref();
+                (p.effect, from_starts(self.all, self.now, guess, p.effect, &p.starts, forms, Some(&screen)))
+            })
+            .collect();
+        // A few rounds tell which are far behind; the others are fitted to the end.
+        let first = |tries: &[Fitted]| Some(self.evidence(tries.first()?));
+        let ahead = brief.iter().filter_map(|(_, tries)| first(tries)).fold(self.against, f64::max);
+        let mut found: Vec<Candidate> = brief
+            .into_par_iter()
+            .filter_map(|(effect, tries)| {
+                let near = first(&tries)? > BEHIND * ahead;
+                self.standing(effect, if near { finished(self.all, tries) } else { tries })
+            })
+            .collect();
+        found.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+        for c in found.iter().take(6) {
+            let at = c.fitted.effects.len() - 1;
+            let (values, errors) = (&c.fitted.effects[at].1, &c.fitted.std_err[at]);
+            tracing::debug!("{}: evidence {:.1}, {values:?} +- {errors:?}", c.effect.id(), c.evidence);
+        }
+        found
+    }
+
+    /// Effects that the model lacks and this campaign could tell of, by what they promise, the most first.
+    fn screened(&self, screen: &Screen<'_>) -> Vec<Promising> {
+        let mut ids: Vec<&str> = self.now.effects.iter().map(|(e, _)| e.id()).collect();
+        ids.extend(self.not);
+        let there = there(self.all);
+        let first_seen = self.guess.as_ref().map(|g| seen(self.all, &g.base));
+        let seen = seen(self.all, &self.now.base);
+        let promising = |effect: &&'static dyn Effect| {
             let mut hinted = effect.starts(&seen);
             if let Some(first) = &first_seen {
                 hinted.extend(effect.starts(first));
                 hinted.dedup();
             }
-            let starts = screen.starts(effect, &[], &hinted);
-            let most = starts.first()?.gain;
-            Some((most, effect, starts))
-        })
-        .collect();
-    promising.sort_by(|a, b| b.0.total_cmp(&a.0));
-    for (gain, effect, starts) in promising.iter().take(FITTED + 3) {
-        tracing::debug!("  screen {}: {gain:.1} at {:?}", effect.id(), starts[0].values);
+            let starts = screen.starts(*effect, &[], &hinted);
+            Some(Promising { gain: starts.first()?.gain, effect: *effect, starts })
+        };
+        let tells = |e: &&&'static dyn Effect| {
+            e.needs() <= there && !(self.all.means_given && e.needs() == Needs::Means)
+        };
+        let list: Vec<&'static dyn Effect> =
+            effects::all().iter().filter(|e| !ids.contains(&e.id())).filter(tells).copied().collect();
+        let mut found: Vec<Promising> = list.par_iter().filter_map(promising).collect();
+        found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        for p in found.iter().take(FITTED + 3) {
+            tracing::debug!("  screen {}: {:.1} at {:?}", p.effect.id(), p.gain, p.starts[0].values);
+        }
+        found
     }
-    let needed = NEEDED.max(NO_RIVAL * against);
-    // What moves only errors is not seen by a look at expectations: it is fitted in any case.
-    let always = |p: &(f64, &'static dyn Effect, Vec<Scored>)| p.0.is_infinite();
-    let (first, rest): (Vec<_>, Vec<_>) = promising.into_iter().partition(always);
-    let chosen: Vec<_> =
-        first.into_iter().chain(rest.into_iter().filter(|p| p.0 > needed).take(most)).collect();
-    let best = chosen.iter().map(|p| p.0).filter(|g| g.is_finite()).fold(0.0, f64::max);
-    let own = score(all, now);
-    let brief: Vec<(&'static dyn Effect, Vec<Fitted>)> = chosen
-        .into_par_iter()
-        .map(|(gain, effect, starts)| {
-            let forms = if gain >= best { FORMS } else { STARTS };
-            (effect, from_starts(all, now, guess.as_ref(), effect, &starts, forms, Some(&screen)))
-        })
-        .collect();
-    // A few rounds tell which are far behind; the others are fitted to the end.
-    let evidence = |f: &Fitted| own - score(all, f);
-    let ahead = brief.iter().filter_map(|(_, tries)| Some(evidence(tries.first()?))).fold(against, f64::max);
-    let mut found: Vec<Candidate> = brief
-        .into_par_iter()
-        .filter_map(|(effect, mut tries)| {
-            if evidence(tries.first()?) > BEHIND * ahead {
-                tries = finished(all, tries);
-            }
-            // Of its forms the best whose values are known.
-            tries
-                .into_iter()
-                .map(|fitted| Candidate { effect, evidence: evidence(&fitted), fitted })
-                .find(|c| stands(c, &seen))
-        })
-        .collect();
-    found.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
-    for c in found.iter().take(6) {
-        let at = c.fitted.effects.len() - 1;
-        let (values, errors) = (&c.fitted.effects[at].1, &c.fitted.std_err[at]);
-        tracing::debug!("{}: evidence {:.1}, {values:?} +- {errors:?}", c.effect.id(), c.evidence);
+
+    /// Those that are fitted. What moves only errors is not seen by a look at expectations: it is fitted in any case.
+    fn chosen(&self, promising: Vec<Promising>) -> Vec<Promising> {
+        let needed = NEEDED.max(NO_RIVAL * self.against);
+        let (always, rest): (Vec<_>, Vec<_>) = promising.into_iter().partition(|p| p.gain.is_infinite());
+        always.into_iter().chain(rest.into_iter().filter(|p| p.gain > needed).take(self.most)).collect()
     }
-    found
+
+    /// Of the forms of an effect the best whose values are known.
+    fn standing(&self, effect: &'static dyn Effect, tries: Vec<Fitted>) -> Option<Candidate> {
+        let seen = seen(self.all, &self.now.base);
+        tries
+            .into_iter()
+            .map(|fitted| Candidate { effect, evidence: self.evidence(&fitted), fitted })
+            .find(|c| stands(c, &seen))
+    }
+
+    fn evidence(&self, fitted: &Fitted) -> f64 {
+        score(self.all, self.now) - score(self.all, fitted)
+    }
 }
 
 /// Models with one more effect, from the most promising of its starts, after a few rounds of a fit; the best first.
@@ -204,6 +239,7 @@ fn stands(c: &Candidate, seen: &Seen) -> bool {
 /// effect.
 pub fn is_something(fitted: &Fitted, at: usize, seen: &Seen) -> bool {
     let ((effect, values), errors) = (&fitted.effects[at], &fitted.std_err[at]);
+    let is_known = |value: f64, error: f64| value.abs() > KNOWN * error;
     let used = |k: usize| effect.uses(values, k) && !effect.parameters()[k].is_choice();
     let all: Vec<usize> = (0..values.len()).filter(|k| used(*k)).collect();
     let at_the_end = all.iter().any(|&k| {
@@ -216,10 +252,10 @@ pub fn is_something(fitted: &Fitted, at: usize, seen: &Seen) -> bool {
     }
     let sizes: Vec<usize> = all.iter().copied().filter(|k| effect.parameters()[*k].is_size()).collect();
     // Two that only their combination tells are each unknown.
-    if effect.together(values).is_some_and(|t| t.value.abs() > 2.5 * fitted.std_err_of(at, &t)) {
+    if effect.together(values).is_some_and(|t| is_known(t.value, fitted.std_err_of(at, &t))) {
         return true;
     }
-    sizes.is_empty() || sizes.iter().any(|&k| values[k].abs() > 2.5 * errors[k])
+    sizes.is_empty() || sizes.iter().any(|&k| is_known(values[k], errors[k]))
 }
 
 /// A set of effects, fitted.
@@ -237,13 +273,11 @@ pub struct Found {
     pub first: Vec<Candidate>,
 }
 
-/// Adds effects to a model as long as the evidence pays for them. `given`: so many of the model's effects are not touched.
+/// Adds effects to a model as long as the evidence pays for them. `far`: the model is so far off that its own values may be bent.
 pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn FnMut(&str)) -> Found {
     let given = model.effects.len();
     let mut lines = vec![Line { score: score(all, model), fitted: model.clone() }];
-    let mut first = Vec::new();
-    let mut done: Vec<Line> = Vec::new();
-    let mut looked_at: Vec<Vec<&str>> = Vec::new();
+    let (mut first, mut done, mut looked_at) = (Vec::new(), Vec::new(), Vec::new());
     for depth in 0..MOST {
         let mut next: Vec<Line> = Vec::new();
         for line in &lines {
@@ -257,19 +291,14 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
             }
             looked_at.push(ids(&line.fitted));
             progress(&format!("with {names:?}: trying every effect"));
-            let found = candidates(all, &line.fitted, far && depth == 0, FITTED, None);
-            if depth == 0 {
-                first.clone_from(&found);
-            }
-            let good: Vec<&Candidate> = found.iter().filter(|c| c.evidence > NEEDED).collect();
-            let best = good.first().map_or(0.0, |c| c.evidence);
-            if good.is_empty() {
+            let found = candidates(all, &line.fitted, far && depth == 0);
+            let longer = longer(all, &found, given);
+            if longer.is_empty() {
                 done.push(line.clone());
             }
-            for c in good.iter().take(2).filter(|c| c.evidence > best - NEAR) {
-                let with_others = with_others(all, c, &good, given);
-                let fitted = without_idle(all, with_others, given);
-                next.push(Line { score: score(all, &fitted), fitted });
+            next.extend(longer);
+            if depth == 0 {
+                first = found;
             }
         }
         next.sort_by(|a, b| a.score.total_cmp(&b.score));
@@ -286,6 +315,18 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
     let best = done.into_iter().min_by(|a, b| a.score.total_cmp(&b.score));
     let best = best.map(|l| fit(all, &l.fitted.base, &l.fitted.effects));
     Found { fitted: best.unwrap_or_else(|| model.clone()), first }
+}
+
+/// A line with the best of these candidates, and one with the second where that is near; each with what explains something else.
+fn longer(all: &Observations, found: &[Candidate], given: usize) -> Vec<Line> {
+    let good: Vec<&Candidate> = found.iter().filter(|c| c.evidence > NEEDED).collect();
+    let best = good.first().map_or(0.0, |c| c.evidence);
+    let near = good.iter().take(2).filter(|c| c.evidence > best - NEAR);
+    let line = |c: &&Candidate| {
+        let fitted = without_idle(all, with_others(all, c, &good, given), given);
+        Line { score: score(all, &fitted), fitted }
+    };
+    near.map(line).collect()
 }
 
 fn ids(fitted: &Fitted) -> Vec<&'static str> {

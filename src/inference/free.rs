@@ -4,7 +4,7 @@ use super::model::Effects;
 use super::start::reference_level;
 use crate::dataset::Kind;
 use crate::observables::{Observations, mean};
-use radcam_sim::effects::Effect;
+use radcam_sim::effects::{Effect, Parameter};
 use radcam_sim::predict::BaseParameters;
 
 /// No lamp is known better than this, relative.
@@ -93,91 +93,127 @@ impl Point {
     }
 }
 
+/// A common value before it is divided by its scale.
+struct Entry {
+    what: Common,
+    value: f64,
+    /// 0: its own size.
+    scale: f64,
+    fixed: bool,
+    bounds: (f64, f64),
+}
+
+const ANY: (f64, f64) = (f64::NEG_INFINITY, f64::INFINITY);
+
+/// The paper's parameters, what came before the first frame, and the light monitor.
+fn of_base(all: &Observations, base: &BaseParameters) -> Vec<Entry> {
+    let entry = |what, value, scale, fixed, bounds| Entry { what, value, scale, fixed, bounds };
+    // Of a table the level without light was taken off.
+    let table = all.is_table;
+    let mut list = vec![
+        entry(Common::Gain, 0.0, 1.0, false, (-14.0, 14.0)),
+        entry(Common::Read, base.read_noise_e, 0.0, false, (0.0, f64::INFINITY)),
+        entry(Common::Offset, base.offset_dn, 0.0, table, ANY),
+        entry(Common::Dark, base.dark_e_per_s, 0.0, table, ANY),
+        entry(Common::Light, 0.0, 1.0, false, ANY),
+    ];
+    if let Some(past) = base.past_e {
+        let brightest = base.flux_e_per_s.iter().copied().fold(0.0, f64::max);
+        let longest = all.campaign.sets.iter().filter(|s| s.light.is_some()).map(|s| s.exposure_s);
+        let peak = (brightest * longest.fold(0.0, f64::max)).max(1.0);
+        list.push(entry(Common::Past, past, peak, false, (0.0, 20.0 * peak)));
+    }
+    if let Some(m) = base.monitor {
+        list.push(entry(Common::MonitorPer, m.ln_per_e, 1.0, false, ANY));
+        list.push(entry(Common::MonitorRel, m.rel, m.rel, false, (1e-7, 1.0)));
+    }
+    list
+}
+
+/// The parameters of an effect, which stands at this place among all.
+fn of_effect(place: usize, effect: &dyn Effect, values: &[f64]) -> Vec<Entry> {
+    let entry = |(k, (p, v)): (usize, (&Parameter, &f64))| {
+        let start = p.starts.iter().copied().find(|s| *s != 0.0).unwrap_or(v.abs().max(1e-3));
+        let bounds = match (effect.keeps_sign() && p.is_size(), *v < 0.0) {
+            (false, _) => (p.min, p.max),
+            (true, true) => (p.min, p.max.min(0.0)),
+            (true, false) => (p.min.max(0.0), p.max),
+        };
+        Entry {
+            what: Common::Of(place, k),
+            value: *v,
+            scale: v.abs().max(start.abs()),
+            fixed: p.is_choice() || effect.is_whole(k) || !effect.uses(values, k),
+            bounds,
+        }
+    };
+    effect.parameters().iter().zip(values).enumerate().map(entry).collect()
+}
+
+/// Light levels that have a mean, all but the one that the others are counted from.
+fn lights_of(all: &Observations, levels: usize, reference: usize) -> Vec<Light> {
+    let mut used = vec![false; levels];
+    let with_mean = all.of(&mean::This).filter_map(|o| all.campaign.sets[o.set?].light);
+    with_mean.for_each(|l| used[l] = true);
+    let light = |level: usize| {
+        let mut sets = all.campaign.sets.iter().zip(&all.kinds);
+        let flat = sets.any(|(s, kind)| s.light == Some(level) && *kind == Kind::Flat);
+        let known = all.light_rel_std.filter(|_| flat);
+        Light { level, known: known.map(|r| r.max(LIGHT_FLOOR) * std::f64::consts::SQRT_2) }
+    };
+    (0..levels).filter(|l| used[*l] && *l != reference).map(light).collect()
+}
+
+/// A factor counts from the nominal light where that is known, to which the level is moved; else from where the level stands.
+fn factors_of(all: &Observations, lights: &[Light], reference: usize, flux_e_per_s: &mut [f64]) -> Vec<f64> {
+    let nominal = |level: usize| {
+        all.campaign.sets.iter().find(|s| s.light == Some(level)).map_or(1.0, |s| s.illumination)
+    };
+    let unit = flux_e_per_s.get(reference).copied().unwrap_or(1.0) / nominal(reference);
+    let factor = |light: &Light| {
+        if light.known.is_none() {
+            return 0.0;
+        }
+        let expected = unit * nominal(light.level);
+        let ratio = flux_e_per_s[light.level] / expected;
+        flux_e_per_s[light.level] = expected;
+        if ratio > 0.0 { ratio.ln() } else { 0.0 }
+    };
+    lights.iter().map(factor).collect()
+}
+
 impl Free {
     /// For a model, and the place where it stands.
     pub fn new(all: &Observations, base: &BaseParameters, effects: &Effects) -> (Self, Point) {
         let remembers = effects.iter().any(|(e, _)| e.remembers()) && !all.is_table;
         let mut template = base.clone();
         template.past_e = remembers.then(|| base.past_e.unwrap_or(0.0));
-        let positive = (0.0, f64::INFINITY);
-        let any = (f64::NEG_INFINITY, f64::INFINITY);
-        let brightest = template.flux_e_per_s.iter().copied().fold(0.0, f64::max);
-        let longest = all.campaign.sets.iter().filter(|s| s.light.is_some()).map(|s| s.exposure_s);
-        let peak = (brightest * longest.fold(0.0, f64::max)).max(1.0);
-        // Of a table the level without light was taken off.
-        let table = all.is_table;
-        let mut list = vec![
-            (Common::Gain, 0.0, 1.0, false, (-14.0, 14.0)),
-            (Common::Read, base.read_noise_e, 0.0, false, positive),
-            (Common::Offset, base.offset_dn, 0.0, table, any),
-            (Common::Dark, base.dark_e_per_s, 0.0, table, any),
-            (Common::Light, 0.0, 1.0, false, any),
-        ];
-        if let Some(past) = template.past_e {
-            list.push((Common::Past, past, peak, false, (0.0, 20.0 * peak)));
+        let mut entries = of_base(all, &template);
+        for (place, (effect, values)) in effects.iter().enumerate() {
+            entries.extend(of_effect(place, *effect, values));
         }
-        if let Some(m) = template.monitor {
-            list.push((Common::MonitorPer, m.ln_per_e, 1.0, false, any));
-            list.push((Common::MonitorRel, m.rel, m.rel, false, (1e-7, 1.0)));
+        for e in entries.iter_mut().filter(|e| e.scale <= 0.0) {
+            e.scale = e.value.abs().max(1e-3);
         }
-        for (i, (e, values)) in effects.iter().enumerate() {
-            for (k, (p, v)) in e.parameters().iter().zip(values).enumerate() {
-                let start = p.starts.iter().copied().find(|s| *s != 0.0).unwrap_or(v.abs().max(1e-3));
-                let scale = v.abs().max(start.abs());
-                let (mut min, mut max) = (p.min, p.max);
-                if e.keeps_sign() && p.is_size() {
-                    if *v < 0.0 { max = max.min(0.0) } else { min = min.max(0.0) }
-                }
-                let fixed = p.is_choice() || e.is_whole(k) || !e.uses(values, k);
-                list.push((Common::Of(i, k), *v, scale, fixed, (min, max)));
-            }
-        }
-        let (mut common, mut scale, mut fixed, mut bounds, mut x) =
-            (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        for (what, value, size, still, (min, max)) in list {
-            let size = if size > 0.0 { size } else { value.abs().max(1e-3) };
-            common.push(what);
-            scale.push(size);
-            fixed.push(still);
-            bounds.push((min / size, max / size));
-            x.push(value / size);
-        }
-        let levels = template.flux_e_per_s.len();
-        let mut used = vec![false; levels];
-        let with_mean = all.of(&mean::This).filter_map(|o| all.campaign.sets[o.set?].light);
-        with_mean.for_each(|l| used[l] = true);
         let reference = reference_level(all);
+        let levels = template.flux_e_per_s.len();
+        let lights = lights_of(all, levels, reference);
+        let factors = factors_of(all, &lights, reference, &mut template.flux_e_per_s);
         let mut light_of_level = vec![None; levels];
-        let mut lights = Vec::new();
-        for level in (0..levels).filter(|l| used[*l] && *l != reference) {
-            light_of_level[level] = Some(lights.len());
-            let flat = all
-                .campaign
-                .sets
-                .iter()
-                .zip(&all.kinds)
-                .any(|(s, kind)| s.light == Some(level) && *kind == Kind::Flat);
-            let known = all.light_rel_std.filter(|_| flat);
-            lights.push(Light { level, known: known.map(|r| r.max(LIGHT_FLOOR) * std::f64::consts::SQRT_2) });
-        }
-        // A factor counts from the nominal light where that is known, else from where the level stands.
-        let nominal = |level: usize| {
-            all.campaign.sets.iter().find(|s| s.light == Some(level)).map_or(1.0, |s| s.illumination)
+        lights.iter().enumerate().for_each(|(k, l)| light_of_level[l.level] = Some(k));
+        let point = Point { x: entries.iter().map(|e| e.value / e.scale).collect(), lights: factors };
+        let free = Self {
+            effects: effects.iter().map(|(e, _)| *e).collect(),
+            common: entries.iter().map(|e| e.what).collect(),
+            scale: entries.iter().map(|e| e.scale).collect(),
+            fixed: entries.iter().map(|e| e.fixed).collect(),
+            bounds: entries.iter().map(|e| (e.bounds.0 / e.scale, e.bounds.1 / e.scale)).collect(),
+            lights,
+            light_of_level,
+            template,
+            values: effects.iter().map(|(_, v)| v.clone()).collect(),
         };
-        let unit = template.flux_e_per_s.get(reference).copied().unwrap_or(1.0) / nominal(reference);
-        let mut factors = vec![0.0; lights.len()];
-        for (light, factor) in lights.iter().zip(&mut factors) {
-            if light.known.is_some() {
-                let expected = unit * nominal(light.level);
-                let ratio = template.flux_e_per_s[light.level] / expected;
-                *factor = if ratio > 0.0 { ratio.ln() } else { 0.0 };
-                template.flux_e_per_s[light.level] = expected;
-            }
-        }
-        let values = effects.iter().map(|(_, v)| v.clone()).collect();
-        let effects = effects.iter().map(|(e, _)| *e).collect();
-        let free = Self { effects, common, scale, fixed, bounds, lights, light_of_level, template, values };
-        (free, Point { x, lights: factors })
+        (free, point)
     }
 
     /// The model at a place.

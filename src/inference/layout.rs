@@ -1,7 +1,7 @@
 //! Which observables take part in a fit, and what a model expects of them.
 
 use super::free::{Free, Point};
-use crate::observables::{Expected, Half, Observable, Observations, expectations};
+use crate::observables::{Expected, Half, Observable, Observations, expectations, mean};
 use radcam_sim::effects;
 use radcam_sim::predict::Prediction;
 use std::collections::BTreeMap;
@@ -53,7 +53,8 @@ impl<'a> Layout<'a> {
                 blocks.push((set, Vec::new()));
                 blocks.len() - 1
             });
-            blocks[at].1.push(i);
+            // The mean first: it is what the light of a set moves.
+            if o.is(&mean::This) { blocks[at].1.insert(0, i) } else { blocks[at].1.push(i) }
         }
         let mut chunks: BTreeMap<_, Vec<usize>> = BTreeMap::new();
         for (i, o) in rows.iter().enumerate() {

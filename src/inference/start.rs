@@ -5,87 +5,122 @@ use crate::observables::{Half, Observations, Statistic, mean, monitor, variance}
 use crate::statistics::median::median;
 use radcam_sim::predict::{BaseParameters, Monitor};
 
+/// Below this share of the brightest signal a flat tells little of light and gain: the zero and the dark variance are in it.
+const DIM: f64 = 0.02;
+
 /// A first guess of the paper's parameters.
 pub fn start(all: &Observations) -> BaseParameters {
-    let of = |kind: &'static dyn Statistic, wanted: Option<Kind>| {
-        all.of(kind).filter_map(move |o| {
-            let set = o.set?;
-            (wanted.is_none_or(|k| all.kinds[set] == k)).then_some((set, o.measured.value))
-        })
-    };
-    let mut sums = vec![(0.0, 0.0); all.campaign.sets.len()];
-    of(&mean::This, None).for_each(|(set, v)| sums[set] = (sums[set].0 + v, sums[set].1 + 1.0));
-    let level = |set: usize| sums[set].0 / sums[set].1;
-    let (offset_dn, dark_dn_per_s) = if all.is_table { (0.0, 0.0) } else { zero_and_dark(all, &of) };
-    let constant = of(&variance::This, Some(Kind::Dark)).map(|v| v.1).fold(f64::INFINITY, f64::min);
+    let (offset_dn, dark_dn_per_s) = if all.is_table { (0.0, 0.0) } else { zero_and_dark(all) };
+    let signal_dn = signals(all, offset_dn);
     let mut points: Vec<(f64, f64)> =
-        of(&variance::This, Some(Kind::Flat)).map(|(s, v)| (level(s) - offset_dn, v)).collect();
+        values(all, &variance::This, Some(Kind::Flat)).map(|(s, v)| (signal_dn[s], v)).collect();
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let constant = if constant.is_finite() { constant } else { intercept(&points) };
-    let top = points.last().map_or(0.0, |p| p.0);
-    let middle = points.get(points.len() / 2).copied().unwrap_or((1.0, 1.0));
-    let slope = |p: &(f64, f64)| (p.0, (p.1 - constant) / p.0.max(1e-6));
-    let slopes: Vec<_> = points.iter().map(slope).collect();
-    let gain = before_the_end(&slopes, top).unwrap_or(slope(&middle).1).max(1e-6);
-    let lights = all.campaign.sets.iter().filter_map(|s| s.light).max().map_or(0, |l| l + 1);
-    let mut rates: Vec<Vec<(f64, f64)>> = vec![Vec::new(); lights];
-    for (s, set) in all.campaign.sets.iter().enumerate() {
-        let Some(l) = set.light else { continue };
-        let above = level(s) - offset_dn;
-        let rate = above / set.exposure_s / gain / set.light_ratio;
-        if rate.is_finite() {
-            rates[l].push((above, rate));
-        }
-    }
-    let flux_of = |rates: &Vec<(f64, f64)>| {
-        let v = before_the_end(rates, top).unwrap_or_else(|| median(rates.iter().map(|r| r.1))).max(1e-6);
-        if v.is_finite() { v } else { 1.0 }
-    };
-    let mut flux: Vec<f64> = rates.iter().map(flux_of).collect();
-    // Where a level has less than its nominal light says, the range may have ended: nothing would draw it up again.
-    let flats = || {
-        let sets = all.campaign.sets.iter().enumerate().filter(|(s, _)| all.kinds[*s] == Kind::Flat);
-        sets.filter_map(|(s, set)| Some((s, set.light?, set.illumination)))
-            .filter(|(_, _, light)| *light > 0.0)
-    };
-    let bright = || flats().filter(|(s, ..)| level(*s) - offset_dn > 0.02 * top);
-    let per_light = of_the_largest(bright().map(|(_, l, light)| flux[l] / light));
-    if let Some(per_light) = per_light.filter(|_| bright().count() >= 3 && !all.is_table && lights > 1) {
-        for (_, l, light) in flats() {
-            if flux[l] < 0.97 * per_light * light {
-                flux[l] = per_light * light;
-            }
-        }
-    }
-    let readings: Vec<f64> = all
-        .of(&monitor::This)
-        .filter_map(|o| {
-            let set = &all.campaign.sets[o.set?];
-            Some(o.measured.value - (flux[set.light?] * set.exposure_s).ln())
-        })
-        .collect();
+    let dark = values(all, &variance::This, Some(Kind::Dark)).map(|v| v.1).reduce(f64::min);
+    let dark_var_dn2 = dark.unwrap_or_else(|| intercept(&points));
+    let top_dn = points.last().map_or(0.0, |p| p.0);
+    let gain_dn_per_e = gain(&points, dark_var_dn2, top_dn);
+    let mut flux_e_per_s = flux(all, &signal_dn, gain_dn_per_e, top_dn);
+    raise_clipped(all, &signal_dn, top_dn, &mut flux_e_per_s);
+    let monitor = monitor_of(all, &flux_e_per_s);
     BaseParameters {
-        gain_dn_per_e: gain,
-        read_noise_e: (constant - 1.0 / 12.0).max(0.01).sqrt() / gain,
+        gain_dn_per_e,
+        read_noise_e: (dark_var_dn2 - 1.0 / 12.0).max(0.01).sqrt() / gain_dn_per_e,
         offset_dn,
-        dark_e_per_s: dark_dn_per_s / gain,
-        flux_e_per_s: flux,
+        dark_e_per_s: dark_dn_per_s / gain_dn_per_e,
+        flux_e_per_s,
         past_e: None,
-        monitor: (!readings.is_empty()).then(|| {
-            let middle = median(readings.iter().copied());
-            let scatter = median(readings.iter().map(|r| (r - middle).abs())) / 0.6745;
-            Monitor { ln_per_e: middle, rel: scatter.max(1e-5) }
-        }),
+        monitor,
     }
 }
 
+/// Values of a statistic of sets, each with its set.
+fn values<'a>(
+    all: &'a Observations,
+    statistic: &'static dyn Statistic,
+    wanted: Option<Kind>,
+) -> impl Iterator<Item = (usize, f64)> + 'a {
+    all.of(statistic).filter_map(move |o| {
+        let set = o.set?;
+        (wanted.is_none_or(|k| all.kinds[set] == k)).then_some((set, o.measured.value))
+    })
+}
+
+/// Mean of every set above the zero, DN; not a number where it has none.
+fn signals(all: &Observations, offset_dn: f64) -> Vec<f64> {
+    let mut sums = vec![(0.0, 0.0); all.campaign.sets.len()];
+    values(all, &mean::This, None).for_each(|(set, v)| sums[set] = (sums[set].0 + v, sums[set].1 + 1.0));
+    sums.into_iter().map(|(sum, n)| sum / n - offset_dn).collect()
+}
+
+/// A, from the slope of the variance over the signal.
+fn gain(points: &[(f64, f64)], dark_var_dn2: f64, top_dn: f64) -> f64 {
+    let slope = |p: &(f64, f64)| (p.0, (p.1 - dark_var_dn2) / p.0.max(1e-6));
+    let slopes: Vec<_> = points.iter().map(slope).collect();
+    let middle = points.get(points.len() / 2).copied().unwrap_or((1.0, 1.0));
+    before_the_end(&slopes, top_dn).unwrap_or(slope(&middle).1).max(1e-6)
+}
+
+/// Light of every level, e/s.
+fn flux(all: &Observations, signal_dn: &[f64], gain_dn_per_e: f64, top_dn: f64) -> Vec<f64> {
+    let levels = all.campaign.sets.iter().filter_map(|s| s.light).max().map_or(0, |l| l + 1);
+    let mut rates: Vec<Vec<(f64, f64)>> = vec![Vec::new(); levels];
+    for (set, signal) in all.campaign.sets.iter().zip(signal_dn) {
+        let rate = signal / set.exposure_s / gain_dn_per_e / set.light_ratio;
+        if let Some(level) = set.light.filter(|_| rate.is_finite()) {
+            rates[level].push((*signal, rate));
+        }
+    }
+    let of_level = |rates: &Vec<(f64, f64)>| {
+        let usual = before_the_end(rates, top_dn).unwrap_or_else(|| median(rates.iter().map(|r| r.1)));
+        if usual.is_infinite() { 1.0 } else { usual.max(1e-6) }
+    };
+    rates.iter().map(of_level).collect()
+}
+
+/// Where a level has less than its nominal light says, the range may have ended: nothing would draw it up again.
+fn raise_clipped(all: &Observations, signal_dn: &[f64], top_dn: f64, flux_e_per_s: &mut [f64]) {
+    if all.is_table || flux_e_per_s.len() < 2 {
+        return;
+    }
+    let sets = all.campaign.sets.iter().enumerate().filter(|(s, _)| all.kinds[*s] == Kind::Flat);
+    let flats: Vec<(usize, usize, f64)> = sets
+        .filter_map(|(s, set)| Some((s, set.light?, set.illumination)))
+        .filter(|(_, _, light)| *light > 0.0)
+        .collect();
+    let bright = flats.iter().filter(|(s, ..)| signal_dn[*s] > DIM * top_dn);
+    let per_light: Vec<f64> = bright.map(|(_, l, light)| flux_e_per_s[*l] / light).collect();
+    if per_light.len() < 3 {
+        return;
+    }
+    let Some(per_light) = of_the_largest(per_light.into_iter()) else { return };
+    for (_, l, light) in flats {
+        if flux_e_per_s[l] < 0.97 * per_light * light {
+            flux_e_per_s[l] = per_light * light;
+        }
+    }
+}
+
+/// The light monitor, where there are readings of it.
+fn monitor_of(all: &Observations, flux_e_per_s: &[f64]) -> Option<Monitor> {
+    let reading = |(set, v): (usize, f64)| {
+        let set = &all.campaign.sets[set];
+        Some(v - (flux_e_per_s[set.light?] * set.exposure_s).ln())
+    };
+    let readings: Vec<f64> = values(all, &monitor::This, None).filter_map(reading).collect();
+    if readings.is_empty() {
+        return None;
+    }
+    let middle = median(readings.iter().copied());
+    // The median of the deviations of normal numbers is 0.6745 of their deviation.
+    let scatter = median(readings.iter().map(|r| (r - middle).abs())) / 0.6745;
+    Some(Monitor { ln_per_e: middle, rel: scatter.max(1e-5) })
+}
+
 /// Level of zero charge, DN, and dark signal, DN/s, from the shortest and the longest darks.
-fn zero_and_dark<I: Iterator<Item = (usize, f64)>>(
-    all: &Observations,
-    of: &impl Fn(&'static dyn Statistic, Option<Kind>) -> I,
-) -> (f64, f64) {
-    let darks: Vec<(f64, f64)> =
-        of(&mean::This, Some(Kind::Dark)).map(|(s, m)| (all.campaign.sets[s].exposure_s, m)).collect();
+fn zero_and_dark(all: &Observations) -> (f64, f64) {
+    let darks: Vec<(f64, f64)> = values(all, &mean::This, Some(Kind::Dark))
+        .map(|(s, m)| (all.campaign.sets[s].exposure_s, m))
+        .collect();
     let shortest = darks.iter().copied().min_by(|a, b| a.0.total_cmp(&b.0));
     let longest = darks.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0));
     match (shortest, longest) {
@@ -109,7 +144,7 @@ fn intercept(points: &[(f64, f64)]) -> f64 {
 /// The usual one of values that fall where the range has ended, of (level, value): where three or more levels lie in the lower half of
 /// all up to `top`, their median; where few do, that of the largest. `None` where no level stands out.
 fn before_the_end(all: &[(f64, f64)], top: f64) -> Option<f64> {
-    let clear = || all.iter().filter(|p| p.0 > 0.02 * top);
+    let clear = || all.iter().filter(|p| p.0 > DIM * top);
     let low = || clear().filter(|p| p.0 <= 0.55 * top).map(|p| p.1);
     if low().count() >= 3 { Some(median(low())) } else { of_the_largest(clear().map(|p| p.1)) }
 }

@@ -1,8 +1,29 @@
 //! What a campaign says, as a list of observables: each a number with an error, of some frames of one half.
 //!
-//! A statistic is one file here and one word in the list at the end of this one. The file says all that there is to say of it: what more
-//! it sums up over the frames, its values and their errors, what a prediction expects of it, its name and its words.
-//! [`row_shape`](self) is a short one to begin with.
+//! # To add a statistic
+//!
+//! Write one file here with a `This` that implements [`Statistic`], and put its name on the list at the end of this file: reports come in
+//! that order. Nothing else changes. [`mean`] is the shortest; [`kurtosis`] shows every part.
+//!
+//! 1. **What is summed** ([`Statistic::sums`], [`Statistic::add`]). Variances, covariances, row and column means, histograms and profiles are
+//!    there already ([`Summary`]). For anything else `add` gets every frame's image of deviations (rows * columns, DN): frame k less the
+//!    mean of the frames before it, times the root of (k - 1) / k, so that of independent frames each has the variance of a frame and all
+//!    are independent. The mean of each frame is taken off, and pixels that do not count (defects, clipped ones) are 0. Of a cumulant of
+//!    order m beyond the second such a deviation keeps ((k - 1) / k)^(m/2) (1 + (-1)^m / (k - 1)^(m - 1)) of a frame's: nothing of the third
+//!    where k = 2.
+//! 2. **What is measured** ([`Statistic::of_chunk`] for some frames of a set, [`Statistic::of_half`] for all sets of a half): values put on
+//!    the list, each with the error that the data show, or with 0 where `expect` gives it. Of a table only values that it holds itself are
+//!    there; `of_chunk` is not called.
+//! 3. **What is expected** ([`Statistic::expect`]): value and standard error under a prediction. [`View`] has what most need, corrected for
+//!    the number of frames: [`View::lag`] for covariances, `noise` for the variance. `set()` gives all moments that effects act on
+//!    ([`SetPrediction`](radcam_sim::predict::SetPrediction)); each has its `unsure_*`, what no equation says of it, to be added to the error
+//!    in quadrature. The value is differentiated by steps of 1e-5: no rounding, no random numbers, no steps. The error should hold for noise
+//!    that neighbours share, for a level that moves during a set (`moving`), and for noise of less than a code (`rough`).
+//! 4. **Words** ([`Statistic::id`], [`Statistic::name`], [`Statistic::meaning`]).
+//!
+//! Test the sum and its error by drawn numbers in the file. `radcam compare DATASET --json` then lists z of every value; on datasets that the
+//! model describes (`shared/practice/clean`, `radcam simulate`) their root mean square is 1. `tests/it/models.rs` compares drawn and expected
+//! values for every effect.
 
 mod campaign;
 mod codes;
@@ -167,7 +188,8 @@ pub struct Put<'a> {
 }
 
 impl Put<'_> {
-    /// A value of the statistic with this index; 0 where the prediction knows the error.
+    /// A value of the statistic with this index, and the error that the data show: 0 where [`Statistic::expect`] gives it, which then does
+    /// not look at `measured.std_err`.
     pub fn put(&mut self, index: usize, value: f64, std_err: f64) {
         if value.is_finite() {
             self.all.push(Observable { index, measured: Value { value, std_err }, ..self.template });
@@ -198,14 +220,13 @@ pub trait Statistic: Sync + std::fmt::Debug {
     fn sums(&self, _layout: &Layout) -> usize {
         0
     }
-    /// Adds to them an image of deviations from the pixels' means (rows * columns), DN: sums of products, such that the sums of two halves
-    /// of the frames add up.
+    /// Adds to them an image of deviations (rows * columns), DN, as the module's page describes them.
     fn add(&self, _image: &[f32], _lines: &Lines, _layout: &Layout, _sums: &mut [f64]) {}
     /// Its values for some frames of a set.
     fn of_chunk(&self, _chunk: &ChunkView<'_>, _put: &mut Put<'_>) {}
     /// Its values for one half of the campaign.
     fn of_half(&self, _half: &HalfView<'_>, _put: &mut Put<'_>) {}
-    /// What is expected of it.
+    /// What is expected of it: a smooth function of the prediction, and its error.
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected;
 }
 
