@@ -4,16 +4,16 @@
 //! frames go to one half, so that noise that runs from frame to frame within a chunk stays on one side.
 
 use super::fit::{Fitted, fit_half, halves};
-use super::layout::Layout;
+use super::free::Common;
+use super::layout::{Layout, State};
+use super::settings;
 use super::slopes::Slopes;
 use super::system::System;
 use super::white::White;
 use crate::agreement::{Agreement, P_LIMIT};
-use crate::observables::{Half, Observable, Observations, Statistic, mean, settling};
-use crate::statistics::{step, succession};
+use crate::observables::{Expected, Half, Observable, Observations, Statistic, mean, settling};
 use serde::Serialize;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
-use statrs::function::erf::erfc_inv;
 use std::collections::BTreeMap;
 
 /// One residual on frames that the fit did not see.
@@ -81,7 +81,8 @@ pub fn compare(all: &Observations, model: &Fitted) -> Comparison {
     }
     let n = residuals.len() as f64;
     let error = (residuals.iter().map(|r| r.z * r.z).sum::<f64>() / n.max(1.0)).sqrt();
-    let orders = setting_orders(all, model);
+    let tests = settings::tests(all, model, &levels(all, model.base.offset_dn));
+    let orders: Vec<Residual> = tests.into_iter().map(of_settings).collect();
     // Of so few numbers the smallest chance times theirs and that of all others.
     let by_order = orders.iter().map(|r| two_sided(r.z)).fold(1.0, f64::min) * (orders.len() + 1) as f64;
     let p_value = p_value(&residuals).min(by_order);
@@ -96,84 +97,19 @@ pub fn compare(all: &Observations, model: &Fitted) -> Comparison {
     }
 }
 
-/// Sets from which on the order of their settings tells something.
-const FEWEST_SETTINGS: usize = 8;
-
-/// Whether the settings of sets scatter one by one, as they are said to: whether those of the same light differ as others do, the correlation
-/// of successive ones, and the largest step between two runs of them, in the order of time and in that of the signal. A lamp that jumps, a
-/// response that bends or has a step is no scatter.
-fn setting_orders(all: &Observations, model: &Fitted) -> Vec<Residual> {
-    let layout = Layout::new(all, &halves(None));
-    let state = layout.at(&model.free, &model.point);
-    let mut scores = System::new(&layout, &model.free, &model.point, &state, &model.slopes).setting_scores();
-    // The only set at a light tells nothing: its light is what it shows.
-    scores.retain(|s| s.1.abs() > 1e-6);
-    if scores.len() < FEWEST_SETTINGS {
-        return Vec::new();
-    }
-    let levels = levels(all, model.base.offset_dn);
-    let told = |observable: String, measured: f64, predicted: f64, std_err: f64, z: f64| Residual {
-        observable,
+/// A test of the settings of all sets as a residual.
+fn of_settings(test: settings::Test) -> Residual {
+    Residual {
+        observable: test.name,
         set: None,
-        measured,
-        predicted,
-        std_err,
-        z,
-        independent_z: z,
+        measured: test.measured,
+        predicted: test.predicted,
+        std_err: test.std_err,
+        z: test.z,
+        independent_z: test.z,
         level_dn: 0.0,
         statistic: (&mean::This, 0),
-    };
-    // As many standard deviations as have this chance.
-    let as_z = |p_value: f64| std::f64::consts::SQRT_2 * erfc_inv(p_value.clamp(1e-300, 1.0));
-    let mut out = Vec::new();
-    if let Some((mean_square, dof)) = repeats(all, &scores) {
-        // They may be too alike; chi-squared has the deviation sqrt(2 / dof).
-        let alike = ChiSquared::new(dof).map_or(1.0, |c| (2.0 * c.cdf(dof * mean_square)).min(1.0));
-        let name = "light settings that come back".to_string();
-        out.push(told(name, mean_square, 1.0, (2.0 / dof).sqrt(), -as_z(alike)));
     }
-    for by_signal in [false, true] {
-        let name = if by_signal { "the signal" } else { "time" };
-        scores.sort_by(|a, b| if by_signal { levels[a.0].total_cmp(&levels[b.0]) } else { a.0.cmp(&b.0) });
-        let (square, product) = succession::sums(scores.iter().map(|s| s.1));
-        let (predicted, std_err) = succession::of_independent(scores.len() as f64);
-        let measured = product / square.max(1e-300);
-        let of_light = |what: &str| format!("{what} of light settings, in the order of {name}");
-        out.push(told(
-            of_light("succession"),
-            measured,
-            predicted,
-            std_err,
-            (measured - predicted) / std_err,
-        ));
-        let values: Vec<f64> = scores.iter().map(|s| s.1).collect();
-        if let Some(step) = step::largest(&values) {
-            let (z, size) = (as_z(step.p_value), step.difference);
-            out.push(told(of_light("step"), size, 0.0, size.abs() / z.max(1e-9), z.copysign(size)));
-        }
-    }
-    out
-}
-
-/// Mean square, over that of all, of the deviations of settings from the mean of those with the same light and exposure, and its degrees of
-/// freedom: a lamp that is set again does not come back to the same error, and a response that bends does.
-fn repeats(all: &Observations, scores: &[(usize, f64)]) -> Option<(f64, f64)> {
-    let key = |set: usize| (all.campaign.sets[set].light, all.campaign.sets[set].exposure_s.to_bits());
-    let mut groups: BTreeMap<_, Vec<f64>> = BTreeMap::new();
-    for (i, (set, score)) in scores.iter().enumerate() {
-        // Sets in a row of the same light are one setting.
-        if i == 0 || key(scores[i - 1].0) != key(*set) {
-            groups.entry(key(*set)).or_default().push(*score);
-        }
-    }
-    let (mut square, mut dof) = (0.0, 0.0);
-    for group in groups.values() {
-        let mean = group.iter().sum::<f64>() / group.len() as f64;
-        square += group.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
-        dof += group.len() as f64 - 1.0;
-    }
-    let whole = scores.iter().map(|s| s.1 * s.1).sum::<f64>() / scores.len() as f64;
-    (dof >= 1.0 && whole > 0.0).then(|| (square / dof / whole, dof))
 }
 
 /// Mean of every set above a zero, DN.
@@ -189,71 +125,91 @@ fn levels(all: &Observations, zero_dn: f64) -> Vec<f64> {
 
 /// The residuals of the other half under a fit to this one; the error of the fit is in theirs.
 fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
-    let own = Layout::new(all, &halves(Some(half)));
-    let settings = {
-        let state = own.at(&fitted.free, &fitted.point);
-        let slopes = Slopes::beside(Some(&fitted.slopes), &own, &fitted.free, &fitted.point, &state);
-        System::new(&own, &fitted.free, &fitted.point, &state, &slopes).settings()
-    };
-    let layout = Layout::new(all, &[half.other()]);
-    let state = layout.at(&fitted.free, &fitted.point);
-    let seen = lights_seen(all, half);
-    let is_seen = |o: &Observable| {
-        let light = o.set.and_then(|s| all.campaign.sets[s].light);
-        light.is_none_or(|l| seen[l])
-    };
+    let unseen = Unseen::new(all, fitted, half);
     let levels = levels(all, fitted.base.offset_dn);
-    // How errors of what was fitted show in frames that the fit did not see: slopes that only served the fit would not do.
-    let slopes = Slopes::new(&layout, &fitted.free, &fitted.point, &state).over_errors(&state);
-    let n = fitted.free.common.len();
-    let prediction = fitted.predict(all);
-    let all_light = fitted.free.place(super::free::Common::Light).unwrap_or(0);
-    // Square of what the light of a set moves its mean by, DN^2: the unit of its setting.
-    let mut units = vec![0.0; all.campaign.sets.len()];
-    for (r, (o, e)) in layout.rows.iter().zip(&state.expected).enumerate() {
-        if let Some(set) = o.set.filter(|_| o.is(&mean::This)) {
-            units[set] = (slopes[r * n + all_light] * e.normal.2).powi(2);
-        }
+    let (mut out, mut places) = (Vec::new(), Vec::new());
+    let mut z = vec![0.0; unseen.layout.rows.len()];
+    let mut wider_by = vec![1.0; z.len()];
+    for (r, (o, e)) in unseen.layout.rows.iter().zip(&unseen.state.expected).enumerate() {
+        let Some((own_z, wider)) = unseen.judged(r, o, e).filter(|(z, _)| z.is_finite()) else { continue };
+        out.push(residual(all, o, e.value, e.std_err * wider, own_z, &levels));
+        places.push(r);
+        (z[r], wider_by[r]) = (own_z, wider);
     }
-    let mut out = Vec::new();
-    let mut places = Vec::new();
-    let mut wider_by = vec![1.0; layout.rows.len()];
-    for (r, (o, e)) in layout.rows.iter().zip(&state.expected).enumerate() {
-        // Light levels that only one half has cannot be judged on the other.
-        if o.statistic.sees_light() && !is_seen(o) {
-            continue;
-        }
-        let row = &slopes[r * n..][..n];
-        let level = o.set.and_then(|s| all.campaign.sets[s].light);
-        let factor = level.and_then(|l| fitted.free.light_of_level.get(l).copied().flatten());
-        let light = row[all_light];
-        let mut variance = 1.0 + fitted.covariance.of(row, factor.map(|k| (k, light))).max(0.0);
-        let mut z = e.z();
-        if o.statistic.sees_light()
-            && let Some(set) = o.set
-        {
-            // A setting is told by the frames of the set that the fit saw, and else it is as nominal.
-            let told = settings.iter().find(|s| s.0 == set);
-            let scatter = prediction.sets[set].setting / units[set].max(1e-30);
-            let (shift, left) = told.map_or((0.0, scatter), |s| (s.1, s.2));
-            if prediction.sets[set].setting > 0.0 {
-                z -= light * shift;
-                variance += light * light * left;
-            }
-        }
-        let wider = variance.sqrt();
-        z /= wider;
-        if z.is_finite() {
-            out.push(residual(all, o, e.value, e.std_err * wider, z, &levels));
-            places.push(r);
-            wider_by[r] = wider;
-        }
-    }
-    let mut z = vec![0.0; layout.rows.len()];
-    places.iter().zip(&out).for_each(|(r, residual)| z[*r] = residual.z);
-    White::new(&layout, &state.expected, |r| wider_by[r]).apply(&mut z, 1);
+    White::new(&unseen.layout, &unseen.state.expected, |r| wider_by[r]).apply(&mut z, 1);
     places.iter().zip(&mut out).for_each(|(r, residual)| residual.independent_z = z[*r]);
     out
+}
+
+/// A fit to one half, and what it expects of the other.
+struct Unseen<'a> {
+    all: &'a Observations,
+    fitted: &'a Fitted,
+    layout: Layout<'a>,
+    state: State,
+    /// How errors of what was fitted show in frames that the fit did not see, over the errors of these. Slopes that only served the fit would
+    /// not do.
+    slopes: Vec<f64>,
+    /// Place of the light of all levels among the common values.
+    light: usize,
+    /// Light levels that the fit saw.
+    lights: Vec<bool>,
+    /// Of sets that the fit saw: what their setting is off by and by so much that is not known, in units of the light.
+    told: BTreeMap<usize, (f64, f64)>,
+    /// By so much a setting scatters that the fit did not see, in squares of the light; by set.
+    scatter: Vec<f64>,
+}
+
+impl<'a> Unseen<'a> {
+    fn new(all: &'a Observations, fitted: &'a Fitted, half: Half) -> Self {
+        let layout = Layout::new(all, &[half.other()]);
+        let state = layout.at(&fitted.free, &fitted.point);
+        let slopes = Slopes::new(&layout, &fitted.free, &fitted.point, &state).over_errors(&state);
+        let (light, n) = (fitted.free.place(Common::Light).unwrap_or(0), fitted.free.common.len());
+        // A setting's scatter is a variance of the mean in DN^2: over the square of what the light moves the mean by.
+        let settings: Vec<f64> = fitted.predict(all).sets.iter().map(|s| s.setting).collect();
+        let mut scatter = vec![0.0; settings.len()];
+        for (r, (o, e)) in layout.rows.iter().zip(&state.expected).enumerate() {
+            if let Some(set) = o.set.filter(|_| o.is(&mean::This)) {
+                scatter[set] = settings[set] / (slopes[r * n + light] * e.normal.2).powi(2).max(1e-30);
+            }
+        }
+        let told = settings_told(all, fitted, half);
+        let lights = lights_seen(all, half);
+        Self { all, fitted, layout, state, slopes, light, lights, told, scatter }
+    }
+
+    /// The standardised residual of a row, and by how much its error is wider than that of the expectation; `None` of light levels that only
+    /// one half has.
+    fn judged(&self, r: usize, o: &Observable, e: &Expected) -> Option<(f64, f64)> {
+        let level = o.set.and_then(|s| self.all.campaign.sets[s].light);
+        let sees_light = o.statistic.sees_light();
+        if sees_light && level.is_some_and(|l| !self.lights[l]) {
+            return None;
+        }
+        let n = self.fitted.free.common.len();
+        let row = &self.slopes[r * n..][..n];
+        let factor = level.and_then(|l| self.fitted.free.light_of_level.get(l).copied().flatten());
+        let by_light = row[self.light];
+        let mut variance = 1.0 + self.fitted.covariance.of(row, factor.map(|k| (k, by_light))).max(0.0);
+        let mut z = e.z();
+        if let Some(set) = o.set.filter(|s| sees_light && self.scatter[*s] > 0.0) {
+            // A setting is told by the frames of the set that the fit saw, and else it is as nominal.
+            let (shift, left) = self.told.get(&set).copied().unwrap_or((0.0, self.scatter[set]));
+            z -= by_light * shift;
+            variance += by_light * by_light * left;
+        }
+        Some((z / variance.sqrt(), variance.sqrt()))
+    }
+}
+
+/// What the frames that a fit saw tell of the settings of their sets.
+fn settings_told(all: &Observations, fitted: &Fitted, half: Half) -> BTreeMap<usize, (f64, f64)> {
+    let own = Layout::new(all, &halves(Some(half)));
+    let state = own.at(&fitted.free, &fitted.point);
+    let slopes = Slopes::beside(Some(&fitted.slopes), &own, &fitted.free, &fitted.point, &state);
+    let settings = System::new(&own, &fitted.free, &fitted.point, &state, &slopes).settings();
+    settings.into_iter().map(|(set, shift, left)| (set, (shift, left))).collect()
 }
 
 fn residual(

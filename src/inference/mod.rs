@@ -12,6 +12,7 @@ mod layout;
 mod model;
 mod normal;
 mod screen;
+mod settings;
 mod slopes;
 mod start;
 mod system;

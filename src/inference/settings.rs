@@ -1,0 +1,102 @@
+//! Whether the settings of sets scatter one by one, as they are said to. A lamp that jumps, a response that bends or has a step is no
+//! scatter.
+
+use super::fit::{Fitted, halves};
+use super::layout::Layout;
+use super::system::System;
+use crate::observables::Observations;
+use crate::statistics::{step, succession};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+use statrs::function::erf::erfc_inv;
+use std::collections::BTreeMap;
+
+/// Sets from which on the order of their settings tells something.
+const FEWEST: usize = 8;
+
+/// What a test of the settings found.
+pub(super) struct Test {
+    pub name: String,
+    pub measured: f64,
+    pub predicted: f64,
+    pub std_err: f64,
+    pub z: f64,
+}
+
+/// Deviation of the setting of a set, over what it is expected to scatter by.
+type Score = (usize, f64);
+
+/// Whether settings of the same light differ as others do, the correlation of successive ones, and the largest step between two runs of
+/// them, in the order of time and in that of the signal. `levels`: mean of every set, DN.
+pub(super) fn tests(all: &Observations, model: &Fitted, levels: &[f64]) -> Vec<Test> {
+    let layout = Layout::new(all, &halves(None));
+    let state = layout.at(&model.free, &model.point);
+    let mut scores = System::new(&layout, &model.free, &model.point, &state, &model.slopes).setting_scores();
+    // The only set at a light tells nothing: its light is what it shows.
+    scores.retain(|s| s.1.abs() > 1e-6);
+    if scores.len() < FEWEST {
+        return Vec::new();
+    }
+    let mut out: Vec<Test> = coming_back(all, &scores).into_iter().collect();
+    scores.sort_by_key(|s| s.0);
+    out.extend(in_order(&scores, "time"));
+    scores.sort_by(|a, b| levels[a.0].total_cmp(&levels[b.0]));
+    out.extend(in_order(&scores, "the signal"));
+    out
+}
+
+/// As many standard deviations as have this chance.
+fn as_z(p_value: f64) -> f64 {
+    std::f64::consts::SQRT_2 * erfc_inv(p_value.clamp(1e-300, 1.0))
+}
+
+/// Whether settings of the same light are too alike.
+fn coming_back(all: &Observations, scores: &[Score]) -> Option<Test> {
+    let (mean_square, dof) = repeats(all, scores)?;
+    let alike = ChiSquared::new(dof).map_or(1.0, |c| (2.0 * c.cdf(dof * mean_square)).min(1.0));
+    Some(Test {
+        name: "light settings that come back".into(),
+        measured: mean_square,
+        predicted: 1.0,
+        // Of chi-squared over its degrees of freedom.
+        std_err: (2.0 / dof).sqrt(),
+        z: -as_z(alike),
+    })
+}
+
+/// Correlation of successive settings, and the largest step between two runs of them.
+fn in_order(scores: &[Score], order: &str) -> Vec<Test> {
+    let values: Vec<f64> = scores.iter().map(|s| s.1).collect();
+    let name = |what: &str| format!("{what} of light settings, in the order of {order}");
+    let (square, product) = succession::sums(values.iter().copied());
+    let (predicted, std_err) = succession::of_independent(values.len() as f64);
+    let measured = product / square.max(1e-300);
+    let z = (measured - predicted) / std_err;
+    let mut out = vec![Test { name: name("succession"), measured, predicted, std_err, z }];
+    if let Some(step) = step::largest(&values) {
+        let (z, size) = (as_z(step.p_value), step.difference);
+        let std_err = size.abs() / z.max(1e-9);
+        out.push(Test { name: name("step"), measured: size, predicted: 0.0, std_err, z: z.copysign(size) });
+    }
+    out
+}
+
+/// Mean square, over that of all, of the deviations of settings from the mean of those with the same light and exposure, and its degrees of
+/// freedom: a lamp that is set again does not come back to the same error, and a response that bends does.
+fn repeats(all: &Observations, scores: &[Score]) -> Option<(f64, f64)> {
+    let key = |set: usize| (all.campaign.sets[set].light, all.campaign.sets[set].exposure_s.to_bits());
+    let mut groups: BTreeMap<_, Vec<f64>> = BTreeMap::new();
+    for (i, (set, score)) in scores.iter().enumerate() {
+        // Sets in a row of the same light are one setting.
+        if i == 0 || key(scores[i - 1].0) != key(*set) {
+            groups.entry(key(*set)).or_default().push(*score);
+        }
+    }
+    let (mut square, mut dof) = (0.0, 0.0);
+    for group in groups.values() {
+        let mean = group.iter().sum::<f64>() / group.len() as f64;
+        square += group.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+        dof += group.len() as f64 - 1.0;
+    }
+    let whole = scores.iter().map(|s| s.1 * s.1).sum::<f64>() / scores.len() as f64;
+    (dof >= 1.0 && whole > 0.0).then(|| (square / dof / whole, dof))
+}
