@@ -87,3 +87,57 @@ pub(crate) fn clipped(
         lost_variance: average(&|c| c.lost_variance),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    /// Against numerical integration of min(x, limit) by scipy 1.14.
+    #[test]
+    fn cut_noise_is_what_integration_gives() {
+        // Limit; mean, variance, fourth cumulant of what is left; share above; variance of what is lost.
+        let known = [
+            (
+                -1.0,
+                [
+                    -1.0833154705876864,
+                    0.06839831570452314,
+                    0.09326260041433707,
+                    0.8413447460685429,
+                    0.751087807841609,
+                ],
+            ),
+            (
+                0.5,
+                [
+                    -0.19779655740130608,
+                    0.553440704453552,
+                    0.14096012029610439,
+                    0.3085375387259869,
+                    0.17051578190552574,
+                ],
+            ),
+            (
+                2.0,
+                [
+                    -0.008490702616829715,
+                    0.9601963707872341,
+                    -0.23045851906680026,
+                    0.022750131948179195,
+                    0.005696634683592495,
+                ],
+            ),
+        ];
+        for (limit, expected) in known {
+            let c = cut(0.0, 1.0, limit);
+            for (got, expected) in
+                [c.mean, c.variance, c.fourth, c.above, c.lost_variance].iter().zip(expected)
+            {
+                assert!((got - expected).abs() < 1e-9, "at {limit}: {got}, not {expected}");
+            }
+            let wide = cut(5.0, 9.0, 5.0 + 3.0 * limit);
+            assert!(
+                (wide.fourth - 81.0 * c.fourth).abs() < 1e-9 && (wide.mean - 5.0 - 3.0 * c.mean).abs() < 1e-9
+            );
+        }
+    }
+}

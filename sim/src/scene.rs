@@ -130,6 +130,7 @@ mod tests {
     use super::*;
     use crate::optics::Band;
     use crate::sensors;
+    use crate::surface::Texture;
 
     fn model() -> Model {
         let mut model = sensors::load("xc77").unwrap();

@@ -155,7 +155,7 @@ pub fn diagnose(
         error_before: first.error,
         error_after: last.error,
         ladder,
-        next_plan: next.as_ref().map(|(about, sets)| Plan::of_takes(about, *sets)),
+        next_plan: next.as_ref().map(|(about, sets)| Plan::of_takes(about, sets)),
         next_measurement: next.map(|n| n.0),
         missing,
         notes,

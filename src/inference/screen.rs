@@ -24,6 +24,28 @@ pub struct Scored {
     pub gain: f64,
 }
 
+/// Values with their sizes multiplied, within their ranges.
+fn sized(effect: &dyn Effect, given: &[Option<f64>], values: &[f64], by: f64) -> Vec<f64> {
+    let of = |(v, p): (&f64, &effects::Parameter)| {
+        if p.is_size() { (v * by).clamp(p.min, p.max) } else { *v }
+    };
+    as_given(&values.iter().zip(effect.parameters()).map(of).collect::<Vec<_>>(), given)
+}
+
+/// The best multiple of a size, if the move is in proportion to it, and if it is so to its square; a sign that the effect cannot have is left
+/// out.
+fn multiples(effect: &dyn Effect, in_proportion: f64) -> Vec<f64> {
+    let crosses = !effect.keeps_sign() && effect.parameters().iter().any(|p| p.is_size() && p.min < 0.0);
+    let all = [in_proportion, in_proportion.abs().sqrt()];
+    let possible = |by: &f64| if in_proportion < 0.0 { *by < 0.0 && crosses } else { *by > 0.0 };
+    all.into_iter().filter(possible).map(|by| by.clamp(-1e4, 1e4)).collect()
+}
+
+/// The better of two starts.
+fn better(best: Option<Scored>, values: Vec<f64>, gain: f64) -> Option<Scored> {
+    if best.as_ref().is_none_or(|b| gain > b.gain) { Some(Scored { values, gain }) } else { best }
+}
+
 /// The place of a fit, ready for looks in many directions.
 pub struct Screen<'a> {
     now: &'a Fitted,
@@ -69,63 +91,55 @@ impl<'a> Screen<'a> {
         given: &[Option<f64>],
         hinted: &[Vec<f64>],
     ) -> Vec<Scored> {
-        let parameters = effect.parameters();
-        let sized = |values: &[f64], size: f64| -> Vec<f64> {
-            let of = |(v, p): (&f64, &effects::Parameter)| {
-                if p.is_size() { (v * size).clamp(p.min, p.max) } else { *v }
-            };
-            as_given(&values.iter().zip(parameters).map(of).collect::<Vec<_>>(), given)
+        let start = |values: &Vec<f64>| {
+            let best = self.best_size(direction, effect, given, values)?;
+            Some(self.refined(direction, effect, given, &best).unwrap_or(best))
         };
-        let has_size = parameters.iter().any(effects::Parameter::is_size);
-        let crosses = !effect.keeps_sign() && parameters.iter().any(|p| p.is_size() && p.min < 0.0);
-        let mut out: Vec<Scored> = Vec::new();
-        for values in self.signed(effect, hinted) {
-            let mut best: Option<Scored> = None;
-            let mut take = |values: Vec<f64>, gain: f64| {
-                if best.as_ref().is_none_or(|b| gain > b.gain) {
-                    best = Some(Scored { values, gain });
+        let mut out: Vec<Scored> = self.signed(effect, hinted).iter().filter_map(start).collect();
+        out.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        out
+    }
+
+    /// A start with its sizes multiplied by whatever promises most.
+    fn best_size(
+        &self,
+        direction: &Direction<'_, '_>,
+        effect: &'static dyn Effect,
+        given: &[Option<f64>],
+        values: &[f64],
+    ) -> Option<Scored> {
+        let has_size = effect.parameters().iter().any(effects::Parameter::is_size);
+        let mut best: Option<Scored> = None;
+        for size in if has_size { &SIZES[..] } else { &SIZES[..1] } {
+            let values = sized(effect, given, values, *size);
+            let there = self.at(effect, &values);
+            if there.setting_widens(&self.state) {
+                best = better(best, values, f64::INFINITY);
+                continue;
+            }
+            let Some(moved) = self.left(direction, &there).and_then(|l| direction.gain(&l)) else { continue };
+            best = better(best, values.clone(), moved.whole);
+            if !has_size || !moved.multiple.is_finite() || moved.multiple == 0.0 {
+                continue;
+            }
+            let mut reached = moved.whole;
+            for multiple in multiples(effect, moved.multiple) {
+                let values = sized(effect, given, &values, multiple);
+                let there = self.left(direction, &self.at(effect, &values));
+                if let Some(there) = there.and_then(|l| direction.gain(&l)) {
+                    best = better(best, values, there.whole);
+                    reached = reached.max(there.whole);
                 }
-            };
-            for size in if has_size { &SIZES[..] } else { &SIZES[..1] } {
-                let values = sized(&values, *size);
-                let there = self.at(effect, &values);
-                if there.setting_widens(&self.state) {
-                    take(values, f64::INFINITY);
-                    continue;
-                }
-                let Some(moved) = self.left(direction, &there).and_then(|l| direction.gain(&l)) else {
-                    continue;
-                };
-                take(values.clone(), moved.whole);
-                if !has_size || !moved.multiple.is_finite() || moved.multiple == 0.0 {
-                    continue;
-                }
-                // The best multiple, if the move is in proportion to the size, and if it is so to its square.
-                let mut reached = moved.whole;
-                for by in [moved.multiple, moved.multiple.abs().sqrt()] {
-                    if by < 0.0 && !crosses || moved.multiple < 0.0 && by > 0.0 {
-                        continue;
-                    }
-                    let values = sized(&values, by.clamp(-1e4, 1e4));
-                    let there = self.left(direction, &self.at(effect, &values));
-                    if let Some(there) = there.and_then(|l| direction.gain(&l)) {
-                        take(values, there.whole);
-                        reached = reached.max(there.whole);
-                    }
-                    if reached > IN_PROPORTION * moved.best {
-                        break;
-                    }
-                }
-                // A shape that does not change with the size has shown all.
                 if reached > IN_PROPORTION * moved.best {
                     break;
                 }
             }
-            let refined = best.as_ref().and_then(|b| self.refined(direction, effect, given, b));
-            out.extend(refined.or(best));
+            // A shape that does not change with the size has shown all.
+            if reached > IN_PROPORTION * moved.best {
+                break;
+            }
         }
-        out.sort_by(|a, b| b.gain.total_cmp(&a.gain));
-        out
+        best
     }
 
     fn left(&self, direction: &Direction<'_, '_>, there: &State) -> Option<Vec<f64>> {

@@ -79,6 +79,36 @@ fn quantised(variance: f64, spread: f64, q: f64) -> (f64, f64) {
     (q / std::f64::consts::PI * ripple, (q * q / std::f64::consts::PI.powi(2) + 4.0 * noise) * ripple)
 }
 
+/// What rounding may do to mean and variance beyond what is predicted, DN and DN^2.
+fn rough(prediction: &Prediction, noise: f64, spread: f64) -> (f64, f64) {
+    let (mean, variance) = quantised(noise, spread, prediction.code_step_dn);
+    // Where the noise covers few codes their widths are in it: not an equation but a bound on what is not predicted, gone where the noise
+    // covers many.
+    let widths = 0.5 * prediction.bit_errors_dn[..6].iter().map(|e| e * e).sum::<f64>();
+    (mean, variance.hypot(widths * (-0.02 * noise).exp()))
+}
+
+/// How little n frames show of a light that changes down the rows, DN^2. `within`: the share of it that does not change whole frames.
+fn ripple_error(s: &SetPrediction, within: f64, rows: f64, n: f64) -> f64 {
+    let dof = (n - 1.0).max(1.0);
+    let of = |&(v, ripple): &(f64, Ripple)| {
+        let v = v * within;
+        match ripple {
+            // Like a line it has one phase a frame.
+            Ripple::Sine(cycles) => {
+                let part = 1.0 / (std::f64::consts::TAU * cycles * rows).max(1.0);
+                v * (1.0 / (n * (n - 1.0)).max(1.0) + 2.0 * part * part / dof).sqrt()
+            }
+            // Squares of an autoregression forget twice as fast as it does itself.
+            Ripple::Wander(next) => {
+                let parts = (rows * (1.0 - next * next) / (1.0 + next * next)).max(1.0);
+                v * (2.0 / (dof * parts)).sqrt()
+            }
+        }
+    };
+    s.ripples.iter().map(of).fold(0.0, f64::hypot)
+}
+
 /// Covariances of the noise of a set, DN^2, by rows and columns apart; several statistics of several chunks ask for each.
 #[derive(Debug, Clone, Copy, Default)]
 struct Lags {
@@ -148,6 +178,8 @@ impl<'a> View<'a> {
         let mean = frames.iter().sum::<f64>() / n;
         let moved = frames.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / dof;
         let shape = all.campaign.shape;
+        let at_scene = o.set.is_some_and(|s| all.after_scene[s]);
+        let moving = if at_scene { 1.0 } else { all.largest_spread.powi(2) } * moved;
         let mut view = Self {
             prediction,
             all,
@@ -157,8 +189,7 @@ impl<'a> View<'a> {
             dof,
             mean,
             moved,
-            moving: if o.set.is_some_and(|s| all.after_scene[s]) { 1.0 } else { all.largest_spread.powi(2) }
-                * moved,
+            moving,
             of_mean: 0.0,
             ripple_of_mean: 0.0,
             noise: 0.0,
@@ -175,32 +206,10 @@ impl<'a> View<'a> {
             view.left = (left(&s.shot_memory, n), left(&s.read_memory, n));
         }
         let spread = o.set.and_then(|i| all.campaign.sets.get(i)).map_or(0.0, |s| s.spread_dn);
-        let (mean, variance) = quantised(view.noise, spread, prediction.code_step_dn);
-        // Where the noise covers few codes their widths are in it: not an equation but a bound on what is not predicted, gone where the
-        // noise covers many.
-        let low = &prediction.bit_errors_dn[..6];
-        let widths = 0.5 * low.iter().map(|e| e * e).sum::<f64>();
-        view.rough =
-            (mean, if widths > 0.0 { variance.hypot(widths * (-0.02 * view.noise).exp()) } else { variance });
-        let rows = shape.0 as f64;
+        view.rough = rough(prediction, view.noise, spread);
         // What the frame's mean takes with it does not scatter.
         let within = 1.0 - view.ripple_of_mean / s.ripple(0.0).max(f64::MIN_POSITIVE);
-        let ripple_error = |&(v, ripple): &(f64, Ripple)| {
-            let v = v * within;
-            match ripple {
-                // Like a line it has one phase a frame.
-                Ripple::Sine(cycles) => {
-                    let part = 1.0 / (std::f64::consts::TAU * cycles * rows).max(1.0);
-                    v * (1.0 / (n * (n - 1.0)).max(1.0) + 2.0 * part * part / dof).sqrt()
-                }
-                // Squares of an autoregression forget twice as fast as it does itself.
-                Ripple::Wander(next) => {
-                    let parts = (rows * (1.0 - next * next) / (1.0 + next * next)).max(1.0);
-                    v * (2.0 / (dof * parts)).sqrt()
-                }
-            }
-        };
-        view.ripple_error = s.ripples.iter().map(ripple_error).fold(0.0, f64::hypot);
+        view.ripple_error = ripple_error(s, within, shape.0 as f64, n);
         view
     }
 

@@ -86,3 +86,43 @@ impl Statistic for This {
         )
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::Array2;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    /// Of 400 lists of four frames of normal numbers, as deviations from the mean of those before: the mean and the variance of the kurtosis
+    /// within five standard errors of 3 n / (n + 2) and 24 / n, n the degrees of freedom of all pixels.
+    #[test]
+    fn of_normal_noise_it_scatters_as_it_says() {
+        let (side, frames, lists) = (24usize, 4u32, 400u32);
+        let layout = Layout::new(&Array2::from_elem((side, side), true), 4095);
+        let of = |list: u32| {
+            let (mut fourth, mut square) = ([0.0], 0.0);
+            let mut rng = PixelRng::new(3, Stream::Effect, 0, list, 0);
+            let mut sum = vec![0.0; side * side];
+            for k in 0..frames {
+                let frame: Vec<f64> = sum.iter().map(|_| rng.normal()).collect();
+                if k > 0 {
+                    let scale = f64::from(k) / f64::from(k + 1);
+                    let of = |(v, s): (&f64, &f64)| ((v - s / f64::from(k)) * scale.sqrt()) as f32;
+                    let image: Vec<f32> = frame.iter().zip(&sum).map(of).collect();
+                    square += image.iter().map(|v| f64::from(v * v)).sum::<f64>();
+                    This.add(&image, &Lines::new(layout.shape), &layout, &mut fourth);
+                }
+                sum.iter_mut().zip(&frame).for_each(|(s, v)| *s += v);
+            }
+            let n = (side * side) as f64 * f64::from(frames - 1);
+            (fourth[0] / n / (square / n).powi(2), n)
+        };
+        let all: Vec<(f64, f64)> = (0..lists).map(of).collect();
+        let (n, count) = (all[0].1, f64::from(lists));
+        let z: Vec<f64> = all.iter().map(|k| (k.0 - 3.0 * n / (n + 2.0)) / (24.0 / n).sqrt()).collect();
+        let mean = z.iter().sum::<f64>() / count;
+        let variance = z.iter().map(|z| z * z).sum::<f64>() / count;
+        assert!(mean.abs() < 5.0 / count.sqrt(), "{mean}");
+        assert!((variance - 1.0).abs() < 5.0 * (2.0 / count).sqrt(), "{variance}");
+    }
+}
