@@ -58,7 +58,8 @@ impl Statistic for This {
         // Pixels with more light have more shot noise, and some have more dark current.
         let set = view.at.map(|i| &view.all.campaign.sets[i]);
         let uneven = set.map_or(0.0, |info| (s.shot.lag(0, 0) * info.spread).powi(2));
-        let dark = view.at.map_or(0.0, |i| view.all.dark_spread_dn2[i]) * view.prediction.base.gain_dn_per_e.powi(2);
+        let dark =
+            view.at.map_or(0.0, |i| view.all.dark_spread_dn2[i]) * view.prediction.base.gain_dn_per_e.powi(2);
         // A sine of random phase has -3/2 of the square of its variance.
         let sine = s.ripples.iter().map(|r| r.0 * r.0).sum::<f64>();
         let own = 3.0 * (s.unequal + uneven) + kept * (s.fourth + poisson);

@@ -36,7 +36,9 @@ impl Statistic for This {
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let scene = view.all.scenes[o.half.place()].as_ref();
-        let of = |f: fn(&ScenePair, Direction, &Prediction) -> f64| scene.map_or(0.0, |s| f(s, way(o.index), view.prediction));
+        let of = |f: fn(&ScenePair, Direction, &Prediction) -> f64| {
+            scene.map_or(0.0, |s| f(s, way(o.index), view.prediction))
+        };
         let (leak, unsure) = (of(ScenePair::expected), of(ScenePair::unsure));
         // A patch with shading spills here more and there less than its mean does; a step between taps lies somewhere beside the patch.
         let level = view.prediction.sets.iter().map(|s| s.signal).fold(0.0, f64::max);
@@ -44,6 +46,10 @@ impl Statistic for This {
         let step: f64 = step.sum();
         // Nor are the rows of the patch and of the background under the same light where that ripples.
         let ripple = view.prediction.sets.iter().map(|s| s.ripple(0.0)).fold(0.0, f64::max).sqrt();
-        Expected::plain(o, leak, in_quadrature(&[o.measured.std_err, 0.01 * leak, unsure, 0.5 * step, ripple]))
+        Expected::plain(
+            o,
+            leak,
+            in_quadrature(&[o.measured.std_err, 0.01 * leak, unsure, 0.5 * step, ripple]),
+        )
     }
 }

@@ -25,7 +25,8 @@ impl Statistic for This {
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         // A line elsewhere is not the one that was measured: its place is known to a part of a bin of the spectrum.
-        let (seen, bins) = (view.all.campaign.line_cycles_per_px, Power::length(view.all.campaign.shape) as f64);
+        let (seen, bins) =
+            (view.all.campaign.line_cycles_per_px, Power::length(view.all.campaign.shape) as f64);
         let here = |across: f64| {
             let away = seen.map_or(0.0, |seen| (across / std::f64::consts::TAU - seen) * bins);
             (-0.5 * away * away).exp()

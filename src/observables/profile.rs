@@ -82,6 +82,7 @@ fn remembered(s: &SetPrediction, frames: f64) -> f64 {
         memory.iter().enumerate().map(|(k, r)| (frames - (k + 1) as f64).max(0.0) * r).sum::<f64>() / frames
     };
     let (shot, read) = (s.shot.of_mean(), s.read.of_mean());
-    let part = (shot * lost(&s.shot_memory) + read * lost(&s.read_memory)) / (shot + read).max(f64::MIN_POSITIVE);
+    let part =
+        (shot * lost(&s.shot_memory) + read * lost(&s.read_memory)) / (shot + read).max(f64::MIN_POSITIVE);
     (1.0 + 2.0 * part) / (1.0 - 2.0 * part / (frames - 1.0))
 }

@@ -43,7 +43,8 @@ impl Statistic for This {
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let Some(s) = view.set() else { return Expected::plain(o, 3.0, 1.0) };
         let (rows, columns) = view.all.campaign.shape;
-        let (ripple, white) = (s.ripple(0.0), (s.shot.along(1) + s.read.along(1)) / columns as f64 + s.row.lag(0));
+        let (ripple, white) =
+            (s.ripple(0.0), (s.shot.along(1) + s.read.along(1)) / columns as f64 + s.row.lag(0));
         let all = (ripple + white).max(1e-12);
         // A slow wander gives fewer independent rows.
         let length = |r: &Ripple| match r {
@@ -53,12 +54,14 @@ impl Statistic for This {
         let longest = s.ripples.iter().map(|(_, r)| length(r)).fold(1.0, f64::max);
         let n = rows as f64 * view.dof / (1.0 + ripple / all * (longest - 1.0));
         // Of a sine it is 1.5, and of the difference of two 2.25: of a frame from the mean of those before it somewhere between.
-        let sine = s.ripples.iter().map(|(v, r)| if let Ripple::Sine(_) = r { *v } else { 0.0 }).sum::<f64>() / all;
+        let sine =
+            s.ripples.iter().map(|(v, r)| if let Ripple::Sine(_) = r { *v } else { 0.0 }).sum::<f64>() / all;
         // Rows of unequal pixels scatter unequally.
         let noisy = s.unequal.max(0.0) / (view.noise * view.noise).max(1e-12);
         let unequal = 3.0 * noisy / columns as f64;
         // Tails of the pixels' noise that are not known go on, each row's mean having so many pixels.
-        let tails = (3.0 * s.unsure + s.unsure_fourth) / (view.noise * view.noise).max(1e-12) / columns as f64;
+        let tails =
+            (3.0 * s.unsure + s.unsure_fourth) / (view.noise * view.noise).max(1e-12) / columns as f64;
         // What whole frames share moves rows by their shading.
         let shading = view.all.largest_spread.powi(2) * (s.common + view.moved) / all;
         let lines: f64 = s.lines.iter().map(|l| l.0).sum::<f64>() / columns as f64 / all;

@@ -169,7 +169,10 @@ fn the_whole_table() {
                 let a = ask(&with(model, id, &values));
                 if a.named == [id] {
                     for (p, hidden) in effect.parameters().iter().zip(&values) {
-                        let (found, std_err) = a.parameters[p.name];
+                        // Choices have no error, and what a choice does not use is not said.
+                        let Some((found, std_err)) = a.parameters.get(p.name).filter(|q| q.1 > 0.0) else {
+                            continue;
+                        };
                         let pull = (found - hidden) / std_err;
                         println!(
                             "    {} = {found:.3e} +- {std_err:.1e}, hidden {hidden:.3e}: {pull:+.1}",

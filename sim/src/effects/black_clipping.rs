@@ -1,7 +1,7 @@
 //! Black clipping: what lies below a level is cut off.
 
-use crate::clipping::clipped;
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
+use crate::clipping::clipped;
 use crate::predict::NORMAL;
 
 /// max(v, level), counted from the level of zero charge.

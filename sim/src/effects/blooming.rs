@@ -1,7 +1,7 @@
 //! Blooming: a full well spills into its column.
 
-use crate::clipping::clipped;
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
+use crate::clipping::clipped;
 use crate::predict::NORMAL;
 
 /// Charge above the well goes to the pixels above and below.

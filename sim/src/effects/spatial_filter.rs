@@ -102,6 +102,11 @@ impl Effect for This {
             let correction =
                 Correction::new(whole * strength, libm::sqrt(square * x), libm::sqrt(square) * pattern);
             let (slope, noise) = correction.linear();
+            // What passes thresholds by the pattern alone is known to half: of tails five places tell no more.
+            let (bare_slope, bare_noise) =
+                Correction::new(whole * strength, libm::sqrt(square * x), 0.0).linear();
+            let by_pattern = (noise - bare_noise).abs() + 2.0 * x * (slope - bare_slope).abs() / whole;
+            s.unsure_var = libm::hypot(s.unsure_var, 0.5 * by_pattern);
             let moved = (slope.abs() / (whole * strength).abs().max(1e-9)).min(1.0) * correction.narrow();
             let strength = (slope / whole).copysign(strength);
             s.filter(&Filter::new(&power(strength)));
