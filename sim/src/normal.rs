@@ -1,4 +1,5 @@
-//! Density and upper tail of the normal distribution, from a table: a fit asks for them some ten million times.
+//! Density and upper tail of the normal distribution, from a table: a fit asks for them some ten million times. Where small tails or their
+//! differences count (drawing Poisson numbers, moments of clipped noise) `libm::erfc` serves.
 
 use std::sync::OnceLock;
 

@@ -111,7 +111,7 @@ impl Slopes {
         }
     }
 
-    /// Makes the slopes say of a step what it did (Broyden 1965), which costs no prediction. What they missed is given to the values in
+    /// Makes the slopes say of a step what it did (Broyden 1965; Madsen, Nielsen and Tingleff 2004, section 3.5), which costs no prediction. What they missed is given to the values in
     /// proportion to what each moved, in units of what the campaign tells of it: `weights`, the diagonal of the normal matrix. `said`: what
     /// the slopes made of the step, row by row.
     pub fn follow(&mut self, moved: &[f64], weights: &[f64], said: &[f64], from: &State, to: &State) {
@@ -146,5 +146,45 @@ impl Slopes {
             row.iter_mut().for_each(|s| *s /= e.normal.2);
         }
         out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::observables::Expected;
+
+    fn state(values: &[f64]) -> State {
+        let expected = |v: &f64| Expected { value: *v, std_err: 1.0, common: 0.0, normal: (0.0, *v, 1.0) };
+        State { expected: values.iter().map(expected).collect(), setting: Vec::new() }
+    }
+
+    /// What defines the update: after a step the slopes say what it did, and across it (in the metric of the weights) what they said before.
+    #[test]
+    fn slopes_follow_a_step_and_stay_across_it() {
+        let before = vec![1.0, 2.0, -0.5, 3.0];
+        let mut slopes = Slopes {
+            keys: vec![None, None],
+            rows: vec![0, 1],
+            sets: Vec::new(),
+            expected: before.clone(),
+            scatter: Vec::new(),
+            setting: Vec::new(),
+            scale: vec![1.0, 1.0],
+        };
+        let (moved, weights) = ([0.2, -0.1], [4.0, 9.0]);
+        let (from, to) = (state(&[0.0, 5.0]), state(&[0.7, 4.2]));
+        let said = slopes.said(&moved, None, |_| 0.0);
+        slopes.follow(&moved, &weights, &said, &from, &to);
+        for (now, did) in slopes.said(&moved, None, |_| 0.0).iter().zip([0.7, -0.8]) {
+            assert!((now - did).abs() < 1e-12, "{now}, not {did}");
+        }
+        // sum of weights * moved * across = 0.
+        let across = [weights[1] * moved[1], -weights[0] * moved[0]];
+        let now = slopes.said(&across, None, |_| 0.0);
+        for (row, now) in before.chunks(2).zip(now) {
+            let was = row[0] * across[0] + row[1] * across[1];
+            assert!((now - was).abs() < 1e-12, "{now}, was {was}");
+        }
     }
 }

@@ -9,6 +9,7 @@ mod dataset;
 mod effects;
 mod models;
 mod noise;
+mod outside;
 mod program;
 mod real;
 mod support;

@@ -1,6 +1,7 @@
 //! Model files: effects in formulas, values that are searched for, and what a fit writes.
 
-use crate::effects::{campaign, outside, unit, with};
+use crate::effects::{campaign, unit, with};
+use crate::outside;
 use crate::support::expect;
 use radcam_sim::Model;
 use radcam_sim::effects::example;
