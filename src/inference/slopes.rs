@@ -111,9 +111,9 @@ impl Slopes {
         }
     }
 
-    /// Makes the slopes say of a step what it did (Broyden 1965; Madsen, Nielsen and Tingleff 2004, section 3.5), which costs no prediction. What they missed is given to the values in
-    /// proportion to what each moved, in units of what the campaign tells of it: `weights`, the diagonal of the normal matrix. `said`: what
-    /// the slopes made of the step, row by row.
+    /// Makes the slopes say of a step what it did, which costs no prediction (Broyden 1965; Madsen, Nielsen and Tingleff 2004, section 3.5).
+    /// What they missed is given to the values in proportion to what each moved, in units of what the campaign tells of it: `weights`, the
+    /// diagonal of the normal matrix. `said`: what the slopes made of the step, row by row.
     pub fn follow(&mut self, moved: &[f64], weights: &[f64], said: &[f64], from: &State, to: &State) {
         let weighted: Vec<f64> = moved.iter().zip(weights).map(|(x, w)| x * w).collect();
         let square: f64 = weighted.iter().zip(moved).map(|(w, x)| w * x).sum();
