@@ -79,9 +79,12 @@ pub struct Seen {
 }
 
 impl Seen {
-    /// Starts of a charge at which something ends: near the brightest level, e.
+    /// Starts of a charge at which something ends: near the brightest level, e. Shading and noise reach some per cent above it, and what only
+    /// these reach shows in steps as fine.
     fn near_peak(&self) -> Vec<Vec<f64>> {
-        [1.0, 0.9, 1.15].map(|part| vec![part * self.peak_e.max(1.0)]).to_vec()
+        [1.0, 0.9, 0.97, 1.03, 1.06, 1.1, 1.15, 1.22, 1.3]
+            .map(|part| vec![part * self.peak_e.max(1.0)])
+            .to_vec()
     }
 }
 
