@@ -203,9 +203,9 @@ fn from_starts(
     picked.truncate(forms);
     let distinct = picked.len();
     let more = starts.iter().filter(|s| picked.iter().all(|p| p.values != s.values));
-    // A shape without a size is all in its start, and what that promises says little of where a fit ends: half of them are tried.
-    let has_size = effect.parameters().iter().any(|p| p.is_size());
-    let tried = if has_size { STARTS } else { STARTS.max(starts.len() / 2) };
+    // Where there is no size, what a start promises says little of where a fit ends: all are tried.
+    let has_size = effect.parameters().iter().any(effects::Parameter::is_size);
+    let tried = if has_size { STARTS } else { starts.len() };
     let more: Vec<&Scored> = more.take((tried + 1).saturating_sub(distinct).max(1)).collect();
     picked.extend(more);
     let bases: Vec<&Fitted> = std::iter::once(now).chain(guess).collect();

@@ -8,7 +8,7 @@ use crate::support::radcam;
 use radcam::inference::{Fitted, compare, fit, start};
 use radcam::observables::{Observations, expectations};
 use radcam_sim::Model;
-use radcam_sim::effects::{EFFECTS, Effect, example, find};
+use radcam_sim::effects::{EFFECTS, Effect, Parameter, example, find};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
@@ -48,7 +48,7 @@ fn strength(
     best.map_or((String::new(), 0.0), |(name, squares)| (name.clone(), squares.sqrt()))
 }
 
-/// Values of an effect at a strength on this sensor, and that strength; `None` where nothing shows it.
+/// Values of an effect at a strength on this sensor, and that strength; `None` where no values within its bounds come near it.
 fn values_at(model: &Model, id: &str, wanted: f64) -> Option<(Vec<f64>, f64)> {
     let plain = example(id, model)?;
     let dir = tempfile::tempdir().unwrap();
@@ -57,16 +57,21 @@ fn values_at(model: &Model, id: &str, wanted: f64) -> Option<(Vec<f64>, f64)> {
     let clean = observe(&root);
     let truth = fit(&clean, &start(&clean), &Vec::new());
     let effect = find(id).unwrap();
-    let of = |knob: f64| strength(&clean, &truth, effect, &scaled(id, &plain, knob)).1;
+    let values = |knob: f64| -> Vec<f64> {
+        let within = |(v, p): (f64, &Parameter)| v.clamp(p.min, p.max);
+        scaled(id, &plain, knob).into_iter().zip(effect.parameters()).map(within).collect()
+    };
+    let of = |knob: f64| strength(&clean, &truth, effect, &values(knob)).1;
     let (mut low, mut high) = (1e-3f64, 1e2f64);
     for _ in 0..16 {
         let middle = (low * high).sqrt();
         if of(middle) > wanted { high = middle } else { low = middle }
     }
-    let values = scaled(id, &plain, high);
+    let values = values(high);
     let (statistic, reached) = strength(&clean, &truth, effect, &values);
     println!("    {id}: {values:?}, {reached:.1} in {statistic}");
-    Some((values, reached))
+    // Some move statistics only beyond their bounds, or in steps.
+    (0.75..1.33).contains(&(reached / wanted)).then_some((values, reached))
 }
 
 /// What the program said of a hidden camera.
