@@ -1,9 +1,10 @@
 //! Temporal filter: the camera averages successive frames.
 
+use crate::normal::PLACES as SHARES;
 use crate::predict::SetPrediction;
 use crate::quantize::Correction;
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
 /// A running average with weight 1 - alpha for the new frame.
 pub struct This;
@@ -22,6 +23,42 @@ fn fine(p: &[f64]) -> bool {
 /// Whether the filter sees more than whole codes too.
 fn sees_more(p: &[f64]) -> bool {
     p[1] >= 1.5
+}
+
+/// A change of level between two frames, DN.
+struct Change<'a> {
+    /// By so much the last frame was brighter.
+    away: f64,
+    /// Deviation of that from pixel to pixel, in these places.
+    across: f64,
+    places: &'a [f64; SHARES.len()],
+    /// Noise of the two frames together.
+    noise: f64,
+}
+
+impl Change<'_> {
+    /// What a filter that keeps whole codes adds to the mean, where the change is larger by `more`: floor(a u + 1/2) over the pixels.
+    fn step(&self, a: f64, more: f64) -> f64 {
+        // Between one place and the next pixels lie as well.
+        let correction = Correction::new(a, libm::hypot(self.noise, 0.35 * self.across), 0.0);
+        let at = |(x, share): (&f64, f64)| share * correction.mean(self.away + more + self.across * x);
+        self.places.iter().zip(SHARES).map(at).sum()
+    }
+
+    /// By so much that is not known, since where pixels lie is known as a few shares: to a seventh of their deviation (a named choice). In
+    /// proportion to the change nothing is lost by it.
+    fn unsure(&self, a: f64) -> f64 {
+        let by = libm::hypot(self.noise, self.across) / 7.0;
+        let away = 0.5 * (self.step(a, by) - self.step(a, -by)) - a * by;
+        // Nor, where there is little noise, on which side of a threshold whole codes lie.
+        let whole = libm::exp(-0.5 * libm::pow(std::f64::consts::TAU, 2.0) * self.noise * self.noise);
+        libm::hypot(away, whole / libm::sqrt(12.0))
+    }
+}
+
+/// Deviation, from pixel to pixel, of the change from one set's level to another's, DN.
+fn across(c: &Campaign, from: usize, from_dn: f64, to: usize, to_dn: f64) -> f64 {
+    (c.sets[from].spread * from_dn - c.sets[to].spread * to_dn).abs()
 }
 
 impl Effect for This {
@@ -43,6 +80,12 @@ impl Effect for This {
             // Whole codes, parts of a code, parts of a code of samples with more bits than the codes that are sent.
             Parameter { name: "kept", unit: "choice", min: 0.0, max: 2.0, starts: &[0.0, 1.0, 2.0] },
         ]
+    }
+
+    /// In whole codes a change by less than half a code over alpha moves nothing: also from where the largest change passes that.
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        let just = 0.5 / seen.peak_dn.max(1.0);
+        vec![vec![0.05, 0.0], vec![0.05, 1.0], vec![0.05, 2.0], vec![just, 0.0], vec![just, 1.0]]
     }
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {
@@ -111,11 +154,26 @@ impl Effect for This {
         let of_sets: Vec<_> = out.sets.iter().map(of_set).collect();
         let mut last = out.base.past_e.map(|past| past * out.base.gain_dn_per_e);
         let mut moves = vec![false; of_sets.len()];
+        let mut unsure_first = vec![0.0f64; of_sets.len()];
         let mut set = None;
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
             let Some(of_set) = of_sets.get(frame.set) else { continue };
-            let away = last.map_or(0.0, |last| last - *m);
-            let step = of_set.2.mean(away);
+            let before = last.unwrap_or(*m);
+            let away = before - *m;
+            let step = if set == Some(frame.set) {
+                of_set.2.mean(away)
+            } else {
+                let noise = |set: usize| of_sets[set].1 + out.sets[set].pixels();
+                let change = Change {
+                    away,
+                    across: across(c, set.unwrap_or(frame.set), before, frame.set, *m),
+                    noise: libm::sqrt(noise(set.unwrap_or(frame.set)) + noise(frame.set)),
+                    places: &c.sets[if away > 0.0 { set.unwrap_or(frame.set) } else { frame.set }].places,
+                };
+                let unsure = &mut unsure_first[frame.set];
+                *unsure = libm::hypot(*unsure, change.unsure(a));
+                change.step(a, 0.0)
+            };
             last = Some(*m + if fine(p) { a * away } else { step });
             *m += step;
             // The first frame of a set has a statistic of its own.
@@ -124,7 +182,8 @@ impl Effect for This {
             }
             set = Some(frame.set);
         }
-        for ((s, (slope, noise, correction)), moves) in out.sets.iter_mut().zip(of_sets).zip(moves) {
+        let more = moves.into_iter().zip(unsure_first);
+        for ((s, (slope, noise, correction)), (moves, unsure_first)) in out.sets.iter_mut().zip(of_sets).zip(more) {
             if fine(p) {
                 // o_t = (1 - s) x_t + s y_(t-1) and noise, y the running mean with variance v: cov(o_t, y_t) is carried on by s a^(k-1).
                 let (v, _) = running_average(a);
@@ -145,8 +204,7 @@ impl Effect for This {
                 let slope = 1.0 / libm::sqrt(std::f64::consts::TAU * x.max(1.0));
                 s.unsure_moving = libm::hypot(s.unsure_moving, 2.0 * slope * x / 3.0);
             }
-            // Where a step lies between its thresholds decides what it moves the first frame by: the sawtooth of rounding has this deviation.
-            s.unsure_first = libm::hypot(s.unsure_first, correction.narrow() / libm::sqrt(12.0));
+            s.unsure_first = libm::hypot(s.unsure_first, unsure_first);
             // Only what lies far off is moved, and towards the rest: the tails of narrow noise are short, as far as anything is moved.
             let moved = (slope / a.max(1e-9)).min(1.0) * correction.narrow() * s.pixels().powi(2);
             s.fourth -= 0.7 * moved;
