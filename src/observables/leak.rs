@@ -40,16 +40,16 @@ impl Statistic for This {
             scene.map_or(0.0, |s| f(s, way(o.index), view.prediction))
         };
         let (leak, unsure) = (of(ScenePair::expected), of(ScenePair::unsure));
-        // A patch with shading spills here more and there less than its mean does; a step between taps lies somewhere beside the patch.
-        let level = view.prediction.sets.iter().map(|s| s.signal).fold(0.0, f64::max);
-        let step = view.prediction.taps.iter().map(|(gain, offset)| (gain * level).abs() + offset.abs());
-        let step: f64 = step.sum();
+        // A step between taps that lies beside the patch: where every pixel has a zero of its own it drops out of the difference, and so it does
+        // in proportion to the light.
+        let step: f64 = view.prediction.taps.iter().map(|(_, offset)| offset.abs()).sum();
+        let step = scene.map_or(0.0, ScenePair::zero_scaled) * step;
         // Nor are the rows of the patch and of the background under the same light where that ripples.
         let ripple = view.prediction.sets.iter().map(|s| s.ripple(0.0)).fold(0.0, f64::max).sqrt();
         Expected::plain(
             o,
             leak,
-            in_quadrature(&[o.measured.std_err, 0.01 * leak, unsure, 0.5 * step, ripple]),
+            in_quadrature(&[o.measured.std_err, 0.01 * leak, unsure, step, ripple]),
         )
     }
 }

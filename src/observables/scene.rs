@@ -66,6 +66,8 @@ pub struct ScenePair {
     background_dn: f64,
     /// Rows of the patch, above it and below it.
     rows: [usize; 3],
+    /// Whether every pixel's zero is known.
+    zero_by_pixel: bool,
 }
 
 /// Mean of the values and the variance of that mean from their scatter, wider where they are few: a mean over such an error then has
@@ -164,6 +166,7 @@ impl ScenePair {
             patch_dn: inside(true, &scaled)?,
             background_dn: inside(false, &scaled)?,
             rows: [last + 1 - first, first, rows - 1 - last],
+            zero_by_pixel: layout.zero.is_some(),
         })
     }
 
@@ -184,6 +187,11 @@ impl ScenePair {
             Direction::Down => smear - self.spilled(p, NEAR.start..NEAR.end.min(self.rows[2])),
             Direction::Next => smear - self.spilled(p, 0..1),
         }
+    }
+
+    /// By how much a pixel's own zero, DN, moves what is looked at.
+    pub fn zero_scaled(&self) -> f64 {
+        if self.zero_by_pixel { 0.0 } else { self.ratio - 1.0 }
     }
 
     /// By how much that is not known, DN: a part of what spills may be lost on its way, and next to the patch the light of its edge is bent
