@@ -233,9 +233,12 @@ fn parts(
     }
     parts.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
     let alone = parts.len() == 1;
-    for part in &mut parts {
+    for (k, part) in parts.iter_mut().enumerate() {
         part.others = if alone {
             first.iter().filter(|c| c.effect.id() != part.effect.id()).cloned().collect()
+        } else if k > 0 && part.nameless > part.evidence {
+            // Its name is in doubt anyway.
+            Vec::new()
         } else {
             rivals(all, &part.rest, part.effect, part.evidence)
         };

@@ -31,6 +31,8 @@ const KNOWN: f64 = 2.5;
 const BEHIND: f64 = 0.3;
 /// A candidate that gains this share of its evidence beside another one explains something else.
 const SOMETHING_ELSE: f64 = 0.5;
+/// An effect is not left out for a try where a size squared over its error's square is this multiple of what it costs (a named choice).
+const SURELY: f64 = 4.0;
 /// A second line is followed where its evidence is this near the best line's.
 const NEAR: f64 = 40.0;
 
@@ -99,7 +101,7 @@ struct Promising {
 
 impl Look<'_> {
     fn candidates(&self) -> Vec<Candidate> {
-        let screen = Screen::new(self.all, self.now);
+        let screen = Screen::new(self.all, self.now, NO_RIVAL * self.against);
         let chosen = self.chosen(self.screened(&screen));
         let best = chosen.iter().map(|p| p.gain).filter(|g| g.is_finite()).fold(0.0, f64::max);
         let brief: Vec<(&'static dyn Effect, Vec<Fitted>)> = chosen
@@ -363,11 +365,23 @@ pub fn without(all: &Observations, model: &Fitted, which: usize) -> Fitted {
     fit_near(all, model, &effects)
 }
 
+/// Whether an effect of a model pays for itself beyond doubt: by the square of a size over its error (Wald's test), which a fit without it
+/// would give to within a small factor.
+fn surely_pays(all: &Observations, model: &Fitted, which: usize) -> bool {
+    let (effect, values) = &model.effects[which];
+    let parameters = effect.parameters();
+    let price = NEEDED + parameters.len() as f64 * (all.list.len() as f64).ln();
+    let size = |k: &usize| parameters[*k].is_size() && effect.uses(values, *k);
+    let square = |k: usize| (values[k] / model.std_err[which][k]).powi(2);
+    (0..values.len()).filter(size).any(|k| square(k) > SURELY * price && square(k).is_finite())
+}
+
 /// Drops effects whose evidence does not pay for them any more.
 fn without_idle(all: &Observations, mut model: Fitted, given: usize) -> Fitted {
     while model.effects.len() > given + 1 {
-        let tries: Vec<Fitted> =
-            (given..model.effects.len() - 1).into_par_iter().map(|i| without(all, &model, i)).collect();
+        let doubtful =
+            (given..model.effects.len() - 1).into_par_iter().filter(|i| !surely_pays(all, &model, *i));
+        let tries: Vec<Fitted> = doubtful.map(|i| without(all, &model, i)).collect();
         let best = tries.into_iter().min_by(|a, b| score(all, a).total_cmp(&score(all, b)));
         match best {
             Some(less) if score(all, &less) - score(all, &model) < NEEDED => model = less,
@@ -392,7 +406,7 @@ pub fn searched(all: &Observations, given: &[Given]) -> Effects {
         hinted.extend(effect.starts(&seen(all, &now.base)));
         // From the first guess too: a fit that lacks the effect may lie far off.
         let brief = [&guess, &now].map(|from| {
-            let starts = Screen::new(all, from).starts(*effect, values, &hinted);
+            let starts = Screen::new(all, from, 0.0).starts(*effect, values, &hinted);
             from_starts(all, &now, Some(&guess), *effect, &starts, FORMS, None)
         });
         now = finished(all, sorted(all, brief.concat())).into_iter().next().unwrap_or_else(|| {

@@ -12,6 +12,8 @@ use radcam_sim::effects::{self, Effect};
 
 /// Sizes, relative to an effect's own start, at which its shape is looked at: many shapes change with the size.
 const SIZES: [f64; 3] = [1.0, 0.1, 10.0];
+/// Where the best multiple of a start promises less than this share of what is needed, other sizes are not looked at (a named choice).
+const HOPELESS: f64 = 0.1;
 /// A move that reaches this share of what a move in proportion would reach at best is one.
 const IN_PROPORTION: f64 = 0.9;
 
@@ -55,16 +57,17 @@ pub struct Screen<'a> {
     point: super::free::Point,
     state: State,
     slopes: Slopes,
+    needed: f64,
 }
 
 impl<'a> Screen<'a> {
-    /// At a fit.
-    pub fn new(all: &'a Observations, now: &'a Fitted) -> Self {
+    /// At a fit. `needed`: what promises far less than this is of no use, as long as its size is not far from its start.
+    pub fn new(all: &'a Observations, now: &'a Fitted, needed: f64) -> Self {
         let layout = Layout::new(all, &halves(None));
         let (free, point) = Free::new(all, &now.base, &now.effects);
         let state = layout.at(&free, &point);
         let slopes = Slopes::new(&layout, &free, &point, &state);
-        Self { now, all, layout, free, point, state, slopes }
+        Self { now, all, layout, free, point, state, slopes, needed }
     }
 
     /// Slopes at the fit.
@@ -135,7 +138,7 @@ impl<'a> Screen<'a> {
                 }
             }
             // A shape that does not change with the size has shown all.
-            if reached > IN_PROPORTION * moved.best {
+            if reached > IN_PROPORTION * moved.best || moved.best.max(reached) < HOPELESS * self.needed {
                 break;
             }
         }

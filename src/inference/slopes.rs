@@ -47,10 +47,8 @@ impl Slopes {
             setting: vec![0.0; blocks * n],
             scale: free.scale.clone(),
         };
-        let place = |i: usize| {
-            let known = known.filter(|k| k.has_all(&out.rows, &out.sets))?;
-            known.keys.iter().position(|k| k.is_some() && *k == out.keys[i])
-        };
+        let serves = known.filter(|k| k.has_all(&out.rows, &out.sets));
+        let place = |i: usize| serves?.keys.iter().position(|k| k.is_some() && *k == out.keys[i]);
         let places: Vec<Option<usize>> = (0..n).map(place).collect();
         let fresh: Vec<usize> = (0..n).filter(|i| !free.fixed[*i] && places[*i].is_none()).collect();
         let step_of = |i: usize| {
@@ -76,7 +74,7 @@ impl Slopes {
                 out.setting[b * n + i] = (is - was) / step;
             }
         }
-        if let Some(known) = known {
+        if let Some(known) = serves {
             out.take(known, &places);
         }
         out
