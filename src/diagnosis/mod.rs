@@ -11,7 +11,9 @@ pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
 use crate::agreement::{DOUBT, P_LIMIT};
-use crate::inference::{Comparison, Effects, Fitted, compare, fit, fit_near, residuals_of, seen, start};
+use crate::inference::{
+    Comparison, Effects, Fitted, Residual, compare, fit, fit_near, residuals_of, seen, start,
+};
 use crate::noise::Quantity;
 use crate::number::chance;
 use crate::observables::{Observations, covariance};
@@ -123,6 +125,8 @@ struct Part {
     nameless: f64,
     /// The rest of the model without it.
     rest: Fitted,
+    /// What deviates then.
+    without: Vec<Residual>,
 }
 
 /// Looks for what a model lacks. `base` and `effects` are the model as given; without a base the campaign's own is taken.
@@ -175,7 +179,8 @@ fn missing(
     let seen = seen(all, &whole.base);
     // Neighbours tell the parts of a combination apart; without them how it splits moves it, by the brightest signal.
     let split = (!all.has(&covariance::This)).then_some(seen.peak_e);
-    let named = named(parts, whole, first, last, ladder, split);
+    let fitted = residuals_of(all, whole);
+    let named = named(parts, whole, [first, last], &fitted, ladder, split);
     let mut out = with_ties(parts, whole, named, split);
     let place = |p: &Part| whole.effects.iter().rposition(|(e, _)| e.id() == p.effect.id());
     let nothing = parts.first().and_then(place).is_some_and(|at| !is_something(whole, at, &seen));
@@ -260,8 +265,9 @@ fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Vec<Part> {
         let rest = if whole.effects.len() == given + 1 { model.clone() } else { without(all, whole, i) };
         let effect = whole.effects[i].0;
         let evidence = score(all, &rest) - score(all, whole);
-        let nameless = unknown::evidence(&residuals_of(all, &rest), all.list.len() as f64);
-        Part { effect, evidence, others: Vec::new(), nameless: (1.0 - NEARLY_ALL) * nameless, rest }
+        let without = residuals_of(all, &rest);
+        let nameless = (1.0 - NEARLY_ALL) * unknown::evidence(&without, all.list.len() as f64);
+        Part { effect, evidence, others: Vec::new(), nameless, rest, without }
     };
     (given..whole.effects.len()).into_par_iter().map(part).collect()
 }
@@ -311,19 +317,22 @@ fn rungs(all: &Observations, model: &Fitted, parts: &[Part], whole: &Fitted, las
     (0..parts.len()).into_par_iter().map(rung).collect()
 }
 
-/// The parts as entries of the answer.
+/// The parts as entries of the answer. `fitted`: what deviates with all of them.
 fn named(
     parts: &[Part],
     whole: &Fitted,
-    first: &Comparison,
-    last: &Comparison,
+    [first, last]: [&Comparison; 2],
+    fitted: &Vec<Residual>,
     ladder: &[Rung],
     split: Option<f64>,
 ) -> Vec<Missing> {
     let entry = |(k, part): (usize, &Part)| {
         let mut entry = describe(whole, part.effect, confidence(part, part.evidence), split);
         entry.error_drop = ladder[k].error - ladder[k + 1].error;
-        entry.evidence = reasons(first, last, part.effect);
+        // Of one that stands alone, on frames that no fit saw.
+        let [without, with] =
+            if parts.len() == 1 { [&first.residuals, &last.residuals] } else { [&part.without, fitted] };
+        entry.evidence = reasons(without, with, part.effect);
         let ties = tied(part);
         for other in &ties {
             entry.evidence.push(format!("a tie: {} explains it as well", other.effect.id()));
@@ -469,10 +478,10 @@ fn describe(fitted: &Fitted, effect: &'static dyn Effect, confidence: f64, split
     }
 }
 
-/// The statistics that the addition mended, worst first, and what the effect does.
-fn reasons(before: &Comparison, after: &Comparison, effect: &dyn Effect) -> Vec<String> {
-    let strayed = signatures(&before.residuals);
-    let left = signatures(&after.residuals);
+/// The statistics that deviate without an effect and are mended with it, worst first, and what the effect does.
+fn reasons(without: &[Residual], with: &[Residual], effect: &dyn Effect) -> Vec<String> {
+    let strayed = signatures(without);
+    let left = signatures(with);
     let mended = |s: &&Signature| left.iter().all(|l| l.name != s.name || l.excess < 0.5 * s.excess);
     let mut out: Vec<String> = strayed.iter().filter(mended).take(4).map(|s| s.text.clone()).collect();
     out.push(format!("{}: {}", effect.id(), effect.page().signature));

@@ -4,7 +4,7 @@
 //! error of something else: flicker is told by the scatter of frames, and the scatter of a lamp's settings by that of sets.
 
 use super::free::{Common, Free, Point};
-use super::iteration::{Effort, Iteration};
+use super::iteration::{Effort, FAR_SQUARE, Iteration};
 use super::layout::Layout;
 use super::model::Effects;
 use super::normal::Covariance;
@@ -13,9 +13,6 @@ use crate::observables::{Half, Observations, codes_used, mean};
 use radcam_sim::effects::{self, Effect, Seen, Together};
 use radcam_sim::predict::{BaseParameters, Prediction};
 use std::sync::Arc;
-
-/// A mean square of residuals from which on a model is so far off that halves need no full fit to tell how far.
-const FAR_SQUARE: f64 = 4.0;
 
 /// A model with values: the paper's parameters and effects.
 #[derive(Clone)]
@@ -87,9 +84,9 @@ pub fn fit(all: &Observations, base: &BaseParameters, effects: &Effects) -> Fitt
     fit_for(Effort::Full, all, None, base, effects, None)
 }
 
-/// The same beside another fit whose slopes serve at first.
+/// The same beside another fit whose slopes serve at first; a model that is far off, as exactly as it is to be held against others.
 pub(crate) fn fit_near(all: &Observations, near: &Fitted, effects: &Effects) -> Fitted {
-    fit_for(Effort::Full, all, None, &near.base, effects, Some(&near.slopes))
+    fit_for(Effort::Rival, all, None, &near.base, effects, Some(&near.slopes))
 }
 
 /// A fit again, on the observables of one half and those of both. Where it is far off few rounds will do: the halves tell how far.

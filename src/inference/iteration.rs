@@ -8,9 +8,10 @@ use super::system::System;
 /// A round that gains less of the objective has arrived, where residuals are of the size of their errors; where they are larger, in
 /// proportion to their mean square.
 const ARRIVED: f64 = 1e-3;
-/// The same beyond this mean square: a model so far off is only held against others.
+/// The same, in proportion to the mean square, of models beyond this one that are only held against others (named choices).
 const ARRIVED_FAR: f64 = 0.03;
-const FAR_SQUARE: f64 = 4.0;
+/// A mean square of the residuals beyond which a model is far off.
+pub(super) const FAR_SQUARE: f64 = 4.0;
 /// A step that gains less than this share of what it promised was promised too much.
 const HOLDS: f64 = 0.8;
 /// Slopes are taken again after more than so many such steps, one after the other.
@@ -20,11 +21,6 @@ const SERVED: usize = 3;
 /// Values that are a scatter have settled once a round changes them by less than this share.
 const SETTLED: f64 = 1e-3;
 
-/// What a round gains less than has arrived, at a mean square of the residuals.
-fn arrived_at(mean_square: f64) -> f64 {
-    if mean_square > FAR_SQUARE { ARRIVED_FAR * mean_square } else { ARRIVED * mean_square.max(1.0) }
-}
-
 /// How far an iteration goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Effort {
@@ -32,6 +28,8 @@ pub(super) enum Effort {
     Look,
     /// Few rounds: enough to tell how far off a model is.
     Short,
+    /// To the end; a model that is far off, as exactly as it is to be held against others.
+    Rival,
     /// To the end.
     Full,
 }
@@ -39,7 +37,15 @@ pub(super) enum Effort {
 impl Effort {
     /// Slopes are taken so often at most.
     fn rounds(self) -> usize {
-        if self == Self::Full { 40 } else { 5 }
+        if matches!(self, Self::Full | Self::Rival) { 40 } else { 5 }
+    }
+
+    /// What a round gains less than has arrived, at a mean square of the residuals.
+    fn arrived(self, mean_square: f64) -> f64 {
+        if matches!(self, Self::Look | Self::Rival) && mean_square > FAR_SQUARE {
+            return ARRIVED_FAR * mean_square;
+        }
+        ARRIVED * mean_square.max(1.0)
     }
 }
 
@@ -84,7 +90,7 @@ impl<'a> Iteration<'a> {
             let before = self.system.objective(&self.now, &self.now, &self.point.lights);
             let step = self.step(before);
             let settled = self.settle();
-            let arrived = settled && step.gained < arrived_at(before / rows);
+            let arrived = settled && step.gained < effort.arrived(before / rows);
             // Slopes of another fit that hold to the last are as good as those of this place.
             let sure = self.fresh || known.is_some() && step.holds && step.gained < ARRIVED;
             if arrived && sure {
