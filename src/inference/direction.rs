@@ -4,6 +4,7 @@ use super::layout::State;
 use super::normal::{Normal, Solver};
 use super::system::System;
 use crate::fit::cholesky;
+use crate::observables::Expected;
 
 /// By how much minus twice the logarithm of the likelihood falls.
 #[derive(Debug, Clone, Copy)]
@@ -46,21 +47,26 @@ impl<'s, 'a> Direction<'s, 'a> {
     /// What a move from `now` to `there` leaves once the fitted values have taken over what they can of it; `None` where that cannot be
     /// told.
     pub fn left_of(&self, now: &State, there: &State) -> Option<Vec<f64>> {
-        let s = self.system;
-        let n = s.n;
-        let mut moves: Vec<f64> = now
-            .expected
-            .iter()
-            .zip(&there.expected)
-            .map(|(a, b)| (b.normal.1 - a.normal.1) / a.normal.2)
-            .collect();
-        s.white.apply(&mut moves, 1);
-        for block in &s.blocks {
-            let common =
-                block.loads.iter().zip(&block.rows).map(|(a, r)| a * moves[*r]).sum::<f64>() / block.weight;
-            block.rows.iter().zip(&block.loads).for_each(|(r, a)| moves[*r] -= a * common);
+        let mut moves = self.moves(now, there);
+        self.take_over(&mut moves);
+        moves.iter().all(|m| m.is_finite()).then_some(moves)
+    }
+
+    /// By how many errors the rows move.
+    fn moves(&self, now: &State, there: &State) -> Vec<f64> {
+        let of = |(a, b): (&Expected, &Expected)| (b.normal.1 - a.normal.1) / a.normal.2;
+        let mut moves: Vec<f64> = now.expected.iter().zip(&there.expected).map(of).collect();
+        self.system.white.apply(&mut moves, 1);
+        for block in &self.system.blocks {
+            let common = block.take_common(&mut moves, 1, 0);
             moves.push(common / block.variance.sqrt());
         }
+        moves
+    }
+
+    /// Takes off what the fitted values can follow.
+    fn take_over(&self, moves: &mut [f64]) {
+        let (s, n) = (self.system, self.system.n);
         let mut gradient = vec![0.0; n];
         let mut lights = vec![0.0; self.normal.lights.len()];
         for (r, m) in moves.iter().enumerate().filter(|(_, m)| **m != 0.0) {
@@ -78,7 +84,6 @@ impl<'s, 'a> Direction<'s, 'a> {
                 *m -= s.by_light[r] * lights[light];
             }
         }
-        moves.iter().all(|m| m.is_finite()).then_some(moves)
     }
 
     /// What a move that leaves this would bring.

@@ -46,6 +46,16 @@ pub(super) struct Block {
     pub(super) variance: f64,
 }
 
+impl Block {
+    /// Takes off what its rows have in common, in proportion to their loads, at one place of rows of n numbers; and what that is.
+    pub(super) fn take_common(&self, values: &mut [f64], n: usize, place: usize) -> f64 {
+        let rows = || self.rows.iter().map(|r| r * n + place).zip(&self.loads);
+        let common = rows().map(|(at, a)| a * values[at]).sum::<f64>() / self.weight;
+        rows().for_each(|(at, a)| values[at] -= a * common);
+        common
+    }
+}
+
 impl<'a> System<'a> {
     /// At a place, with slopes there or near.
     pub fn new(layout: &'a Layout<'a>, free: &Free, point: &Point, now: &State, known: &Slopes) -> Self {
@@ -83,45 +93,45 @@ impl<'a> System<'a> {
 
     /// Turns what sees the light of a set whose setting scatters into deviations among themselves and one row for their common one.
     fn gather(&mut self, now: &State, known: &Slopes) {
-        let n = self.n;
-        for (b, (_, rows)) in self.layout.blocks.iter().enumerate() {
-            let loads: Vec<f64> = rows.iter().map(|r| self.by_light[*r]).collect();
-            let weight: f64 = loads.iter().map(|a| a * a).sum();
-            if now.setting[b] <= 0.0 || weight <= 0.0 {
-                continue;
+        for b in 0..self.layout.blocks.len() {
+            if let Some(block) = self.block(b, now) {
+                let by = 0.5 / block.unit / block.variance;
+                let scatter = known.setting[b * self.n..][..self.n].iter().map(|s| by * s).collect();
+                self.add(block, scatter);
             }
-            // The setting's scatter is a variance of the mean in DN^2: over the square of what the light moves the mean by.
-            let unit = (loads[0] * now.expected[rows[0]].normal.2).powi(2);
-            let own = now.setting[b] / unit;
-            let variance = own + 1.0 / weight;
-            let project = |values: &[f64]| loads.iter().zip(values).map(|(a, v)| a * v).sum::<f64>() / weight;
-            let z: Vec<f64> = rows.iter().map(|r| self.z[*r]).collect();
-            let common = project(&z);
-            for ((r, a), z) in rows.iter().zip(&loads).zip(&z) {
-                self.z[*r] = z - a * common;
-                self.expected_square[*r] = 1.0 - a * a / weight;
-            }
-            let root = variance.sqrt();
-            let mut last = vec![0.0; n];
-            for (i, out) in last.iter_mut().enumerate() {
-                let of: Vec<f64> = rows.iter().map(|r| self.slopes[r * n + i]).collect();
-                let common = project(&of);
-                for ((r, a), s) in rows.iter().zip(&loads).zip(&of) {
-                    self.slopes[r * n + i] = s - a * common;
-                }
-                *out = common / root;
-            }
-            let level = self.light[rows[0]];
-            rows.iter().for_each(|r| self.by_light[*r] = 0.0);
-            let scatter = known.setting[b * n..][..n].iter().map(|s| 0.5 * s / unit / variance).collect();
-            self.scatter.push((self.z.len(), scatter));
-            self.z.push(common / root);
-            self.expected_square.push(1.0);
-            self.slopes.extend(last);
-            self.by_light.push(1.0 / root);
-            self.light.push(level);
-            self.blocks.push(Block { rows: rows.clone(), loads, weight, unit, variance });
         }
+    }
+
+    /// What sees the light of a set together; `None` where its setting does not scatter.
+    fn block(&self, b: usize, now: &State) -> Option<Block> {
+        let rows = self.layout.blocks[b].1.clone();
+        let loads: Vec<f64> = rows.iter().map(|r| self.by_light[*r]).collect();
+        let weight: f64 = loads.iter().map(|a| a * a).sum();
+        if now.setting[b] <= 0.0 || weight <= 0.0 {
+            return None;
+        }
+        // The setting's scatter is a variance of the mean in DN^2: over the square of what the light moves the mean by.
+        let unit = (loads[0] * now.expected[rows[0]].normal.2).powi(2);
+        let variance = now.setting[b] / unit + 1.0 / weight;
+        Some(Block { rows, loads, weight, unit, variance })
+    }
+
+    /// Puts a block's common deviation into a row of its own. `scatter`: slopes of the logarithm of its error.
+    fn add(&mut self, block: Block, scatter: Vec<f64>) {
+        let (n, root) = (self.n, block.variance.sqrt());
+        let common = block.take_common(&mut self.z, 1, 0);
+        let last: Vec<f64> = (0..n).map(|i| block.take_common(&mut self.slopes, n, i) / root).collect();
+        for (r, a) in block.rows.iter().zip(&block.loads) {
+            self.expected_square[*r] = 1.0 - a * a / block.weight;
+            self.by_light[*r] = 0.0;
+        }
+        self.scatter.push((self.z.len(), scatter));
+        self.z.push(common / root);
+        self.expected_square.push(1.0);
+        self.slopes.extend(last);
+        self.by_light.push(1.0 / root);
+        self.light.push(self.light[block.rows[0]]);
+        self.blocks.push(block);
     }
 
     /// Half the gradient and the normal matrix.
@@ -134,25 +144,7 @@ impl<'a> System<'a> {
             scatter: (0..n).map(|i| self.is_scatter(i)).collect(),
             lights: vec![LightTerm { square: 0.0, gradient: 0.0, with: vec![0.0; n] }; self.lights],
         };
-        for (r, z) in self.z.iter().enumerate() {
-            let row = &self.slopes[r * n..][..n];
-            for i in 0..n {
-                if row[i] == 0.0 {
-                    continue;
-                }
-                let by = row[i];
-                out.gradient[i] += by * z;
-                out.matrix[i * n..][..=i].iter_mut().zip(row).for_each(|(sum, s)| *sum += by * s);
-            }
-            if let Some(light) = self.light[r] {
-                let (a, term) = (self.by_light[r], &mut out.lights[light]);
-                if a != 0.0 {
-                    term.square += a * a;
-                    term.gradient += a * z;
-                    term.with.iter_mut().zip(row).for_each(|(w, s)| *w += a * s);
-                }
-            }
-        }
+        (0..self.z.len()).for_each(|r| self.add_row(&mut out, r));
         // Fisher's scoring (Rao 1973, section 5g): a scatter that is fitted is told by the squares of the residuals that have it.
         for (r, slopes) in &self.scatter {
             let (square, expected) = ((self.z[*r] * self.z[*r]).min(LARGE), self.expected_square[*r]);
@@ -175,6 +167,21 @@ impl<'a> System<'a> {
         out
     }
 
+    /// Adds a row to the lower half of the matrix, to the gradient and to its light's.
+    fn add_row(&self, out: &mut Normal, r: usize) {
+        let (n, z) = (self.n, self.z[r]);
+        let row = &self.slopes[r * n..][..n];
+        for (i, by) in row.iter().enumerate().filter(|(_, by)| **by != 0.0) {
+            out.gradient[i] += by * z;
+            out.matrix[i * n..][..=i].iter_mut().zip(row).for_each(|(sum, s)| *sum += by * s);
+        }
+        let Some(light) = self.light[r].filter(|_| self.by_light[r] != 0.0) else { return };
+        let (a, term) = (self.by_light[r], &mut out.lights[light]);
+        term.square += a * a;
+        term.gradient += a * z;
+        term.with.iter_mut().zip(row).for_each(|(w, s)| *w += a * s);
+    }
+
     /// Whether a value is a scatter and moves no expectation.
     fn is_scatter(&self, i: usize) -> bool {
         let moves = || self.slopes.iter().skip(i).step_by(self.n).any(|s| *s != 0.0);
@@ -184,35 +191,37 @@ impl<'a> System<'a> {
     /// By what every value that is a scatter is to be multiplied, the residuals given: so that their squares are what is expected of them.
     /// A joint step with what moves expectations overshoots, since each changes what the other sees.
     pub fn scatter_factors(&self) -> Vec<(usize, f64)> {
-        let rows = self.layout.rows.len();
-        let factor = |i: usize| {
-            let of = self.scatter.iter().filter(|(_, slopes)| slopes[i] != 0.0);
-            if of.clone().all(|(r, _)| *r < rows) {
-                let (square, expected) = of.fold((0.0, 0.0), |(a, b), (r, _)| {
-                    (a + self.z[*r] * self.z[*r], b + self.expected_square[*r])
-                });
-                return (square / f64::max(expected, 1e-9)).sqrt().clamp(0.3, 3.0);
+        let all = (0..self.n).filter(|i| self.is_scatter(*i));
+        all.map(|i| (i, self.factor_of_rows(i).unwrap_or_else(|| self.factor_of_settings()))).collect()
+    }
+
+    /// The factor of a scatter that rows of observables have; `None` of that of settings.
+    fn factor_of_rows(&self, i: usize) -> Option<f64> {
+        let (mut square, mut expected) = (0.0, 0.0);
+        for (r, _) in self.scatter.iter().filter(|(_, slopes)| slopes[i] != 0.0) {
+            if *r >= self.layout.rows.len() {
+                return None;
             }
-            // Settings: the factor of their own variance beside what the frames have.
-            let parts: Vec<(f64, f64, f64)> = self
-                .blocks
-                .iter()
-                .zip(&self.z[rows..])
-                .map(|(b, z)| (z * z * b.variance, b.variance - 1.0 / b.weight, 1.0 / b.weight))
-                .collect();
-            let excess =
-                |f: f64| parts.iter().map(|(e, own, frames)| e / (f * own + frames) - 1.0).sum::<f64>();
-            if excess(1e-8) <= 0.0 {
-                return 1e-4;
-            }
-            let (mut low, mut high) = (1e-8f64, 1e8f64);
-            for _ in 0..60 {
-                let middle = (low * high).sqrt();
-                if excess(middle) > 0.0 { low = middle } else { high = middle }
-            }
-            low.sqrt().clamp(0.05, 20.0)
-        };
-        (0..self.n).filter(|i| self.is_scatter(*i)).map(|i| (i, factor(i))).collect()
+            square += self.z[*r] * self.z[*r];
+            expected += self.expected_square[*r];
+        }
+        Some((square / f64::max(expected, 1e-9)).sqrt().clamp(0.3, 3.0))
+    }
+
+    /// The factor of the scatter of settings: of their own variance beside what the frames have.
+    fn factor_of_settings(&self) -> f64 {
+        let of = |(b, z): (&Block, &f64)| (z * z * b.variance, b.variance - 1.0 / b.weight, 1.0 / b.weight);
+        let parts: Vec<_> = self.blocks.iter().zip(&self.z[self.layout.rows.len()..]).map(of).collect();
+        let excess = |f: f64| parts.iter().map(|(e, own, frames)| e / (f * own + frames) - 1.0).sum::<f64>();
+        if excess(1e-8) <= 0.0 {
+            return 1e-4;
+        }
+        let (mut low, mut high) = (1e-8f64, 1e8f64);
+        for _ in 0..60 {
+            let middle = (low * high).sqrt();
+            if excess(middle) > 0.0 { low = middle } else { high = middle }
+        }
+        low.sqrt().clamp(0.05, 20.0)
     }
 
     /// Twice the negative logarithm of the likelihood at another place, with the errors of this one, but for scatter that is fitted.

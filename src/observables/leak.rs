@@ -46,10 +46,6 @@ impl Statistic for This {
         let step = scene.map_or(0.0, ScenePair::zero_scaled) * step;
         // Nor are the rows of the patch and of the background under the same light where that ripples.
         let ripple = view.prediction.sets.iter().map(|s| s.ripple(0.0)).fold(0.0, f64::max).sqrt();
-        Expected::plain(
-            o,
-            leak,
-            in_quadrature(&[o.measured.std_err, 0.01 * leak, unsure, step, ripple]),
-        )
+        Expected::plain(o, leak, in_quadrature(&[o.measured.std_err, 0.01 * leak, unsure, step, ripple]))
     }
 }

@@ -61,6 +61,113 @@ fn across(c: &Campaign, from: usize, from_dn: f64, to: usize, to_dn: f64) -> f64
     (c.sets[from].spread * from_dn - c.sets[to].spread * to_dn).abs()
 }
 
+/// What a filter that keeps whole codes adds to the frames of a set.
+struct Added {
+    /// Its slope on the noise.
+    slope: f64,
+    /// The variance of what it adds beside.
+    noise: f64,
+    correction: Correction,
+}
+
+/// What becomes of the first frames of a set.
+#[derive(Clone, Default)]
+struct First {
+    /// Whether the level still moves after the first.
+    moves: bool,
+    /// By so much the mean of the first is not known, DN.
+    unsure_dn: f64,
+}
+
+impl Added {
+    fn to(s: &SetPrediction, p: &[f64]) -> Self {
+        let (a, x) = (p[0], s.pixels());
+        let with = |before: f64| {
+            let correction = Correction::new(a, libm::sqrt(x + before), 0.0);
+            let (slope, noise) = correction.linear();
+            Self { slope, noise, correction }
+        };
+        if fine(p) {
+            // What is kept is the running mean itself, whatever of it is shown.
+            return with(x * running_average(a).0);
+        }
+        // What is kept has the noise that comes out.
+        let mut all = with(x);
+        for _ in 0..7 {
+            let square = all.slope * all.slope;
+            all = with(x * (1.0 - all.slope) / (1.0 + all.slope) + all.noise / (1.0 - square));
+        }
+        all
+    }
+
+    /// What it makes of the noise of a set.
+    fn change(&self, s: &mut SetPrediction, p: &[f64], first: &First) {
+        let (a, slope) = (p[0], self.slope);
+        if fine(p) {
+            // o_t = (1 - s) x_t + s y_(t-1) and noise, y the running mean with variance v: cov(o_t, y_t) is carried on by s a^(k-1).
+            let (v, _) = running_average(a);
+            let less = (1.0 - slope) * (1.0 - slope) + slope * slope * v;
+            let carried = slope * ((1.0 - slope) * (1.0 - a) + slope * a * v) / less;
+            let memory: Vec<f64> = (0..8).map(|k| carried * libm::pow(a, f64::from(k))).collect();
+            s.remember(less, &memory);
+            s.read.add_white(self.noise);
+        } else {
+            let (less, memory) = running_average(slope);
+            s.remember(less, &memory);
+            s.read.add_white(self.noise / (1.0 - slope * slope));
+        }
+        if first.moves {
+            // While the level still moves, rounding follows the noise of one frame in a few with the density of alpha u at a threshold
+            // in place of its mean, 1: up to (2 pi)^(-1/2) / sd, and the variance by twice that.
+            let x = s.pixels();
+            let slope = 1.0 / libm::sqrt(std::f64::consts::TAU * x.max(1.0));
+            s.unsure_moving = libm::hypot(s.unsure_moving, 2.0 * slope * x / 3.0);
+        }
+        s.unsure_first = libm::hypot(s.unsure_first, first.unsure_dn);
+        // Only what lies far off is moved, and towards the rest: the tails of narrow noise are short, as far as anything is moved.
+        let moved = (slope / a.max(1e-9)).min(1.0) * self.correction.narrow() * s.pixels().powi(2);
+        s.fourth -= 0.7 * moved;
+        s.unsure_fourth = libm::hypot(s.unsure_fourth, 0.35 * moved);
+        // A few pixels whose level lies at a threshold are moved more than others.
+        s.unsure = libm::hypot(s.unsure, 0.05 * moved);
+    }
+}
+
+/// Moves the means of all frames in the order of time; what becomes of the first frames of each set.
+fn move_frames(p: &[f64], c: &Campaign, out: &mut Prediction, added: &[Added]) -> Vec<First> {
+    let a = p[0];
+    let mut firsts = vec![First::default(); added.len()];
+    let mut last = out.base.past_e.map(|past| past * out.base.gain_dn_per_e);
+    let mut set = None;
+    let sets = &out.sets;
+    for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
+        let (Some(of_set), Some(first)) = (added.get(frame.set), firsts.get_mut(frame.set)) else { continue };
+        let before = last.unwrap_or(*m);
+        let away = before - *m;
+        let step = if set == Some(frame.set) {
+            let step = of_set.correction.mean(away);
+            // The first frame of a set has a statistic of its own.
+            first.moves |= step.abs() > 0.25;
+            step
+        } else {
+            let from = set.unwrap_or(frame.set);
+            let noise = |set: usize| added[set].noise + sets[set].pixels();
+            let change = Change {
+                away,
+                across: across(c, from, before, frame.set, *m),
+                noise: libm::sqrt(noise(from) + noise(frame.set)),
+                places: &c.sets[if away > 0.0 { from } else { frame.set }].places,
+            };
+            first.unsure_dn = libm::hypot(first.unsure_dn, change.unsure(a));
+            change.step(a, 0.0)
+        };
+        last = Some(*m + if fine(p) { a * away } else { step });
+        *m += step;
+        set = Some(frame.set);
+    }
+    firsts
+}
+
 impl Effect for This {
     fn id(&self) -> &'static str {
         "temporal-filter"
@@ -130,87 +237,11 @@ impl Effect for This {
             }
             return;
         }
-        // It adds floor(alpha (last - now) + 1/2) to every code, whether what it keeps is rounded or not. For each set: the slope of that,
-        // what it adds beside, its mean.
-        let of_set = |s: &SetPrediction| {
-            if fine(p) {
-                // What is kept is the running mean itself, whatever of it is shown.
-                let x = s.pixels();
-                let correction = Correction::new(a, libm::sqrt(x + x * running_average(a).0), 0.0);
-                let (slope, noise) = correction.linear();
-                return (slope, noise, correction);
-            }
-            let x = s.pixels();
-            let mut after = x;
-            let mut all = (a, 1.0 / 12.0, Correction::new(a, 1.0, 0.0));
-            for _ in 0..8 {
-                let correction = Correction::new(a, libm::sqrt(x + after), 0.0);
-                let (slope, noise) = correction.linear();
-                after = x * (1.0 - slope) / (1.0 + slope) + noise / (1.0 - slope * slope);
-                all = (slope, noise, correction);
-            }
-            all
-        };
-        let of_sets: Vec<_> = out.sets.iter().map(of_set).collect();
-        let mut last = out.base.past_e.map(|past| past * out.base.gain_dn_per_e);
-        let mut moves = vec![false; of_sets.len()];
-        let mut unsure_first = vec![0.0f64; of_sets.len()];
-        let mut set = None;
-        for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
-            let Some(of_set) = of_sets.get(frame.set) else { continue };
-            let before = last.unwrap_or(*m);
-            let away = before - *m;
-            let step = if set == Some(frame.set) {
-                of_set.2.mean(away)
-            } else {
-                let noise = |set: usize| of_sets[set].1 + out.sets[set].pixels();
-                let change = Change {
-                    away,
-                    across: across(c, set.unwrap_or(frame.set), before, frame.set, *m),
-                    noise: libm::sqrt(noise(set.unwrap_or(frame.set)) + noise(frame.set)),
-                    places: &c.sets[if away > 0.0 { set.unwrap_or(frame.set) } else { frame.set }].places,
-                };
-                let unsure = &mut unsure_first[frame.set];
-                *unsure = libm::hypot(*unsure, change.unsure(a));
-                change.step(a, 0.0)
-            };
-            last = Some(*m + if fine(p) { a * away } else { step });
-            *m += step;
-            // The first frame of a set has a statistic of its own.
-            if set == Some(frame.set) && step.abs() > 0.25 {
-                moves[frame.set] = true;
-            }
-            set = Some(frame.set);
-        }
-        let more = moves.into_iter().zip(unsure_first);
-        for ((s, (slope, noise, correction)), (moves, unsure_first)) in out.sets.iter_mut().zip(of_sets).zip(more) {
-            if fine(p) {
-                // o_t = (1 - s) x_t + s y_(t-1) and noise, y the running mean with variance v: cov(o_t, y_t) is carried on by s a^(k-1).
-                let (v, _) = running_average(a);
-                let less = (1.0 - slope) * (1.0 - slope) + slope * slope * v;
-                let carried = slope * ((1.0 - slope) * (1.0 - a) + slope * a * v) / less;
-                let memory: Vec<f64> = (0..8).map(|k| carried * libm::pow(a, f64::from(k))).collect();
-                s.remember(less, &memory);
-                s.read.add_white(noise);
-            } else {
-                let (less, memory) = running_average(slope);
-                s.remember(less, &memory);
-                s.read.add_white(noise / (1.0 - slope * slope));
-            }
-            if moves {
-                // While the level still moves, rounding follows the noise of one frame in a few with the density of alpha u at a threshold
-                // in place of its mean, 1: up to (2 pi)^(-1/2) / sd, and the variance by twice that.
-                let x = s.pixels();
-                let slope = 1.0 / libm::sqrt(std::f64::consts::TAU * x.max(1.0));
-                s.unsure_moving = libm::hypot(s.unsure_moving, 2.0 * slope * x / 3.0);
-            }
-            s.unsure_first = libm::hypot(s.unsure_first, unsure_first);
-            // Only what lies far off is moved, and towards the rest: the tails of narrow noise are short, as far as anything is moved.
-            let moved = (slope / a.max(1e-9)).min(1.0) * correction.narrow() * s.pixels().powi(2);
-            s.fourth -= 0.7 * moved;
-            s.unsure_fourth = libm::hypot(s.unsure_fourth, 0.35 * moved);
-            // A few pixels whose level lies at a threshold are moved more than others.
-            s.unsure = libm::hypot(s.unsure, 0.05 * moved);
+        // It adds floor(alpha (last - now) + 1/2) to every code, whether what it keeps is rounded or not.
+        let added: Vec<Added> = out.sets.iter().map(|s| Added::to(s, p)).collect();
+        let firsts = move_frames(p, c, out, &added);
+        for ((s, added), first) in out.sets.iter_mut().zip(&added).zip(&firsts) {
+            added.change(s, p, first);
         }
         // Whole codes came in, and what is added is whole.
         out.whole = true;
