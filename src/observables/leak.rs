@@ -40,10 +40,12 @@ impl Statistic for This {
             scene.map_or(0.0, |s| f(s, way(o.index), view.prediction))
         };
         let (leak, unsure) = (of(ScenePair::expected), of(ScenePair::unsure));
-        // A step between taps that lies beside the patch: where every pixel has a zero of its own it drops out of the difference, and so it does
-        // in proportion to the light.
+        // A step between taps that lies beside the patch drops out of the difference in proportion to the light; a constant one does where every
+        // pixel has a zero of its own. Darks that code 0 clips have none.
+        let base = &view.prediction.base;
+        let clipped = base.offset_dn < 4.0 * base.read_noise_e * base.gain_dn_per_e + 1.0;
         let step: f64 = view.prediction.taps.iter().map(|(_, offset)| offset.abs()).sum();
-        let step = scene.map_or(0.0, ScenePair::zero_scaled) * step;
+        let step = scene.map_or(0.0, |s| s.zero_scaled(clipped)) * step;
         // Nor are the rows of the patch and of the background under the same light where that ripples.
         let ripple = view.prediction.sets.iter().map(|s| s.ripple(0.0)).fold(0.0, f64::max).sqrt();
         Expected::plain(o, leak, in_quadrature(&[o.measured.std_err, 0.01 * leak, unsure, step, ripple]))

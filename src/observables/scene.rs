@@ -189,9 +189,9 @@ impl ScenePair {
         }
     }
 
-    /// By how much a pixel's own zero, DN, moves what is looked at.
-    pub fn zero_scaled(&self) -> f64 {
-        if self.zero_by_pixel { 0.0 } else { self.ratio - 1.0 }
+    /// By how much a pixel's own zero, DN, may move what is looked at. `clipped`: darks do not show it.
+    pub fn zero_scaled(&self, clipped: bool) -> f64 {
+        if self.zero_by_pixel && !clipped { 0.0 } else { self.ratio - 1.0 }
     }
 
     /// By how much that is not known, DN: a part of what spills may be lost on its way, and next to the patch the light of its edge is bent
