@@ -29,6 +29,11 @@ pub trait Illuminator {
 
     /// What is known of the light, for `dataset.toml`.
     fn info(&self) -> Option<BenchInfo>;
+
+    /// Whether it moves by itself; else a person is asked to.
+    fn moves_itself(&self) -> bool {
+        true
+    }
 }
 
 impl Illuminator for SharedBench {
@@ -186,6 +191,10 @@ impl<R: BufRead, W: Write> Illuminator for PersonBench<R, W> {
         }
         self.now = Some(*state);
         Ok(*state)
+    }
+
+    fn moves_itself(&self) -> bool {
+        false
     }
 
     /// A level set by hand is nominal.

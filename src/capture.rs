@@ -102,6 +102,10 @@ pub struct Capture<'a> {
 /// frame has forgotten it to one part in 10^7.
 const SETTLING: usize = 16;
 
+/// A set whose first frame was lost is begun again so often: another set's light and exposure first, since the frame that was lost took with
+/// it what that carries over.
+const AGAIN: usize = 3;
+
 /// Name of the log inside a dataset: one line a run, with the buffer statistics.
 pub const LOG_FILE: &str = "capture.log";
 
@@ -148,12 +152,17 @@ impl Capture<'_> {
             // How long the pause was is not known.
             true => DeviceClock::Unknown,
         };
-        let outcome = plan.sets.iter().enumerate().try_for_each(|(number, set)| {
+        let outcome: Result<(), CaptureError> = plan.sets.iter().enumerate().try_for_each(|(number, set)| {
             let have = writer.written().iter().filter(|r| r.set as usize == number).count() as u32;
             if have >= set.frames {
                 return Ok(());
             }
-            self.capture_set(number, set, &plan, &mut writer, &mut clock, &mut counts)
+            let mut again = AGAIN;
+            while !self.capture_set(number, set, &plan, &mut writer, &mut clock, &mut counts, again > 0)? {
+                again -= 1;
+                self.go_back(&plan.sets[number - 1], &mut counts)?;
+            }
+            Ok(())
         });
         let before_plan = if searched {
             format!(
@@ -422,6 +431,17 @@ impl Capture<'_> {
         Ok((writer, plan))
     }
 
+    /// Exposes what stood before a set once more, without keeping it.
+    fn go_back(&mut self, before: &SetPlan, counts: &mut StreamCounts) -> Result<(), CaptureError> {
+        self.bench.apply(&before.bench(), self.camera)?;
+        for _ in 0..SETTLING / 2 {
+            self.pilot(before.exposure_s.unwrap_or(1.0), counts)?;
+        }
+        Ok(())
+    }
+
+    /// Takes the frames of a set that are not there yet; `false`, and none of them, where the first was lost and `whole` sets are asked for.
+    #[expect(clippy::too_many_arguments, reason = "the state of one run")]
     fn capture_set(
         &mut self,
         number: usize,
@@ -430,11 +450,15 @@ impl Capture<'_> {
         writer: &mut Writer,
         clock: &mut DeviceClock,
         counts: &mut StreamCounts,
-    ) -> Result<(), CaptureError> {
+        whole: bool,
+    ) -> Result<bool, CaptureError> {
         if self.stop.load(Ordering::Relaxed) {
             return Err(CaptureError::Interrupted { frames: writer.written().len() as u64 });
         }
         let exposure_s = set.exposure_s.unwrap_or(1.0);
+        // A person is not asked to move the light for it.
+        let same_bench = || number > 0 && plan.sets[number - 1].bench() == set.bench();
+        let can_go_back = self.bench.moves_itself() || same_bench();
         let reached = self.bench.apply(&set.bench(), self.camera)?;
         let exposure_s = self.camera.set_exposure_s(exposure_s)?;
         let settings = self.camera.settings()?;
@@ -449,6 +473,7 @@ impl Capture<'_> {
                 illumination: reached.illumination,
                 settings: &settings,
                 stop: self.stop,
+                whole: whole && number > 0 && plan.camera.settle_frames == 0 && can_go_back,
             },
             writer,
             clock,
@@ -471,16 +496,19 @@ struct TakeSet<'a> {
     illumination: f64,
     settings: &'a Settings,
     stop: &'a AtomicBool,
+    /// Whether the first frame must be the first that was exposed.
+    whole: bool,
 }
 
+/// `false`, and nothing written, where that is asked for and cannot be had.
 fn take(
     stream: &mut dyn crate::camera::FrameStream,
     job: &TakeSet<'_>,
     writer: &mut Writer,
     clock: &mut DeviceClock,
     progress: &mut dyn FnMut(Progress),
-) -> Result<(), CaptureError> {
-    let TakeSet { number, set, plan, exposure_s, illumination, settings, stop } = *job;
+) -> Result<bool, CaptureError> {
+    let TakeSet { number, set, plan, exposure_s, illumination, settings, stop, whole } = *job;
     let mut index = writer.written().iter().filter(|r| r.set as usize == number).count() as u32;
     let mut frame = Frame::new(settings.region.width as usize, settings.region.height as usize);
     let mut damaged = 0;
@@ -492,6 +520,14 @@ fn take(
         stream.next(&mut frame, timeout(exposure_s))?;
         if let Status::Damaged(why) = &frame.status {
             damaged += 1;
+            if whole && index == 0 {
+                tracing::warn!(
+                    set = number,
+                    why,
+                    "the first frame of the set is damaged: the set before is exposed once more"
+                );
+                return Ok(false);
+            }
             tracing::warn!(set = number, frame = frame.id, why, "damaged frame thrown away");
             if damaged > 20 + 4 * u64::from(set.frames) {
                 return Err(CaptureError::Damaged {
@@ -539,7 +575,7 @@ fn take(
             sets: plan.sets.len(),
         });
     }
-    Ok(())
+    Ok(true)
 }
 
 /// How long to wait for a frame: the exposure, and time for the camera to answer.

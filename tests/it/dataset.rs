@@ -2,12 +2,18 @@
 
 use crate::support::{camera, small};
 use radcam::bench::{BenchError, BenchState, Illuminator, SharedBench};
-use radcam::camera::{Camera, StreamOptions};
+use radcam::camera::sim::SimCamera;
+use radcam::camera::{
+    Camera, CameraError, Capabilities, FrameStream, Identity, Settings, StreamCounts, StreamOptions,
+};
 use radcam::capture::{Capture, CaptureError};
 use radcam::dataset::{BenchInfo, Dataset, Kind};
+use radcam::frame::{Frame, Region, Status};
+use radcam::pixel_format::PixelFormat;
 use radcam::plan::Plan;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 fn run(
     camera: &mut dyn Camera,
@@ -114,4 +120,95 @@ fn what_was_captured_before_a_fault_stays_whole() {
     let dataset = Dataset::open(&root).unwrap();
     assert_eq!(dataset.rows().len(), 16);
     dataset.rows().iter().for_each(|r| assert!(dataset.read(r).is_ok()));
+}
+
+/// A simulated camera whose link damages the first frame of some streams.
+struct Damaging {
+    inner: SimCamera,
+    streams: usize,
+    damaged: Vec<usize>,
+}
+
+struct DamagingStream<'a>(Box<dyn FrameStream + 'a>, bool);
+
+impl FrameStream for DamagingStream<'_> {
+    fn next(&mut self, frame: &mut Frame, timeout: Duration) -> Result<(), CameraError> {
+        self.0.next(frame, timeout)?;
+        if std::mem::take(&mut self.1) {
+            frame.status = Status::Damaged("lost packets".into());
+        }
+        Ok(())
+    }
+
+    fn trigger(&mut self) -> Result<(), CameraError> {
+        self.0.trigger()
+    }
+
+    fn counts(&self) -> StreamCounts {
+        self.0.counts()
+    }
+}
+
+impl Camera for Damaging {
+    fn identity(&self) -> &Identity {
+        self.inner.identity()
+    }
+
+    fn capabilities(&self) -> &Capabilities {
+        self.inner.capabilities()
+    }
+
+    fn settings(&mut self) -> Result<Settings, CameraError> {
+        self.inner.settings()
+    }
+
+    fn set_exposure_s(&mut self, value: f64) -> Result<f64, CameraError> {
+        self.inner.set_exposure_s(value)
+    }
+
+    fn set_pixel_format(&mut self, format: PixelFormat) -> Result<PixelFormat, CameraError> {
+        self.inner.set_pixel_format(format)
+    }
+
+    fn set_region(&mut self, region: Region) -> Result<Region, CameraError> {
+        self.inner.set_region(region)
+    }
+
+    fn stream(&mut self, options: &StreamOptions) -> Result<Box<dyn FrameStream + '_>, CameraError> {
+        self.streams += 1;
+        let damages = self.damaged.contains(&self.streams);
+        Ok(Box::new(DamagingStream(self.inner.stream(options)?, damages)))
+    }
+}
+
+/// The frame after a change of level holds what is carried over: where it is lost, the level before is exposed once more.
+#[test]
+fn a_set_whose_first_frame_is_lost_is_begun_again() {
+    let mut model = small("cmos12", 64, 48);
+    model.effects.push(radcam_sim::EffectValues {
+        id: "image-lag".into(),
+        parameters: [("fraction".to_string(), 0.05)].into(),
+        ..Default::default()
+    });
+    let text = |sets: &str| format!("format = \"radcam-plan/1\"\n{sets}");
+    let sets = "[[set]]\nkind = \"flat\"\nframes = 4\nexposure_s = 0.004\nillumination = 1.0\n\
+                [[set]]\nkind = \"dark\"\nframes = 4\nexposure_s = 0.004\n";
+    let plan = Plan::from_toml(&text(sets)).unwrap();
+    // Nothing damaged; the first frame of the darks; and all beginnings of it, which is taken as it comes at last.
+    let first_dark = |damaged: &[usize]| {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("c");
+        let (inner, mut bench) = camera(model.clone());
+        let mut camera = Damaging { inner, streams: 0, damaged: damaged.to_vec() };
+        assert_eq!(run(&mut camera, &mut bench, &plan, &root, false, u64::MAX).unwrap(), 8);
+        let dataset = Dataset::open(&root).unwrap();
+        let rows = &dataset.sets()[1].rows;
+        let mean = |k: usize| dataset.read(&dataset.rows()[rows[k]]).unwrap().mapv(f64::from).mean().unwrap();
+        mean(0) - mean(3)
+    };
+    let (sound, again) = (first_dark(&[]), first_dark(&[2]));
+    assert!(sound > 10.0, "{sound} DN are carried over");
+    // The light of the two is the same; the mean of 3072 pixels of some 4 DN of noise scatters by 0.1 DN.
+    assert!((again - sound).abs() < 0.02 * sound + 0.5, "{again} DN, not {sound}");
+    assert!(first_dark(&(2..40).collect::<Vec<_>>()) < 0.5 * sound);
 }
