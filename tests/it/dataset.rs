@@ -201,6 +201,8 @@ fn a_set_whose_first_frame_is_lost_is_begun_again() {
         let (inner, mut bench) = camera(model.clone());
         let mut camera = Damaging { inner, streams: 0, damaged: damaged.to_vec() };
         assert_eq!(run(&mut camera, &mut bench, &plan, &root, false, u64::MAX).unwrap(), 8);
+        let log = std::fs::read_to_string(root.join(radcam::capture::LOG_FILE)).unwrap();
+        assert_eq!(log.contains("set 1 begun again"), !damaged.is_empty(), "{log}");
         let dataset = Dataset::open(&root).unwrap();
         let rows = &dataset.sets()[1].rows;
         let mean = |k: usize| dataset.read(&dataset.rows()[rows[k]]).unwrap().mapv(f64::from).mean().unwrap();

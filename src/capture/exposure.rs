@@ -1,0 +1,151 @@
+//! The exposures of a plan in seconds: the one that brings the light close to full scale is searched for.
+
+use super::set::timeout;
+use super::{Capture, CaptureError};
+use crate::camera::StreamCounts;
+use crate::dataset::Kind;
+use crate::frame::{Frame, Status};
+use crate::plan::{FULL_EXPOSURE_LEVEL, Plan, SetPlan};
+
+/// Frames that are thrown away before a level that is to follow a known one: after the search for the exposure, and where a set is begun
+/// again: a filter that keeps a third of the last
+/// frame has forgotten it to one part in 10^7.
+pub(super) const SETTLING: usize = 16;
+
+impl Capture<'_> {
+    /// Gives every exposure in seconds; measures the full exposure where the plan needs it.
+    pub(super) fn absolute(&mut self, plan: &Plan, counts: &mut StreamCounts) -> Result<Plan, CaptureError> {
+        let full = match plan.full_exposure_s {
+            Some(full) => full,
+            None if plan.needs_full_exposure() => {
+                let full = self.find_full_exposure(plan, counts)?;
+                if let Some(first) = plan.sets.first() {
+                    self.expose(first, full, counts)?;
+                }
+                full
+            }
+            None => 1.0,
+        };
+        let bounds = self.camera.capabilities().exposure_s;
+        if let Some(bounds) = bounds {
+            for exposure_s in plan.sets.iter().filter_map(|s| s.exposure_s) {
+                let id = &self.camera.identity().id;
+                crate::camera::check_bounds(id, "ExposureTime", Some(bounds), exposure_s, "s")?;
+            }
+        }
+        let absolute = plan.absolute(full, |e| bounds.map_or(e, |b| b.nearest(e)));
+        for (wanted, set) in plan.sets.iter().zip(&absolute.sets) {
+            let wanted = wanted.exposure_s.unwrap_or(wanted.exposure.unwrap_or(1.0) * full);
+            let got = set.exposure_s.unwrap_or(wanted);
+            if (got / wanted - 1.0).abs() > 0.05 {
+                tracing::warn!(
+                    wanted_s = wanted,
+                    taken_s = got,
+                    "the camera cannot expose so; nearest taken"
+                );
+            }
+        }
+        Ok(absolute)
+    }
+
+    /// The exposure that brings the card at illumination 1 to [`FULL_EXPOSURE_LEVEL`] of full scale.
+    fn find_full_exposure(&mut self, plan: &Plan, counts: &mut StreamCounts) -> Result<f64, CaptureError> {
+        let reference = plan.sets.iter().filter(|s| s.kind == Kind::Flat);
+        let light = reference.map(|s| s.illumination).fold(0.0, f64::max);
+        let light = if light > 0.0 { light } else { 1.0 };
+        let state = SetPlan {
+            kind: Kind::Flat,
+            frames: 2,
+            exposure_s: None,
+            exposure: None,
+            illumination: light,
+            configuration: 0,
+        };
+        self.bench.apply(&state.bench(), self.camera)?;
+        let Some(bounds) = self.camera.capabilities().exposure_s else {
+            return Err(self.camera.not_available("ExposureTime").into());
+        };
+        let settings = self.camera.settings()?;
+        let full_scale = f64::from(settings.pixel_format.full_scale_dn());
+        let target = FULL_EXPOSURE_LEVEL * full_scale;
+        // The level of no light, by the shortest exposure.
+        let black = self.pilot(bounds.min, counts)?.0;
+        let mut exposure = settings.exposure_s.clamp(bounds.min, bounds.max);
+        let mut fastest = 0.0;
+        for _ in 0..12 {
+            let (mean, clipped) = self.pilot(exposure, counts)?;
+            let rate = (mean - black) / exposure;
+            if clipped <= 0.01 && mean < target && rate < 0.85 * fastest {
+                tracing::warn!(
+                    mean_dn = mean,
+                    full_scale_dn = full_scale,
+                    "the signal stops below full scale: the well is full; exposures end there"
+                );
+                // How fast the well fills shows at a third of that.
+                let third = bounds.nearest(0.3 * (mean - black) / fastest);
+                let (level, _) = self.pilot(third, counts)?;
+                let fastest = f64::max(fastest, (level - black) / third);
+                return Ok(bounds.nearest(1.05 * (mean - black) / fastest));
+            }
+            // Of levels that stand out from black: below them offsets and zero make the rate.
+            if mean - black > 0.02 * full_scale && clipped <= 0.01 {
+                fastest = f64::max(fastest, rate);
+            }
+            tracing::debug!(exposure_s = exposure, mean_dn = mean, clipped, "looking for the full exposure");
+            let next = if clipped > 0.01 {
+                exposure / 4.0
+            } else {
+                // Never more than 8 times at once: near black the estimate is coarse.
+                exposure * ((target - black) / (mean - black).max(1e-3 * full_scale)).clamp(0.1, 8.0)
+            };
+            let next = bounds.nearest(next);
+            if (next / exposure - 1.0).abs() < 0.01 {
+                return Ok(next);
+            }
+            exposure = next;
+        }
+        tracing::warn!(
+            exposure_s = exposure,
+            "the light does not reach the wanted level; taking this exposure"
+        );
+        Ok(exposure)
+    }
+
+    /// Exposes frames under a set's light without keeping them, until what stood before has faded: lag and filters carry it into the first
+    /// frames else.
+    pub(super) fn expose(
+        &mut self,
+        set: &SetPlan,
+        exposure_s: f64,
+        counts: &mut StreamCounts,
+    ) -> Result<(), CaptureError> {
+        self.bench.apply(&set.bench(), self.camera)?;
+        for _ in 0..SETTLING / 2 {
+            self.pilot(exposure_s, counts)?;
+        }
+        tracing::info!(exposure_s, "frames without a place in the plan let what was before fade");
+        Ok(())
+    }
+
+    /// Mean and share of clipped pixels of a frame at an exposure; the first frame is let pass.
+    fn pilot(&mut self, exposure_s: f64, counts: &mut StreamCounts) -> Result<(f64, f64), CaptureError> {
+        self.camera.set_exposure_s(exposure_s)?;
+        let full_scale = self.camera.settings()?.pixel_format.full_scale_dn();
+        let timeout = timeout(exposure_s);
+        let mut stream = self.camera.stream(&self.options)?;
+        let mut frame = Frame::new(0, 0);
+        let mut good = 0;
+        for _ in 0..8 {
+            stream.next(&mut frame, timeout)?;
+            good += u32::from(frame.status == Status::Complete);
+            if good == 2 {
+                break;
+            }
+        }
+        counts.add(stream.counts());
+        let n = frame.pixels.len().max(1) as f64;
+        let sum: u64 = frame.pixels.iter().map(|&d| u64::from(d)).sum();
+        let clipped = frame.pixels.iter().filter(|&&d| d >= full_scale).count();
+        Ok((sum as f64 / n, clipped as f64 / n))
+    }
+}

@@ -1,0 +1,310 @@
+//! Runs a plan on a camera and a bench, and keeps what comes.
+
+mod exposure;
+mod set;
+
+use crate::bench::{BenchError, Illuminator};
+use crate::camera::{Automatic, Camera, CameraError, StreamCounts, StreamOptions, Value};
+use crate::dataset::{CameraInfo, DatasetError, Manifest, Writer};
+use crate::pixel_format::PixelFormat;
+use crate::plan::{Plan, PlanError};
+use exposure::SETTLING;
+use set::DeviceClock;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+/// Why a capture stopped. What was written before stays whole.
+#[derive(Debug, thiserror::Error)]
+pub enum CaptureError {
+    /// The camera.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    /// The bench.
+    #[error(transparent)]
+    Bench(#[from] BenchError),
+    /// The disk.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// The plan.
+    #[error("plan: {0}")]
+    Plan(#[from] PlanError),
+    /// Too many damaged frames in one set.
+    #[error("set {set}: {damaged} damaged frames for {wanted} wanted ({last}); {advice}")]
+    Damaged {
+        /// Number of the set.
+        set: usize,
+        /// Frames thrown away.
+        damaged: u64,
+        /// Frames the plan asks for.
+        wanted: u32,
+        /// What was wrong with the last one.
+        last: String,
+        /// What to do.
+        advice: &'static str,
+    },
+    /// The dataset to be continued is not of this camera or this plan.
+    #[error("cannot continue {path}: {message}")]
+    Resume {
+        /// The folder.
+        path: String,
+        /// What differs.
+        message: String,
+    },
+    /// The user asked for the end.
+    #[error("interrupted; {frames} frames are kept, continue with --resume")]
+    Interrupted {
+        /// Frames on disk.
+        frames: u64,
+    },
+}
+
+/// How far a capture is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Progress {
+    /// Frames on disk.
+    pub frames: u64,
+    /// Frames of the plan.
+    pub of: u64,
+    /// Bytes of a frame in memory.
+    pub frame_bytes: u64,
+    /// Set at work.
+    pub set: usize,
+    /// Sets of the plan.
+    pub sets: usize,
+}
+
+/// What a capture did.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Summary {
+    /// Frames written now.
+    pub frames: u64,
+    /// Sums over the streams.
+    pub counts: StreamCounts,
+    /// Automatic functions and what became of them.
+    pub automatics: Vec<Automatic>,
+    /// Exposure that counts as 1, s.
+    pub full_exposure_s: Option<f64>,
+}
+
+/// Everything that is done around the frames.
+pub struct Capture<'a> {
+    /// The camera.
+    pub camera: &'a mut dyn Camera,
+    /// The bench.
+    pub bench: &'a mut dyn Illuminator,
+    /// Stream options.
+    pub options: StreamOptions,
+    /// Set from outside to stop after the frame in flight.
+    pub stop: &'a AtomicBool,
+    /// Told after each frame.
+    pub progress: &'a mut dyn FnMut(Progress),
+}
+
+/// Name of the log inside a dataset: one line a run, with the buffer statistics.
+pub const LOG_FILE: &str = "capture.log";
+
+/// Name of the plan inside a dataset, exposures in seconds, by which it is continued.
+pub const PLAN_FILE: &str = "plan.toml";
+
+/// The state of one run.
+struct Run {
+    writer: Writer,
+    clock: DeviceClock,
+    counts: StreamCounts,
+    /// Sets that were begun again, once for each time.
+    begun_again: Vec<usize>,
+}
+
+impl Run {
+    /// Frames of a set that are on disk.
+    fn have(&self, number: usize) -> u32 {
+        self.writer.written().iter().filter(|r| r.set as usize == number).count() as u32
+    }
+
+    /// What is kept of it beside the frames. `searched`: the full exposure that was searched for, s.
+    fn log(&self, searched: Option<f64>, frames: u64, outcome: &Result<(), CaptureError>) -> String {
+        let mut out = String::new();
+        if let Some(full_s) = searched {
+            out += &format!(
+                "before the first frame: a search for the full exposure up to {full_s} s, then {SETTLING} frames under the first set's light\n"
+            );
+        }
+        for set in &self.begun_again {
+            out += &format!(
+                "set {set} begun again, its first frame damaged: {SETTLING} frames under the light of the set before\n"
+            );
+        }
+        let StreamCounts { completed, failures, underruns, missing, .. } = self.counts;
+        let outcome = outcome.as_ref().map_or_else(ToString::to_string, |()| "done".into());
+        out + &format!(
+            "completed {completed} failures {failures} underruns {underruns} missing {missing} written {frames} outcome {outcome}\n"
+        )
+    }
+}
+
+impl Capture<'_> {
+    /// Captures a plan into a new folder, or continues it there.
+    pub fn run(&mut self, plan: &Plan, root: &Path, resume: bool) -> Result<Summary, CaptureError> {
+        let automatics = self.camera.disable_automatics()?;
+        for a in &automatics {
+            if a.off {
+                tracing::info!(
+                    feature = a.feature,
+                    before = a.before,
+                    now = a.now,
+                    "automatic function is off"
+                );
+            } else {
+                tracing::warn!(
+                    feature = a.feature,
+                    now = a.now,
+                    "automatic function could not be switched off"
+                );
+            }
+        }
+        let mut counts = StreamCounts::default();
+        let searched = !resume && plan.full_exposure_s.is_none() && plan.needs_full_exposure();
+        let (writer, plan) = if resume {
+            self.resume(root)?
+        } else {
+            self.set_up(plan)?;
+            let plan = self.absolute(plan, &mut counts)?;
+            let manifest = self.manifest(&automatics)?;
+            let writer = Writer::create(root, &manifest, &[(PLAN_FILE, &plan.to_toml()?)])?;
+            (writer, plan)
+        };
+        let before = writer.written().len() as u64;
+        let start = writer.written().last().and_then(|r| r.timestamp_s).unwrap_or(0.0);
+        // A thousand frames more than were kept: the pilot and damaged frames were drawn too.
+        let clock = match resume {
+            false => DeviceClock::FromFirstFrame,
+            true if self.camera.continue_after(before + 1000, start + 1.0) => DeviceClock::Zero(0),
+            // How long the pause was is not known.
+            true => DeviceClock::Unknown,
+        };
+        let mut run = Run { writer, clock, counts, begun_again: Vec::new() };
+        let outcome = (0..plan.sets.len()).try_for_each(|number| self.capture_set(number, &plan, &mut run));
+        let frames = run.writer.written().len() as u64 - before;
+        let full_s = searched.then(|| plan.full_exposure_s.unwrap_or(0.0));
+        let line = run.log(full_s, frames, &outcome);
+        tracing::info!(counts = line.trim_end(), "buffer statistics");
+        let log = std::fs::OpenOptions::new().create(true).append(true).open(root.join(LOG_FILE));
+        if let Err(e) = log.and_then(|mut log| std::io::Write::write_all(&mut log, line.as_bytes())) {
+            tracing::warn!(error = %e, "the buffer statistics could not be kept");
+        }
+        outcome?;
+        Ok(Summary { frames, counts: run.counts, automatics, full_exposure_s: plan.full_exposure_s })
+    }
+
+    /// Brings the camera to the plan's settings.
+    fn set_up(&mut self, plan: &Plan) -> Result<(), CaptureError> {
+        let camera = &mut *self.camera;
+        let wanted = &plan.camera;
+        let deepest = camera.capabilities().pixel_formats.iter().copied().max_by_key(|f| {
+            // The deepest, and of equal ones the one whose bytes need no unpacking.
+            (f.bits(), f.bits_per_pixel())
+        });
+        if let Some(format) = wanted.pixel_format.or(deepest) {
+            camera.set_pixel_format(format)?;
+        }
+        if let Some(region) = wanted.region() {
+            let got = camera.set_region(region)?;
+            if got != region {
+                return Err(self.read_back("region", format!("{region:?}"), format!("{got:?}")).into());
+            }
+        }
+        if let Some(gain) = wanted.gain_db {
+            let got = camera.set_gain_db(gain)?;
+            if (got - gain).abs() > 0.05 {
+                return Err(self.read_back("Gain", format!("{gain} dB"), format!("{got} dB")).into());
+            }
+        }
+        if let Some(level) = wanted.black_level_dn {
+            let got = camera.set_black_level_dn(level)?;
+            if (got - level).abs() > 0.5 {
+                return Err(self.read_back("BlackLevel", format!("{level} DN"), format!("{got} DN")).into());
+            }
+        }
+        if let Some(rate) = wanted.frame_rate_hz {
+            camera.set_frame_rate_hz(rate)?;
+        }
+        for (name, value) in &wanted.features {
+            let value = match value {
+                toml::Value::Boolean(v) => Value::Bool(*v),
+                toml::Value::Integer(v) => Value::Int(*v),
+                toml::Value::Float(v) => Value::Float(*v),
+                other => Value::Text(other.as_str().map_or_else(|| other.to_string(), Into::into)),
+            };
+            camera.set_feature(name, &value)?;
+        }
+        Ok(())
+    }
+
+    fn read_back(&self, feature: &str, asked: String, got: String) -> CameraError {
+        let camera = self.camera.identity().id.clone();
+        CameraError::ReadBack { camera, feature: feature.into(), asked, got }
+    }
+
+    fn manifest(&mut self, automatics: &[Automatic]) -> Result<Manifest, CaptureError> {
+        let settings = self.camera.settings()?;
+        let mut features: BTreeMap<String, Value> = self.camera.features();
+        for a in automatics {
+            features.insert(a.feature.clone(), Value::Text(a.now.clone()));
+        }
+        let identity = self.camera.identity();
+        let mut manifest = Manifest::new(CameraInfo {
+            still_automatic: automatics.iter().filter(|a| !a.off).map(|a| a.feature.clone()).collect(),
+            features: features
+                .into_iter()
+                .map(|(name, value)| {
+                    let value = match value {
+                        Value::Bool(v) => v.into(),
+                        Value::Int(v) => v.into(),
+                        Value::Float(v) => v.into(),
+                        Value::Text(v) => v.into(),
+                    };
+                    (name, value)
+                })
+                .collect(),
+            ..CameraInfo::of(identity, &settings)
+        });
+        manifest.bench = self.bench.info();
+        Ok(manifest)
+    }
+
+    /// Opens a dataset to be continued and brings the camera to its settings.
+    fn resume(&mut self, root: &Path) -> Result<(Writer, Plan), CaptureError> {
+        let fault = |message: String| CaptureError::Resume { path: root.display().to_string(), message };
+        let plan_path = root.join(PLAN_FILE);
+        let text = std::fs::read_to_string(&plan_path)
+            .map_err(|e| fault(format!("{}: {e}", plan_path.display())))?;
+        let mut plan = Plan::from_toml(&text)?;
+        let (writer, manifest) = Writer::resume(root)?;
+        let was = &manifest.camera;
+        let identity = self.camera.identity();
+        for (name, now, was) in [
+            ("vendor", &identity.vendor, &was.vendor),
+            ("model", &identity.model, &was.model),
+            ("serial", &identity.serial, &was.serial),
+        ] {
+            if now != was {
+                return Err(fault(format!(
+                    "it was taken with {name} \"{was}\", and this camera has \"{now}\""
+                )));
+            }
+        }
+        plan.camera.pixel_format = PixelFormat::from_name(&was.pixel_format).ok();
+        plan.camera.gain_db = plan.camera.gain_db.or(was.gain_db);
+        plan.camera.black_level_dn = plan.camera.black_level_dn.or(was.black_level_dn);
+        self.set_up(&plan)?;
+        let region = self.camera.settings()?.region;
+        if (region.width as usize, region.height as usize) != (was.width, was.height) {
+            return Err(fault(format!(
+                "its frames are {} x {} px, and the camera gives {} x {} px",
+                was.width, was.height, region.width, region.height
+            )));
+        }
+        Ok((writer, plan))
+    }
+}

@@ -1,0 +1,196 @@
+//! The frames of one set.
+
+use super::{Capture, CaptureError, Progress, Run};
+use crate::camera::{CameraError, FrameStream, Settings};
+use crate::dataset::FrameRow;
+use crate::frame::{Frame, Status};
+use crate::plan::{Plan, SetPlan};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// A set whose first frame was lost is begun again so often: another set's light and exposure first, since the frame that was lost took with
+/// it what that carries over.
+const AGAIN: usize = 3;
+
+impl Capture<'_> {
+    /// Takes the frames of a set that are not there yet. Where the first is lost the set before is exposed once more and the set begun again.
+    pub(super) fn capture_set(
+        &mut self,
+        number: usize,
+        plan: &Plan,
+        run: &mut Run,
+    ) -> Result<(), CaptureError> {
+        let set = &plan.sets[number];
+        if run.have(number) >= set.frames {
+            return Ok(());
+        }
+        // A person is not asked to move the light for it; frames that are let pass at the start of each set are no transition.
+        let before = number.checked_sub(1).map(|k| &plan.sets[k]);
+        let before = before.filter(|b| self.bench.moves_itself() || b.bench() == set.bench());
+        let before = before.filter(|_| plan.camera.settle_frames == 0);
+        for _ in 0..AGAIN {
+            let Some(before) = before else { break };
+            if self.attempt(number, plan, run, true)? {
+                return Ok(());
+            }
+            run.begun_again.push(number);
+            self.expose(before, before.exposure_s.unwrap_or(1.0), &mut run.counts)?;
+        }
+        self.attempt(number, plan, run, false).map(drop)
+    }
+
+    /// `false`, and no frame, where the first was lost and sets are to be `whole`.
+    fn attempt(
+        &mut self,
+        number: usize,
+        plan: &Plan,
+        run: &mut Run,
+        whole: bool,
+    ) -> Result<bool, CaptureError> {
+        if self.stop.load(Ordering::Relaxed) {
+            return Err(CaptureError::Interrupted { frames: run.writer.written().len() as u64 });
+        }
+        let set = &plan.sets[number];
+        let reached = self.bench.apply(&set.bench(), self.camera)?;
+        let exposure_s = self.camera.set_exposure_s(set.exposure_s.unwrap_or(1.0))?;
+        let settings = self.camera.settings()?;
+        let mut stream = self.camera.stream(&self.options)?;
+        let job = TakeSet {
+            number,
+            set,
+            plan,
+            exposure_s,
+            illumination: reached.illumination,
+            settings: &settings,
+            stop: self.stop,
+            whole,
+        };
+        let outcome = take(&mut *stream, &job, run, self.progress);
+        let counted = stream.counts();
+        tracing::debug!(set = number, ?counted, "set done");
+        run.counts.add(counted);
+        outcome
+    }
+}
+
+/// What is known of the set being taken.
+struct TakeSet<'a> {
+    number: usize,
+    set: &'a SetPlan,
+    plan: &'a Plan,
+    exposure_s: f64,
+    /// As the bench says it stands.
+    illumination: f64,
+    settings: &'a Settings,
+    stop: &'a AtomicBool,
+    /// Whether the first frame must be the first that was exposed.
+    whole: bool,
+}
+
+/// `false`, and nothing written, where that is asked for and cannot be had.
+fn take(
+    stream: &mut dyn FrameStream,
+    job: &TakeSet<'_>,
+    run: &mut Run,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<bool, CaptureError> {
+    let TakeSet { number, set, plan, exposure_s, illumination, settings, stop, whole } = *job;
+    let mut index = run.have(number);
+    let Run { writer, clock, .. } = run;
+    let mut frame = Frame::new(settings.region.width as usize, settings.region.height as usize);
+    let mut damaged = 0;
+    let mut settling = plan.camera.settle_frames;
+    while index < set.frames {
+        if stop.load(Ordering::Relaxed) {
+            return Err(CaptureError::Interrupted { frames: writer.written().len() as u64 });
+        }
+        stream.next(&mut frame, timeout(exposure_s))?;
+        if let Status::Damaged(why) = &frame.status {
+            damaged += 1;
+            if whole && index == 0 {
+                tracing::warn!(
+                    set = number,
+                    why,
+                    "the first frame of the set is damaged: the set before is exposed once more"
+                );
+                return Ok(false);
+            }
+            tracing::warn!(set = number, frame = frame.id, why, "damaged frame thrown away");
+            if damaged > 20 + 4 * u64::from(set.frames) {
+                return Err(CaptureError::Damaged {
+                    set: number,
+                    damaged,
+                    wanted: set.frames,
+                    last: why.clone(),
+                    advice: "check cable and switch, lower the frame rate or the packet size, \
+                             raise net.core.rmem_max",
+                });
+            }
+            continue;
+        }
+        if settling > 0 {
+            settling -= 1;
+            continue;
+        }
+        if !frame.fits(settings.pixel_format) {
+            let largest = frame.pixels.iter().max().copied().unwrap_or(0);
+            return Err(CameraError::Backend {
+                camera: "frame".into(),
+                feature: settings.pixel_format.name().into(),
+                message: format!("holds {largest} DN, more than {} bits", settings.pixel_format.bits()),
+            }
+            .into());
+        }
+        let row = FrameRow {
+            file: String::new(),
+            kind: set.kind,
+            set: number as u32,
+            index,
+            exposure_s,
+            illumination,
+            configuration: set.configuration,
+            temperature_c: frame.temperature_c.or(settings.temperature_c),
+            timestamp_s: clock.seconds(frame.timestamp_ns),
+        };
+        writer.append(row, &frame.pixels)?;
+        index += 1;
+        progress(Progress {
+            frames: writer.written().len() as u64,
+            of: plan.frames(),
+            frame_bytes: 2 * frame.pixels.len() as u64,
+            set: number,
+            sets: plan.sets.len(),
+        });
+    }
+    Ok(true)
+}
+
+/// How long to wait for a frame: the exposure, and time for the camera to answer.
+pub(super) fn timeout(exposure_s: f64) -> Duration {
+    Duration::from_secs_f64((2.0 * exposure_s + 5.0).min(86_400.0))
+}
+
+/// Turns device time into seconds from the start of the campaign.
+pub(super) enum DeviceClock {
+    FromFirstFrame,
+    /// Device time at the start of the campaign, ns.
+    Zero(u64),
+    Unknown,
+}
+
+impl DeviceClock {
+    /// `None` where it is not known.
+    pub(super) fn seconds(&mut self, timestamp_ns: Option<u64>) -> Option<f64> {
+        let now = timestamp_ns?;
+        let zero = match *self {
+            DeviceClock::Unknown => return None,
+            DeviceClock::Zero(zero) => zero,
+            DeviceClock::FromFirstFrame => {
+                *self = DeviceClock::Zero(now);
+                now
+            }
+        };
+        // Nanoseconds, and no rubbish behind them in the file.
+        Some((now as f64 - zero as f64).round() * 1e-9)
+    }
+}
