@@ -6,6 +6,9 @@ use std::sync::OnceLock;
 /// Shares of the pixels, from the lowest to the highest, whose levels [`crate::predict::SetInfo::places`] gives: few where the tails are.
 pub const PLACES: [f64; 9] = [0.01, 0.04, 0.1, 0.2, 0.3, 0.2, 0.1, 0.04, 0.01];
 
+/// Each of them stands for levels around it: half the distance between places in the middle, in deviations of all.
+pub const AROUND: f64 = 0.35;
+
 /// [`crate::predict::SetInfo::places`] of normal levels.
 pub const NORMAL: [f64; PLACES.len()] =
     [-2.718_725, -1.950_477, -1.326_337, -0.699_978, 0.0, 0.699_978, 1.326_337, 1.950_477, 2.718_725];

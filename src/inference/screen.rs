@@ -13,7 +13,7 @@ use radcam_sim::effects::{self, Effect};
 /// Sizes, relative to an effect's own start, at which its shape is looked at: many shapes change with the size.
 const SIZES: [f64; 3] = [1.0, 0.1, 10.0];
 /// Where the best multiple of a start promises less than this share of what is needed, other sizes are not looked at (a named choice).
-const HOPELESS: f64 = 0.1;
+const TOO_LITTLE: f64 = 0.1;
 /// A move that reaches this share of what a move in proportion would reach at best is one.
 const IN_PROPORTION: f64 = 0.9;
 
@@ -138,7 +138,7 @@ impl<'a> Screen<'a> {
                 }
             }
             // A shape that does not change with the size has shown all.
-            if reached > IN_PROPORTION * moved.best || moved.best.max(reached) < HOPELESS * self.needed {
+            if reached > IN_PROPORTION * moved.best || moved.best.max(reached) < TOO_LITTLE * self.needed {
                 break;
             }
         }

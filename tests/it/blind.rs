@@ -177,7 +177,7 @@ fn weak_effects_are_named() {
 
 /// The whole table, as it stands in the README and docs/CONFUSION.md.
 #[test]
-#[ignore = "an hour; `cargo test --release --test it blind::the_whole -- --ignored --nocapture`"]
+#[ignore = "ten minutes; `cargo test --release --test it blind::the_whole -- --ignored --nocapture`"]
 fn the_whole_table() {
     let each = number("BLIND_EACH", 3);
     let mut text = String::new();

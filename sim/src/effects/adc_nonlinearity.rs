@@ -1,7 +1,7 @@
 //! ADC nonlinearity: bits of the converter have wrong weights, so that codes have unequal widths.
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
-use crate::normal::tail;
+use crate::normal::{AROUND, tail};
 use crate::predict::{BITS, NORMAL, PLACES};
 
 /// The weights of the six lowest bits, of the six highest, or of both are off by some part of a step.
@@ -186,8 +186,7 @@ impl Effect for This {
         for (i, s) in out.sets.iter_mut().enumerate() {
             let level = s.signal + out.base.offset_dn;
             let (spread, places) = c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread_dn, &s.places));
-            // Each place stands for levels a third of a deviation around it.
-            let noise = libm::sqrt(s.covariance(0, 0).max(0.01) + (0.35 * spread).powi(2));
+            let noise = libm::sqrt(s.covariance(0, 0).max(0.01) + (AROUND * spread).powi(2));
             let lowest = libm::log2(noise).floor().clamp(0.0, low as f64) as usize;
             let Some(steps) = &steps[lowest] else { continue };
             let (mut mean, mut slope) = (0.0, 0.0);

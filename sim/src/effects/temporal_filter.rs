@@ -1,6 +1,6 @@
 //! Temporal filter: the camera averages successive frames.
 
-use crate::normal::PLACES as SHARES;
+use crate::normal::{AROUND, PLACES as SHARES};
 use crate::predict::SetPrediction;
 use crate::quantize::Correction;
 
@@ -39,8 +39,7 @@ struct Change<'a> {
 impl Change<'_> {
     /// What a filter that keeps whole codes adds to the mean, where the change is larger by `more`: floor(a u + 1/2) over the pixels.
     fn step(&self, a: f64, more: f64) -> f64 {
-        // Between one place and the next pixels lie as well.
-        let correction = Correction::new(a, libm::hypot(self.noise, 0.35 * self.across), 0.0);
+        let correction = Correction::new(a, libm::hypot(self.noise, AROUND * self.across), 0.0);
         let at = |(x, share): (&f64, f64)| share * correction.mean(self.away + more + self.across * x);
         self.places.iter().zip(SHARES).map(at).sum()
     }
@@ -255,5 +254,40 @@ impl Effect for This {
             d.image.mapv_inplace(|v| libm::floor(v + 0.5));
         }
         d.memory.insert(self.id(), d.image.clone());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::normal::NORMAL;
+    use crate::rng::{PixelRng, Stream};
+
+    /// Against drawn pixels: a million of each, within what is said not to be known and five standard errors.
+    #[test]
+    fn a_change_of_level_is_what_pixels_show() {
+        let n = 1_000_000;
+        let normal = |i: u32, k: u64| PixelRng::new(3, Stream::Effect, k, i, 0).normal();
+        // Alpha times the change: below the first threshold, at it, above it, and at several.
+        for (a, away, across, noise) in [
+            (1e-4, 3400.0, 150.0, 40.0),
+            (1.46e-4, 3430.0, 150.0, 40.0),
+            (2e-4, 3400.0, 60.0, 20.0),
+            (2e-3, -3000.0, 200.0, 30.0),
+        ] {
+            let change = Change { away, across, places: &NORMAL, noise };
+            let drawn = |i: u32| {
+                let u = f64::round(away + across * normal(i, 0) + noise * normal(i, 1));
+                f64::floor(a * u + 0.5)
+            };
+            let (sum, square) = (0..n).map(drawn).fold((0.0, 0.0), |(s, q), v| (s + v, q + v * v));
+            let mean = sum / f64::from(n);
+            let std_err = ((square / f64::from(n) - mean * mean).max(0.0) / f64::from(n)).sqrt();
+            let (step, unsure) = (change.step(a, 0.0), change.unsure(a));
+            assert!(
+                (step - mean).abs() < unsure + 5.0 * std_err + 1e-3,
+                "alpha {a}: {step} +- {unsure} DN, drawn {mean} +- {std_err}"
+            );
+        }
     }
 }
