@@ -57,10 +57,25 @@ impl Spectrum {
         }
     }
 
+    /// Variance of a pixel.
+    pub fn variance(&self) -> f64 {
+        // All frequencies of an axis but the first and the last stand for themselves and for those below 0.
+        let twice = |of: [f64; HALF]| 2.0 * of.iter().sum::<f64>() - of[0] - of[HALF - 1];
+        let (mut lanes, rows) = ([0.0; HALF], self.0.as_chunks::<HALF>().0);
+        for (i, row) in rows.iter().enumerate() {
+            let weight = if i == 0 || i == HALF - 1 { 1.0 } else { 2.0 };
+            lanes.iter_mut().zip(row).for_each(|(sum, p)| *sum += weight * p);
+        }
+        twice(lanes) / (GRID * GRID) as f64
+    }
+
     /// Covariance at a lag: rows down, columns to the right; at most 3 of each.
     pub fn lag(&self, dy: i32, dx: i32) -> f64 {
-        if let Some(variance) = self.of_white() {
-            return if (dy, dx) == (0, 0) { variance } else { 0.0 };
+        if (dy, dx) == (0, 0) {
+            return self.variance();
+        }
+        if self.of_white().is_some() {
+            return 0.0;
         }
         let lag = |d: i32| (d.unsigned_abs() as usize).min(LAGS - 1);
         let table = &cosines()[lag(dy) * LAGS + lag(dx)];
@@ -109,8 +124,8 @@ impl Spectrum {
 
     /// Covariance of the means of rows this far apart, at most 3, times the pixels of one.
     pub fn along_lag(&self, rows: usize) -> f64 {
-        if self.of_white().is_some() {
-            return 0.0;
+        if let Some(variance) = self.of_white() {
+            return if rows == 0 { variance } else { 0.0 };
         }
         let cosines = along_one_axis();
         (0..HALF).map(|i| self.0[i * HALF] * cosines[i][rows.min(LAGS - 1)]).sum()

@@ -25,6 +25,8 @@ const STARTS: usize = 3;
 const FORMS: usize = 8;
 /// Of the starts of a candidate so many are fitted to the end.
 const FINISHED: usize = 4;
+/// Two fits whose scores differ by less, in proportion to the mean square of their residuals, have come to the same place (a named choice).
+const SAME: f64 = 0.01;
 /// A size is something from so many of its errors on: 0 is rejected at 1 in 80.
 const KNOWN: f64 = 2.5;
 /// A candidate whose evidence after a few rounds is below this share of the best is not fitted to the end.
@@ -117,9 +119,13 @@ impl Look<'_> {
         let ahead = brief.iter().filter_map(|(_, tries)| first(tries)).fold(self.against, f64::max);
         let mut found: Vec<Candidate> = brief
             .into_par_iter()
-            .filter_map(|(effect, tries)| {
-                let near = first(&tries)? > BEHIND * ahead;
-                self.standing(effect, if near { finished(self.all, tries) } else { tries })
+            .filter_map(|(effect, mut tries)| {
+                let is_near = |t: &Fitted| self.evidence(t) > BEHIND * ahead;
+                if is_near(tries.first()?) {
+                    tries.retain(is_near);
+                    tries = finished(self.all, tries);
+                }
+                self.standing(effect, tries)
             })
             .collect();
         found.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
@@ -230,9 +236,16 @@ fn sorted(all: &Observations, mut models: Vec<Fitted>) -> Vec<Fitted> {
 }
 
 /// The best of some models, fitted to the end; the best first.
-fn finished(all: &Observations, models: Vec<Fitted>) -> Vec<Fitted> {
+fn finished(all: &Observations, mut models: Vec<Fitted>) -> Vec<Fitted> {
+    models.dedup_by(|a, b| is_at(all, a, b));
     let all_of = models.into_par_iter().take(FINISHED).map(|m| fit_near(all, &m, &m.effects));
     sorted(all, all_of.collect())
+}
+
+/// Whether two fits of the same effects have come to the same place: to what no round would gain any more.
+fn is_at(all: &Observations, one: &Fitted, other: &Fitted) -> bool {
+    (score(all, one) - score(all, other)).abs() < SAME * one.mean_square.max(1.0)
+        && one.effects.iter().zip(&other.effects).all(|((e, a), (_, b))| e.form(a) == e.form(b))
 }
 
 /// Whether a candidate is something by itself: see [`is_something`].

@@ -117,18 +117,48 @@ struct Lags {
     row: [f64; LAGS],
     column: [f64; LAGS],
     ripple: [f64; LAGS],
+    /// Columns from -3 on.
+    lines: [[f64; 2 * LAGS - 1]; LAGS],
+    /// Of the means of rows, times the pixels of one: of shot noise and of read noise.
+    of_rows: [[f64; LAGS]; 2],
 }
 
 impl Lags {
     fn of(s: &SetPrediction) -> Self {
+        let mut lines = [[0.0; 2 * LAGS - 1]; LAGS];
+        for &(v, px, py) in &s.lines {
+            for (dy, row) in lines.iter_mut().enumerate() {
+                for (i, at) in row.iter_mut().enumerate() {
+                    *at += v * (px * (i as f64 - (LAGS - 1) as f64) + py * dy as f64).cos();
+                }
+            }
+        }
         Self {
             shot: s.shot.lags(),
             read: s.read.lags(),
             row: std::array::from_fn(|d| s.row.lag(d as i32)),
             column: std::array::from_fn(|d| s.column.lag(d as i32)),
             ripple: std::array::from_fn(|d| s.ripple(d as f64)),
+            lines,
+            of_rows: [&s.shot, &s.read].map(|noise| std::array::from_fn(|d| noise.along_lag(d))),
         }
     }
+
+    /// Of what lies in lines of the spectrum: the same at the opposite lag.
+    fn lines(&self, dy: i32, dx: i32) -> f64 {
+        let along = if dy < 0 { -dx } else { dx };
+        self.lines[near(dy)][(along + LAGS as i32 - 1).clamp(0, 2 * LAGS as i32 - 2) as usize]
+    }
+
+    /// A pixel with itself.
+    fn variance(&self) -> f64 {
+        self.shot[0][0] + self.read[0][0] + self.row[0] + self.column[0] + self.ripple[0] + self.lines(0, 0)
+    }
+}
+
+/// Place of a lag in a table of them.
+fn near(lag: i32) -> usize {
+    (lag.unsigned_abs() as usize).min(LAGS - 1)
 }
 
 /// A prediction as the observables of one chunk of frames see it.
@@ -201,7 +231,7 @@ impl<'a> View<'a> {
         let Some(s) = set else { return view };
         view.ripple_of_mean = s.ripple_with_mean(shape.0, shape.0);
         view.of_mean = s.of_frame_mean(shape, o.pixels) + view.ripple_of_mean;
-        view.noise = s.covariance(0, 0);
+        view.noise = lags.variance();
         if n > 1.5 {
             view.left = (left(&s.shot_memory, n), left(&s.read_memory, n));
         }
@@ -220,28 +250,31 @@ impl<'a> View<'a> {
 
     /// Covariance at a lag of at most 3 rows and columns, as it is measured: about each pixel's and each frame's mean, DN^2.
     pub fn lag(&self, dy: i32, dx: i32) -> f64 {
-        let Some(s) = self.set() else { return 0.0 };
-        let place = |d: i32| (d.unsigned_abs() as usize).min(LAGS - 1);
-        let (of, y, x) = (&self.lags, place(dy), place(dx));
-        let line = |&(v, px, py): &(f64, f64, f64)| v * (px * f64::from(dx) + py * f64::from(dy)).cos();
+        if self.set().is_none() {
+            return 0.0;
+        }
+        let (of, y, x) = (&self.lags, near(dy), near(dx));
         self.left.0 * of.shot[y][x]
             + self.left.1 * of.read[y][x]
             + of.row[y]
             + of.column[x]
             + of.ripple[y]
-            + s.lines.iter().map(line).sum::<f64>()
+            + of.lines(dy, dx)
             - self.of_mean
     }
 
     /// Error of a mean product of noise that whole lines share, DN^2: there are few of them, and a mean product of n normal pairs has the
     /// error s^2 / root n (twice that square for a product with itself).
     pub fn shared(&self, dy: i32, dx: i32) -> f64 {
-        let Some(s) = self.set() else { return 0.0 };
+        if self.set().is_none() {
+            return 0.0;
+        }
         let of = |own: f64, count: usize, same: bool| {
             own * ((1.0 + f64::from(u8::from(same))) / count as f64 / self.dof).sqrt()
         };
         let shape = self.all.campaign.shape;
-        let (rows, columns) = (of(s.row.lag(0), shape.0, dy == 0), of(s.column.lag(0), shape.1, dx == 0));
+        let (rows, columns) =
+            (of(self.lags.row[0], shape.0, dy == 0), of(self.lags.column[0], shape.1, dx == 0));
         in_quadrature(&[rows, columns, self.ripple_error])
     }
 
@@ -256,17 +289,25 @@ impl<'a> View<'a> {
     /// With its sign; where there are both, the larger.
     pub fn common(&self, dy: i32, dx: i32) -> f64 {
         let of = &self.lags.ripple;
-        let beside = (dy.unsigned_abs() as usize).min(LAGS - 1);
-        let ripple = if of[0] > 0.0 { self.ripple_error * of[beside] / of[0] } else { 0.0 };
+        let ripple = if of[0] > 0.0 { self.ripple_error * of[near(dy)] / of[0] } else { 0.0 };
         let line = self.lines(dy, dx);
         if line.abs() > ripple.abs() { line } else { ripple }
     }
 
     /// A line has one phase a frame: what few frames show of it scatters (random walk of n phases), DN^2; with the sign of its covariance.
     pub fn lines(&self, dy: i32, dx: i32) -> f64 {
-        let Some(s) = self.set() else { return 0.0 };
-        let of = |&(v, px, py): &(f64, f64, f64)| v * (px * f64::from(dx) + py * f64::from(dy)).cos();
-        self.walk() * s.lines.iter().map(of).sum::<f64>()
+        if self.set().is_some() { self.walk() * self.lags.lines(dy, dx) } else { 0.0 }
+    }
+
+    /// Variance of a pixel's shot noise and of its read noise, DN^2.
+    pub fn pixels(&self) -> (f64, f64) {
+        (self.lags.shot[0][0], self.lags.read[0][0])
+    }
+
+    /// Covariance of the means of rows this far apart, at most 3, times the pixels of one, DN^2: by shot noise and by read noise.
+    pub fn of_rows(&self, apart: usize) -> (f64, f64) {
+        let [shot, read] = self.lags.of_rows;
+        (shot[apart.min(LAGS - 1)], read[apart.min(LAGS - 1)])
     }
 
     fn walk(&self) -> f64 {
@@ -278,11 +319,12 @@ impl<'a> View<'a> {
         let Some(s) = self.set() else { return Expected::plain(o, 0.0, 1.0) };
         let shape = self.all.campaign.shape;
         let (axis, width, count) = if rows { (1, shape.1, shape.0) } else { (0, shape.0, shape.1) };
-        let own = if rows { s.row.lag(0) + s.ripple(0.0) } else { s.column.lag(0) };
+        let own = if rows { self.lags.row[0] + self.lags.ripple[0] } else { self.lags.column[0] };
         let of_lines =
             s.lines.iter().map(|&(v, px, py)| v * line_mean(if rows { px } else { py }, width as f64));
         let of_lines: f64 = of_lines.sum();
-        let pixels = (s.shot.along(axis) * self.left.0 + s.read.along(axis) * self.left.1) / width as f64;
+        let (shot, read) = if rows { self.of_rows(0) } else { (s.shot.along(axis), s.read.along(axis)) };
+        let pixels = (shot * self.left.0 + read * self.left.1) / width as f64;
         // Of noise across the lines each holds the mean, which the frame's mean takes with it.
         let across = if rows {
             s.column.of_mean() / shape.1 as f64

@@ -32,6 +32,6 @@ impl Statistic for This {
         let noise = (view.noise * view.noise).max(f64::MIN_POSITIVE);
         let own = o.measured.std_err * (view.unlike().powi(2) + s.unsure / noise).sqrt();
         let std_err = in_quadrature(&[own, 0.3 * view.moving, 2.0 * view.shared(1, 1)]);
-        Expected::plain(o, 0.5 * growth * s.shot.lag(0, 0), std_err)
+        Expected::plain(o, 0.5 * growth * view.pixels().0, std_err)
     }
 }

@@ -54,10 +54,11 @@ impl Statistic for This {
         let of_frame = |k: f64| ((k - 1.0) / k).powi(2) * (1.0 + (k - 1.0).powi(-3));
         let kept = (2..=view.frames.len().max(2)).map(|k| of_frame(k as f64)).sum::<f64>() / view.dof;
         // A Poisson number has its mean as every cumulant; a mean of several is nearer to a normal one.
-        let poisson = s.shot.lag(0, 0) * view.prediction.base.gain_dn_per_e.powi(2);
+        let (shot, _) = view.pixels();
+        let poisson = shot * view.prediction.base.gain_dn_per_e.powi(2);
         // Pixels with more light have more shot noise, and some have more dark current.
         let set = view.at.map(|i| &view.all.campaign.sets[i]);
-        let uneven = set.map_or(0.0, |info| (s.shot.lag(0, 0) * info.spread).powi(2));
+        let uneven = set.map_or(0.0, |info| (shot * info.spread).powi(2));
         let dark =
             view.at.map_or(0.0, |i| view.all.dark_spread_dn2[i]) * view.prediction.base.gain_dn_per_e.powi(2);
         // A sine of random phase has -3/2 of the square of its variance.

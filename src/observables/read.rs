@@ -9,7 +9,7 @@ use crate::statistics::median::median;
 use crate::statistics::pass::{Pass, Summary};
 use ndarray::Array2;
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// Frames of a set that the first look reads.
@@ -17,6 +17,9 @@ const FIRST: usize = 8;
 /// A set is cut into pieces of about this many frames, and into at most [`PIECES`].
 const PIECE: usize = 8;
 const PIECES: usize = 8;
+/// Bytes of decoded frames that are kept from the first look for the pass over all: compressed frames take longer to decode than to look at.
+/// A named choice: a tenth of what a small machine has.
+const KEPT: usize = 256 << 20;
 /// Share of clipped samples from which a set is not looked at.
 const CLIPPED: f64 = 1e-3;
 
@@ -67,12 +70,14 @@ struct Look {
     pair: Option<(f64, f64)>,
     /// How far the frames lie from each other; whether they are dark.
     apart: Option<(bool, outliers::Apart)>,
+    /// The frames, as long as there is room.
+    frames: Vec<Array2<u16>>,
 }
 
-fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ObserveError> {
+fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<Look, ObserveError> {
     let set = &dataset.sets()[set];
     let kind = dataset.settings(set).kind;
-    let mut out = Look { clipped: Vec::new(), dark: None, pair: None, apart: None };
+    let mut out = Look { clipped: Vec::new(), dark: None, pair: None, apart: None, frames: Vec::new() };
     if !matches!(kind, Kind::Dark | Kind::Flat) {
         return Ok(out);
     }
@@ -90,7 +95,7 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ObserveError> 
         let over = frame.iter().enumerate().filter(|(_, d)| **d >= full).map(|(i, _)| i);
         // A set that is clipped as a whole says nothing of single pixels, and takes no memory.
         out.clipped.extend(over.take(frame.len() / 50 + 1));
-        block.push(frame.as_standard_layout().into_owned());
+        block.push(frame);
     }
     if let [a, b, ..] = block.as_slice() {
         out.pair = Some(pair(a, b, full));
@@ -100,6 +105,11 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ObserveError> 
         out.clipped.clear();
     }
     out.dark = (kind == Kind::Dark).then(|| sum / rows.len().max(1) as f32);
+    let bytes = block.iter().map(|f| size_of::<u16>() * f.len()).sum();
+    let taken = room.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |room| room.checked_sub(bytes));
+    if taken.is_ok() {
+        out.frames = block;
+    }
     Ok(out)
 }
 
@@ -213,6 +223,8 @@ struct Reader<'a, 'b> {
     zero_dn: f64,
     /// Whether samples that stand out are taken for struck ones.
     clean: bool,
+    /// The first frames of sets, where they were kept.
+    kept: Vec<Vec<Array2<u16>>>,
 }
 
 impl<'b> Reader<'_, 'b> {
@@ -220,8 +232,11 @@ impl<'b> Reader<'_, 'b> {
         if self.stop.load(Ordering::Relaxed) {
             return Err(ObserveError::Interrupted);
         }
+        if let Some(frame) = self.kept.get(set).and_then(|of| of.get(place)) {
+            return Ok(frame.clone());
+        }
         let row = self.dataset.sets()[set].rows[place];
-        Ok(self.dataset.read(&self.dataset.rows()[row])?.as_standard_layout().into_owned())
+        Ok(self.dataset.read(&self.dataset.rows()[row])?)
     }
 
     fn piece(&self, p: &Piece) -> Result<(Work, LeftOut), ObserveError> {
@@ -378,16 +393,18 @@ pub fn read(
     let pieces = pieces(dataset);
     let of = pieces.len() + sets / 4;
     let mut looks = Vec::with_capacity(sets);
+    let room = AtomicUsize::new(KEPT);
     for group in (0..sets).collect::<Vec<_>>().chunks(8) {
         if stop.load(Ordering::Relaxed) {
             return Err(ObserveError::Interrupted);
         }
-        looks.extend(group.par_iter().map(|&i| look(dataset, i, full)).collect::<Result<Vec<_>, _>>()?);
+        let of_set = |&set: &usize| look(dataset, set, full, &room);
+        looks.extend(group.par_iter().map(of_set).collect::<Result<Vec<_>, _>>()?);
         progress(looks.len() / 4, of);
     }
     let (layout, zero_dn) = layout((camera.height, camera.width), full, &looks);
     let aparts: Vec<_> = looks.iter_mut().filter_map(|l| l.apart.take()).collect();
-    drop(looks);
+    let kept = looks.into_iter().map(|l| l.frames).collect();
     let shape = (camera.height, camera.width);
     let lines = || codes::LineSearch::new(shape);
     let new_codes = || codes::Codes::new(full);
@@ -399,6 +416,7 @@ pub fn read(
         usual: outliers::Usual::of(&aparts, zero_dn),
         zero_dn,
         clean: true,
+        kept,
     };
     let samples = (camera.height * camera.width) as f64 * dataset.rows().len() as f64;
     let (mut chunks, mut scenes, mut saturated) = (Vec::new(), Vec::new(), Vec::<(usize, f64)>::new());

@@ -55,8 +55,8 @@ impl Statistic for This {
         };
         // Noise of pixels and rows as a filter leaves it; the frame's mean takes its part.
         let near = if lag < 4 {
-            let pixels = s.shot.along_lag(lag) * view.left.0 + s.read.along_lag(lag) * view.left.1;
-            pixels / columns as f64 + s.row.lag(lag as i32)
+            let (shot, read) = view.of_rows(lag);
+            (shot * view.left.0 + read * view.left.1) / columns as f64 + s.row.lag(lag as i32)
         } else {
             0.0
         };
@@ -69,7 +69,8 @@ impl Statistic for This {
             common * s.ripple(0.0) - 2.0 * s.ripple_with_mean(rows - lag, rows) + view.ripple_of_mean
         };
         let lines: f64 = s.lines.iter().map(|l| l.0).sum();
-        let own = (s.shot.along(1) + s.read.along(1)) / columns as f64 + s.row.lag(0);
+        let (shot, read) = view.of_rows(0);
+        let own = (shot + read) / columns as f64 + s.row.lag(0);
         // A product of rows that have little in common scatters by half of the variance of a square.
         let ripple = view.ripple_error * (0.5 * (1.0 + common * common)).sqrt();
         let alone = own / (((rows - lag) as f64) * view.dof).sqrt();

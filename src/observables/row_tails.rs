@@ -43,8 +43,8 @@ impl Statistic for This {
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let Some(s) = view.set() else { return Expected::plain(o, 3.0, 1.0) };
         let (rows, columns) = view.all.campaign.shape;
-        let (ripple, white) =
-            (s.ripple(0.0), (s.shot.along(1) + s.read.along(1)) / columns as f64 + s.row.lag(0));
+        let (shot, read) = view.of_rows(0);
+        let (ripple, white) = (s.ripple(0.0), (shot + read) / columns as f64 + s.row.lag(0));
         let all = (ripple + white).max(1e-12);
         // A slow wander gives fewer independent rows.
         let length = |r: &Ripple| match r {

@@ -3,7 +3,6 @@
 use super::{ChunkView, Expected, Observable, Put, Statistic, View};
 use crate::statistics::pass::Summary;
 use crate::statistics::successive::error_of;
-use radcam_sim::predict::Spectrum;
 
 /// What is carried to the next frame.
 #[derive(Debug)]
@@ -34,14 +33,15 @@ impl Statistic for This {
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let Some(s) = view.set() else { return Expected::plain(o, 0.0, 1.0) };
         // Of the mean product, and of the variance that is left over the frames: nothing where frames are independent.
-        let carried = |power: &Spectrum, memory: &[f64], left: f64| {
+        let carried = |variance: f64, memory: &[f64], left: f64| {
             if memory.is_empty() {
                 return 0.0;
             }
-            power.lag(0, 0) * (view.product(memory) + left / view.n.max(2.0))
+            variance * (view.product(memory) + left / view.n.max(2.0))
         };
+        let (shot, read) = view.pixels();
         let value =
-            carried(&s.shot, &s.shot_memory, view.left.0) + carried(&s.read, &s.read_memory, view.left.1);
+            carried(shot, &s.shot_memory, view.left.0) + carried(read, &s.read_memory, view.left.1);
         Expected::plain(
             o,
             value,
