@@ -2,6 +2,7 @@
 
 use super::free::{Free, Point};
 use super::layout::{Layout, State};
+use super::normal::Normal;
 use super::slopes::Slopes;
 use super::system::System;
 
@@ -18,6 +19,8 @@ const HOLDS: f64 = 0.8;
 const MENDED: usize = 2;
 /// Slopes serve in so many rounds at most, on average.
 const SERVED: usize = 3;
+/// A step turns back where it takes this share of the last one's length back at least, within this cosine of its direction.
+const BACK: f64 = 0.5;
 /// Values that are a scatter have settled once a round changes them by less than this share.
 const SETTLED: f64 = 1e-3;
 
@@ -37,7 +40,11 @@ pub(super) enum Effort {
 impl Effort {
     /// Slopes are taken so often at most.
     fn rounds(self) -> usize {
-        if matches!(self, Self::Full | Self::Rival) { 40 } else { 5 }
+        match self {
+            Self::Look | Self::Short => 5,
+            Self::Rival => 14,
+            Self::Full => 40,
+        }
     }
 
     /// What a round gains less than has arrived, at a mean square of the residuals.
@@ -62,6 +69,8 @@ pub(super) struct Iteration<'a> {
     fresh: bool,
     /// Steps that gained less than they promised, since one did not.
     missed: usize,
+    /// The last step.
+    last: Option<Point>,
 }
 
 /// What a step did.
@@ -80,7 +89,7 @@ impl<'a> Iteration<'a> {
         let slopes = Slopes::beside(known, layout, free, &point, &now);
         let system = System::new(layout, free, &point, &now, &slopes);
         let fresh = known.is_none();
-        Self { layout, free, point, now, slopes, system, damping: 1e-3, fresh, missed: 0 }
+        Self { layout, free, point, now, slopes, system, damping: 1e-3, fresh, missed: 0, last: None }
     }
 
     /// Goes down until nothing is gained.
@@ -116,10 +125,13 @@ impl<'a> Iteration<'a> {
     fn step(&mut self, before: f64) -> Step {
         let normal = self.system.normal();
         for _ in 0..if self.fresh { 10 } else { 2 } {
-            let Some((step, lights)) = normal.step(self.damping) else {
+            let Some((mut step, mut lights)) = normal.step(self.damping) else {
                 self.damping *= 10.0;
                 continue;
             };
+            if self.last.as_ref().is_some_and(|last| turns_back(&normal, &step, &last.x)) {
+                step.iter_mut().chain(&mut lights).for_each(|s| *s *= 0.5);
+            }
             let mut trial = self.point.clone();
             trial.x.iter_mut().zip(&step).for_each(|(x, s)| *x += s);
             trial.lights.iter_mut().zip(&lights).for_each(|(x, s)| *x += s);
@@ -136,7 +148,7 @@ impl<'a> Iteration<'a> {
                     self.system.follow(&mut self.slopes, self.free, &moved, &self.now, &there, &normal);
                     self.fresh = false;
                 }
-                (self.point, self.now) = (trial, there);
+                (self.point, self.now, self.last) = (trial, there, Some(moved));
                 self.renew();
                 return Step { gained, holds };
             }
@@ -167,4 +179,14 @@ impl<'a> Iteration<'a> {
     fn renew(&mut self) {
         self.system = System::new(self.layout, self.free, &self.point, &self.now, &self.slopes);
     }
+}
+
+/// Whether a step takes most of the last one back, in units of what the campaign tells of each value: errors follow what is fitted, and two
+/// places may send a fit to and fro for ever.
+fn turns_back(normal: &Normal, step: &[f64], last: &[f64]) -> bool {
+    let product = |a: &[f64], b: &[f64]| -> f64 {
+        a.iter().zip(b).enumerate().map(|(i, (a, b))| normal.matrix[i * normal.n + i] * a * b).sum()
+    };
+    let (along, square, was) = (product(step, last), product(step, step), product(last, last));
+    along < -BACK * (square * was).sqrt() && square > BACK * BACK * was
 }

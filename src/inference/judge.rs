@@ -5,6 +5,7 @@
 
 use super::fit::{Fitted, fit_half, halves};
 use super::free::Common;
+use super::iteration::FAR_SQUARE;
 use super::layout::{Layout, State};
 use super::settings;
 use super::slopes::Slopes;
@@ -147,8 +148,7 @@ struct Unseen<'a> {
     fitted: &'a Fitted,
     layout: Layout<'a>,
     state: State,
-    /// How errors of what was fitted show in frames that the fit did not see, over the errors of these. Slopes that only served the fit would
-    /// not do.
+    /// How errors of what was fitted show in frames that the fit did not see, over the errors of these.
     slopes: Vec<f64>,
     /// Place of the light of all levels among the common values.
     light: usize,
@@ -164,7 +164,9 @@ impl<'a> Unseen<'a> {
     fn new(all: &'a Observations, fitted: &'a Fitted, half: Half) -> Self {
         let layout = Layout::new(all, &[half.other()]);
         let state = layout.at(&fitted.free, &fitted.point);
-        let slopes = Slopes::new(&layout, &fitted.free, &fitted.point, &state).over_errors(&state);
+        // Slopes that only served the fit would not do, but where it is so far off that errors of what was fitted hardly count.
+        let served = Some(&*fitted.slopes).filter(|_| fitted.mean_square > FAR_SQUARE);
+        let slopes = Slopes::beside(served, &layout, &fitted.free, &fitted.point, &state).over_errors(&state);
         let (light, n) = (fitted.free.place(Common::Light).unwrap_or(0), fitted.free.common.len());
         // A setting's scatter is a variance of the mean in DN^2: over the square of what the light moves the mean by.
         let settings: Vec<f64> = fitted.predict(all).sets.iter().map(|s| s.setting).collect();

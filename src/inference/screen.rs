@@ -12,7 +12,8 @@ use radcam_sim::effects::{self, Effect};
 
 /// Sizes, relative to an effect's own start, at which its shape is looked at: many shapes change with the size.
 const SIZES: [f64; 3] = [1.0, 0.1, 10.0];
-/// Where the best multiple of a start promises less than this share of what is needed, other sizes are not looked at (a named choice).
+/// Where the best multiple of a start promises less than this share of what is needed, or of what another start of the same form does,
+/// other sizes are not looked at (a named choice).
 const TOO_LITTLE: f64 = 0.1;
 /// A move that reaches this share of what a move in proportion would reach at best is one.
 const IN_PROPORTION: f64 = 0.9;
@@ -94,22 +95,31 @@ impl<'a> Screen<'a> {
         given: &[Option<f64>],
         hinted: &[Vec<f64>],
     ) -> Vec<Scored> {
-        let start = |values: &Vec<f64>| {
-            let best = self.best_size(direction, effect, given, values)?;
-            Some(self.refined(direction, effect, given, &best).unwrap_or(best))
-        };
-        let mut out: Vec<Scored> = self.signed(effect, hinted).iter().filter_map(start).collect();
+        let mut out: Vec<Scored> = Vec::new();
+        for values in self.signed(effect, hinted) {
+            let same = out.iter().filter(|s| effect.form(&s.values) == effect.form(&values));
+            let promised = same.map(|s| s.gain).filter(|g| g.is_finite()).fold(0.0, f64::max);
+            let needed = self.needed.max(promised);
+            let Some(best) = self.best_size(direction, effect, given, &values, needed) else { continue };
+            let more = if best.gain < TOO_LITTLE * needed {
+                None
+            } else {
+                self.refined(direction, effect, given, &best)
+            };
+            out.push(more.unwrap_or(best));
+        }
         out.sort_by(|a, b| b.gain.total_cmp(&a.gain));
         out
     }
 
-    /// A start with its sizes multiplied by whatever promises most.
+    /// A start with its sizes multiplied by whatever promises most; where that is far below what is `needed`, as a first look has it.
     fn best_size(
         &self,
         direction: &Direction<'_, '_>,
         effect: &'static dyn Effect,
         given: &[Option<f64>],
         values: &[f64],
+        needed: f64,
     ) -> Option<Scored> {
         let has_size = effect.parameters().iter().any(effects::Parameter::is_size);
         let mut best: Option<Scored> = None;
@@ -138,7 +148,7 @@ impl<'a> Screen<'a> {
                 }
             }
             // A shape that does not change with the size has shown all.
-            if reached > IN_PROPORTION * moved.best || moved.best.max(reached) < TOO_LITTLE * self.needed {
+            if reached > IN_PROPORTION * moved.best || moved.best.max(reached) < TOO_LITTLE * needed {
                 break;
             }
         }

@@ -84,6 +84,77 @@ impl Steps {
     }
 }
 
+/// Bits whose steps noise of their weight smooths to a few waves.
+const FINE: usize = 3;
+/// Of the waves of the slowest of them so many are left: of the next, exp(-2 pi^2 81 / 64) = 1e-11.
+const WAVES: usize = 7;
+
+/// The same for noise of at least the weight of a bit: what lies below averages out, the bits next to it are waves of the level, and those
+/// above are steps.
+struct Smooth {
+    /// Weight of the lowest bit that counts, DN.
+    apart: f64,
+    full_scale_dn: f64,
+    /// Errors of the bits that are waves.
+    fine: [f64; FINE],
+    above: Option<Steps>,
+    all: Steps,
+}
+
+impl Smooth {
+    /// Of the bits from one on; `None` where all are right.
+    fn new(mut errors: [f64; BITS], lowest: usize, bits: usize) -> Option<Self> {
+        errors[..lowest].fill(0.0);
+        let is_right = |e: &[f64]| e.iter().all(|e| *e == 0.0);
+        if is_right(&errors) {
+            return None;
+        }
+        let all = Steps::new(errors, bits);
+        let fine = std::array::from_fn(|k| errors.get(lowest + k).copied().unwrap_or(0.0));
+        errors[..(lowest + FINE).min(BITS)].fill(0.0);
+        let above = (!is_right(&errors)).then(|| Steps::new(errors, bits));
+        let weight = |b: usize| (1u32 << b) as f64;
+        Some(Self { apart: weight(lowest), full_scale_dn: weight(bits) - 1.0, fine, above, all })
+    }
+
+    /// How much of each wave noise leaves. A bit of the weight w is 1 in the second half of every 2 w: 1/2 less the sum over odd k of
+    /// 2 / (pi k) sin(2 pi k x / 2 w), of which noise leaves exp(-2 pi^2 k^2 sd^2 / (2 w)^2).
+    fn waves(&self, sd: f64) -> [f64; WAVES] {
+        let turns = sd / (8.0 * self.apart);
+        let left = libm::exp(-2.0 * (std::f64::consts::PI * turns).powi(2));
+        // To the powers m^2, each from the one before.
+        let (mut power, mut next) = (1.0, left);
+        std::array::from_fn(|i| {
+            power *= next;
+            next *= left * left;
+            let m = i + 1;
+            let bit = FINE - 1 - m.trailing_zeros() as usize;
+            let k = m >> m.trailing_zeros();
+            -std::f64::consts::FRAC_2_PI / k as f64 * self.fine[bit] * power
+        })
+    }
+
+    /// Mean over normal noise about a level, DN, and its slope with the level; `waves`: of this noise.
+    fn over(&self, level: f64, sd: f64, waves: &[f64; WAVES]) -> (f64, f64) {
+        if sd < self.apart || level < 5.0 * sd || level > self.full_scale_dn - 5.0 * sd {
+            return self.all.over(level, sd);
+        }
+        let (mut mean, mut slope) = self.above.as_ref().map_or((0.0, 0.0), |s| s.over(level, sd));
+        let (sine, cosine) =
+            libm::sincos(std::f64::consts::TAU * ((level + 0.5) / (8.0 * self.apart)).fract());
+        let (mut sum, mut along) = (0.5 * self.fine.iter().sum::<f64>(), 0.0);
+        let (mut s, mut c) = (sine, cosine);
+        for (i, wave) in waves.iter().enumerate() {
+            sum += wave * s;
+            along += wave * c * (i + 1) as f64;
+            (s, c) = (s * cosine + c * sine, c * cosine - s * sine);
+        }
+        mean += sum;
+        slope += along * std::f64::consts::TAU / (8.0 * self.apart);
+        (mean, slope)
+    }
+}
+
 fn depth(full_scale_dn: f64) -> usize {
     (libm::round(libm::log2(full_scale_dn + 1.0)) as usize).min(BITS)
 }
@@ -173,12 +244,7 @@ impl Effect for This {
         }
         // A code comes out too small by what its voltage is too large by: the mean of that over the samples; its slope multiplies their
         // noise. Bits whose steps the samples cover many times average out.
-        let from_bit = |lowest: usize| {
-            let mut of = wrong;
-            of[..lowest].fill(0.0);
-            of.iter().any(|e| *e != 0.0).then(|| Steps::new(of, bits))
-        };
-        let steps: Vec<Option<Steps>> = (0..=low).map(from_bit).collect();
+        let steps: Vec<Option<Smooth>> = (0..=low).map(|lowest| Smooth::new(wrong, lowest, bits)).collect();
         if steps.iter().all(Option::is_none) {
             return;
         }
@@ -189,9 +255,10 @@ impl Effect for This {
             let noise = libm::sqrt(s.covariance(0, 0).max(0.01) + (AROUND * spread).powi(2));
             let lowest = libm::log2(noise).floor().clamp(0.0, low as f64) as usize;
             let Some(steps) = &steps[lowest] else { continue };
+            let waves = steps.waves(noise);
             let (mut mean, mut slope) = (0.0, 0.0);
             for (x, share) in places.iter().zip(PLACES) {
-                let of = steps.over(level + spread * x, noise);
+                let of = steps.over(level + spread * x, noise, &waves);
                 mean += share * of.0;
                 slope += share * of.1;
             }
@@ -222,5 +289,33 @@ impl Effect for This {
             }
             code - offset
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Against the sum over all steps, whose noise ends at four deviations: levels all over the range, noise between two weights.
+    #[test]
+    fn waves_and_steps_are_all_steps() {
+        let mut p = vec![0.0; 1 + 2 * EACH];
+        p[0] = 2.0;
+        for (k, v) in p.iter_mut().enumerate().skip(1) {
+            *v = 0.05 * ((7 * k) % 11) as f64 - 0.2;
+        }
+        let (bits, wrong) = (12, errors(&p, 12));
+        for (lowest, sd) in [(0, 1.0), (0, 1.7), (2, 4.01), (3, 15.9), (6, 64.0), (6, 200.0)] {
+            let smooth = Smooth::new(wrong, lowest, bits).unwrap();
+            let waves = smooth.waves(sd);
+            for k in 0..400 {
+                let level = 5.0 * sd + f64::from(k) * (4095.0 - 10.0 * sd) / 400.0;
+                let (mean, slope) = smooth.over(level, sd, &waves);
+                let all = smooth.all.over(level, sd);
+                // Steps of up to 2 DN, of which 6e-5 lie beyond four deviations.
+                assert!((mean - all.0).abs() < 1e-3, "{sd} at {level}: {mean}, summed {}", all.0);
+                assert!((slope - all.1).abs() < 2e-3 / sd, "{sd} at {level}: {slope}, summed {}", all.1);
+            }
+        }
     }
 }
