@@ -183,8 +183,25 @@ fn missing(
     let named = named(parts, whole, [first, last], &fitted, ladder, split);
     let mut out = with_ties(parts, whole, named, split);
     let place = |p: &Part| whole.effects.iter().rposition(|(e, _)| e.id() == p.effect.id());
-    let nothing = parts.first().and_then(place).is_some_and(|at| !is_something(whole, at, &seen));
-    if let Some(unknown) = unknown(parts, nothing, first, last) {
+    let doubt = |p: &Part| {
+        let at = place(p)?;
+        let (effect, values) = &whole.effects[at];
+        let nothing = (!is_something(whole, at, &seen))
+            .then(|| format!("every size of {} is nothing within its errors beside the rest", effect.id()));
+        nothing.or_else(|| {
+            Some(format!("{} is contradicted: {}", effect.id(), effect.contradicted(values, &seen)?))
+        })
+    };
+    let mut doubts = parts.iter().map(|p| (p.effect.id(), doubt(p)));
+    let first_in_doubt = doubts.next().and_then(|(_, doubt)| doubt);
+    for (id, doubt) in doubts {
+        let entry = out.iter_mut().find(|m| m.effect == id);
+        if let (Some(entry), Some(doubt)) = (entry, doubt) {
+            entry.partial = true;
+            entry.evidence.push(doubt);
+        }
+    }
+    if let Some(unknown) = unknown(parts, first_in_doubt, first, last) {
         for m in &mut out {
             m.partial = true;
             m.evidence.push("explains a part only: its shape is near, its name need not be right".into());
@@ -378,15 +395,15 @@ fn with_ties(parts: &[Part], whole: &Fitted, named: Vec<Missing>, split: Option<
     out
 }
 
-/// What no name explains, where the names do not bring the campaign to the noise, or explain less than a smooth function does. `nothing`:
-/// what the first of them is said to have is nothing within its errors.
-fn unknown(parts: &[Part], nothing: bool, first: &Comparison, last: &Comparison) -> Option<Missing> {
+/// What no name explains, where the names do not bring the campaign to the noise, or explain less than a smooth function does. `doubt`: why
+/// the first of them is not what it is called.
+fn unknown(parts: &[Part], doubt: Option<String>, first: &Comparison, last: &Comparison) -> Option<Missing> {
     let strongest = parts.first();
     // Something without a name must not explain a part better than its name does.
     let better = strongest.filter(|p| p.nameless > p.evidence);
     // A name must hold; the model as given, only not fail.
     let holds = last.p_value >= if strongest.is_some() { HOLDS } else { P_LIMIT };
-    if holds && better.is_none() && !nothing {
+    if holds && better.is_none() && doubt.is_none() {
         return None;
     }
     let mut nearest: Vec<String> = parts.iter().map(|p| p.effect.id().to_string()).collect();
@@ -404,15 +421,13 @@ fn unknown(parts: &[Part], nothing: bool, first: &Comparison, last: &Comparison)
             part.evidence
         ));
     }
-    if let Some(part) = strongest.filter(|_| nothing) {
-        evidence
-            .push(format!("every size of {} is nothing within its errors beside the rest", part.effect.id()));
-    }
+    let doubtful = doubt.is_some();
+    evidence.extend(doubt);
     if evidence.is_empty() {
         evidence.push(format!("error {:.3} over all statistics, p {}", last.error, chance(last.p_value)));
     }
     let confidence = match strongest {
-        Some(part) if nothing => confidence(part, part.nameless).max(0.5),
+        Some(part) if doubtful => confidence(part, part.nameless).max(0.5),
         Some(part) if last.p_value >= DOUBT => confidence(part, part.nameless),
         _ => 1.0 - last.p_value.min(1.0),
     };

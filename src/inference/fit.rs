@@ -185,6 +185,7 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
     let share = all.of(&codes_used::This).map(|o| o.measured.value).reduce(f64::max);
     let peak_dn = means.fold(0.0, f64::max) - base.offset_dn;
     let frames = &all.campaign.frames;
+    let lit = all.campaign.sets.iter().filter(|s| s.light.is_some());
     let duration_s = frames.last().map_or(0.0, |l| l.time_s - frames[0].time_s);
     Seen {
         peak_e: peak_dn / base.gain_dn_per_e,
@@ -192,10 +193,12 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
         full_scale_dn: all.campaign.full_scale_dn,
         duration_s,
         frame_s: all.campaign.frame_s,
+        longest_s: lit.map(|s| s.exposure_s).fold(0.0, f64::max),
         rows: all.campaign.shape.0 as f64,
         means: !all.means_given,
         dark_noise_dn: base.read_noise_e * base.gain_dn_per_e,
         line_cycles_per_px: all.campaign.line_cycles_per_px,
+        steady_dn4: all.steady_dn4.map(|v| (v.value, v.std_err)),
         code_step_dn: share.filter(|s| *s > 0.0).map(f64::recip),
     }
 }

@@ -43,6 +43,8 @@ pub struct Observations {
     pub after_scene: Vec<bool>,
     /// Spatial variance of the dark charge of every dark set, DN^2: what it has beyond the shortest darks'.
     pub dark_spread_dn2: Vec<f64>,
+    /// Covariance of the pixels' variances between short darks, DN^4: what stays with its pixels.
+    pub steady_dn4: Option<Value>,
 }
 
 impl Observations {
@@ -144,7 +146,7 @@ pub fn of_dataset(
     let sets = dataset.sets();
     let settings: Vec<_> = sets.iter().map(|s| dataset.settings(s).clone()).collect();
     let (mut infos, frames) = campaign(dataset, &settings);
-    let Reading { layout, zero_dn, chunks, scenes, codes, lines, saturated, left_out } =
+    let Reading { layout, zero_dn, chunks, scenes, codes, lines, steady_dn4, saturated, left_out } =
         read(dataset, stop, progress)?;
     let mut missing = left_out;
     if !saturated.is_empty() {
@@ -297,6 +299,7 @@ pub fn of_dataset(
         missing,
         light_rel_std: dataset.manifest().bench.as_ref().and_then(|b| b.illumination_rel_std),
         dark_spread_dn2,
+        steady_dn4,
     })
 }
 

@@ -4,9 +4,11 @@
 
 use super::{Half, ObserveError, SUMMED, codes, outliers};
 use crate::dataset::{Dataset, Kind};
+use crate::statistics::jackknife::Value;
 use crate::statistics::layout::Layout;
 use crate::statistics::median::median;
 use crate::statistics::pass::{Pass, Summary};
+use crate::statistics::steady::Steady;
 use ndarray::Array2;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -35,6 +37,8 @@ pub struct Chunk {
     /// Share of the codes around the level that occur, and its error.
     pub codes_used: Option<(f64, f64)>,
     pub said: Summary,
+    /// Of short darks, until they are summed up: variance of every pixel, DN^2.
+    var_dn2: Vec<f32>,
 }
 
 /// Mean image of the frames of a scene that belong to one half, DN.
@@ -54,6 +58,8 @@ pub struct Reading {
     /// Codes and spectra of both halves.
     pub codes: [codes::Codes; 2],
     pub lines: [codes::LineSearch; 2],
+    /// Covariance of the pixels' variances between short darks, DN^4.
+    pub steady_dn4: Option<Value>,
     /// Sets that are clipped, with their means, DN.
     pub saturated: Vec<(usize, f64)>,
     /// Frames and samples that were left out, in words.
@@ -223,6 +229,8 @@ struct Reader<'a, 'b> {
     zero_dn: f64,
     /// Whether samples that stand out are taken for struck ones.
     clean: bool,
+    /// Longest exposure of flats, s.
+    longest_lit_s: f64,
     /// The first frames of sets, where they were kept.
     kept: Vec<Vec<Array2<u16>>>,
 }
@@ -337,6 +345,9 @@ impl<'b> Reader<'_, 'b> {
             return Ok(Work::Clipped(p.set, pass.mean_dn()));
         }
         let said = pass.finish();
+        let set = self.dataset.settings(&self.dataset.sets()[p.set]);
+        // Longer ones have shot noise of dark charge, which stays with its pixels too.
+        let is_short_dark = set.kind == Kind::Dark && set.exposure_s <= self.longest_lit_s;
         let before = if p.before && from == p.from {
             Some(codes::mean_of(&self.frame(p.set, from - 1)?.mapv(f32::from), self.layout))
         } else {
@@ -344,7 +355,8 @@ impl<'b> Reader<'_, 'b> {
         };
         let chunk = |said: Summary| {
             let codes_used = codes::share_used(&said);
-            Box::new(Chunk { set: p.set, from, half: p.half, before, codes_used, said })
+            let var_dn2 = if is_short_dark { pass.variances_dn2() } else { Vec::new() };
+            Box::new(Chunk { set: p.set, from, half: p.half, before, codes_used, said, var_dn2 })
         };
         Ok(Work::Noise(said.map(chunk)))
     }
@@ -407,6 +419,7 @@ pub fn read(
     let kept = looks.into_iter().map(|l| l.frames).collect();
     let shape = (camera.height, camera.width);
     let lines = || codes::LineSearch::new(shape);
+    let lit = dataset.rows().iter().filter(|r| r.kind == Kind::Flat && r.illumination > 0.0);
     let new_codes = || codes::Codes::new(full);
     let mut reader = Reader {
         dataset,
@@ -416,12 +429,14 @@ pub fn read(
         usual: outliers::Usual::of(&aparts, zero_dn),
         zero_dn,
         clean: true,
+        longest_lit_s: lit.map(|r| r.exposure_s).fold(0.0, f64::max),
         kept,
     };
     let samples = (camera.height * camera.width) as f64 * dataset.rows().len() as f64;
     let (mut chunks, mut scenes, mut saturated) = (Vec::new(), Vec::new(), Vec::<(usize, f64)>::new());
     let (mut all_codes, mut all_lines) = ([new_codes(), new_codes()], [lines(), lines()]);
     let mut left_out: Vec<(usize, LeftOut)> = Vec::new();
+    let mut steady = Steady::new(layout.mask.len());
     loop {
         let mut seen = 0;
         for group in pieces.chunks(4 * rayon::current_num_threads()) {
@@ -440,8 +455,12 @@ pub fn read(
                         if dataset.settings(&dataset.sets()[chunk.set]).kind == Kind::Flat {
                             all_codes[half].add(&chunk.said);
                         }
-                        // Both are long, and their sums are all that is needed.
+                        if !chunk.var_dn2.is_empty() {
+                            steady.add(&chunk.var_dn2, chunk.said.var.value);
+                        }
+                        // They are long, and their sums are all that is needed.
                         (chunk.said.power, chunk.said.occupancy.0) = (Vec::new(), Vec::new());
+                        chunk.var_dn2 = Vec::new();
                         chunks.push(*chunk);
                     }
                 }
@@ -456,10 +475,22 @@ pub fn read(
         reader.clean = false;
         (chunks, scenes, saturated, left_out) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         (all_codes, all_lines) = ([new_codes(), new_codes()], [lines(), lines()]);
+        steady = Steady::new(layout.mask.len());
     }
     drop(reader);
     saturated.dedup_by_key(|s| s.0);
     chunks.retain(|c: &Chunk| saturated.iter().all(|s| s.0 != c.set));
     let left_out = words(dataset, &left_out);
-    Ok(Reading { layout, zero_dn, chunks, scenes, codes: all_codes, lines: all_lines, saturated, left_out })
+    let steady_dn4 = steady.covariance(&layout);
+    Ok(Reading {
+        layout,
+        zero_dn,
+        chunks,
+        scenes,
+        codes: all_codes,
+        lines: all_lines,
+        steady_dn4,
+        saturated,
+        left_out,
+    })
 }

@@ -108,6 +108,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
     Ok(Observations {
         largest_spread: 0.0,
         dark_spread_dn2: dark_spreads(&sets, &kinds),
+        steady_dn4: None,
         campaign: Campaign {
             frames,
             sets,

@@ -15,6 +15,7 @@ pub mod pass;
 pub mod profiles;
 pub mod quadratic;
 pub mod spectrum;
+pub mod steady;
 pub mod step;
 pub mod succession;
 pub mod successive;

@@ -246,6 +246,12 @@ impl<'a> Pass<'a> {
         self.frame_means.mean_dn()
     }
 
+    /// Temporal variance of every pixel, DN^2: 0 where it does not count, and of a single frame.
+    pub fn variances_dn2(&self) -> Vec<f32> {
+        let dof = (self.frame_means.frames() as f32 - 1.0).max(1.0);
+        self.sums.variance.squares().iter().map(|s| s / dof).collect()
+    }
+
     /// Forgets every frame and keeps the memory, for the next set.
     pub fn clear(&mut self) {
         self.frame_means = FrameMeans::default();

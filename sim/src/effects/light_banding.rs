@@ -10,6 +10,11 @@ pub struct This;
 /// than lamps do.
 const SHORTEST: f64 = 0.85;
 
+/// No lamp's light ripples slower: twice the frequency of the slowest supply, a railway's 16.7 Hz.
+const SLOWEST_HZ: f64 = 33.0;
+/// A ripple that turns by less within the longest exposure does not fade with it: 2 in 100 of its strength.
+const NO_TURN: f64 = 0.1;
+
 /// What an exposure leaves of a ripple: it averages over its own length.
 fn left(ripple_hz: f64, exposure_s: f64) -> f64 {
     let x = std::f64::consts::PI * ripple_hz * exposure_s;
@@ -64,6 +69,13 @@ impl Effect for This {
         } else {
             p[2] * seen.rows < 0.5
         }
+    }
+
+    fn contradicted(&self, p: &[f64], seen: &Seen) -> Option<&'static str> {
+        let fades = p[0] >= 0.5 || p[3] * seen.longest_s >= NO_TURN || seen.longest_s * SLOWEST_HZ < 0.5;
+        (!fades).then_some(
+            "the bands are as strong at the longest exposure as at the shortest: no lamp ripples so slowly",
+        )
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {

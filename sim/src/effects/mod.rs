@@ -66,6 +66,8 @@ pub struct Seen {
     pub duration_s: f64,
     /// Usual time from frame to frame, s.
     pub frame_s: f64,
+    /// Longest exposure to light, s.
+    pub longest_s: f64,
     /// Rows.
     pub rows: f64,
     /// Whether means tell of the light: else they are taken as they are.
@@ -76,6 +78,8 @@ pub struct Seen {
     pub line_cycles_per_px: Option<f64>,
     /// Codes for each one that occurs, about the levels.
     pub code_step_dn: Option<f64>,
+    /// Covariance of the pixels' variances between short darks and its error, DN^4: what stays with its pixels.
+    pub steady_dn4: Option<(f64, f64)>,
 }
 
 impl Seen {
@@ -323,6 +327,10 @@ pub trait Effect: Sync + Send {
     /// Whether it is another effect at these values: a limit of its shape.
     fn is_another(&self, _p: &[f64], _seen: &Seen) -> bool {
         false
+    }
+    /// What this campaign shows that it would not do at these values, although it may come near all that is fitted: its name does not stand then.
+    fn contradicted(&self, _p: &[f64], _seen: &Seen) -> Option<&'static str> {
+        None
     }
     /// Values at which it is plain to see in a campaign of the standard plan; `None` where flats, darks and a scene of unknown contrast
     /// show nothing of it.

@@ -5,6 +5,16 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen,
 /// A share of the pixels is up or down by half the amplitude, at random in every frame.
 pub struct This;
 
+/// Of what the variances of the pixels spread by at least so much stays with the pixels (a named choice: of pixels that jump at one frame in
+/// seven it is four to six tenths in sets of eight frames, and nothing of deviations that hit any pixel).
+const STAYS: f64 = 0.3;
+
+/// Spread of the pixels' variances, e^4.
+fn spread(p: &[f64]) -> f64 {
+    let jump = 0.25 * p[1] * p[1];
+    p[0] * (1.0 - p[0]) * jump * jump
+}
+
 impl Effect for This {
     fn id(&self) -> &'static str {
         "random-telegraph-noise"
@@ -35,6 +45,16 @@ impl Effect for This {
         [(0.01, 3.0), (0.01, 8.0), (0.001, 20.0)].map(|(share, jump)| vec![share, jump * noise_e]).to_vec()
     }
 
+    /// Deviations that hit any pixel are none of this.
+    fn contradicted(&self, p: &[f64], seen: &Seen) -> Option<&'static str> {
+        let gain = seen.peak_dn / seen.peak_e.max(1e-9);
+        let stays = spread(p) * gain.powi(4);
+        let (found, std_err) = seen.steady_dn4?;
+        (found + 2.0 * std_err < STAYS * stays).then_some(
+            "pixels that are noisier in one dark set are not so in others: large deviations hit any pixel",
+        )
+    }
+
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.01, 7.0 * plain.noise_e])
     }
@@ -61,7 +81,7 @@ impl Effect for This {
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let jump = 0.25 * p[1] * p[1];
         for s in &mut out.sets {
-            let spread = p[0] * (1.0 - p[0]) * jump * jump;
+            let spread = spread(p);
             s.unequal += spread;
             s.fourth -= 2.0 * p[0] * jump * jump;
             // So many pixels have it as chance has it, and each shows of it what few frames show.
