@@ -12,13 +12,13 @@ pub use words::{Signature, signatures};
 
 use crate::agreement::{DOUBT, P_LIMIT};
 use crate::inference::{
-    Comparison, Effects, Fitted, Residual, compare, fit, fit_near, residuals_of, seen, start,
+    Comparison, Effects, Fitted, Residual, by, compare, fit, fit_near, residuals_of, seen, start,
 };
 use crate::noise::Quantity;
 use crate::number::chance;
 use crate::observables::{Observations, covariance};
 use crate::plan::Plan;
-use radcam_sim::effects::{Effect, Take, takes};
+use radcam_sim::effects::{Effect, Seen, Take, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
 use search::{Candidate, NEEDED, is_something, rivals, score, search, without};
@@ -182,17 +182,7 @@ fn missing(
     let fitted = residuals_of(all, whole);
     let named = named(parts, whole, [first, last], &fitted, ladder, split);
     let mut out = with_ties(parts, whole, named, split);
-    let place = |p: &Part| whole.effects.iter().rposition(|(e, _)| e.id() == p.effect.id());
-    let doubt = |p: &Part| {
-        let at = place(p)?;
-        let (effect, values) = &whole.effects[at];
-        let nothing = (!is_something(whole, at, &seen))
-            .then(|| format!("every size of {} is nothing within its errors beside the rest", effect.id()));
-        nothing.or_else(|| {
-            Some(format!("{} is contradicted: {}", effect.id(), effect.contradicted(values, &seen)?))
-        })
-    };
-    let mut doubts = parts.iter().map(|p| (p.effect.id(), doubt(p)));
+    let mut doubts = parts.iter().map(|p| (p.effect.id(), doubt(p, whole, &seen, last)));
     let first_in_doubt = doubts.next().and_then(|(_, doubt)| doubt);
     for (id, doubt) in doubts {
         let entry = out.iter_mut().find(|m| m.effect == id);
@@ -209,6 +199,28 @@ fn missing(
         out.insert(0, unknown);
     }
     out
+}
+
+/// Why a part is not what it is called, though it comes near all that is fitted.
+fn doubt(part: &Part, whole: &Fitted, seen: &Seen, last: &Comparison) -> Option<String> {
+    let at = whole.effects.iter().rposition(|(e, _)| e.id() == part.effect.id())?;
+    let (effect, values) = &whole.effects[at];
+    if !is_something(whole, at, seen) {
+        return Some(format!("every size of {} is nothing within its errors beside the rest", effect.id()));
+    }
+    let contradicted = effect.contradicted(values, seen).map(str::to_string);
+    let why = contradicted.or_else(|| not_told(*effect, last))?;
+    Some(format!("{} is contradicted: {why}", effect.id()))
+}
+
+/// What deviates still of the statistics that tell an effect from what looks like it: tests that are planned, whose chance is not that of the
+/// worst of all.
+fn not_told(effect: &dyn Effect, last: &Comparison) -> Option<String> {
+    let told_by = effect.told_by();
+    let groups = by(&last.residuals, |r| r.statistic.0.id());
+    let mut told = groups.iter().filter(|g| told_by.contains(&g.name.as_str()));
+    let worst = told.find(|g| g.chance * (told_by.len() as f64) < HOLDS)?;
+    Some(format!("{} deviates with it as it does by chance at {}", worst.name, chance(worst.chance)))
 }
 
 /// The one measurement that tells most, in words, and its sets.
@@ -501,4 +513,24 @@ fn reasons(without: &[Residual], with: &[Residual], effect: &dyn Effect) -> Vec<
     let mut out: Vec<String> = strayed.iter().filter(mended).take(4).map(|s| s.text.clone()).collect();
     out.push(format!("{}: {}", effect.id(), effect.page().signature));
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::observables::STATISTICS;
+    use radcam_sim::effects;
+
+    /// A name with a slip would never contradict anything.
+    #[test]
+    fn effects_name_statistics_that_exist() {
+        for effect in effects::all() {
+            for name in effect.told_by() {
+                assert!(
+                    STATISTICS.iter().any(|s| s.id() == *name),
+                    "{}: no statistic \"{name}\"",
+                    effect.id()
+                );
+            }
+        }
+    }
 }

@@ -279,8 +279,13 @@ const SLACK_OF_MEAN: f64 = 1.2;
 
 /// The residuals by statistic.
 pub fn by_statistic(residuals: &[Residual]) -> Vec<OfStatistic> {
+    by(residuals, |r| r.observable.as_str())
+}
+
+/// The residuals by whatever `name` calls them.
+pub(crate) fn by<'r>(residuals: &'r [Residual], name: impl Fn(&'r Residual) -> &'r str) -> Vec<OfStatistic> {
     let mut of: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
-    residuals.iter().for_each(|r| of.entry(r.observable.as_str()).or_default().push(r.independent_z));
+    residuals.iter().for_each(|r| of.entry(name(r)).or_default().push(r.independent_z));
     let together = |(name, z): (&str, Vec<f64>)| {
         let n = z.len() as f64;
         let squares: f64 = z.iter().map(|z| z * z).sum();

@@ -20,8 +20,8 @@ mod white;
 
 pub use fit::{Fitted, fit, seen};
 pub(crate) use fit::{fit_briefly, fit_near};
-pub(crate) use judge::residuals_of;
 pub use judge::{Comparison, OfStatistic, Residual, by_statistic, compare};
+pub(crate) use judge::{by, residuals_of};
 pub use model::{Effects, Given, as_given};
 pub use screen::{Scored, Screen};
 pub use start::{reference_level, start};

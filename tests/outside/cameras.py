@@ -2,7 +2,7 @@
 
     cameras.py --radcam PATH --out DIR --seeds 1,2 [--only KIND,...] [--strength F] [--keep]   a line for every camera
     cameras.py --radcam PATH --out DIR --campaign N [--first-seed S] [--rows FILE]             N cameras, then a table
-    cameras.py --radcam PATH --out DIR --quick                                                 eleven cameras, for CI
+    cameras.py --radcam PATH --out DIR --quick                                                 fourteen cameras, for CI
     cameras.py --list                                                                          the kinds, as a table
     cameras.py --table FILE                                                                    the table of recorded rows
 
@@ -992,12 +992,13 @@ def matrix(rows):
     print(f"- diagnose: median {times[len(times) // 2]:.1f} s, longest {times[-1]:.1f} s")
 
 
-# Kind and seed of `--quick`; all at plain strength (the upper end of the range, or what stands here).
+# Kind and seed of `--quick`, at plain strength (the upper end of the range), and some that are weak and near an effect.
 QUICK = (
     ("clean", 1), ("black level too low", 1), ("row-noise", 1), ("nonlinearity, square", 1), ("offset-drift", 1),
     ("noise of odd frames", 1), ("noise shared by 2x2", 1), ("gain of every second frame", 1), ("cosmic rays", 1),
     ("telegraph noise, fast", 2), ("temporal-filter", 2),
 )
+QUICK_WEAK = (("heavy tails", 151, 0.35), ("row gain noise in blocks", 142, 0.45), ("interference in bursts", 161, 0.5))
 
 
 def main():
@@ -1033,7 +1034,7 @@ def main():
             sys.exit(f"no kind {part!r}; --list shows them")
         wanted += found
     if said.quick:
-        todo = [(KINDS[name], seed, 1.0) for name, seed in QUICK]
+        todo = [(KINDS[name], seed, place) for name, seed, place in [(*q, 1.0) for q in QUICK] + list(QUICK_WEAK)]
     elif said.campaign:
         todo = [(wanted[i % len(wanted)], said.first_seed + i // len(wanted), said.strength) for i in range(said.campaign)]
     else:

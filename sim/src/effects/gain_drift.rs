@@ -18,6 +18,11 @@ impl Effect for This {
         &[Parameter { name: "rel_per_s", unit: "1/s", min: -0.05, max: 0.05, starts: &[1e-4, -1e-4] }]
     }
 
+    /// One amplifier serves all pixels.
+    fn told_by(&self) -> &'static [&'static str] {
+        &["profiles"]
+    }
+
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.006 / (300.0 * plain.frame_s)])
     }

@@ -79,7 +79,7 @@ impl Effect for This {
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
-        Some(vec![0.0, 0.004, 3.2 / plain.rows, 0.3 / plain.bright_s, 0.97])
+        Some(vec![0.0, 0.004, 3.2 / plain.rows, 0.6 / plain.bright_s, 0.97])
     }
 
     fn page(&self) -> Page {
@@ -133,5 +133,21 @@ impl Effect for This {
             row.scaled_add(factor * d.exposure_s, &rate);
         }
         d.image.mapv_inplace(|q| q.max(0.0));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ripple_that_does_not_fade_is_no_lamps() {
+        let stands = |hz: f64, longest_s: f64| {
+            let seen = Seen { longest_s, rows: 480.0, ..Seen::default() };
+            This.contradicted(&[0.0, 0.003, 0.01, hz, 0.0], &seen).is_none()
+        };
+        assert!(stands(100.0, 0.02) && !stands(0.0, 0.02));
+        // Exposures too short to tell.
+        assert!(stands(0.0, 0.002));
     }
 }

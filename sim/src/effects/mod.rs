@@ -54,7 +54,7 @@ pub enum Needs {
 }
 
 /// What a campaign shows before any fit: hints at where a search begins.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Seen {
     /// Signal of the brightest frames, e.
     pub peak_e: f64,
@@ -331,6 +331,10 @@ pub trait Effect: Sync + Send {
     /// What this campaign shows that it would not do at these values, although it may come near all that is fitted: its name does not stand then.
     fn contradicted(&self, _p: &[f64], _seen: &Seen) -> Option<&'static str> {
         None
+    }
+    /// Statistics that tell it from what looks like it, by their names in the code: its name does not stand where they deviate with it.
+    fn told_by(&self) -> &'static [&'static str] {
+        &[]
     }
     /// Values at which it is plain to see in a campaign of the standard plan; `None` where flats, darks and a scene of unknown contrast
     /// show nothing of it.

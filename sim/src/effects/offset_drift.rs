@@ -18,6 +18,11 @@ impl Effect for This {
         &[Parameter { name: "dn_per_s", unit: "DN/s", min: -10.0, max: 10.0, starts: &[1e-3, -1e-3] }]
     }
 
+    /// A glow fades where it glows; the black level moves everywhere.
+    fn told_by(&self) -> &'static [&'static str] {
+        &["profiles"]
+    }
+
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.06 / (300.0 * plain.frame_s)])
     }

@@ -51,6 +51,11 @@ impl Effect for This {
         ]
     }
 
+    /// Interference in bursts has few rows with all of it.
+    fn told_by(&self) -> &'static [&'static str] {
+        &["kurtosis of row means"]
+    }
+
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.0, 0.2 * plain.noise_e, 0.4, 0.8])
     }
