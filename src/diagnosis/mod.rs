@@ -18,7 +18,7 @@ use crate::noise::Quantity;
 use crate::number::chance;
 use crate::observables::{Observations, covariance};
 use crate::plan::Plan;
-use radcam_sim::effects::{Effect, Seen, Take, takes};
+use radcam_sim::effects::{Effect, Parameter, Seen, Take, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
 use search::{Candidate, NEEDED, is_something, rivals, score, search, without};
@@ -468,41 +468,43 @@ fn what_strays(first: &Comparison, last: &Comparison, named: bool) -> Vec<String
     left.chain(of(first, 3)).collect()
 }
 
-/// An effect of a model with its values; what only a combination tells stands as that combination. `split`: the brightest signal, e, where
-/// nothing tells the parts of a combination apart.
+/// An effect of a model with its values. `split`: the brightest signal, e, where nothing tells the parts of a combination apart.
 fn describe(fitted: &Fitted, effect: &'static dyn Effect, confidence: f64, split: Option<f64>) -> Missing {
     let at = fitted.effects.iter().position(|(e, _)| e.id() == effect.id()).unwrap_or(0);
-    let (values, errors) = (&fitted.effects[at].1, &fitted.std_err[at]);
-    let used = effect.parameters().iter().enumerate().filter(|(k, _)| effect.uses(values, *k));
-    let mut parameters: BTreeMap<String, Quantity> = used
-        .map(|(k, p)| {
-            let std_err = errors[k].hypot(effect.resolution(k));
-            (p.name.to_string(), Quantity { value: values[k], std_err, unit: p.unit })
-        })
-        .collect();
-    if let Some(t) = effect.together(values) {
-        let std_err = fitted.std_err_of(at, &t).hypot(t.unsure_per_e * split.unwrap_or(0.0));
-        let of: Vec<usize> = (0..values.len()).filter(|k| t.slopes[*k] != 0.0).collect();
-        // Each alone is known ten times worse, of its own size, than all of them together.
-        let alone = of.iter().map(|&k| errors[k] / values[k].abs().max(1e-300)).fold(f64::INFINITY, f64::min);
-        if split.is_some() || std_err / t.value.abs().max(1e-300) < 0.1 * alone {
-            of.iter().for_each(|k| {
-                parameters.remove(effect.parameters()[*k].name);
-            });
-            parameters.insert(t.name.into(), Quantity { value: t.value, std_err, unit: t.unit });
-        }
-    }
     Missing {
         effect: effect.id().into(),
         confidence,
         error_drop: 0.0,
-        parameters,
-        form: effect.form(values).map(Into::into),
+        parameters: parameters(fitted, at, split),
+        form: effect.form(&fitted.effects[at].1).map(Into::into),
         partial: false,
         nearest: Vec::new(),
         tied_with: None,
         evidence: Vec::new(),
     }
+}
+
+/// The parameters of an effect of a model; what only a combination tells stands as that combination.
+fn parameters(fitted: &Fitted, at: usize, split: Option<f64>) -> BTreeMap<String, Quantity> {
+    let ((effect, values), errors) = (&fitted.effects[at], &fitted.std_err[at]);
+    let used = effect.parameters().iter().enumerate().filter(|(k, _)| effect.uses(values, *k));
+    let own = |(k, p): (usize, &Parameter)| {
+        let std_err = errors[k].hypot(effect.resolution(k));
+        (p.name.to_string(), Quantity { value: values[k], std_err, unit: p.unit })
+    };
+    let mut out: BTreeMap<String, Quantity> = used.map(own).collect();
+    let Some(t) = effect.together(values) else { return out };
+    let std_err = fitted.std_err_of(at, &t).hypot(t.unsure_per_e * split.unwrap_or(0.0));
+    let of: Vec<usize> = (0..values.len()).filter(|k| t.slopes[*k] != 0.0).collect();
+    // Each alone is known ten times worse, of its own size, than all of them together.
+    let alone = of.iter().map(|&k| errors[k] / values[k].abs().max(1e-300)).fold(f64::INFINITY, f64::min);
+    if split.is_some() || std_err / t.value.abs().max(1e-300) < 0.1 * alone {
+        of.iter().for_each(|k| {
+            out.remove(effect.parameters()[*k].name);
+        });
+        out.insert(t.name.into(), Quantity { value: t.value, std_err, unit: t.unit });
+    }
+    out
 }
 
 /// The statistics that deviate without an effect and are mended with it, worst first, and what the effect does.

@@ -257,23 +257,31 @@ fn stands(c: &Candidate, seen: &Seen) -> bool {
 /// effect.
 pub fn is_something(fitted: &Fitted, at: usize, seen: &Seen) -> bool {
     let ((effect, values), errors) = (&fitted.effects[at], &fitted.std_err[at]);
-    let is_known = |value: f64, error: f64| value.abs() > KNOWN * error;
-    let used = |k: usize| effect.uses(values, k) && !effect.parameters()[k].is_choice();
-    let all: Vec<usize> = (0..values.len()).filter(|k| used(*k)).collect();
-    let at_the_end = all.iter().any(|&k| {
-        let (p, v) = (effect.parameters()[k], values[k]);
-        let near = |end: f64| (v - end).abs() <= 1e-6 * end.abs();
-        p.is_size() && (near(p.max) || p.min < 0.0 && near(p.min))
-    });
-    if at_the_end || effect.is_another(values, seen) {
+    if at_an_end(*effect, values) || effect.is_another(values, seen) {
         return false;
     }
-    let sizes: Vec<usize> = all.iter().copied().filter(|k| effect.parameters()[*k].is_size()).collect();
+    let is_known = |value: f64, error: f64| value.abs() > KNOWN * error;
     // Two that only their combination tells are each unknown.
     if effect.together(values).is_some_and(|t| is_known(t.value, fitted.std_err_of(at, &t))) {
         return true;
     }
+    let sizes: Vec<usize> = sizes(*effect, values).collect();
     sizes.is_empty() || sizes.iter().any(|&k| is_known(values[k], errors[k]))
+}
+
+/// Places of the sizes that an effect uses at these values.
+fn sizes<'e>(effect: &'e dyn Effect, values: &'e [f64]) -> impl Iterator<Item = usize> + 'e {
+    let is_size = |k: &usize| effect.parameters()[*k].is_size();
+    (0..values.len()).filter(|k| effect.uses(values, *k)).filter(is_size)
+}
+
+/// Whether a size lies at an end of its range that is not nothing.
+fn at_an_end(effect: &dyn Effect, values: &[f64]) -> bool {
+    sizes(effect, values).any(|k| {
+        let (p, v) = (effect.parameters()[k], values[k]);
+        let near = |end: f64| (v - end).abs() <= 1e-6 * end.abs();
+        near(p.max) || p.min < 0.0 && near(p.min)
+    })
 }
 
 /// A set of effects, fitted.
@@ -384,9 +392,8 @@ fn surely_pays(all: &Observations, model: &Fitted, which: usize) -> bool {
     let (effect, values) = &model.effects[which];
     let parameters = effect.parameters();
     let price = NEEDED + parameters.len() as f64 * (all.list.len() as f64).ln();
-    let size = |k: &usize| parameters[*k].is_size() && effect.uses(values, *k);
     let square = |k: usize| (values[k] / model.std_err[which][k]).powi(2);
-    (0..values.len()).filter(size).any(|k| square(k) > SURELY * price && square(k).is_finite())
+    sizes(*effect, values).any(|k| square(k) > SURELY * price && square(k).is_finite())
 }
 
 /// Drops effects whose evidence does not pay for them any more.
@@ -413,24 +420,29 @@ pub fn searched(all: &Observations, given: &[Given]) -> Effects {
     }
     let certain: Effects = given.iter().filter_map(known).collect();
     let mut now = fit(all, &start(all), &certain);
-    for (effect, values) in given.iter().filter(|g| known(g).is_none()) {
-        let guess = now.with_base(start(all));
-        let mut hinted = effect.starts(&seen(all, &guess.base));
-        hinted.extend(effect.starts(&seen(all, &now.base)));
-        // From the first guess too: a fit that lacks the effect may lie far off.
-        let brief = [&guess, &now].map(|from| {
-            let starts = Screen::new(all, from, 0.0).starts(*effect, values, &hinted);
-            from_starts(all, &now, Some(&guess), *effect, &starts, FORMS, None)
-        });
-        now = finished(all, sorted(all, brief.concat())).into_iter().next().unwrap_or_else(|| {
-            let first = hinted.into_iter().next();
-            let first = first.unwrap_or_else(|| effect.parameters().iter().map(|p| p.min.max(0.0)).collect());
-            let mut still = now.clone();
-            still.effects.push((*effect, as_given(&first, values)));
-            still
-        });
+    for unknown in given.iter().filter(|g| known(g).is_none()) {
+        now = with_one(all, now, unknown);
     }
     let place = |e: &&'static dyn Effect| given.iter().position(|g| g.0.id() == e.id());
     now.effects.sort_by_key(|(e, _)| place(e));
     now.effects
+}
+
+/// A model with one more effect, the values of whose parameters are searched for as far as they are not given.
+fn with_one(all: &Observations, now: Fitted, (effect, given): &Given) -> Fitted {
+    let guess = now.with_base(start(all));
+    let mut hinted = effect.starts(&seen(all, &guess.base));
+    hinted.extend(effect.starts(&seen(all, &now.base)));
+    // From the first guess too: a fit that lacks the effect may lie far off.
+    let brief = [&guess, &now].map(|from| {
+        let starts = Screen::new(all, from, 0.0).starts(*effect, given, &hinted);
+        from_starts(all, &now, Some(&guess), *effect, &starts, FORMS, None)
+    });
+    finished(all, sorted(all, brief.concat())).into_iter().next().unwrap_or_else(|| {
+        let first = hinted.into_iter().next();
+        let first = first.unwrap_or_else(|| effect.parameters().iter().map(|p| p.min.max(0.0)).collect());
+        let mut still = now;
+        still.effects.push((*effect, as_given(&first, given)));
+        still
+    })
 }

@@ -39,39 +39,41 @@ fn of_sets(rows: &[&Residual]) -> f64 {
     SIZES.into_iter().map(gain).fold(0.0, f64::max)
 }
 
+/// The residuals are off by a sum of cosines of the level's rank, whose weights are normal.
 fn smooth(rows: &[&Residual]) -> f64 {
     let mut order: Vec<&&Residual> = rows.iter().collect();
     order.sort_by(|a, b| a.level_dn.total_cmp(&b.level_dn));
-    let n = order.len() as f64;
-    let mut matrix = [[0.0; TERMS]; TERMS];
-    let mut with = [0.0; TERMS];
+    let (mut squares, mut with) = ([[0.0; TERMS]; TERMS], [0.0; TERMS]);
     for (rank, r) in order.iter().enumerate() {
-        let u = (rank as f64 + 0.5) / n;
-        let terms: [f64; TERMS] = std::array::from_fn(|k| {
-            (std::f64::consts::PI * k as f64 * u).cos() / (1.0 + (k * k) as f64).sqrt()
-        });
+        let at = terms((rank as f64 + 0.5) / order.len() as f64);
         for i in 0..TERMS {
-            with[i] += terms[i] * r.z;
+            with[i] += at[i] * r.z;
             for j in 0..TERMS {
-                matrix[i][j] += terms[i] * terms[j];
+                squares[i][j] += at[i] * at[j];
             }
         }
     }
-    let gain = |size: f64| {
-        let square = size * size;
-        let mut a: Vec<f64> = (0..TERMS * TERMS)
-            .map(|i| matrix[i / TERMS][i % TERMS] + if i / TERMS == i % TERMS { 1.0 / square } else { 0.0 })
-            .collect();
-        if !cholesky::factor(&mut a, TERMS) {
-            return 0.0;
-        }
-        let log_det: f64 =
-            (0..TERMS).map(|i| 2.0 * a[i * TERMS + i].ln()).sum::<f64>() + TERMS as f64 * square.ln();
-        let mut solved = with.to_vec();
-        cholesky::solve(&a, &mut solved);
-        solved.iter().zip(with).map(|(s, w)| s * w).sum::<f64>() - log_det
-    };
-    SIZES.into_iter().map(gain).fold(0.0, f64::max)
+    SIZES.into_iter().map(|size| gain(&squares, &with, size * size)).fold(0.0, f64::max)
+}
+
+/// The cosines at a rank from 0 to 1, over what their weights fall by.
+fn terms(rank: f64) -> [f64; TERMS] {
+    std::array::from_fn(|k| (std::f64::consts::PI * k as f64 * rank).cos() / (1.0 + (k * k) as f64).sqrt())
+}
+
+/// Evidence of weights with this variance: w' (S + 1 / v)^-1 w - ln det(1 + v S), S the terms' squares and w their products with the
+/// residuals (Bishop 2006, eq. 3.86).
+fn gain(squares: &[[f64; TERMS]; TERMS], with: &[f64; TERMS], variance: f64) -> f64 {
+    let own = |i: usize, j: usize| if i == j { 1.0 / variance } else { 0.0 };
+    let mut a: Vec<f64> =
+        (0..TERMS * TERMS).map(|k| squares[k / TERMS][k % TERMS] + own(k / TERMS, k % TERMS)).collect();
+    if !cholesky::factor(&mut a, TERMS) {
+        return 0.0;
+    }
+    let log_det: f64 = (0..TERMS).map(|i| 2.0 * a[i * TERMS + i].ln() + variance.ln()).sum();
+    let mut solved = with.to_vec();
+    cholesky::solve(&a, &mut solved);
+    solved.iter().zip(with).map(|(s, w)| s * w).sum::<f64>() - log_det
 }
 
 #[cfg(test)]

@@ -39,39 +39,42 @@ pub fn signatures(residuals: &[Residual]) -> Vec<Signature> {
     out
 }
 
+/// Darks: below this level, DN, a set has hardly any light (a named choice).
+const DARK_DN: f64 = 20.0;
+
 fn describe(name: &str, of: &[&Residual]) -> String {
     let worst = of.iter().max_by(|a, b| a.z.abs().total_cmp(&b.z.abs()));
     let Some(worst) = worst else { return name.to_string() };
-    let size = |r: &Residual| {
-        if r.predicted.abs() > 5.0 * r.std_err {
-            format!("{:+.2} %", 100.0 * (r.measured / r.predicted - 1.0))
-        } else {
-            format!("{:+.3}", r.measured - r.predicted)
-        }
+    let off = if worst.predicted.abs() > 5.0 * worst.std_err {
+        format!("{:+.2} %", 100.0 * (worst.measured / worst.predicted - 1.0))
+    } else {
+        format!("{:+.3}", worst.measured - worst.predicted)
     };
     let place = match worst.set {
         Some(set) => format!(" at {:.0} DN (set {set})", worst.level_dn),
         None => String::new(),
     };
-    let mut text = format!("{name}: {} from the model{place}, {:+.1} sigma", size(worst), worst.z);
-    if let Some(power) = power(of) {
-        text += &format!(", growing as mean to the power {power:.1}");
-    } else if of.len() >= 4 && !worst.is_of_first_frames() {
-        let dark: Vec<f64> = of.iter().filter(|r| r.level_dn < 20.0).map(|r| r.z * r.z).collect();
-        if dark.len() >= 3 && dark.iter().sum::<f64>() / dark.len() as f64 > 4.0 {
-            text += ", darks too: independent of the light";
+    let grows = match power(of) {
+        Some(power) => format!(", growing as mean to the power {power:.1}"),
+        None if !worst.is_of_first_frames() && darks_deviate(of) => {
+            ", darks too: independent of the light".into()
         }
-    }
-    text += "; ";
-    text += worst.meaning();
-    text
+        None => String::new(),
+    };
+    format!("{name}: {off} from the model{place}, {:+.1} sigma{grows}; {}", worst.z, worst.meaning())
+}
+
+/// Whether darks deviate by twice their errors, of at least three among four.
+fn darks_deviate(of: &[&Residual]) -> bool {
+    let dark: Vec<f64> = of.iter().filter(|r| r.level_dn < DARK_DN).map(|r| r.z * r.z).collect();
+    of.len() >= 4 && dark.len() >= 3 && dark.iter().sum::<f64>() / dark.len() as f64 > 4.0
 }
 
 /// The power with which the deviation grows with the mean, where the residuals are large enough to tell.
 fn power(of: &[&Residual]) -> Option<f64> {
     let points: Vec<(f64, f64, f64)> = of
         .iter()
-        .filter(|r| r.level_dn > 20.0 && r.z.abs() > 3.0)
+        .filter(|r| r.level_dn > DARK_DN && r.z.abs() > 3.0)
         .map(|r| {
             let off = r.measured - r.predicted;
             (r.level_dn.ln(), off.abs().ln(), off.signum())

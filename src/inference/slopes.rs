@@ -36,9 +36,27 @@ impl Slopes {
         point: &Point,
         now: &State,
     ) -> Self {
+        let mut out = Self::of_nothing(layout, free);
+        let serves = known.filter(|k| k.has_all(&out.rows, &out.sets));
+        let place = |i: usize| serves?.keys.iter().position(|k| k.is_some() && *k == out.keys[i]);
+        let places: Vec<Option<usize>> = (0..free.common.len()).map(place).collect();
+        let fresh = |i: &usize| !free.fixed[*i] && places[*i].is_none();
+        let fresh: Vec<usize> = (0..places.len()).filter(fresh).collect();
+        let moved = fresh.into_par_iter().map(|i| (i, moved(layout, free, point, i)));
+        for (i, (step, there)) in moved.collect::<Vec<_>>() {
+            out.put(i, step, now, &there);
+        }
+        if let Some(known) = serves {
+            out.take(known, &places);
+        }
+        out
+    }
+
+    /// For the rows of a layout, all 0.
+    fn of_nothing(layout: &Layout<'_>, free: &Free) -> Self {
         let (n, rows, blocks) = (free.common.len(), layout.rows.len(), layout.blocks.len());
         let monitors = (0..rows).filter(|r| layout.rows[*r].is(&monitor::This));
-        let mut out = Self {
+        Self {
             keys: (0..n).map(|i| (!free.fixed[i]).then(|| free.key(i))).collect(),
             rows: layout.places.clone(),
             sets: layout.blocks.iter().map(|(set, _)| *set).collect(),
@@ -46,38 +64,21 @@ impl Slopes {
             scatter: monitors.map(|r| (r, vec![0.0; n])).collect(),
             setting: vec![0.0; blocks * n],
             scale: free.scale.clone(),
-        };
-        let serves = known.filter(|k| k.has_all(&out.rows, &out.sets));
-        let place = |i: usize| serves?.keys.iter().position(|k| k.is_some() && *k == out.keys[i]);
-        let places: Vec<Option<usize>> = (0..n).map(place).collect();
-        let fresh: Vec<usize> = (0..n).filter(|i| !free.fixed[*i] && places[*i].is_none()).collect();
-        let step_of = |i: usize| {
-            let step = 1e-5 * point.x[i].abs().max(1e-2);
-            if point.x[i] + step > free.bounds[i].1 { -step } else { step }
-        };
-        let moved: Vec<(usize, f64, State)> = fresh
-            .into_par_iter()
-            .map(|i| {
-                let mut moved = point.clone();
-                moved.x[i] += step_of(i);
-                (i, step_of(i), layout.at(free, &moved))
-            })
-            .collect();
-        for (i, step, there) in &moved {
-            for (r, (a, b)) in now.expected.iter().zip(&there.expected).enumerate() {
-                out.expected[r * n + i] = (b.normal.1 - a.normal.1) / step;
-            }
-            for (r, slopes) in &mut out.scatter {
-                slopes[*i] = (there.expected[*r].normal.2 / now.expected[*r].normal.2).ln() / step;
-            }
-            for (b, (was, is)) in now.setting.iter().zip(&there.setting).enumerate() {
-                out.setting[b * n + i] = (is - was) / step;
-            }
         }
-        if let Some(known) = serves {
-            out.take(known, &places);
+    }
+
+    /// The slopes with one value: what a step of it did.
+    fn put(&mut self, i: usize, step: f64, now: &State, there: &State) {
+        let n = self.scale.len();
+        for (r, (a, b)) in now.expected.iter().zip(&there.expected).enumerate() {
+            self.expected[r * n + i] = (b.normal.1 - a.normal.1) / step;
         }
-        out
+        for (r, slopes) in &mut self.scatter {
+            slopes[i] = (there.expected[*r].normal.2 / now.expected[*r].normal.2).ln() / step;
+        }
+        for (b, (was, is)) in now.setting.iter().zip(&there.setting).enumerate() {
+            self.setting[b * n + i] = (is - was) / step;
+        }
     }
 
     /// Whether these rows and blocks are among its own; all are in order.
@@ -145,6 +146,15 @@ impl Slopes {
         }
         out
     }
+}
+
+/// A small step of one value, within its bounds, and what is expected there.
+fn moved(layout: &Layout<'_>, free: &Free, point: &Point, i: usize) -> (f64, State) {
+    let step = 1e-5 * point.x[i].abs().max(1e-2);
+    let step = if point.x[i] + step > free.bounds[i].1 { -step } else { step };
+    let mut moved = point.clone();
+    moved.x[i] += step;
+    (step, layout.at(free, &moved))
 }
 
 #[cfg(test)]
