@@ -141,13 +141,12 @@ pub fn diagnose(
     let first = compare(all, &model);
     progress(&format!("error {:.2}", first.error));
     let found = search(all, &model, first.error > FAR, progress);
-    let (mut parts, mut whole) = parts(all, &model, found.fitted, found.first, &first);
+    let (mut parts, mut whole, mut last) = parts(all, &model, found.fitted, found.first, &first);
     let mut notes = all.missing.clone();
     if first.p_value >= DOUBT && score(all, &model) - score(all, &whole) < TRACE {
         notes.extend(parts.iter().map(trace));
-        (parts, whole) = (Vec::new(), model.clone());
+        (parts, whole, last) = (Vec::new(), model.clone(), first.clone());
     }
-    let last = if parts.is_empty() { first.clone() } else { compare(all, &whole) };
     progress(&format!("error {:.2} with {} effects added", last.error, parts.len()));
     let mut ladder = vec![Rung { added: None, error: first.error, p_value: first.p_value }];
     ladder.extend(rungs(all, &model, &parts, &whole, &last));
@@ -244,25 +243,33 @@ fn next_measurement(
     })
 }
 
-/// What was found, each by what it explains when it alone is left out, strongest first; and the model with all of it.
+/// What was found, each by what it explains when it alone is left out, strongest first; the model with all of it, and how that holds.
 fn parts(
     all: &Observations,
     model: &Fitted,
     mut whole: Fitted,
     first: Vec<Candidate>,
     before: &Comparison,
-) -> (Vec<Part>, Fitted) {
+) -> (Vec<Part>, Fitted, Comparison) {
+    let nothing = || (Vec::new(), model.clone(), before.clone());
+    if whole.effects.len() == model.effects.len() {
+        return nothing();
+    }
     let mut parts = left_out(all, model, &whole);
-    while let Some(less) = without_one(all, &parts, &whole) {
+    let mut last = compare(all, &whole);
+    while let Some(less) = without_one(all, &parts, &last) {
         whole = fit(all, &less.base, &less.effects);
+        if whole.effects.len() == model.effects.len() {
+            return nothing();
+        }
         parts = left_out(all, model, &whole);
+        last = compare(all, &whole);
     }
     // A single addition that does not help on frames that no fit saw is none.
     if let [only] = parts.as_slice() {
-        let after = compare(all, &whole);
-        tracing::debug!("{} alone: error {:.4}, was {:.4}", only.effect.id(), after.error, before.error);
-        if after.error > before.error - HELPS {
-            return (Vec::new(), model.clone());
+        tracing::debug!("{} alone: error {:.4}, was {:.4}", only.effect.id(), last.error, before.error);
+        if last.error > before.error - HELPS {
+            return nothing();
         }
     }
     parts.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
@@ -270,7 +277,7 @@ fn parts(
     for (k, part) in parts.iter_mut().enumerate() {
         part.others = if alone {
             first.iter().filter(|c| c.effect.id() != part.effect.id()).cloned().collect()
-        } else if k > 0 && part.nameless > part.evidence {
+        } else if k > 0 && (part.nameless > part.evidence || last.p_value < HOLDS) {
             // Its name is in doubt anyway.
             Vec::new()
         } else {
@@ -284,7 +291,7 @@ fn parts(
             "part"
         );
     }
-    (parts, whole)
+    (parts, whole, last)
 }
 
 /// Every effect that was added to a model, with what is lost without it.
@@ -303,11 +310,11 @@ fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Vec<Part> {
 
 /// The model without an effect that does not belong there, where there is one: it does not pay in the presence of the others, or the
 /// campaign contradicts it where it agrees with the rest (settings that are in order, say).
-fn without_one<'p>(all: &Observations, parts: &'p [Part], whole: &Fitted) -> Option<&'p Fitted> {
+fn without_one<'p>(all: &Observations, parts: &'p [Part], last: &Comparison) -> Option<&'p Fitted> {
     if let Some(idle) = parts.iter().find(|p| p.evidence < NEEDED) {
         return Some(&idle.rest);
     }
-    if parts.len() < 2 || compare(all, whole).p_value >= HOLDS {
+    if parts.len() < 2 || last.p_value >= HOLDS {
         return None;
     }
     let near = parts.iter().filter(|p| p.rest.mean_square < AGREES);
