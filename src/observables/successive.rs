@@ -40,8 +40,7 @@ impl Statistic for This {
             variance * (view.product(memory) + left / view.n.max(2.0))
         };
         let (shot, read) = view.pixels();
-        let value =
-            carried(shot, &s.shot_memory, view.left.0) + carried(read, &s.read_memory, view.left.1);
+        let value = carried(shot, &s.shot_memory, view.left.0) + carried(read, &s.read_memory, view.left.1);
         Expected::plain(
             o,
             value,
