@@ -71,6 +71,9 @@ pub struct Missing {
     pub tied_with: Option<String>,
     /// Why.
     pub evidence: Vec<String>,
+    /// Of `unknown`: why the nearest name is not right, where the campaign contradicts it.
+    #[serde(skip)]
+    pub doubt: Option<String>,
 }
 
 /// A rung.
@@ -181,10 +184,10 @@ fn missing(
     let fitted = residuals_of(all, whole);
     let named = named(parts, whole, [first, last], &fitted, ladder, split);
     let mut out = with_ties(parts, whole, named, split);
-    let mut doubts = parts.iter().map(|p| (p.effect.id(), doubt(p, whole, &seen, last)));
-    let first_in_doubt = doubts.next().and_then(|(_, doubt)| doubt);
-    for (id, doubt) in doubts {
-        let entry = out.iter_mut().find(|m| m.effect == id);
+    let first_in_doubt = parts.first().and_then(|p| doubt(p, whole, &seen, last));
+    for part in parts.iter().skip(1) {
+        let doubt = doubt(part, whole, &seen, last).or_else(|| better(part));
+        let entry = out.iter_mut().find(|m| m.effect == part.effect.id());
         if let (Some(entry), Some(doubt)) = (entry, doubt) {
             entry.partial = true;
             entry.evidence.push(doubt);
@@ -219,7 +222,11 @@ fn not_told(effect: &dyn Effect, last: &Comparison) -> Option<String> {
     let groups = by(&last.residuals, |r| r.statistic.0.id());
     let mut told = groups.iter().filter(|g| told_by.contains(&g.name.as_str()));
     let worst = told.find(|g| g.chance * (told_by.len() as f64) < HOLDS)?;
-    Some(format!("{} deviates with it as it does by chance at {}", worst.name, chance(worst.chance)))
+    Some(format!(
+        "with it {} still deviates by more than chance gives (p {})",
+        worst.name,
+        chance(worst.chance)
+    ))
 }
 
 /// The one measurement that tells most, in words, and its sets.
@@ -311,7 +318,8 @@ fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Vec<Part> {
 /// The model without an effect that does not belong there, where there is one: it does not pay in the presence of the others, or the
 /// campaign contradicts it where it agrees with the rest (settings that are in order, say).
 fn without_one<'p>(all: &Observations, parts: &'p [Part], last: &Comparison) -> Option<&'p Fitted> {
-    if let Some(idle) = parts.iter().find(|p| p.evidence < NEEDED) {
+    let weakest = parts.iter().min_by(|a, b| a.evidence.total_cmp(&b.evidence));
+    if let Some(idle) = weakest.filter(|p| p.evidence < NEEDED) {
         return Some(&idle.rest);
     }
     if parts.len() < 2 || last.p_value >= HOLDS {
@@ -414,12 +422,23 @@ fn with_ties(parts: &[Part], whole: &Fitted, named: Vec<Missing>, split: Option<
     out
 }
 
+/// What explains a part better than its name does, where something without a name does.
+fn better(part: &Part) -> Option<String> {
+    (part.nameless > part.evidence).then(|| {
+        format!(
+            "a smooth function of the level that has no name explains it better than {} does: evidence {:.0} and {:.0}",
+            part.effect.id(),
+            part.nameless,
+            part.evidence
+        )
+    })
+}
+
 /// What no name explains, where the names do not bring the campaign to the noise, or explain less than a smooth function does. `doubt`: why
 /// the first of them is not what it is called.
 fn unknown(parts: &[Part], doubt: Option<String>, first: &Comparison, last: &Comparison) -> Option<Missing> {
     let strongest = parts.first();
-    // Something without a name must not explain a part better than its name does.
-    let better = strongest.filter(|p| p.nameless > p.evidence);
+    let better = strongest.and_then(better);
     // A name must hold; the model as given, only not fail.
     let holds = last.p_value >= if strongest.is_some() { HOLDS } else { P_LIMIT };
     if holds && better.is_none() && doubt.is_none() {
@@ -432,21 +451,15 @@ fn unknown(parts: &[Part], doubt: Option<String>, first: &Comparison, last: &Com
     nearest.dedup();
     nearest.truncate(NEAREST);
     let mut evidence = what_strays(first, last, strongest.is_some());
-    if let Some(part) = better {
-        evidence.push(format!(
-            "a smooth function of the level that has no name explains it better than {} does: evidence {:.0} and {:.0}",
-            part.effect.id(),
-            part.nameless,
-            part.evidence
-        ));
+    evidence.extend(better);
+    if let Some(doubt) = &doubt {
+        evidence.insert(0, doubt.clone());
     }
-    let doubtful = doubt.is_some();
-    evidence.extend(doubt);
     if evidence.is_empty() {
         evidence.push(format!("error {:.3} over all statistics, p {}", last.error, chance(last.p_value)));
     }
     let confidence = match strongest {
-        Some(part) if doubtful => confidence(part, part.nameless).max(0.5),
+        Some(part) if doubt.is_some() => confidence(part, part.nameless).max(0.5),
         Some(part) if last.p_value >= DOUBT => confidence(part, part.nameless),
         _ => 1.0 - last.p_value.min(1.0),
     };
@@ -460,6 +473,7 @@ fn unknown(parts: &[Part], doubt: Option<String>, first: &Comparison, last: &Com
         nearest,
         tied_with: None,
         evidence,
+        doubt,
     })
 }
 
@@ -488,6 +502,7 @@ fn describe(fitted: &Fitted, effect: &'static dyn Effect, confidence: f64, split
         nearest: Vec::new(),
         tied_with: None,
         evidence: Vec::new(),
+        doubt: None,
     }
 }
 

@@ -66,9 +66,14 @@ impl Verdict {
         if top.effect == "unknown" {
             let near = match top.nearest.as_slice() {
                 [] => "No effect of the catalogue comes near.".into(),
+                [name] => format!("Nearest comes {name}, but it does not explain it."),
                 names => format!("Nearest come {}, but none of them explains it.", names.join(", ")),
             };
-            let most = top.evidence.first().map_or(String::new(), |e| format!(" What strays most: {e}."));
+            let most = match (&top.doubt, top.evidence.first()) {
+                (Some(doubt), _) => format!(" {}.", capital(doubt)),
+                (None, Some(strays)) => format!(" What deviates most: {strays}."),
+                (None, None) => String::new(),
+            };
             let sentence = format!(
                 "The camera does something that has no name here. {near}{most} Take gain, linearity and read noise of this campaign with \
                  care until it is known."
@@ -105,7 +110,7 @@ fn sentence(top: &Missing, or: &[String], missing: &[Missing], cost: &str) -> St
     let also: Vec<&str> = missing
         .iter()
         .skip(1)
-        .filter(|m| m.tied_with.is_none() && m.effect != "unknown")
+        .filter(|m| m.tied_with.is_none() && !m.partial && m.effect != "unknown")
         .map(|m| m.effect.as_str())
         .collect();
     let also = if also.is_empty() { String::new() } else { format!(" It also has {}.", also.join(", ")) };

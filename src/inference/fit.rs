@@ -193,7 +193,8 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
         full_scale_dn: all.campaign.full_scale_dn,
         duration_s,
         frame_s: all.campaign.frame_s,
-        longest_s: lit.map(|s| s.exposure_s).fold(0.0, f64::max),
+        lit_s: lit
+            .fold((f64::INFINITY, 0.0), |(a, b), s| (f64::min(a, s.exposure_s), f64::max(b, s.exposure_s))),
         rows: all.campaign.shape.0 as f64,
         means: !all.means_given,
         dark_noise_dn: base.read_noise_e * base.gain_dn_per_e,

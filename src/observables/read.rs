@@ -1,6 +1,6 @@
 //! Reads a campaign's frames: a look at the first of every set tells which pixels count, then one pass over all of them.
 //!
-//! Memory holds one frame and its sums on each core, however many frames there are.
+//! Memory holds some frames and their sums on each core, and of the first frames of sets as many as fit into 256 MiB, however many there are.
 
 use super::{Half, ObserveError, SUMMED, codes, outliers};
 use crate::dataset::{Dataset, Kind};

@@ -1,6 +1,6 @@
-//! Whether the same pixels are noisier in one set as in another: the covariance of their variances.
+//! Whether the same pixels are noisier in one run of frames as in another: the covariance of their variances.
 //!
-//! A pixel that jumps between two levels does so in every set. A rare large deviation hits any pixel, and the next time another.
+//! A pixel that jumps between two levels does so in every run. A rare large deviation hits any pixel, and the next time another.
 
 use super::jackknife::{Blocks, Value};
 use super::layout::Layout;

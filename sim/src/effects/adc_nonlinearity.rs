@@ -95,26 +95,26 @@ struct Smooth {
     /// Weight of the lowest bit that counts, DN.
     apart: f64,
     full_scale_dn: f64,
+    /// Half of the errors of the bits below: each is set half of the time.
+    below: f64,
     /// Errors of the bits that are waves.
     fine: [f64; FINE],
     above: Option<Steps>,
+    /// All that are not below.
     all: Steps,
 }
 
 impl Smooth {
-    /// Of the bits from one on; `None` where all are right.
-    fn new(mut errors: [f64; BITS], lowest: usize, bits: usize) -> Option<Self> {
+    /// Where the bits below one average out.
+    fn new(mut errors: [f64; BITS], lowest: usize, bits: usize) -> Self {
+        let below = 0.5 * errors[..lowest].iter().sum::<f64>();
         errors[..lowest].fill(0.0);
-        let is_right = |e: &[f64]| e.iter().all(|e| *e == 0.0);
-        if is_right(&errors) {
-            return None;
-        }
         let all = Steps::new(errors, bits);
         let fine = std::array::from_fn(|k| errors.get(lowest + k).copied().unwrap_or(0.0));
         errors[..(lowest + FINE).min(BITS)].fill(0.0);
-        let above = (!is_right(&errors)).then(|| Steps::new(errors, bits));
+        let above = errors.iter().any(|e| *e != 0.0).then(|| Steps::new(errors, bits));
         let weight = |b: usize| (1u32 << b) as f64;
-        Some(Self { apart: weight(lowest), full_scale_dn: weight(bits) - 1.0, fine, above, all })
+        Self { apart: weight(lowest), full_scale_dn: weight(bits) - 1.0, below, fine, above, all }
     }
 
     /// How much of each wave noise leaves. A bit of the weight w is 1 in the second half of every 2 w: 1/2 less the sum over odd k of
@@ -137,12 +137,13 @@ impl Smooth {
     /// Mean over normal noise about a level, DN, and its slope with the level; `waves`: of this noise.
     fn over(&self, level: f64, sd: f64, waves: &[f64; WAVES]) -> (f64, f64) {
         if sd < self.apart || level < 5.0 * sd || level > self.full_scale_dn - 5.0 * sd {
-            return self.all.over(level, sd);
+            let (mean, slope) = self.all.over(level, sd);
+            return (self.below + mean, slope);
         }
         let (mut mean, mut slope) = self.above.as_ref().map_or((0.0, 0.0), |s| s.over(level, sd));
         let (sine, cosine) =
             libm::sincos(std::f64::consts::TAU * ((level + 0.5) / (8.0 * self.apart)).fract());
-        let (mut sum, mut along) = (0.5 * self.fine.iter().sum::<f64>(), 0.0);
+        let (mut sum, mut along) = (self.below + 0.5 * self.fine.iter().sum::<f64>(), 0.0);
         let (mut s, mut c) = (sine, cosine);
         for (i, wave) in waves.iter().enumerate() {
             sum += wave * s;
@@ -244,17 +245,17 @@ impl Effect for This {
         }
         // A code comes out too small by what its voltage is too large by: the mean of that over the samples; its slope multiplies their
         // noise. Bits whose steps the samples cover many times average out.
-        let steps: Vec<Option<Smooth>> = (0..=low).map(|lowest| Smooth::new(wrong, lowest, bits)).collect();
-        if steps.iter().all(Option::is_none) {
+        if wrong.iter().all(|e| *e == 0.0) {
             return;
         }
+        let steps: Vec<Smooth> = (0..=low).map(|lowest| Smooth::new(wrong, lowest, bits)).collect();
         let mut shifts = vec![0.0; out.sets.len()];
         for (i, s) in out.sets.iter_mut().enumerate() {
             let level = s.signal + out.base.offset_dn;
             let (spread, places) = c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread_dn, &s.places));
             let noise = libm::sqrt(s.covariance(0, 0).max(0.01) + (AROUND * spread).powi(2));
             let lowest = libm::log2(noise).floor().clamp(0.0, low as f64) as usize;
-            let Some(steps) = &steps[lowest] else { continue };
+            let steps = &steps[lowest];
             let waves = steps.waves(noise);
             let (mut mean, mut slope) = (0.0, 0.0);
             for (x, share) in places.iter().zip(PLACES) {
@@ -305,13 +306,14 @@ mod tests {
             *v = 0.05 * ((7 * k) % 11) as f64 - 0.2;
         }
         let (bits, wrong) = (12, errors(&p, 12));
-        for (lowest, sd) in [(0, 1.0), (0, 1.7), (2, 4.01), (3, 15.9), (6, 64.0), (6, 200.0)] {
-            let smooth = Smooth::new(wrong, lowest, bits).unwrap();
+        let every = Smooth::new(wrong, 0, bits).all;
+        for (lowest, sd) in [(0, 1.0), (0, 1.7), (1, 2.01), (2, 4.01), (3, 15.9), (6, 64.0), (6, 200.0)] {
+            let smooth = Smooth::new(wrong, lowest, bits);
             let waves = smooth.waves(sd);
             for k in 0..400 {
                 let level = 5.0 * sd + f64::from(k) * (4095.0 - 10.0 * sd) / 400.0;
                 let (mean, slope) = smooth.over(level, sd, &waves);
-                let all = smooth.all.over(level, sd);
+                let all = every.over(level, sd);
                 // Steps of up to 2 DN, of which 6e-5 lie beyond four deviations.
                 assert!((mean - all.0).abs() < 1e-3, "{sd} at {level}: {mean}, summed {}", all.0);
                 assert!((slope - all.1).abs() < 2e-3 / sd, "{sd} at {level}: {slope}, summed {}", all.1);

@@ -72,8 +72,11 @@ impl Effect for This {
     }
 
     fn contradicted(&self, p: &[f64], seen: &Seen) -> Option<&'static str> {
-        let fades = p[0] >= 0.5 || p[3] * seen.longest_s >= NO_TURN || seen.longest_s * SLOWEST_HZ < 0.5;
-        (!fades).then_some(
+        let (shortest_s, longest_s) = seen.lit_s;
+        // Exposures that tell: the longest as long as half a ripple of a lamp, and one far shorter.
+        let tells = longest_s * SLOWEST_HZ > 0.5 && shortest_s < 0.5 * longest_s;
+        let stays = p[0] < 0.5 && p[3] * longest_s < NO_TURN;
+        (tells && stays).then_some(
             "the bands are as strong at the longest exposure as at the shortest: no lamp ripples so slowly",
         )
     }
@@ -143,7 +146,7 @@ mod tests {
     #[test]
     fn a_ripple_that_does_not_fade_is_no_lamps() {
         let stands = |hz: f64, longest_s: f64| {
-            let seen = Seen { longest_s, rows: 480.0, ..Seen::default() };
+            let seen = Seen { lit_s: (1e-3, longest_s), rows: 480.0, ..Seen::default() };
             This.contradicted(&[0.0, 0.003, 0.01, hz, 0.0], &seen).is_none()
         };
         assert!(stands(100.0, 0.02) && !stands(0.0, 0.02));

@@ -66,8 +66,8 @@ pub struct Seen {
     pub duration_s: f64,
     /// Usual time from frame to frame, s.
     pub frame_s: f64,
-    /// Longest exposure to light, s.
-    pub longest_s: f64,
+    /// Shortest and longest exposure to light, s.
+    pub lit_s: (f64, f64),
     /// Rows.
     pub rows: f64,
     /// Whether means tell of the light: else they are taken as they are.
