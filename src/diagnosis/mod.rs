@@ -212,7 +212,7 @@ fn doubt(part: &Part, whole: &Fitted, seen: &Seen, last: &Comparison) -> Option<
     }
     let contradicted = effect.contradicted(values, seen).map(str::to_string);
     let why = contradicted.or_else(|| not_told(*effect, last))?;
-    Some(format!("{} is contradicted: {why}", effect.id()))
+    Some(format!("it is not {}: {why}", effect.id()))
 }
 
 /// What deviates still of the statistics that tell an effect from what looks like it: tests that are planned, whose chance is not that of the
@@ -220,8 +220,11 @@ fn doubt(part: &Part, whole: &Fitted, seen: &Seen, last: &Comparison) -> Option<
 fn not_told(effect: &dyn Effect, last: &Comparison) -> Option<String> {
     let told_by = effect.told_by();
     let groups = by(&last.residuals, |r| r.statistic.0.id());
-    let mut told = groups.iter().filter(|g| told_by.contains(&g.name.as_str()));
-    let worst = told.find(|g| g.chance * (told_by.len() as f64) < HOLDS)?;
+    let told = groups.iter().filter(|g| told_by.contains(&g.name.as_str()));
+    let worst = told.min_by(|a, b| a.chance.total_cmp(&b.chance))?;
+    if worst.chance * told_by.len() as f64 >= HOLDS {
+        return None;
+    }
     Some(format!(
         "with it {} still deviates by more than chance gives (p {})",
         worst.name,
@@ -259,19 +262,16 @@ fn parts(
     before: &Comparison,
 ) -> (Vec<Part>, Fitted, Comparison) {
     let nothing = || (Vec::new(), model.clone(), before.clone());
-    if whole.effects.len() == model.effects.len() {
-        return nothing();
-    }
-    let mut parts = left_out(all, model, &whole);
-    let mut last = compare(all, &whole);
-    while let Some(less) = without_one(all, &parts, &last) {
-        whole = fit(all, &less.base, &less.effects);
+    let (mut parts, last) = loop {
         if whole.effects.len() == model.effects.len() {
             return nothing();
         }
-        parts = left_out(all, model, &whole);
-        last = compare(all, &whole);
-    }
+        let (parts, last) = (left_out(all, model, &whole), compare(all, &whole));
+        match without_one(all, &parts, &last) {
+            Some(less) => whole = fit(all, &less.base, &less.effects),
+            None => break (parts, last),
+        }
+    };
     // A single addition that does not help on frames that no fit saw is none.
     if let [only] = parts.as_slice() {
         tracing::debug!("{} alone: error {:.4}, was {:.4}", only.effect.id(), last.error, before.error);
