@@ -2,7 +2,7 @@
 
 use crate::clipping::Clipped;
 use crate::normal::upper;
-use crate::quantize::{NODES, reaches_zero, rounded, rounded_from_zero};
+use crate::quantize::{NODES, reaches_zero, rounded_apart, rounded_from_zero};
 
 pub use crate::normal::{NORMAL, PLACES};
 pub use crate::spectrum::{Filter, GRID, HALF, LAGS, LineNoise, Ripple, Spectrum, angle};
@@ -172,6 +172,8 @@ pub struct Prediction {
     pub smear_s: f64,
     /// From this charge on a pixel spills into its column, e.
     pub bloom_e: f64,
+    /// No pixel holds more than this charge, e.
+    pub well_e: f64,
 }
 
 /// Bits of a code at most.
@@ -394,6 +396,7 @@ impl Prediction {
             taps: [(0.0, 0.0); 4],
             smear_s: 0.0,
             bloom_e: f64::INFINITY,
+            well_e: f64::INFINITY,
         }
     }
 
@@ -404,6 +407,12 @@ impl Prediction {
         }
         let square = step * step;
         let mut shifts = vec![0.0; self.sets.len()];
+        let taps = self.taps;
+        // Of steps between several kinds of parts the largest.
+        let apart = |signal: f64| {
+            let steps = taps.map(|(gain, offset)| gain * signal + offset);
+            steps.into_iter().fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a })
+        };
         let may_be_clipped = c.from_code_0 && self.base.offset_dn + self.floor_dn < 0.0;
         for (i, s) in self.sets.iter_mut().enumerate() {
             let variance = s.covariance(0, 0) / square;
@@ -418,7 +427,7 @@ impl Prediction {
                 s.unsure_mean = libm::hypot(s.unsure_mean, 0.02 * step * found.mean.abs());
                 found
             } else {
-                rounded(level, spread, variance)
+                rounded_apart(level, spread, apart(s.signal) / step, variance)
             };
             shifts[i] = step * rounded.mean;
             s.uneven = libm::hypot(s.uneven, step * quantised_mean(variance));

@@ -38,7 +38,7 @@ const NEARLY_ALL: f64 = 1e-3;
 /// Evidence that names need together where the model as given holds: some 4.4 standard errors, of whose 19 some 7 are the price of a
 /// parameter. A named choice: of 400 clean cameras two raise an alarm, and of 364 in which outsiders hid something no more are named wrongly
 /// than with 20, at which a third of what stands at five standard errors has no name (docs/CONFUSION.md).
-const TRACE: f64 = 12.0;
+const TRACE: f64 = 9.0;
 /// Beyond this mean square of the residuals that were fitted no campaign agrees with a model: of twenty residuals one in a thousand has it.
 const AGREES: f64 = 2.3;
 /// A single addition lowers the error by so much at least.

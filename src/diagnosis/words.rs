@@ -66,7 +66,8 @@ fn describe(name: &str, of: &[&Residual]) -> String {
 
 /// Whether darks deviate by twice their errors, of at least three among four.
 fn darks_deviate(of: &[&Residual]) -> bool {
-    let dark: Vec<f64> = of.iter().filter(|r| r.level_dn < DARK_DN).map(|r| r.z * r.z).collect();
+    let dark: Vec<f64> =
+        of.iter().filter(|r| r.set.is_some() && r.level_dn < DARK_DN).map(|r| r.z * r.z).collect();
     of.len() >= 4 && dark.len() >= 3 && dark.iter().sum::<f64>() / dark.len() as f64 > 4.0
 }
 

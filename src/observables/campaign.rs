@@ -11,7 +11,6 @@ use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
 use crate::statistics::pass::Summary;
 use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, SetInfo};
-use std::ops::Range;
 use std::sync::atomic::AtomicBool;
 
 /// Everything that was observed.
@@ -27,8 +26,8 @@ pub struct Observations {
     pub list: Vec<Observable>,
     /// The scene with the long and the short exposure, in each half.
     pub scenes: [Option<ScenePair>; 2],
-    /// Codes of the histogram's range, in each half.
-    pub codes: [Range<u32>; 2],
+    /// Codes that samples fill, in each half.
+    pub codes: [codes::Filled; 2],
     /// A table of statistics and no frames.
     pub is_table: bool,
     /// A table without exposures: the means are taken as they are, and give the light.
@@ -226,7 +225,7 @@ pub fn of_dataset(
         });
     }
     let line = lines[0].with(&lines[1]).strongest();
-    let mut ranges = [0..0, 0..0];
+    let mut filled = [codes::Filled::default(), codes::Filled::default()];
     let mut pairs = [None, None];
     for (half, codes) in Half::TURNS.into_iter().zip(codes) {
         let said = codes.finish();
@@ -250,7 +249,7 @@ pub fn of_dataset(
                 Observable { statistic, index: 0, set: None, half, frames: (0, 0), measured, pixels: 1.0 };
             statistic.of_half(&view, &mut Put { all: &mut list, template });
         }
-        ranges[half.place()] = said.range.clone();
+        filled[half.place()] = said.filled;
     }
     if shape.0.min(shape.1) < 64 {
         missing.push(format!(
@@ -292,7 +291,7 @@ pub fn of_dataset(
         kinds,
         list,
         scenes: pairs,
-        codes: ranges,
+        codes: filled,
         after_scene,
         is_table: false,
         means_given: false,

@@ -17,6 +17,12 @@ pub const LOW_BITS: usize = 6;
 /// Transitions of high bits that are looked at, at most.
 const TRANSITIONS: usize = 64;
 
+/// Bands of codes in which single ones that are left out are counted: a table leaves out more of the bright ones, a multiplication as many
+/// everywhere.
+const BANDS: usize = 4;
+/// Parts of the codes of which it is known how many of them were looked at.
+const PARTS: usize = 16 * BANDS;
+
 /// Counts around one transition, over all levels.
 #[derive(Debug, Clone, Copy, Default)]
 struct Transition {
@@ -105,8 +111,7 @@ impl Codes {
     /// The range of filled codes, and what they say.
     pub fn finish(self) -> Said {
         let n = &self.counts;
-        let mut out =
-            Said { range: 0..0, used: None, gaps: None, bits: [None; LOW_BITS], transitions: Vec::new() };
+        let mut out = Said::default();
         let wide = |c: usize| n[c.saturating_sub(8)..(c + 9).min(n.len())].iter().sum::<u64>();
         let filled: Vec<usize> = (1..n.len().saturating_sub(1)).filter(|c| wide(*c) > 1000).collect();
         if filled.len() < 32 {
@@ -115,7 +120,10 @@ impl Codes {
         let used = filled.iter().filter(|c| n[**c] > 0).count() as f64;
         out.used = Some(share_of(used, filled.len() as f64));
         out.gaps = gaps(n);
-        out.range = filled[0] as u32..filled[filled.len() - 1] as u32;
+        out.gaps_of_bands = std::array::from_fn(|band| gaps(&n[part(band, BANDS, n.len())]));
+        out.filled.between =
+            (0..PARTS).map(|k| between(&n[part(k, PARTS, n.len())]).count() as f64).collect();
+        out.filled.range = filled[0] as u32..filled[filled.len() - 1] as u32;
         for b in 0..LOW_BITS {
             let sound: Vec<(f64, f64)> =
                 self.levels.iter().map(|l| l[b]).filter(|(_, var)| var.is_finite() && *var > 0.0).collect();
@@ -137,13 +145,37 @@ impl Codes {
     }
 }
 
+/// Which codes samples fill.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Filled {
+    /// From the lowest to the highest.
+    pub range: std::ops::Range<u32>,
+    /// Of how many codes of each of [`PARTS`] equal parts of all codes the neighbours hold many samples.
+    pub between: Vec<f64>,
+}
+
+impl Filled {
+    /// The parts that an index of [`super::gaps`] looks at, 0 all of them, others a band: middle and codes of each, as shares of all codes.
+    pub fn parts(&self, index: usize) -> impl Iterator<Item = (f64, f64)> + '_ {
+        let range = index.checked_sub(1).map_or(0..PARTS, |band| part(band, BANDS, PARTS));
+        range.filter_map(|k| Some(((k as f64 + 0.5) / PARTS as f64, *self.between.get(k)?)))
+    }
+
+    /// Of the codes of the range those that an index looks at, of so many.
+    pub fn range_of(&self, index: usize, codes: usize) -> std::ops::Range<u32> {
+        let band = index.checked_sub(1).map_or(0..codes, |band| part(band, BANDS, codes));
+        self.range.start.max(band.start as u32)..self.range.end.min(band.end as u32)
+    }
+}
+
 /// What the codes of one half of a campaign say.
 #[derive(Debug, Clone, Default)]
 pub struct Said {
     /// Codes that are filled.
-    pub range: std::ops::Range<u32>,
+    pub filled: Filled,
     used: Option<Value>,
     gaps: Option<Value>,
+    gaps_of_bands: [Option<Value>; BANDS],
     bits: [Option<Value>; LOW_BITS],
     transitions: Vec<(usize, Value)>,
 }
@@ -157,6 +189,11 @@ impl Said {
     /// Share of empty codes among those whose neighbours are both filled.
     pub fn gaps(&self) -> Option<Value> {
         self.gaps
+    }
+
+    /// The same in each band of codes.
+    pub fn gaps_of_bands(&self) -> impl Iterator<Item = (usize, Value)> + '_ {
+        self.gaps_of_bands.iter().enumerate().filter_map(|(band, v)| Some((band, (*v)?)))
     }
 
     /// What codes whose bit toggles next have more than those before it, relative.
@@ -187,13 +224,21 @@ pub fn share_used(said: &Summary) -> Option<(f64, f64)> {
     (all >= 24.0).then_some((share.value, share.std_err))
 }
 
+/// One of some equal parts of so many codes.
+fn part(k: usize, of: usize, codes: usize) -> std::ops::Range<usize> {
+    k * codes / of..(k + 1) * codes / of
+}
+
+/// Codes between two that hold many samples: so many that one of at least half their width is empty once in 1e21 times.
+fn between(n: &[u64]) -> impl Iterator<Item = &[u64]> {
+    const MANY: u64 = 100;
+    n.windows(3).filter(|w| w[0] >= MANY && w[2] >= MANY)
+}
+
 /// Share of empty codes among those whose neighbours both hold many samples, with the error of half a code.
 fn gaps(n: &[u64]) -> Option<Value> {
-    // Where the neighbours hold so many, a code of at least half their width is empty once in 1e21 times.
-    const MANY: u64 = 100;
-    let between = n.windows(3).filter(|w| w[0] >= MANY && w[2] >= MANY);
     let (all, empty) =
-        between.fold((0.0, 0.0), |(all, e), w| (all + 1.0, e + f64::from(u8::from(w[1] == 0))));
+        between(n).fold((0.0, 0.0), |(all, e), w| (all + 1.0, e + f64::from(u8::from(w[1] == 0))));
     (all >= 64.0).then(|| Value { value: empty / all, std_err: 0.5 / all })
 }
 

@@ -1,8 +1,9 @@
-//! Share of single codes that never occur, between codes that do: codes multiplied after conversion.
+//! Share of single codes that never occur, between codes that do: codes multiplied after conversion, or sent by a table.
 
+use super::codes::Filled;
 use super::{Expected, HalfView, Observable, Put, Statistic, View};
 
-/// The share.
+/// The share; index 0 is that of all codes, the others are bands of codes.
 #[derive(Debug)]
 pub struct This;
 
@@ -11,25 +12,32 @@ impl Statistic for This {
         "single codes left out"
     }
 
+    fn name(&self, index: usize) -> String {
+        if index == 0 { self.id().into() } else { "single codes left out, by level".into() }
+    }
+
     fn meaning(&self, _: usize) -> &'static str {
         "single codes that never occur, as after a multiplication of the codes"
     }
 
     fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {
-        if let Some(v) = half.codes.gaps() {
-            put.put(0, v.value, v.std_err);
-        }
+        let of_all = half.codes.gaps().map(|v| (0, v));
+        let of_bands = half.codes.gaps_of_bands().map(|(band, v)| (1 + band, v));
+        of_all.into_iter().chain(of_bands).for_each(|(index, v)| put.put(index, v.value, v.std_err));
     }
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
-        // Which codes steps or a table leave out is the business of other statistics.
-        if !view.all_codes() || view.prediction.code_step_dn > 1.0 {
+        if view.prediction.code_step_dn > 1.0 {
             return Expected::plain(o, 0.0, 1.0);
+        }
+        let seen = &view.all.codes[o.half.place()];
+        if !view.all_codes() {
+            return of_table(o, view, seen);
         }
         if view.even_codes() {
             return Expected::plain(o, 0.0, o.measured.std_err);
         }
-        let codes = &view.all.codes[o.half.place()];
+        let codes = seen.range_of(o.index, view.all.campaign.full_scale_dn as usize + 1);
         // Codes whose lowest bits are all set, so many and no more, have one width.
         let kinds: Vec<(f64, f64)> = (0..u16::BITS)
             .map(|bits| {
@@ -48,3 +56,32 @@ impl Statistic for This {
 
 /// Width of a code that may be none, in steps.
 const NARROW: f64 = 0.3;
+/// Of a table whose steps grow with the level. Of steps of q = 1 + f codes a share f is of two and the rest of one, as evenly as can be (a
+/// Sturmian sequence): a single code is left out f times, and two steps of one follow each other 1 - 2 f times.
+fn of_table(o: &Observable, view: &View<'_>, seen: &Filled) -> Expected {
+    let offset_dn = view.prediction.base.offset_dn;
+    let mut steps: Vec<(f64, f64)> =
+        (view.prediction.sets.iter()).map(|s| (s.signal + offset_dn, 1.0 / s.codes_used.max(1e-3))).collect();
+    steps.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let step = |level: f64| {
+        let after = steps.partition_point(|s| s.0 < level);
+        let (Some(b), Some(a)) = (steps.get(after).or(steps.last()), steps.get(after.saturating_sub(1)))
+        else {
+            return 1.0;
+        };
+        let part = if b.0 > a.0 { ((level - a.0) / (b.0 - a.0)).clamp(0.0, 1.0) } else { 0.0 };
+        a.1 + part * (b.1 - a.1)
+    };
+    let (mut single, mut all) = (0.0, 0.0);
+    for (place, codes) in seen.parts(o.index) {
+        let f = step(place * (view.all.campaign.full_scale_dn + 1.0)) - 1.0;
+        single += codes * if f < 0.5 { f / (1.0 - f) } else { 1.0 };
+        all += codes;
+    }
+    let share = if all > 0.0 { single / all } else { 0.0 };
+    // Between levels steps are known to a twentieth. Where they begin is one code more or less, and of few that are left out as many as come
+    // by chance.
+    let one = 2.0 * o.measured.std_err;
+    let of_ends = one * (share / one).min(1.0).sqrt();
+    Expected::plain(o, share, o.measured.std_err.hypot(0.05 * share).hypot(of_ends))
+}

@@ -29,7 +29,7 @@ impl Statistic for This {
     }
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
-        let codes = &view.all.codes[o.half.place()];
+        let codes = &view.all.codes[o.half.place()].range;
         let value = if view.even_codes() { 0.0 } else { occupancy_of(&|c| view.width(c), codes, o.index) };
         // Where codes are left out by a table that follows the level, which of them is not predicted.
         let table = if view.all_codes() { 0.0 } else { 2.0 };

@@ -122,7 +122,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         kinds,
         list,
         scenes: [None, None],
-        codes: [0..0, 0..0],
+        codes: Default::default(),
         after_scene: vec![false; kept.len()],
         is_table: true,
         means_given: !exposures,

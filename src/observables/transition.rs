@@ -1,5 +1,7 @@
 //! Codes just below a transition of the high bits against their neighbours, relative: how often they occur.
 
+use radcam_sim::predict::Prediction;
+
 use super::{Expected, HalfView, Observable, Put, Statistic, View};
 
 /// The excess; the index is the code above the transition.
@@ -34,6 +36,19 @@ impl Statistic for This {
         };
         // Where codes are left out by a table that follows the level, which of them is not predicted.
         let table = if view.all_codes() { 0.0 } else { 2.0 };
-        Expected::plain(o, value, o.measured.std_err.hypot(table))
+        let piled = of_full_wells(f64::from(code) - 1.0, view.prediction);
+        Expected::plain(o, value, o.measured.std_err.hypot(table).hypot(piled))
     }
+}
+
+/// At most what a code has more than its neighbours, relative, where pixels at full well pile up: they differ by read noise alone, and of a
+/// normal density of deviation s half the relative second difference is (x^2 - 1) / 2 s^2 at x deviations.
+fn of_full_wells(code: f64, p: &Prediction) -> f64 {
+    const DEVIATIONS: f64 = 4.5;
+    let well_dn = p.base.gain_dn_per_e * p.well_e;
+    let deviation_dn = (p.base.gain_dn_per_e * p.base.read_noise_e).hypot(1.0 / 12f64.sqrt());
+    let apart_dn = (code - p.base.offset_dn - well_dn).abs();
+    // A fit knows a well to some tenths of a per cent.
+    let near = apart_dn < DEVIATIONS * deviation_dn + 0.003 * well_dn;
+    if near { (0.5 * (DEVIATIONS / deviation_dn).powi(2)).min(2.0) } else { 0.0 }
 }

@@ -150,15 +150,20 @@ fn hidden_effects_are_named_first() {
     );
 }
 
-/// Weak ones that once had no name or a wrong one: a temporal filter that moves whole codes in one frame of the campaign, a well that only the
-/// brightest pixels reach, a step between taps beside a scene.
+/// Ones that once had no name or a wrong one: a temporal filter that moves whole codes in one frame of the campaign, a well that only the
+/// brightest pixels reach, a step between taps beside a scene; two halves whose noise is below a code, pixels that pile up at a code where
+/// high bits toggle, tables of nearly as many codes as steps.
 #[test]
 fn weak_effects_are_named() {
-    let cases: [(&str, u64, &[f64]); 4] = [
+    let cases: [(&str, u64, &[f64]); 8] = [
         ("temporal-filter", 1490, &[0.000_145_982_5, 0.0]),
         ("temporal-filter", 1500, &[0.000_583_692, 0.0]),
         ("full-well-saturation", 3343, &[9_880.66]),
         ("tap-mismatch", 3655, &[0.003_062_232_8, 0.306_223_28, 0.0]),
+        ("tap-mismatch", 3696, &[0.007_219_468_9, 0.721_946_89, 0.0]),
+        ("blooming", 3793, &[14_455.074]),
+        ("companding", 3925, &[0.0, 6_554.0, 1_024.0, 2.0]),
+        ("companding", 3946, &[0.0, 7_219.0, 1_024.0, 2.0]),
     ];
     for (id, seed, values) in cases {
         let a = ask(&with(sensor(seed), id, values));

@@ -998,7 +998,8 @@ QUICK = (
     ("noise of odd frames", 1), ("noise shared by 2x2", 1), ("gain of every second frame", 1), ("cosmic rays", 1),
     ("telegraph noise, fast", 2), ("temporal-filter", 2),
 )
-QUICK_WEAK = (("heavy tails", 151, 0.35), ("row gain noise in blocks", 142, 0.45), ("interference in bursts", 161, 0.5))
+QUICK_WEAK = (("heavy tails", 151, 0.35), ("row gain noise in blocks", 142, 0.45), ("interference in bursts", 161, 0.5),
+              ("digital gain", 142, 0.5))
 
 
 def main():

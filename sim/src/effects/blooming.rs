@@ -83,7 +83,7 @@ impl Effect for This {
             s.unsure_mean = libm::hypot(s.unsure_mean, 0.25 * (all - none).abs());
             s.signal = column.mean;
         }
-        out.bloom_e = out.bloom_e.min(p[0]);
+        (out.bloom_e, out.well_e) = (out.bloom_e.min(p[0]), out.well_e.min(p[0]));
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {

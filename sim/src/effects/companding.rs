@@ -42,7 +42,8 @@ impl Effect for This {
             Parameter { name: "shape", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0, 1.0] },
             Parameter { name: "codes", unit: "1", min: 16.0, max: 65_536.0, starts: &[] },
             Parameter { name: "knee_dn", unit: "DN", min: 1.0, max: 65_535.0, starts: &[] },
-            Parameter { name: "step_dn", unit: "DN", min: 1.0, max: 256.0, starts: &[4.0] },
+            // Fewer bits are sent: steps of two codes at least.
+            Parameter { name: "step_dn", unit: "DN", min: 2.0, max: 256.0, starts: &[4.0] },
         ]
     }
 
@@ -56,8 +57,9 @@ impl Effect for This {
 
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let full = seen.full_scale_dn;
-        let mut all: Vec<Vec<f64>> =
-            [1.0, 0.5, 0.25, 0.125, 0.0625].map(|part| vec![0.0, part * full, 0.3 * full, 4.0]).to_vec();
+        let mut all: Vec<Vec<f64>> = [1.8, 1.4, 1.0, 0.5, 0.25, 0.125, 0.0625]
+            .map(|part| vec![0.0, part * full, 0.3 * full, 4.0])
+            .to_vec();
         for knee in [0.12, 0.25, 0.5] {
             all.extend([2.0, 4.0, 8.0].map(|step| vec![1.0, full, knee * full, step]));
         }

@@ -55,6 +55,7 @@ impl Effect for This {
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
             *m = limited(frame.set, *m).mean;
         }
+        out.well_e = out.well_e.min(p[0]);
         let read = out.base.read_noise_e * out.base.read_noise_e;
         for (i, s) in out.sets.iter_mut().enumerate() {
             let before = s.signal.max(1e-9);

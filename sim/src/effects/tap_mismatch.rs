@@ -33,6 +33,11 @@ impl Effect for This {
         ]
     }
 
+    /// Offsets of single pixels scatter: of their sum over half a small sensor this is left.
+    fn resolution(&self, parameter: usize) -> f64 {
+        if parameter == 1 { 0.02 } else { 0.0 }
+    }
+
     fn example(&self, _: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.01, 1.0, 0.0])
     }
