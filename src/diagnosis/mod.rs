@@ -35,9 +35,9 @@ const HOLDS: f64 = 0.01;
 /// Share of its evidence that something without a name is not given: numbers without a meaning follow the last per mille of any statistic
 /// better than physics does.
 const NEARLY_ALL: f64 = 1e-3;
-/// Evidence that names need together where the model as given holds: some 4.4 standard errors, of whose 19 some 7 are the price of a
-/// parameter. A named choice: of 400 clean cameras two raise an alarm, and of 364 in which outsiders hid something no more are named wrongly
-/// than with 20, at which a third of what stands at five standard errors has no name (docs/CONFUSION.md).
+/// Evidence that names need together where the model as given holds: four standard errors, of whose 16 some 7 are the price of a parameter.
+/// A named choice: of 400 clean cameras three raise an alarm, and of those in which outsiders hid something no more are named wrongly than
+/// with 20, at which a third of what stands at five standard errors has no name (docs/CONFUSION.md).
 const TRACE: f64 = 9.0;
 /// Beyond this mean square of the residuals that were fitted no campaign agrees with a model: of twenty residuals one in a thousand has it.
 const AGREES: f64 = 2.3;

@@ -51,7 +51,8 @@ impl Fitted {
         effects::predict(&all.campaign, &self.base, &list)
     }
 
-    /// The same effects beside another guess of the paper's parameters.
+    /// The same effects beside another guess of the paper's parameters. What was free and with which errors stays that of the fit: it says
+    /// nothing of the guess.
     pub fn with_base(&self, base: BaseParameters) -> Self {
         Self { base, ..self.clone() }
     }

@@ -5,7 +5,7 @@ use super::{
     ChunkView, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, Statistic, codes,
     covariance, mean, successive, variance,
 };
-use crate::dataset::{Dataset, DatasetError, FrameRow, Kind};
+use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
@@ -157,30 +157,7 @@ pub fn of_dataset(
             "no set of darks or flats has two frames that are not clipped: nothing can be compared".into(),
         ));
     }
-    for c in &chunks {
-        let above = c.said.frame_means.mean_dn() - zero_dn;
-        let spread_dn = c.said.spatial_var_dn2.max(0.0).sqrt();
-        infos[c.set].spread_dn = spread_dn;
-        infos[c.set].places = c.said.places;
-        infos[c.set].spread = if above > 5.0 { (spread_dn / above).min(0.3) } else { 0.0 };
-    }
-    // Flats have one pattern of light and response. Where the range ended an image has lost it: what others show holds before that.
-    // Dim ones have more of the offsets' pattern.
-    let above = |c: &Chunk| c.said.frame_means.mean_dn() - zero_dn;
-    let top = chunks.iter().map(above).fold(0.0, f64::max);
-    let bright: Vec<usize> = chunks
-        .iter()
-        .filter(|c| settings[c.set].kind == Kind::Flat && above(c) > 0.25 * top)
-        .map(|c| c.set)
-        .collect();
-    let whole = bright.iter().map(|&s| infos[s]).max_by(|a, b| a.spread.total_cmp(&b.spread));
-    if let Some(whole) = whole {
-        for s in bright {
-            if infos[s].spread < 0.9 * whole.spread {
-                (infos[s].spread, infos[s].places) = (whole.spread, whole.places);
-            }
-        }
-    }
+    spreads(&mut infos, &chunks, &settings, zero_dn);
     // A level at which the range has ended tells nothing of its light: one for itself.
     for (i, _) in &saturated {
         let levels = infos.iter().filter_map(|s| s.light).max().map_or(0, |l| l + 1);
@@ -190,26 +167,7 @@ pub fn of_dataset(
     }
     let still = |i: usize| !matches!(settings[i].kind, Kind::Dark | Kind::Flat);
     let after_scene: Vec<bool> = (0..sets.len()).map(|i| i > 0 && still(i - 1)).collect();
-    let mut list = Vec::new();
-    let inflation = Inflation::of(&chunks);
-    for c in &chunks {
-        let rows = &sets[c.set].rows;
-        let first = rows[c.from];
-        let template = Observable {
-            statistic: &mean::This,
-            index: 0,
-            set: Some(c.set),
-            half: c.half,
-            frames: (first, first + c.said.frames),
-            measured: Value { value: 0.0, std_err: 0.0 },
-            pixels: c.said.pixels,
-        };
-        for (extra, &statistic) in STATISTICS.iter().enumerate() {
-            let view = ChunkView { chunk: c, rows, inflation: &inflation, extra };
-            statistic
-                .of_chunk(&view, &mut Put { all: &mut list, template: Observable { statistic, ..template } });
-        }
-    }
+    let mut list = of_chunks(&chunks, sets);
     // What a scene or a clipped set shows matters for the frame that follows it: known beforehand, and judged in neither half.
     let levels = scenes.iter().map(|s| (s.set, codes::mean_of(&s.mean_dn, &layout)));
     for (i, level) in levels.chain(saturated) {
@@ -251,21 +209,7 @@ pub fn of_dataset(
         }
         filled[half.place()] = said.filled;
     }
-    if shape.0.min(shape.1) < 64 {
-        missing.push(format!(
-            "{} x {} pixels are too few for a step between parts of the sensor",
-            shape.1, shape.0
-        ));
-    }
-    if pairs.iter().all(Option::is_none) {
-        missing.push(
-            "no scene with a bright patch at two exposures: smear cannot be told from an exposure offset"
-                .into(),
-        );
-    }
-    if settings.iter().all(|s| s.kind != Kind::Dark) {
-        missing.push("no darks: what is read noise and what is offset cannot be told".into());
-    }
+    missing.extend(cannot_be_told(shape, pairs.iter().any(Option::is_some), &settings));
     let kinds: Vec<Kind> = settings.iter().map(|s| s.kind).collect();
     let dark_spread_dn2 = dark_spreads(&infos, &kinds);
     let ends: Vec<f64> = frames.iter().map(|f: &FrameInfo| f.time_s + infos[f.set].exposure_s).collect();
@@ -300,6 +244,80 @@ pub fn of_dataset(
         dark_spread_dn2,
         steady_dn4,
     })
+}
+
+/// Where the pixels' levels lie in every set.
+fn spreads(infos: &mut [SetInfo], chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) {
+    for c in chunks {
+        let above = c.said.frame_means.mean_dn() - zero_dn;
+        let spread_dn = c.said.spatial_var_dn2.max(0.0).sqrt();
+        infos[c.set].spread_dn = spread_dn;
+        infos[c.set].places = c.said.places;
+        infos[c.set].spread = if above > 5.0 { (spread_dn / above).min(0.3) } else { 0.0 };
+    }
+    // Flats have one pattern of light and response. Where the range ended an image has lost it: what others show holds before that.
+    // Dim ones have more of the offsets' pattern.
+    let above = |c: &Chunk| c.said.frame_means.mean_dn() - zero_dn;
+    let top = chunks.iter().map(above).fold(0.0, f64::max);
+    let bright: Vec<usize> = chunks
+        .iter()
+        .filter(|c| settings[c.set].kind == Kind::Flat && above(c) > 0.25 * top)
+        .map(|c| c.set)
+        .collect();
+    let whole = bright.iter().map(|&s| infos[s]).max_by(|a, b| a.spread.total_cmp(&b.spread));
+    if let Some(whole) = whole {
+        for s in bright {
+            if infos[s].spread < 0.9 * whole.spread {
+                (infos[s].spread, infos[s].places) = (whole.spread, whole.places);
+            }
+        }
+    }
+}
+
+/// What each statistic says of the chunks.
+fn of_chunks(chunks: &[Chunk], sets: &[Set]) -> Vec<Observable> {
+    let mut list = Vec::new();
+    let inflation = Inflation::of(chunks);
+    for c in chunks {
+        let rows = &sets[c.set].rows;
+        let first = rows[c.from];
+        let template = Observable {
+            statistic: &mean::This,
+            index: 0,
+            set: Some(c.set),
+            half: c.half,
+            frames: (first, first + c.said.frames),
+            measured: Value { value: 0.0, std_err: 0.0 },
+            pixels: c.said.pixels,
+        };
+        for (extra, &statistic) in STATISTICS.iter().enumerate() {
+            let view = ChunkView { chunk: c, rows, inflation: &inflation, extra };
+            statistic
+                .of_chunk(&view, &mut Put { all: &mut list, template: Observable { statistic, ..template } });
+        }
+    }
+    list
+}
+
+/// What a campaign without some sets, or of few pixels, leaves open.
+fn cannot_be_told(shape: (usize, usize), patch: bool, settings: &[FrameRow]) -> Vec<String> {
+    let mut missing = Vec::new();
+    if shape.0.min(shape.1) < 64 {
+        missing.push(format!(
+            "{} x {} pixels are too few for a step between parts of the sensor",
+            shape.1, shape.0
+        ));
+    }
+    if !patch {
+        missing.push(
+            "no scene with a bright patch at two exposures: smear cannot be told from an exposure offset"
+                .into(),
+        );
+    }
+    if settings.iter().all(|s| s.kind != Kind::Dark) {
+        missing.push("no darks: what is read noise and what is offset cannot be told".into());
+    }
+    missing
 }
 
 impl Inflation {

@@ -298,37 +298,7 @@ impl<'b> Reader<'_, 'b> {
         for start in places.clone().step_by(size) {
             let end = (start + size).min(places.end);
             let mut block = (start..end).map(|i| self.frame(p.set, i)).collect::<Result<Vec<_>, _>>()?;
-            let strays = |block: &[Array2<u16>]| {
-                let apart = outliers::apart(block);
-                // The first frames of a set may carry what came before.
-                let before = |stray: usize| match stray.checked_sub(1) {
-                    Some(before) => Some(apart.mean_dn[before]),
-                    None => self.frame(p.set, start - 1).ok().map(|f| outliers::mean_dn(&f) - apart.level_dn),
-                };
-                let carried = |stray: usize| {
-                    let dies_away = |b: f64| outliers::dies_away(b, apart.mean_dn[stray]);
-                    start + stray <= 2 && before(stray).is_none_or(dies_away)
-                };
-                let mut strays = self.usual.strays(&apart, dark, start, self.zero_dn);
-                strays.retain(|stray| !carried(*stray));
-                // Where many stray nothing does.
-                strays.first().copied().filter(|_| strays.len() * 3 <= block.len())
-            };
-            let mut stray = strays(&block);
-            if self.clean && (stray.is_none() || block.len() > 2) {
-                // A frame may stray by a few struck samples alone.
-                let whole = stray.map(|_| block.clone());
-                let struck = outliers::take_struck(&mut block);
-                if let Some(whole) = whole {
-                    stray = strays(&block);
-                    if stray.is_some() {
-                        block = whole;
-                    }
-                }
-                if stray.is_none() {
-                    out.struck.extend(struck.into_iter().map(|(f, pixel)| (pixel, start + f)));
-                }
-            }
+            let stray = self.without_outliers(p.set, &mut block, start, dark, out);
             if let Some(stray) = stray {
                 return Ok(Some(start + stray));
             }
@@ -337,6 +307,54 @@ impl<'b> Reader<'_, 'b> {
             }
         }
         Ok(None)
+    }
+
+    /// The frame of a block that lies far from the others, unless a few struck samples make it so; those of a block without such a frame
+    /// are taken out of it.
+    fn without_outliers(
+        &self,
+        set: usize,
+        block: &mut Vec<Array2<u16>>,
+        start: usize,
+        dark: bool,
+        out: &mut LeftOut,
+    ) -> Option<usize> {
+        let stray = self.stray(set, block, start, dark);
+        if !self.clean || stray.is_some() && block.len() <= 2 {
+            return stray;
+        }
+        let whole = stray.map(|_| block.clone());
+        let struck = outliers::take_struck(block);
+        if let Some(whole) = whole {
+            let stray = self.stray(set, block, start, dark);
+            if stray.is_some() {
+                *block = whole;
+                return stray;
+            }
+        }
+        out.struck.extend(struck.into_iter().map(|(f, pixel)| (pixel, start + f)));
+        None
+    }
+
+    /// The first frame of a block that lies far from the others.
+    fn stray(&self, set: usize, block: &[Array2<u16>], start: usize, dark: bool) -> Option<usize> {
+        let apart = outliers::apart(block);
+        // The first frames of a set may carry what came before.
+        let before = |stray: usize| match stray.checked_sub(1) {
+            Some(before) => Some(apart.mean_dn[before]),
+            None => {
+                let before = start.checked_sub(1).and_then(|i| self.frame(set, i).ok());
+                before.map(|f| outliers::mean_dn(&f) - apart.level_dn)
+            }
+        };
+        let carried = |stray: usize| {
+            let dies_away = |b: f64| outliers::dies_away(b, apart.mean_dn[stray]);
+            start + stray <= 2 && before(stray).is_none_or(dies_away)
+        };
+        let mut strays = self.usual.strays(&apart, dark, start, self.zero_dn);
+        strays.retain(|stray| !carried(*stray));
+        // Where many stray nothing does.
+        strays.first().copied().filter(|_| strays.len() * 3 <= block.len())
     }
 
     /// What the frames in a pass say.
@@ -393,6 +411,81 @@ fn words(dataset: &Dataset, left_out: &[(usize, LeftOut)]) -> Vec<String> {
     out
 }
 
+/// What all pieces said together.
+struct Sums {
+    chunks: Vec<Chunk>,
+    scenes: Vec<SceneMean>,
+    /// Sets that are clipped, and their levels, DN.
+    saturated: Vec<(usize, f64)>,
+    codes: [codes::Codes; 2],
+    lines: [codes::LineSearch; 2],
+    steady: Steady,
+    left_out: Vec<(usize, LeftOut)>,
+}
+
+impl Sums {
+    fn new(full: u16, shape: (usize, usize)) -> Self {
+        let (codes, lines) = (|| codes::Codes::new(full), || codes::LineSearch::new(shape));
+        Self {
+            chunks: Vec::new(),
+            scenes: Vec::new(),
+            saturated: Vec::new(),
+            codes: [codes(), codes()],
+            lines: [lines(), lines()],
+            steady: Steady::new(shape.0 * shape.1),
+            left_out: Vec::new(),
+        }
+    }
+
+    /// Adds what a piece of a set of this kind said.
+    fn add(&mut self, work: Work, kind: Kind) {
+        let mut chunk = match work {
+            Work::Scene(scene) => return self.scenes.push(scene),
+            Work::Clipped(set, level) => return self.saturated.push((set, level)),
+            Work::Noise(None) => return,
+            Work::Noise(Some(chunk)) => chunk,
+        };
+        let half = chunk.half.place();
+        self.lines[half].add(&chunk.said);
+        if kind == Kind::Flat {
+            self.codes[half].add(&chunk.said);
+        }
+        if !chunk.var_dn2.is_empty() {
+            self.steady.add(&chunk.var_dn2, chunk.said.var.value);
+        }
+        // They are long, and their sums are all that is needed.
+        (chunk.said.power, chunk.said.occupancy.0) = (Vec::new(), Vec::new());
+        chunk.var_dn2 = Vec::new();
+        self.chunks.push(*chunk);
+    }
+
+    /// Places of the samples that stand far above the same pixel in other frames.
+    fn struck(&self) -> Vec<usize> {
+        self.left_out.iter().flat_map(|(_, l)| l.struck.iter().map(|s| s.0)).collect()
+    }
+}
+
+/// A first look at every set: levels, and frames as far as there is room for them.
+fn first_look(
+    dataset: &Dataset,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(usize),
+) -> Result<Vec<Look>, ObserveError> {
+    let full = dataset.manifest().camera.full_scale_dn();
+    let sets: Vec<usize> = (0..dataset.sets().len()).collect();
+    let mut looks = Vec::with_capacity(sets.len());
+    let room = AtomicUsize::new(KEPT);
+    for group in sets.chunks(8) {
+        if stop.load(Ordering::Relaxed) {
+            return Err(ObserveError::Interrupted);
+        }
+        let of_set = |&set: &usize| look(dataset, set, full, &room);
+        looks.extend(group.par_iter().map(of_set).collect::<Result<Vec<_>, _>>()?);
+        progress(looks.len());
+    }
+    Ok(looks)
+}
+
 /// Reads the frames of a dataset. `progress` is told (pieces done, pieces).
 pub fn read(
     dataset: &Dataset,
@@ -400,27 +493,14 @@ pub fn read(
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Reading, ObserveError> {
     let camera = &dataset.manifest().camera;
-    let full = camera.full_scale_dn();
-    let sets = dataset.sets().len();
+    let (full, shape) = (camera.full_scale_dn(), (camera.height, camera.width));
+    let sets = dataset.sets();
     let pieces = pieces(dataset);
-    let of = pieces.len() + sets / 4;
-    let mut looks = Vec::with_capacity(sets);
-    let room = AtomicUsize::new(KEPT);
-    for group in (0..sets).collect::<Vec<_>>().chunks(8) {
-        if stop.load(Ordering::Relaxed) {
-            return Err(ObserveError::Interrupted);
-        }
-        let of_set = |&set: &usize| look(dataset, set, full, &room);
-        looks.extend(group.par_iter().map(of_set).collect::<Result<Vec<_>, _>>()?);
-        progress(looks.len() / 4, of);
-    }
-    let (layout, zero_dn) = layout((camera.height, camera.width), full, &looks);
+    let of = pieces.len() + sets.len() / 4;
+    let mut looks = first_look(dataset, stop, &mut |seen| progress(seen / 4, of))?;
+    let (layout, zero_dn) = layout(shape, full, &looks);
     let aparts: Vec<_> = looks.iter_mut().filter_map(|l| l.apart.take()).collect();
-    let kept = looks.into_iter().map(|l| l.frames).collect();
-    let shape = (camera.height, camera.width);
-    let lines = || codes::LineSearch::new(shape);
     let lit = dataset.rows().iter().filter(|r| r.kind == Kind::Flat && r.illumination > 0.0);
-    let new_codes = || codes::Codes::new(full);
     let mut reader = Reader {
         dataset,
         layout: &layout,
@@ -430,67 +510,41 @@ pub fn read(
         zero_dn,
         clean: true,
         longest_lit_s: lit.map(|r| r.exposure_s).fold(0.0, f64::max),
-        kept,
+        kept: looks.into_iter().map(|l| l.frames).collect(),
     };
-    let samples = (camera.height * camera.width) as f64 * dataset.rows().len() as f64;
-    let (mut chunks, mut scenes, mut saturated) = (Vec::new(), Vec::new(), Vec::<(usize, f64)>::new());
-    let (mut all_codes, mut all_lines) = ([new_codes(), new_codes()], [lines(), lines()]);
-    let mut left_out: Vec<(usize, LeftOut)> = Vec::new();
-    let mut steady = Steady::new(layout.mask.len());
-    loop {
-        let mut seen = 0;
+    let samples = (shape.0 * shape.1) as f64 * dataset.rows().len() as f64;
+    let mut sums = loop {
+        let mut sums = Sums::new(full, shape);
+        let mut seen = sets.len() / 4;
         for group in pieces.chunks(4 * rayon::current_num_threads()) {
             let work: Vec<(Work, LeftOut)> =
                 group.par_iter().map(|p| reader.piece(p)).collect::<Result<_, _>>()?;
-            seen += group.len();
-            for (p, (w, out)) in group.iter().zip(work) {
-                left_out.push((p.set, out));
-                match w {
-                    Work::Scene(scene) => scenes.push(scene),
-                    Work::Clipped(set, level) => saturated.push((set, level)),
-                    Work::Noise(None) => {}
-                    Work::Noise(Some(mut chunk)) => {
-                        let half = chunk.half.place();
-                        all_lines[half].add(&chunk.said);
-                        if dataset.settings(&dataset.sets()[chunk.set]).kind == Kind::Flat {
-                            all_codes[half].add(&chunk.said);
-                        }
-                        if !chunk.var_dn2.is_empty() {
-                            steady.add(&chunk.var_dn2, chunk.said.var.value);
-                        }
-                        // They are long, and their sums are all that is needed.
-                        (chunk.said.power, chunk.said.occupancy.0) = (Vec::new(), Vec::new());
-                        chunk.var_dn2 = Vec::new();
-                        chunks.push(*chunk);
-                    }
-                }
+            for (p, (work, left_out)) in group.iter().zip(work) {
+                sums.left_out.push((p.set, left_out));
+                sums.add(work, dataset.settings(&sets[p.set]).kind);
             }
-            progress(sets / 4 + seen, of);
+            seen += group.len();
+            progress(seen, of);
         }
-        let struck: Vec<usize> = left_out.iter().flat_map(|(_, l)| l.struck.iter().map(|s| s.0)).collect();
+        let struck = sums.struck();
         if !reader.clean || struck.is_empty() || outliers::are_rays(&struck, samples) {
-            break;
+            break sums;
         }
         // The same pixels again and again: that is the sensor, and all of it is looked at.
         reader.clean = false;
-        (chunks, scenes, saturated, left_out) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        (all_codes, all_lines) = ([new_codes(), new_codes()], [lines(), lines()]);
-        steady = Steady::new(layout.mask.len());
-    }
+    };
     drop(reader);
-    saturated.dedup_by_key(|s| s.0);
-    chunks.retain(|c: &Chunk| saturated.iter().all(|s| s.0 != c.set));
-    let left_out = words(dataset, &left_out);
-    let steady_dn4 = steady.covariance(&layout);
+    sums.saturated.dedup_by_key(|s| s.0);
+    sums.chunks.retain(|c| sums.saturated.iter().all(|s| s.0 != c.set));
     Ok(Reading {
+        left_out: words(dataset, &sums.left_out),
+        steady_dn4: sums.steady.covariance(&layout),
         layout,
         zero_dn,
-        chunks,
-        scenes,
-        codes: all_codes,
-        lines: all_lines,
-        steady_dn4,
-        saturated,
-        left_out,
+        chunks: sums.chunks,
+        scenes: sums.scenes,
+        codes: sums.codes,
+        lines: sums.lines,
+        saturated: sums.saturated,
     })
 }
