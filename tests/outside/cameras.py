@@ -2,7 +2,7 @@
 
     cameras.py --radcam PATH --out DIR --seeds 1,2 [--only KIND,...] [--strength F] [--keep]   a line for every camera
     cameras.py --radcam PATH --out DIR --campaign N [--first-seed S] [--rows FILE]             N cameras, then a table
-    cameras.py --radcam PATH --out DIR --quick                                                 fourteen cameras, for CI
+    cameras.py --radcam PATH --out DIR --quick                                                 sixteen cameras, for CI
     cameras.py --list                                                                          the kinds, as a table
     cameras.py --table FILE                                                                    the table of recorded rows
 
@@ -999,7 +999,7 @@ QUICK = (
     ("telegraph noise, fast", 2), ("temporal-filter", 2),
 )
 QUICK_WEAK = (("heavy tails", 151, 0.35), ("row gain noise in blocks", 142, 0.45), ("interference in bursts", 161, 0.5),
-              ("digital gain", 142, 0.5))
+              ("digital gain", 142, 0.5), ("hot-pixel correction", 171, 0.6315))
 
 
 def main():
