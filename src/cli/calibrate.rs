@@ -1,12 +1,12 @@
 //! `radcam calibrate`
 
 use super::Outcome;
-use super::common::STOP;
+use super::common::{STOP, above_0, may_be_written};
 use crate::calibrate::pattern::{Options, Start};
 use crate::calibrate::{Calibrated, Estimator, of_dataset};
 use crate::dataset::Dataset;
 use crate::noise;
-use anyhow::Result;
+use anyhow::{Result, bail};
 use std::path::PathBuf;
 
 /// Defects named on the terminal.
@@ -23,25 +23,52 @@ pub struct Arguments {
     /// and K then contains the card and the lamp's fine structure
     #[arg(long, default_value = "joint", value_parser = ["joint", "paper", "smooth"])]
     estimator: String,
-    /// paper: side of the window, pixels
-    #[arg(long, default_value_t = 9)]
-    window: usize,
-    /// paper: keep slopes within p pooled deviations
-    #[arg(long, default_value_t = 1.5)]
-    p: f64,
+    /// paper: side of the window, pixels, an odd number [default: 9]
+    #[arg(long, value_parser = window)]
+    window: Option<usize>,
+    /// paper: keep slopes within p pooled deviations [default: 1.5]
+    #[arg(long, value_parser = above_0)]
+    p: Option<f64>,
     /// paper: begin at the mean over the configurations, as printed, instead of the median
     #[arg(long)]
     start_at_mean: bool,
+    /// Write over a calibration that is there
+    #[arg(long)]
+    overwrite: bool,
+}
+
+/// The side of a window has a middle.
+fn window(text: &str) -> Result<usize, String> {
+    match text.parse::<usize>() {
+        Ok(side) if side >= 3 && side % 2 == 1 => Ok(side),
+        _ => Err("write an odd number of pixels, 3 or more".into()),
+    }
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    may_be_written(&arguments.output, arguments.overwrite)?;
+    let of_paper = arguments.window.is_some() || arguments.p.is_some() || arguments.start_at_mean;
+    if of_paper && arguments.estimator != "paper" {
+        bail!(
+            "--window, --p and --start-at-mean belong to --estimator paper, and it is {}",
+            arguments.estimator
+        );
+    }
     let start = if arguments.start_at_mean { Start::Mean } else { Start::Median };
     let estimator = match &*arguments.estimator {
-        "paper" => Estimator::Paper(Options { window: arguments.window, p: arguments.p, start }),
+        "paper" => Estimator::Paper(Options {
+            window: arguments.window.unwrap_or(9),
+            p: arguments.p.unwrap_or(1.5),
+            start,
+        }),
         "smooth" => Estimator::Smooth,
         _ => Estimator::Joint,
     };
     let dataset = Dataset::open(&arguments.dataset)?;
+    let camera = &dataset.manifest().camera;
+    if let Some(side) = arguments.window.filter(|side| *side > camera.width.min(camera.height)) {
+        bail!("--window {side}: frames have {} x {} px", camera.width, camera.height);
+    }
     // A calibration campaign may have one level only; then it says nothing of the noise.
     let noise = noise::of_dataset(&dataset, &STOP, &mut |_, _| {}).ok();
     let provenance = format!("radcam {} from {}", env!("CARGO_PKG_VERSION"), arguments.dataset.display());

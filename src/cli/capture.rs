@@ -1,6 +1,6 @@
 //! `radcam capture`
 
-use super::common::{STOP, load_plan, open_camera};
+use super::common::{STOP, above_0, load_plan, open_camera};
 use super::{Outcome, progress::Show};
 use crate::bench::Illuminator;
 use crate::camera::{Camera, StreamOptions};
@@ -25,7 +25,7 @@ pub struct Arguments {
     #[arg(long)]
     resume: bool,
     /// Exposure that brings the card at illumination 1 close to full scale, s; measured where not given
-    #[arg(long, conflicts_with = "resume")]
+    #[arg(long, conflicts_with = "resume", value_parser = above_0)]
     full_exposure_s: Option<f64>,
     #[command(flatten)]
     stream: StreamArguments,

@@ -8,7 +8,7 @@ use crate::capture::PLAN_FILE;
 use crate::plan::Plan;
 use anyhow::{Context, Result, bail};
 use radcam_sim::{Model, Sensor, sensors};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -123,6 +123,73 @@ fn open_aravis(id: &str) -> Result<Box<dyn Camera>> {
 #[cfg(not(feature = "aravis"))]
 pub const NO_ARAVIS: &str = "this radcam was built without libaravis; install libaravis-dev and libusb-1.0-0-dev and \
                              build with the feature \"aravis\" (on by default)";
+
+/// Refuses files that cannot be written, before anything is computed.
+pub fn can_be_written<'a>(paths: impl IntoIterator<Item = &'a Option<PathBuf>>) -> Result<()> {
+    for path in paths.into_iter().flatten() {
+        let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        if path.is_dir() {
+            bail!("{} is a folder; name a file", path.display());
+        }
+        tempfile_in(folder).with_context(|| format!("{} cannot be written", path.display()))?;
+    }
+    Ok(())
+}
+
+/// Makes a file in a folder, and takes it away again.
+fn tempfile_in(folder: &Path) -> std::io::Result<()> {
+    let path = folder.join(format!(".radcam-{}.part", std::process::id()));
+    std::fs::File::create(&path)?;
+    std::fs::remove_file(&path)
+}
+
+/// Refuses to write over a file unless that is asked for.
+pub fn may_be_written(path: &Path, overwrite: bool) -> Result<()> {
+    if path.exists() && !overwrite {
+        bail!("{} is there already; --overwrite writes over it", path.display());
+    }
+    can_be_written([&Some(path.to_path_buf())])
+}
+
+/// A finite number above 0.
+pub fn above_0(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        _ => Err("write a number above 0".into()),
+    }
+}
+
+/// What to say of a name that none of the effects has.
+pub fn no_effect<'a>(id: &str, known: impl Iterator<Item = &'a str>) -> String {
+    let plain = |text: &str| text.to_lowercase().replace(['_', ' '], "-");
+    let wanted = plain(id);
+    let near = |known: &&str| {
+        known.contains(&*wanted)
+            || wanted.contains(*known)
+            || distance(&wanted, known) <= 1 + wanted.len() / 6
+    };
+    let near: Vec<&str> = known.filter(near).collect();
+    if near.is_empty() {
+        format!("no effect \"{id}\"; `radcam effects` lists them")
+    } else {
+        format!("no effect \"{id}\"; is it {}?", near.join(" or "))
+    }
+}
+
+/// Letters to change, to put in or to take out to come from one word to another (Levenshtein 1966).
+fn distance(a: &str, b: &str) -> usize {
+    let mut row: Vec<usize> = (0..=b.chars().count()).collect();
+    for (i, x) in a.chars().enumerate() {
+        let mut before = i;
+        row[0] = i + 1;
+        for (j, y) in b.chars().enumerate() {
+            let cost = before + usize::from(x != y);
+            before = row[j + 1];
+            row[j + 1] = cost.min(row[j] + 1).min(before + 1);
+        }
+    }
+    row[row.len() - 1]
+}
 
 /// Text broken into lines of the terminal's usual width, each behind so many spaces.
 pub fn wrapped(text: &str, indent: usize) -> String {

@@ -1,6 +1,7 @@
 //! `radcam compare`
 
 use super::Outcome;
+use super::common::can_be_written;
 use super::model::read_effects;
 use super::observe::observe;
 use crate::dataset::write_whole;
@@ -27,6 +28,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    can_be_written([&arguments.report])?;
     let effects = read_effects(arguments.model.as_deref())?;
     let all = observe(&arguments.dataset)?;
     let c = compare(&all, &fit(&all, &start(&all), &searched(&all, &effects)));

@@ -46,6 +46,10 @@ fn codes(text: &str) -> Result<Codes, String> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    let kind = arguments.output.extension().map(|e| e.to_string_lossy().to_lowercase());
+    if let Some(kind) = kind.filter(|k| ["png", "jpg", "jpeg", "fits", "fit", "npy", "bmp"].contains(&&**k)) {
+        bail!("{}: corrected frames are written as TIFF, not as {kind}", arguments.output.display());
+    }
     let calibration = Calibration::read(&arguments.calibration)?;
     let exposure_s = arguments.exposure_s.unwrap_or(calibration.dark.exposure_s);
     let single = arguments.input.len() == 1 && arguments.input[0].is_file();

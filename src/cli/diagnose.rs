@@ -1,6 +1,7 @@
 //! `radcam diagnose`
 
 use super::Outcome;
+use super::common::can_be_written;
 use super::model::{fitted_model, read_effects};
 use super::observe::observe;
 use crate::dataset::write_whole;
@@ -32,6 +33,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    can_be_written([&arguments.report, &arguments.output, &arguments.next])?;
     let effects = read_effects(arguments.model.as_deref())?;
     let all = observe(&arguments.dataset)?;
     let diagnosis = diagnose(&all, None, searched(&all, &effects), &mut |text| tracing::info!("{text}"));

@@ -1,6 +1,7 @@
 //! `radcam effects`
 
 use super::Outcome;
+use super::common::no_effect;
 use crate::number::pretty;
 use anyhow::{Result, bail};
 use radcam_sim::effects::{all, find};
@@ -23,13 +24,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         return Ok(Outcome::Agreement);
     };
     let Some(e) = find(id) else {
-        let near: Vec<_> = all().iter().map(|e| e.id()).filter(|k| k.contains(id.as_str())).collect();
-        let near = if near.is_empty() {
-            "`radcam effects` lists them".into()
-        } else {
-            format!("is it {}?", near.join(", "))
-        };
-        bail!("no effect \"{id}\"; {near}");
+        bail!("{}", no_effect(id, all().iter().map(|e| e.id())));
     };
     let page = e.page();
     println!("{} (acts on the {:?})\n", e.id(), e.stage());

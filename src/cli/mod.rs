@@ -143,8 +143,34 @@ pub fn main() -> ExitCode {
             {
                 return ExitCode::SUCCESS;
             }
-            eprintln!("radcam: {error:#}");
+            eprintln!("radcam: {}", once(&error));
             ExitCode::from(2)
         }
+    }
+}
+
+/// An error with its causes, those left out that it has said already.
+fn once(error: &anyhow::Error) -> String {
+    error.chain().fold(String::new(), |mut said, cause| {
+        let cause = cause.to_string();
+        if said.is_empty() {
+            said = cause;
+        } else if !said.contains(&cause) {
+            said = format!("{said}: {cause}");
+        }
+        said
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::once;
+
+    #[test]
+    fn a_cause_is_said_once() {
+        let io = || std::io::Error::other("no space");
+        let said = crate::dataset::DatasetError::Io { path: "x".into(), source: io() };
+        assert_eq!(once(&said.into()), "x: no space");
+        assert_eq!(once(&anyhow::Error::new(io()).context("pilot")), "pilot: no space");
     }
 }

@@ -1,7 +1,7 @@
 //! `radcam model`
 
 use super::Outcome;
-use super::common::load_model;
+use super::common::{load_model, no_effect};
 use super::observe::observe;
 
 use crate::dataset::{Dataset, write_whole};
@@ -194,7 +194,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         Action::Add { model: path, effect, values } => {
             let mut model = read(path)?;
             if effects::find(effect).is_none() {
-                bail!("no effect \"{effect}\"; `radcam effects` lists them");
+                bail!("{}", no_effect(effect, effects::all().iter().map(|e| e.id())));
             }
             if model.effects.iter().any(|e| e.id == *effect) {
                 bail!("{} has {effect} already", path.display());

@@ -1,7 +1,7 @@
 //! `radcam plan-calibration`
 
 use super::Outcome;
-use super::common::{STOP, open_camera};
+use super::common::{STOP, may_be_written, open_camera};
 use super::progress::Show;
 use crate::calibrate::plan::{campaign, needs, pilot};
 use crate::camera::StreamOptions;
@@ -25,12 +25,16 @@ pub struct Arguments {
     /// The plan that `capture` runs
     #[arg(short, long, value_name = "PLAN.toml")]
     output: PathBuf,
+    /// Write over a plan that is there
+    #[arg(long)]
+    overwrite: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    may_be_written(&arguments.output, arguments.overwrite)?;
     let folder = match (&arguments.camera, &arguments.pilot_folder, &arguments.pilot) {
         (Some(name), Some(folder), _) => {
             let plan = pilot();

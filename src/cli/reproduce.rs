@@ -1,6 +1,6 @@
 //! `radcam reproduce`
 
-use super::common::STOP;
+use super::common::{STOP, can_be_written};
 use super::{Outcome, progress::Show};
 use crate::dataset::write_whole;
 use crate::number::with_error;
@@ -23,6 +23,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    can_be_written([&arguments.report])?;
     let mut show = Show::new("reproduce");
     let r = reproduce::run(arguments.seeds, &STOP, &mut |done, of| show.step(done, of))?;
     drop(show);

@@ -9,7 +9,7 @@ use std::path::Path;
 
 /// Reads a descriptor.
 pub fn open(path: &Path) -> Result<Dataset, DatasetError> {
-    let text = std::fs::read_to_string(path).map_err(DatasetError::io(path))?;
+    let text = super::text(path)?;
     let (camera, rows) =
         parse(&text).map_err(|(line, message)| DatasetError::Row { path: path.into(), line, message })?;
     let mut manifest = Manifest::new(camera);
@@ -17,6 +17,9 @@ pub fn open(path: &Path) -> Result<Dataset, DatasetError> {
     let root = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     Dataset::new(root.into(), manifest, rows, path)
 }
+
+/// Longest side of a frame: what a TIFF of one strip and the vendors' largest sensors stay below.
+const LARGEST_SIDE_PX: usize = 65_535;
 
 type Parsed = (CameraInfo, Vec<(u64, FrameRow)>);
 
@@ -60,9 +63,17 @@ fn parse(text: &str) -> Result<Parsed, (u64, String)> {
                 if !(1..=16).contains(&bit_depth) {
                     return Err(fault(format!("{bit_depth} bits; frames have 1 to 16")));
                 }
+                let side = |word: &str| {
+                    let side = whole(word)?;
+                    if (1..=LARGEST_SIDE_PX).contains(&side) {
+                        Ok(side)
+                    } else {
+                        Err(fault(format!("{side} px; frames have sides of 1 to {LARGEST_SIDE_PX} px")))
+                    }
+                };
                 camera = Some(CameraInfo {
-                    width: whole(width)?,
-                    height: whole(height)?,
+                    width: side(width)?,
+                    height: side(height)?,
                     bit_depth: bit_depth as u8,
                     pixel_format: format!("Mono{bit_depth}"),
                     ..Default::default()
@@ -112,6 +123,8 @@ mod tests {
             ("v 3\nn 12 640\n", 2, "begins no line"),
             ("n 12 640 480\ni a.png\n", 2, "before any"),
             ("n 33 640 480\n", 1, "33 bits"),
+            ("n 12 4000000000 480\n", 1, "4000000000 px"),
+            ("n 12 640 0\n", 1, "0 px"),
             ("n 12 640 480\nb fast 3\n", 2, "fast"),
             ("v 3\n", 1, "not a descriptor"),
         ] {

@@ -283,6 +283,19 @@ impl Dataset {
     }
 }
 
+/// The text of a descriptor or a table; of an image that it is one.
+fn text(path: &Path) -> Result<String, DatasetError> {
+    let bytes = std::fs::read(path).map_err(DatasetError::io(path))?;
+    let is_text = !bytes.iter().take(1024).any(|b| *b == 0);
+    let text = is_text.then(|| String::from_utf8(bytes).ok()).flatten();
+    text.ok_or_else(|| DatasetError::Manifest {
+        path: path.into(),
+        message: "no text but an image or another binary file; a dataset is a folder with dataset.toml, an EMVA 1288 descriptor, \
+                  or a table (CSV with mean_dn and var_dn2)"
+            .into(),
+    })
+}
+
 /// Splits `name.tiff#3` into name and page.
 fn split_page(file: &str) -> Result<(&str, usize), String> {
     match file.rsplit_once('#') {

@@ -55,7 +55,7 @@ impl Table {
 
     /// Reads a table. Lines that begin with `#` are comments; columns that are not known are passed over.
     pub fn open(path: &Path) -> Result<Self, DatasetError> {
-        let text = std::fs::read_to_string(path).map_err(DatasetError::io(path))?;
+        let text = super::text(path)?;
         Self::parse(&text).map_err(|(line, message)| DatasetError::Row { path: path.into(), line, message })
     }
 

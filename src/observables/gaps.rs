@@ -56,6 +56,9 @@ impl Statistic for This {
 
 /// Width of a code that may be none, in steps.
 const NARROW: f64 = 0.3;
+/// Steps of neighbouring levels that differ by more, in codes, belong to a table with a knee: a square root's differ by some tenths.
+const KNEE: f64 = 0.5;
+
 /// Of a table whose steps grow with the level. Of steps of q = 1 + f codes a share f is of two and the rest of one, as evenly as can be (a
 /// Sturmian sequence): a single code is left out f times, and two steps of one follow each other 1 - 2 f times.
 fn of_table(o: &Observable, view: &View<'_>, seen: &Filled) -> Expected {
@@ -63,25 +66,33 @@ fn of_table(o: &Observable, view: &View<'_>, seen: &Filled) -> Expected {
     let mut steps: Vec<(f64, f64)> =
         (view.prediction.sets.iter()).map(|s| (s.signal + offset_dn, 1.0 / s.codes_used.max(1e-3))).collect();
     steps.sort_by(|a, b| a.0.total_cmp(&b.0));
+    // Step at a level, and how far apart those of the levels around it are.
     let step = |level: f64| {
         let after = steps.partition_point(|s| s.0 < level);
         let (Some(b), Some(a)) = (steps.get(after).or(steps.last()), steps.get(after.saturating_sub(1)))
         else {
-            return 1.0;
+            return (1.0, 0.0);
         };
         let part = if b.0 > a.0 { ((level - a.0) / (b.0 - a.0)).clamp(0.0, 1.0) } else { 0.0 };
-        a.1 + part * (b.1 - a.1)
+        (a.1 + part * (b.1 - a.1), (b.1 - a.1).abs())
     };
-    let (mut single, mut all) = (0.0, 0.0);
+    let (mut single, mut all, mut open) = (0.0, 0.0, 0.0);
     for (place, codes) in seen.parts(o.index) {
-        let f = step(place * (view.all.campaign.full_scale_dn + 1.0)) - 1.0;
+        let (q, apart) = step(place * (view.all.campaign.full_scale_dn + 1.0));
+        let f = q - 1.0;
+        if apart > KNEE || f > 1.0 + KNEE {
+            // A knee lies somewhere between; steps of three codes leave out no single ones.
+            open += codes;
+            continue;
+        }
         single += codes * if f < 0.5 { f / (1.0 - f) } else { 1.0 };
         all += codes;
     }
     let share = if all > 0.0 { single / all } else { 0.0 };
+    let of_knee = if open > 0.0 { open / (all + open) } else { 0.0 };
     // Between levels steps are known to a twentieth. Where they begin is one code more or less, and of few that are left out as many as come
     // by chance.
     let one = 2.0 * o.measured.std_err;
     let of_ends = one * (share / one).min(1.0).sqrt();
-    Expected::plain(o, share, o.measured.std_err.hypot(0.05 * share).hypot(of_ends))
+    Expected::plain(o, share, o.measured.std_err.hypot(0.05 * share).hypot(of_ends).hypot(of_knee))
 }

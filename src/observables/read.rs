@@ -497,6 +497,9 @@ pub fn read(
     let sets = dataset.sets();
     let pieces = pieces(dataset);
     let of = pieces.len() + sets.len() / 4;
+    // Memory follows what is there: a frame must confirm the size that a header claims.
+    let first = dataset.rows().first();
+    dataset.read(first.ok_or_else(|| ObserveError::Nothing("the dataset has no frames".into()))?)?;
     let mut looks = first_look(dataset, stop, &mut |seen| progress(seen / 4, of))?;
     let (layout, zero_dn) = layout(shape, full, &looks);
     let aparts: Vec<_> = looks.iter_mut().filter_map(|l| l.apart.take()).collect();

@@ -283,7 +283,9 @@ fn from_a_pilot_to_a_named_surface() {
     let n2 = json["n2"].as_u64().unwrap();
     // The paper: 18; A is known to a few per cent from the pilot.
     assert!((17..=20).contains(&n2) && json["n1"].as_u64().unwrap() >= 3, "{json}");
-    let said = expect(0, &["plan-calibration", &at("pilot"), "-o", &at("plan.toml")]);
+    let again = ["plan-calibration", &at("pilot"), "-o", &at("plan.toml")];
+    assert!(refused(&again).contains("--overwrite"));
+    let said = expect(0, &[&again[..], &["--overwrite"]].concat());
     assert!(said.contains("n1 = ") && said.contains("q^2/9"), "{said}");
 
     expect(0, &["capture", "--camera", &camera, "--plan", &at("plan.toml"), "-o", &at("c")]);

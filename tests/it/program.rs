@@ -148,6 +148,31 @@ fn bad_input_is_named_and_ends_with_2() {
         ]);
         assert!(said.contains(part), "{said}");
     }
+    // A file that is no dataset, and one whose header claims more than there is.
+    let image = root.join("frames/00001.tiff");
+    assert!(refused(&["diagnose", image.to_str().unwrap()]).contains("an image or another binary file"));
+    let descriptor = dir.path().join("e.txt");
+    for (size, part) in [("4000000000 4000000000", "4000000000 px"), ("60000 60000", "no frames")] {
+        fs::write(&descriptor, format!("v 3.0\nn 12 {size}\n")).unwrap();
+        let said = refused(&["diagnose", descriptor.to_str().unwrap()]);
+        assert!(said.contains(part), "{said}");
+    }
+    // What cannot be written is told before anything is computed, and once.
+    let report = dir.path().join("no/folder/x.html");
+    let said = refused(&["diagnose", path, "--report", report.to_str().unwrap()]);
+    assert!(said.contains("x.html cannot be written") && said.matches("No such file").count() == 1, "{said}");
+    assert!(refused(&["compare", path, "--report", path]).contains("is a folder"));
+    // Names that are nearly right.
+    for (wrong, right) in [("image_lag", "image-lag"), ("Row Noise", "row-noise"), ("blomming", "blooming")] {
+        let said = refused(&["effects", wrong]);
+        assert!(said.contains(&format!("is it {right}")), "{said}");
+    }
+    assert!(refused(&["effects", "entropy"]).contains("lists them"));
+    for value in ["-1", "nan", "0"] {
+        let given = format!("--full-exposure-s={value}");
+        let said = refused(&["capture", "--camera", "sim:xc77", &given, "-o", nowhere.to_str().unwrap()]);
+        assert!(said.contains("above 0"), "{said}");
+    }
     assert!(refused(&["noise", nowhere.to_str().unwrap()]).contains("nowhere"));
     assert!(refused(&["noise", path, "--jsn"]).contains("--json"));
     assert!(refused(&["simulate", "xc78", "-o", path]).contains("xc77, cmos12, ccd16"));
@@ -236,10 +261,19 @@ fn a_camera_is_calibrated_and_its_frames_corrected() {
     }
     fs::write(at("plan.toml"), plan).unwrap();
     expect(0, &["simulate", "cmos12", "--plan", &at("plan.toml"), "-o", &at("c")]);
-    for estimator in ["paper", "joint"] {
-        let out = expect(0, &["calibrate", &at("c"), "-o", &at("cal.tiff"), "--estimator", estimator]);
+    for (estimator, more) in [("paper", &[][..]), ("joint", &["--overwrite"])] {
+        let arguments = ["calibrate", &at("c"), "-o", &at("cal.tiff"), "--estimator", estimator];
+        let out = expect(0, &[&arguments[..], more].concat());
         assert!(out.contains("12 configurations of 12 frames"), "{out}");
     }
+    let calibrate =
+        |more: &[&str]| refused(&[&["calibrate", &at("c"), "-o", &at("other.tiff")], more].concat());
+    assert!(refused(&["calibrate", &at("c"), "-o", &at("cal.tiff")]).contains("--overwrite writes over it"));
+    assert!(calibrate(&["--window", "9"]).contains("belong to --estimator paper"));
+    assert!(calibrate(&["--estimator", "paper", "--window", "4"]).contains("odd"));
+    assert!(calibrate(&["--estimator", "paper", "--window", "99999"]).contains("96 x 80 px"));
+    assert!(calibrate(&["--estimator", "paper", "--p", "nan"]).contains("above 0"));
+    assert!(!dir.path().join("other.tiff").exists());
     // K against the maps that the simulator was made with.
     let calibration = radcam::calibrate::file::Calibration::read(at("cal.tiff").as_ref()).unwrap();
     let sensor = radcam_sim::Sensor::new(radcam_sim::sensors::load("cmos12").unwrap()).unwrap();
@@ -257,6 +291,7 @@ fn a_camera_is_calibrated_and_its_frames_corrected() {
     expect(0, &["correct", &at("cal.tiff"), &frame, "-o", &at("one.tiff"), "--codes", "8,256"]);
     assert!(fs::metadata(at("one.tiff")).unwrap().len() > 96 * 80 * 2);
     // What it refuses.
+    assert!(refused(&["correct", &at("cal.tiff"), &frame, "-o", &at("z.png")]).contains("TIFF, not as png"));
     let other = at("other");
     expect(0, &["simulate", "cmos12", "--seed", "9", "--plan", &at("plan.toml"), "-o", &other]);
     let said = refused(&["correct", &at("cal.tiff"), &other, "-o", &at("x")]);
