@@ -263,6 +263,11 @@ impl<'a> View<'a> {
             - self.of_mean
     }
 
+    /// By so much the variance is not known while the level still moves, DN^2: between a sixteenth of a code and none it no longer does.
+    pub fn unsure_moving(&self) -> f64 {
+        self.set().filter(|_| self.moved > 0.004).map_or(0.0, |s| s.unsure_moving)
+    }
+
     /// Error of a mean product of noise that whole lines share, DN^2: there are few of them, and a mean product of n normal pairs has the
     /// error s^2 / root n (twice that square for a product with itself).
     pub fn shared(&self, dy: i32, dx: i32) -> f64 {

@@ -351,8 +351,13 @@ impl<'b> Reader<'_, 'b> {
             let dies_away = |b: f64| outliers::dies_away(b, apart.mean_dn[stray]);
             start + stray <= 2 && before(stray).is_none_or(dies_away)
         };
+        // A level that still settles: the middle frame is not where it goes to, but each step is less than the one before.
+        let settling = |stray: usize| {
+            let step = |k: usize| apart.mean_dn[k] - apart.mean_dn[k - 1];
+            start <= 1 && stray == 2 && outliers::dies_away(step(stray - 1), step(stray))
+        };
         let mut strays = self.usual.strays(&apart, dark, start, self.zero_dn);
-        strays.retain(|stray| !carried(*stray));
+        strays.retain(|stray| !carried(*stray) && !settling(*stray));
         // Where many stray nothing does.
         strays.first().copied().filter(|_| strays.len() * 3 <= block.len())
     }

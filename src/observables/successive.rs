@@ -14,6 +14,10 @@ pub fn theory(r: &Summary) -> f64 {
     r.var.value * (mean_square / r.pixels).sqrt() * error_of(r.frames)
 }
 
+/// Where rounding follows the noise of one frame x of three with slope r, the variance changes by 2 r x / 3 and the covariance of one pair of
+/// two by r x / 2: this share of it.
+const MOVING: f64 = 0.75;
+
 impl Statistic for This {
     fn id(&self) -> &'static str {
         "covariance of successive frames"
@@ -48,6 +52,7 @@ impl Statistic for This {
                 .std_err
                 .hypot(0.5 * view.rough.1)
                 .hypot(s.unsure_var)
+                .hypot(MOVING * view.unsure_moving())
                 .hypot(view.lines(0, 0))
                 .hypot(0.3 * view.moving)
                 .hypot(view.shared(1, 1)),

@@ -2,7 +2,6 @@
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::pass::Summary;
-use radcam_sim::predict::SetPrediction;
 
 /// The variance.
 #[derive(Debug)]
@@ -28,10 +27,7 @@ impl Statistic for This {
     }
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
-        let known = |s: &SetPrediction| (s.unsure_var.hypot(s.unsure_own), s.unsure_moving);
-        let (unsure, moving) = view.set().map_or((0.0, 0.0), known);
-        // Between a sixteenth of a code and none the level no longer moves.
-        let moving = if view.moved > 0.004 { moving } else { 0.0 };
+        let unsure = view.set().map_or(0.0, |s| s.unsure_var.hypot(s.unsure_own));
         Expected::plain(
             o,
             view.lag(0, 0) + view.moving,
@@ -39,7 +35,7 @@ impl Statistic for This {
                 o.measured.std_err,
                 view.rough.1,
                 unsure,
-                moving,
+                view.unsure_moving(),
                 view.lines(0, 0),
                 0.1 * view.moving,
                 view.shared(0, 0),

@@ -388,19 +388,14 @@ fn a_calibration_over_the_wire_gives_the_same_k() {
 #[test]
 fn what_is_captured_over_the_wire_is_judged_right() {
     let _port = gige_port();
-    // With seed 4 the filter holds at p = 0.02 (spread of pixel variances in the darks after the brightest set): one run in some ten falls below
-    // the 0.01 at which its name would be doubted.
-    for (sensor, hide, seed) in [
-        ("cmos12", "none", "4"),
-        ("xc77", "none", "4"),
-        ("cmos12", "image-lag", "4"),
-        ("ccd16", "temporal-filter", "6"),
-    ] {
+    for (sensor, hide) in
+        [("cmos12", "none"), ("xc77", "none"), ("cmos12", "image-lag"), ("ccd16", "temporal-filter")]
+    {
         let dir = tempfile::tempdir().unwrap();
         let folder = dir.path().join("demo");
         let said = expect(
             0,
-            &["demo", "--sensor", sensor, "--hide", hide, "--seed", seed, "-o", folder.to_str().unwrap()],
+            &["demo", "--sensor", sensor, "--hide", hide, "--seed", "4", "-o", folder.to_str().unwrap()],
         );
         let last = said.lines().last().unwrap_or_default();
         assert!(hide == "none" || last.contains("named first"), "{sensor} {hide}: {said}");
