@@ -131,6 +131,8 @@ pub struct SetPrediction {
     pub unsure_fourth: f64,
     /// By so much the first frame of a set is not known, DN.
     pub unsure_first: f64,
+    /// Share of the samples that are moved by whole codes after conversion.
+    pub moved: f64,
     /// By so much the mean is not known, e, then DN.
     pub unsure_mean: f64,
     /// What a pixel's mean may deviate by from an offset and a gain of its own, one standard deviation, e, then DN.
@@ -200,6 +202,7 @@ impl SetPrediction {
             unsure_moving: 0.0,
             unsure_fourth: 0.0,
             unsure_first: 0.0,
+            moved: 0.0,
             unsure_mean: 0.0,
             uneven: 0.0,
             lines: Vec::new(),
@@ -295,6 +298,29 @@ impl SetPrediction {
         self.unsure_mean = libm::hypot(self.unsure_mean, 0.1 * left.lost * (1.0 - left.above));
         // Pixels on both sides of the limit: no more than what is cut off.
         self.uneven = libm::hypot(self.uneven, left.lost * (1.0 - left.above));
+    }
+
+    /// Variance of shot noise over the signal: 1 until neighbours share charge.
+    pub(crate) fn shot_over_signal(&self) -> f64 {
+        if self.signal > 0.0 { self.shot.lag(0, 0) / self.signal } else { 1.0 }
+    }
+
+    /// Shot noise, of whose variance clipping leaves the share `less`, with a share `above` of the pixels at the limit: what two pixels share
+    /// is left where neither is, to first order in their correlation.
+    pub(crate) fn cut_shot(&mut self, less: f64, above: f64) {
+        let both = (1.0 - above) * (1.0 - above);
+        let own = (less - both) * self.shot.lag(0, 0);
+        self.shot.scale(both);
+        self.shot.add_white(own);
+    }
+
+    /// What light shares from pixel to pixel, where the share `above` of the pixels no longer follows it: the mean of what is clipped has that
+    /// slope less than 1.
+    pub(crate) fn cut_light(&mut self, above: f64) {
+        let square = (1.0 - above) * (1.0 - above);
+        self.common *= square;
+        self.setting *= square;
+        self.ripples.iter_mut().for_each(|r| r.0 *= square);
     }
 
     /// All noise of a clipped image: shared noise is lost where pixels are clipped.

@@ -128,6 +128,9 @@ fn take(
             }
             continue;
         }
+        if index == 0 {
+            tracing::debug!(set = number, frame = frame.id, "first frame");
+        }
         if settling > 0 {
             settling -= 1;
             continue;

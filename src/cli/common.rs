@@ -125,30 +125,30 @@ pub const NO_ARAVIS: &str = "this radcam was built without libaravis; install li
                              build with the feature \"aravis\" (on by default)";
 
 /// Refuses files that cannot be written, before anything is computed.
-pub fn can_be_written<'a>(paths: impl IntoIterator<Item = &'a Option<PathBuf>>) -> Result<()> {
-    for path in paths.into_iter().flatten() {
+pub fn can_be_written<'a>(paths: impl IntoIterator<Item = &'a PathBuf>) -> Result<()> {
+    for path in paths {
         let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
         if path.is_dir() {
             bail!("{} is a folder; name a file", path.display());
         }
-        tempfile_in(folder).with_context(|| format!("{} cannot be written", path.display()))?;
+        takes_files(folder).with_context(|| format!("{} cannot be written", path.display()))?;
     }
     Ok(())
 }
 
-/// Makes a file in a folder, and takes it away again.
-fn tempfile_in(folder: &Path) -> std::io::Result<()> {
+/// Makes a file in a folder and removes it again.
+fn takes_files(folder: &Path) -> std::io::Result<()> {
     let path = folder.join(format!(".radcam-{}.part", std::process::id()));
     std::fs::File::create(&path)?;
     std::fs::remove_file(&path)
 }
 
 /// Refuses to write over a file unless that is asked for.
-pub fn may_be_written(path: &Path, overwrite: bool) -> Result<()> {
+pub fn may_be_written(path: &PathBuf, overwrite: bool) -> Result<()> {
     if path.exists() && !overwrite {
         bail!("{} is there already; --overwrite writes over it", path.display());
     }
-    can_be_written([&Some(path.to_path_buf())])
+    can_be_written([path])
 }
 
 /// A finite number above 0.
@@ -166,7 +166,7 @@ pub fn no_effect<'a>(id: &str, known: impl Iterator<Item = &'a str>) -> String {
     let near = |known: &&str| {
         known.contains(&*wanted)
             || wanted.contains(*known)
-            || distance(&wanted, known) <= 1 + wanted.len() / 6
+            || strsim::levenshtein(&wanted, known) <= 1 + wanted.len() / 6
     };
     let near: Vec<&str> = known.filter(near).collect();
     if near.is_empty() {
@@ -174,21 +174,6 @@ pub fn no_effect<'a>(id: &str, known: impl Iterator<Item = &'a str>) -> String {
     } else {
         format!("no effect \"{id}\"; is it {}?", near.join(" or "))
     }
-}
-
-/// Letters to change, to put in or to take out to come from one word to another (Levenshtein 1966).
-fn distance(a: &str, b: &str) -> usize {
-    let mut row: Vec<usize> = (0..=b.chars().count()).collect();
-    for (i, x) in a.chars().enumerate() {
-        let mut before = i;
-        row[0] = i + 1;
-        for (j, y) in b.chars().enumerate() {
-            let cost = before + usize::from(x != y);
-            before = row[j + 1];
-            row[j + 1] = cost.min(row[j] + 1).min(before + 1);
-        }
-    }
-    row[row.len() - 1]
 }
 
 /// Text broken into lines of the terminal's usual width, each behind so many spaces.

@@ -28,7 +28,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
-    can_be_written([&arguments.report])?;
+    can_be_written(&arguments.report)?;
     let effects = read_effects(arguments.model.as_deref())?;
     let all = observe(&arguments.dataset)?;
     let c = compare(&all, &fit(&all, &start(&all), &searched(&all, &effects)));

@@ -33,7 +33,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
-    can_be_written([&arguments.report, &arguments.output, &arguments.next])?;
+    can_be_written([&arguments.report, &arguments.output, &arguments.next].into_iter().flatten())?;
     let effects = read_effects(arguments.model.as_deref())?;
     let all = observe(&arguments.dataset)?;
     let diagnosis = diagnose(&all, None, searched(&all, &effects), &mut |text| tracing::info!("{text}"));

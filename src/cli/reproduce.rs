@@ -23,7 +23,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
-    can_be_written([&arguments.report])?;
+    can_be_written(&arguments.report)?;
     let mut show = Show::new("reproduce");
     let r = reproduce::run(arguments.seeds, &STOP, &mut |done, of| show.step(done, of))?;
     drop(show);

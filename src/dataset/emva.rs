@@ -18,7 +18,7 @@ pub fn open(path: &Path) -> Result<Dataset, DatasetError> {
     Dataset::new(root.into(), manifest, rows, path)
 }
 
-/// Longest side of a frame: what a TIFF of one strip and the vendors' largest sensors stay below.
+/// Longest side of a frame. A named choice, above the side of any sensor: headers that nothing confirms are refused.
 const LARGEST_SIDE_PX: usize = 65_535;
 
 type Parsed = (CameraInfo, Vec<(u64, FrameRow)>);

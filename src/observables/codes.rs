@@ -236,7 +236,7 @@ fn between(n: &[u64]) -> impl Iterator<Item = &[u64]> {
 }
 
 /// Share of empty codes among those whose neighbours both hold many samples, with the error of half a code.
-fn gaps(n: &[u64]) -> Option<Value> {
+pub(super) fn gaps(n: &[u64]) -> Option<Value> {
     let (all, empty) =
         between(n).fold((0.0, 0.0), |(all, e), w| (all + 1.0, e + f64::from(u8::from(w[1] == 0))));
     (all >= 64.0).then(|| Value { value: empty / all, std_err: 0.5 / all })

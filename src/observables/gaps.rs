@@ -1,7 +1,7 @@
 //! Share of single codes that never occur, between codes that do: codes multiplied after conversion, or sent by a table.
 
 use super::codes::Filled;
-use super::{Expected, HalfView, Observable, Put, Statistic, View};
+use super::{Expected, HalfView, Observable, Put, Statistic, View, in_quadrature};
 
 /// The share; index 0 is that of all codes, the others are bands of codes.
 #[derive(Debug)]
@@ -59,8 +59,36 @@ const NARROW: f64 = 0.3;
 /// Steps of neighbouring levels that differ by more, in codes, belong to a table with a knee: a square root's differ by some tenths.
 const KNEE: f64 = 0.5;
 
-/// Of a table whose steps grow with the level. Of steps of q = 1 + f codes a share f is of two and the rest of one, as evenly as can be (a
-/// Sturmian sequence): a single code is left out f times, and two steps of one follow each other 1 - 2 f times.
+/// Of steps of q = 1 + f codes a share f is of two codes and the rest of one, and they follow each other as evenly as can be: rounded
+/// multiples of q are a Sturmian word (Lothaire 2002, Algebraic Combinatorics on Words, section 2.1.2). For f < 1/2 no two steps of two are
+/// neighbours: f codes are left out for each step, and two steps of one follow each other 1 - 2 f times. From 1/2 on no two steps of one do.
+fn left_out(q: f64) -> f64 {
+    let f = q - 1.0;
+    if f < 0.5 { f / (1.0 - f) } else { 1.0 }
+}
+
+/// Share of single codes that are left out of some parts: the codes of each, the step there, and by how much steps differ around it. `one` is
+/// that of a single code. With its error.
+fn share_of(parts: impl Iterator<Item = (f64, f64, f64)>, one: f64) -> (f64, f64) {
+    let (mut single, mut all, mut open) = (0.0, 0.0, 0.0);
+    for (codes, q, apart) in parts {
+        if apart > KNEE || q > 2.0 + KNEE {
+            // A knee lies somewhere between; steps of three codes leave out no single ones.
+            open += codes;
+        } else {
+            single += codes * left_out(q);
+            all += codes;
+        }
+    }
+    let share = if all > 0.0 { single / all } else { 0.0 };
+    let of_knee = if open > 0.0 { open / (all + open) } else { 0.0 };
+    // Between levels steps are known to a twentieth. Where they begin is one code more or less, and of few that are left out as many as come
+    // by chance.
+    let of_ends = one * (share / one).min(1.0).sqrt();
+    (share, in_quadrature(&[0.05 * share, of_ends, of_knee]))
+}
+
+/// Of a table whose steps grow with the level.
 fn of_table(o: &Observable, view: &View<'_>, seen: &Filled) -> Expected {
     let offset_dn = view.prediction.base.offset_dn;
     let mut steps: Vec<(f64, f64)> =
@@ -76,23 +104,49 @@ fn of_table(o: &Observable, view: &View<'_>, seen: &Filled) -> Expected {
         let part = if b.0 > a.0 { ((level - a.0) / (b.0 - a.0)).clamp(0.0, 1.0) } else { 0.0 };
         (a.1 + part * (b.1 - a.1), (b.1 - a.1).abs())
     };
-    let (mut single, mut all, mut open) = (0.0, 0.0, 0.0);
-    for (place, codes) in seen.parts(o.index) {
-        let (q, apart) = step(place * (view.all.campaign.full_scale_dn + 1.0));
-        let f = q - 1.0;
-        if apart > KNEE || f > 1.0 + KNEE {
-            // A knee lies somewhere between; steps of three codes leave out no single ones.
-            open += codes;
-            continue;
+    let full = view.all.campaign.full_scale_dn + 1.0;
+    let parts = seen.parts(o.index).map(|(place, codes)| {
+        let (q, apart) = step(place * full);
+        (codes, q, apart)
+    });
+    let (share, error) = share_of(parts, 2.0 * o.measured.std_err);
+    Expected::plain(o, share, o.measured.std_err.hypot(error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::codes::gaps;
+    use super::share_of;
+
+    /// Rounded tables of even steps and of square roots: what is left out is what is expected, and the error covers it.
+    #[test]
+    fn tables_leave_out_what_is_expected() {
+        let (mut squares, mut tables) = (0.0, 0.0);
+        for k in 0..2000u32 {
+            let random = |n: u32| f64::from((k * 4 + n).wrapping_mul(2_654_435_761)) / 4_294_967_296.0;
+            let (from, length) = (1000.0 * random(0), 200 + (3000.0 * random(1)) as u32);
+            // Steps at the first and at the last code.
+            let first = 1.0 + 0.3 * random(2);
+            let last = if k % 2 == 0 { first } else { first + 0.2 * random(3) };
+            let step = |part: f64| (first * first + (last * last - first * first) * part).sqrt();
+            let mut counts = vec![0u64; 8192];
+            let mut level = from;
+            (0..length).for_each(|c| {
+                counts[level.round() as usize] = 500;
+                level += step(f64::from(c) / f64::from(length));
+            });
+            let found = gaps(&counts).unwrap();
+            let parts = (0..16).map(|part| (1.0, step((f64::from(part) + 0.5) / 16.0), 0.0));
+            let (share, error) = share_of(parts, 2.0 * found.std_err);
+            let z = (found.value - share) / found.std_err.hypot(error);
+            assert!(
+                z.abs() < 3.5,
+                "step {first:.4} to {last:.4}, {length} codes: {found:?}, {share} +- {error}"
+            );
+            (squares, tables) = (squares + z * z, tables + 1.0);
         }
-        single += codes * if f < 0.5 { f / (1.0 - f) } else { 1.0 };
-        all += codes;
+        // Half of them at least: an error that covers everything says nothing.
+        let rms = f64::sqrt(squares / tables);
+        assert!((0.1..1.0).contains(&rms), "{rms}");
     }
-    let share = if all > 0.0 { single / all } else { 0.0 };
-    let of_knee = if open > 0.0 { open / (all + open) } else { 0.0 };
-    // Between levels steps are known to a twentieth. Where they begin is one code more or less, and of few that are left out as many as come
-    // by chance.
-    let one = 2.0 * o.measured.std_err;
-    let of_ends = one * (share / one).min(1.0).sqrt();
-    Expected::plain(o, share, o.measured.std_err.hypot(0.05 * share).hypot(of_ends).hypot(of_knee))
 }

@@ -2,7 +2,7 @@
 
 use radcam_sim::predict::Prediction;
 
-use super::{Expected, HalfView, Observable, Put, Statistic, View};
+use super::{Expected, HalfView, Observable, Put, Statistic, View, in_quadrature};
 
 /// The excess; the index is the code above the transition.
 #[derive(Debug)]
@@ -34,11 +34,21 @@ impl Statistic for This {
             let (own, beside) = (view.width(code - 1), 0.5 * (view.width(code - 2) + view.width(code)));
             (own - beside) / f64::max(0.5 * (own + beside), 1e-9)
         };
+        // Codes that firmware moves up or down, as many each, leave half of what they bring to either neighbour.
+        let moved = moved_at(f64::from(code), view.prediction);
+        let (value, smeared) = (value * (1.0 - 1.5 * moved).max(0.0), 0.5 * moved * value);
         // Where codes are left out by a table that follows the level, which of them is not predicted.
         let table = if view.all_codes() { 0.0 } else { 2.0 };
         let piled = of_full_wells(f64::from(code) - 1.0, view.prediction);
-        Expected::plain(o, value, o.measured.std_err.hypot(table).hypot(piled))
+        Expected::plain(o, value, in_quadrature(&[o.measured.std_err, smeared, table, piled]))
     }
+}
+
+/// Share of the samples that are moved by whole codes at the level next to a code.
+fn moved_at(code: f64, p: &Prediction) -> f64 {
+    let apart = |signal: f64| (signal + p.base.offset_dn - code).abs();
+    let next = p.sets.iter().min_by(|a, b| apart(a.signal).total_cmp(&apart(b.signal)));
+    next.map_or(0.0, |s| s.moved)
 }
 
 /// At most what a code has more than its neighbours, relative, where pixels at full well pile up: they differ by read noise alone, and of a

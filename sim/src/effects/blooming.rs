@@ -2,7 +2,7 @@
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 use crate::clipping::clipped;
-use crate::predict::NORMAL;
+use crate::predict::{NORMAL, SetPrediction};
 
 /// Charge above the well goes to the pixels above and below.
 pub struct This;
@@ -13,7 +13,7 @@ impl Effect for This {
     }
 
     fn stage(&self) -> Stage {
-        Stage::Charge
+        Stage::Well
     }
 
     fn parameters(&self) -> &'static [Parameter] {
@@ -50,9 +50,11 @@ impl Effect for This {
     /// to either neighbour, which then varies with it; with e what is over and m what stays, the variance is var m + var e / 2 and the
     /// covariance with the neighbour cov(m, e).
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
+        let shot: Vec<f64> = out.sets.iter().map(SetPrediction::shot_over_signal).collect();
         let limited = |set: usize, signal: f64, part: f64, noise: f64| {
             let (spread, places) = c.sets.get(set).map_or((0.0, &NORMAL), |s| (s.spread, &s.places));
-            clipped(signal, part * spread * signal, places, signal.max(1e-9) * noise, p[0])
+            let variance = shot.get(set).map_or(signal, |over| over * signal).max(1e-9);
+            clipped(signal, part * spread * signal, places, variance * noise, p[0])
         };
         // A pixel shares with some eight neighbours of its column.
         let level = |set: usize, signal: f64| limited(set, signal, 0.5, 0.125).mean;
@@ -60,9 +62,10 @@ impl Effect for This {
             *m = level(frame.set, *m);
         }
         for (i, s) in out.sets.iter_mut().enumerate() {
-            let before = s.signal.max(1e-9);
-            let left = limited(i, before, 1.0, 1.0);
-            let column = limited(i, before, 0.5, 0.125);
+            let signal = s.signal.max(1e-9);
+            let before = s.shot.lag(0, 0).max(1e-9);
+            let left = limited(i, signal, 1.0, 1.0);
+            let column = limited(i, signal, 0.5, 0.125);
             // Where neighbours are full as well it goes on until none of it is left to see.
             let room = 1.0 - left.above;
             // Nor is there any in columns that are full.
@@ -76,10 +79,10 @@ impl Effect for This {
             let rest = own + out.base.read_noise_e * out.base.read_noise_e;
             s.unsure = libm::hypot(s.unsure, left.unsure(less, rest));
             s.shot.shape(|ky, _| less + 2.0 * neighbour / before * libm::cos(ky));
-            (s.common, s.setting) = (s.common * less * less, s.setting * less * less);
+            s.cut_light(column.above);
             // How much of it finds room depends on where bright and dark pixels lie in their column: somewhere between none of it, and all
             // as long as the column has room.
-            let (none, all) = (left.mean, limited(i, before, 0.0, 0.0).mean);
+            let (none, all) = (left.mean, limited(i, signal, 0.0, 0.0).mean);
             s.unsure_mean = libm::hypot(s.unsure_mean, 0.25 * (all - none).abs());
             s.signal = column.mean;
         }

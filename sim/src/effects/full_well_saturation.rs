@@ -1,7 +1,7 @@
 //! Full-well saturation: a pixel holds no more charge than its well.
 
 use crate::clipping::clipped;
-use crate::predict::NORMAL;
+use crate::predict::{NORMAL, SetPrediction};
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
@@ -14,7 +14,7 @@ impl Effect for This {
     }
 
     fn stage(&self) -> Stage {
-        Stage::Charge
+        Stage::Well
     }
 
     fn parameters(&self) -> &'static [Parameter] {
@@ -48,9 +48,12 @@ impl Effect for This {
     }
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
+        // Variance over mean of the charge that has come so far.
+        let shot: Vec<f64> = out.sets.iter().map(SetPrediction::shot_over_signal).collect();
         let limited = |set: usize, signal: f64| {
             let (spread, places) = c.sets.get(set).map_or((0.0, &NORMAL), |s| (s.spread, &s.places));
-            clipped(signal, spread * signal, places, signal.max(1e-9), p[0])
+            let variance = shot.get(set).map_or(signal, |over| over * signal).max(1e-9);
+            clipped(signal, spread * signal, places, variance, p[0])
         };
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
             *m = limited(frame.set, *m).mean;
@@ -58,18 +61,17 @@ impl Effect for This {
         out.well_e = out.well_e.min(p[0]);
         let read = out.base.read_noise_e * out.base.read_noise_e;
         for (i, s) in out.sets.iter_mut().enumerate() {
-            let before = s.signal.max(1e-9);
-            let left = limited(i, before);
-            let less = (left.variance / before).min(1.0);
+            let left = limited(i, s.signal.max(1e-9));
+            let less = (left.variance / s.shot.lag(0, 0).max(1e-9)).min(1.0);
             s.cut(less, &left);
-            s.shot.scale(less);
+            s.cut_shot(less, left.above);
             // The pixels' places are a few shares: which of them lie above the knee is known roughly.
             let rest = left.variance + read;
             // Where nearly all are cut, what is left is of a few in the tails.
             let unknown = 0.1 + 0.9 * left.above.powi(4);
             s.unsure_var = libm::hypot(s.unsure_var, unknown * (1.0 - less) * left.variance);
             s.unsure = libm::hypot(s.unsure, left.unsure(less, rest));
-            (s.common, s.setting) = (s.common * less * less, s.setting * less * less);
+            s.cut_light(left.above);
             s.signal = left.mean;
         }
     }

@@ -12,6 +12,8 @@ pub enum Stage {
     Light,
     /// On the charge in the pixels, after shot noise.
     Charge,
+    /// On what the wells hold of it.
+    Well,
     /// While the charge is moved.
     Transfer,
     /// Noise added at read-out, before the amplifier.

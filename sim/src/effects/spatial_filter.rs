@@ -112,6 +112,7 @@ impl Effect for This {
             s.filter(&Filter::new(&power(strength)));
             s.read.add_white(noise);
             // Five places stand for the pattern of the levels: it is known to its own size only.
+            s.moved = s.moved.max(correction.moves());
             let unequal = correction.unequal(2.0 * x / whole);
             s.unequal += unequal;
             s.unsure = libm::hypot(s.unsure, unequal);

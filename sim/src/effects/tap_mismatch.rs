@@ -33,7 +33,7 @@ impl Effect for This {
         ]
     }
 
-    /// Offsets of single pixels scatter: of their sum over half a small sensor this is left.
+    /// Offsets that scatter by 1 DN, over halves of 5000 pixels: sqrt(2 / 5000) DN.
     fn resolution(&self, parameter: usize) -> f64 {
         if parameter == 1 { 0.02 } else { 0.0 }
     }
