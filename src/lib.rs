@@ -40,6 +40,7 @@ pub mod dataset;
 pub mod diagnosis;
 pub mod fit;
 pub mod frame;
+pub mod import;
 pub mod inference;
 pub mod noise;
 pub mod number;

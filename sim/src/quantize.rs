@@ -305,6 +305,11 @@ impl Correction {
         Some(nodes.iter().map(of).collect())
     }
 
+    /// Variance of u.
+    pub fn variance(&self) -> f64 {
+        self.sd * self.sd
+    }
+
     /// Share of the numbers that it moves.
     pub fn moves(&self) -> f64 {
         if self.slope > 0.0 { (2.0 * upper(self.threshold(1) / self.sd)).min(1.0) } else { 0.0 }
@@ -315,6 +320,10 @@ impl Correction {
     /// normal number (Johnson, Kotz and Balakrishnan 1994, 13.10.1).
     pub fn fourth(&self, share: f64) -> f64 {
         let Some(steps) = self.steps() else { return 0.0 };
+        // Nothing passes a threshold: what is left is rounding of the sums.
+        if self.threshold(1) > 6.0 * self.sd {
+            return 0.0;
+        }
         let by = share * self.sd;
         let (mut second, mut fourth) = (0.0, 0.0);
         let mut from = 0.0;
@@ -357,7 +366,9 @@ fn between(from: f64, to: f64) -> [f64; 5] {
             0.0
         }
     };
-    let mut m = [upper(from) - upper(to), at(from, 0) - at(to, 0), 0.0, 0.0, 0.0];
+    // Cumulants are differences of these: the table's 1e-11 would be all that is left of small ones.
+    let above = |x: f64| 0.5 * libm::erfc(x * std::f64::consts::FRAC_1_SQRT_2);
+    let mut m = [above(from) - above(to), at(from, 0) - at(to, 0), 0.0, 0.0, 0.0];
     for n in 2..5 {
         m[n] = (n - 1) as f64 * m[n - 2] + at(from, n as i32 - 1) - at(to, n as i32 - 1);
     }

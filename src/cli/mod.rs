@@ -15,6 +15,7 @@ mod correct;
 mod demo;
 mod diagnose;
 mod effects;
+mod import;
 mod model;
 mod noise;
 mod observe;
@@ -63,6 +64,8 @@ enum Verb {
     Simulate(simulate::Arguments),
     /// Serve a simulated camera over GigE Vision
     Serve(serve::Arguments),
+    /// Loose image files into a dataset folder
+    Import(import::Arguments),
     /// Estimate gain and constant noise (Section IV of Healey and Kondepudy)
     Noise(noise::Arguments),
     /// Say how many configurations, frames and darks a calibration needs, and write the plan
@@ -118,6 +121,7 @@ pub fn main() -> ExitCode {
         Verb::Capture(a) => capture::run(&a),
         Verb::Simulate(a) => simulate::run(&a),
         Verb::Serve(a) => serve::run(&a),
+        Verb::Import(a) => import::run(&a),
         Verb::Noise(a) => noise::run(&a),
         Verb::PlanCalibration(a) => plan_calibration::run(&a),
         Verb::Calibrate(a) => calibrate::run(&a),

@@ -106,27 +106,38 @@ fn read_png(path: &Path) -> Result<Array2<u16>, ImageError> {
 const FITS_RECORD: usize = 2880;
 const FITS_CARD: usize = 80;
 
-/// Reads the primary image of a FITS file: two axes, BITPIX 8 or 16, BSCALE 1.
-///
-/// FITS has no unsigned 16-bit integers; they are written with BZERO = 32768 (section 5.2.5). Rows are kept in
-/// the order of the file.
-fn read_fits(bytes: &[u8]) -> Result<Array2<u16>, ImageError> {
+type Cards = std::collections::HashMap<String, String>;
+
+/// The cards of a FITS header that have a value, strings in their quotes, and where the header ends.
+fn cards_of(bytes: &[u8]) -> Result<(Cards, usize), ImageError> {
     let fault = |message: &str| ImageError::Fits(message.into());
-    let mut values = std::collections::HashMap::new();
-    let mut end = None;
+    let mut values = Cards::new();
     for (i, card) in bytes.chunks_exact(FITS_CARD).enumerate() {
         let card = std::str::from_utf8(card).map_err(|_| fault("the header is not text"))?;
         let keyword = card.get(..8).unwrap_or(card).trim_end();
         if keyword == "END" {
-            end = Some((i + 1) * FITS_CARD);
-            break;
+            return Ok((values, (i + 1) * FITS_CARD));
         }
         if let Some(value) = card.get(8..).and_then(|rest| rest.strip_prefix("= ")) {
             let value = value.split('/').next().unwrap_or(value).trim();
             values.entry(keyword.to_string()).or_insert_with(|| value.to_string());
         }
     }
-    let data_at = end.ok_or_else(|| fault("the header has no END"))?.next_multiple_of(FITS_RECORD);
+    Err(fault("the header has no END"))
+}
+
+/// The values of a FITS file's header by their keywords.
+pub(crate) fn fits_cards(path: &Path) -> Result<Cards, ImageError> {
+    Ok(cards_of(&std::fs::read(path)?)?.0)
+}
+
+/// Reads the primary image of a FITS file: two axes, BITPIX 8 or 16, BSCALE 1.
+///
+/// FITS has no unsigned 16-bit integers; they are written with BZERO = 32768 (section 5.2.5). Rows are kept in
+/// the order of the file.
+fn read_fits(bytes: &[u8]) -> Result<Array2<u16>, ImageError> {
+    let (values, end) = cards_of(bytes)?;
+    let data_at = end.next_multiple_of(FITS_RECORD);
     let number = |keyword: &str, default: Option<f64>| match values.get(keyword) {
         Some(text) => text.parse::<f64>().map_err(|_| ImageError::Fits(format!("{keyword} is {text}"))),
         None => default.ok_or_else(|| ImageError::Fits(format!("the header has no {keyword}"))),

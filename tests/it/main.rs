@@ -7,6 +7,7 @@ mod calibration;
 mod conformance;
 mod dataset;
 mod effects;
+mod import;
 mod models;
 mod noise;
 mod outside;

@@ -169,7 +169,7 @@ fn move_frames(p: &[f64], c: &Campaign, out: &mut Prediction, added: &[Added]) -
                 // of its own passes many thresholds both are the same as none.
                 Some(left) if of_set.correction.narrow() > 0.0 => {
                     (left.across, left.before) = (a * left.across, a * a * left.before);
-                    let noise = libm::sqrt(own + left.before);
+                    let noise = libm::sqrt(of_set.correction.variance() + left.before);
                     Change { away, across: left.across, noise, places: left.places }.step(a, 0.0)
                 }
                 _ => of_set.correction.mean(away),
@@ -189,7 +189,12 @@ fn move_frames(p: &[f64], c: &Campaign, out: &mut Prediction, added: &[Added]) -
                 places: &c.sets[if away > 0.0 { from } else { frame.set }].places,
             };
             first.unsure_dn = libm::hypot(first.unsure_dn, change.unsure(a));
-            carried = Some(Carried { across: change.across, before: before_var, places: change.places });
+            // A mean that is kept in parts of a code is not rounded from frame to frame.
+            carried = (!fine(p)).then_some(Carried {
+                across: change.across,
+                before: before_var,
+                places: change.places,
+            });
             change.step(a, 0.0)
         };
         last = Some(*m + if fine(p) { a * away } else { step });

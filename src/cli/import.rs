@@ -1,0 +1,140 @@
+//! `radcam import`
+
+use super::Outcome;
+use super::common::STOP;
+use super::progress::Show;
+use crate::dataset::{Dataset, write_whole};
+use crate::import::{Map, files, propose, survey, write};
+use anyhow::{Context, Result, bail};
+use std::io::{BufRead, IsTerminal, Write};
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// Image files (TIFF and its stacks, PNG, FITS), or folders of them
+    #[arg(required_unless_present = "map", value_name = "FILE|FOLDER")]
+    inputs: Vec<PathBuf>,
+    /// The dataset folder to be made
+    #[arg(short, long, value_name = "DATASET")]
+    output: PathBuf,
+    /// Which files make which sets, as this command wrote it and a person completed it
+    #[arg(long, value_name = "MAP.toml", conflicts_with = "inputs")]
+    map: Option<PathBuf>,
+    /// Copy the files (the default)
+    #[arg(long, conflicts_with = "link")]
+    copy: bool,
+    /// Make hard links in place of copies: no space, and the same file system
+    #[arg(long)]
+    link: bool,
+    /// Bits of a code; else the fewest of 8, 10, 12, 14, 16 that hold the largest code
+    #[arg(long, value_name = "BITS", value_parser = clap::value_parser!(u8).range(1..=16))]
+    bit_depth: Option<u8>,
+    /// Do not ask
+    #[arg(short, long)]
+    yes: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    let root = &arguments.output;
+    if root.exists() && root.read_dir().map_or(true, |mut inside| inside.next().is_some()) {
+        bail!("{} is there already; choose a new folder", root.display());
+    }
+    let go_on = || !STOP.load(Ordering::Relaxed);
+    let map = match &arguments.map {
+        Some(path) => {
+            let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+            Map::from_toml(&text).with_context(|| path.display().to_string())?
+        }
+        None => {
+            let files = files(&arguments.inputs)?;
+            if files.is_empty() {
+                bail!("no image files there: radcam reads TIFF, PNG and FITS");
+            }
+            let mut show = Show::new("read");
+            let found = survey(&files, |done, of| {
+                show.step(done, of);
+                go_on()
+            })?;
+            propose(&found, arguments.bit_depth)?
+        }
+    };
+    if !arguments.json {
+        print!("{}", table(&map));
+    }
+    let missing = map.missing();
+    let declined = missing.is_empty() && !arguments.yes && !asked(root)?;
+    if !missing.is_empty() || declined {
+        let path = match &arguments.map {
+            Some(path) => path.clone(),
+            None => {
+                let path = PathBuf::from(format!("{}.map.toml", root.display()));
+                if path.exists() {
+                    bail!("{} is there already; give it with --map, or remove it", path.display());
+                }
+                write_whole(&path, toml::to_string(&map)?.as_bytes())?;
+                path
+            }
+        };
+        let again = format!("radcam import --map {0} -o {1}", path.display(), root.display());
+        if declined {
+            bail!("nothing was imported; change {} and run: {again}", path.display());
+        }
+        bail!(
+            "names and headers do not say: {}; write it into {} and run: {again}",
+            missing.join("; "),
+            path.display()
+        );
+    }
+    let mut show = Show::new("import");
+    write(&map, root, arguments.link, |done, of| {
+        show.step(done, of);
+        go_on()
+    })?;
+    drop(show);
+    // What was written is read as any dataset is: a map may be wrong.
+    let dataset = Dataset::open(root)?;
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&map)?);
+    } else {
+        let (frames, sets) = (dataset.rows().len(), dataset.sets().len());
+        println!("\n{}: {frames} frames in {sets} sets; next: radcam noise, radcam diagnose", root.display());
+    }
+    Ok(Outcome::Agreement)
+}
+
+/// Whether the table is right; no question where nobody can answer.
+fn asked(root: &std::path::Path) -> Result<bool> {
+    if !std::io::stdin().is_terminal() {
+        bail!("nobody can be asked whether this table is right: give --yes, or check the sets in a MAP file");
+    }
+    print!("\nImport these into {}? [Y/n] ", root.display());
+    std::io::stdout().flush()?;
+    let mut answer = String::new();
+    std::io::stdin().lock().read_line(&mut answer)?;
+    Ok(matches!(answer.trim().to_lowercase().as_str(), "" | "y" | "yes"))
+}
+
+/// The sets as a person checks them.
+fn table(map: &Map) -> String {
+    let mut out = format!(
+        "{:>4}  {:<16} {:>6}  {:>12}  {:>6}  {:>10}  first file\n",
+        "set", "kind", "frames", "exposure", "light", "mean"
+    );
+    for (k, set) in map.sets.iter().enumerate() {
+        let kind = format!("{}{}", set.kind, if set.kind_by_mean { " (by its mean)" } else { "" });
+        let exposure = set.exposure_s.map_or("?".into(), |s| format!("{} s", crate::number::six_digits(s)));
+        let light = set.illumination.map_or("1".into(), |v| v.to_string());
+        let mean = set.mean_dn.map_or(String::new(), |m| format!("{m:.1} DN"));
+        let first = set.files.first().map_or("", String::as_str);
+        out += &format!(
+            "{k:>4}  {kind:<16} {:>6}  {exposure:>12}  {light:>6}  {mean:>10}  {first}\n",
+            set.files.len()
+        );
+    }
+    let gain = map.gain_db.map_or(String::new(), |g| format!(", gain {g} dB"));
+    out + &format!("\n{} bits{gain}\n", map.bit_depth)
+}

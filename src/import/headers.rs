@@ -1,0 +1,101 @@
+//! What the headers of image files say: FITS cards, descriptions of TIFF and PNG.
+
+use super::{Facts, names};
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+use tiff::tags::Tag;
+
+/// Facts of a file, and how many pages it has.
+pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
+    use std::io::Read;
+    let mut start = Vec::new();
+    let file = File::open(path).map_err(|e| e.to_string())?;
+    file.take(8).read_to_end(&mut start).map_err(|e| e.to_string())?;
+    if start.starts_with(b"SIMPLE") {
+        let cards = crate::dataset::image::fits_cards(path).map_err(|e| e.to_string())?;
+        return Ok((of_words(cards.iter().map(|(k, v)| (k.as_str(), v.as_str()))), 1));
+    }
+    if start.starts_with(b"\x89PNG") {
+        return Ok((Facts::default(), 1));
+    }
+    let fault = |e: tiff::TiffError| format!("not a sound TIFF: {e}");
+    let file = BufReader::new(File::open(path).map_err(|e| e.to_string())?);
+    let mut decoder = tiff::decoder::Decoder::new(file).map_err(fault)?;
+    let text = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap_or_default();
+    let mut found = of_description(&text);
+    found.vendor = decoder.get_tag_ascii_string(Tag::Make).ok();
+    found.model = decoder.get_tag_ascii_string(Tag::Model).ok();
+    let mut pages = 1;
+    while decoder.more_images() {
+        decoder.next_image().map_err(fault)?;
+        pages += 1;
+    }
+    // ImageJ keeps stacks of more than 4 GB behind one page.
+    let said =
+        text.lines().find_map(|l| l.strip_prefix("images=")).and_then(|n| n.trim().parse::<usize>().ok());
+    match said.filter(|n| *n > pages && text.starts_with("ImageJ")) {
+        Some(n) => Err(format!(
+            "an ImageJ stack that says it has {n} images, and {pages} can be read; save it as an image sequence"
+        )),
+        None => Ok((found, pages)),
+    }
+}
+
+/// `key = value` or `key: value`, one on a line.
+fn of_description(text: &str) -> Facts {
+    let pairs = text.lines().filter_map(|line| line.split_once(['=', ':']));
+    of_words(pairs.map(|(k, v)| (k.trim(), v.trim())))
+}
+
+/// Facts of named values. A unit in the name or behind the value counts; FITS times are seconds (FITS standard 4.0, section 4.3).
+fn of_words<'a>(pairs: impl Iterator<Item = (&'a str, &'a str)>) -> Facts {
+    let mut out = Facts::default();
+    for (key, value) in pairs {
+        let value = value.trim().trim_matches('\'').trim();
+        let key = key.to_lowercase();
+        let end = value.find(|c: char| !(c.is_ascii_digit() || "+-.eE".contains(c))).unwrap_or(value.len());
+        let number = value[..end].parse::<f64>().ok().filter(|v| v.is_finite());
+        match key.as_str() {
+            "exptime" | "exposure" | "exposuretime" | "exposure_s" | "exposure_time" | "xposure" => {
+                // GenICam's ExposureTime is in microseconds, without a unit in the text it is not known which is meant.
+                let unit = value[end..].trim();
+                let unit_s = names::seconds(unit)
+                    .or_else(|| (unit.is_empty() && key != "exposuretime").then_some(1.0));
+                out.exposure_s = number.zip(unit_s).map(|(n, s)| n * s).or(out.exposure_s);
+            }
+            "exposure_ms" => out.exposure_s = number.map(|n| 1e-3 * n).or(out.exposure_s),
+            "exposure_us" => out.exposure_s = number.map(|n| 1e-6 * n).or(out.exposure_s),
+            "gain_db" => out.gain_db = number.or(out.gain_db),
+            "ccd-temp" | "temperature_c" | "det-temp" => out.temperature_c = number.or(out.temperature_c),
+            "imagetyp" | "obstype" | "kind" => {
+                out.kind = value.split(|c: char| !c.is_alphabetic()).find_map(names::kind).or(out.kind);
+            }
+            "instrume" | "camera" => out.model = Some(value.to_string()),
+            "illumination" => out.illumination = number.or(out.illumination),
+            _ => {}
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::Kind;
+
+    #[test]
+    fn descriptions_say_what_they_say() {
+        let found = of_description("ImageJ=1.53t\nimages=3\nexposure_ms=12.5\nkind: dark frame");
+        assert_eq!((found.exposure_s, found.kind), (Some(0.0125), Some(Kind::Dark)));
+        assert_eq!(of_description("Exposure = 20 ms").exposure_s, Some(0.02));
+        // Seconds or microseconds?
+        assert_eq!(of_description("ExposureTime = 5000").exposure_s, None);
+        let cards = [("EXPTIME", "0.25"), ("IMAGETYP", "'Bias Frame'"), ("CCD-TEMP", "-10.0")];
+        let found = of_words(cards.into_iter());
+        assert_eq!(
+            (found.exposure_s, found.kind, found.temperature_c),
+            (Some(0.25), Some(Kind::Dark), Some(-10.0))
+        );
+    }
+}

@@ -1,0 +1,418 @@
+//! Loose image files into a dataset folder.
+//!
+//! [`survey`] looks at the files, [`propose`] sorts them into sets as a [`Map`], a person confirms or completes it, and [`write()`] copies the
+//! frames. What cannot be known is not guessed: [`Map::missing`] says what is to be filled in.
+
+mod headers;
+pub mod names;
+
+use crate::dataset::{
+    BenchInfo, CameraInfo, DatasetError, FORMAT, FrameRow, Kind, Manifest, image, write_whole,
+};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Why files cannot be imported.
+#[derive(Debug, thiserror::Error)]
+pub enum ImportError {
+    /// A file cannot be read or is no frame.
+    #[error("{path}: {message}")]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and what to do.
+        message: String,
+    },
+    /// The files do not make one dataset.
+    #[error("{0}")]
+    Files(String),
+    /// The map cannot be understood, or something is missing in it.
+    #[error("{0}")]
+    Map(String),
+    /// The dataset cannot be written.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// Stopped by its user.
+    #[error("interrupted; nothing was imported")]
+    Interrupted,
+}
+
+/// What names and headers say of a frame.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Facts {
+    /// What it shows.
+    pub kind: Option<Kind>,
+    /// Exposure, s.
+    pub exposure_s: Option<f64>,
+    /// Light, relative.
+    pub illumination: Option<f64>,
+    /// Gain, dB.
+    pub gain_db: Option<f64>,
+    /// Sensor temperature, degrees Celsius.
+    pub temperature_c: Option<f64>,
+    /// Maker.
+    pub vendor: Option<String>,
+    /// Model.
+    pub model: Option<String>,
+}
+
+impl Facts {
+    /// These, and where they say nothing the others.
+    fn or(self, other: Self) -> Self {
+        Self {
+            kind: self.kind.or(other.kind),
+            exposure_s: self.exposure_s.or(other.exposure_s),
+            illumination: self.illumination.or(other.illumination),
+            gain_db: self.gain_db.or(other.gain_db),
+            temperature_c: self.temperature_c.or(other.temperature_c),
+            vendor: self.vendor.or(other.vendor),
+            model: self.model.or(other.model),
+        }
+    }
+}
+
+/// A frame that was found: a file, or a page of one.
+#[derive(Debug, Clone)]
+pub struct Found {
+    /// The file.
+    pub path: PathBuf,
+    /// Its page, where it has several.
+    pub page: Option<usize>,
+    /// What is known of it.
+    pub facts: Facts,
+    /// Rows and columns.
+    pub shape: (usize, usize),
+    /// Mean, DN.
+    pub mean_dn: f64,
+    /// Every bit that any pixel has.
+    pub bits: u16,
+}
+
+/// Extensions of files that are looked at in folders.
+const EXTENSIONS: [&str; 6] = ["tif", "tiff", "png", "fits", "fit", "fts"];
+
+/// The image files that are named, and those in folders that are.
+pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>, ImportError> {
+    let mut out = Vec::new();
+    for path in named {
+        let fault = |e: std::io::Error| ImportError::File { path: path.clone(), message: e.to_string() };
+        if !path.metadata().map_err(fault)?.is_dir() {
+            out.push(path.clone());
+            continue;
+        }
+        let mut inside = Vec::new();
+        for entry in std::fs::read_dir(path).map_err(fault)? {
+            inside.push(entry.map_err(fault)?.path());
+        }
+        let image = |p: &PathBuf| {
+            let extension = p.extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
+            p.is_dir() || EXTENSIONS.contains(&extension.as_str())
+        };
+        inside.retain(image);
+        inside.sort_by_key(|p| names::natural(&p.to_string_lossy()));
+        out.extend(files(&inside)?);
+    }
+    Ok(out)
+}
+
+/// Reads every file and page.
+pub fn survey(
+    paths: &[PathBuf],
+    mut step: impl FnMut(usize, usize) -> bool,
+) -> Result<Vec<Found>, ImportError> {
+    let mut out: Vec<Found> = Vec::new();
+    for (at, path) in paths.iter().enumerate() {
+        let fault = |message: String| ImportError::File { path: path.clone(), message };
+        let (header, pages) = headers::facts(path).map_err(fault)?;
+        let text = |p: Option<&std::ffi::OsStr>| p.unwrap_or_default().to_string_lossy().into_owned();
+        let named = names::facts(&text(path.parent().and_then(Path::file_name)), &text(path.file_name()));
+        for page in 0..pages {
+            if !step(at, paths.len()) {
+                return Err(ImportError::Interrupted);
+            }
+            let pixels = image::read(path, page).map_err(|e| fault(e.to_string()))?;
+            let shape = pixels.dim();
+            if let Some(first) = out.first().filter(|f| f.shape != shape) {
+                return Err(fault(format!(
+                    "is {} x {} px, and {} is {} x {} px; a dataset has frames of one size",
+                    shape.1,
+                    shape.0,
+                    first.path.display(),
+                    first.shape.1,
+                    first.shape.0
+                )));
+            }
+            out.push(Found {
+                path: path.clone(),
+                page: (pages > 1).then_some(page),
+                facts: header.clone().or(named.clone()),
+                shape,
+                mean_dn: pixels.iter().map(|v| f64::from(*v)).sum::<f64>() / pixels.len().max(1) as f64,
+                bits: pixels.iter().fold(0, |a, b| a | b),
+            });
+        }
+    }
+    Ok(out)
+}
+
+/// Name of the map's format.
+pub const MAP_FORMAT: &str = "radcam-import/1";
+
+/// How files become sets: what a person confirms, and may write.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Map {
+    /// [`MAP_FORMAT`].
+    pub format: String,
+    /// Bits of a code, 1 to 16.
+    pub bit_depth: u8,
+    /// Gain of all frames, dB.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gain_db: Option<f64>,
+    /// Maker of the camera.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vendor: Option<String>,
+    /// Its model.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<String>,
+    /// Sets in the order of time.
+    #[serde(rename = "set")]
+    pub sets: Vec<MapSet>,
+}
+
+/// Frames that share every setting.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MapSet {
+    /// What they show: dark, flat, scene or target.
+    pub kind: Kind,
+    /// Exposure, s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposure_s: Option<f64>,
+    /// Light, relative; 0 for darks, and 1 where nothing is said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub illumination: Option<f64>,
+    /// Position of card and light.
+    #[serde(default)]
+    pub configuration: u32,
+    /// Sensor temperature, degrees Celsius.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub temperature_c: Option<f64>,
+    /// Mean over the frames, DN, for the reader: it is not used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mean_dn: Option<f64>,
+    /// Whether the mean alone says that it is a dark or a flat.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub kind_by_mean: bool,
+    /// Files in the order of time; `name.tiff#3` is page 3, counted from 0.
+    pub files: Vec<String>,
+}
+
+impl Map {
+    /// Reads and checks.
+    pub fn from_toml(text: &str) -> Result<Self, ImportError> {
+        let map: Self =
+            toml::from_str(text).map_err(|e| ImportError::Map(e.to_string().trim_end().to_string()))?;
+        if map.format != MAP_FORMAT {
+            return Err(ImportError::Map(format!(
+                "format is \"{}\", and this program reads \"{MAP_FORMAT}\"",
+                map.format
+            )));
+        }
+        if !(1..=16).contains(&map.bit_depth) {
+            return Err(ImportError::Map(format!(
+                "bit_depth is {}, and must lie within 1 to 16",
+                map.bit_depth
+            )));
+        }
+        Ok(map)
+    }
+
+    /// What is to be filled in before it can be written, in words; empty where nothing is.
+    pub fn missing(&self) -> Vec<String> {
+        let without = |(k, s): (usize, &MapSet)| {
+            let first = s.files.first().map_or("no files", String::as_str);
+            s.exposure_s.is_none().then(|| format!("exposure_s of set {k} ({}, {first})", s.kind))
+        };
+        self.sets.iter().enumerate().filter_map(without).collect()
+    }
+}
+
+/// A flat lies so much of the full scale above the darkest set at least, where nothing but the mean tells: above what dark current and offsets
+/// of usual darks bring.
+const LIT: f64 = 0.02;
+
+/// Sorts frames into sets: by what names and headers say, else by folder and name, darks from flats by their means.
+pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportError> {
+    let bits = found.iter().fold(0, |a, f| a | f.bits);
+    let bit_depth = bit_depth.unwrap_or_else(|| depth_of(bits));
+    if bits > 0 && bit_depth < 16 && u32::from(bits) >> bit_depth != 0 {
+        return Err(ImportError::Files(format!(
+            "codes reach above {} DN, the largest of {bit_depth} bits",
+            (1u32 << bit_depth) - 1
+        )));
+    }
+    if bits.trailing_zeros() >= 2 && bits > 255 {
+        return Err(ImportError::Files(format!(
+            "all codes are multiples of {}: they were shifted up in their 16 bits, and noise and full scale would be wrong by that; save \
+             them unshifted (in ImageJ: Process > Math > Divide)",
+            1u32 << bits.trailing_zeros()
+        )));
+    }
+    let mut gains: Vec<f64> = found.iter().filter_map(|f| f.facts.gain_db).collect();
+    gains.dedup();
+    if let Some(other) = gains.iter().find(|g| **g != gains[0]) {
+        return Err(ImportError::Files(format!(
+            "frames at {} dB and at {other} dB; a dataset has one gain, so import each by itself",
+            gains[0]
+        )));
+    }
+    let lowest = found.iter().map(|f| f.mean_dn).fold(f64::INFINITY, f64::min);
+    let lit = lowest + LIT * f64::from((1u32 << bit_depth) - 1);
+    let mut places: BTreeMap<String, usize> = BTreeMap::new();
+    let mut sets: Vec<(MapSet, f64)> = Vec::new();
+    for frame in found {
+        let facts = &frame.facts;
+        let (kind, by_mean) = match facts.kind {
+            Some(kind) => (kind, false),
+            None => (if frame.mean_dn > lit { Kind::Flat } else { Kind::Dark }, true),
+        };
+        let name = frame.path.file_name().unwrap_or_default().to_string_lossy();
+        // Pages of a stack are one set.
+        let stem = if frame.page.is_some() { name.into_owned() } else { names::stem(&name) };
+        let folder = frame.path.parent().unwrap_or(Path::new("")).display();
+        let key = format!("{folder}/{stem} {kind} {:?} {:?}", facts.exposure_s, facts.illumination);
+        let place = *places.entry(key).or_insert_with(|| {
+            let set = MapSet {
+                kind,
+                // A bias frame has no exposure: as good as none is a nanosecond.
+                exposure_s: facts.exposure_s.map(|s| s.max(1e-9)),
+                illumination: if kind == Kind::Dark { Some(0.0) } else { facts.illumination },
+                configuration: 0,
+                temperature_c: facts.temperature_c,
+                mean_dn: None,
+                kind_by_mean: by_mean,
+                files: Vec::new(),
+            };
+            sets.push((set, 0.0));
+            sets.len() - 1
+        });
+        let (set, sum) = &mut sets[place];
+        let page = frame.page.map(|p| format!("#{p}")).unwrap_or_default();
+        set.files.push(format!("{}{page}", frame.path.display()));
+        *sum += frame.mean_dn;
+    }
+    let of = |(mut set, sum): (MapSet, f64)| {
+        set.mean_dn = Some((10.0 * sum / set.files.len() as f64).round() / 10.0);
+        set
+    };
+    let first = |of: fn(&Facts) -> &Option<String>| found.iter().find_map(|f| of(&f.facts).clone());
+    Ok(Map {
+        format: MAP_FORMAT.into(),
+        bit_depth,
+        gain_db: gains.first().copied(),
+        vendor: first(|f| &f.vendor),
+        model: first(|f| &f.model),
+        sets: sets.into_iter().map(of).collect(),
+    })
+}
+
+/// The usual depth that holds these codes.
+fn depth_of(bits: u16) -> u8 {
+    let needed = (u16::BITS - bits.leading_zeros()) as u8;
+    [8, 10, 12, 14, 16].into_iter().find(|d| *d >= needed).unwrap_or(16)
+}
+
+/// Copies the frames of a map into a new dataset folder; hard links where `link` says so. The manifest comes last: what was broken off is no
+/// dataset.
+pub fn write(
+    map: &Map,
+    root: &Path,
+    link: bool,
+    mut step: impl FnMut(usize, usize) -> bool,
+) -> Result<(), ImportError> {
+    let missing = map.missing();
+    if !missing.is_empty() {
+        return Err(ImportError::Map(format!("missing: {}", missing.join("; "))));
+    }
+    let frames = root.join("frames");
+    let fault = |path: &Path| {
+        let path = path.to_path_buf();
+        move |e: std::io::Error| ImportError::File { path, message: e.to_string() }
+    };
+    std::fs::create_dir_all(&frames).map_err(fault(&frames))?;
+    let all: usize = map.sets.iter().map(|s| s.files.len()).sum();
+    let mut rows = csv::Writer::from_writer(Vec::new());
+    let mut copies: BTreeMap<String, String> = BTreeMap::new();
+    let (mut shape, mut done) = ((0, 0), 0);
+    for (number, set) in map.sets.iter().enumerate() {
+        for (index, file) in set.files.iter().enumerate() {
+            if !step(done, all) {
+                return Err(ImportError::Interrupted);
+            }
+            done += 1;
+            let (path, page) = file.rsplit_once('#').filter(|(_, p)| p.parse::<usize>().is_ok()).unzip();
+            let source = PathBuf::from(path.unwrap_or(file));
+            let page = page.map(|p| format!("#{p}")).unwrap_or_default();
+            let count = copies.len();
+            let copy = match copies.get(&source.display().to_string()) {
+                Some(copy) => copy.clone(),
+                None => {
+                    let extension = source.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+                    let name = format!("frames/{count:05}.{extension}");
+                    let to = root.join(&name);
+                    if link {
+                        std::fs::hard_link(&source, &to).map_err(|e| ImportError::File {
+                            path: source.clone(),
+                            message: format!(
+                                "cannot be linked into {}: {e}; leave --link out",
+                                root.display()
+                            ),
+                        })?;
+                    } else {
+                        std::fs::copy(&source, &to).map_err(fault(&source))?;
+                    }
+                    copies.insert(source.display().to_string(), name.clone());
+                    name
+                }
+            };
+            if shape == (0, 0) {
+                let number = page.trim_start_matches('#').parse().unwrap_or(0);
+                let pixels = image::read(&source, number);
+                shape = pixels
+                    .map_err(|e| ImportError::File { path: source.clone(), message: e.to_string() })?
+                    .dim();
+            }
+            let row = FrameRow {
+                file: format!("{copy}{page}"),
+                kind: set.kind,
+                set: number as u32,
+                index: index as u32,
+                exposure_s: set.exposure_s.unwrap_or(1.0),
+                illumination: set.illumination.unwrap_or(f64::from(u8::from(set.kind != Kind::Dark))),
+                configuration: set.configuration,
+                temperature_c: set.temperature_c,
+                timestamp_s: None,
+            };
+            rows.serialize(&row).map_err(|e| ImportError::Map(e.to_string()))?;
+        }
+    }
+    let camera = CameraInfo {
+        vendor: map.vendor.clone().unwrap_or_default(),
+        model: map.model.clone().unwrap_or_default(),
+        width: shape.1,
+        height: shape.0,
+        bit_depth: map.bit_depth,
+        pixel_format: format!("Mono{}", map.bit_depth),
+        gain_db: map.gain_db,
+        ..Default::default()
+    };
+    let bench = BenchInfo { illumination_unit: "relative".into(), illumination_rel_std: None };
+    let manifest = Manifest { format: FORMAT.into(), camera, bench: Some(bench) };
+    let text = toml::to_string(&manifest).map_err(|e| ImportError::Map(e.to_string()))?;
+    let rows = rows.into_inner().map_err(|e| ImportError::Map(e.to_string()))?;
+    write_whole(&root.join("frames.csv"), &rows)?;
+    write_whole(&root.join("dataset.toml"), text.as_bytes())?;
+    Ok(())
+}

@@ -1,0 +1,151 @@
+//! Loose files: a folder, a stack, headers, a map; and what cannot be known.
+
+use crate::effects::{campaign, unit, with};
+use crate::support::{expect, refused};
+use ndarray::Array2;
+use radcam::dataset::image::{read, tiff_bytes};
+use radcam::dataset::{Dataset, Kind};
+use std::fs;
+use std::path::Path;
+
+/// The frames of a campaign as a person keeps them: a folder for each set, settings in its name.
+fn loose(dataset: &Dataset, to: &Path) {
+    for (k, set) in dataset.sets().iter().enumerate() {
+        let row = dataset.settings(set);
+        let folder =
+            to.join(format!("{k:02}_{}_{}us_light{:?}", row.kind, row.exposure_s * 1e6, row.illumination));
+        fs::create_dir_all(&folder).unwrap();
+        for &i in &set.rows {
+            let row = &dataset.rows()[i];
+            fs::copy(dataset.root().join(&row.file), folder.join(format!("img_{}.tif", row.index))).unwrap();
+        }
+    }
+}
+
+/// A folder of TIFFs with exposures in their names becomes a dataset, a verdict and a calibration.
+#[test]
+fn a_folder_of_tiffs_becomes_a_verdict_and_a_calibration() {
+    let dir = tempfile::tempdir().unwrap();
+    let of = |name: &str| dir.path().join(name);
+    let text = |name: &str| of(name).to_str().unwrap().to_string();
+    let model = unit(11);
+    let row_noise = radcam_sim::effects::example("row-noise", &model).unwrap();
+    campaign(with(model, "row-noise", &row_noise), &of("campaign"));
+    let campaign = Dataset::open(&of("campaign")).unwrap();
+    loose(&campaign, &of("files"));
+    let said = expect(0, &["import", &text("files"), "-o", &text("d"), "--yes"]);
+    assert!(said.contains("240 frames") || said.contains("frames in"), "{said}");
+    let imported = Dataset::open(&of("d")).unwrap();
+    assert_eq!(imported.rows().len(), campaign.rows().len());
+    assert_eq!(imported.manifest().camera.bit_depth, 12);
+    for (a, b) in imported.rows().iter().zip(campaign.rows()) {
+        assert_eq!((a.kind, a.set, a.index, a.illumination), (b.kind, b.set, b.index, b.illumination));
+        assert!((a.exposure_s / b.exposure_s - 1.0).abs() < 1e-9, "{a:?} {b:?}");
+        assert_eq!(imported.read(a).unwrap(), campaign.read(b).unwrap());
+    }
+    let verdict: serde_json::Value =
+        serde_json::from_str(&expect(1, &["diagnose", &text("d"), "--json"])).unwrap();
+    assert_eq!(verdict["missing"][0]["effect"], "row-noise", "{verdict}");
+    expect(0, &["calibrate", &text("d"), "--estimator", "smooth", "-o", &text("cal.tiff")]);
+    // A second time it is refused: nothing is written over.
+    let said = refused(&["import", &text("files"), "-o", &text("d"), "--yes"]);
+    assert!(said.contains("is there already"), "{said}");
+}
+
+/// A dark and a lit stack of three pages, as ImageJ writes them. Their exposure stands nowhere: the map asks for it.
+#[test]
+fn a_stack_is_a_set_and_what_is_not_known_is_asked() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    for (name, level) in [("a.tif", 40u16), ("b.tif", 900)] {
+        let mut file = fs::File::create(dir.path().join(name)).unwrap();
+        let mut encoder = tiff::encoder::TiffEncoder::new(&mut file).unwrap();
+        for page in 0..3u16 {
+            let pixels: Vec<u16> = (0..48).map(|i| level + (i * 7 + page * 3) % 5).collect();
+            encoder.write_image::<tiff::encoder::colortype::Gray16>(8, 6, &pixels).unwrap();
+        }
+    }
+    let said = refused(&["import", &text("a.tif"), &text("b.tif"), "-o", &text("d"), "--yes"]);
+    assert!(said.contains("exposure_s of set 0 (dark") && said.contains("--map"), "{said}");
+    assert!(!dir.path().join("d").exists());
+    let map = fs::read_to_string(text("d.map.toml")).unwrap();
+    let filled = map.replace("kind = ", "exposure_s = 0.02\nkind = ");
+    fs::write(text("d.map.toml"), filled).unwrap();
+    expect(0, &["import", "--map", &text("d.map.toml"), "-o", &text("d"), "--yes"]);
+    let dataset = Dataset::open(&dir.path().join("d")).unwrap();
+    let kinds: Vec<_> = dataset.sets().iter().map(|s| (dataset.settings(s).kind, s.rows.len())).collect();
+    assert_eq!(kinds, [(Kind::Dark, 3), (Kind::Flat, 3)]);
+    // The pages are three, and not one page three times.
+    let frames = dataset.read_set(&dataset.sets()[1]).unwrap();
+    assert!(frames[0] != frames[1] && frames[1] != frames[2]);
+    assert_eq!(dataset.rows().iter().filter(|r| r.exposure_s == 0.02).count(), 6);
+}
+
+fn fits(path: &Path, cards: &[&str], image: &Array2<u16>) {
+    let (rows, columns) = image.dim();
+    let size = [format!("NAXIS1  = {columns}"), format!("NAXIS2  = {rows}")];
+    let head = ["SIMPLE  = T", "BITPIX  = 16", "NAXIS   = 2", &size[0], &size[1], "BZERO   = 32768"];
+    let mut out: Vec<u8> =
+        head.iter().chain(cards).chain(&["END"]).flat_map(|c| format!("{c:<80}").into_bytes()).collect();
+    out.resize(out.len().next_multiple_of(2880), b' ');
+    out.extend(image.iter().flat_map(|v| (v ^ 0x8000).to_be_bytes()));
+    fs::write(path, out).unwrap();
+}
+
+/// Exposure, kind and temperature from FITS headers; a bias frame has no exposure.
+#[test]
+fn fits_headers_say_exposure_and_kind() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    for (k, kind, time, level) in
+        [(0, "'Bias Frame'", 0.0, 100), (1, "'Bias Frame'", 0.0, 100), (2, "'Flat Field'", 1.5, 900)]
+    {
+        let cards = [format!("EXPTIME = {time}"), format!("IMAGETYP= {kind}"), "CCD-TEMP= -10.5".into()];
+        let cards: Vec<&str> = cards.iter().map(String::as_str).collect();
+        let image = Array2::from_shape_fn((4, 6), |(y, x)| level + (y * 3 + x) as u16);
+        fits(&dir.path().join(format!("n{k}.fits")), &cards, &image);
+    }
+    let inputs: Vec<String> = (0..3).map(|k| text(&format!("n{k}.fits"))).collect();
+    let said =
+        expect(0, &["import", &inputs[0], &inputs[1], &inputs[2], "-o", &text("d"), "--yes", "--json"]);
+    assert!(said.contains("\"bit_depth\": 10"), "{said}");
+    let dataset = Dataset::open(&dir.path().join("d")).unwrap();
+    let sets: Vec<_> = dataset.sets().iter().map(|s| dataset.settings(s)).collect();
+    assert_eq!((sets[0].kind, sets[0].exposure_s), (Kind::Dark, 1e-9));
+    assert_eq!((sets[1].kind, sets[1].exposure_s), (Kind::Flat, 1.5));
+    assert_eq!(sets[1].temperature_c, Some(-10.5));
+}
+
+/// What would make a wrong dataset is refused by name.
+#[test]
+fn what_makes_no_dataset_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    let text = |name: &str| path(name).to_str().unwrap().to_string();
+    let write =
+        |name: &str, image: &Array2<u16>| fs::write(path(name), tiff_bytes(image, 16).unwrap()).unwrap();
+    write("flat_1ms_0.tif", &Array2::from_elem((4, 4), 3001));
+    write("flat_1ms_1.tif", &Array2::from_elem((4, 5), 3001));
+    let out = text("d");
+    let said = refused(&["import", &text("flat_1ms_0.tif"), &text("flat_1ms_1.tif"), "-o", &out, "--yes"]);
+    assert!(said.contains("5 x 4 px") && said.contains("one size"), "{said}");
+    // Twelve bits in the upper bits of sixteen.
+    write("flat_2ms_0.tif", &Array2::from_shape_fn((4, 4), |(y, x)| ((y * 4 + x) as u16 + 1) << 8));
+    let said = refused(&["import", &text("flat_2ms_0.tif"), "-o", &out, "--yes"]);
+    assert!(said.contains("multiples of 256"), "{said}");
+    write("flat_3ms_6dB.tif", &Array2::from_elem((4, 4), 801));
+    write("flat_3ms_12dB.tif", &Array2::from_elem((4, 4), 801));
+    let said =
+        refused(&["import", &text("flat_3ms_6dB.tif"), &text("flat_3ms_12dB.tif"), "-o", &out, "--yes"]);
+    assert!(said.contains("one gain"), "{said}");
+    // Not asked, and nobody there to ask.
+    let said = refused(&["import", &text("flat_3ms_6dB.tif"), "-o", &out]);
+    assert!(said.contains("--yes"), "{said}");
+    fs::write(path("notes.txt"), "x").unwrap();
+    let said = refused(&["import", &text("notes.txt"), "-o", &out, "--yes"]);
+    assert!(said.contains("notes.txt") && said.contains("not a sound TIFF"), "{said}");
+    fs::create_dir(path("empty")).unwrap();
+    assert!(refused(&["import", &text("empty"), "-o", &out, "--yes"]).contains("no image files"));
+    assert!(!path("d").exists());
+    assert_eq!(read(&path("flat_1ms_0.tif"), 0).unwrap()[[0, 0]], 3001);
+}
