@@ -3,8 +3,8 @@
 use super::Outcome;
 use super::common::STOP;
 use super::progress::Show;
-use crate::dataset::{Dataset, write_whole};
-use crate::import::{Map, files, propose, survey, write};
+use crate::dataset::write_whole;
+use crate::import::{Map, files, must_be_free, propose, survey, write};
 use anyhow::{Context, Result, bail};
 use std::io::{BufRead, IsTerminal, Write};
 use std::path::PathBuf;
@@ -40,9 +40,7 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let root = &arguments.output;
-    if root.exists() && root.read_dir().map_or(true, |mut inside| inside.next().is_some()) {
-        bail!("{} is there already; choose a new folder", root.display());
-    }
+    must_be_free(root)?;
     let go_on = || !STOP.load(Ordering::Relaxed);
     let map = match &arguments.map {
         Some(path) => {
@@ -90,13 +88,11 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         );
     }
     let mut show = Show::new("import");
-    write(&map, root, arguments.link, |done, of| {
+    let dataset = write(&map, root, arguments.link, |done, of| {
         show.step(done, of);
         go_on()
     })?;
     drop(show);
-    // What was written is read as any dataset is: a map may be wrong.
-    let dataset = Dataset::open(root)?;
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&map)?);
     } else {

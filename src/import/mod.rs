@@ -7,7 +7,7 @@ mod headers;
 pub mod names;
 
 use crate::dataset::{
-    BenchInfo, CameraInfo, DatasetError, FORMAT, FrameRow, Kind, Manifest, image, write_whole,
+    BenchInfo, CameraInfo, Dataset, DatasetError, FORMAT, FrameRow, Kind, Manifest, image, write_whole,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -324,9 +324,39 @@ fn depth_of(bits: u16) -> u8 {
     [8, 10, 12, 14, 16].into_iter().find(|d| *d >= needed).unwrap_or(16)
 }
 
-/// Copies the frames of a map into a new dataset folder; hard links where `link` says so. The manifest comes last: what was broken off is no
-/// dataset.
+/// Refuses a folder that has something in it.
+pub fn must_be_free(root: &Path) -> Result<(), ImportError> {
+    if root.exists() && root.read_dir().map_or(true, |mut inside| inside.next().is_some()) {
+        return Err(ImportError::Files(format!("{} is there already; choose a new folder", root.display())));
+    }
+    Ok(())
+}
+
+/// Copies the frames of a map into a new dataset folder, or makes hard links where `link` says so, and opens it. Where that fails what was
+/// copied is removed again.
 pub fn write(
+    map: &Map,
+    root: &Path,
+    link: bool,
+    step: impl FnMut(usize, usize) -> bool,
+) -> Result<Dataset, ImportError> {
+    must_be_free(root)?;
+    let new = !root.exists();
+    let outcome = fill(map, root, link, step).and_then(|()| Ok(Dataset::open(root)?));
+    if outcome.is_err() {
+        for file in ["dataset.toml", "frames.csv"] {
+            std::fs::remove_file(root.join(file)).ok();
+        }
+        std::fs::remove_dir_all(root.join("frames")).ok();
+        if new {
+            std::fs::remove_dir(root).ok();
+        }
+    }
+    outcome
+}
+
+/// Frames, rows, and last the manifest: what was broken off is no dataset.
+fn fill(
     map: &Map,
     root: &Path,
     link: bool,

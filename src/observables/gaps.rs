@@ -145,7 +145,7 @@ mod tests {
             );
             (squares, tables) = (squares + z * z, tables + 1.0);
         }
-        // Half of them at least: an error that covers everything says nothing.
+        // An error ten times too large would say nothing.
         let rms = f64::sqrt(squares / tables);
         assert!((0.1..1.0).contains(&rms), "{rms}");
     }

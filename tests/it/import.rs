@@ -34,7 +34,8 @@ fn a_folder_of_tiffs_becomes_a_verdict_and_a_calibration() {
     let campaign = Dataset::open(&of("campaign")).unwrap();
     loose(&campaign, &of("files"));
     let said = expect(0, &["import", &text("files"), "-o", &text("d"), "--yes"]);
-    assert!(said.contains("240 frames") || said.contains("frames in"), "{said}");
+    let (frames, sets) = (campaign.rows().len(), campaign.sets().len());
+    assert!(said.contains(&format!("{frames} frames in {sets} sets")), "{said}");
     let imported = Dataset::open(&of("d")).unwrap();
     assert_eq!(imported.rows().len(), campaign.rows().len());
     assert_eq!(imported.manifest().camera.bit_depth, 12);
@@ -71,6 +72,13 @@ fn a_stack_is_a_set_and_what_is_not_known_is_asked() {
     let map = fs::read_to_string(text("d.map.toml")).unwrap();
     let filled = map.replace("kind = ", "exposure_s = 0.02\nkind = ");
     fs::write(text("d.map.toml"), filled).unwrap();
+    // A map that makes no dataset leaves nothing behind, and what was wrong can be mended and run again.
+    for (from, to, part) in [("0.02", "-0.02", "above 0 s"), ("b.tif#2", "c.tif#2", "c.tif")] {
+        fs::write(text("wrong.toml"), fs::read_to_string(text("d.map.toml")).unwrap().replace(from, to))
+            .unwrap();
+        let said = refused(&["import", "--map", &text("wrong.toml"), "-o", &text("d"), "--yes"]);
+        assert!(said.contains(part) && !dir.path().join("d").exists(), "{said}");
+    }
     expect(0, &["import", "--map", &text("d.map.toml"), "-o", &text("d"), "--yes"]);
     let dataset = Dataset::open(&dir.path().join("d")).unwrap();
     let kinds: Vec<_> = dataset.sets().iter().map(|s| (dataset.settings(s).kind, s.rows.len())).collect();

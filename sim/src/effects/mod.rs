@@ -12,7 +12,7 @@ pub enum Stage {
     Light,
     /// On the charge in the pixels, after shot noise.
     Charge,
-    /// On what the wells hold of it.
+    /// On the charge that the wells hold, once all of it has come.
     Well,
     /// While the charge is moved.
     Transfer,

@@ -111,8 +111,8 @@ impl Effect for This {
             let strength = (slope / whole).copysign(strength);
             s.filter(&Filter::new(&power(strength)));
             s.read.add_white(noise);
-            // Five places stand for the pattern of the levels: it is known to its own size only.
             s.moved = s.moved.max(correction.moves());
+            // Five places stand for the pattern of the levels: it is known to its own size only.
             let unequal = correction.unequal(2.0 * x / whole);
             s.unequal += unequal;
             s.unsure = libm::hypot(s.unsure, unequal);
