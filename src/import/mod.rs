@@ -199,7 +199,7 @@ pub struct MapSet {
     /// Sensor temperature, degrees Celsius.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub temperature_c: Option<f64>,
-    /// Mean over the frames, DN, for the reader: it is not used.
+    /// Mean over the frames, DN: tells flats of one exposure apart whose light nobody states.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mean_dn: Option<f64>,
     /// Whether the mean alone says that it is a dark or a flat.
@@ -231,13 +231,33 @@ impl Map {
 
     /// What is to be filled in before it can be written, in words; empty where nothing is.
     pub fn missing(&self) -> Vec<String> {
+        let lowest = self.sets.iter().filter_map(|s| s.mean_dn).fold(f64::INFINITY, f64::min);
+        // Flats that say nothing of their light had the same where they are alike.
+        let unlike = |a: &MapSet, b: &MapSet| {
+            let stated = a.illumination.is_some() || b.illumination.is_some() || a.kind != b.kind;
+            let signal = |s: &MapSet| s.mean_dn.map_or(0.0, |m| m - lowest);
+            !stated
+                && a.exposure_s == b.exposure_s
+                && (signal(a) - signal(b)).abs() > SAME_LIGHT * signal(a).max(signal(b))
+        };
         let without = |(k, s): (usize, &MapSet)| {
             let first = s.files.first().map_or("no files", String::as_str);
-            s.exposure_s.is_none().then(|| format!("exposure_s of set {k} ({}, {first})", s.kind))
+            let other = self.sets.iter().position(|b| s.kind == Kind::Flat && unlike(s, b));
+            match (s.exposure_s, other) {
+                (None, _) => Some(format!("exposure_s of set {k} ({}, {first})", s.kind)),
+                (Some(_), Some(b)) => Some(format!(
+                    "illumination of set {k} ({}, {first}), which has the exposure of set {b} and another mean",
+                    s.kind
+                )),
+                _ => None,
+            }
         };
         self.sets.iter().enumerate().filter_map(without).collect()
     }
 }
+
+/// Flats of one exposure whose signals differ by more had different light: lamps that are left alone stay within some per cent.
+const SAME_LIGHT: f64 = 0.1;
 
 /// A flat lies so much of the full scale above the darkest set at least, where nothing but the mean tells: above what dark current and offsets
 /// of usual darks bring.

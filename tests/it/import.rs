@@ -146,6 +146,13 @@ fn what_makes_no_dataset_is_refused() {
     let said =
         refused(&["import", &text("flat_3ms_6dB.tif"), &text("flat_3ms_12dB.tif"), "-o", &out, "--yes"]);
     assert!(said.contains("one gain"), "{said}");
+    // Two lights at one exposure, and nobody says how strong they are.
+    for (name, level) in [("dark_5ms_0.tif", 100), ("flat_5ms_a_0.tif", 500), ("flat_5ms_b_0.tif", 901)] {
+        write(name, &Array2::from_elem((4, 4), level));
+    }
+    let names = ["dark_5ms_0.tif", "flat_5ms_a_0.tif", "flat_5ms_b_0.tif"].map(text);
+    let said = refused(&["import", &names[0], &names[1], &names[2], "-o", &out, "--yes"]);
+    assert!(said.contains("illumination of set 1") && said.contains("the exposure of set 2"), "{said}");
     // Not asked, and nobody there to ask.
     let said = refused(&["import", &text("flat_3ms_6dB.tif"), "-o", &out]);
     assert!(said.contains("--yes"), "{said}");
