@@ -119,6 +119,9 @@ pub struct SetPrediction {
     pub unequal: f64,
     /// Fourth cumulant of the pixels' noise, the mean over all of them, e^4, then DN^4 (0 for normal noise).
     pub fourth: f64,
+    /// Fourth cumulants of a pixel's noise in two successive frames, DN^4: three of the later and one of the earlier, two of each, one and
+    /// three; the mean over all pixels.
+    pub fourth_next: [f64; 3],
     /// By so much `unequal` is not known, e^4, then DN^4.
     pub unsure: f64,
     /// By so much variance and covariances are not known, e^2, then DN^2.
@@ -196,6 +199,7 @@ impl SetPrediction {
             read_memory: Vec::new(),
             unequal: 0.0,
             fourth: 0.0,
+            fourth_next: [0.0; 3],
             unsure: 0.0,
             unsure_var: 0.0,
             unsure_own: 0.0,
@@ -283,9 +287,7 @@ impl SetPrediction {
         self.unsure_own *= by;
         self.unsure_moving *= by;
         let powers = [&mut self.unequal, &mut self.fourth, &mut self.unsure, &mut self.unsure_fourth];
-        for fourth_power in powers {
-            *fourth_power *= by * by;
-        }
+        powers.into_iter().chain(&mut self.fourth_next).for_each(|power| *power *= by * by);
     }
 
     /// Clipping leaves the share `less` of the variance.

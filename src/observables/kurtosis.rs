@@ -53,6 +53,16 @@ impl Statistic for This {
         // of the fourth cumulant of a frame.
         let of_frame = |k: f64| ((k - 1.0) / k).powi(2) * (1.0 + (k - 1.0).powi(-3));
         let kept = (2..=view.frames.len().max(2)).map(|k| of_frame(k as f64)).sum::<f64>() / view.dof;
+        // That deviation has the weights w of frame k, w^2 = (k - 1) / k, and -w / (k - 1) of each before: of the cumulants of two successive
+        // frames the pair that ends with k has one each way, and the k - 2 pairs before it.
+        let [three, two, one] = s.fourth_next;
+        let of_pairs = |k: f64| {
+            let earlier = -1.0 / (k - 1.0);
+            let last = 6.0 * earlier * earlier * two + 4.0 * earlier * three + 4.0 * earlier.powi(3) * one;
+            let before = (k - 2.0) * earlier.powi(4) * (6.0 * two + 4.0 * (three + one));
+            ((k - 1.0) / k).powi(2) * (last + before)
+        };
+        let pairs = (2..=view.frames.len().max(2)).map(|k| of_pairs(k as f64)).sum::<f64>() / view.dof;
         // A Poisson number has its mean as every cumulant; a mean of several is nearer to a normal one.
         let (shot, _) = view.pixels();
         let poisson = shot * view.prediction.base.gain_dn_per_e.powi(2);
@@ -63,7 +73,7 @@ impl Statistic for This {
             view.at.map_or(0.0, |i| view.all.dark_spread_dn2[i]) * view.prediction.base.gain_dn_per_e.powi(2);
         // A sine of random phase has -3/2 of the square of its variance.
         let sine = s.ripples.iter().map(|r| r.0 * r.0).sum::<f64>();
-        let own = 3.0 * (s.unequal + uneven) + kept * (s.fourth + poisson);
+        let own = 3.0 * (s.unequal + uneven) + kept * (s.fourth + poisson) + pairs;
         // The mean of n fourth powers of normal numbers, over the square of their variance, has the variance 24 sum(rho^4) / n: what scatters
         // is the fourth Hermite polynomial, whose covariance is 24 rho^4 (Mehler 1866; Cramer 1946, 27.4, for independent numbers).
         let rho = |c: f64| (c / variance).powi(4);

@@ -22,7 +22,13 @@ impl Statistic for This {
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let Some(s) = view.set() else { return Expected::plain(o, 0.0, 1.0) };
-        // The variance of a sample variance has the fourth cumulant over the frames in it (Cramer 1946, 27.4).
+        // The variance of a sample variance has the fourth cumulant over the frames in it (Cramer 1946, 27.4). Of two successive frames, of
+        // which there are n - 1 pairs, it has theirs by the products of the weights 1 / n of a square and -1 / n (n - 1) of a product.
+        let n = view.n;
+        let [three, two, one] = s.fourth_next;
+        let pairs =
+            (n - 1.0) * (2.0 / (n * n) + 4.0 / (n * (n - 1.0)).powi(2)) * two - 4.0 / (n * n) * (three + one);
+        let fourth = s.fourth / n + if n > 1.5 { pairs } else { 0.0 };
         let allowed = 1.0 + 2.0 / view.dof;
         let variance = view.noise.max(1e-9);
         let rest = view.rough.1.hypot(view.moving) / variance;
@@ -36,7 +42,7 @@ impl Statistic for This {
         let alike = s.shared_squares(rows, columns) / square * 2.0 / view.dof / allowed;
         Expected::plain(
             o,
-            (s.unequal + s.fourth / (view.n * allowed)) / square - alike,
+            (s.unequal + fourth / allowed) / square - alike,
             in_quadrature(&[
                 o.measured.std_err,
                 (s.unsure + charge) / square,

@@ -126,13 +126,18 @@ impl Added {
             s.unsure_moving = libm::hypot(s.unsure_moving, 2.0 * slope * x / 3.0);
         }
         s.unsure_first = libm::hypot(s.unsure_first, first.unsure_dn);
-        // Only what lies far off is moved, and towards the rest: tails are short.
-        let fourth = self.correction.fourth(self.share);
+        // Only what lies far off is moved, and towards the rest: tails are short. Of a mean that is kept in parts of a code the frame before
+        // is not what is kept: what both share is not predicted, and it is as much again.
+        let [fourth, shared @ ..] = self.correction.fourth(self.share);
         s.fourth += fourth;
-        // What successive frames share of it is not predicted. By sums over drawn numbers (alpha of 0.03 and 0.06, noise of 3 to 9 DN) it has
-        // half of it where two of each are multiplied and 0.8 where three and one are: deviations from the mean of the frames before have
-        // nearly as much again by it, and the variances of pixels scatter by a fifth less of it.
-        s.unsure_fourth = libm::hypot(s.unsure_fourth, 0.8 * fourth);
+        let of_frames = if fine(p) {
+            0.8
+        } else {
+            s.fourth_next = shared;
+            0.2
+        };
+        // On which side of a threshold whole codes lie differs from pixel to pixel.
+        s.unsure_fourth = libm::hypot(s.unsure_fourth, of_frames * fourth);
         s.unsure = libm::hypot(s.unsure, 0.2 * fourth);
     }
 }
