@@ -1,12 +1,13 @@
 //! Real cameras (GigE Vision, USB3 Vision) through libaravis.
 
+use super::features::{Neutral, OFF_ENTRIES, Role, is_disabled, role, suspicious};
 use super::{
     Automatic, Bounds, Camera, CameraError, Capabilities, FrameCounter, FrameStream, Identity, Settings,
     StreamCounts, StreamOptions, Trigger, Value, check_bounds,
 };
 use crate::frame::{Frame, Region, Status};
 use crate::pixel_format::PixelFormat;
-use radcam_aravis::{self as arv, DeviceInfo, Received, StreamSetup};
+use radcam_aravis::{self as arv, DeviceInfo, Feature, FeatureKind, Received, StreamSetup};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
@@ -17,62 +18,26 @@ pub struct AravisCamera {
     identity: Identity,
     capabilities: Capabilities,
     trigger: Trigger,
+    /// Everything that its description lists.
+    tree: Vec<Feature>,
+    exposure: ExposureFeature,
+    /// Gain in dB.
+    gain: Option<&'static str>,
     /// GigE Vision on this machine's own loopback, where packets may be as large as its MTU.
     loopback: bool,
 }
 
+/// How the exposure is set.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum ExposureFeature {
+    /// In microseconds, by the name that Aravis finds.
+    Time,
+    /// `ExposureTimeRaw` in steps of so many microseconds.
+    Raw { step_us: f64 },
+}
+
 /// Largest GVSP packet that the loopback's MTU of 65536 bytes passes whole.
 const LOOPBACK_PACKET: u32 = 65_000;
-
-/// Features that change the image behind the radiometry's back, and the value at which they do not.
-const AUTOMATICS: &[(&str, Neutral)] = &[
-    ("ExposureAuto", Neutral::Entry("Off")),
-    ("GainAuto", Neutral::Entry("Off")),
-    ("BlackLevelAuto", Neutral::Entry("Off")),
-    ("BlackLevelClampingEnable", Neutral::Off),
-    ("BalanceWhiteAuto", Neutral::Entry("Off")),
-    ("BalanceRatioAuto", Neutral::Entry("Off")),
-    ("TonalityAuto", Neutral::Entry("Off")),
-    ("ExposureCompensationAuto", Neutral::Entry("Off")),
-    ("GammaEnable", Neutral::Off),
-    ("GammaEnabled", Neutral::Off),
-    ("Gamma", Neutral::Number(1.0)),
-    ("LUTEnable", Neutral::Off),
-    ("SharpnessAuto", Neutral::Entry("Off")),
-    ("SharpnessEnable", Neutral::Off),
-    ("SharpnessEnabled", Neutral::Off),
-    ("SharpeningMode", Neutral::Entry("Off")),
-    ("Sharpness", Neutral::Number(0.0)),
-    ("SaturationEnable", Neutral::Off),
-    ("SaturationEnabled", Neutral::Off),
-    ("ColorTransformationEnable", Neutral::Off),
-    ("NoiseReduction", Neutral::Number(0.0)),
-    ("NoiseReductionMode", Neutral::Entry("Off")),
-    ("NoiseReductionEnable", Neutral::Off),
-    ("DenoiseMode", Neutral::Entry("Off")),
-    ("SpatialNoiseReductionEnable", Neutral::Off),
-    ("TemporalNoiseReductionEnable", Neutral::Off),
-    ("DefectCorrectStaticEnable", Neutral::Off),
-    ("DefectCorrectDynamicEnable", Neutral::Off),
-    ("DefectCorrectionMode", Neutral::Entry("Off")),
-    ("DefectPixelCorrectionEnable", Neutral::Off),
-    ("DefectPixelCorrectionMode", Neutral::Entry("Off")),
-    ("PixelCorrectionMode", Neutral::Entry("Off")),
-    ("ShadingCorrectionMode", Neutral::Entry("Off")),
-    ("FlatFieldCorrectionMode", Neutral::Entry("Off")),
-    ("DSNUCorrectionEnable", Neutral::Off),
-    ("PRNUCorrectionEnable", Neutral::Off),
-    ("HDREnable", Neutral::Off),
-    ("DigitalShift", Neutral::Number(0.0)),
-];
-
-/// A value that leaves the image alone.
-#[derive(Debug, Clone, Copy)]
-enum Neutral {
-    Entry(&'static str),
-    Off,
-    Number(f64),
-}
 
 /// Every camera on networks and USB. Takes about a second.
 pub fn list() -> Vec<DeviceInfo> {
@@ -108,9 +73,12 @@ impl AravisCamera {
             .iter()
             .find_map(|f| inner.has(f).then(|| inner.string(f).ok()).flatten());
         let identity = Identity { id: format!("aravis:{address}"), vendor, model, serial, firmware };
-        let capabilities = capabilities(&inner, &identity.id)?;
+        let exposure = exposure_feature(&inner);
+        let gain = ["Gain", "GainAbs"].into_iter().find(|name| in_unit(&inner, name, "dB"));
+        let capabilities = capabilities(&inner, &identity.id, exposure, gain)?;
         let loopback = inner.is_gigevision() && address.starts_with("127.");
-        Ok(Self { inner, identity, capabilities, trigger: Trigger::FreeRun, loopback })
+        let tree = inner.features();
+        Ok(Self { inner, identity, capabilities, trigger: Trigger::FreeRun, tree, exposure, gain, loopback })
     }
 
     fn refused(&self, e: arv::Error) -> CameraError {
@@ -121,13 +89,102 @@ impl AravisCamera {
         CameraError::Backend { camera, feature: e.what, message: e.message }
     }
 
-    /// Reads a feature by what it is for the neutral value asked for.
-    fn read(&self, name: &str, like: Neutral) -> Option<Value> {
-        match like {
-            Neutral::Entry(_) => self.inner.string(name).ok().map(Value::Text),
-            Neutral::Off => self.inner.boolean(name).ok().map(Value::Bool),
-            Neutral::Number(_) => self.number(name).map(Value::Float),
+    /// Reads a feature.
+    fn read(&self, name: &str, kind: FeatureKind) -> Option<Value> {
+        match kind {
+            FeatureKind::Boolean => self.inner.boolean(name).ok().map(Value::Bool),
+            FeatureKind::Integer => self.inner.integer(name).ok().map(Value::Int),
+            FeatureKind::Float => self.inner.float(name).ok().map(Value::Float),
+            FeatureKind::Enumeration | FeatureKind::Text => self.inner.string(name).ok().map(Value::Text),
         }
+    }
+
+    /// The value at which a feature leaves the image alone; `None` where this camera means something else by the name.
+    fn neutral(&self, feature: &Feature, neutral: Neutral) -> Option<Value> {
+        let number = |value: f64| match feature.kind {
+            FeatureKind::Boolean => Some(Value::Bool(value != 0.0)),
+            FeatureKind::Integer => Some(Value::Int(value as i64)),
+            FeatureKind::Float => Some(Value::Float(value)),
+            FeatureKind::Enumeration | FeatureKind::Text => None,
+        };
+        let enumeration = feature.kind == FeatureKind::Enumeration;
+        let entries = if enumeration { self.inner.entries(&feature.name).ok()? } else { Vec::new() };
+        let there = |wanted: &&&'static str| entries.iter().any(|e| e == **wanted);
+        match neutral {
+            // Left on without an entry that switches it off it is still named: nothing is what it cannot read.
+            Neutral::Off if enumeration => {
+                Some(Value::Text(OFF_ENTRIES.iter().find(there).unwrap_or(&"Off").to_string()))
+            }
+            Neutral::Off => number(0.0),
+            Neutral::On => number(1.0),
+            Neutral::Number(value) => number(value),
+            Neutral::Entry(entry) => there(&&entry).then(|| Value::Text(entry.to_string())),
+        }
+    }
+
+    /// Brings a feature to a value and tells what became of it.
+    fn neutralise(&self, name: &str, shown: String, kind: FeatureKind, to: &Value) -> Option<Automatic> {
+        let before = self.read(name, kind)?;
+        let set = match to {
+            Value::Bool(v) => self.inner.set_boolean(name, *v),
+            Value::Int(v) => self.inner.set_integer(name, *v),
+            Value::Float(v) => self.inner.set_float(name, *v),
+            Value::Text(v) => self.inner.set_string(name, v),
+        };
+        if let Err(e) = set {
+            tracing::debug!(feature = name, error = %e, "could not be set");
+        }
+        let now = self.read(name, kind);
+        let off = match (&now, to) {
+            (Some(Value::Float(now)), Value::Float(to)) => (now - to).abs() < 1e-6,
+            (now, to) => now.as_ref() == Some(to),
+        };
+        let now = now.map_or_else(|| "unreadable".into(), |v| v.to_string());
+        Some(Automatic { feature: shown, before: before.to_string(), now, off })
+    }
+
+    /// Does something with a feature under every entry of its selector, and leaves the selector as it was. `act` is told the entry where
+    /// there are several.
+    fn under_selector(&self, name: &str, mut act: impl FnMut(Option<&str>)) {
+        let selector = self.selector_of(name);
+        let entries =
+            selector.and_then(|s| Some((s, self.inner.entries(s).ok()?, self.inner.string(s).ok()?)));
+        match entries {
+            Some((selector, entries, before)) if entries.len() > 1 => {
+                for entry in &entries {
+                    if self.inner.set_string(selector, entry).is_ok() && self.inner.has(name) {
+                        act(Some(entry));
+                    }
+                }
+                if let Err(e) = self.inner.set_string(selector, &before) {
+                    tracing::debug!(feature = selector, error = %e, "could not be set back");
+                }
+            }
+            _ => act(None),
+        }
+    }
+
+    /// The selector of a feature: the one that says so, or in older descriptions, which do not, the one with its name.
+    fn selector_of(&self, name: &str) -> Option<&str> {
+        let says = |f: &&Feature| f.selected.iter().any(|s| s == name);
+        let named = |f: &&Feature| {
+            f.selected.is_empty()
+                && f.name.strip_suffix("Selector").is_some_and(|stem| name.starts_with(stem))
+        };
+        let mut enumerations =
+            self.tree.iter().filter(|f| f.kind == FeatureKind::Enumeration && f.name != name);
+        let found = enumerations.clone().find(says).or_else(|| enumerations.find(named));
+        found.map(|f| f.name.as_str()).filter(|selector| self.inner.has(selector))
+    }
+
+    fn exposure_s(&self) -> Result<f64, CameraError> {
+        match self.exposure {
+            ExposureFeature::Time => self.inner.exposure_s(),
+            ExposureFeature::Raw { step_us } => {
+                self.inner.integer("ExposureTimeRaw").map(|steps| steps as f64 * step_us * 1e-6)
+            }
+        }
+        .map_err(|e| self.refused(e))
     }
 
     /// A float, or an integer taken for one.
@@ -147,7 +204,25 @@ fn in_unit(inner: &arv::Camera, feature: &str, unit: &str) -> bool {
     inner.has(feature) && inner.unit(feature).is_some_and(|u| u.trim().eq_ignore_ascii_case(unit))
 }
 
-fn capabilities(inner: &arv::Camera, id: &str) -> Result<Capabilities, CameraError> {
+/// How a camera's exposure is set: older ones count steps of a time base.
+fn exposure_feature(inner: &arv::Camera) -> ExposureFeature {
+    let raw = "ExposureTimeRaw";
+    if ["ExposureTime", "ExposureTimeAbs"].iter().any(|name| inner.has(name)) || !inner.has(raw) {
+        return ExposureFeature::Time;
+    }
+    let base = inner.float("ExposureTimeBaseAbs").ok().filter(|us| *us > 0.0);
+    if base.is_none() {
+        tracing::warn!("ExposureTimeRaw has no ExposureTimeBaseAbs beside it: one step is taken as 1 us");
+    }
+    ExposureFeature::Raw { step_us: base.unwrap_or(1.0) }
+}
+
+fn capabilities(
+    inner: &arv::Camera,
+    id: &str,
+    exposure: ExposureFeature,
+    gain: Option<&str>,
+) -> Result<Capabilities, CameraError> {
     let fault =
         |e: arv::Error| CameraError::Backend { camera: id.into(), feature: e.what, message: e.message };
     let bounds = |(min, max): (f64, f64), increment| Bounds { min, max, increment };
@@ -155,8 +230,18 @@ fn capabilities(inner: &arv::Camera, id: &str) -> Result<Capabilities, CameraErr
         let (min, max) = inner.integer_bounds(name).map_err(fault)?;
         Ok(bounds((min as f64, max as f64), Some(inner.integer_increment(name) as f64)))
     };
-    let exposure_name = ["ExposureTime", "ExposureTimeAbs"].into_iter().find(|name| inner.has(name));
-    let exposure_step = exposure_name.and_then(|n| inner.float_increment(n)).map(|us| us * 1e-6);
+    let exposure_s = match exposure {
+        ExposureFeature::Time => {
+            let name = ["ExposureTime", "ExposureTimeAbs"].into_iter().find(|name| inner.has(name));
+            let step = name.and_then(|n| inner.float_increment(n)).map(|us| us * 1e-6);
+            inner.exposure_bounds_s().ok().map(|b| bounds(b, step))
+        }
+        ExposureFeature::Raw { step_us } => {
+            let step_s = step_us * 1e-6;
+            let limits = inner.integer_bounds("ExposureTimeRaw").ok();
+            limits.map(|(min, max)| bounds((min.max(1) as f64 * step_s, max as f64 * step_s), Some(step_s)))
+        }
+    };
     // Only what is said to be in DN counts as such; makers have units of their own.
     let black_level_dn =
         in_unit(inner, "BlackLevel", "DN").then(|| inner.float_bounds("BlackLevel").ok()).flatten();
@@ -171,11 +256,8 @@ fn capabilities(inner: &arv::Camera, id: &str) -> Result<Capabilities, CameraErr
     let step = |name: &str| if inner.has(name) { inner.integer_increment(name) as u32 } else { 1 };
     let codes = inner.pixel_formats().map_err(fault)?;
     Ok(Capabilities {
-        exposure_s: inner.exposure_bounds_s().ok().map(|b| bounds(b, exposure_step)),
-        gain_db: in_unit(inner, "Gain", "dB")
-            .then(|| inner.gain_bounds().ok())
-            .flatten()
-            .map(|b| bounds(b, None)),
+        exposure_s,
+        gain_db: gain.and_then(|name| inner.float_bounds(name).ok()).map(|b| bounds(b, None)),
         black_level_dn: black_level_dn.map(|b| bounds(b, None)),
         frame_rate_hz: inner.frame_rate_bounds_hz().ok().map(|b| bounds(b, None)),
         width: sensor("SensorWidth", "Width")?,
@@ -206,8 +288,8 @@ impl Camera for AravisCamera {
         let [x, y, width, height] = self.inner.region().map_err(refused)?.map(|v| v.max(0) as u32);
         let optional = |has: bool, read: &dyn Fn() -> Option<f64>| has.then(read).flatten();
         Ok(Settings {
-            exposure_s: self.inner.exposure_s().map_err(refused)?,
-            gain_db: optional(self.capabilities.gain_db.is_some(), &|| self.inner.gain().ok()),
+            exposure_s: self.exposure_s()?,
+            gain_db: self.gain.and_then(|name| self.inner.float(name).ok()),
             black_level_dn: optional(self.capabilities.black_level_dn.is_some(), &|| {
                 self.inner.float("BlackLevel").ok()
             }),
@@ -216,22 +298,35 @@ impl Camera for AravisCamera {
             }),
             pixel_format,
             region: Region { x, y, width, height },
-            temperature_c: optional(self.inner.has("DeviceTemperature"), &|| {
-                self.inner.float("DeviceTemperature").ok()
-            }),
+            temperature_c: ["DeviceTemperature", "TemperatureAbs", "CurrentTemperature"]
+                .into_iter()
+                .find_map(|name| optional(self.inner.has(name), &|| self.inner.float(name).ok())),
         })
     }
 
     fn set_exposure_s(&mut self, value: f64) -> Result<f64, CameraError> {
         check_bounds(&self.identity.id, "ExposureTime", self.capabilities.exposure_s, value, "s")?;
-        self.inner.set_exposure_s(value).map_err(|e| self.refused(e))?;
-        self.inner.exposure_s().map_err(|e| self.refused(e))
+        match self.exposure {
+            ExposureFeature::Time => self.inner.set_exposure_s(value),
+            ExposureFeature::Raw { step_us } => {
+                let steps = (value * 1e6 / step_us).round().max(1.0);
+                self.inner.set_integer("ExposureTimeRaw", steps as i64)
+            }
+        }
+        .map_err(|e| self.refused(e))?;
+        self.exposure_s()
     }
 
     fn set_gain_db(&mut self, value: f64) -> Result<f64, CameraError> {
         check_bounds(&self.identity.id, "Gain", self.capabilities.gain_db, value, "dB")?;
-        self.inner.set_gain(value).map_err(|e| self.refused(e))?;
-        self.inner.gain().map_err(|e| self.refused(e))
+        let name = self.gain.unwrap_or("Gain");
+        let mut set = Ok(());
+        self.under_selector(name, |_| {
+            if let Err(e) = self.inner.set_float(name, value) {
+                set = Err(e);
+            }
+        });
+        set.and_then(|()| self.inner.float(name)).map_err(|e| self.refused(e))
     }
 
     fn set_black_level_dn(&mut self, value: f64) -> Result<f64, CameraError> {
@@ -295,35 +390,24 @@ impl Camera for AravisCamera {
 
     fn disable_automatics(&mut self) -> Result<Vec<Automatic>, CameraError> {
         let mut done = Vec::new();
-        for &(name, neutral) in AUTOMATICS {
+        for feature in &self.tree {
+            let name = feature.name.as_str();
+            let Some(Role::Distorts(neutral, _)) = role(name) else { continue };
             if !self.inner.has(name) {
                 continue;
             }
-            let Some(before) = self.read(name, neutral) else { continue };
-            let set = match neutral {
-                Neutral::Entry(entry) => self.inner.set_string(name, entry),
-                Neutral::Off => self.inner.set_boolean(name, false),
-                Neutral::Number(value) => self.set_number(name, value),
-            };
-            if let Err(e) = set {
-                tracing::debug!(feature = name, error = %e, "could not be set");
-            }
-            let now = self.read(name, neutral);
-            let off = match (&now, neutral) {
-                (Some(Value::Text(now)), Neutral::Entry(entry)) => now == entry,
-                (Some(Value::Bool(now)), Neutral::Off) => !now,
-                (Some(Value::Float(now)), Neutral::Number(value)) => (now - value).abs() < 1e-6,
-                _ => false,
-            };
-            done.push(Automatic {
-                feature: name.into(),
-                before: before.to_string(),
-                now: now.map_or_else(|| "unreadable".into(), |v| v.to_string()),
-                off,
+            self.under_selector(name, |entry| {
+                let shown = entry.map_or_else(|| name.to_string(), |entry| format!("{name}[{entry}]"));
+                let to = self.neutral(feature, neutral);
+                done.extend(to.and_then(|to| self.neutralise(name, shown, feature.kind, &to)));
             });
         }
         if self.inner.is_lost() {
             return Err(self.refused(arv_lost()));
+        }
+        let now: BTreeMap<String, String> = done.iter().map(|a| (a.feature.clone(), a.now.clone())).collect();
+        for a in &mut done {
+            a.off |= is_disabled(&a.feature, |switch| now.get(switch).cloned());
         }
         Ok(done)
     }
@@ -372,30 +456,33 @@ impl Camera for AravisCamera {
     }
 
     fn features(&mut self) -> BTreeMap<String, Value> {
-        let texts = ["TriggerMode", "BinningHorizontal", "BinningVertical", "SensorShutterMode", "ReverseX"];
-        let mut features: BTreeMap<_, _> = texts
-            .iter()
-            .filter(|name| self.inner.has(name))
-            .filter_map(|name| {
-                let value = self.inner.string(name).map(Value::Text);
-                let value = value.or_else(|_| self.inner.integer(name).map(Value::Int));
-                Some((name.to_string(), value.ok()?))
-            })
-            .collect();
-        for (name, known) in [
-            ("Gain", self.capabilities.gain_db.is_some()),
-            ("GainRaw", false),
-            ("BlackLevel", self.capabilities.black_level_dn.is_some()),
-            ("BlackLevelRaw", false),
-        ] {
-            if let Some(value) = self.number(name).filter(|_| !known && self.inner.has(name)) {
-                features.insert(name.into(), Value::Float(value));
-            }
+        let mut features = BTreeMap::new();
+        let kept = |name: &str| {
+            let role = role(name);
+            // What the columns and keys of a dataset say stands there.
+            let said = ["ExposureTime", "ExposureTimeAbs", "PixelFormat", "OffsetX", "OffsetY"]
+                .contains(&name)
+                || self.gain == Some(name)
+                || (name == "BlackLevel" && self.capabilities.black_level_dn.is_some());
+            let recorded = matches!(role, Some(Role::Setting | Role::Geometry)) || suspicious(name);
+            (recorded && !said) || name == "TriggerMode"
+        };
+        for feature in self.tree.iter().filter(|f| kept(&f.name) && self.inner.has(&f.name)) {
+            self.under_selector(&feature.name, |entry| {
+                let name = &feature.name;
+                let shown = entry.map_or_else(|| name.clone(), |entry| format!("{name}[{entry}]"));
+                features.extend(self.read(name, feature.kind).map(|value| (shown, value)));
+            });
         }
         if let Some(size) = self.inner.packet_size() {
             features.insert("GevSCPSPacketSize".into(), Value::Int(size.into()));
         }
         features
+    }
+
+    fn unlisted_features(&mut self) -> Vec<String> {
+        let there = self.tree.iter().filter(|f| suspicious(&f.name) && self.inner.has(&f.name));
+        there.map(|f| f.name.clone()).collect()
     }
 
     fn stream(&mut self, options: &StreamOptions) -> Result<Box<dyn FrameStream + '_>, CameraError> {

@@ -6,6 +6,7 @@
 #[cfg(feature = "aravis")]
 pub mod aravis;
 pub mod corrected;
+pub mod features;
 pub mod replay;
 pub mod sim;
 
@@ -357,9 +358,15 @@ pub trait Camera: Send {
         Err(self.not_available(name))
     }
 
-    /// Settings worth keeping beside a capture, by GenICam name.
+    /// Settings worth keeping beside a capture, by GenICam name; of a feature that several entries of a selector share
+    /// `Name[Entry]`.
     fn features(&mut self) -> BTreeMap<String, Value> {
         BTreeMap::new()
+    }
+
+    /// Features of which [`features::role`] knows nothing and whose names speak of radiometry.
+    fn unlisted_features(&mut self) -> Vec<String> {
+        Vec::new()
     }
 
     /// Told before a campaign is continued: so many frames were taken, the last of them at this time, s.

@@ -163,6 +163,13 @@ impl Capture<'_> {
                 );
             }
         }
+        let unlisted = self.camera.unlisted_features();
+        if !unlisted.is_empty() {
+            tracing::warn!(
+                features = unlisted.join(", "),
+                "radcam does not know what these features do to pixel values; they stay as they are and are recorded"
+            );
+        }
         let mut counts = StreamCounts::default();
         let searched = !resume && plan.full_exposure_s.is_none() && plan.needs_full_exposure();
         let (writer, plan) = if resume {
@@ -252,8 +259,10 @@ impl Capture<'_> {
         for a in automatics {
             features.insert(a.feature.clone(), Value::Text(a.now.clone()));
         }
+        let unlisted_features = self.camera.unlisted_features();
         let identity = self.camera.identity();
         let mut manifest = Manifest::new(CameraInfo {
+            unlisted_features,
             still_automatic: automatics.iter().filter(|a| !a.off).map(|a| a.feature.clone()).collect(),
             features: features
                 .into_iter()

@@ -105,8 +105,12 @@ pub fn tell(summary: &Summary, root: &Path) {
         "  frames received {}, damaged and thrown away {}, without a free buffer {}, never arrived {}",
         c.completed, c.failures, c.underruns, c.missing
     );
-    let still_on: Vec<_> = summary.automatics.iter().filter(|a| !a.off).map(|a| &*a.feature).collect();
+    let still_on: Vec<_> =
+        summary.automatics.iter().filter(|a| !a.off).map(|a| format!("{} = {}", a.feature, a.now)).collect();
     if !still_on.is_empty() {
-        println!("  could not be switched off: {}", still_on.join(", "));
+        println!(
+            "  could not be switched off: {}; `diagnose` will name it as the first suspect",
+            still_on.join(", ")
+        );
     }
 }

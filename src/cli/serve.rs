@@ -16,6 +16,14 @@ pub struct Arguments {
     /// Another specimen of the same camera: seed of its maps and its noise
     #[arg(long)]
     seed: Option<u64>,
+    /// Names of exposure, gain and black level: those of SFNC 2, or what older cameras have
+    #[cfg(feature = "aravis")]
+    #[arg(long, value_enum, default_value = "current")]
+    feature_names: crate::serve::Names,
+    /// A feature that is stuck at a value, such as Gamma=0.6 (Gamma, LUTEnable, SharpeningEnable, DefectCorrectStaticEnable, TestPattern,
+    /// BinningHorizontal, BinningVertical); may be given several times
+    #[arg(long, value_name = "NAME=VALUE")]
+    stuck: Vec<String>,
     /// Share of its packets that the camera loses, 0 to 1
     #[arg(long, default_value_t = 0.0)]
     lose_packets: f64,
@@ -31,7 +39,13 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     use std::sync::atomic::Ordering;
 
     let sensor = radcam_sim::Sensor::new(load_model(&arguments.sensor, arguments.seed)?)?;
-    let served = crate::serve::serve(sensor.into(), arguments.interface.into(), &arguments.serial)?;
+    let stuck = arguments.stuck.iter().map(|text| {
+        let pair = text.split_once('=').map(|(name, value)| (name.trim().into(), value.trim().into()));
+        pair.ok_or_else(|| anyhow::anyhow!("--stuck {text}: write NAME=VALUE, such as Gamma=0.6"))
+    });
+    let options =
+        crate::serve::Options { names: arguments.feature_names, stuck: stuck.collect::<Result<_>>()? };
+    let served = crate::serve::serve(sensor.into(), arguments.interface.into(), &arguments.serial, &options)?;
     served.set_lost_packets(arguments.lose_packets.clamp(0.0, 1.0));
     let (sensor, interface, serial) = (&arguments.sensor, arguments.interface, &arguments.serial);
     println!("serving {sensor} as {serial} over GigE Vision on {interface}; Ctrl-C ends");

@@ -1,5 +1,6 @@
 //! `dataset.toml`: what camera and bench said of themselves.
 
+use crate::camera::features::{LeftOn, left_on};
 use crate::camera::{Identity, Settings};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -55,6 +56,9 @@ pub struct CameraInfo {
     /// Automatic functions that could not be switched off, by their GenICam names.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub still_automatic: Vec<String>,
+    /// Features of which radcam knows nothing and whose names speak of radiometry; their values stand in `features`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unlisted_features: Vec<String>,
     /// Other settings by their GenICam names, as read back.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub features: BTreeMap<String, toml::Value>,
@@ -87,6 +91,13 @@ impl CameraInfo {
             firmware: identity.firmware.clone(),
             ..Self::default()
         }
+    }
+
+    /// Features that changed pixel values while the frames were taken, as far as is known.
+    pub fn left_on(&self) -> Vec<LeftOn> {
+        let text = |v: &toml::Value| v.as_str().map_or_else(|| v.to_string(), Into::into);
+        let values = self.features.iter().map(|(name, value)| (name.clone(), text(value))).collect();
+        left_on(&values, &self.still_automatic)
     }
 
     /// Largest code, DN.

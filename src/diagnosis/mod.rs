@@ -11,6 +11,7 @@ pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
 use crate::agreement::{DOUBT, P_LIMIT};
+use crate::camera::features::LeftOn;
 use crate::inference::{
     Comparison, Effects, Fitted, Residual, by, compare, fit, fit_near, residuals_of, seen, start,
 };
@@ -104,6 +105,9 @@ pub struct Diagnosis {
     pub error_after: f64,
     /// What is missing, strongest first.
     pub missing: Vec<Missing>,
+    /// Features of the camera that changed pixel values: the first suspects.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub left_on: Vec<LeftOn>,
     /// The ladder.
     pub ladder: Vec<Rung>,
     /// The one measurement that would tell the closest candidates apart.
@@ -157,10 +161,13 @@ pub fn diagnose(
     progress(&format!("error {:.2} with {} effects added", last.error, parts.len()));
     let mut ladder = vec![Rung { added: None, error: first.error, p_value: first.p_value }];
     ladder.extend(rungs(all, &model, &parts, &whole, &last));
-    let missing = missing(all, &parts, &whole, [&first, &last], &ladder);
+    let mut missing = missing(all, &parts, &whole, [&first, &last], &ladder);
+    for m in &mut missing {
+        m.evidence.extend(suspects(&m.effect, &all.left_on));
+    }
     let next = next_measurement(all, &parts, &missing);
     Diagnosis {
-        verdict: Verdict::of(&missing, &first, &model, &whole),
+        verdict: Verdict::of(&missing, &first, &model, &whole, &all.left_on),
         consistent: missing.is_empty(),
         error_before: first.error,
         error_after: last.error,
@@ -168,10 +175,19 @@ pub fn diagnose(
         next_plan: next.as_ref().map(|(about, sets)| Plan::of_takes(about, sets)),
         next_measurement: next.map(|n| n.0),
         missing,
+        left_on: all.left_on.clone(),
         notes,
         fitted: Some(whole),
         comparisons: vec![first, last],
     }
+}
+
+/// What was left on in the camera and acts like an effect; of `unknown` everything.
+fn suspects(effect: &str, left_on: &[LeftOn]) -> Option<String> {
+    let acts = |l: &&LeftOn| effect == "unknown" || l.acts_like.iter().any(|id| id == effect);
+    let names: Vec<String> = left_on.iter().filter(acts).map(ToString::to_string).collect();
+    (!names.is_empty())
+        .then(|| format!("{} was left on in the camera and may be all there is to it", names.join(", ")))
 }
 
 /// The entries of the answer: `unknown` where names are not enough, then the parts, each with what ties with it.

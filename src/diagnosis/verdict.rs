@@ -2,6 +2,7 @@
 
 use super::Missing;
 use crate::agreement::Agreement;
+use crate::camera::features::LeftOn;
 use crate::inference::{Comparison, Fitted};
 use crate::number::with_unit;
 use radcam_sim::effects::find;
@@ -46,8 +47,31 @@ impl Verdict {
         }
     }
 
-    /// Of what was found. `given`, `whole`: the model as given and with all that was found, fitted.
-    pub(super) fn of(missing: &[Missing], first: &Comparison, given: &Fitted, whole: &Fitted) -> Self {
+    /// Of what was found. `given`, `whole`: the model as given and with all that was found, fitted. `left_on`: what the camera did to its
+    /// pixels by its own settings.
+    pub(super) fn of(
+        missing: &[Missing],
+        first: &Comparison,
+        given: &Fitted,
+        whole: &Fitted,
+        left_on: &[LeftOn],
+    ) -> Self {
+        let mut verdict = Self::of_campaign(missing, first, given, whole);
+        if !left_on.is_empty() {
+            let names: Vec<String> = left_on.iter().map(ToString::to_string).collect();
+            let on = format!("The camera's own {} was on while these frames were taken", names.join(", "));
+            match &mut verdict {
+                Self::Describes { sentence, .. } => *sentence += &format!(" {on}; it does not show."),
+                Self::Named { sentence, .. } | Self::Unknown { sentence, .. } => {
+                    *sentence =
+                        format!("{on}: the first suspect. Switch it off and capture again. {sentence}");
+                }
+            }
+        }
+        verdict
+    }
+
+    fn of_campaign(missing: &[Missing], first: &Comparison, given: &Fitted, whole: &Fitted) -> Self {
         let Some(top) = missing.first() else {
             let agreement = first.agreement;
             let sentence = match agreement {

@@ -5,6 +5,7 @@ use super::{
     ChunkView, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, Statistic, codes,
     covariance, mean, successive, variance,
 };
+use crate::camera::features::LeftOn;
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
@@ -34,6 +35,8 @@ pub struct Observations {
     pub means_given: bool,
     /// What could not be looked at.
     pub missing: Vec<String>,
+    /// Features of the camera that changed pixel values.
+    pub left_on: Vec<LeftOn>,
     /// Known relative error of the light levels.
     pub light_rel_std: Option<f64>,
     /// Largest relative deviation of the signal over the pixels of a set.
@@ -240,6 +243,7 @@ pub fn of_dataset(
         is_table: false,
         means_given: false,
         missing,
+        left_on: camera.left_on(),
         light_rel_std: dataset.manifest().bench.as_ref().and_then(|b| b.illumination_rel_std),
         dark_spread_dn2,
         steady_dn4,

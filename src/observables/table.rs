@@ -127,6 +127,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         is_table: true,
         means_given: !exposures,
         missing,
+        left_on: Vec::new(),
         light_rel_std: None,
     })
 }

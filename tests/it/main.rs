@@ -4,6 +4,7 @@
 
 mod blind;
 mod calibration;
+mod camera;
 mod conformance;
 mod dataset;
 mod effects;

@@ -7,7 +7,7 @@ use radcam::camera::aravis::AravisCamera;
 use radcam::camera::sim::SimCamera;
 use radcam::camera::{Camera, CameraError, StreamOptions, Value};
 use radcam::frame::{Frame, Region, Status};
-use radcam::serve::{Served, serve};
+use radcam::serve::{Names, Options, Served, serve};
 use radcam_sim::{Conditions, Scene, Sensor};
 use std::net::Ipv4Addr;
 use std::process::{Command, Stdio};
@@ -18,7 +18,7 @@ const LOOPBACK: &str = "127.0.0.1";
 const TIMEOUT: Duration = Duration::from_secs(10);
 
 fn served(sensor: &Arc<Sensor>) -> Served {
-    serve(Arc::clone(sensor), Ipv4Addr::LOCALHOST.into(), "TEST1").unwrap()
+    serve(Arc::clone(sensor), Ipv4Addr::LOCALHOST.into(), "TEST1", &Options::default()).unwrap()
 }
 
 fn sensor() -> Arc<Sensor> {
@@ -245,6 +245,125 @@ fn aravis_own_tools_use_the_served_camera() {
     assert!(out.status.success(), "{text}");
     let completed = text.lines().find_map(|l| l.strip_prefix("n_completed_buffers")).and_then(number);
     assert!(completed.is_some_and(|n| n > 50), "{text}");
+}
+
+/// What is written beyond the bounds or between the steps reads back as what the camera does, with a client that checks nothing.
+#[test]
+fn the_served_camera_keeps_to_its_bounds() {
+    let _port = gige_port();
+    let _served = served(&sensor());
+    let Some(mut arv_tool) = tool("arv-tool-0.8") else { return };
+    let written = ["Gain=100", "ExposureTime=-5", "Width=63", "BinningVertical=3", "OffsetX=999", "Gamma=9"];
+    let read = ["Gain", "ExposureTime", "Width", "BinningVertical", "OffsetX", "Gamma", "Height"];
+    let out = arv_tool.args(["--address=127.0.0.1", "control"]).args(written).args(read).output().unwrap();
+    let text = String::from_utf8_lossy(&out.stdout).into_owned();
+    let said: Vec<&str> = text.lines().rev().take(read.len()).collect();
+    let said: Vec<&str> = said.into_iter().rev().map(|l| l.split(" min").next().unwrap()).collect();
+    let wanted =
+        ["Gain = 24 dB", "ExposureTime = 20 us", "Width = 60", "BinningVertical = 2", "OffsetX = 68"];
+    assert_eq!(said[..5], wanted, "{text}");
+    assert_eq!(said[5..], ["Gamma = 4 1", "Height = 48"], "{text}");
+}
+
+/// The reference implementation of GenApi and a client in Rust of others, both from PyPI.
+#[test]
+fn clients_that_share_nothing_with_aravis_read_write_and_stream() {
+    let _port = gige_port();
+    let Some(python) = std::env::var_os("RADCAM_TEST_VENV").map(std::path::PathBuf::from) else {
+        println!("SKIPPED: RADCAM_TEST_VENV names no Python environment with genicam and viva-genicam");
+        return;
+    };
+    for names in [Names::Current, Names::Abs, Names::Raw] {
+        let options = Options { names, ..Default::default() };
+        let _served = serve(sensor(), Ipv4Addr::LOCALHOST.into(), "TEST1", &options).unwrap();
+        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/outside/genapi.py");
+        let out = Command::new(python.join("bin/python")).args([script, LOOPBACK]).output().unwrap();
+        let text = String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr);
+        assert!(out.status.success(), "{names:?}: {text}");
+    }
+    let _served = served(&sensor());
+    let dir = tempfile::tempdir().unwrap();
+    let camctl = |arguments: &[&str]| {
+        let mut command = Command::new(python.join("bin/viva-camctl"));
+        command.args(["--iface", LOOPBACK]).args(arguments).args(["--ip", LOOPBACK]);
+        let out = command.current_dir(dir.path()).output().unwrap();
+        String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr)
+    };
+    camctl(&["set", "--name", "BenchIllumination", "--value", "0.5"]);
+    let text = camctl(&["get", "--name", "BenchIllumination"]);
+    assert!(text.contains("0.5"), "{text}");
+    let stream =
+        ["stream", "--packet-size", "8000", "--duration-s", "4", "--save", "200", "--save-format", "tiff"];
+    let text = camctl(&stream);
+    let saved = std::fs::read_dir(dir.path()).unwrap().count();
+    assert!(saved == 200 && text.contains("incomplete=0 missed=0"), "{saved} frames: {text}");
+}
+
+/// A camera with the names of older ones whose gamma cannot be switched off: the capture says so, and the diagnosis names it first.
+#[test]
+fn gamma_that_is_stuck_is_the_first_suspect() {
+    let _port = gige_port();
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    let stuck = vec![("Gamma".to_string(), "0.6".to_string())];
+    let options = Options { names: Names::Raw, stuck };
+    let _served = serve(sensor(), Ipv4Addr::LOCALHOST.into(), "TEST1", &options).unwrap();
+    let said =
+        expect(0, &["capture", "--camera", "aravis:127.0.0.1", "--plan", "standard", "-o", &path("c")]);
+    assert!(said.contains("could not be switched off: Gamma = 0.6"), "{said}");
+    let dataset = radcam::dataset::Dataset::open(&dir.path().join("c")).unwrap();
+    let camera = &dataset.manifest().camera;
+    assert_eq!(camera.still_automatic, ["Gamma"]);
+    assert!(camera.features.contains_key("GainRaw") && camera.features.contains_key("BlackLevelRaw"));
+    // Exposures are steps of the camera's time base.
+    for row in dataset.rows() {
+        let steps = row.exposure_s / 20e-6;
+        assert!((steps - steps.round()).abs() < 1e-6, "{row:?}");
+    }
+    let d: serde_json::Value = serde_json::from_str(&expect(1, &["diagnose", &path("c"), "--json"])).unwrap();
+    assert_eq!(d["left_on"][0]["feature"], "Gamma", "{d}");
+    let sentence = d["verdict"]["sentence"].as_str().unwrap();
+    assert!(sentence.starts_with("The camera's own Gamma = 0.6 was on"), "{sentence}");
+}
+
+/// Each thing that distorts does so on the wire, is switched off by a capture, and is then gone.
+#[test]
+fn what_distorts_is_switched_off_before_a_capture() {
+    let _port = gige_port();
+    let sensor = sensor();
+    let _served = served(&sensor);
+    let mut camera = AravisCamera::open(LOOPBACK).unwrap();
+    let frame = |camera: &mut AravisCamera| {
+        let mut frame = Frame::new(0, 0);
+        let mut stream = camera.stream(&StreamOptions::default()).unwrap();
+        for _ in 0..2 {
+            stream.next(&mut frame, TIMEOUT).unwrap();
+        }
+        (frame.pixels.dim(), frame.pixels.mapv(f64::from).mean().unwrap())
+    };
+    let (whole, usual) = frame(&mut camera);
+    for (feature, value) in [
+        ("Gamma", Value::Float(0.5)),
+        ("LUTEnable", Value::Bool(true)),
+        ("TestPattern", Value::Text("GreyHorizontalRamp".into())),
+    ] {
+        camera.set_feature(feature, &value).unwrap();
+        let (_, mean) = frame(&mut camera);
+        assert!((mean / usual - 1.0).abs() > 0.05, "{feature}: {mean} {usual}");
+        let done = camera.disable_automatics().unwrap();
+        let of = done.iter().find(|a| a.feature == feature).unwrap();
+        assert!(of.off && of.before == value.to_string(), "{of:?}");
+    }
+    // The light is what it was, to within the noise of the frames.
+    assert!((frame(&mut camera).1 / usual - 1.0).abs() < 0.01);
+    assert_eq!(frame(&mut camera).0, whole);
+    // Binning is no distortion but another camera: recorded, and left as it is.
+    camera.set_feature("BinningHorizontal", &Value::Int(2)).unwrap();
+    camera.disable_automatics().unwrap();
+    assert_eq!(camera.features()["BinningHorizontal"], Value::Int(2));
+    let region = camera.settings().unwrap().region;
+    camera.set_region(region).unwrap();
+    assert_eq!(frame(&mut camera).0, (96, 64));
 }
 
 fn number(text: &str) -> Option<u64> {

@@ -70,6 +70,32 @@ pub fn devices() -> Vec<DeviceInfo> {
     (0..count).map(info).collect()
 }
 
+/// How a feature's value is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FeatureKind {
+    /// True or false.
+    Boolean,
+    /// One of some names.
+    Enumeration,
+    /// Whole number.
+    Integer,
+    /// Number.
+    Float,
+    /// Text.
+    Text,
+}
+
+/// A feature of the camera's description.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Feature {
+    /// GenICam name.
+    pub name: String,
+    /// How its value is written.
+    pub kind: FeatureKind,
+    /// Features whose values are those of one of its entries.
+    pub selected: Vec<String>,
+}
+
 /// An open camera, controlled by this process.
 #[derive(Debug)]
 pub struct Camera {
@@ -112,6 +138,45 @@ impl Camera {
     /// Whether it is a GigE Vision camera.
     pub fn is_gigevision(&self) -> bool {
         self.inner.is_gv_device()
+    }
+
+    /// Every feature of the description's categories that has a value, whether it can be used now or not.
+    pub fn features(&self) -> Vec<Feature> {
+        let Some(description) = self.inner.device().and_then(|d| d.genicam()) else { return Vec::new() };
+        let mut out: Vec<Feature> = Vec::new();
+        let mut categories = vec!["Root".to_string()];
+        let mut seen = std::collections::BTreeSet::new();
+        while let Some(name) = categories.pop() {
+            // A description may list a feature twice, or a category within itself.
+            if !seen.insert(name.clone()) {
+                continue;
+            }
+            let Some(node) = description.node(&name) else { continue };
+            if let Some(category) = node.downcast_ref::<aravis::GcCategory>() {
+                categories.extend(category.features().into_iter().map(Into::into));
+                continue;
+            }
+            let kind = if node.is::<aravis::GcBoolean>() {
+                FeatureKind::Boolean
+            } else if node.is::<aravis::GcEnumeration>() {
+                FeatureKind::Enumeration
+            } else if node.is::<aravis::GcFloat>() {
+                FeatureKind::Float
+            } else if node.is::<aravis::GcInteger>() {
+                FeatureKind::Integer
+            } else if node.is::<aravis::GcString>() {
+                FeatureKind::Text
+            } else {
+                continue;
+            };
+            let selector = node.dynamic_cast_ref::<aravis::GcSelector>();
+            let selector = selector.filter(|s| s.is_selector());
+            let selected = selector.map(|s| s.selected_features()).unwrap_or_default();
+            let selected = selected.iter().filter_map(|f| f.name()).map(Into::into).collect();
+            out.push(Feature { name, kind, selected });
+        }
+        out.sort_by(|a, b| a.name.cmp(&b.name));
+        out
     }
 
     /// Whether there is such a feature and it can be used now.

@@ -9,7 +9,7 @@ mod camera;
 mod server;
 mod stream;
 
-pub use camera::{Camera, DeviceInfo, devices};
+pub use camera::{Camera, DeviceInfo, Feature, FeatureKind, devices};
 pub use server::{Painter, Registers, Request, VirtualCamera, address};
 pub use stream::{Received, Stream, StreamCounts, StreamSetup};
 

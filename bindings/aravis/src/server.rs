@@ -220,7 +220,9 @@ impl VirtualCamera {
         let server = aravis::GvFakeCamera::new_full(Some(&interface.to_string()), Some(serial), Some(&path));
         let camera = server.fake_camera().ok_or_else(|| fault("libaravis made no camera".into()))?;
         if !server.is_running() {
-            return Err(fault("no such network interface".into()));
+            let message = "no network interface has this address; for a second camera on this machine give the loopback one more: \
+                           ip addr add 127.0.0.2/8 dev lo";
+            return Err(fault(message.into()));
         }
         // The library asks 25 times a second for a trigger; a thousand times make it prompt.
         camera.set_trigger_frequency(1000.0);

@@ -1,0 +1,451 @@
+//! What the features of real cameras do to pixel values.
+//!
+//! Names are those of the Standard Features Naming Convention (SFNC 2.7) and of the makers whose description files were read. A feature that
+//! has no line here and whose name speaks of radiometry is recorded with its value, and the capture warns of it ([`suspicious`]).
+
+/// The value at which a feature leaves the image alone.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Neutral {
+    /// False, 0, or the entry that says so (`Off`, `Disabled`, `None`).
+    Off,
+    /// True.
+    On,
+    /// This number.
+    Number(f64),
+    /// This entry; a camera that does not offer it means something else by the name.
+    Entry(&'static str),
+}
+
+/// What a feature has to do with radiometry.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Role {
+    /// It changes pixel values: brought to its neutral value before a capture. Left on it acts like these effects.
+    Distorts(Neutral, &'static [&'static str]),
+    /// A setting under which a calibration holds: recorded.
+    Setting,
+    /// Which pixels are read and how they are put together: recorded; a calibration holds for its own only.
+    Geometry,
+    /// It does nothing to the codes that radcam reads, for this reason.
+    Harmless(&'static str),
+}
+
+use Neutral::{Entry, Number, Off, On};
+use Role::{Distorts, Geometry, Harmless, Setting};
+
+/// Curves of any kind.
+const CURVE: &[&str] = &["nonlinearity", "companding"];
+/// Filters over neighbours.
+const FILTER: &[&str] = &["spatial-filter"];
+/// Filters over neighbours or frames.
+const DENOISE: &[&str] = &["spatial-filter", "temporal-filter"];
+/// Single pixels replaced by their neighbours.
+const DEFECTS: &[&str] = &["random-telegraph-noise"];
+/// The black level that follows the image.
+const BLACK: &[&str] = &["offset-drift", "row-noise", "column-noise", "black-clipping"];
+/// The gain that follows the image.
+const GAIN: &[&str] = &["gain-drift", "illumination-setting"];
+/// The exposure that follows the image.
+const EXPOSURE: &[&str] = &["illumination-setting", "illumination-drift", "exposure-offset"];
+/// The factor of every pixel.
+const SHADING: &[&str] = &["tap-mismatch"];
+/// Codes that are no measurement.
+const PATTERN: &[&str] = &[];
+
+const COLOUR: Role = Harmless("acts on RGB and YUV, which radcam does not read");
+const FOLLOWS: Role = Harmless("acts only with a feature that is switched off");
+const SELECTS: Role = Harmless("says which entry another feature means");
+const STATUS: Role = Harmless("tells and changes nothing");
+const TIMING: Role = Harmless("when frames are read, not what is in them");
+const EVENT: Role = Harmless("a message beside the image");
+
+/// Every feature that is known, in alphabetic order.
+const KNOWN: &[(&str, Role)] = &[
+    ("ADC_range", Setting),
+    ("ALC_Intensifier_Gain", Setting),
+    ("ALC_Min_intensifier_gain", Setting),
+    ("ALC_V_Gain", Setting),
+    ("ASYNCDIRECTSHUTTER", Setting),
+    ("ASYNCDIRECTSHUTTERVALUE", Setting),
+    ("AUTOBLACKLEVELFLAG", Harmless("the register behind AutoBlackLevelStatus")),
+    ("AcquisitionFrameRate", TIMING),
+    ("AcquisitionFrameRateAuto", TIMING),
+    ("AcquisitionFrameRateEnable", TIMING),
+    ("AcquisitionFrameRateEnabled", TIMING),
+    ("AdcBitDepth", Setting),
+    ("AsyncDirectShutter", Setting),
+    ("AutoAlgorithmSelector", SELECTS),
+    ("AutoBlackLevelStatus", Distorts(Off, BLACK)),
+    ("AutoBlackLevelValue", Setting),
+    ("AutoFunctionProfile", FOLLOWS),
+    ("AutoTargetValue", FOLLOWS),
+    ("BalanceRatio", Setting),
+    ("BalanceRatioAbs", Setting),
+    ("BalanceRatioAuto", Distorts(Off, GAIN)),
+    ("BalanceRatioRaw", Setting),
+    ("BalanceRatioSelector", SELECTS),
+    ("BalanceWhiteAuto", Distorts(Off, GAIN)),
+    ("BalanceWhiteAutoProfile", FOLLOWS),
+    ("BalanceWhiteMode", Distorts(Entry("Manual"), GAIN)),
+    ("Binning", Geometry),
+    ("BinningHorizontal", Geometry),
+    ("BinningHorizontalMode", Geometry),
+    ("BinningMode", Geometry),
+    ("BinningSelector", SELECTS),
+    ("BinningVertical", Geometry),
+    ("BinningVerticalMax", STATUS),
+    ("BinningVerticalMode", Geometry),
+    ("BlackLevel", Setting),
+    ("BlackLevelAuto", Distorts(Off, BLACK)),
+    ("BlackLevelAutoBalance", Distorts(Off, BLACK)),
+    ("BlackLevelClampingEnable", Distorts(Off, BLACK)),
+    ("BlackLevelEnabled", Setting),
+    ("BlackLevelRaw", Setting),
+    ("BlackLevelSelector", SELECTS),
+    ("BlackLevelValue", Setting),
+    ("Bright", Setting),
+    ("Bright_Pixel_Corection", Distorts(Off, DEFECTS)),
+    ("BrightnessCorrection", Distorts(Off, GAIN)),
+    ("CCD_TEMPERATURE", STATUS),
+    ("ChunkModeActive", Harmless("data beside the image")),
+    ("ColorAdjustmentHue", COLOUR),
+    ("ColorAdjustmentHueRaw", COLOUR),
+    ("ColorAdjustmentSaturation", COLOUR),
+    ("ColorAdjustmentSaturationRaw", COLOUR),
+    ("ColorEnhancementEnable", Distorts(Off, CURVE)),
+    ("ColorEnhancementHysteresisWidth", FOLLOWS),
+    ("ColorEnhancementThreshold", FOLLOWS),
+    ("ColorTransformationEnable", Distorts(Off, CURVE)),
+    ("ColorTransformationMatrixFactor", COLOUR),
+    ("ColorTransformationMatrixFactorRaw", COLOUR),
+    ("ColorTransformationMode", Distorts(Entry("Off"), CURVE)),
+    ("ColorTransformationSelector", SELECTS),
+    ("ColorTransformationValue", COLOUR),
+    ("ColorTransformationValueRaw", COLOUR),
+    ("ColorTransformationValueSelector", SELECTS),
+    ("CriticalTemperatureEventStreamChannelIndex", EVENT),
+    ("CriticalTemperatureEventTimestamp", EVENT),
+    ("CurrentTemperature", STATUS),
+    ("DSNUCorrectionEnable", Distorts(Off, SHADING)),
+    ("DecimationHorizontal", Geometry),
+    ("DecimationHorizontalMode", Geometry),
+    ("DecimationSelector", SELECTS),
+    ("DecimationVertical", Geometry),
+    ("DecimationVerticalMode", Geometry),
+    ("DefectCorrectDynamicEnable", Distorts(Off, DEFECTS)),
+    ("DefectCorrectStaticEnable", Distorts(Off, DEFECTS)),
+    ("DefectCorrectionMode", Distorts(Entry("Off"), DEFECTS)),
+    ("DefectMaskColumnEnable", Distorts(Off, DEFECTS)),
+    ("DefectMaskPixelEnable", Distorts(Off, DEFECTS)),
+    ("DefectPixelCorrection", Distorts(Off, DEFECTS)),
+    ("DefectPixelCorrectionEnable", Distorts(Off, DEFECTS)),
+    ("DefectPixelCorrectionEnable_Control", Distorts(Off, DEFECTS)),
+    ("DefectPixelCorrectionMark_Control", Distorts(Off, DEFECTS)),
+    ("DefectPixelCorrectionMode", Distorts(Entry("Off"), DEFECTS)),
+    ("DefectPixelCorrection_MapIndex", FOLLOWS),
+    ("DefectPixelCorrection_MapSelect", FOLLOWS),
+    ("DefectPixelCorrection_MapSize", FOLLOWS),
+    ("DefectPixelCorrection_OffsetX", FOLLOWS),
+    ("DefectPixelCorrection_OffsetY", FOLLOWS),
+    ("DefectPixelCorrection_X", FOLLOWS),
+    ("DefectPixelCorrection_Y", FOLLOWS),
+    ("DenoiseMode", Distorts(Entry("Off"), DENOISE)),
+    ("DeviceTemperature", STATUS),
+    ("DeviceTemperatureSelector", SELECTS),
+    ("DigitalShift", Distorts(Number(0.0), &["coarse-quantization"])),
+    ("EdgeEnhancement", Distorts(Off, FILTER)),
+    ("EdgeFilter", Distorts(Off, FILTER)),
+    ("ExposureActiveMode", Harmless("says when an output line is high")),
+    ("ExposureAuto", Distorts(Off, EXPOSURE)),
+    ("ExposureAutoHighlighReduction", FOLLOWS),
+    ("ExposureCompensation", FOLLOWS),
+    ("ExposureCompensationAuto", Distorts(Off, EXPOSURE)),
+    ("ExposureCompensationEnable", Distorts(Off, EXPOSURE)),
+    ("ExposureEndEventFrameID", EVENT),
+    ("ExposureEndEventStreamChannelIndex", EVENT),
+    ("ExposureEndEventTimestamp", EVENT),
+    ("ExposureMode", Distorts(Entry("Timed"), EXPOSURE)),
+    ("ExposureOverlapTimeMaxAbs", TIMING),
+    ("ExposureOverlapTimeMaxRaw", TIMING),
+    ("ExposureTime", Setting),
+    ("ExposureTimeAbs", Setting),
+    ("ExposureTimeBaseAbs", Setting),
+    ("ExposureTimeBaseAbsEnable", Setting),
+    ("ExposureTimeMax", STATUS),
+    ("ExposureTimeMin", STATUS),
+    ("ExposureTimeRaw", Setting),
+    ("ExposureValue", STATUS),
+    ("FfcUserGain", Setting),
+    ("FlatFieldCorrectionMode", Distorts(Entry("Off"), SHADING)),
+    ("Flat_Field_Correction", Distorts(Off, SHADING)),
+    ("Gain", Setting),
+    ("GainAbs", Setting),
+    ("GainAuto", Distorts(Off, GAIN)),
+    ("GainAutoBalance", Distorts(Off, GAIN)),
+    ("GainAutoLevel", FOLLOWS),
+    ("GainFactor", Setting),
+    ("GainRaw", Setting),
+    ("GainRawChannelA", Setting),
+    ("GainRawChannelB", Setting),
+    ("GainSelector", SELECTS),
+    ("GainValue", Setting),
+    ("Gamma", Distorts(Number(1.0), CURVE)),
+    ("GammaEnable", Distorts(Off, CURVE)),
+    ("GammaEnabled", Distorts(Off, CURVE)),
+    ("GammaSelector", SELECTS),
+    ("Gamma_gain_bright", FOLLOWS),
+    ("Gamma_gain_dark", FOLLOWS),
+    ("Gamma_sel", Distorts(Entry("one"), CURVE)),
+    ("Global_Shutter", Geometry),
+    ("HDREnable", Distorts(Off, CURVE)),
+    ("HDRIndex", FOLLOWS),
+    ("HDRPotentialAbs", FOLLOWS),
+    ("HighResolutionEnable", Distorts(Off, FILTER)),
+    ("Hue", COLOUR),
+    ("HueAuto", Distorts(Off, CURVE)),
+    ("HueEnabled", Distorts(Off, CURVE)),
+    ("IMX174HardwareWDREnable", Distorts(Off, CURVE)),
+    ("IMX174WDRShutter2", FOLLOWS),
+    ("KNEEX2VALUE", FOLLOWS),
+    ("KneeX1", FOLLOWS),
+    ("KneeX2", FOLLOWS),
+    ("KneeY1", FOLLOWS),
+    ("KneeY2", FOLLOWS),
+    ("LUTBitDepthIn", FOLLOWS),
+    ("LUTBitDepthOut", FOLLOWS),
+    ("LUTEnable", Distorts(Off, CURVE)),
+    ("LUTInversion", Distorts(Entry("Positive"), CURVE)),
+    ("LUTMode", Distorts(Entry("Linear"), CURVE)),
+    ("LUTSelector", SELECTS),
+    ("LegacyBinningVertical", Geometry),
+    ("MANUALDIRECTSHUTTER", Setting),
+    ("MANUALDIRECTSHUTTERVALUE", Setting),
+    ("ManualDirectShutter", Setting),
+    ("NoiseReduction", Distorts(Off, DENOISE)),
+    ("NoiseReductionEnable", Distorts(Off, DENOISE)),
+    ("NoiseReductionMode", Distorts(Entry("Off"), DENOISE)),
+    ("Noisefilter", Distorts(Off, DENOISE)),
+    ("OffsetAutoCenter", Distorts(Off, PATTERN)),
+    ("OffsetX", Geometry),
+    ("OffsetY", Geometry),
+    ("Offset_Correction", Distorts(Off, BLACK)),
+    ("OverTemperatureEventStreamChannelIndex", EVENT),
+    ("OverTemperatureEventTimestamp", EVENT),
+    ("OverheatTemperature", STATUS),
+    ("PGR_HDRImageSelector", SELECTS),
+    ("PGR_HDRModeEnabled", Distorts(Off, EXPOSURE)),
+    ("PGR_HDR_ExposureTimeAbs", FOLLOWS),
+    ("PGR_HDR_GainAbs", FOLLOWS),
+    ("PLD_TEMPERATURE", STATUS),
+    ("POSNEGLUTFLAG", Harmless("the register behind LUTInversion")),
+    ("PRNUCorrectionEnable", Distorts(Off, SHADING)),
+    ("PixelColorFilter", STATUS),
+    ("PixelCorrectionMode", Distorts(Entry("Off"), DEFECTS)),
+    ("PixelDynamicRangeMax", STATUS),
+    ("PixelDynamicRangeMin", STATUS),
+    ("PixelFormat", Setting),
+    ("PvGainRaw", Setting),
+    ("ReadOutTime", TIMING),
+    ("ReadoutControl", TIMING),
+    ("ReadoutDelay", TIMING),
+    ("ReadoutMode", TIMING),
+    ("ReadoutTimeAbs", TIMING),
+    ("ReverseX", Geometry),
+    ("ReverseY", Geometry),
+    ("Saturation", COLOUR),
+    ("SaturationAuto", Distorts(Off, CURVE)),
+    ("SaturationEnable", Distorts(Off, CURVE)),
+    ("SaturationEnabled", Distorts(Off, CURVE)),
+    ("SensorAutoClampingDisable", Distorts(On, BLACK)),
+    ("SensorDigitizationTaps", Geometry),
+    ("SensorShutterMode", Geometry),
+    ("ShadingCorrectionMode", Distorts(Entry("Off"), SHADING)),
+    ("Shading_Control", Distorts(Off, SHADING)),
+    ("Shading_Status", STATUS),
+    ("Sharpening", FOLLOWS),
+    ("SharpeningAuto", Distorts(Off, FILTER)),
+    ("SharpeningEnable", Distorts(Off, FILTER)),
+    ("SharpeningMode", Distorts(Entry("Off"), FILTER)),
+    ("SharpeningThreshold", FOLLOWS),
+    ("Sharpness", Distorts(Number(0.0), FILTER)),
+    ("SharpnessAuto", Distorts(Off, FILTER)),
+    ("SharpnessEnable", Distorts(Off, FILTER)),
+    ("SharpnessEnabled", Distorts(Off, FILTER)),
+    ("Shutter", Setting),
+    ("ShutterMode", Setting),
+    ("SlowShutter", Distorts(Entry("Manual"), EXPOSURE)),
+    ("SpatialNoiseReductionEnable", Distorts(Off, FILTER)),
+    ("TemperatureAbs", STATUS),
+    ("TemperatureSelector", SELECTS),
+    ("TemporalNoiseReductionEnable", Distorts(Off, &["temporal-filter"])),
+    ("TestImageSelector", Distorts(Off, PATTERN)),
+    ("TestPattern", Distorts(Off, PATTERN)),
+    ("TestPatternGeneratorSelector", SELECTS),
+    ("TonalityAuto", Distorts(Off, CURVE)),
+    ("VideoGain", Setting),
+    ("WDRBlockedUp", FOLLOWS),
+    ("WDRBlownOut", FOLLOWS),
+    ("WDRDetectionSensitivity", FOLLOWS),
+    ("WDRExposureRatio", FOLLOWS),
+    ("WDRImageMode", FOLLOWS),
+    ("WDRMode", Distorts(Off, CURVE)),
+    ("combining_relative_gain", Setting),
+    ("pgrDefectPixelCorrectionEnable", Distorts(Off, DEFECTS)),
+    ("pgrDefectPixelCorrectionTestMode", Distorts(Off, DEFECTS)),
+    ("pgrExposureCompensation", FOLLOWS),
+    ("pgrExposureCompensationAuto", Distorts(Off, EXPOSURE)),
+    ("pgrHDRImageSelector", SELECTS),
+    ("pgrHDRModeEnabled", Distorts(Off, EXPOSURE)),
+    ("pgrHDR_ExposureTimeAbs", FOLLOWS),
+    ("pgrHDR_GainAbs", FOLLOWS),
+];
+
+/// What is known of a feature; `None` where it is not listed.
+pub fn role(name: &str) -> Option<Role> {
+    KNOWN.binary_search_by(|(known, _)| (*known).cmp(name)).ok().map(|at| KNOWN[at].1)
+}
+
+/// Every feature that has a role, by its GenICam name.
+pub fn known() -> impl Iterator<Item = (&'static str, Role)> {
+    KNOWN.iter().copied()
+}
+
+/// Effects that a feature looks like where it is left on; none where it is not known.
+pub fn acts_like(name: &str) -> &'static [&'static str] {
+    match role(name) {
+        Some(Distorts(_, effects)) => effects,
+        _ => &[],
+    }
+}
+
+/// Entries of enumerations that switch something off, as makers write it.
+pub const OFF_ENTRIES: [&str; 8] = ["Off", "OFF", "off", "Disabled", "Disable", "disable", "None", "False"];
+
+/// A feature that changes pixel values and was not neutral while frames were taken.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct LeftOn {
+    /// GenICam name.
+    pub feature: String,
+    /// Its value, where it is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub value: Option<String>,
+    /// Effects that it looks like; empty where that is not known.
+    pub acts_like: Vec<String>,
+}
+
+impl std::fmt::Display for LeftOn {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.feature)?;
+        self.value.as_ref().map_or(Ok(()), |value| write!(f, " = {value}"))
+    }
+}
+
+/// What was left on, of the values that were read back. `named` are those that could not be switched off, or that nobody knows.
+pub fn left_on(values: &std::collections::BTreeMap<String, String>, named: &[String]) -> Vec<LeftOn> {
+    let acting = |name: &str| !is_disabled(name, |enable| values.get(enable).cloned());
+    let seen = values.iter().filter(|(name, value)| {
+        let neutral = match role(plain(name)) {
+            Some(Distorts(Off, _)) => {
+                OFF_ENTRIES.contains(&value.as_str()) || matches!(value.as_str(), "false" | "0")
+            }
+            Some(Distorts(On, _)) => matches!(value.as_str(), "true" | "1"),
+            Some(Distorts(Number(to), _)) => value.parse::<f64>().is_ok_and(|v| (v - to).abs() < 1e-6),
+            // A camera may mean something else by the name.
+            _ => true,
+        };
+        !neutral && acting(name)
+    });
+    let mut names: Vec<&String> = named.iter().filter(|name| acting(name)).collect();
+    names.extend(seen.map(|(name, _)| name));
+    names.sort();
+    names.dedup();
+    let of = |name: &String| LeftOn {
+        feature: name.clone(),
+        value: values.get(name).cloned(),
+        acts_like: acts_like(plain(name)).iter().map(ToString::to_string).collect(),
+    };
+    names.into_iter().map(of).collect()
+}
+
+/// A name without the entry of its selector.
+fn plain(name: &str) -> &str {
+    name.split_once('[').map_or(name, |(name, _)| name)
+}
+
+/// Whether a feature has a switch of its own (`GammaEnable` of `Gamma`) that is off.
+pub fn is_disabled(name: &str, value_of: impl Fn(&str) -> Option<String>) -> bool {
+    let switch = ["Enable", "Enabled"].map(|end| format!("{}{end}", plain(name)));
+    switch.iter().any(|s| value_of(s).is_some_and(|v| v == "false" || OFF_ENTRIES.contains(&v.as_str())))
+}
+
+/// Whether the name of a feature that is not listed speaks of radiometry.
+pub fn suspicious(name: &str) -> bool {
+    const WORDS: [&str; 37] = [
+        "gain",
+        "gamma",
+        "exposure",
+        "shutter",
+        "black",
+        "clamp",
+        "lut",
+        "knee",
+        "hdr",
+        "wdr",
+        "dynamicrange",
+        "correct",
+        "filter",
+        "noise",
+        "sharp",
+        "edge",
+        "defect",
+        "hotpixel",
+        "shading",
+        "flatfield",
+        "ffc",
+        "balance",
+        "saturation",
+        "hue",
+        "bright",
+        "contrast",
+        "tone",
+        "tonal",
+        "enhance",
+        "binning",
+        "decimation",
+        "testpattern",
+        "testimage",
+        "dsnu",
+        "prnu",
+        "fpn",
+        "companding",
+    ];
+    let plain: String = name.to_lowercase().chars().filter(|c| c.is_alphanumeric()).collect();
+    role(name).is_none() && WORDS.iter().any(|word| plain.contains(word))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_list_is_in_order_and_names_effects_that_are() {
+        assert!(KNOWN.is_sorted_by(|a, b| a.0 < b.0));
+        for (name, role) in known() {
+            if let Distorts(_, effects) = role {
+                for id in effects {
+                    assert!(radcam_sim::effects::find(id).is_some(), "{name}: {id}");
+                }
+            }
+        }
+        let values =
+            [("Gamma", "0.6"), ("GammaEnable", "false"), ("LUTEnable[LUT1]", "true"), ("TestPattern", "Off")];
+        let values = values.map(|(a, b)| (a.to_string(), b.to_string())).into();
+        let found = left_on(&values, &["GainAuto".into()]);
+        assert_eq!(
+            found.iter().map(ToString::to_string).collect::<Vec<_>>(),
+            ["GainAuto", "LUTEnable[LUT1] = true"]
+        );
+        assert_eq!(found[0].acts_like, GAIN);
+        assert!(suspicious("HighlightToneMapping") && suspicious("CdsNoiseGate"));
+        assert!(!suspicious("GevMACAddress") && !suspicious("Gamma"));
+    }
+}

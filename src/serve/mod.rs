@@ -1,0 +1,314 @@
+//! The simulator as a GigE Vision camera on the network.
+//!
+//! Any GenICam client can drive it: exposure, gain, black level, region and format change the physics, and the
+//! features `BenchIllumination`, `BenchDark`, `BenchConfiguration`, `BenchScene` and `DeviceTemperature` move the bench.
+//!
+//! It offers what cameras do to their pixels beside measuring: [`processing::Processing`], all of it off. A feature can be stuck, as firmware
+//! has it, and exposure, gain and black level can have the names that older cameras give them ([`Options`]).
+//!
+//! Its clock is simulated: timestamps grow by exposure and read-out time while frames come as fast as
+//! `AcquisitionFrameRate` says. Frame n since the start shows the noise of frame number n.
+
+mod description;
+pub mod processing;
+
+use crate::bench::BenchState;
+use crate::camera::sim::{formats_of, narrow};
+use crate::frame::Region;
+use crate::pixel_format::PixelFormat;
+use processing::Processing;
+use radcam_aravis::{Painter, Registers, Request, VirtualCamera, address};
+use radcam_sim::{Conditions, Model, Scene, Sensor};
+use std::net::IpAddr;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+
+/// Our own registers, behind those of the fake camera and the bootstrap registers.
+mod register {
+    pub const EXPOSURE_US: u32 = 0x8000;
+    pub const GAIN_DB: u32 = 0x8008;
+    pub const BLACK_LEVEL: u32 = 0x8010;
+    pub const TEMPERATURE_C: u32 = 0x8018;
+    pub const ILLUMINATION: u32 = 0x8020;
+    pub const DARK: u32 = 0x8028;
+    pub const CONFIGURATION: u32 = 0x802C;
+    pub const SCENE: u32 = 0x8030;
+    pub const BINNING_HORIZONTAL: u32 = 0x8040;
+    pub const BINNING_VERTICAL: u32 = 0x8044;
+    pub const GAMMA: u32 = 0x8048;
+    pub const LUT: u32 = 0x8050;
+    pub const SHARPENING: u32 = 0x8054;
+    pub const DEFECTS: u32 = 0x8058;
+    pub const PATTERN: u32 = 0x805C;
+    pub const EXPOSURE_RAW: u32 = 0x8060;
+    pub const GAIN_RAW: u32 = 0x8064;
+    pub const BLACK_RAW: u32 = 0x8068;
+    pub const EXPOSURE_BASE_US: u32 = 0x8070;
+}
+
+/// Names of exposure, gain and black level.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+pub enum Names {
+    /// `ExposureTime`, `Gain`, `BlackLevel` (SFNC 2).
+    #[default]
+    Current,
+    /// `ExposureTimeAbs`, `GainAbs`, `BlackLevelRaw` (SFNC 1).
+    Abs,
+    /// `ExposureTimeRaw` in steps of `ExposureTimeBaseAbs`, `GainRaw`, `BlackLevelRaw`.
+    Raw,
+}
+
+/// `ExposureTimeBaseAbs`, us: that of a Basler piA640.
+const EXPOSURE_BASE_US: f64 = 20.0;
+/// `GainRaw` counts tenths of a dB.
+const GAIN_STEP_DB: f64 = 0.1;
+
+/// How a camera is served.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Options {
+    /// Names of exposure, gain and black level.
+    pub names: Names,
+    /// Features of [`processing`] that cannot be changed, with their values, as text.
+    pub stuck: Vec<(String, String)>,
+}
+
+/// Step of the region's width and height: rows of every packed format then end on a byte.
+const SIZE_STEP: u32 = 4;
+
+/// Why a camera cannot be served.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// The network or libaravis.
+    #[error(transparent)]
+    Aravis(#[from] radcam_aravis::Error),
+    /// The sensor.
+    #[error(transparent)]
+    Model(#[from] radcam_sim::ModelError),
+    /// The options.
+    #[error("{0}")]
+    Options(String),
+}
+
+/// A camera being served; it stops when dropped.
+pub struct Served {
+    camera: VirtualCamera,
+}
+
+impl Served {
+    /// Makes the camera lose this share of its packets, 0 to 1.
+    pub fn set_lost_packets(&self, share: f64) {
+        self.camera.set_lost_packets(share);
+    }
+}
+
+/// Serves a sensor on an interface, named by its IPv4 address.
+pub fn serve(
+    sensor: Arc<Sensor>,
+    interface: IpAddr,
+    serial: &str,
+    options: &Options,
+) -> Result<Served, ServeError> {
+    let model = sensor.model().clone();
+    let mut processing = Processing::default();
+    for (name, value) in &options.stuck {
+        processing.set(name, value).map_err(ServeError::Options)?;
+    }
+    let xml = description::of(&model, options);
+    let painter = Artist::new(sensor, options.names);
+    let camera = VirtualCamera::start(interface, serial, &xml, Box::new(painter), |registers| {
+        set_up(&model, registers);
+        processing.write(registers);
+    })?;
+    Ok(Served { camera })
+}
+
+/// The format in which the camera starts: the deepest, unpacked.
+fn native_format(bit_depth: u8) -> u32 {
+    let formats = formats_of(bit_depth);
+    formats.iter().max_by_key(|f| (f.bits(), f.bits_per_pixel())).map_or(0, |f| f.code())
+}
+
+fn size(pixels: u32) -> u32 {
+    (pixels / SIZE_STEP * SIZE_STEP).max(1)
+}
+
+fn set_up(model: &Model, r: &Registers) {
+    let body = &model.camera;
+    r.set_text(address::VENDOR, 32, &body.vendor);
+    r.set_text(address::MODEL, 32, &body.model);
+    r.set_text(address::VERSION, 32, env!("CARGO_PKG_VERSION"));
+    r.set_u32(address::SENSOR_WIDTH, size(body.width));
+    r.set_u32(address::SENSOR_HEIGHT, size(body.height));
+    r.set_u32(address::WIDTH, size(body.width));
+    r.set_u32(address::HEIGHT, size(body.height));
+    r.set_u32(address::PIXEL_FORMAT, native_format(body.bit_depth));
+    r.set_u32(address::FRAME_PERIOD_US, 10_000);
+    let exposure_us = 1e6 * 0.01_f64.clamp(body.exposure_min_s, body.exposure_max_s);
+    r.set_f64(register::EXPOSURE_US, exposure_us);
+    r.set_f64(register::EXPOSURE_BASE_US, EXPOSURE_BASE_US);
+    r.set_u32(register::EXPOSURE_RAW, (exposure_us / EXPOSURE_BASE_US).ceil() as u32);
+    r.set_u32(register::GAIN_RAW, 0);
+    r.set_u32(register::BLACK_RAW, model.base.black_level_dn.round() as u32);
+    r.set_f64(register::GAIN_DB, 0.0);
+    r.set_f64(register::BLACK_LEVEL, model.base.black_level_dn);
+    r.set_f64(register::TEMPERATURE_C, model.base.dark_reference_c);
+    r.set_f64(register::ILLUMINATION, 1.0);
+    r.set_u32(register::DARK, 0);
+    r.set_u32(register::CONFIGURATION, 0);
+    r.set_u32(register::SCENE, 0);
+}
+
+/// Entries of `BenchScene`.
+const SCENES: [(&str, u32, Scene); 3] =
+    [("Card", 0, Scene::Card), ("Patch", 1, Scene::Patch), ("Chart", 2, Scene::Chart)];
+
+/// What the registers ask for.
+fn conditions(sensor: &Sensor, names: Names, r: &Registers) -> Conditions {
+    let body = &sensor.model().camera;
+    let exposure_us = match names {
+        Names::Current | Names::Abs => r.f64(register::EXPOSURE_US),
+        Names::Raw => f64::from(r.u32(register::EXPOSURE_RAW)) * EXPOSURE_BASE_US,
+    };
+    let gain_db = match names {
+        Names::Current | Names::Abs => r.f64(register::GAIN_DB),
+        Names::Raw => f64::from(r.u32(register::GAIN_RAW)) * GAIN_STEP_DB,
+    };
+    let black_level_dn = match names {
+        Names::Current => r.f64(register::BLACK_LEVEL),
+        Names::Abs | Names::Raw => f64::from(r.u32(register::BLACK_RAW)),
+    };
+    let sound = |x: f64, min: f64, max: f64, or: f64| if x.is_finite() { x.clamp(min, max) } else { or };
+    let exposure_s = sound(exposure_us * 1e-6, body.exposure_min_s, body.exposure_max_s, body.exposure_min_s);
+    let dark = r.u32(register::DARK) != 0;
+    let bench = BenchState {
+        illumination: if dark { 0.0 } else { sound(r.f64(register::ILLUMINATION), 0.0, 1e6, 0.0) },
+        configuration: r.u32(register::CONFIGURATION),
+        scene: SCENES.iter().find(|(_, n, _)| *n == r.u32(register::SCENE)).map_or(Scene::Card, |s| s.2),
+    };
+    let full_scale = f64::from(sensor.model().full_scale_dn());
+    Conditions {
+        exposure_s,
+        illumination: bench.illumination,
+        configuration: bench.configuration,
+        scene: bench.scene,
+        temperature_c: sound(r.f64(register::TEMPERATURE_C), -273.0, 200.0, 25.0),
+        gain_db: sound(gain_db, 0.0, body.gain_max_db, 0.0),
+        black_level_dn: sound(black_level_dn, 0.0, full_scale, 0.0),
+        time_s: 0.0,
+    }
+}
+
+/// What a frame shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Job {
+    number: u64,
+    conditions: Conditions,
+    /// In pixels as they are handed out, binned.
+    region: Region,
+    processing: Processing,
+}
+
+/// Paints frames; the next one is drawn ahead on a thread of its own, because `paint` runs where the control
+/// protocol is answered.
+struct Artist {
+    sensor: Arc<Sensor>,
+    names: Names,
+    jobs: SyncSender<(Job, Vec<u16>)>,
+    done: Receiver<(Job, Vec<u16>)>,
+    /// A frame is being drawn ahead.
+    ahead: bool,
+    /// Frame memory that is not on its way.
+    spare: Vec<u16>,
+    time_s: f64,
+}
+
+impl Artist {
+    fn new(sensor: Arc<Sensor>, names: Names) -> Self {
+        let (jobs, inbox) = sync_channel::<(Job, Vec<u16>)>(1);
+        let (outbox, done) = sync_channel(1);
+        let painter = Arc::clone(&sensor);
+        // Ends when either channel does.
+        std::thread::spawn(move || {
+            while let Ok((job, mut dn)) = inbox.recv() {
+                draw(&painter, &job, &mut dn);
+                if outbox.send((job, dn)).is_err() {
+                    break;
+                }
+            }
+        });
+        Self { sensor, names, jobs, done, ahead: false, spare: Vec::new(), time_s: 1.0 }
+    }
+}
+
+fn draw(sensor: &Sensor, job: &Job, dn: &mut Vec<u16>) {
+    let Region { x, y, width, height } = job.region;
+    let (across, down) = job.processing.binning;
+    let whole = Region { x: x * across, y: y * down, width: width * across, height: height * down };
+    dn.resize(whole.width as usize * whole.height as usize, 0);
+    sensor.draw(job.number, &job.conditions, whole, dn);
+    job.processing.apply(dn, whole.width as usize, sensor.model().full_scale_dn());
+}
+
+impl Painter for Artist {
+    fn paint(&mut self, registers: &Registers, request: Request, frame: &mut [u8]) -> u64 {
+        let now_ns = (self.time_s * 1e9).round() as u64;
+        let body = &self.sensor.model().camera;
+        let (bit_depth, readout_s) = (body.bit_depth, body.readout_s);
+        let processing = Processing::read(registers);
+        let [x, y, width, height] = request.region;
+        let (wide, high) = processing.binned(self.sensor.region());
+        let inside = u64::from(x) + u64::from(width) <= u64::from(wide)
+            && u64::from(y) + u64::from(height) <= u64::from(high);
+        if !inside {
+            // As cameras do where binning makes the image smaller: the region is what is left from here on.
+            registers.set_u32(address::OFFSET_X, 0);
+            registers.set_u32(address::OFFSET_Y, 0);
+            registers.set_u32(address::WIDTH, width.min(size(wide)));
+            registers.set_u32(address::HEIGHT, height.min(size(high)));
+        }
+        let (true, Ok(format)) = (inside, PixelFormat::from_code(request.format)) else {
+            tracing::warn!(
+                ?request,
+                "a client asked for a frame that the sensor has not; it gets a black one"
+            );
+            return now_ns;
+        };
+        let conditions =
+            Conditions { time_s: self.time_s - 1.0, ..conditions(&self.sensor, self.names, registers) };
+        let region = Region { x, y, width, height };
+        let job = Job { number: request.number, conditions, region, processing };
+
+        let mut dn = std::mem::take(&mut self.spare);
+        let mut ready = false;
+        if self.ahead
+            && let Ok((drawn, memory)) = self.done.recv()
+        {
+            self.ahead = false;
+            ready = drawn == job;
+            dn = memory;
+        }
+        if !ready {
+            draw(&self.sensor, &job, &mut dn);
+        }
+        narrow(&mut dn, bit_depth, format.bits());
+        if format.pack(&dn, frame).is_err() {
+            tracing::warn!(%format, "frame memory of another size than the format needs; a black frame goes out");
+        }
+        self.time_s += conditions.exposure_s + readout_s;
+        // Most likely the next frame is asked for under the same conditions.
+        let conditions = Conditions { time_s: self.time_s - 1.0, ..conditions };
+        let next = Job { number: request.number + 1, conditions, ..job };
+        if !self.sensor.model().effects.is_empty() {
+            // Effects remember the frame before: none may be drawn that is not asked for.
+            self.spare = dn;
+            return now_ns;
+        }
+        match self.jobs.try_send((next, dn)) {
+            Ok(()) => self.ahead = true,
+            Err(std::sync::mpsc::TrySendError::Full((_, memory)))
+            | Err(std::sync::mpsc::TrySendError::Disconnected((_, memory))) => self.spare = memory,
+        }
+        now_ns
+    }
+}

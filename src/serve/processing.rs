@@ -1,0 +1,221 @@
+//! What cameras do to their pixels beside measuring, and what a calibration must not meet: gamma, a lookup table, sharpening, defect
+//! correction, a test pattern, binning.
+
+use super::register;
+use crate::frame::Region;
+use radcam_aravis::Registers;
+
+/// Features by their GenICam names, and the registers behind them.
+pub(super) const FEATURES: [(&str, u32); 7] = [
+    ("BinningHorizontal", register::BINNING_HORIZONTAL),
+    ("BinningVertical", register::BINNING_VERTICAL),
+    ("Gamma", register::GAMMA),
+    ("LUTEnable", register::LUT),
+    ("SharpeningEnable", register::SHARPENING),
+    ("DefectCorrectStaticEnable", register::DEFECTS),
+    ("TestPattern", register::PATTERN),
+];
+
+/// Entries of `TestPattern`.
+pub(super) const PATTERNS: [(&str, u32); 2] = [("Off", 0), ("GreyHorizontalRamp", 1)];
+/// Values of the binning features.
+pub(super) const BINNINGS: [u32; 3] = [1, 2, 4];
+
+/// Weight of each of the four neighbours that sharpening takes off.
+const SHARPENING: f64 = 0.15;
+/// Share of the full scale by which a pixel stands out of its neighbours where it is taken for a defect.
+const DEFECT: f64 = 0.03;
+
+/// Everything at once; the default changes nothing.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Processing {
+    /// Pixels averaged across and down: 1, 2 or 4.
+    pub binning: (u32, u32),
+    /// Exponent of the response.
+    pub gamma: f64,
+    /// A lookup table that lifts the lower two thirds of the range by a fifth.
+    pub lut: bool,
+    /// Each pixel against its four neighbours.
+    pub sharpening: bool,
+    /// Pixels that stand out become the mean of their neighbours.
+    pub defects: bool,
+    /// A ramp in place of the image.
+    pub pattern: bool,
+}
+
+impl Default for Processing {
+    fn default() -> Self {
+        Self { binning: (1, 1), gamma: 1.0, lut: false, sharpening: false, defects: false, pattern: false }
+    }
+}
+
+impl Processing {
+    /// Sets a feature by its GenICam name.
+    pub fn set(&mut self, name: &str, value: &str) -> Result<(), String> {
+        let fault = |what: &str| format!("{name} = {value}: {what}");
+        let truth = || value.parse::<bool>().map_err(|_| fault("write true or false"));
+        let binning = || {
+            let n = value.parse().ok().filter(|n| BINNINGS.contains(n));
+            n.ok_or_else(|| fault("write 1, 2 or 4"))
+        };
+        match name {
+            "BinningHorizontal" => self.binning.0 = binning()?,
+            "BinningVertical" => self.binning.1 = binning()?,
+            "Gamma" => {
+                let gamma = value.parse().ok().filter(|g| (0.25..=4.0).contains(g));
+                self.gamma = gamma.ok_or_else(|| fault("write a number from 0.25 to 4"))?;
+            }
+            "LUTEnable" => self.lut = truth()?,
+            "SharpeningEnable" => self.sharpening = truth()?,
+            "DefectCorrectStaticEnable" => self.defects = truth()?,
+            "TestPattern" => {
+                let entry = PATTERNS.iter().find(|(entry, _)| *entry == value);
+                self.pattern = entry.ok_or_else(|| fault("write Off or GreyHorizontalRamp"))?.1 != 0;
+            }
+            _ => {
+                let names = FEATURES.map(|(name, _)| name).join(", ");
+                return Err(format!("{name} is none of the features that can be stuck: {names}"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Puts it into the registers.
+    pub(super) fn write(&self, r: &Registers) {
+        r.set_u32(register::BINNING_HORIZONTAL, self.binning.0);
+        r.set_u32(register::BINNING_VERTICAL, self.binning.1);
+        r.set_f64(register::GAMMA, self.gamma);
+        r.set_u32(register::LUT, self.lut.into());
+        r.set_u32(register::SHARPENING, self.sharpening.into());
+        r.set_u32(register::DEFECTS, self.defects.into());
+        r.set_u32(register::PATTERN, self.pattern.into());
+    }
+
+    /// What the registers ask for.
+    pub(super) fn read(r: &Registers) -> Self {
+        let binning = |at| BINNINGS.into_iter().find(|n| *n == r.u32(at)).unwrap_or(1);
+        let gamma = r.f64(register::GAMMA);
+        Self {
+            binning: (binning(register::BINNING_HORIZONTAL), binning(register::BINNING_VERTICAL)),
+            gamma: if gamma.is_finite() { gamma.clamp(0.25, 4.0) } else { 1.0 },
+            lut: r.u32(register::LUT) != 0,
+            sharpening: r.u32(register::SHARPENING) != 0,
+            defects: r.u32(register::DEFECTS) != 0,
+            pattern: r.u32(register::PATTERN) != 0,
+        }
+    }
+
+    /// Columns and rows of the whole sensor, binned.
+    pub(super) fn binned(&self, sensor: Region) -> (u32, u32) {
+        (sensor.width / self.binning.0, sensor.height / self.binning.1)
+    }
+
+    /// Does it to an image of so many columns, whose pixels are not yet binned; `dn` shrinks where they are.
+    pub fn apply(&self, dn: &mut Vec<u16>, width: usize, full_scale_dn: u16) {
+        if *self == Self::default() || width == 0 {
+            return;
+        }
+        let full = f64::from(full_scale_dn);
+        let mut width = width;
+        if self.defects {
+            let apart = DEFECT * full;
+            around(dn, width, |pixel, four| {
+                let (low, high) = four.iter().fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
+                let stands_out = pixel > high + apart || pixel < low - apart;
+                if stands_out { four.iter().sum::<f64>() / 4.0 } else { pixel }
+            });
+        }
+        let (across, down) = (self.binning.0 as usize, self.binning.1 as usize);
+        if (across, down) != (1, 1) {
+            let (columns, rows) = (width / across, dn.len() / width / down);
+            for y in 0..rows {
+                for x in 0..columns {
+                    let cells = (0..down).flat_map(|j| (0..across).map(move |i| (j, i)));
+                    let sum: u32 =
+                        cells.map(|(j, i)| u32::from(dn[(y * down + j) * width + x * across + i])).sum();
+                    let n = (across * down) as u32;
+                    // What is written lies before all that is still to be read.
+                    dn[y * columns + x] = ((sum + n / 2) / n) as u16;
+                }
+            }
+            dn.truncate(columns * rows);
+            width = columns;
+        }
+        if self.sharpening {
+            around(dn, width, |pixel, four| {
+                let sum: f64 = four.iter().sum();
+                (pixel * (1.0 + 4.0 * SHARPENING) - SHARPENING * sum).clamp(0.0, full)
+            });
+        }
+        if self.lut || self.gamma != 1.0 {
+            let curve = |x: f64| {
+                let lifted = if x < 2.0 / 3.0 { 1.2 * x } else { 0.8 + 0.6 * (x - 2.0 / 3.0) };
+                (if self.lut { lifted } else { x }).powf(self.gamma)
+            };
+            let table: Vec<u16> = (0..=full_scale_dn)
+                .map(|code| (full * curve(f64::from(code) / full)).round() as u16)
+                .collect();
+            dn.iter_mut().for_each(|d| *d = table[usize::from((*d).min(full_scale_dn))]);
+        }
+        if self.pattern {
+            for row in dn.chunks_mut(width) {
+                let most = row.len().max(2) - 1;
+                for (x, d) in row.iter_mut().enumerate() {
+                    *d = (full * x as f64 / most as f64) as u16;
+                }
+            }
+        }
+    }
+}
+
+/// Replaces every pixel by what `act` makes of it and its four neighbours; those beyond the edge are the pixel itself.
+fn around(dn: &mut [u16], width: usize, act: impl Fn(f64, [f64; 4]) -> f64) {
+    let before = dn.to_vec();
+    let rows = dn.len() / width;
+    for (i, d) in dn.iter_mut().enumerate() {
+        let (y, x) = (i / width, i % width);
+        let at = |there: bool, j: usize| f64::from(before[if there { j } else { i }]);
+        let four = [
+            at(x > 0, i.wrapping_sub(1)),
+            at(x + 1 < width, i + 1),
+            at(y > 0, i.wrapping_sub(width)),
+            at(y + 1 < rows, i + width),
+        ];
+        *d = act(f64::from(before[i]), four).round() as u16;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_does_what_it_says() {
+        let with = |name: &str, value: &str| {
+            let mut p = Processing::default();
+            p.set(name, value).unwrap();
+            p
+        };
+        let image =
+            || vec![100u16, 100, 100, 100, 100, 3000, 100, 100, 100, 100, 100, 100, 100, 100, 100, 100];
+        let after = |p: Processing| {
+            let mut dn = image();
+            p.apply(&mut dn, 4, 4095);
+            dn
+        };
+        assert_eq!(after(Processing::default()), image());
+        assert_eq!(after(with("DefectCorrectStaticEnable", "true")), [100; 16]);
+        assert_eq!(after(with("Gamma", "0.5"))[0], (4095.0 * (100.0f64 / 4095.0).sqrt()).round() as u16);
+        assert_eq!(after(with("LUTEnable", "true"))[0], 120);
+        assert_eq!(after(with("TestPattern", "GreyHorizontalRamp"))[..4], [0, 1365, 2730, 4095]);
+        let sharp = after(with("SharpeningEnable", "true"));
+        assert_eq!((sharp[5], sharp[4], sharp[0]), (4095, 0, 100));
+        let mut binned = with("BinningHorizontal", "2");
+        binned.binning.1 = 2;
+        assert_eq!(after(binned), [825, 100, 100, 100]);
+        for (name, value) in [("Gamma", "0"), ("BinningVertical", "3"), ("TestPattern", "On"), ("Gain", "1")]
+        {
+            assert!(Processing::default().set(name, value).unwrap_err().contains(name));
+        }
+    }
+}
