@@ -42,6 +42,7 @@ pub mod fit;
 pub mod frame;
 pub mod import;
 pub mod inference;
+pub mod investigate;
 pub mod noise;
 pub mod number;
 pub mod observables;

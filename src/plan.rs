@@ -287,6 +287,13 @@ impl Plan {
         plan
     }
 
+    /// How long a plan whose exposures are in seconds takes, s, at so many frames per second at most. A set takes half a second to begin.
+    pub fn seconds(&self, frame_rate_hz: Option<f64>) -> f64 {
+        let period_s = frame_rate_hz.filter(|r| *r > 0.0).map_or(0.0, |r| 1.0 / r);
+        let of = |s: &SetPlan| 0.5 + f64::from(s.frames) * s.exposure_s.unwrap_or(0.0).max(period_s);
+        self.sets.iter().map(of).sum()
+    }
+
     /// Frames of the whole plan.
     pub fn frames(&self) -> u64 {
         self.sets.iter().map(|s| u64::from(s.frames)).sum()

@@ -14,6 +14,8 @@ pub struct FrameInfo {
     pub set: usize,
     /// Start of its exposure, s from the start of the campaign.
     pub time_s: f64,
+    /// It follows frames of its own level that are not here: the first of a campaign that was joined to another.
+    pub settled: bool,
 }
 
 /// A set of frames: darks or flats of one exposure and light.

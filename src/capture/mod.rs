@@ -85,6 +85,8 @@ pub struct Summary {
     pub automatics: Vec<Automatic>,
     /// Exposure that counts as 1, s.
     pub full_exposure_s: Option<f64>,
+    /// Device time at the start of the campaign, ns, where it is known.
+    pub zero_ns: Option<u64>,
 }
 
 /// Everything that is done around the frames.
@@ -181,27 +183,74 @@ impl Capture<'_> {
             let writer = Writer::create(root, &manifest, &[(PLAN_FILE, &plan.to_toml()?)])?;
             (writer, plan)
         };
-        let before = writer.written().len() as u64;
-        let start = writer.written().last().and_then(|r| r.timestamp_s).unwrap_or(0.0);
-        // A thousand frames more than were kept: the pilot and damaged frames were drawn too.
-        let clock = match resume {
-            false => DeviceClock::FromFirstFrame,
-            true if self.camera.continue_after(before + 1000, start + 1.0) => DeviceClock::Zero(0),
-            // How long the pause was is not known.
-            true => DeviceClock::Unknown,
-        };
-        let mut run = Run { writer, clock, counts, begun_again: Vec::new() };
-        let outcome = (0..plan.sets.len()).try_for_each(|number| self.capture_set(number, &plan, &mut run));
+        // How long the pause of a continued campaign was is not known.
+        let clock = if resume { DeviceClock::Unknown } else { DeviceClock::FromFirstFrame };
+        let run = Run { writer, clock, counts, begun_again: Vec::new() };
+        let searched = searched.then(|| plan.full_exposure_s.unwrap_or(0.0));
+        self.carry_out(run, &plan, root, automatics, searched)
+    }
+
+    /// Finds the full exposure of a plan that needs it, with everything as a capture has it, and gives every exposure in seconds: what a
+    /// campaign will take can then be said before it starts.
+    pub fn ready(&mut self, plan: &Plan) -> Result<Plan, CaptureError> {
+        self.camera.disable_automatics()?;
+        self.set_up(plan)?;
+        self.absolute(plan, &mut StreamCounts::default())
+    }
+
+    /// Adds the sets of another plan to a campaign that is complete, under its settings and with its full exposure: one campaign in the order
+    /// of time. `zero_ns` is what its summary said, where this is the same run of the camera.
+    pub fn extend(
+        &mut self,
+        more: &Plan,
+        root: &Path,
+        zero_ns: Option<u64>,
+    ) -> Result<Summary, CaptureError> {
+        let path = root.join(PLAN_FILE);
+        let fault = |message: String| CaptureError::Resume { path: path.display().to_string(), message };
+        let text = std::fs::read_to_string(&path).map_err(|e| fault(e.to_string()))?;
+        let mut plan = Plan::from_toml(&text)?;
+        let bounds = self.camera.capabilities().exposure_s;
+        let full = plan.full_exposure_s.unwrap_or(1.0);
+        let more = more.absolute(full, |e| bounds.map_or(e, |b| b.nearest(e)));
+        plan.sets.extend(more.sets);
+        crate::dataset::write_whole(&path, plan.to_toml()?.as_bytes())?;
+        let automatics = self.camera.disable_automatics()?;
+        let (writer, plan) = self.resume(root)?;
+        let clock = zero_ns.map_or(DeviceClock::Unknown, DeviceClock::Zero);
+        let run = Run { writer, clock, counts: StreamCounts::default(), begun_again: Vec::new() };
+        self.carry_out(run, &plan, root, automatics, None)
+    }
+
+    /// Takes what is not there yet, and keeps the log. `searched`: the full exposure that was searched for, s.
+    fn carry_out(
+        &mut self,
+        mut run: Run,
+        plan: &Plan,
+        root: &Path,
+        automatics: Vec<Automatic>,
+        searched: Option<f64>,
+    ) -> Result<Summary, CaptureError> {
+        let before = run.writer.written().len() as u64;
+        if matches!(run.clock, DeviceClock::Unknown) {
+            let start = run.writer.written().last().and_then(|r| r.timestamp_s).unwrap_or(0.0);
+            // A thousand frames more than were kept: the pilot and damaged frames were drawn too.
+            if self.camera.continue_after(before + 1000, start + 1.0) {
+                run.clock = DeviceClock::Zero(0);
+            }
+        }
+        let outcome = (0..plan.sets.len()).try_for_each(|number| self.capture_set(number, plan, &mut run));
         let frames = run.writer.written().len() as u64 - before;
-        let full_s = searched.then(|| plan.full_exposure_s.unwrap_or(0.0));
-        let line = run.log(full_s, frames, &outcome);
+        let line = run.log(searched, frames, &outcome);
         tracing::info!(counts = line.trim_end(), "buffer statistics");
         let log = std::fs::OpenOptions::new().create(true).append(true).open(root.join(LOG_FILE));
         if let Err(e) = log.and_then(|mut log| std::io::Write::write_all(&mut log, line.as_bytes())) {
             tracing::warn!(error = %e, "the buffer statistics could not be kept");
         }
         outcome?;
-        Ok(Summary { frames, counts: run.counts, automatics, full_exposure_s: plan.full_exposure_s })
+        let zero_ns = if let DeviceClock::Zero(zero) = run.clock { Some(zero) } else { None };
+        let full_exposure_s = plan.full_exposure_s;
+        Ok(Summary { frames, counts: run.counts, automatics, full_exposure_s, zero_ns })
     }
 
     /// Brings the camera to the plan's settings.

@@ -55,7 +55,7 @@ pub struct StreamArguments {
 }
 
 impl StreamArguments {
-    fn options(&self) -> StreamOptions {
+    pub fn options(&self) -> StreamOptions {
         let default = StreamOptions::default();
         let ms = |given: Option<u64>, or| given.map_or(or, Duration::from_millis);
         StreamOptions {
@@ -101,8 +101,16 @@ pub fn capture(
 pub fn tell(summary: &Summary, root: &Path) {
     println!("{}: {} frames written", root.display(), summary.frames);
     let c = summary.counts;
+    let passed = c.completed.saturating_sub(summary.frames);
+    let passed = match passed {
+        0 => String::new(),
+        n => format!(
+            " ({} kept, {n} exposed to find the full exposure or to let the last light fade)",
+            summary.frames
+        ),
+    };
     println!(
-        "  frames received {}, damaged and thrown away {}, without a free buffer {}, never arrived {}",
+        "  frames received {}{passed}, damaged and thrown away {}, without a free buffer {}, never arrived {}",
         c.completed, c.failures, c.underruns, c.missing
     );
     let still_on: Vec<_> =

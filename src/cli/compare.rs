@@ -3,7 +3,7 @@
 use super::Outcome;
 use super::common::can_be_written;
 use super::model::read_effects;
-use super::observe::observe;
+use super::observe::{names, observe_all};
 use crate::dataset::write_whole;
 use crate::diagnosis::{searched, signatures};
 use crate::inference::{compare, fit, start};
@@ -14,8 +14,10 @@ use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// A dataset folder, an EMVA 1288 descriptor, or a table (CSV with mean_dn and var_dn2)
-    dataset: PathBuf,
+    /// A dataset folder, an EMVA 1288 descriptor, or a table (CSV with mean_dn and var_dn2); several datasets of one camera under one set
+    /// of settings are taken together
+    #[arg(required = true, value_name = "DATASET")]
+    datasets: Vec<PathBuf>,
     /// The model; the paper's alone where not given
     #[arg(long, value_name = "M.toml")]
     model: Option<PathBuf>,
@@ -30,10 +32,10 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     can_be_written(&arguments.report)?;
     let effects = read_effects(arguments.model.as_deref())?;
-    let all = observe(&arguments.dataset)?;
+    let all = observe_all(&arguments.datasets)?;
     let c = compare(&all, &fit(&all, &start(&all), &searched(&all, &effects)));
     if let Some(path) = &arguments.report {
-        let subtitle = arguments.dataset.display().to_string();
+        let subtitle = names(&arguments.datasets);
         write_whole(path, report::compare::html("Model against measurement", &subtitle, &c).as_bytes())?;
     }
     let outcome = if c.consistent { Outcome::Agreement } else { Outcome::Disagreement };
@@ -41,7 +43,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         println!("{}", serde_json::to_string_pretty(&c)?);
         return Ok(outcome);
     }
-    println!("{}: {}", arguments.dataset.display(), c.agreement.words());
+    println!("{}: {}", names(&arguments.datasets), c.agreement.words());
     println!("  error    {:.3} on frames that the fit did not see (1: agreement to within noise)", c.error);
     println!("  p-value  {} over {} residuals", chance(c.p_value), c.residuals.len());
     let strayed = signatures(&c.residuals);

@@ -2,10 +2,10 @@
 
 use super::capture::capture;
 use super::common::load_model;
-use super::{Outcome, noise};
-use crate::camera::StreamOptions;
+use super::{Outcome, investigate, noise};
+use crate::bench::Illuminator;
+use crate::camera::{Camera, StreamOptions};
 use crate::dataset::write_whole;
-use crate::diagnosis::diagnose;
 use crate::number::with_unit;
 use crate::plan::Plan;
 use crate::report::noise::{Truth, html, sigmas};
@@ -52,13 +52,17 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     clear(&arguments.output, &dataset)?;
     let file = arguments.output.join("camera.toml");
     write_whole(&file, model.to_toml()?.as_bytes())?;
-    let how = take(arguments, &file, &plan, &dataset)?;
-    let camera = format!("{} {}", model.camera.vendor, model.camera.model);
-    println!("\n{camera}, {width} x {height} px, {how}");
-    match hidden {
-        None => the_papers(arguments, &model, &camera, &how, &dataset),
-        Some((effect, values)) => the_story(arguments, effect, &values, &camera, &how, &dataset),
+    let camera = format!("{} {}, {width} x {height} px", model.camera.vendor, model.camera.model);
+    let outcome = match hidden {
+        None => the_papers(arguments, &model, &camera, &file, &plan, &dataset),
+        Some((effect, values)) => the_story(arguments, effect, &values, &camera, &file, &plan),
+    };
+    if outcome.is_err() {
+        // The camera's file has the answer in it.
+        std::fs::remove_file(&file).ok();
+        std::fs::remove_dir(&arguments.output).ok();
     }
+    outcome
 }
 
 /// An effect with its values.
@@ -91,15 +95,20 @@ fn the_story(
     effect: &'static dyn Effect,
     hidden: &[f64],
     camera: &str,
-    how: &str,
-    dataset: &Path,
+    file: &Path,
+    plan: &Plan,
 ) -> Result<Outcome> {
-    println!("Something is hidden in this camera. Is the paper's model enough?\n");
-    let all = super::observe::observe(dataset)?;
-    let d = diagnose(&all, None, Vec::new(), &mut |text| tracing::info!("{text}"));
-    super::diagnose::print(dataset, &d);
+    eprintln!("{camera}: something is hidden in it. Is the paper's model enough?");
+    let options = StreamOptions::default();
+    let found = with_camera(arguments, file, plan, |camera, bench| {
+        investigate::carry_out(camera, bench, options, plan, &arguments.output, &[])
+    })?;
+    let (d, dataset) = (found.diagnosis, arguments.output.join("dataset"));
+    let title = format!("{camera}{}", over(arguments));
+    println!();
+    super::diagnose::print(&title, &d);
     let path = arguments.output.join("report.html");
-    let page = crate::report::compare::diagnosis("What the model lacks", &format!("{camera}, {how}"), &d);
+    let page = crate::report::compare::diagnosis("What the model lacks", &title, &d);
     write_whole(&path, page.as_bytes())?;
     println!("\n  report:   {}\n  dataset:  {}", path.display(), dataset.display());
     println!("  next:     radcam effects {}", effect.id());
@@ -141,9 +150,16 @@ fn the_papers(
     arguments: &Arguments,
     model: &Model,
     camera: &str,
-    how: &str,
+    file: &Path,
+    plan: &Plan,
     dataset: &Path,
 ) -> Result<Outcome> {
+    let options = StreamOptions::default();
+    with_camera(arguments, file, plan, |camera, bench| {
+        capture(camera, bench, options, plan, dataset, false)
+    })?;
+    let title = format!("{camera}{}", over(arguments));
+    println!("\n{title}");
     let truth = Truth {
         gain_dn_per_e: model.base.gain_dn_per_e,
         constant_noise_var_dn2: model.constant_noise_var_dn2(0.0),
@@ -160,8 +176,7 @@ fn the_papers(
     }
     println!("\n  χ² = {:.1} for {} degrees of freedom, Q = {:.3}", report.chi2, report.dof, report.q);
     let path = arguments.output.join("report.html");
-    let subtitle = format!("{camera}, {how}");
-    write_whole(&path, html("Gain and constant noise", &subtitle, &report, Some(&truth)).as_bytes())?;
+    write_whole(&path, html("Gain and constant noise", &title, &report, Some(&truth)).as_bytes())?;
     let dataset = dataset.display();
     println!("\n  report:   {}\n  dataset:  {dataset}\n  next:     radcam noise {dataset}", path.display());
     let agrees = worst <= 3.0 && report.consistent();
@@ -183,9 +198,22 @@ fn clear(output: &Path, dataset: &Path) -> Result<()> {
     std::fs::create_dir_all(output).with_context(|| output.display().to_string())
 }
 
-/// Captures through libaravis from a camera that another process serves.
+/// How the frames came.
+fn over(arguments: &Arguments) -> String {
+    match cfg!(feature = "aravis") {
+        true => format!(", over GigE Vision on {}", arguments.interface),
+        false => ", simulated in this process".into(),
+    }
+}
+
+/// Does something with a camera that another process serves, through libaravis.
 #[cfg(feature = "aravis")]
-fn take(arguments: &Arguments, sensor: &Path, plan: &Plan, dataset: &Path) -> Result<String> {
+fn with_camera<T>(
+    arguments: &Arguments,
+    sensor: &Path,
+    plan: &Plan,
+    act: impl FnOnce(&mut dyn Camera, &mut dyn Illuminator) -> Result<T>,
+) -> Result<T> {
     use std::io::{BufRead, BufReader};
     use std::process::{Command, Stdio};
 
@@ -207,20 +235,22 @@ fn take(arguments: &Arguments, sensor: &Path, plan: &Plan, dataset: &Path) -> Re
     eprintln!("{}", said.trim_end().trim_end_matches("; Ctrl-C ends"));
     let outcome = (|| {
         let (mut camera, mut bench) = super::common::open_camera(&format!("aravis:{interface}"), plan)?;
-        capture(&mut *camera, &mut *bench, StreamOptions::default(), plan, dataset, false)
+        act(&mut *camera, &mut *bench)
     })();
     drop(child.stdin.take());
     child.wait()?;
-    let summary = outcome?;
-    let c = summary.counts;
-    Ok(format!("{} frames over GigE Vision on {interface}, {} damaged", summary.frames, c.failures))
+    outcome
 }
 
-/// Captures from the simulator in this process.
+/// Does something with the simulator in this process.
 #[cfg(not(feature = "aravis"))]
-fn take(arguments: &Arguments, sensor: &Path, plan: &Plan, dataset: &Path) -> Result<String> {
+fn with_camera<T>(
+    arguments: &Arguments,
+    sensor: &Path,
+    _plan: &Plan,
+    act: impl FnOnce(&mut dyn Camera, &mut dyn Illuminator) -> Result<T>,
+) -> Result<T> {
     eprintln!("{}; the demo uses the simulator in this process instead", super::common::NO_ARAVIS);
     let (mut camera, mut bench) = super::common::simulated(&sensor.display().to_string(), arguments.seed)?;
-    let summary = capture(&mut camera, &mut bench, StreamOptions::default(), plan, dataset, false)?;
-    Ok(format!("{} frames simulated in this process", summary.frames))
+    act(&mut camera, &mut bench)
 }

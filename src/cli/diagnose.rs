@@ -3,18 +3,20 @@
 use super::Outcome;
 use super::common::can_be_written;
 use super::model::{fitted_model, read_effects};
-use super::observe::observe;
+use super::observe::{names, observe_all};
 use crate::dataset::write_whole;
 use crate::diagnosis::{Diagnosis, diagnose, searched};
 use crate::number::{chance, with_unit};
 use crate::report;
 use anyhow::Result;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// A dataset folder, an EMVA 1288 descriptor, or a table (CSV with mean_dn and var_dn2)
-    dataset: PathBuf,
+    /// A dataset folder, an EMVA 1288 descriptor, or a table (CSV with mean_dn and var_dn2); several datasets of one camera under one set
+    /// of settings are taken together
+    #[arg(required = true, value_name = "DATASET")]
+    datasets: Vec<PathBuf>,
     /// Effects that are known already; the paper's model alone where not given
     #[arg(long, value_name = "M.toml")]
     model: Option<PathBuf>,
@@ -35,15 +37,15 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     can_be_written([&arguments.report, &arguments.output, &arguments.next].into_iter().flatten())?;
     let effects = read_effects(arguments.model.as_deref())?;
-    let all = observe(&arguments.dataset)?;
+    let all = observe_all(&arguments.datasets)?;
     let diagnosis = diagnose(&all, None, searched(&all, &effects), &mut |text| tracing::info!("{text}"));
     if let Some(path) = &arguments.report {
-        let subtitle = arguments.dataset.display().to_string();
+        let subtitle = names(&arguments.datasets);
         let page = report::compare::diagnosis("What the model lacks", &subtitle, &diagnosis);
         write_whole(path, page.as_bytes())?;
     }
     if let (Some(path), Some(fitted)) = (&arguments.output, &diagnosis.fitted) {
-        let model = fitted_model(&all, fitted, arguments.model.as_deref(), &arguments.dataset)?;
+        let model = fitted_model(&all, fitted, arguments.model.as_deref(), &arguments.datasets)?;
         write_whole(path, model.to_toml()?.as_bytes())?;
     }
     match (&arguments.next, &diagnosis.next_plan) {
@@ -56,13 +58,13 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&diagnosis)?);
     } else {
-        print(&arguments.dataset, &diagnosis);
+        print(&names(&arguments.datasets), &diagnosis);
     }
     Ok(if diagnosis.consistent { Outcome::Agreement } else { Outcome::Disagreement })
 }
 
-pub fn print(path: &Path, d: &Diagnosis) {
-    println!("{}\n", path.display());
+pub fn print(title: &str, d: &Diagnosis) {
+    println!("{title}\n");
     println!("{}\n", super::common::wrapped(d.verdict.sentence(), 2));
     for m in &d.missing {
         println!("  {} ({})", m.effect, report::compare::heading(m));

@@ -16,6 +16,7 @@ mod demo;
 mod diagnose;
 mod effects;
 mod import;
+mod investigate;
 mod model;
 mod noise;
 mod observe;
@@ -64,6 +65,8 @@ enum Verb {
     Simulate(simulate::Arguments),
     /// Serve a simulated camera over GigE Vision
     Serve(serve::Arguments),
+    /// From a camera to a verdict: capture, diagnose, and the measurement that tells the closest names apart
+    Investigate(investigate::Arguments),
     /// Loose image files into a dataset folder
     Import(import::Arguments),
     /// Estimate gain and constant noise (Section IV of Healey and Kondepudy)
@@ -121,6 +124,7 @@ pub fn main() -> ExitCode {
         Verb::Capture(a) => capture::run(&a),
         Verb::Simulate(a) => simulate::run(&a),
         Verb::Serve(a) => serve::run(&a),
+        Verb::Investigate(a) => investigate::run(&a),
         Verb::Import(a) => import::run(&a),
         Verb::Noise(a) => noise::run(&a),
         Verb::PlanCalibration(a) => plan_calibration::run(&a),

@@ -2,7 +2,7 @@
 
 use super::Outcome;
 use super::common::{load_model, no_effect};
-use super::observe::observe;
+use super::observe::{names, observe_all};
 
 use crate::dataset::{Dataset, write_whole};
 use crate::diagnosis::searched;
@@ -56,8 +56,9 @@ enum Action {
     Fit {
         /// The model file
         model: PathBuf,
-        /// A dataset folder, an EMVA 1288 descriptor, or a table
-        dataset: PathBuf,
+        /// A dataset folder, an EMVA 1288 descriptor, or a table; several datasets of one camera are taken together
+        #[arg(required = true, value_name = "DATASET")]
+        datasets: Vec<PathBuf>,
     },
 }
 
@@ -109,13 +110,13 @@ pub fn fitted_model(
     all: &Observations,
     fitted: &Fitted,
     given: Option<&Path>,
-    dataset: &Path,
+    datasets: &[PathBuf],
 ) -> Result<Model> {
     let mut model = match given {
         Some(path) => read(path)?,
         None => load_model("cmos12", None)?,
     };
-    if let Ok(dataset) = Dataset::open(dataset) {
+    if let Some(Ok(dataset)) = datasets.first().map(|path| Dataset::open(path)) {
         let camera = &dataset.manifest().camera;
         (model.camera.width, model.camera.height) = (camera.width as u32, camera.height as u32);
         model.camera.bit_depth = camera.bit_depth.max(2);
@@ -123,7 +124,7 @@ pub fn fitted_model(
             (model.camera.vendor, model.camera.model) = (camera.vendor.clone(), camera.model.clone());
         }
     }
-    model.about = format!("Fitted to {}", dataset.display());
+    model.about = format!("Fitted to {}", names(datasets));
     let base = &fitted.base;
     model.base.gain_dn_per_e = base.gain_dn_per_e;
     model.base.read_noise_e = base.read_noise_e;
@@ -216,15 +217,15 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             write(path, &model)?;
             show(path, &model);
         }
-        Action::Fit { model: path, dataset } => {
+        Action::Fit { model: path, datasets } => {
             let list = to_be_fitted(&read(path)?)?;
-            let all = observe(dataset)?;
+            let all = observe_all(datasets)?;
             let fitted = fit(&all, &start(&all), &searched(&all, &list));
-            let model = fitted_model(&all, &fitted, Some(path), dataset)?;
+            let model = fitted_model(&all, &fitted, Some(path), datasets)?;
             write(path, &model)?;
             show(path, &model);
             let c = compare(&all, &fitted);
-            println!("fitted to {}: {}", dataset.display(), c.agreement.words());
+            println!("fitted to {}: {}", names(datasets), c.agreement.words());
             let (b, e) = (&fitted.base, &fitted.base_std_err);
             println!("  A                {}", with_unit(b.gain_dn_per_e, e[0], "DN/e"));
             println!("  read noise       {}", with_unit(b.read_noise_e, e[1], "e"));

@@ -112,6 +112,35 @@ impl Manifest {
         Self { format: FORMAT.into(), camera, bench: None }
     }
 
+    /// The first setting of the camera that another manifest has otherwise, in words: what one dataset, or a calibration, holds for.
+    pub fn differs_from(&self, other: &Self) -> Option<String> {
+        let (a, b) = (&self.camera, &other.camera);
+        let shown = |v: Option<f64>| v.map_or("none".into(), |v| v.to_string());
+        let fields = [
+            ("vendor", a.vendor.clone(), b.vendor.clone()),
+            ("model", a.model.clone(), b.model.clone()),
+            ("serial", a.serial.clone(), b.serial.clone()),
+            ("size", format!("{} x {} px", a.width, a.height), format!("{} x {} px", b.width, b.height)),
+            ("bit_depth", a.bit_depth.to_string(), b.bit_depth.to_string()),
+            ("gain_db", shown(a.gain_db), shown(b.gain_db)),
+            ("black_level_dn", shown(a.black_level_dn), shown(b.black_level_dn)),
+        ];
+        let unit = |m: &Self| m.bench.as_ref().map(|b| b.illumination_unit.clone()).unwrap_or_default();
+        let light = ("illumination_unit", unit(self), unit(other));
+        let setting = |name: &str| {
+            use crate::camera::features::{Role, role};
+            let plain = name.split_once('[').map_or(name, |n| n.0);
+            // The exposure is a setting of every frame, and stands with it.
+            matches!(role(plain), Some(Role::Setting | Role::Geometry)) && !plain.starts_with("ExposureTime")
+        };
+        let features = a.features.iter().filter(|(name, _)| setting(name)).filter_map(|(name, value)| {
+            let other = b.features.get(name)?;
+            Some((name.as_str(), value.to_string(), other.to_string()))
+        });
+        let mut all = fields.into_iter().chain([light]).chain(features);
+        all.find(|(_, a, b)| a != b).map(|(name, a, b)| format!("has another {name} ({b}, not {a})"))
+    }
+
     /// Reads and checks; the error is for a person.
     pub fn from_toml(text: &str) -> Result<Self, String> {
         let table: toml::Table = toml::from_str(text).map_err(|e| e.to_string().trim_end().to_string())?;

@@ -145,6 +145,8 @@ pub struct Dataset {
     manifest: Manifest,
     rows: Vec<FrameRow>,
     sets: Vec<Set>,
+    /// Of several that were joined: their folders, and the first row of each. Empty otherwise.
+    parts: Vec<(PathBuf, usize)>,
 }
 
 impl Dataset {
@@ -205,10 +207,61 @@ impl Dataset {
         for set in &mut sets {
             set.rows.sort_by_key(|&i| rows[i].index);
         }
-        Ok(Self { root, manifest, rows, sets })
+        Ok(Self { root, manifest, rows, sets, parts: Vec::new() })
     }
 
-    /// What camera and bench said of themselves.
+    /// Several datasets of one camera under one set of settings as one: sets and times of each follow those of the one before.
+    ///
+    /// Their light levels are told apart, for nobody knows that two campaigns had the same light. The pause between them is not known.
+    pub fn join(datasets: Vec<Self>) -> Result<Self, DatasetError> {
+        let mut datasets = datasets.into_iter();
+        let Some(mut all) = datasets.next() else {
+            return Err(DatasetError::Manifest { path: "datasets".into(), message: "none is given".into() });
+        };
+        let Some(second) = datasets.next() else { return Ok(all) };
+        all.parts.push((all.root.clone(), 0));
+        all.rows.iter_mut().for_each(|r| r.file = all.root.join(&r.file).to_string_lossy().into_owned());
+        for next in std::iter::once(second).chain(datasets) {
+            if all.parts.iter().any(|(root, _)| *root == next.root) {
+                return Err(DatasetError::Manifest { path: next.root, message: "is given twice".into() });
+            }
+            if let Some(differs) = all.manifest.differs_from(&next.manifest) {
+                return Err(DatasetError::Manifest {
+                    path: next.root,
+                    message: format!(
+                        "{differs} than {}: only datasets of one camera under one set of settings go together",
+                        all.root.display()
+                    ),
+                });
+            }
+            let first = all.rows.len();
+            let number = all.sets.iter().map(|s| s.number + 1).max().unwrap_or(0);
+            let least = next.sets.iter().map(|s| s.number).min().unwrap_or(0);
+            let ends = all.rows.iter().filter_map(|r| Some(r.timestamp_s? + r.exposure_s));
+            let end_s = ends.fold(0.0, f64::max);
+            let renumbered = |k: u32| number + (k - least);
+            all.rows.extend(next.rows.into_iter().map(|r| FrameRow {
+                file: next.root.join(&r.file).to_string_lossy().into_owned(),
+                set: renumbered(r.set),
+                timestamp_s: r.timestamp_s.map(|t| t + end_s),
+                ..r
+            }));
+            all.sets.extend(next.sets.into_iter().map(|s| Set {
+                number: renumbered(s.number),
+                rows: s.rows.into_iter().map(|i| first + i).collect(),
+            }));
+            all.parts.push((next.root, first));
+        }
+        Ok(all)
+    }
+
+    /// Of joined datasets: which one a row is of, and whether it is the first of it.
+    pub fn part_of(&self, row: usize) -> (usize, bool) {
+        let part = self.parts.iter().rposition(|(_, first)| *first <= row).unwrap_or(0);
+        (part, self.parts.get(part).is_some_and(|(_, first)| *first == row))
+    }
+
+    /// What camera and bench said of themselves; of joined datasets those of the first.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
     }
@@ -248,9 +301,14 @@ impl Dataset {
             message,
         };
         let (name, page) = split_page(&row.file).map_err(fault)?;
-        let path = self.root.join(name);
+        let mut root = &self.root;
+        if let Some((of_part, _)) = self.parts.iter().find(|(root, _)| Path::new(name).starts_with(root)) {
+            root = of_part;
+        }
+        // Joining a path with one that begins as it does would double it.
+        let path = if self.parts.is_empty() { root.join(name) } else { name.into() };
         // A link inside the folder may point out of it.
-        let inside = match (path.canonicalize(), self.root.canonicalize()) {
+        let inside = match (path.canonicalize(), root.canonicalize()) {
             (Ok(path), Ok(root)) => path.starts_with(root),
             (Err(e), _) | (_, Err(e)) => return Err(fault(format!("{}: {e}", path.display()))),
         };
@@ -298,7 +356,7 @@ fn text(path: &Path) -> Result<String, DatasetError> {
 
 /// Splits `name.tiff#3` into name and page.
 fn split_page(file: &str) -> Result<(&str, usize), String> {
-    match file.rsplit_once('#') {
+    match file.rsplit_once('#').filter(|(_, page)| !page.contains(['/', '\\'])) {
         Some((name, page)) => {
             let page = page.parse().map_err(|_| format!("\"#{page}\" is not the number of a page"))?;
             Ok((name, page))
@@ -405,6 +463,52 @@ mod tests {
             assert!(message.contains(part) && message.contains("frames.csv, line"), "{message}");
         }
         assert!(parse_rows(Path::new("f"), "file,kind\n").unwrap_err().to_string().contains("exactly"));
+    }
+
+    #[test]
+    fn joined_datasets_follow_one_another() {
+        let dir = tempfile::tempdir().unwrap();
+        let part = |name: &str, gain_db: f64| {
+            let camera = CameraInfo {
+                width: 2,
+                height: 1,
+                bit_depth: 12,
+                gain_db: Some(gain_db),
+                ..Default::default()
+            };
+            let mut writer = Writer::create(&dir.path().join(name), &Manifest::new(camera), &[]).unwrap();
+            for index in 0..2 {
+                let row = FrameRow {
+                    file: String::new(),
+                    kind: Kind::Flat,
+                    set: 3,
+                    index,
+                    exposure_s: 0.5,
+                    illumination: 1.0,
+                    configuration: 0,
+                    temperature_c: None,
+                    timestamp_s: Some(f64::from(index)),
+                };
+                writer.append(row, &ndarray::array![[index as u16, 9]]).unwrap();
+            }
+            Dataset::open(&dir.path().join(name)).unwrap()
+        };
+        let (a, b) = (part("a", 0.0), part("b", 0.0));
+        let all = Dataset::join(vec![a.clone(), b]).unwrap();
+        let sets: Vec<_> = all.sets().iter().map(|s| (s.number, s.rows.clone())).collect();
+        assert_eq!(sets, [(3, vec![0, 1]), (4, vec![2, 3])]);
+        assert_eq!(
+            all.rows().iter().map(|r| r.timestamp_s.unwrap()).collect::<Vec<_>>(),
+            [0.0, 1.0, 1.5, 2.5]
+        );
+        assert_eq!(
+            (0..4).map(|r| all.part_of(r)).collect::<Vec<_>>(),
+            [(0, true), (0, false), (1, true), (1, false)]
+        );
+        assert_eq!(all.read_set(&all.sets()[1]).unwrap()[1], ndarray::array![[1, 9]]);
+        let fault = |other: Dataset| Dataset::join(vec![a.clone(), other]).unwrap_err().to_string();
+        assert!(fault(part("c", 6.0)).contains("gain_db"));
+        assert!(fault(a.clone()).contains("twice"));
     }
 
     #[test]

@@ -93,7 +93,7 @@ fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<Fram
     let flats =
         || settings.iter().filter(|s| s.kind == Kind::Flat && s.illumination > 0.0).map(|s| s.illumination);
     let usual = median(flats());
-    let mut levels: Vec<u64> = Vec::new();
+    let mut levels: Vec<(usize, u64)> = Vec::new();
     let mut light_of = |kind: Kind, illumination: f64, scene: usize| {
         if kind == Kind::Dark || illumination == 0.0 {
             return None;
@@ -104,6 +104,8 @@ fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<Fram
             Kind::Flat => illumination.to_bits(),
             _ => u64::MAX - scene as u64,
         };
+        // Nobody knows that two campaigns had the same light.
+        let key = (dataset.part_of(dataset.sets()[scene].rows[0]).0, key);
         let at = levels.iter().position(|l| *l == key).unwrap_or_else(|| {
             levels.push(key);
             levels.len() - 1
@@ -129,12 +131,13 @@ fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<Fram
         s.rows.iter().for_each(|&r| set_of_row[r] = i);
     }
     let mut time_s = 0.0;
-    let frame = |(row, set): (&FrameRow, usize)| {
+    let frame = |(i, (row, set)): (usize, (&FrameRow, usize))| {
         let at = row.timestamp_s.unwrap_or(time_s);
         time_s = at + row.exposure_s;
-        FrameInfo { set, time_s: at }
+        let (part, first) = dataset.part_of(i);
+        FrameInfo { set, time_s: at, settled: first && part > 0 }
     };
-    (infos, dataset.rows().iter().zip(set_of_row).map(frame).collect())
+    (infos, dataset.rows().iter().zip(set_of_row).enumerate().map(frame).collect())
 }
 
 /// Reads a dataset. `progress` is told (pieces done, pieces).

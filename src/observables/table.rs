@@ -74,7 +74,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
             spread_dn: 1.0,
             places: NORMAL,
         });
-        frames.push(FrameInfo { set: place, time_s: 0.0 });
+        frames.push(FrameInfo { set: place, time_s: 0.0, settled: false });
         let turn = Half::TURNS[place % 2];
         let mut add =
             |statistic: &'static dyn Statistic, index: usize, half: Half, value: f64, std_err: f64| {

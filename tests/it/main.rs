@@ -9,6 +9,7 @@ mod conformance;
 mod dataset;
 mod effects;
 mod import;
+mod investigate;
 mod models;
 mod noise;
 mod outside;

@@ -153,6 +153,10 @@ impl Effect for This {
         let first = c.frames.first().map_or(0.0, |f| c.sets.get(f.set).map_or(0.0, |s| s.exposure_s));
         let mut store = held.settled(past, c.frame_s.max(first));
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
+            if frame.settled {
+                let exposure_s = c.sets.get(frame.set).map_or(0.0, |s| s.exposure_s);
+                (store, last_s) = (held.settled(*m, c.frame_s.max(exposure_s)), None);
+            }
             // Charge is let go until the frame ends.
             let end_s = frame.time_s + c.sets.get(frame.set).map_or(0.0, |s| s.exposure_s);
             let after_s = last_s.map_or(c.frame_s, |last: f64| end_s - last);

@@ -165,6 +165,9 @@ fn move_frames(p: &[f64], c: &Campaign, out: &mut Prediction, added: &[Added]) -
     let sets = &out.sets;
     for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
         let (Some(of_set), Some(first)) = (added.get(frame.set), firsts.get_mut(frame.set)) else { continue };
+        if frame.settled {
+            (last, set, carried) = (None, Some(frame.set), None);
+        }
         let before = last.unwrap_or(*m);
         let away = before - *m;
         let own = of_set.noise + sets[frame.set].pixels();
@@ -272,7 +275,10 @@ impl Effect for This {
             let (less, memory) = running_average(a);
             out.sets.iter_mut().for_each(|s| s.remember(less, &memory));
             let mut last = out.base.past_e.map(|past| past * out.base.gain_dn_per_e);
-            for m in &mut out.frame_signal {
+            for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
+                if frame.settled {
+                    last = None;
+                }
                 *m += last.map_or(0.0, |last| a * (last - *m));
                 last = Some(*m);
             }
