@@ -3,6 +3,7 @@
 use crate::calibrate::dark::DarkError;
 use crate::calibrate::defects::replacements;
 use crate::calibrate::file::Calibration;
+use crate::camera::features::is_setting;
 use crate::dataset::CameraInfo;
 use ndarray::Array2;
 use rayon::prelude::*;
@@ -94,9 +95,16 @@ pub fn differences(calibrated: &CameraInfo, now: &CameraInfo) -> Vec<String> {
     compare("serial", calibrated.serial.clone(), now.serial.clone());
     let size = |c: &CameraInfo| format!("{} x {} px", c.width, c.height);
     compare("size", size(calibrated), size(now));
+    let bits = |c: &CameraInfo| if c.bit_depth == 0 { String::new() } else { c.bit_depth.to_string() };
+    compare("bit depth", bits(calibrated), bits(now));
     compare("pixel format", calibrated.pixel_format.clone(), now.pixel_format.clone());
     compare("gain", number(calibrated.gain_db, "dB"), number(now.gain_db, "dB"));
     compare("black level", number(calibrated.black_level_dn, "DN"), number(now.black_level_dn, "DN"));
+    for (name, was) in calibrated.features.iter().filter(|(name, _)| is_setting(name)) {
+        if let Some(is) = now.features.get(name) {
+            compare(name, was.to_string(), is.to_string());
+        }
+    }
     found
 }
 

@@ -30,6 +30,9 @@ pub struct Plan {
     /// Exposure that counts as 1, s; measured where absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub full_exposure_s: Option<f64>,
+    /// Whether that exposure was searched for before the first frame: a simulated camera that is gone on with exposes those frames again.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub searched: bool,
     /// Settings of the camera for the whole campaign.
     #[serde(default, skip_serializing_if = "CameraPlan::is_default")]
     pub camera: CameraPlan,
@@ -147,6 +150,7 @@ impl Plan {
             format: FORMAT.into(),
             about: about.into(),
             full_exposure_s: None,
+            searched: false,
             camera: CameraPlan::default(),
             bench: None,
             sets,

@@ -31,6 +31,9 @@ pub struct Surface {
     pub std_err: f64,
     /// Regions that it was learnt from.
     pub regions: u32,
+    /// What tells those regions from others, where it is known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub seen: Vec<String>,
 }
 
 /// What a library says of a region.
@@ -95,8 +98,13 @@ impl Library {
         crate::dataset::write_whole(path, text.as_bytes()).map_err(|e| fault(e.to_string()))
     }
 
-    /// Adds a region's V_s to a surface, or a new surface: regions are put together by the inverse of their variances.
-    pub fn learn(&mut self, name: &str, seen: Quantity) {
+    /// Adds a region's V_s to a surface, or a new surface: regions are put together by the inverse of their variances. `region` tells it from
+    /// others; one that was learnt before is refused, for it tells nothing new.
+    pub fn learn(&mut self, name: &str, seen: Quantity, region: &str) -> Result<(), String> {
+        let before = self.surfaces.iter().find(|s| s.seen.iter().any(|r| r == region));
+        if let Some(before) = before {
+            return Err(format!("this region was learnt before, as \"{}\"", before.name));
+        }
         let (value, std_err) = (seen.value, seen.std_err.max(f64::MIN_POSITIVE));
         match self.surfaces.iter_mut().find(|s| s.name == name) {
             Some(known) => {
@@ -104,11 +112,17 @@ impl Library {
                 known.scene_variation = (a * known.scene_variation + b * value) / (a + b);
                 known.std_err = (a + b).sqrt().recip();
                 known.regions += 1;
+                known.seen.push(region.into());
             }
-            None => {
-                self.surfaces.push(Surface { name: name.into(), scene_variation: value, std_err, regions: 1 })
-            }
+            None => self.surfaces.push(Surface {
+                name: name.into(),
+                scene_variation: value,
+                std_err,
+                regions: 1,
+                seen: vec![region.into()],
+            }),
         }
+        Ok(())
     }
 
     /// Names a surface by its V_s. "None of these" where even the nearest would give such a distance with a chance below
@@ -119,10 +133,11 @@ impl Library {
     /// use radcam::surfaces::Library;
     /// let mut library = Library::default();
     /// let quantity = |value| Quantity { value, std_err: 1e-5, unit: "1" };
-    /// library.learn("rough", quantity(1e-3));
-    /// library.learn("smooth", quantity(1e-4));
+    /// library.learn("rough", quantity(1e-3), "first image")?;
+    /// library.learn("smooth", quantity(1e-4), "second image")?;
     /// assert_eq!(library.identify(quantity(1.02e-4)).surface.as_deref(), Some("smooth"));
     /// assert_eq!(library.identify(quantity(5e-4)).surface, None);
+    /// # Ok::<(), String>(())
     /// ```
     pub fn identify(&self, seen: Quantity) -> Answer {
         let mut candidates: Vec<Candidate> = self

@@ -136,6 +136,7 @@ pub fn campaign(pilot: &Dataset, needs: &Needs) -> Plan {
         format: crate::plan::FORMAT.into(),
         about: format!("Calibration: {n1} configurations of {} frames, {} darks", needs.n2, needs.s),
         full_exposure_s: Some(exposure_s),
+        searched: false,
         camera: CameraPlan {
             gain_db: camera.gain_db,
             black_level_dn: camera.black_level_dn,

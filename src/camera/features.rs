@@ -366,6 +366,12 @@ pub fn left_on(values: &std::collections::BTreeMap<String, String>, named: &[Str
     names.into_iter().map(of).collect()
 }
 
+/// Whether a calibration holds for one value of a feature only. The exposure is a setting of every frame, and stands with it.
+pub fn is_setting(name: &str) -> bool {
+    let name = plain(name);
+    matches!(role(name), Some(Setting | Geometry)) && !name.starts_with("ExposureTime")
+}
+
 /// A name without the entry of its selector.
 fn plain(name: &str) -> &str {
     name.split_once('[').map_or(name, |(name, _)| name)

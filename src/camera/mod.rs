@@ -369,6 +369,11 @@ pub trait Camera: Send {
         Vec::new()
     }
 
+    /// Whether it draws the same frames again from its first on: a campaign is then gone on with by drawing once more what is on disk.
+    fn draws_again(&self) -> bool {
+        false
+    }
+
     /// Told before a campaign is continued: so many frames were taken, the last of them at this time, s.
     /// A simulated camera must not draw the same noise twice. Whether the camera's clock shows campaign time from now.
     fn continue_after(&mut self, _frames: u64, _time_s: f64) -> bool {

@@ -223,6 +223,10 @@ impl Camera for SimCamera {
         }
     }
 
+    fn draws_again(&self) -> bool {
+        self.clock.frame == 0
+    }
+
     fn continue_after(&mut self, frames: u64, time_s: f64) -> bool {
         self.clock = Clock { frame: frames, time_s };
         true

@@ -16,13 +16,7 @@ impl Capture<'_> {
     pub(super) fn absolute(&mut self, plan: &Plan, counts: &mut StreamCounts) -> Result<Plan, CaptureError> {
         let full = match plan.full_exposure_s {
             Some(full) => full,
-            None if plan.needs_full_exposure() => {
-                let full = self.find_full_exposure(plan, counts)?;
-                if let Some(first) = plan.sets.first() {
-                    self.expose(first, full, counts)?;
-                }
-                full
-            }
+            None if plan.needs_full_exposure() => self.search(plan, counts)?,
             None => 1.0,
         };
         let bounds = self.camera.capabilities().exposure_s;
@@ -32,7 +26,8 @@ impl Capture<'_> {
                 crate::camera::check_bounds(id, "ExposureTime", Some(bounds), exposure_s, "s")?;
             }
         }
-        let absolute = plan.absolute(full, |e| bounds.map_or(e, |b| b.nearest(e)));
+        let mut absolute = plan.absolute(full, |e| bounds.map_or(e, |b| b.nearest(e)));
+        absolute.searched |= plan.full_exposure_s.is_none() && plan.needs_full_exposure();
         for (wanted, set) in plan.sets.iter().zip(&absolute.sets) {
             let wanted = wanted.exposure_s.unwrap_or(wanted.exposure.unwrap_or(1.0) * full);
             let got = set.exposure_s.unwrap_or(wanted);
@@ -45,6 +40,15 @@ impl Capture<'_> {
             }
         }
         Ok(absolute)
+    }
+
+    /// Finds the full exposure, and lets what was exposed for it fade under the first set's light.
+    pub(super) fn search(&mut self, plan: &Plan, counts: &mut StreamCounts) -> Result<f64, CaptureError> {
+        let full = self.find_full_exposure(plan, counts)?;
+        if let Some(first) = plan.sets.first() {
+            self.expose(first, full, counts)?;
+        }
+        Ok(full)
     }
 
     /// The exposure that brings the card at illumination 1 to [`FULL_EXPOSURE_LEVEL`] of full scale.

@@ -116,6 +116,8 @@ struct Run {
     counts: StreamCounts,
     /// Sets that were begun again, once for each time.
     begun_again: Vec<usize>,
+    /// Frames that are on disk are exposed again and thrown away: the camera draws the same ones.
+    again: bool,
 }
 
 impl Run {
@@ -185,7 +187,12 @@ impl Capture<'_> {
         };
         // How long the pause of a continued campaign was is not known.
         let clock = if resume { DeviceClock::Unknown } else { DeviceClock::FromFirstFrame };
-        let run = Run { writer, clock, counts, begun_again: Vec::new() };
+        let again = resume && self.camera.draws_again();
+        if again && plan.searched {
+            self.search(&plan, &mut counts)?;
+        }
+        let clock = if again { DeviceClock::FromFirstFrame } else { clock };
+        let run = Run { writer, clock, counts, begun_again: Vec::new(), again };
         let searched = searched.then(|| plan.full_exposure_s.unwrap_or(0.0));
         self.carry_out(run, &plan, root, automatics, searched)
     }
@@ -218,7 +225,8 @@ impl Capture<'_> {
         let automatics = self.camera.disable_automatics()?;
         let (writer, plan) = self.resume(root)?;
         let clock = zero_ns.map_or(DeviceClock::Unknown, DeviceClock::Zero);
-        let run = Run { writer, clock, counts: StreamCounts::default(), begun_again: Vec::new() };
+        let run =
+            Run { writer, clock, counts: StreamCounts::default(), begun_again: Vec::new(), again: false };
         self.carry_out(run, &plan, root, automatics, None)
     }
 

@@ -21,7 +21,7 @@ impl Capture<'_> {
         run: &mut Run,
     ) -> Result<(), CaptureError> {
         let set = &plan.sets[number];
-        if run.have(number) >= set.frames {
+        if run.have(number) >= set.frames && !run.again {
             return Ok(());
         }
         // A person is not asked to move the light for it; frames that are let pass at the start of each set are no transition.
@@ -95,7 +95,8 @@ fn take(
     progress: &mut dyn FnMut(Progress),
 ) -> Result<bool, CaptureError> {
     let TakeSet { number, set, plan, exposure_s, illumination, settings, stop, whole } = *job;
-    let mut index = run.have(number);
+    let have = run.have(number);
+    let mut index = if run.again { 0 } else { have };
     let Run { writer, clock, .. } = run;
     let mut frame = Frame::new(settings.region.width as usize, settings.region.height as usize);
     let mut damaged = 0;
@@ -144,6 +145,11 @@ fn take(
             }
             .into());
         }
+        let timestamp_s = clock.seconds(frame.timestamp_ns);
+        if index < have {
+            index += 1;
+            continue;
+        }
         let row = FrameRow {
             file: String::new(),
             kind: set.kind,
@@ -153,7 +159,7 @@ fn take(
             illumination,
             configuration: set.configuration,
             temperature_c: frame.temperature_c.or(settings.temperature_c),
-            timestamp_s: clock.seconds(frame.timestamp_ns),
+            timestamp_s,
         };
         writer.append(row, &frame.pixels)?;
         index += 1;

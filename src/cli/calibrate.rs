@@ -35,6 +35,9 @@ pub struct Arguments {
     /// Write over a calibration that is there
     #[arg(long)]
     overwrite: bool,
+    /// Print JSON: what the file says of itself
+    #[arg(long)]
+    json: bool,
 }
 
 /// The side of a window has a middle.
@@ -75,6 +78,10 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let Calibrated { calibration, defects } = of_dataset(&dataset, estimator, noise.as_ref(), &provenance)?;
     calibration.write(&arguments.output)?;
     let d = &calibration.description;
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(d)?);
+        return Ok(Outcome::Agreement);
+    }
     let sd = |x: &ndarray::Array2<f32>| f64::from(x.std(0.0));
     println!("{}: {} x {} px, {}", arguments.output.display(), d.camera.width, d.camera.height, d.estimator);
     println!(

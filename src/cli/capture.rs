@@ -15,8 +15,8 @@ pub struct Arguments {
     /// aravis:ID (an IP address, an Aravis id or a serial number), sim:SENSOR or replay:DATASET
     #[arg(long)]
     camera: String,
-    /// quick, standard (where not given), or a plan file; a resumed capture has its own
-    #[arg(long, conflicts_with = "resume")]
+    /// quick, standard (where not given), or a plan file; a resumed capture has its own, and may name it again
+    #[arg(long)]
     plan: Option<String>,
     /// Folder of the new dataset
     #[arg(short, long)]
@@ -27,8 +27,23 @@ pub struct Arguments {
     /// Exposure that brings the card at illumination 1 close to full scale, s; measured where not given
     #[arg(long, conflicts_with = "resume", value_parser = above_0)]
     full_exposure_s: Option<f64>,
+    /// First column, first row, width, height of the region, pixels; else the plan's, or what the camera has
+    #[arg(long, value_name = "X,Y,W,H", value_parser = region, conflicts_with = "resume")]
+    region: Option<[u32; 4]>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
     #[command(flatten)]
     stream: StreamArguments,
+}
+
+/// `x,y,w,h`.
+pub fn region(text: &str) -> Result<[u32; 4], String> {
+    let numbers: Vec<u32> = text
+        .split(',')
+        .map(|n| n.trim().parse().map_err(|_| format!("\"{n}\" is not a whole number")))
+        .collect::<Result<_, String>>()?;
+    numbers.try_into().map_err(|_| "write x,y,width,height".into())
 }
 
 /// GigE Vision options.
@@ -75,10 +90,11 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     if arguments.full_exposure_s.is_some() {
         plan.full_exposure_s = arguments.full_exposure_s;
     }
+    plan.camera.region = arguments.region.or(plan.camera.region);
     let (mut camera, mut bench) = open_camera(&arguments.camera, &plan)?;
     let options = arguments.stream.options();
     let summary = capture(&mut *camera, &mut *bench, options, &plan, &arguments.output, arguments.resume)?;
-    tell(&summary, &arguments.output);
+    tell(&summary, &arguments.output, arguments.json)?;
     Ok(Outcome::Agreement)
 }
 
@@ -98,16 +114,31 @@ pub fn capture(
 }
 
 /// The result in words.
-pub fn tell(summary: &Summary, root: &Path) {
+pub fn tell(summary: &Summary, root: &Path, json: bool) -> Result<()> {
+    if json {
+        let c = summary.counts;
+        let left_on: Vec<_> = summary.automatics.iter().filter(|a| !a.off).collect();
+        let left_on: Vec<_> =
+            left_on.iter().map(|a| serde_json::json!({ "feature": a.feature, "value": a.now })).collect();
+        let said = serde_json::json!({
+            "dataset": root,
+            "frames": summary.frames,
+            "received": c.completed,
+            "damaged": c.failures,
+            "underruns": c.underruns,
+            "missing": c.missing,
+            "full_exposure_s": summary.full_exposure_s,
+            "left_on": left_on,
+        });
+        println!("{}", serde_json::to_string_pretty(&said)?);
+        return Ok(());
+    }
     println!("{}: {} frames written", root.display(), summary.frames);
     let c = summary.counts;
     let passed = c.completed.saturating_sub(summary.frames);
     let passed = match passed {
         0 => String::new(),
-        n => format!(
-            " ({} kept, {n} exposed to find the full exposure or to let the last light fade)",
-            summary.frames
-        ),
+        n => format!(" ({} kept; {n} exposed for the search or to settle, or drawn again)", summary.frames),
     };
     println!(
         "  frames received {}{passed}, damaged and thrown away {}, without a free buffer {}, never arrived {}",
@@ -121,4 +152,5 @@ pub fn tell(summary: &Summary, root: &Path) {
             still_on.join(", ")
         );
     }
+    Ok(())
 }

@@ -5,7 +5,7 @@ use crate::camera::Camera;
 use crate::camera::replay::ReplayCamera;
 use crate::camera::sim::SimCamera;
 use crate::capture::PLAN_FILE;
-use crate::plan::Plan;
+use crate::plan::{Plan, SetPlan};
 use anyhow::{Context, Result, bail};
 use radcam_sim::{Model, Sensor, sensors};
 use std::path::{Path, PathBuf};
@@ -14,6 +14,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Set by Ctrl-C; the second one ends the program at once.
 pub static STOP: AtomicBool = AtomicBool::new(false);
+
+/// Exit code of a run that Ctrl-C ended, as shells have it: 128 and the signal's number.
+pub const INTERRUPTED: u8 = 130;
 
 pub fn start_logging(verbose: u8) {
     use std::io::IsTerminal;
@@ -37,7 +40,7 @@ pub fn start_logging(verbose: u8) {
 pub fn catch_interrupts() {
     let handler = || {
         if STOP.swap(true, Ordering::SeqCst) {
-            std::process::exit(2);
+            std::process::exit(INTERRUPTED.into());
         }
     };
     if let Err(e) = ctrlc::set_handler(handler) {
@@ -54,7 +57,7 @@ pub fn load_model(name: &str, seed: Option<u64>) -> Result<Model> {
         Model::from_toml(&text).with_context(|| name.to_string())?
     } else {
         let names: Vec<_> = sensors::ALL.iter().map(|(known, _)| *known).collect();
-        bail!("no sensor \"{name}\": neither a file nor one of {}", names.join(", "));
+        bail!("no model or sensor \"{name}\": neither a file nor one of {}", names.join(", "));
     };
     if let Some(seed) = seed {
         model.base.seed = seed;
@@ -62,14 +65,38 @@ pub fn load_model(name: &str, seed: Option<u64>) -> Result<Model> {
     Ok(model)
 }
 
-/// A plan by name or from a file; the plan of a campaign that is continued.
+/// A plan by name or from a file; the plan of a campaign that is continued, which is that one where it is named again.
 pub fn load_plan(name: Option<&str>, resume: bool, root: &Path) -> Result<Plan> {
-    let stored = root.join(PLAN_FILE).display().to_string();
-    let name = if resume { &*stored } else { name.unwrap_or("standard") };
+    if !resume {
+        return plan_of(name.unwrap_or("standard"));
+    }
+    let stored = root.join(PLAN_FILE);
+    let text = std::fs::read_to_string(&stored).with_context(|| stored.display().to_string())?;
+    let plan = Plan::from_toml(&text).with_context(|| stored.display().to_string())?;
+    let Some(name) = name else { return Ok(plan) };
+    let given = plan_of(name)?;
+    // Exposures stand in seconds where the campaign has begun.
+    let given = given.absolute(plan.full_exposure_s.unwrap_or(1.0), |e| e);
+    let same = |a: &SetPlan, b: &SetPlan| {
+        let near = |a: Option<f64>, b: Option<f64>| (a.unwrap_or(0.0) / b.unwrap_or(1.0) - 1.0).abs() < 0.05;
+        (a.kind, a.frames, a.configuration) == (b.kind, b.frames, b.configuration)
+            && a.illumination == b.illumination
+            && near(a.exposure_s, b.exposure_s)
+    };
+    if plan.sets.len() != given.sets.len() || !plan.sets.iter().zip(&given.sets).all(|(a, b)| same(a, b)) {
+        bail!(
+            "{} was begun with another plan than {name}; leave --plan out to go on with its own",
+            root.display()
+        );
+    }
+    Ok(plan)
+}
+
+fn plan_of(name: &str) -> Result<Plan> {
     if let Some(plan) = Plan::named(name) {
         return Ok(plan);
     }
-    if !resume && !Path::new(name).exists() {
+    if !Path::new(name).exists() {
         bail!("no plan \"{name}\": neither a file nor one of quick, standard");
     }
     let text = std::fs::read_to_string(name).with_context(|| name.to_string())?;

@@ -19,7 +19,7 @@ pub struct Arguments {
     #[arg(required = true, value_name = "DATASET")]
     datasets: Vec<PathBuf>,
     /// The model; the paper's alone where not given
-    #[arg(long, value_name = "M.toml")]
+    #[arg(long, value_name = "M.toml|SENSOR")]
     model: Option<PathBuf>,
     /// Also write a page: observables down, levels across, colour by the residual
     #[arg(long, value_name = "FILE.html")]

@@ -3,10 +3,12 @@
 use super::Outcome;
 use crate::calibrate::file::Calibration;
 use crate::correct::{Codes, CorrectError, Corrector, differences};
+use crate::dataset::tag::FrameTag;
 use crate::dataset::{CameraInfo, Dataset, image, write_whole};
 use anyhow::{Context, Result, bail};
 use ndarray::Array2;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use tiff::encoder::colortype::{Gray16, Gray32Float};
 
 #[derive(Debug, clap::Args)]
@@ -19,7 +21,7 @@ pub struct Arguments {
     /// A TIFF for one frame; a folder for several
     #[arg(short, long)]
     output: PathBuf,
-    /// Exposure of plain frames, s; that of the calibration's darks where not given. Datasets know theirs
+    /// Exposure of plain frames, s; what they or their dataset say where not given, else that of the calibration's darks
     #[arg(long)]
     exposure_s: Option<f64>,
     /// 16-bit codes, SCALE times DN plus OFFSET, instead of 32-bit floats in DN
@@ -31,6 +33,9 @@ pub struct Arguments {
     /// Correct although the calibration was made under other settings
     #[arg(long)]
     force: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
 }
 
 /// `scale,offset`.
@@ -51,7 +56,6 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         bail!("{}: corrected frames are written as TIFF, not as {kind}", arguments.output.display());
     }
     let calibration = Calibration::read(&arguments.calibration)?;
-    let exposure_s = arguments.exposure_s.unwrap_or(calibration.dark.exposure_s);
     let single = arguments.input.len() == 1 && arguments.input[0].is_file();
     let mut done = 0;
     let make = |exposure_s| {
@@ -81,12 +85,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
                 }
             }
         } else {
-            let corrector = make(exposure_s)?;
-            let frame = image::read(input, 0).with_context(|| input.display().to_string())?;
-            let (height, width) = frame.dim();
-            // A plain frame tells its size, and nothing else.
-            check(&calibration, &CameraInfo { width, height, ..Default::default() }, arguments.force)
-                .with_context(|| input.display().to_string())?;
+            let plain = Plain::read(input, &calibration, arguments.exposure_s, arguments.force)?;
+            let (frame, corrector) = (plain.pixels, make(plain.exposure_s)?);
             let name = Path::new(input.file_name().unwrap_or_default()).with_extension("tiff");
             let out = if single { arguments.output.clone() } else { arguments.output.join(name) };
             if out == *input {
@@ -99,11 +99,16 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let scale = arguments.codes.map_or("DN above the dark reference, 32-bit floats".into(), |c| {
         format!("16-bit codes, {} per DN, {} at 0 DN", c.scale, c.offset)
     });
-    println!("{}: {done} frames corrected ({scale})", arguments.output.display());
+    if arguments.json {
+        let said = serde_json::json!({ "output": arguments.output, "frames": done, "value": scale });
+        println!("{}", serde_json::to_string_pretty(&said)?);
+    } else {
+        println!("{}: {done} frames corrected ({scale})", arguments.output.display());
+    }
     Ok(Outcome::Agreement)
 }
 
-pub fn check(calibration: &Calibration, now: &CameraInfo, force: bool) -> Result<()> {
+fn check(calibration: &Calibration, now: &CameraInfo, force: bool) -> Result<()> {
     let found = differences(&calibration.description.camera, now);
     let size = (now.height, now.width) != calibration.k.dim();
     if found.is_empty() || (force && !size) {
@@ -111,6 +116,61 @@ pub fn check(calibration: &Calibration, now: &CameraInfo, force: bool) -> Result
     }
     let advice = if size { "" } else { "; --force corrects all the same" };
     Err(CorrectError::Settings(found.join("; ") + advice).into())
+}
+
+/// A frame outside a dataset, and the exposure under which it was taken.
+pub struct Plain {
+    pub pixels: Array2<u16>,
+    pub exposure_s: f64,
+}
+
+impl Plain {
+    /// Reads a frame and holds what it, or the dataset in whose folder it lies, says of camera and settings against the calibration. A frame
+    /// that says nothing tells its size and its codes.
+    pub fn read(
+        path: &Path,
+        calibration: &Calibration,
+        exposure_s: Option<f64>,
+        force: bool,
+    ) -> Result<Self> {
+        let named = || path.display().to_string();
+        let pixels = image::read(path, 0).with_context(named)?;
+        let (height, width) = pixels.dim();
+        let tag = FrameTag::read(path);
+        let calibrated = &calibration.description.camera;
+        let mut now = tag.as_ref().map_or_else(CameraInfo::default, |t| CameraInfo { ..t.camera.clone() });
+        (now.width, now.height) = (width, height);
+        if now.bit_depth == 0 {
+            let stored = image::stored_bits(path).with_context(named)?;
+            let largest = pixels.iter().fold(0, |a, b| a | b);
+            if largest > calibrated.full_scale_dn() {
+                now.bit_depth = (u16::BITS - largest.leading_zeros()) as u8;
+            } else if stored < calibrated.bit_depth {
+                now.bit_depth = stored;
+            }
+        }
+        check(calibration, &now, force).with_context(named)?;
+        let said = tag.map(|t| t.exposure_s);
+        if let (Some(given), Some(said)) = (exposure_s, said)
+            && (given / said - 1.0).abs() > 1e-6
+        {
+            tracing::warn!(file = named(), given_s = given, said_s = said, "the frame says another exposure");
+        }
+        let exposure_s = exposure_s.or(said).unwrap_or_else(|| {
+            let exposure_s = calibration.dark.exposure_s;
+            // Said of the first of many.
+            static SAID: AtomicBool = AtomicBool::new(false);
+            if !SAID.swap(true, Ordering::Relaxed) {
+                tracing::warn!(
+                    file = named(),
+                    exposure_s,
+                    "says no exposure: that of the calibration's darks is taken; give --exposure-s"
+                );
+            }
+            exposure_s
+        });
+        Ok(Self { pixels, exposure_s })
+    }
 }
 
 /// What a corrected image says of itself.

@@ -18,7 +18,7 @@ pub struct Arguments {
     #[arg(required = true, value_name = "DATASET")]
     datasets: Vec<PathBuf>,
     /// Effects that are known already; the paper's model alone where not given
-    #[arg(long, value_name = "M.toml")]
+    #[arg(long, value_name = "M.toml|SENSOR")]
     model: Option<PathBuf>,
     /// Also write a page with the ladder and the residuals before and after
     #[arg(long, value_name = "FILE.html")]

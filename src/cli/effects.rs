@@ -4,16 +4,39 @@ use super::Outcome;
 use super::common::no_effect;
 use crate::number::pretty;
 use anyhow::{Result, bail};
-use radcam_sim::effects::{all, find};
+use radcam_sim::effects::{Effect, all, find};
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
     /// One effect; all of them in a list where not given
     id: Option<String>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// A page as JSON.
+fn json(e: &dyn Effect) -> serde_json::Value {
+    let page = e.page();
+    let parameters: Vec<_> = e
+        .parameters()
+        .iter()
+        .map(|p| serde_json::json!({ "name": p.name, "min": p.min, "max": p.max, "unit": p.unit }))
+        .collect();
+    serde_json::json!({
+        "id": e.id(), "stage": format!("{:?}", e.stage()), "what": page.what, "equation": page.equation,
+        "signature": page.signature, "look_alikes": page.look_alikes, "remedy": page.remedy,
+        "measure": page.measure, "source": page.source, "parameters": parameters,
+    })
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let Some(id) = &arguments.id else {
+        if arguments.json {
+            let pages: Vec<_> = all().iter().map(|e| json(*e)).collect();
+            println!("{}", serde_json::to_string_pretty(&pages)?);
+            return Ok(Outcome::Agreement);
+        }
         println!("{:<30} signature", "effect");
         for e in all() {
             let width = 100;
@@ -26,6 +49,10 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let Some(e) = find(id) else {
         bail!("{}", no_effect(id, all().iter().map(|e| e.id())));
     };
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&json(e))?);
+        return Ok(Outcome::Agreement);
+    }
     let page = e.page();
     println!("{} (acts on the {:?})\n", e.id(), e.stage());
     for (title, text) in [

@@ -31,7 +31,7 @@ pub struct Arguments {
     #[arg(long, default_value = "standard")]
     plan: String,
     /// Effects that are known already
-    #[arg(long, value_name = "M.toml")]
+    #[arg(long, value_name = "M.toml|SENSOR")]
     model: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]

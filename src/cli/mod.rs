@@ -26,11 +26,14 @@ mod region;
 mod reproduce;
 mod scene;
 mod serve;
+mod shell;
 mod simulate;
 mod surface;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use common::{INTERRUPTED, STOP};
 use std::process::ExitCode;
+use std::sync::atomic::Ordering;
 
 /// Whether the answer was an agreement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,7 +47,7 @@ enum Outcome {
 #[command(name = "radcam", version, propagate_version = true, max_term_width = 100)]
 #[command(
     after_help = "Exit codes: 0 done and in agreement; 1 done, and the answer is a disagreement; 2 it could not \
-                        be done.\nLogs go to standard error: -v, -vv, or RADCAM_LOG=debug."
+                        be done; 130 interrupted.\nLogs go to standard error: -v, -vv, or RADCAM_LOG=debug."
 )]
 struct Arguments {
     /// Say more (twice: still more)
@@ -95,6 +98,30 @@ enum Verb {
     Effects(effects::Arguments),
     /// Serve, capture, measure and report a camera, all in one
     Demo(demo::Arguments),
+    /// Print the completions of a shell
+    Completions(shell::Completions),
+    /// Write the manual pages
+    Man(shell::Man),
+}
+
+/// What stands there where the program is called alone.
+const FIRST_STEPS: &str = "\
+radcam measures what a camera does to light, and names what its model lacks.
+
+  radcam demo                                  see it work, without a camera
+  radcam investigate --camera ID -o DIR        your camera: from capture to a verdict
+  radcam import FOLDER -o DATASET              your own TIFF, PNG or FITS files
+  radcam diagnose DATASET                      which effect a campaign shows
+  radcam calibrate DATASET -o CAL.tiff         dark reference and fixed pattern, for `radcam correct`
+
+`radcam cameras` lists cameras, `radcam --help` every command, `radcam COMMAND --help` one.";
+
+/// The command line. A number may be negative where one is asked for.
+fn command() -> clap::Command {
+    fn lenient(command: clap::Command) -> clap::Command {
+        command.allow_negative_numbers(true).mut_subcommands(lenient)
+    }
+    lenient(Arguments::command())
 }
 
 /// Ends without a word where nobody reads standard output any more, as with `| head`, and with the reason where it cannot be written:
@@ -104,9 +131,10 @@ fn quiet_when_nobody_reads() {
     std::panic::set_hook(Box::new(move |info| {
         let text = info.payload().downcast_ref::<String>();
         if let Some(text) = text.filter(|t| t.starts_with("failed printing to stdout")) {
-            if !text.contains("Broken pipe") {
-                eprintln!("radcam: {text}");
+            if text.contains("Broken pipe") {
+                std::process::exit(0);
             }
+            eprintln!("radcam: {text}");
             std::process::exit(2);
         }
         usual(info);
@@ -116,7 +144,12 @@ fn quiet_when_nobody_reads() {
 /// Runs the program with the arguments of the process.
 pub fn main() -> ExitCode {
     quiet_when_nobody_reads();
-    let arguments = Arguments::parse();
+    if std::env::args_os().len() == 1 {
+        println!("{FIRST_STEPS}");
+        return ExitCode::from(2);
+    }
+    let matches = command().get_matches();
+    let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|e| e.exit());
     common::start_logging(arguments.verbose);
     common::catch_interrupts();
     let outcome = match arguments.verb {
@@ -139,6 +172,8 @@ pub fn main() -> ExitCode {
         Verb::Effects(a) => effects::run(&a),
         Verb::Diagnose(a) => diagnose::run(&a),
         Verb::Demo(a) => demo::run(&a),
+        Verb::Completions(a) => shell::completions(&a),
+        Verb::Man(a) => shell::man(&a),
     };
     match outcome {
         Ok(Outcome::Agreement) => ExitCode::SUCCESS,
@@ -152,7 +187,7 @@ pub fn main() -> ExitCode {
                 return ExitCode::SUCCESS;
             }
             eprintln!("radcam: {}", once(&error));
-            ExitCode::from(2)
+            ExitCode::from(if STOP.load(Ordering::Relaxed) { INTERRUPTED } else { 2 })
         }
     }
 }

@@ -82,7 +82,8 @@ fn write(path: &Path, model: &Model) -> Result<()> {
 /// The effects of a model file, with their values.
 pub fn read_effects(path: Option<&Path>) -> Result<Vec<Given>> {
     let Some(path) = path else { return Ok(Vec::new()) };
-    let model = read(path)?;
+    // A sensor's name stands for its model, as it does elsewhere.
+    let model = load_model(&path.to_string_lossy(), None)?;
     let of = |e: &EffectValues| {
         let effect = e.effect()?;
         Ok((effect, e.given(effect)))
@@ -113,7 +114,7 @@ pub fn fitted_model(
     datasets: &[PathBuf],
 ) -> Result<Model> {
     let mut model = match given {
-        Some(path) => read(path)?,
+        Some(path) => load_model(&path.to_string_lossy(), None)?,
         None => load_model("cmos12", None)?,
     };
     if let Some(Ok(dataset)) = datasets.first().map(|path| Dataset::open(path)) {

@@ -63,18 +63,25 @@ fn print(path: &Path, r: &NoiseReport) {
         with_error(r.offset_dn.value, r.offset_dn.std_err),
         r.offset_source
     );
-    let verdict = r.agreement().of_a_line();
-    println!(
-        "  {:<16} {:.2} for {} degrees of freedom, Q = {:.4}: {verdict}",
-        "chi-square", r.chi2, r.dof, r.q
-    );
+    if r.dof == 0 {
+        println!(
+            "  {:<16} none: there is nothing beyond the line's own parameters to hold it against",
+            "chi-square"
+        );
+    } else {
+        let verdict = r.agreement().of_a_line();
+        println!(
+            "  {:<16} {:.2} for {} degrees of freedom, Q = {:.4}: {verdict}",
+            "chi-square", r.chi2, r.dof, r.q
+        );
+    }
 
     println!("\n  {:<12} {:<24} {:<24} {:>9} {:>4}  Q", "estimator", "A (DN/e⁻)", "σ_C² (DN²)", "χ²", "dof");
     for e in &r.estimators {
         let (a, c) = (e.gain_dn_per_e, e.constant_noise_var_dn2);
         println!(
             "  {:<12} {:<24} {:<24} {:>9.2} {:>4}  {:.4}",
-            format!("{:?}", e.method).to_lowercase(),
+            e.method.name(),
             with_error(a.value, a.std_err),
             with_error(c.value, c.std_err),
             e.chi2,

@@ -1,11 +1,11 @@
 //! What the verbs on regions share: a calibration, images, a rectangle.
 
-use super::correct::check;
+use super::common::above_0;
+use super::correct::Plain;
 use crate::calibrate::file::Calibration;
 use crate::correct::Corrector;
-use crate::dataset::{CameraInfo, image};
 use crate::scene_variation::{Roi, Variation, of_region};
-use anyhow::{Context, Result};
+use anyhow::{Result, bail};
 use ndarray::Array2;
 use std::path::PathBuf;
 
@@ -19,9 +19,12 @@ pub struct RegionArguments {
     /// The region: first column, first row, width, height, px; the whole image where not given
     #[arg(long, value_name = "X,Y,W,H", value_parser = roi)]
     pub roi: Option<Roi>,
-    /// Exposure of the images, s; that of the calibration's darks where not given
-    #[arg(long)]
+    /// Exposure of the images, s; what they or their dataset say where not given, else that of the calibration's darks
+    #[arg(long, value_parser = above_0)]
     pub exposure_s: Option<f64>,
+    /// Go on although the calibration was made under other settings
+    #[arg(long)]
+    pub force: bool,
 }
 
 /// `x,y,w,h`.
@@ -44,22 +47,38 @@ pub struct Seen {
     /// Dark reference at their exposure.
     pub dark_dn: Array2<f32>,
     pub frames: u64,
+    /// Tells images apart.
+    pub digest: u64,
     pub roi: Roi,
 }
+
+/// FNV-1a, 64 bits (Fowler, Noll and Vo, draft-eastlake-fnv).
+const FNV_OFFSET: u64 = 0xcbf2_9ce4_8422_2325;
+const FNV_PRIME: u64 = 0x100_0000_01b3;
 
 impl RegionArguments {
     pub fn read(&self) -> Result<Seen> {
         let calibration = Calibration::read(&self.calibration)?;
-        let exposure_s = self.exposure_s.unwrap_or(calibration.dark.exposure_s);
+        let frames: Vec<Plain> = self
+            .images
+            .iter()
+            .map(|path| Plain::read(path, &calibration, self.exposure_s, self.force))
+            .collect::<Result<_>>()?;
+        let exposure_s = frames[0].exposure_s;
+        if let Some(at) = frames.iter().position(|f| (f.exposure_s / exposure_s - 1.0).abs() > 1e-6) {
+            bail!(
+                "{} was exposed for {} s, and {} for {exposure_s} s: images of one exposure are averaged",
+                self.images[at].display(),
+                frames[at].exposure_s,
+                self.images[0].display()
+            );
+        }
         let corrector = Corrector::new(&calibration, exposure_s)?;
         let mut sum = Array2::<f32>::zeros(corrector.shape());
-        for path in &self.images {
-            let named = || path.display().to_string();
-            let frame = image::read(path, 0).with_context(named)?;
-            let (height, width) = frame.dim();
-            let now = CameraInfo { width, height, ..Default::default() };
-            check(&calibration, &now, false).with_context(named)?;
-            sum += &corrector.image(&frame)?;
+        let mut digest = FNV_OFFSET;
+        for frame in &frames {
+            sum += &corrector.image(&frame.pixels)?;
+            digest = frame.pixels.iter().fold(digest, |d, dn| (d ^ u64::from(*dn)).wrapping_mul(FNV_PRIME));
         }
         let (height, width) = sum.dim();
         let frames = self.images.len() as u64;
@@ -67,6 +86,7 @@ impl RegionArguments {
             corrected: sum / frames as f32,
             dark_dn: calibration.dark.at(exposure_s)?,
             frames,
+            digest,
             roi: self.roi.unwrap_or(Roi { x: 0, y: 0, width, height }),
             calibration,
         })

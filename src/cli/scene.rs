@@ -5,7 +5,7 @@ use super::region::RegionArguments;
 use crate::dataset::{image, write_whole};
 use crate::number::with_error;
 use crate::scene_variation::map;
-use anyhow::Result;
+use anyhow::{Result, bail};
 use std::path::PathBuf;
 use tiff::encoder::colortype::Gray32Float;
 
@@ -27,6 +27,12 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let seen = arguments.region.read()?;
     let v = seen.variation()?;
+    let (rows, columns) = seen.corrected.dim();
+    if let Some(side) = arguments.map.filter(|side| *side > rows.min(columns) || *side < 10) {
+        bail!(
+            "--map {side}: windows have 10 px a side or more, and fit into the image of {columns} x {rows} px"
+        );
+    }
     if let (Some(side), Some(path)) = (arguments.map, &arguments.map_output) {
         let (value, _) = map(&seen.corrected, seen.frames, &seen.dark_dn, &seen.calibration, side)?;
         let description = format!("scene variation V_s over windows of {side} x {side} px");

@@ -1,7 +1,7 @@
 //! `radcam simulate`
 
 use super::Outcome;
-use super::capture::{capture, tell};
+use super::capture::{capture, region, tell};
 use super::common::{load_plan, simulated};
 use crate::camera::StreamOptions;
 use anyhow::Result;
@@ -11,8 +11,8 @@ use std::path::PathBuf;
 pub struct Arguments {
     /// A sensor (xc77, cmos12, ccd16) or a model file
     sensor: String,
-    /// quick, standard (where not given), or a plan file; a resumed run has its own
-    #[arg(long, conflicts_with = "resume")]
+    /// quick, standard (where not given), or a plan file; a resumed run has its own, and may name it again
+    #[arg(long)]
     plan: Option<String>,
     /// Folder of the new dataset
     #[arg(short, long)]
@@ -26,15 +26,9 @@ pub struct Arguments {
     /// First column, first row, width, height of the region, pixels
     #[arg(long, value_name = "X,Y,W,H", value_parser = region, conflicts_with = "resume")]
     region: Option<[u32; 4]>,
-}
-
-/// `x,y,w,h`.
-pub fn region(text: &str) -> Result<[u32; 4], String> {
-    let numbers: Vec<u32> = text
-        .split(',')
-        .map(|n| n.trim().parse().map_err(|_| format!("\"{n}\" is not a whole number")))
-        .collect::<Result<_, String>>()?;
-    numbers.try_into().map_err(|_| "write x,y,width,height".into())
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
@@ -43,6 +37,6 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let (mut camera, mut bench) = simulated(&arguments.sensor, arguments.seed)?;
     let options = StreamOptions::default();
     let summary = capture(&mut camera, &mut bench, options, &plan, &arguments.output, arguments.resume)?;
-    tell(&summary, &arguments.output);
+    tell(&summary, &arguments.output, arguments.json)?;
     Ok(Outcome::Agreement)
 }

@@ -24,6 +24,9 @@ enum Action {
         name: String,
         #[command(flatten)]
         region: RegionArguments,
+        /// Print the library as JSON
+        #[arg(long)]
+        json: bool,
     },
     /// Name the surface of a region; exit code 1 where it is none of the library's
     Identify {
@@ -39,11 +42,18 @@ enum Action {
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     match &arguments.action {
-        Action::Learn { library: path, name, region } => {
+        Action::Learn { library: path, name, region, json } => {
             let mut library = if path.exists() { Library::read(path)? } else { Library::default() };
-            let seen = region.read()?.variation()?.scene_variation;
-            library.learn(name, seen);
+            let regions = region.read()?;
+            let seen = regions.variation()?.scene_variation;
+            let roi = regions.roi;
+            let id = format!("{:016x} {},{},{},{}", regions.digest, roi.x, roi.y, roi.width, roi.height);
+            library.learn(name, seen, &id).map_err(|e| anyhow::anyhow!("{}: {e}", path.display()))?;
             library.write(path)?;
+            if *json {
+                println!("{}", serde_json::to_string_pretty(&library)?);
+                return Ok(Outcome::Agreement);
+            }
             println!("{}: {name}, V_s {}", path.display(), with_error(seen.value, seen.std_err));
             Ok(Outcome::Agreement)
         }

@@ -1,10 +1,11 @@
 //! The descriptor file of the EMVA 1288 reference tool, so that its datasets work as they are.
 //!
-//! Lines: `v VERSION`, `n BITS WIDTH HEIGHT`, `b EXPOSURE_NS PHOTONS` and `d EXPOSURE_NS` begin a set,
+//! Lines: `v VERSION` (any), `n BITS WIDTH HEIGHT`, `b EXPOSURE PHOTONS` and `d EXPOSURE` begin a set (nanoseconds, or with a unit: `10ms`),
 //! `i FILE` adds a frame to it; `#` begins a comment. Photons are per pixel and exposure; here they become
 //! photons per pixel per second. Files may be written with backslashes.
 
 use super::{BenchInfo, CameraInfo, Dataset, DatasetError, FrameRow, Kind, Manifest};
+use crate::import::names::seconds;
 use std::path::Path;
 
 /// Reads a descriptor.
@@ -38,8 +39,17 @@ fn parse(text: &str) -> Result<Parsed, (u64, String)> {
                 word.replace(',', ".").parse().map_err(|_| fault(format!("\"{word}\" is not a number")))?;
             Ok(value)
         };
-        let mut begin = |kind, exposure_ns: f64, photons: f64| {
-            let exposure_s = exposure_ns * 1e-9;
+        // Nanoseconds, as the standard's tool has it, unless a unit stands behind the number.
+        let exposure = |word: &str| {
+            let end = word.find(|c: char| c.is_alphabetic() && !matches!(c, 'e' | 'E')).unwrap_or(word.len());
+            let unit_s = if end == word.len() { Some(1e-9) } else { seconds(&word[end..]) };
+            let unit_s = unit_s.ok_or_else(|| fault(format!("\"{word}\": write ns, us, ms or s")))?;
+            Ok(float(&word[..end])? * unit_s)
+        };
+        // A bias frame has no exposure: as good as none is a nanosecond.
+        let mut begin = |kind, exposure_s: f64, photons: f64| {
+            let exposure_s = if exposure_s == 0.0 { 1e-9 } else { exposure_s };
+            let kind = if photons == 0.0 { Kind::Dark } else { kind };
             current = Some(FrameRow {
                 file: String::new(),
                 kind,
@@ -79,8 +89,8 @@ fn parse(text: &str) -> Result<Parsed, (u64, String)> {
                     ..Default::default()
                 });
             }
-            ["b", exposure_ns, photons] => begin(Kind::Flat, float(exposure_ns)?, float(photons)?),
-            ["d", exposure_ns] => begin(Kind::Dark, float(exposure_ns)?, 0.0),
+            ["b", exposed, photons] => begin(Kind::Flat, exposure(exposed)?, float(photons)?),
+            ["d", exposed] => begin(Kind::Dark, exposure(exposed)?, 0.0),
             ["i", _, ..] => {
                 let file = line.trim_start().trim_start_matches('i').trim();
                 let row =

@@ -14,7 +14,7 @@ pub enum ImageError {
     #[error("{0}")]
     Io(#[from] std::io::Error),
     /// Not a sound TIFF.
-    #[error("not a sound TIFF: {0}")]
+    #[error("not a sound TIFF: {}", tiff_words(.0))]
     Tiff(#[from] tiff::TiffError),
     /// Not a sound PNG.
     #[error("not a sound PNG: {0}")]
@@ -30,12 +30,27 @@ pub enum ImageError {
     NoPage(usize),
 }
 
+/// What is wrong with a TIFF; of one that ends too early, that.
+fn tiff_words(error: &tiff::TiffError) -> String {
+    match error {
+        tiff::TiffError::IoError(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => {
+            "cut short: the file ends before its pixels do".into()
+        }
+        tiff::TiffError::FormatError(tiff::TiffFormatError::TiffSignatureNotFound) => {
+            "radcam reads TIFF, PNG and FITS, and it begins like none of them".into()
+        }
+        other => other.to_string(),
+    }
+}
+
 /// Reads one page as (rows, columns) of DN. The kind of file is told by its first bytes, not by its name.
 pub fn read(path: &Path, page: usize) -> Result<Array2<u16>, ImageError> {
     let mut start = [0u8; 8];
     let read = std::io::Read::read(&mut File::open(path)?, &mut start)?;
     let start = &start[..read];
-    if start.starts_with(b"\x89PNG") {
+    if start.starts_with(b"\xff\xd8\xff") {
+        Err(ImageError::NotGrey("a JPEG, whose codes are not those of the camera".into()))
+    } else if start.starts_with(b"\x89PNG") {
         first_page_only(page)?;
         read_png(path)
     } else if start.starts_with(b"SIMPLE") {
@@ -44,6 +59,22 @@ pub fn read(path: &Path, page: usize) -> Result<Array2<u16>, ImageError> {
     } else {
         read_tiff(path, page)
     }
+}
+
+/// Bits of a pixel as the file keeps it, 8, 16 or 32: what a code can be at most.
+pub fn stored_bits(path: &Path) -> Result<u8, ImageError> {
+    let mut start = [0u8; 26];
+    let read = std::io::Read::read(&mut File::open(path)?, &mut start)?;
+    if start.starts_with(b"\x89PNG") && read == start.len() {
+        // The bit depth of the IHDR chunk (PNG specification, 11.2.2).
+        return Ok(start[24].max(8));
+    }
+    if start.starts_with(b"SIMPLE") {
+        let bits = fits_cards(path)?.get("BITPIX").and_then(|b| b.parse().ok());
+        return bits.ok_or_else(|| ImageError::Fits("has no BITPIX".into()));
+    }
+    let mut decoder = tiff::decoder::Decoder::new(BufReader::new(File::open(path)?))?;
+    Ok(decoder.colortype()?.bit_depth())
 }
 
 fn first_page_only(page: usize) -> Result<(), ImageError> {

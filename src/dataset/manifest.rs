@@ -1,6 +1,6 @@
 //! `dataset.toml`: what camera and bench said of themselves.
 
-use crate::camera::features::{LeftOn, left_on};
+use crate::camera::features::{LeftOn, is_setting, left_on};
 use crate::camera::{Identity, Settings};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -127,13 +127,7 @@ impl Manifest {
         ];
         let unit = |m: &Self| m.bench.as_ref().map(|b| b.illumination_unit.clone()).unwrap_or_default();
         let light = ("illumination_unit", unit(self), unit(other));
-        let setting = |name: &str| {
-            use crate::camera::features::{Role, role};
-            let plain = name.split_once('[').map_or(name, |n| n.0);
-            // The exposure is a setting of every frame, and stands with it.
-            matches!(role(plain), Some(Role::Setting | Role::Geometry)) && !plain.starts_with("ExposureTime")
-        };
-        let features = a.features.iter().filter(|(name, _)| setting(name)).filter_map(|(name, value)| {
+        let features = a.features.iter().filter(|(name, _)| is_setting(name)).filter_map(|(name, value)| {
             let other = b.features.get(name)?;
             Some((name.as_str(), value.to_string(), other.to_string()))
         });

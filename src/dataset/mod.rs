@@ -7,6 +7,7 @@ mod emva;
 pub mod image;
 mod manifest;
 pub mod table;
+pub mod tag;
 mod write;
 
 pub use manifest::{BenchInfo, CameraInfo, FORMAT, Manifest};
@@ -365,6 +366,31 @@ fn split_page(file: &str) -> Result<(&str, usize), String> {
     }
 }
 
+/// The line of a file, from 1, at which a record begins. The reader's own count leaves out what stands between records.
+pub(crate) fn line_of(text: &str, position: Option<&csv::Position>) -> u64 {
+    let Some(position) = position else { return 0 };
+    let bytes = text.as_bytes();
+    let mut at = (position.byte() as usize).min(bytes.len());
+    while bytes.get(at).is_some_and(|b| matches!(b, b'\r' | b'\n')) {
+        at += 1;
+    }
+    1 + bytes[..at].iter().filter(|b| **b == b'\n').count() as u64
+}
+
+/// What a reader of CSV says, without the place, which is told by the line.
+pub(crate) fn csv_words(error: &csv::Error, header: &csv::StringRecord) -> String {
+    match error.kind() {
+        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
+            format!("has {len} fields, and the header {expected_len}")
+        }
+        csv::ErrorKind::Deserialize { err, .. } => {
+            let column = err.field().and_then(|i| header.get(i as usize)).unwrap_or("row");
+            format!("{column}: {}", err.kind())
+        }
+        _ => error.to_string(),
+    }
+}
+
 fn parse_rows(path: &Path, text: &str) -> Result<Vec<(u64, FrameRow)>, DatasetError> {
     let fault = |line, message| DatasetError::Row { path: path.into(), line, message };
     let mut reader = csv::ReaderBuilder::new().has_headers(true).from_reader(text.as_bytes());
@@ -374,18 +400,9 @@ fn parse_rows(path: &Path, text: &str) -> Result<Vec<(u64, FrameRow)>, DatasetEr
     }
     let mut rows = Vec::new();
     for record in reader.records() {
-        let record = record.map_err(|e| fault(e.position().map_or(0, |p| p.line()), e.to_string()))?;
-        let line = record.position().map_or(0, |p| p.line());
-        let row = record.deserialize(Some(&header)).map_err(|e| {
-            let why = match e.kind() {
-                csv::ErrorKind::Deserialize { err, .. } => {
-                    let column = err.field().and_then(|i| COLUMNS.get(i as usize)).unwrap_or(&"row");
-                    format!("{column}: {}", err.kind())
-                }
-                _ => e.to_string(),
-            };
-            fault(line, why)
-        })?;
+        let record = record.map_err(|e| fault(line_of(text, e.position()), csv_words(&e, &header)))?;
+        let line = line_of(text, record.position());
+        let row = record.deserialize(Some(&header)).map_err(|e| fault(line, csv_words(&e, &header)))?;
         rows.push((line, row));
     }
     Ok(rows)
@@ -454,7 +471,8 @@ mod tests {
             ("a.tiff,flat,0,0,-1,1,0,,\n", "above 0 s"),
             ("a.tiff,dark,0,0,1,1,0,,\n", "illumination 0"),
             ("a.tiff,flat,0,0,1,nan,0,,\n", "illumination"),
-            ("a.tiff,flat,0\n", "found record with 3 fields"),
+            ("a.tiff,flat,0\n", "has 3 fields"),
+            ("a.tiff,flat,0,0,1,1,0,,\r\nb.tiff,flat,0,x,1,1,0,,\r\n", "line 3: index"),
             (&format!("{good}{good}"), "line 3: file a.tiff stands in an earlier row"),
             (&format!("{good}b.tiff,flat,3,0,0.01,1,0,,\n"), "set 3 index 0"),
             (&format!("{good}b.tiff,flat,3,1,0.02,1,0,,\n"), "exposure_s differs"),

@@ -1,6 +1,6 @@
 //! A table of statistics instead of frames: many laboratories keep only that.
 
-use super::DatasetError;
+use super::{DatasetError, csv_words, line_of};
 use serde::Deserialize;
 use std::path::Path;
 
@@ -70,9 +70,10 @@ impl Table {
         }
         let mut levels = Vec::new();
         for record in reader.records() {
-            let record = record.map_err(|e| (e.position().map_or(0, |p| p.line()), e.to_string()))?;
-            let line = record.position().map_or(0, |p| p.line());
-            let level: Level = record.deserialize(Some(&header)).map_err(|e| (line, e.to_string()))?;
+            let record = record.map_err(|e| (line_of(text, e.position()), csv_words(&e, &header)))?;
+            let line = line_of(text, record.position());
+            let level: Level =
+                record.deserialize(Some(&header)).map_err(|e| (line, csv_words(&e, &header)))?;
             if !(level.mean_dn.is_finite() && level.var_dn2.is_finite() && level.var_dn2 >= 0.0) {
                 let message = format!(
                     "mean_dn {} and var_dn2 {} must be finite, the variance not below 0",
@@ -105,6 +106,8 @@ mod tests {
         for (text, line, part) in [
             ("mean_dn,pixels\n1,2\n", 1, "var_dn2"),
             ("mean_dn,var_dn2\n1,x\n", 2, "invalid float"),
+            ("# a\r\nmean_dn,var_dn2\r\n1,2\r\n3,x\r\n", 4, "var_dn2: invalid float"),
+            ("mean_dn,var_dn2\n1,2\n3\n", 3, "1 fields"),
             ("mean_dn,var_dn2\n1,-2\n", 2, "not below 0"),
             ("mean_dn,var_dn2\n", 1, "no rows"),
         ] {

@@ -3,18 +3,20 @@
 //! A frame is written aside, synchronised, renamed, and only then is its row appended and synchronised. The
 //! folder is locked while it is written to.
 
-use super::{COLUMNS, Dataset, DatasetError, FrameRow, Manifest, image};
+use super::tag::FrameTag;
+use super::{COLUMNS, CameraInfo, Dataset, DatasetError, FrameRow, Manifest, image};
 use ndarray::Array2;
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use tiff::encoder::colortype::{Gray8, Gray16};
 
 /// An open campaign.
 #[derive(Debug)]
 pub struct Writer {
     root: PathBuf,
     rows: File,
-    bit_depth: u8,
+    camera: CameraInfo,
     written: Vec<FrameRow>,
 }
 
@@ -25,9 +27,13 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), DatasetError> {
     let aside = folder.join(format!(".{name}.part"));
     let fault = || DatasetError::io(path);
     let mut file = File::create(&aside).map_err(fault())?;
-    file.write_all(bytes).map_err(fault())?;
-    file.sync_all().map_err(fault())?;
-    fs::rename(&aside, path).map_err(fault())?;
+    let written =
+        file.write_all(bytes).and_then(|()| file.sync_all()).and_then(|()| fs::rename(&aside, path));
+    if let Err(e) = written {
+        // A disk that is full is not filled with pieces.
+        fs::remove_file(&aside).ok();
+        return Err(fault()(e));
+    }
     File::open(folder).and_then(|f| f.sync_all()).map_err(fault())
 }
 
@@ -87,7 +93,7 @@ impl Writer {
         Ok(Self {
             root: root.into(),
             rows: lock(root)?,
-            bit_depth: manifest.camera.bit_depth,
+            camera: manifest.camera.clone(),
             written: Vec::new(),
         })
     }
@@ -108,8 +114,8 @@ impl Writer {
             dataset.read(row)?;
         }
         let manifest = dataset.manifest().clone();
-        let bit_depth = manifest.camera.bit_depth;
-        let writer = Self { root: root.into(), rows, bit_depth, written: dataset.rows().to_vec() };
+        let camera = manifest.camera.clone();
+        let writer = Self { root: root.into(), rows, camera, written: dataset.rows().to_vec() };
         Ok((writer, manifest))
     }
 
@@ -132,7 +138,14 @@ impl Writer {
             index: row.index,
             message,
         };
-        let bytes = image::tiff_bytes(pixels, self.bit_depth).map_err(|e| fault(e.to_string()))?;
+        let tag = FrameTag::of(&row, &self.camera);
+        let text = serde_json::to_string(&tag).map_err(|e| fault(e.to_string()))?;
+        let bytes = if self.camera.bit_depth <= 8 {
+            image::described_bytes::<Gray8>(&pixels.mapv(|dn| dn as u8), &text)
+        } else {
+            image::described_bytes::<Gray16>(pixels, &text)
+        }
+        .map_err(|e| fault(e.to_string()))?;
         write_whole(&self.root.join(&row.file), &bytes)?;
         let mut line = csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new());
         line.serialize(&row).map_err(|e| fault(e.to_string()))?;
@@ -148,7 +161,7 @@ impl Writer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::{CameraInfo, Kind};
+    use crate::dataset::Kind;
 
     fn row(set: u32, index: u32) -> FrameRow {
         FrameRow {

@@ -1,9 +1,11 @@
 //! What the headers of image files say: FITS cards, descriptions of TIFF and PNG.
 
 use super::{Facts, names};
+use crate::dataset::tag::FrameTag;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
+use tiff::decoder::ifd::Value;
 use tiff::tags::Tag;
 
 /// Facts of a file, and how many pages it has.
@@ -23,9 +25,15 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
     let file = BufReader::new(File::open(path).map_err(|e| e.to_string())?);
     let mut decoder = tiff::decoder::Decoder::new(file).map_err(fault)?;
     let text = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap_or_default();
-    let mut found = of_description(&text);
-    found.vendor = decoder.get_tag_ascii_string(Tag::Make).ok();
-    found.model = decoder.get_tag_ascii_string(Tag::Model).ok();
+    let mut found = match FrameTag::from_text(&text) {
+        Some(tag) => of_tag(tag),
+        None => Facts {
+            vendor: decoder.get_tag_ascii_string(Tag::Make).ok(),
+            model: decoder.get_tag_ascii_string(Tag::Model).ok(),
+            ..of_description(&text)
+        },
+    };
+    found.exposure_s = found.exposure_s.or_else(|| exif_exposure_s(&mut decoder));
     let mut pages = 1;
     while decoder.more_images() {
         decoder.next_image().map_err(fault)?;
@@ -40,6 +48,35 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
         )),
         None => Ok((found, pages)),
     }
+}
+
+/// What a frame that radcam wrote says of itself.
+fn of_tag(tag: FrameTag) -> Facts {
+    let said = |text: String| Some(text).filter(|t| !t.is_empty());
+    Facts {
+        kind: Some(tag.kind),
+        exposure_s: Some(tag.exposure_s),
+        illumination: Some(tag.illumination),
+        gain_db: tag.camera.gain_db,
+        temperature_c: tag.camera.temperature_c,
+        vendor: said(tag.camera.vendor),
+        model: said(tag.camera.model),
+    }
+}
+
+/// ExposureTime of the EXIF directory (EXIF 2.32, tag 33434), s.
+fn exif_exposure_s<R: std::io::Read + std::io::Seek>(decoder: &mut tiff::decoder::Decoder<R>) -> Option<f64> {
+    let seconds = |value: Value| match value {
+        Value::Rational(a, b) if b > 0 => Some(f64::from(a) / f64::from(b)),
+        _ => None,
+    };
+    let exposure = Tag::Unknown(33434);
+    if let Some(found) = decoder.find_tag(exposure).ok().flatten() {
+        return seconds(found);
+    }
+    let at = decoder.find_tag(Tag::ExifDirectory).ok().flatten()?.into_ifd_pointer().ok()?;
+    let directory = decoder.read_directory(at).ok()?;
+    seconds(decoder.read_directory_tags(&directory).find_tag(exposure).ok().flatten()?)
 }
 
 /// `key = value` or `key: value`, one on a line.

@@ -104,6 +104,8 @@ pub fn measure(
 pub(super) const ONE_EXPOSURE_BOUNDED: &str = "between the darks of one exposure and black_level_dn";
 /// Zero from darks of one exposure alone.
 pub(super) const ONE_EXPOSURE: &str = "darks of one exposure";
+/// Zero as the camera states it.
+pub(super) const BLACK_LEVEL: &str = "black_level_dn of dataset.toml";
 /// Variance below which the noise is narrower than half a step, DN^2.
 const COARSE_DN2: f64 = 0.25;
 
@@ -164,8 +166,15 @@ pub fn zero(measured: &Measured) -> Zero {
             None => Zero { dn: dark, std_err_dn: weight.sqrt().recip(), source: ONE_EXPOSURE },
         };
     }
+    // A single frame has a mean, and the error that its pixels' scatter leaves.
+    let single =
+        measured.levels.iter().filter(|(_, kind, _, l)| *kind == Kind::Dark && l.frames == 1 && l.pixels > 1);
+    if let Some((.., level)) = single.min_by(|a, b| a.2.total_cmp(&b.2)) {
+        let std_err_dn = (level.spatial_var_dn2 / level.pixels as f64).sqrt();
+        return Zero { dn: level.mean_dn, std_err_dn, source: "a single dark frame" };
+    }
     match measured.black_level_dn {
-        Some(dn) => Zero { dn, std_err_dn: f64::NAN, source: "black_level_dn of dataset.toml" },
+        Some(dn) => Zero { dn, std_err_dn: f64::NAN, source: BLACK_LEVEL },
         None => Zero { dn: 0.0, std_err_dn: f64::NAN, source: "none: no usable darks, taken as 0 DN" },
     }
 }

@@ -29,8 +29,8 @@ use crate::dataset::table::Table;
 use crate::dataset::{Dataset, DatasetError, Kind};
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
 use exclude::{exclude_past_the_peak, exclude_strays};
+use levels::{BLACK_LEVEL, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED};
 pub(crate) use levels::{Counts, pixels_from_scatter};
-use levels::{ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED};
 use report::finite;
 use std::sync::atomic::AtomicBool;
 
@@ -55,6 +55,9 @@ pub enum NoiseError {
         /// Why the others fell out.
         why: Vec<String>,
     },
+    /// Nothing to look at.
+    #[error("the dataset has no frames of darks or flats")]
+    NoFrames,
     /// The user asked for the end.
     #[error("interrupted")]
     Interrupted,
@@ -89,7 +92,11 @@ pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, Nois
     exclude_strays(&mut points);
     let is_lit = |p: &&Point| p.excluded.is_none() && p.kind == Kind::Flat;
     let lit = points.iter().filter(is_lit).count();
-    let Some(line) = reweighted(&points).filter(|_| lit > 0) else {
+    let line = reweighted(&points).filter(|_| lit > 0);
+    if let (None, Some(found)) = (line, one_level(&points, zero)) {
+        return Ok(found);
+    }
+    let Some(line) = line else {
         let why = points.iter().filter_map(|p| p.excluded.as_ref().map(|e| format!("set {}: {e}", p.set)));
         return Err(NoiseError::TooFewLevels {
             usable: points.iter().filter(|p| p.excluded.is_none()).count(),
@@ -164,6 +171,65 @@ pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, Nois
     })
 }
 
+/// A of one lit level: the constant noise is known by its bounds only. Below it is that of quantisation, above it the variance over the pixels
+/// of a single dark frame, which has the offsets' pattern too, or all that the level has. Anything between is as likely.
+fn one_level(points: &[Point], zero: &Zero) -> Option<NoiseReport> {
+    let mut used = points.iter().filter(|p| p.excluded.is_none());
+    let lit = used.next().filter(|p| p.kind == Kind::Flat && used.next().is_none())?;
+    let known = zero.std_err_dn.is_finite() || zero.source == BLACK_LEVEL;
+    if !known || lit.mean_dn <= 0.0 {
+        return None;
+    }
+    let bias = points.iter().filter(|p| p.kind == Kind::Dark && p.frames < 2.0).map(|p| p.spatial_var_dn2);
+    let (least, most) = (1.0 / 12.0, bias.fold(lit.var_dn2, f64::min));
+    let (constant, spread) = (0.5 * (least + most), (most - least).max(0.0) / 12f64.sqrt());
+    let gain = (lit.var_dn2 - constant) / lit.mean_dn;
+    let of_variance = variance_of_variance(lit, gain, constant).sqrt() / lit.mean_dn;
+    let of_zero = gain * if zero.std_err_dn.is_finite() { zero.std_err_dn / lit.mean_dn } else { 0.0 };
+    let std_err = of_variance.hypot(spread / lit.mean_dn).hypot(of_zero);
+    let estimate = Estimate {
+        method: Method::OneLevel,
+        gain_dn_per_e: Quantity { value: gain, std_err, unit: "DN/e" },
+        constant_noise_var_dn2: Quantity { value: constant, std_err: spread, unit: "DN^2" },
+        covariance: -spread * spread / lit.mean_dn,
+        chi2: 0.0,
+        dof: 0,
+        q: f64::NAN,
+    };
+    let read = |var: f64| (var - 1.0 / 12.0).max(0.0).sqrt() / gain;
+    let levels = points.iter().map(|p| LevelReport {
+        set: p.set,
+        kind: p.kind,
+        mean_dn: p.mean_dn,
+        var_dn2: p.var_dn2,
+        var_std_err_dn2: if p.excluded.is_none() { of_variance * lit.mean_dn } else { f64::NAN },
+        z: if p.excluded.is_none() { 0.0 } else { f64::NAN },
+        used: p.excluded.is_none(),
+        excluded_because: p.excluded.clone(),
+    });
+    Some(NoiseReport {
+        gain_dn_per_e: estimate.gain_dn_per_e,
+        constant_noise_var_dn2: estimate.constant_noise_var_dn2,
+        // Its own bounds: from none to the largest.
+        read_noise_e: Quantity { value: 0.5 * read(most), std_err: read(most) / 12f64.sqrt(), unit: "e" },
+        offset_dn: Quantity { value: zero.dn, std_err: zero.std_err_dn, unit: "DN" },
+        offset_source: zero.source,
+        chi2: 0.0,
+        dof: 0,
+        q: f64::NAN,
+        estimators: vec![estimate],
+        levels: levels.collect(),
+        notes: vec![
+            format!(
+                "one lit level: whether variance grows with the mean as it should cannot be seen, and the constant noise is known to lie \
+                 within {least:.3} and {most:.3} DN^2 only; the gain's error says what that leaves"
+            ),
+            format!("the read noise is {:.3} e at most", read(most)),
+            "take flats at a second level, or two darks: both become measurements".into(),
+        ],
+    })
+}
+
 /// sigma_R = sqrt(sigma_C^2 - 1/12) / A (eq. 27), its error by first order in both.
 fn read_noise(e: &Estimate) -> Quantity {
     let (a, c) = (e.gain_dn_per_e, e.constant_noise_var_dn2);
@@ -183,6 +249,9 @@ pub fn of_dataset(
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<NoiseReport, NoiseError> {
     let measured = measure(dataset, stop, progress)?;
+    if measured.levels.is_empty() {
+        return Err(NoiseError::NoFrames);
+    }
     let zero = zero(&measured);
     estimate(points(&measured, &zero), &zero)
 }

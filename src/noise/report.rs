@@ -14,6 +14,21 @@ pub enum Method {
     Reweighted,
     /// Chi-square likelihood.
     Likelihood,
+    /// One lit level, and bounds of the constant noise.
+    #[serde(rename = "one-level")]
+    OneLevel,
+}
+
+impl Method {
+    /// Its name, as the JSON has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Paper => "paper",
+            Self::Reweighted => "reweighted",
+            Self::Likelihood => "likelihood",
+            Self::OneLevel => "one-level",
+        }
+    }
 }
 
 /// A value with its standard error and unit.
@@ -92,7 +107,7 @@ pub struct LevelReport {
 /// The whole answer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NoiseReport {
-    /// A by the reweighted estimator.
+    /// A by the reweighted estimator; of one lit level by the bounds of the constant noise.
     pub gain_dn_per_e: Quantity,
     /// sigma_C^2 by the reweighted estimator.
     pub constant_noise_var_dn2: Quantity,

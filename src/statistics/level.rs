@@ -116,12 +116,15 @@ impl LevelAccumulator {
         }
         if frames < 2 || pixels < 2 {
             let samples = n * sums.len() as f64;
+            let mean_dn = sums.iter().sum::<u64>() as f64 / samples;
+            // Of one frame the noise is in it.
+            let between = sums.iter().map(|&s| (s as f64 / n - mean_dn).powi(2)).sum::<f64>();
             return Some(Level {
                 frames,
                 pixels,
-                mean_dn: sums.iter().sum::<u64>() as f64 / samples,
+                mean_dn,
                 var_dn2: f64::NAN,
-                spatial_var_dn2: f64::NAN,
+                spatial_var_dn2: between / (sums.len() as f64 - 1.0),
                 frame_mean_var_dn2: f64::NAN,
                 saturated: self.saturated as f64 / samples,
                 black: self.black as f64 / samples,

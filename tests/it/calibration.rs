@@ -228,8 +228,10 @@ fn surfaces_are_recognised_whatever_the_light() {
         for (name, (v, raw)) in
             names.iter().zip(chart.seen(900 + u64::from(configuration), 0.5, configuration))
         {
-            library.learn(name, v.scene_variation);
-            raw_library.learn(name, quantity(raw, raw * v.scene_variation.std_err / v.scene_variation.value));
+            let region = format!("{name} {configuration}");
+            library.learn(name, v.scene_variation, &region).unwrap();
+            let raw = quantity(raw, raw * v.scene_variation.std_err / v.scene_variation.value);
+            raw_library.learn(name, raw, &region).unwrap();
         }
     }
     let (mut right, mut right_raw, mut draws) = (0, 0, 0);

@@ -1,6 +1,6 @@
 //! The real program: what it prints, its exit codes, and what it says of bad input.
 
-use crate::support::{expect, refused};
+use crate::support::{expect, radcam, refused};
 use std::fs;
 use std::path::Path;
 
@@ -313,8 +313,11 @@ fn resume_from_the_command_line() {
     fs::write(&csv, rows[..20].join("\n") + "\nframes/000").unwrap();
     let out = expect(0, &["simulate", "cmos12", "--resume", "-o", root.to_str().unwrap()]);
     assert!(out.contains("21 frames written"), "{out}");
-    let said = refused(&["simulate", "cmos12", "--plan", "quick", "--resume", "-o", root.to_str().unwrap()]);
-    assert!(said.contains("cannot be used with"), "{said}");
+    // Its own plan may be named again; another one is refused.
+    expect(0, &["simulate", "cmos12", "--plan", "quick", "--resume", "-o", root.to_str().unwrap()]);
+    let said =
+        refused(&["simulate", "cmos12", "--plan", "standard", "--resume", "-o", root.to_str().unwrap()]);
+    assert!(said.contains("another plan"), "{said}");
     expect(0, &["noise", root.to_str().unwrap()]);
 }
 
@@ -326,4 +329,104 @@ fn a_full_disk_is_told() {
     let said = String::from_utf8_lossy(&out.stderr);
     assert_eq!(out.status.code(), Some(2), "{said}");
     assert!(said.contains("No space left") && !said.contains("panicked"), "{said}");
+}
+
+/// A simulation that was broken off and gone on with is the one that was not: frames, rows and all that follows.
+#[test]
+fn a_resumed_simulation_is_the_undisturbed_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let [whole, broken] = ["whole", "broken"].map(|name| dir.path().join(name));
+    let mut model = crate::support::small("cmos12", 64, 48);
+    let lag = radcam_sim::effects::find("image-lag").unwrap();
+    let values = radcam_sim::effects::example("image-lag", &model).unwrap();
+    let parameters = lag.parameters().iter().zip(&values).map(|(p, v)| (p.name.to_string(), *v)).collect();
+    model.effects =
+        vec![radcam_sim::EffectValues { id: "image-lag".into(), parameters, ..Default::default() }];
+    let camera = dir.path().join("camera.toml");
+    fs::write(&camera, model.to_toml().unwrap()).unwrap();
+    let run = |to: &Path, more: &[&str]| {
+        let begin = ["simulate", camera.to_str().unwrap(), "-o", to.to_str().unwrap()];
+        expect(0, &[&begin[..], more].concat())
+    };
+    let said = run(&whole, &["--plan", "quick"]);
+    // What was received and not kept is explained.
+    assert!(said.contains("(40 kept; "), "{said}");
+    run(&broken, &["--plan", "quick"]);
+    let rows = fs::read_to_string(broken.join("frames.csv")).unwrap();
+    let kept: Vec<&str> = rows.lines().take(15).collect();
+    fs::write(broken.join("frames.csv"), kept.join("\n") + "\n").unwrap();
+    for number in 14..40 {
+        fs::remove_file(broken.join(format!("frames/{number:05}.tiff"))).unwrap();
+    }
+    run(&broken, &["--resume"]);
+    assert_eq!(fs::read_to_string(broken.join("frames.csv")).unwrap(), rows);
+    for number in 0..40 {
+        let name = format!("frames/{number:05}.tiff");
+        assert_eq!(fs::read(whole.join(&name)).unwrap(), fs::read(broken.join(&name)).unwrap(), "{name}");
+    }
+}
+
+/// The first things that a new user types, and what they get.
+#[test]
+fn first_steps_are_shown_and_followed() {
+    let alone = radcam(&[]);
+    let text = String::from_utf8_lossy(&alone.stdout).into_owned();
+    let order = ["radcam demo", "radcam investigate", "radcam import", "radcam diagnose", "radcam calibrate"];
+    let places: Vec<usize> = order.iter().map(|verb| text.find(verb).unwrap()).collect();
+    assert!(places.is_sorted() && alone.status.code() == Some(2), "{text}");
+    for shell in ["bash", "zsh", "fish"] {
+        assert!(expect(0, &["completions", shell]).contains("investigate"), "{shell}");
+    }
+    let dir = tempfile::tempdir().unwrap();
+    expect(0, &["man", "-o", dir.path().to_str().unwrap()]);
+    assert!(fs::read_to_string(dir.path().join("radcam-diagnose.1")).unwrap().contains("DATASET"));
+    let pages: serde_json::Value = serde_json::from_str(&expect(0, &["effects", "--json"])).unwrap();
+    assert!(pages.as_array().unwrap().len() > 25 && pages[0]["parameters"].is_array());
+    // A negative number is a value, and its fault is named.
+    let said = refused(&["capture", "--camera", "sim:cmos12", "--full-exposure-s", "-1", "-o", "x"]);
+    assert!(said.contains("a number above 0") && !said.contains("-- -1"), "{said}");
+    // A reader that has seen enough is no fault.
+    let head = "effects=$($0 effects | head -1; test ${PIPESTATUS[0]} = 0) && echo \"$effects\"";
+    let out =
+        std::process::Command::new("bash").args(["-c", head, env!("CARGO_BIN_EXE_radcam")]).output().unwrap();
+    assert!(out.status.success() && out.stderr.is_empty(), "{out:?}");
+}
+
+/// Datasets with less than a line needs: what can be said is said, with the error that leaves.
+#[test]
+fn one_level_and_one_bias_frame_give_a_gain_with_its_error() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("all");
+    simulate(&root);
+    let rows = fs::read_to_string(root.join("frames.csv")).unwrap();
+    let part = |name: &str, keep: &dyn Fn(&str) -> bool| {
+        let to = dir.path().join(name);
+        fs::create_dir_all(to.join("frames")).unwrap();
+        fs::copy(root.join("dataset.toml"), to.join("dataset.toml")).unwrap();
+        let mut text = String::new();
+        for (i, line) in rows.lines().enumerate() {
+            let place = line.split(',').skip(1).take(3).collect::<Vec<_>>().join(",");
+            if i == 0 || keep(&place) {
+                text += &format!("{line}\n");
+                let file = line.split(',').next().unwrap();
+                fs::copy(root.join(file), to.join(file)).ok();
+            }
+        }
+        fs::write(to.join("frames.csv"), text).unwrap();
+        to.to_str().unwrap().to_string()
+    };
+    let bias = part("bias", &|place| place == "dark,0,0" || place.starts_with("flat,7"));
+    let report: serde_json::Value = serde_json::from_str(&expect(0, &["noise", &bias, "--json"])).unwrap();
+    let of =
+        |name: &str| (report[name]["value"].as_f64().unwrap(), report[name]["std_err"].as_f64().unwrap());
+    let ((gain, gain_error), (read, read_error)) = (of("gain_dn_per_e"), of("read_noise_e"));
+    // Truth within two errors; the pattern of the offsets is in the bound, so that it lies above the read noise.
+    assert!((gain - 0.38).abs() < 2.0 * gain_error && gain_error < 0.02, "{gain} +- {gain_error}");
+    assert!(read + 1.8 * read_error > 2.6, "{read} +- {read_error}");
+    assert_eq!(report["estimators"][0]["method"], "one-level");
+    let flats = part("flats", &|place| place.starts_with("flat,7"));
+    let said = expect(0, &["noise", &flats]);
+    assert!(said.contains("one lit level") && said.contains("take flats at a second level"), "{said}");
+    let none = part("none", &|_| false);
+    assert!(refused(&["noise", &none]).contains("has no frames"));
 }

@@ -1,0 +1,71 @@
+//! What a frame says of itself: settings and camera, as JSON in the ImageDescription of its file.
+
+use super::{CameraInfo, Dataset, FrameRow, Kind};
+use serde::{Deserialize, Serialize};
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+use tiff::tags::Tag;
+
+/// Name and major version of the format.
+pub const FORMAT: &str = "radcam-frame/1";
+
+/// Settings and camera of a frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FrameTag {
+    /// [`FORMAT`].
+    pub format: String,
+    /// What it shows.
+    pub kind: Kind,
+    /// Commanded exposure, s.
+    pub exposure_s: f64,
+    /// Relative to the campaign's unit; 0 for darks.
+    pub illumination: f64,
+    /// Position of card and light.
+    #[serde(default)]
+    pub configuration: u32,
+    /// Start of the exposure, s from the start of the campaign.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub timestamp_s: Option<f64>,
+    /// The camera and its settings; its temperature is that of this frame.
+    pub camera: CameraInfo,
+}
+
+impl FrameTag {
+    /// Of a row of a dataset.
+    pub fn of(row: &FrameRow, camera: &CameraInfo) -> Self {
+        Self {
+            format: FORMAT.into(),
+            kind: row.kind,
+            exposure_s: row.exposure_s,
+            illumination: row.illumination,
+            configuration: row.configuration,
+            timestamp_s: row.timestamp_s,
+            camera: CameraInfo {
+                temperature_c: row.temperature_c.or(camera.temperature_c),
+                ..camera.clone()
+            },
+        }
+    }
+
+    /// Of an ImageDescription; `None` where it says something else.
+    pub fn from_text(text: &str) -> Option<Self> {
+        let tag: Self = serde_json::from_str(text.trim_end_matches('\0')).ok()?;
+        (tag.format == FORMAT).then_some(tag)
+    }
+
+    /// Of a file: what it says of itself, or what the dataset says in whose folder it lies. `None` where neither does.
+    pub fn read(path: &Path) -> Option<Self> {
+        let file = File::open(path).ok()?;
+        let text = tiff::decoder::Decoder::new(BufReader::new(file))
+            .and_then(|mut d| d.get_tag_ascii_string(Tag::ImageDescription));
+        if let Some(tag) = text.ok().and_then(|text| Self::from_text(&text)) {
+            return Some(tag);
+        }
+        let whole = path.canonicalize().ok()?;
+        let root = whole.ancestors().skip(1).take(3).find(|folder| folder.join("dataset.toml").is_file())?;
+        let dataset = Dataset::open(root).ok()?;
+        let row = dataset.rows().iter().find(|row| root.join(&row.file) == whole)?;
+        Some(Self::of(row, &dataset.manifest().camera))
+    }
+}
