@@ -1,12 +1,21 @@
 //! `radcam cameras`
 
 use super::Outcome;
+use super::common::may_be_written;
+use crate::dataset::write_whole;
 use anyhow::Result;
 use radcam_sim::{Model, sensors};
 use serde::Serialize;
+use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
+    /// Write everything that helps with a camera one does not have: description, features, registers, losses, what a capture would switch off
+    #[arg(long, value_name = "ID", requires = "output")]
+    report: Option<String>,
+    /// The report, a JSON file
+    #[arg(short, long, value_name = "FILE.json", requires = "report")]
+    output: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -22,6 +31,27 @@ struct Row {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    if let (Some(id), Some(path)) = (&arguments.report, &arguments.output) {
+        may_be_written(path, false)?;
+        let report = report_of(id.strip_prefix("aravis:").unwrap_or(id))?;
+        write_whole(path, serde_json::to_string_pretty(&report)?.as_bytes())?;
+        let (features, stream) = (&report["features"], &report["stream"]);
+        let count = |part: &str| {
+            let says = |f: &&serde_json::Value| f["radcam"].as_str().is_some_and(|r| r.starts_with(part));
+            features.as_array().map_or(0, |all| all.iter().filter(says).count())
+        };
+        println!("{}: {} features", path.display(), features.as_array().map_or(0, Vec::len));
+        println!(
+            "  a capture would set {}, record {}; {} of {} frames came whole, {} damaged, {} missing",
+            count("a capture sets"),
+            count("recorded"),
+            stream["complete"],
+            stream["asked"],
+            stream["damaged"],
+            stream["missing"]
+        );
+        return Ok(Outcome::Agreement);
+    }
     let mut rows = real();
     for (name, text) in sensors::ALL {
         let model = Model::from_toml(text)?;
@@ -42,6 +72,16 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         println!("{:<28} {:<12} {:<16} {:<12} {}", r.camera, r.vendor, r.model, r.serial, r.protocol);
     }
     Ok(Outcome::Agreement)
+}
+
+#[cfg(feature = "aravis")]
+fn report_of(id: &str) -> Result<serde_json::Value> {
+    Ok(crate::camera::aravis::AravisCamera::open(id)?.report())
+}
+
+#[cfg(not(feature = "aravis"))]
+fn report_of(_: &str) -> Result<serde_json::Value> {
+    anyhow::bail!("{}", super::common::NO_ARAVIS)
 }
 
 #[cfg(feature = "aravis")]

@@ -31,6 +31,9 @@ pub struct Arguments {
     /// IPv4 address of the interface the camera is served on
     #[arg(long, default_value = "127.0.0.1")]
     interface: std::net::Ipv4Addr,
+    /// Print JSON: what was hidden and what was found
+    #[arg(long)]
+    json: bool,
 }
 
 /// Largest side of the region that the demo captures: a campaign of some 40 MB.
@@ -105,19 +108,29 @@ fn the_story(
     })?;
     let (d, dataset) = (found.diagnosis, arguments.output.join("dataset"));
     let title = format!("{camera}{}", over(arguments));
-    println!();
-    super::diagnose::print(&title, &d);
+    if !arguments.json {
+        println!();
+        super::diagnose::print(&title, &d);
+    }
     let path = arguments.output.join("report.html");
     let page = crate::report::compare::diagnosis("What the model lacks", &title, &d);
     write_whole(&path, page.as_bytes())?;
-    println!("\n  report:   {}\n  dataset:  {}", path.display(), dataset.display());
-    println!("  next:     radcam effects {}", effect.id());
     let first = d.missing.first();
     let place = d.missing.iter().position(|m| m.effect == effect.id());
     // The first name, or what this campaign cannot tell from it.
     let tied = place
         .is_some_and(|p| p == 0 || d.missing[p].tied_with.as_deref() == first.map(|m| m.effect.as_str()));
     let found = tied && d.missing.first().is_none_or(|m| m.effect != "unknown");
+    let outcome = if found { Outcome::Agreement } else { Outcome::Disagreement };
+    if arguments.json {
+        let said = serde_json::json!({
+            "hidden": effect.id(), "values": hidden, "found": found, "diagnosis": d, "report": path, "dataset": dataset,
+        });
+        println!("{}", serde_json::to_string_pretty(&said)?);
+        return Ok(outcome);
+    }
+    println!("\n  report:   {}\n  dataset:  {}", path.display(), dataset.display());
+    println!("  next:     radcam effects {}", effect.id());
     println!("\n  {:<28} {:<16} {:<28} difference", "hidden", "value", "found");
     for (k, p) in
         effect.parameters().iter().enumerate().filter(|(k, p)| effect.uses(hidden, *k) && !p.is_choice())
@@ -142,7 +155,7 @@ fn the_story(
             (false, None) => format!("IT WAS NOT FOUND; {} stands first.", d.missing[0].effect),
         }
     );
-    Ok(if found { Outcome::Agreement } else { Outcome::Disagreement })
+    Ok(outcome)
 }
 
 /// Gain and noise against the truth, for a camera that is what the paper says.
@@ -159,14 +172,22 @@ fn the_papers(
         capture(camera, bench, options, plan, dataset, false)
     })?;
     let title = format!("{camera}{}", over(arguments));
-    println!("\n{title}");
     let truth = Truth {
         gain_dn_per_e: model.base.gain_dn_per_e,
         constant_noise_var_dn2: model.constant_noise_var_dn2(0.0),
         read_noise_e: model.base.read_noise_e,
     };
     let report = noise::estimate(dataset)?;
-    println!("\n  {:<16} {:<28} {:<12} difference", "", "measured", "truth");
+    if arguments.json {
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&serde_json::json!({ "hidden": null, "noise": report }))?
+        );
+        let worst = truth.rows(&report).into_iter().map(|(_, measured, truth)| sigmas(measured, truth).abs());
+        let agrees = worst.fold(0.0, f64::max) <= 3.0 && report.consistent();
+        return Ok(if agrees { Outcome::Agreement } else { Outcome::Disagreement });
+    }
+    println!("\n{title}\n\n  {:<16} {:<28} {:<12} difference", "", "measured", "truth");
     let mut worst = 0.0_f64;
     for (name, measured, truth) in truth.rows(&report) {
         let z = sigmas(measured, truth);

@@ -16,6 +16,9 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
+    /// Print the model as JSON
+    #[arg(long, global = true)]
+    json: bool,
     #[command(subcommand)]
     action: Action,
 }
@@ -155,7 +158,11 @@ pub fn fitted_model(
     Ok(model)
 }
 
-fn show(path: &Path, model: &Model) {
+fn show(path: &Path, model: &Model, json: bool) -> Result<()> {
+    if json {
+        println!("{}", serde_json::to_string_pretty(model)?);
+        return Ok(());
+    }
     let b = &model.base;
     println!("{}: {}", path.display(), model.about);
     println!("  A                {} DN/e", six_digits(b.gain_dn_per_e));
@@ -180,6 +187,7 @@ fn show(path: &Path, model: &Model) {
             println!("    {:<24} not given: `radcam model fit` finds it in a dataset", p.name);
         }
     }
+    Ok(())
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
@@ -190,9 +198,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             }
             let model = load_model(sensor, None)?;
             write(path, &model)?;
-            show(path, &model);
+            show(path, &model, arguments.json)?;
         }
-        Action::Show { model: path } => show(path, &read(path)?),
+        Action::Show { model: path } => show(path, &read(path)?, arguments.json)?,
         Action::Add { model: path, effect, values } => {
             let mut model = read(path)?;
             if effects::find(effect).is_none() {
@@ -206,7 +214,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             entry.parameters.extend(values.iter().cloned());
             model.effects.push(entry);
             write(path, &model)?;
-            show(path, &model);
+            show(path, &model, arguments.json)?;
         }
         Action::Remove { model: path, effect } => {
             let mut model = read(path)?;
@@ -216,7 +224,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
                 bail!("{} has no effect \"{effect}\"", path.display());
             }
             write(path, &model)?;
-            show(path, &model);
+            show(path, &model, arguments.json)?;
         }
         Action::Fit { model: path, datasets } => {
             let list = to_be_fitted(&read(path)?)?;
@@ -224,7 +232,10 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             let fitted = fit(&all, &start(&all), &searched(&all, &list));
             let model = fitted_model(&all, &fitted, Some(path), datasets)?;
             write(path, &model)?;
-            show(path, &model);
+            show(path, &model, arguments.json)?;
+            if arguments.json {
+                return Ok(Outcome::Agreement);
+            }
             let c = compare(&all, &fitted);
             println!("fitted to {}: {}", names(datasets), c.agreement.words());
             let (b, e) = (&fitted.base, &fitted.base_std_err);

@@ -27,6 +27,9 @@ pub struct Arguments {
     /// Share of its packets that the camera loses, 0 to 1
     #[arg(long, default_value_t = 0.0)]
     lose_packets: f64,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
     /// End when standard input does
     #[arg(long, hide = true)]
     while_stdin: bool,
@@ -48,7 +51,14 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let served = crate::serve::serve(sensor.into(), arguments.interface.into(), &arguments.serial, &options)?;
     served.set_lost_packets(arguments.lose_packets.clamp(0.0, 1.0));
     let (sensor, interface, serial) = (&arguments.sensor, arguments.interface, &arguments.serial);
-    println!("serving {sensor} as {serial} over GigE Vision on {interface}; Ctrl-C ends");
+    if arguments.json {
+        let said = serde_json::json!({
+            "sensor": sensor, "serial": serial, "interface": interface, "camera": format!("aravis:{interface}"),
+        });
+        println!("{said}");
+    } else {
+        println!("serving {sensor} as {serial} over GigE Vision on {interface}; Ctrl-C ends");
+    }
     std::io::stdout().flush()?;
     if arguments.while_stdin {
         std::thread::spawn(|| {

@@ -3,6 +3,7 @@
 use crate::stream::{Stream, StreamSetup};
 use crate::{Error, Named};
 use aravis::glib::prelude::*;
+use aravis::glib::translate::{ToGlibPtr, from_glib_full};
 use aravis::prelude::*;
 use aravis::{AccessCheckPolicy, GvPacketSizeAdjustment, RangeCheckPolicy};
 use std::ffi::{CStr, c_char};
@@ -177,6 +178,39 @@ impl Camera {
         }
         out.sort_by(|a, b| a.name.cmp(&b.name));
         out
+    }
+
+    /// The camera's description file.
+    pub fn description(&self) -> Option<String> {
+        let (text, _) = self.inner.device()?.genicam_xml();
+        Some(text.into())
+    }
+
+    /// Reads so many bytes of the camera's memory: bootstrap registers at 0 (GigE Vision 2.0, chapter 28).
+    pub fn memory(&self, address: u64, size: u32) -> Result<Vec<u8>, Error> {
+        let what = format!("memory at {address:#x}");
+        let device = self.inner.device().ok_or_else(|| Error::new(&what, "no device"))?;
+        let mut bytes = vec![0; size as usize];
+        let mut error = std::ptr::null_mut();
+        // SAFETY: the device is alive by our reference, `size` bytes at `bytes` are ours, and the error is null or ours to free.
+        let read = unsafe {
+            aravis_sys::arv_device_read_memory(
+                device.to_glib_none().0,
+                address,
+                size,
+                bytes.as_mut_ptr().cast(),
+                &mut error,
+            )
+        };
+        if read != 0 {
+            return Ok(bytes);
+        }
+        if error.is_null() {
+            return Err(Error::new(&what, "not readable"));
+        }
+        // SAFETY: libaravis gave this error to the caller, who frees it.
+        let error: aravis::glib::Error = unsafe { from_glib_full(error) };
+        Err(Error::new(&what, error.message()))
     }
 
     /// Whether there is such a feature and it can be used now.
