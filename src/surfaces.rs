@@ -173,8 +173,12 @@ mod tests {
         let path = dir.path().join("s.toml");
         let mut library = Library::default();
         for value in [1.0e-3, 1.2e-3] {
-            library.learn("paint", Quantity { value, std_err: 1e-4, unit: "1" });
+            let seen = Quantity { value, std_err: 1e-4, unit: "1" };
+            library.learn("paint", seen, &value.to_string()).unwrap();
         }
+        // The same region tells nothing new, whatever it is called.
+        let again = Quantity { value: 1.2e-3, std_err: 1e-4, unit: "1" };
+        assert!(library.learn("chalk", again, "0.0012").unwrap_err().contains("as \"paint\""));
         assert!((library.surfaces[0].scene_variation - 1.1e-3).abs() < 1e-12);
         assert!((library.surfaces[0].std_err - 1e-4 / 2f64.sqrt()).abs() < 1e-12);
         library.write(&path).unwrap();

@@ -183,7 +183,7 @@ impl AravisCamera {
     }
 
     /// Everything that someone needs to help with this camera who does not have it, as JSON: identity, settings, features with their
-    /// bounds and what a capture would do with each, bootstrap registers, a stream's losses, the description. Nothing is changed.
+    /// bounds and what a capture would do with each, bootstrap registers, a stream's losses, the description. Nothing but the packet size is changed.
     pub fn report(&mut self) -> serde_json::Value {
         let features: Vec<_> = self.tree.iter().map(|f| self.feature_report(f)).collect();
         let words = |e: CameraError| serde_json::json!({ "error": e.to_string() });

@@ -4,7 +4,7 @@ use super::Outcome;
 use super::common::STOP;
 use super::progress::Show;
 use crate::dataset::write_whole;
-use crate::import::{Map, files, must_be_free, propose, survey, write};
+use crate::import::{MOSAIC, Map, files, mosaic, must_be_free, propose, survey, write};
 use anyhow::{Context, Result, bail};
 use std::io::{BufRead, IsTerminal, Write};
 use std::path::PathBuf;
@@ -12,7 +12,7 @@ use std::sync::atomic::Ordering;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// Image files (TIFF and its stacks, PNG, FITS), or folders of them
+    /// Image files (TIFF and its stacks, PNG, FITS, NumPy arrays), or folders of them
     #[arg(required_unless_present = "map", value_name = "FILE|FOLDER")]
     inputs: Vec<PathBuf>,
     /// The dataset folder to be made
@@ -30,12 +30,24 @@ pub struct Arguments {
     /// Bits of a code; else the fewest of 8, 10, 12, 14, 16 that hold the largest code
     #[arg(long, value_name = "BITS", value_parser = clap::value_parser!(u8).range(1..=16))]
     bit_depth: Option<u8>,
+    /// Of raw Bayer frames: row and column, 0 or 1, of the one pixel of every 2 x 2 cell that is kept; 0,0 is R of RGGB
+    #[arg(long, value_name = "ROW,COLUMN", value_parser = plane, conflicts_with = "map")]
+    plane: Option<[u8; 2]>,
     /// Do not ask
     #[arg(short, long)]
     yes: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
+}
+
+/// `row,column` of a cell.
+fn plane(text: &str) -> Result<[u8; 2], String> {
+    let numbers: Vec<u8> = text.split(',').filter_map(|n| n.trim().parse().ok()).collect();
+    match numbers[..] {
+        [y @ (0 | 1), x @ (0 | 1)] => Ok([y, x]),
+        _ => Err("write 0,0, 0,1, 1,0 or 1,1".into()),
+    }
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
@@ -50,14 +62,22 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         None => {
             let files = files(&arguments.inputs)?;
             if files.is_empty() {
-                bail!("no image files there: radcam reads TIFF, PNG and FITS");
+                bail!("no image files there: radcam reads TIFF, PNG, FITS and NumPy arrays (.npy)");
             }
             let mut show = Show::new("read");
             let found = survey(&files, |done, of| {
                 show.step(done, of);
                 go_on()
             })?;
-            propose(&found, arguments.bit_depth)?
+            let apart = mosaic(&found);
+            if apart > MOSAIC && arguments.plane.is_none() {
+                tracing::warn!(
+                    "the four pixels of a 2 x 2 cell differ by {:.0} % of the signal: raw Bayer frames? Give --plane 0,0 (0,1, 1,0, 1,1) and \
+                     import each colour by itself",
+                    100.0 * apart
+                );
+            }
+            Map { plane: arguments.plane, ..propose(&found, arguments.bit_depth)? }
         }
     };
     if !arguments.json {
@@ -132,5 +152,13 @@ fn table(map: &Map) -> String {
         );
     }
     let gain = map.gain_db.map_or(String::new(), |g| format!(", gain {g} dB"));
-    out + &format!("\n{} bits{gain}\n", map.bit_depth)
+    let shift = match map.shift {
+        0 => String::new(),
+        n => format!(", codes shifted down by {n} bits: all are multiples of {}", 1u32 << n),
+    };
+    let plane =
+        map.plane.map_or(String::new(), |[y, x]| format!(", row {y} and column {x} of every 2 x 2 cell"));
+    let timed = map.sets.iter().all(|s| s.times_s.is_some());
+    let times = if timed { "" } else { ", without times: drifts are looked for in the order of the names" };
+    out + &format!("\n{} bits{gain}{shift}{plane}{times}\n", map.bit_depth)
 }

@@ -30,8 +30,13 @@ pub enum ImageError {
     NoPage(usize),
 }
 
+/// How a JPEG begins.
+pub(crate) const JPEG: &[u8] = b"\xff\xd8\xff";
+/// Why it is no frame.
+pub(crate) const NO_JPEG: &str = "a JPEG, whose codes are not those of the camera";
+
 /// What is wrong with a TIFF; of one that ends too early, that.
-fn tiff_words(error: &tiff::TiffError) -> String {
+pub(crate) fn tiff_words(error: &tiff::TiffError) -> String {
     match error {
         tiff::TiffError::IoError(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => {
             "cut short: the file ends before its pixels do".into()
@@ -48,8 +53,8 @@ pub fn read(path: &Path, page: usize) -> Result<Array2<u16>, ImageError> {
     let mut start = [0u8; 8];
     let read = std::io::Read::read(&mut File::open(path)?, &mut start)?;
     let start = &start[..read];
-    if start.starts_with(b"\xff\xd8\xff") {
-        Err(ImageError::NotGrey("a JPEG, whose codes are not those of the camera".into()))
+    if start.starts_with(JPEG) {
+        Err(ImageError::NotGrey(NO_JPEG.into()))
     } else if start.starts_with(b"\x89PNG") {
         first_page_only(page)?;
         read_png(path)

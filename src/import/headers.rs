@@ -1,6 +1,7 @@
-//! What the headers of image files say: FITS cards, descriptions of TIFF and PNG.
+//! What the headers of image files say: FITS cards, descriptions of TIFF and PNG, their times.
 
 use super::{Facts, names};
+use crate::dataset::image;
 use crate::dataset::tag::FrameTag;
 use std::fs::File;
 use std::io::BufReader;
@@ -15,13 +16,19 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
     let file = File::open(path).map_err(|e| e.to_string())?;
     file.take(8).read_to_end(&mut start).map_err(|e| e.to_string())?;
     if start.starts_with(b"SIMPLE") {
-        let cards = crate::dataset::image::fits_cards(path).map_err(|e| e.to_string())?;
+        let cards = image::fits_cards(path).map_err(|e| e.to_string())?;
         return Ok((of_words(cards.iter().map(|(k, v)| (k.as_str(), v.as_str()))), 1));
     }
     if start.starts_with(b"\x89PNG") {
+        return Ok((of_png(path).unwrap_or_default(), 1));
+    }
+    if start.starts_with(b"\x93NUMPY") {
         return Ok((Facts::default(), 1));
     }
-    let fault = |e: tiff::TiffError| format!("not a sound TIFF: {e}");
+    if start.starts_with(image::JPEG) {
+        return Err(image::ImageError::NotGrey(image::NO_JPEG.into()).to_string());
+    }
+    let fault = |e: tiff::TiffError| format!("not a sound TIFF: {}", image::tiff_words(&e));
     let file = BufReader::new(File::open(path).map_err(|e| e.to_string())?);
     let mut decoder = tiff::decoder::Decoder::new(file).map_err(fault)?;
     let text = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap_or_default();
@@ -33,6 +40,7 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
             ..of_description(&text)
         },
     };
+    found.time_s = decoder.get_tag_ascii_string(Tag::DateTime).ok().and_then(|text| time_s(&text));
     found.exposure_s = found.exposure_s.or_else(|| exif_exposure_s(&mut decoder));
     let mut pages = 1;
     while decoder.more_images() {
@@ -61,7 +69,35 @@ fn of_tag(tag: FrameTag) -> Facts {
         temperature_c: tag.camera.temperature_c,
         vendor: said(tag.camera.vendor),
         model: said(tag.camera.model),
+        time_s: tag.timestamp_s,
     }
+}
+
+/// What the text chunks of a PNG say.
+fn of_png(path: &Path) -> Option<Facts> {
+    let decoder = png::Decoder::new(BufReader::new(File::open(path).ok()?));
+    let reader = decoder.read_info().ok()?;
+    let info = reader.info();
+    let latin = info.uncompressed_latin1_text.iter().map(|t| (t.keyword.clone(), t.text.clone()));
+    let utf = info.utf8_text.iter().filter_map(|t| Some((t.keyword.clone(), t.get_text().ok()?)));
+    let texts: Vec<(String, String)> = latin.chain(utf).collect();
+    let mut out = of_words(texts.iter().map(|(k, v)| (k.as_str(), v.as_str())));
+    for (_, text) in texts.iter().filter(|(k, _)| matches!(k.as_str(), "Comment" | "Description")) {
+        out = out.or(match FrameTag::from_text(text) {
+            Some(tag) => of_tag(tag),
+            None => of_description(text),
+        });
+    }
+    Some(out)
+}
+
+/// Seconds since 1970 of a date and time as FITS (`2026-11-22T12:00:00.5`) or TIFF (`2026:11:22 12:00:00`) has it; the zone is taken as UTC,
+/// for only differences matter.
+pub fn time_s(text: &str) -> Option<f64> {
+    let text = text.trim_matches(|c: char| c.is_whitespace() || matches!(c, '\'' | '\0' | 'Z'));
+    let (date, time) = text.split_once([' ', 'T'])?;
+    let moment: jiff::civil::DateTime = format!("{}T{time}", date.replace(':', "-")).parse().ok()?;
+    Some(moment.duration_since(jiff::civil::date(1970, 1, 1).at(0, 0, 0, 0)).as_secs_f64())
 }
 
 /// ExposureTime of the EXIF directory (EXIF 2.32, tag 33434), s.
@@ -109,6 +145,7 @@ fn of_words<'a>(pairs: impl Iterator<Item = (&'a str, &'a str)>) -> Facts {
                 out.kind = value.split(|c: char| !c.is_alphabetic()).find_map(names::kind).or(out.kind);
             }
             "instrume" | "camera" => out.model = Some(value.to_string()),
+            "date-obs" | "datetime" | "creation time" => out.time_s = time_s(value).or(out.time_s),
             "illumination" => out.illumination = number.or(out.illumination),
             _ => {}
         }
@@ -120,6 +157,16 @@ fn of_words<'a>(pairs: impl Iterator<Item = (&'a str, &'a str)>) -> Facts {
 mod tests {
     use super::*;
     use crate::dataset::Kind;
+
+    #[test]
+    fn times_are_read() {
+        let of = |text: &str| time_s(text).unwrap();
+        assert_eq!(of("'2026-11-22T12:00:01.25'") - of("2026:11:22 12:00:00"), 1.25);
+        assert_eq!(of("1970-01-02T00:00:00"), 86_400.0);
+        for text in ["", "yesterday", "2026-13-01T00:00:00", "12:00:00"] {
+            assert_eq!(time_s(text), None, "{text}");
+        }
+    }
 
     #[test]
     fn descriptions_say_what_they_say() {

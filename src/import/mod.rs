@@ -5,10 +5,12 @@
 
 mod headers;
 pub mod names;
+mod pixels;
 
 use crate::dataset::{
     BenchInfo, CameraInfo, Dataset, DatasetError, FORMAT, FrameRow, Kind, Manifest, image, write_whole,
 };
+use ndarray::{ArrayView2, Axis, s};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -55,6 +57,8 @@ pub struct Facts {
     pub vendor: Option<String>,
     /// Model.
     pub model: Option<String>,
+    /// When it was taken, s from any moment that is the same for all.
+    pub time_s: Option<f64>,
 }
 
 impl Facts {
@@ -68,6 +72,7 @@ impl Facts {
             temperature_c: self.temperature_c.or(other.temperature_c),
             vendor: self.vendor.or(other.vendor),
             model: self.model.or(other.model),
+            time_s: self.time_s.or(other.time_s),
         }
     }
 }
@@ -87,10 +92,12 @@ pub struct Found {
     pub mean_dn: f64,
     /// Every bit that any pixel has.
     pub bits: u16,
+    /// Means of the four places of a 2 x 2 cell, DN: (0, 0), (0, 1), (1, 0), (1, 1) as (row, column).
+    pub cells_dn: [f64; 4],
 }
 
 /// Extensions of files that are looked at in folders.
-const EXTENSIONS: [&str; 6] = ["tif", "tiff", "png", "fits", "fit", "fts"];
+const EXTENSIONS: [&str; 7] = ["tif", "tiff", "png", "fits", "fit", "fts", "npy"];
 
 /// The image files that are named, and those in folders that are.
 pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>, ImportError> {
@@ -127,11 +134,17 @@ pub fn survey(
         let (header, pages) = headers::facts(path).map_err(fault)?;
         let text = |p: Option<&std::ffi::OsStr>| p.unwrap_or_default().to_string_lossy().into_owned();
         let named = names::facts(&text(path.parent().and_then(Path::file_name)), &text(path.file_name()));
+        // An array of numpy is read once, not once a page.
+        let array = pixels::npy(path).map_err(fault)?;
+        let pages = array.as_ref().map_or(pages, |a| a.len_of(Axis(0)));
         for page in 0..pages {
             if !step(at, paths.len()) {
                 return Err(ImportError::Interrupted);
             }
-            let pixels = image::read(path, page).map_err(|e| fault(e.to_string()))?;
+            let pixels = match &array {
+                Some(array) => array.index_axis(Axis(0), page).to_owned(),
+                None => image::read(path, page).map_err(|e| fault(e.to_string()))?,
+            };
             let shape = pixels.dim();
             if let Some(first) = out.first().filter(|f| f.shape != shape) {
                 return Err(fault(format!(
@@ -143,15 +156,25 @@ pub fn survey(
                     first.shape.0
                 )));
             }
+            let mean = |pixels: ArrayView2<'_, u16>| {
+                pixels.iter().map(|v| f64::from(*v)).sum::<f64>() / pixels.len().max(1) as f64
+            };
+            let cell = |y: usize, x: usize| mean(pixels.slice(s![y.., x..]).slice(s![..;2, ..;2]));
+            let whole = shape.0 >= 2 && shape.1 >= 2;
             out.push(Found {
                 path: path.clone(),
                 page: (pages > 1).then_some(page),
                 facts: header.clone().or(named.clone()),
                 shape,
-                mean_dn: pixels.iter().map(|v| f64::from(*v)).sum::<f64>() / pixels.len().max(1) as f64,
+                mean_dn: mean(pixels.view()),
                 bits: pixels.iter().fold(0, |a, b| a | b),
+                cells_dn: if whole { [cell(0, 0), cell(0, 1), cell(1, 0), cell(1, 1)] } else { [0.0; 4] },
             });
         }
+    }
+    // The order of time is what matters; where it is not known for all, that of the names.
+    if out.iter().all(|f| f.facts.time_s.is_some()) {
+        out.sort_by(|a, b| a.facts.time_s.unwrap_or(0.0).total_cmp(&b.facts.time_s.unwrap_or(0.0)));
     }
     Ok(out)
 }
@@ -167,6 +190,12 @@ pub struct Map {
     pub format: String,
     /// Bits of a code, 1 to 16.
     pub bit_depth: u8,
+    /// Bits by which the codes of the files were shifted up: they are shifted down again.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub shift: u8,
+    /// Row and column, 0 or 1, of the one pixel of every 2 x 2 cell that is kept, of raw Bayer frames.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plane: Option<[u8; 2]>,
     /// Gain of all frames, dB.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gain_db: Option<f64>,
@@ -207,6 +236,13 @@ pub struct MapSet {
     pub kind_by_mean: bool,
     /// Files in the order of time; `name.tiff#3` is page 3, counted from 0.
     pub files: Vec<String>,
+    /// When each was taken, s from any moment that is the same for all; absent where it is not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub times_s: Option<Vec<f64>>,
+}
+
+fn is_zero(n: &u8) -> bool {
+    *n == 0
 }
 
 impl Map {
@@ -220,7 +256,16 @@ impl Map {
                 map.format
             )));
         }
-        if !(1..=16).contains(&map.bit_depth) {
+        if map.plane.is_some_and(|p| p.iter().any(|k| *k > 1)) {
+            return Err(ImportError::Map("plane is a row and a column of a 2 x 2 cell, each 0 or 1".into()));
+        }
+        for (k, set) in map.sets.iter().enumerate() {
+            if let Some(times) = set.times_s.as_ref().filter(|t| t.len() != set.files.len()) {
+                let message = format!("set {k} has {} files and {} times", set.files.len(), times.len());
+                return Err(ImportError::Map(message));
+            }
+        }
+        if !(1..=16).contains(&map.bit_depth) || map.shift > 15 {
             return Err(ImportError::Map(format!(
                 "bit_depth is {}, and must lie within 1 to 16",
                 map.bit_depth
@@ -266,18 +311,14 @@ const LIT: f64 = 0.02;
 /// Sorts frames into sets: by what names and headers say, else by folder and name, darks from flats by their means.
 pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportError> {
     let bits = found.iter().fold(0, |a, f| a | f.bits);
+    // Multiples of one number in 16 bits: cameras send 12 bits so.
+    let shift = if bits > 255 && bits.trailing_zeros() >= 2 { bits.trailing_zeros() as u8 } else { 0 };
+    let bits = bits >> shift;
     let bit_depth = bit_depth.unwrap_or_else(|| depth_of(bits));
     if bits > 0 && bit_depth < 16 && u32::from(bits) >> bit_depth != 0 {
         return Err(ImportError::Files(format!(
             "codes reach above {} DN, the largest of {bit_depth} bits",
             (1u32 << bit_depth) - 1
-        )));
-    }
-    if bits.trailing_zeros() >= 2 && bits > 255 {
-        return Err(ImportError::Files(format!(
-            "all codes are multiples of {}: they were shifted up in their 16 bits, and noise and full scale would be wrong by that; save \
-             them unshifted (in ImageJ: Process > Math > Divide)",
-            1u32 << bits.trailing_zeros()
         )));
     }
     let mut gains: Vec<f64> = found.iter().filter_map(|f| f.facts.gain_db).collect();
@@ -289,7 +330,7 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
         )));
     }
     let lowest = found.iter().map(|f| f.mean_dn).fold(f64::INFINITY, f64::min);
-    let lit = lowest + LIT * f64::from((1u32 << bit_depth) - 1);
+    let lit = lowest + LIT * f64::from(((1u32 << bit_depth) - 1) << shift);
     let mut places: BTreeMap<String, usize> = BTreeMap::new();
     let mut sets: Vec<(MapSet, f64)> = Vec::new();
     for frame in found {
@@ -314,6 +355,7 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
                 mean_dn: None,
                 kind_by_mean: by_mean,
                 files: Vec::new(),
+                times_s: facts.time_s.map(|_| Vec::new()),
             };
             sets.push((set, 0.0));
             sets.len() - 1
@@ -321,22 +363,43 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
         let (set, sum) = &mut sets[place];
         let page = frame.page.map(|p| format!("#{p}")).unwrap_or_default();
         set.files.push(format!("{}{page}", frame.path.display()));
+        match (&mut set.times_s, facts.time_s) {
+            (Some(times), Some(time)) => times.push(time),
+            _ => set.times_s = None,
+        }
         *sum += frame.mean_dn;
     }
     let of = |(mut set, sum): (MapSet, f64)| {
-        set.mean_dn = Some((10.0 * sum / set.files.len() as f64).round() / 10.0);
+        let unshifted = sum / set.files.len() as f64 / f64::from(1u32 << shift);
+        set.mean_dn = Some((10.0 * unshifted).round() / 10.0);
         set
     };
     let first = |of: fn(&Facts) -> &Option<String>| found.iter().find_map(|f| of(&f.facts).clone());
     Ok(Map {
         format: MAP_FORMAT.into(),
         bit_depth,
+        shift,
+        plane: None,
         gain_db: gains.first().copied(),
         vendor: first(|f| &f.vendor),
         model: first(|f| &f.model),
         sets: sets.into_iter().map(of).collect(),
     })
 }
+
+/// By how much the four places of a 2 x 2 cell differ in the brightest frame, over its signal: raw Bayer frames do by tens of per cent.
+pub fn mosaic(found: &[Found]) -> f64 {
+    let lowest = found.iter().map(|f| f.mean_dn).fold(f64::INFINITY, f64::min);
+    let Some(brightest) = found.iter().max_by(|a, b| a.mean_dn.total_cmp(&b.mean_dn)) else { return 0.0 };
+    let (low, high) = brightest
+        .cells_dn
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
+    (high - low) / (brightest.mean_dn - lowest).max(1.0)
+}
+
+/// Cells that differ by more are those of a colour filter: of monochrome sensors they agree to a few per mille.
+pub const MOSAIC: f64 = 0.1;
 
 /// The usual depth that holds these codes.
 fn depth_of(bits: u16) -> u8 {
@@ -387,55 +450,22 @@ fn fill(
         return Err(ImportError::Map(format!("missing: {}", missing.join("; "))));
     }
     let frames = root.join("frames");
-    let fault = |path: &Path| {
-        let path = path.to_path_buf();
-        move |e: std::io::Error| ImportError::File { path, message: e.to_string() }
-    };
-    std::fs::create_dir_all(&frames).map_err(fault(&frames))?;
+    std::fs::create_dir_all(&frames)
+        .map_err(|e| ImportError::File { path: frames.clone(), message: e.to_string() })?;
     let all: usize = map.sets.iter().map(|s| s.files.len()).sum();
     let mut rows = csv::Writer::from_writer(Vec::new());
-    let mut copies: BTreeMap<String, String> = BTreeMap::new();
-    let (mut shape, mut done) = ((0, 0), 0);
+    let mut taken = pixels::Taken::new(map, root, link);
+    let start = map.sets.iter().filter_map(|s| s.times_s.as_ref()?.first().copied());
+    let start = start.fold(f64::INFINITY, f64::min);
+    let mut done = 0;
     for (number, set) in map.sets.iter().enumerate() {
         for (index, file) in set.files.iter().enumerate() {
             if !step(done, all) {
                 return Err(ImportError::Interrupted);
             }
             done += 1;
-            let (path, page) = file.rsplit_once('#').filter(|(_, p)| p.parse::<usize>().is_ok()).unzip();
-            let source = PathBuf::from(path.unwrap_or(file));
-            let page = page.map(|p| format!("#{p}")).unwrap_or_default();
-            let count = copies.len();
-            let copy = match copies.get(&source.display().to_string()) {
-                Some(copy) => copy.clone(),
-                None => {
-                    let extension = source.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-                    let name = format!("frames/{count:05}.{extension}");
-                    let to = root.join(&name);
-                    if link {
-                        std::fs::hard_link(&source, &to).map_err(|e| ImportError::File {
-                            path: source.clone(),
-                            message: format!(
-                                "cannot be linked into {}: {e}; leave --link out",
-                                root.display()
-                            ),
-                        })?;
-                    } else {
-                        std::fs::copy(&source, &to).map_err(fault(&source))?;
-                    }
-                    copies.insert(source.display().to_string(), name.clone());
-                    name
-                }
-            };
-            if shape == (0, 0) {
-                let number = page.trim_start_matches('#').parse().unwrap_or(0);
-                let pixels = image::read(&source, number);
-                shape = pixels
-                    .map_err(|e| ImportError::File { path: source.clone(), message: e.to_string() })?
-                    .dim();
-            }
             let row = FrameRow {
-                file: format!("{copy}{page}"),
+                file: taken.frame(file)?,
                 kind: set.kind,
                 set: number as u32,
                 index: index as u32,
@@ -443,11 +473,12 @@ fn fill(
                 illumination: set.illumination.unwrap_or(f64::from(u8::from(set.kind != Kind::Dark))),
                 configuration: set.configuration,
                 temperature_c: set.temperature_c,
-                timestamp_s: None,
+                timestamp_s: set.times_s.as_ref().map(|t| t[index] - start),
             };
             rows.serialize(&row).map_err(|e| ImportError::Map(e.to_string()))?;
         }
     }
+    let shape = taken.shape();
     let camera = CameraInfo {
         vendor: map.vendor.clone().unwrap_or_default(),
         model: map.model.clone().unwrap_or_default(),

@@ -73,6 +73,9 @@ fn numbers(name: &str) -> Vec<Number<'_>> {
             .map_or(0, |i| i + ahead[i..].chars().next().map_or(1, char::len_utf8));
         let rest = &name[end..];
         let unit = &rest[..rest.find(|c: char| !letter(c)).unwrap_or(rest.len())];
+        // A unit ends a word: the s of `2s0` is none.
+        let ends = !rest[unit.len()..].starts_with(|c: char| c.is_ascii_digit());
+        let unit = if ends { unit } else { "" };
         if let Ok(value) = text.replace('p', ".").parse() {
             out.push(Number { before: &ahead[from..], text, value, unit });
         }
@@ -84,6 +87,8 @@ fn numbers(name: &str) -> Vec<Number<'_>> {
 /// Facts of a path: of its last folder's name and of its own, which counts more.
 pub fn facts(folder: &str, name: &str) -> Facts {
     let mut out = Facts::default();
+    // A hidden folder is named by a program, not by a person.
+    let folder = if folder.starts_with('.') { "" } else { folder };
     for text in [folder, name] {
         for number in numbers(text) {
             if let Some(unit_s) = seconds(number.unit) {
@@ -155,6 +160,7 @@ mod tests {
             ("", "bias_0p5ms.fits", Some(0.0005), None, Some(Kind::Dark)),
             ("", "flat t=1.5e-3s 2.tif", Some(1.5e-3), None, Some(Kind::Flat)),
             ("", "frame 12.tif", None, None, None),
+            (".tmpx2s", "a2S0uR1.tif", None, None, None),
         ] {
             let got = facts(folder, name);
             assert_eq!((got.gain_db, got.kind), (gain_db, kind), "{name}");

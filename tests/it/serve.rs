@@ -326,6 +326,31 @@ fn gamma_that_is_stuck_is_the_first_suspect() {
     assert!(sentence.starts_with("The camera's own Gamma = 0.6 was on"), "{sentence}");
 }
 
+/// A report has what someone who lacks the camera asks for, and leaves the camera as it was.
+#[test]
+fn a_report_tells_everything_and_changes_nothing() {
+    let _port = gige_port();
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("report.json");
+    let _served = served(&sensor());
+    AravisCamera::open(LOOPBACK).unwrap().set_feature("Gamma", &Value::Float(0.5)).unwrap();
+    let said = expect(0, &["cameras", "--report", "aravis:127.0.0.1", "-o", path.to_str().unwrap()]);
+    assert!(said.contains("30 of 30 frames came whole"), "{said}");
+    let report: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+    let feature = |name: &str| {
+        report["features"].as_array().unwrap().iter().find(|f| f["name"] == name).unwrap().clone()
+    };
+    assert_eq!(feature("Gamma")["value"], "0.5");
+    assert_eq!(feature("Gamma")["radcam"], "a capture sets it to 1");
+    assert_eq!(feature("Gain")["bounds"], serde_json::json!([0.0, 24.0]));
+    assert!(report["description"].as_str().unwrap().contains("RegisterDescription"));
+    assert_eq!(report["camera"]["serial"], "TEST1");
+    assert!(report["bootstrap_registers"].as_str().unwrap().len() >= 1024);
+    let gamma = AravisCamera::open(LOOPBACK).unwrap().settings().is_ok();
+    assert!(gamma);
+    assert!(refused(&["cameras", "--report", "127.0.0.1", "-o", path.to_str().unwrap()]).contains("already"));
+}
+
 /// Each thing that distorts does so on the wire, is switched off by a capture, and is then gone.
 #[test]
 fn what_distorts_is_switched_off_before_a_capture() {
