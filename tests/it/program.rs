@@ -298,6 +298,51 @@ fn a_camera_is_calibrated_and_its_frames_corrected() {
     assert!(said.contains("serial is SIM9, and was SIM12") && said.contains("--force"), "{said}");
     fs::write(at("short.tiff"), &fs::read(at("cal.tiff")).unwrap()[..3000]).unwrap();
     assert!(refused(&["correct", &at("short.tiff"), &frame, "-o", &at("x")]).contains("short.tiff"));
+    // A plain frame is held against what it says of itself, and what its codes show.
+    let plain = |name: &str, code: u16, bits: u8| {
+        let image = ndarray::Array2::from_elem((80, 96), code);
+        fs::write(at(name), radcam::dataset::image::tiff_bytes(&image, bits).unwrap()).unwrap();
+        refused(&["correct", &at("cal.tiff"), &at(name), "-o", &at("x.tiff")])
+    };
+    assert!(plain("deep.tiff", 60_000, 16).contains("bit depth is 16, and was 12"));
+    assert!(plain("flat8.tiff", 200, 8).contains("bit depth is 8, and was 12"));
+    let lit = "[[set]]\nkind = \"target\"\nframes = 2\nexposure_s = 0.003\nillumination = 1.0\n";
+    let plan = "format = \"radcam-plan/1\"\n[camera]\nregion = [400, 300, 96, 80]\n";
+    fs::write(at("gain.toml"), format!("{plan}gain_db = 6.0\n{lit}")).unwrap();
+    expect(0, &["simulate", "cmos12", "--plan", &at("gain.toml"), "-o", &at("gain")]);
+    let loose = at("loose.tiff");
+    fs::copy(at("gain/frames/00000.tiff"), &loose).unwrap();
+    for verb in [&["correct", "-o", "x.tiff"][..], &["scene"], &["budget"]] {
+        let said = refused(&[verb, &[&at("cal.tiff"), &loose]].concat());
+        assert!(said.contains("gain is 6 dB, and was 0 dB"), "{verb:?}: {said}");
+    }
+    // The exposure is the frame's own: at 3 ms as at 5 ms a surface has one V_s.
+    fs::write(at("short.toml"), format!("{plan}{lit}")).unwrap();
+    expect(0, &["simulate", "cmos12", "--plan", &at("short.toml"), "-o", &at("shorter")]);
+    let image = at("shorter/frames/00000.tiff");
+    let scene = |more: &[&str]| -> serde_json::Value {
+        let begin = ["scene", &at("cal.tiff"), &image, "--json"];
+        serde_json::from_str(&expect(0, &[&begin[..], more].concat())).unwrap()
+    };
+    assert_eq!(scene(&[]), scene(&["--exposure-s", "0.003"]));
+    assert_ne!(scene(&[])["mean_dn"], scene(&["--exposure-s", "0.5"])["mean_dn"]);
+    let said = refused(&["scene", &at("cal.tiff"), &image, "--map", "5000", "--map-output", &at("m.tiff")]);
+    assert!(said.contains("fit into the image of 96 x 80 px"), "{said}");
+    // The same image again makes a surface no better known.
+    let learn = ["surface", "learn", &at("s.toml"), "--name", "card", &at("cal.tiff"), &image];
+    expect(0, &learn);
+    assert!(refused(&learn).contains("learnt before"));
+    let said = refused(&["scene", &at("cal.tiff"), &image, &at("c/frames/00030.tiff")]);
+    assert!(said.contains("images of one exposure"), "{said}");
+    // A sensor's name is a model, wherever one is asked for.
+    assert!(refused(&["compare", &at("c"), "--model", "nikon"]).contains("no model or sensor \"nikon\""));
+    let judged = radcam(&["compare", &at("c"), "--model", "cmos12"]);
+    assert!(judged.status.code() != Some(2), "{judged:?}");
+    // A file that ends too early says so, and so does a JPEG.
+    fs::write(at("c/frames/00030.tiff"), &fs::read(&image).unwrap()[..900]).unwrap();
+    assert!(refused(&["noise", &at("c")]).contains("cut short"));
+    fs::write(at("photo.tiff"), b"\xff\xd8\xff\xe0 JFIF").unwrap();
+    assert!(refused(&["scene", &at("cal.tiff"), &at("photo.tiff")]).contains("a JPEG"));
     simulate(&dir.path().join("flat_only"));
     assert!(refused(&["calibrate", &at("flat_only"), "-o", &at("y.tiff")]).contains("three configurations"));
 }
@@ -429,4 +474,25 @@ fn one_level_and_one_bias_frame_give_a_gain_with_its_error() {
     assert!(said.contains("one lit level") && said.contains("take flats at a second level"), "{said}");
     let none = part("none", &|_| false);
     assert!(refused(&["noise", &none]).contains("has no frames"));
+}
+
+/// Ctrl-C ends a long run with the shell's code for it, and what is there is gone on with.
+#[test]
+#[cfg(unix)]
+fn an_interrupted_run_says_so_and_goes_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    let run = ["simulate", "cmos12", "--plan", "standard", "-o", root.to_str().unwrap()];
+    let mut child = crate::support::program().args(run).stderr(std::process::Stdio::null()).spawn().unwrap();
+    let lines = || fs::read_to_string(root.join("frames.csv")).map_or(0, |t| t.lines().count());
+    while lines() < 5 {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before it could be interrupted");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let id = child.id().to_string();
+    assert!(std::process::Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert!(lines() < 241);
+    expect(0, &[&run[..], &["--resume"]].concat());
+    assert_eq!(lines(), 241);
 }
