@@ -134,7 +134,7 @@ impl Plain {
         force: bool,
     ) -> Result<Self> {
         let named = || path.display().to_string();
-        let pixels = image::read(path, 0).with_context(named)?;
+        let pixels = image::read_single(path).with_context(named)?;
         let (height, width) = pixels.dim();
         let tag = FrameTag::read(path);
         let calibrated = &calibration.description.camera;

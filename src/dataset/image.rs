@@ -28,6 +28,9 @@ pub enum ImageError {
     /// A page that the file has not.
     #[error("has no page {0} (pages count from 0)")]
     NoPage(usize),
+    /// A stack where one frame is asked for.
+    #[error("is a stack of {0} pages or more, and one frame is asked for; `radcam import` takes stacks")]
+    Stack(usize),
 }
 
 /// How a JPEG begins.
@@ -63,6 +66,24 @@ pub fn read(path: &Path, page: usize) -> Result<Array2<u16>, ImageError> {
         read_fits(&std::fs::read(path)?)
     } else {
         read_tiff(path, page)
+    }
+}
+
+/// Reads a file that has one frame; of a stack nobody said which.
+pub fn read_single(path: &Path) -> Result<Array2<u16>, ImageError> {
+    let pixels = read(path, 0)?;
+    let next = tiff::decoder::Decoder::new(BufReader::new(File::open(path)?)).and_then(|mut decoder| {
+        let more = decoder.more_images();
+        if more {
+            decoder.next_image()?;
+        }
+        Ok((more, decoder.dimensions()?))
+    });
+    let (height, width) = pixels.dim();
+    match next {
+        // A second page of another size is a thumbnail.
+        Ok((true, (w, h))) if (w as usize, h as usize) == (width, height) => Err(ImageError::Stack(2)),
+        _ => Ok(pixels),
     }
 }
 

@@ -316,7 +316,14 @@ impl Dataset {
         if !inside {
             return Err(fault("the path leaves the dataset folder".into()));
         }
-        let pixels = image::read(&path, page).map_err(|e| fault(e.to_string()))?;
+        let pixels = if row.file.len() == name.len() {
+            image::read_single(&path).map_err(|e| match e {
+                image::ImageError::Stack(_) => fault(format!("{e}; a row names its page as {name}#0")),
+                e => fault(e.to_string()),
+            })
+        } else {
+            image::read(&path, page).map_err(|e| fault(e.to_string()))
+        }?;
         let camera = &self.manifest.camera;
         if pixels.dim() != (camera.height, camera.width) {
             let (h, w) = pixels.dim();

@@ -178,6 +178,17 @@ mod tests {
     }
 
     #[test]
+    fn what_cannot_be_put_in_place_leaves_nothing_aside() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("x.toml");
+        fs::create_dir_all(path.join("inside")).unwrap();
+        let said = write_whole(&path, b"text").unwrap_err().to_string();
+        assert!(said.contains("x.toml"), "{said}");
+        let left: Vec<_> = fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        assert_eq!(left, ["x.toml"]);
+    }
+
+    #[test]
     fn a_campaign_survives_a_crash_in_mid_row() {
         let dir = tempfile::tempdir().unwrap();
         let root = dir.path().join("c");

@@ -180,7 +180,7 @@ fn weak_effects_are_named() {
     }
 }
 
-/// The whole table, as it stands in the README and docs/CONFUSION.md.
+/// The whole table, as it stands in docs/METHODS.md and docs/CONFUSION.md.
 #[test]
 #[ignore = "ten minutes; `cargo test --release --test it blind::the_whole -- --ignored --nocapture`"]
 fn the_whole_table() {

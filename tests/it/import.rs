@@ -87,6 +87,11 @@ fn a_stack_is_a_set_and_what_is_not_known_is_asked() {
     let frames = dataset.read_set(&dataset.sets()[1]).unwrap();
     assert!(frames[0] != frames[1] && frames[1] != frames[2]);
     assert_eq!(dataset.rows().iter().filter(|r| r.exposure_s == 0.02).count(), 6);
+    // A row that names no page of a stack is no frame.
+    let csv = fs::read_to_string(text("d/frames.csv")).unwrap();
+    fs::write(text("d/frames.csv"), csv.replace("#0", "")).unwrap();
+    let said = refused(&["noise", &text("d")]);
+    assert!(said.contains("is a stack") && said.contains("#0"), "{said}");
 }
 
 fn fits(path: &Path, cards: &[&str], image: &Array2<u16>) {

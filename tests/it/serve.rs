@@ -326,6 +326,43 @@ fn gamma_that_is_stuck_is_the_first_suspect() {
     assert!(sentence.starts_with("The camera's own Gamma = 0.6 was on"), "{sentence}");
 }
 
+/// Two cameras on one machine, each at its own address; a demo that cannot have its port leaves nothing behind.
+#[test]
+fn several_cameras_are_served_and_a_taken_port_leaves_no_trace() {
+    let _port = gige_port();
+    let dir = tempfile::tempdir().unwrap();
+    let first = sensor();
+    let _first = served(&first);
+    let demo = dir.path().join("demo");
+    refused(&["demo", "--hide", "smear", "-o", demo.to_str().unwrap()]);
+    assert!(!demo.exists());
+    let second: std::net::IpAddr = "127.0.0.2".parse().unwrap();
+    let said = match serve(
+        Arc::new(Sensor::new(small("xc77", 64, 48)).unwrap()),
+        second,
+        "TEST2",
+        &Options::default(),
+    ) {
+        Ok(_) => String::new(),
+        Err(e) => e.to_string(),
+    };
+    assert!(said.is_empty() || said.contains("ip addr add 127.0.0.2/8 dev lo"), "{said}");
+    let ip = |what: &str| Command::new("ip").args(["addr", what, "127.0.0.2/8", "dev", "lo"]).output();
+    if !ip("add").is_ok_and(|o| o.status.success()) {
+        println!("SKIPPED: the loopback cannot be given a second address here");
+        return;
+    }
+    let sensor = Arc::new(Sensor::new(small("xc77", 64, 48)).unwrap());
+    let both = serve(sensor, second, "TEST2", &Options::default());
+    let models: Vec<String> = ["127.0.0.1", "127.0.0.2"]
+        .iter()
+        .filter_map(|address| Some(AravisCamera::open(address).ok()?.identity().model.clone()))
+        .collect();
+    drop(both);
+    ip("del").unwrap();
+    assert_eq!(models, ["cmos12", "XC-77"]);
+}
+
 /// A report has what someone who lacks the camera asks for, and leaves the camera as it was.
 #[test]
 fn a_report_tells_everything_and_changes_nothing() {
