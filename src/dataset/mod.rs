@@ -166,6 +166,10 @@ impl Dataset {
             return emva::open(path);
         }
         let manifest_path = path.join("dataset.toml");
+        if path.is_dir() && !manifest_path.exists() {
+            let message = no_manifest(path);
+            return Err(DatasetError::Manifest { path: path.into(), message });
+        }
         let text = std::fs::read_to_string(&manifest_path).map_err(DatasetError::io(&manifest_path))?;
         let manifest = Manifest::from_toml(&text)
             .map_err(|message| DatasetError::Manifest { path: manifest_path, message })?;
@@ -347,6 +351,29 @@ impl Dataset {
     pub fn read_set(&self, set: &Set) -> Result<Vec<Array2<u16>>, DatasetError> {
         set.rows.iter().map(|&i| self.read(&self.rows[i])).collect()
     }
+}
+
+/// What to do with a folder that has no `dataset.toml`: what lies in it says what it is.
+fn no_manifest(folder: &Path) -> String {
+    let mut inside: Vec<PathBuf> =
+        std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
+    inside.sort();
+    let is = |path: &PathBuf, kinds: &[&str]| {
+        let kind = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+        kinds.contains(&&*kind)
+    };
+    let name = folder.display();
+    if inside.iter().any(|p| p.join("dataset.toml").exists()) {
+        let dataset = inside.iter().find(|p| p.join("dataset.toml").exists());
+        return format!("has no dataset.toml; {} is a dataset", dataset.unwrap_or(&folder.into()).display());
+    }
+    if let Some(text) = inside.iter().find(|p| is(p, &["txt"]) && emva::open(p).is_ok()) {
+        return format!("has no dataset.toml; {} is an EMVA 1288 descriptor: give that file", text.display());
+    }
+    if inside.iter().any(|p| p.is_dir() || is(p, &["tif", "tiff", "png", "fits", "fit", "npy"])) {
+        return format!("has no dataset.toml; for loose images: radcam import {name} -o DATASET");
+    }
+    "has no dataset.toml: no dataset".into()
 }
 
 /// The text of a descriptor or a table; of an image that it is one.
