@@ -253,6 +253,21 @@ mod tests {
     /// levels, while the raw one's grows as intensity squared. The light itself is even here, so that what is left of
     /// the pattern is the camera's.
     #[test]
+    fn a_calibration_holds_for_its_own_geometry_and_depth() {
+        let with = |binning: i64, bit_depth: u8| CameraInfo {
+            bit_depth,
+            features: [("BinningHorizontal".to_string(), binning.into()), ("Gamma".into(), "1".into())]
+                .into(),
+            ..Default::default()
+        };
+        assert!(differences(&with(1, 12), &with(1, 12)).is_empty());
+        assert_eq!(differences(&with(1, 12), &with(2, 12)), ["BinningHorizontal is 2, and was 1"]);
+        assert_eq!(differences(&with(1, 8), &with(1, 16)), ["bit depth is 16, and was 8"]);
+        // What one side does not know is no difference.
+        assert!(differences(&with(1, 12), &CameraInfo::default()).is_empty());
+    }
+
+    #[test]
     fn a_corrected_flat_is_limited_by_shot_noise() {
         let mut model = sensors::load("cmos12").unwrap();
         (model.camera.width, model.camera.height) = (160, 120);

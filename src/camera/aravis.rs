@@ -205,6 +205,7 @@ impl AravisCamera {
         serde_json::json!({
             "format": "radcam-camera-report/1",
             "radcam": env!("CARGO_PKG_VERSION"),
+            "libaravis": arv::version().map(|n| n.to_string()).join("."),
             "system": format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
             "camera": {
                 "id": id.id, "vendor": id.vendor, "model": id.model, "serial": id.serial, "firmware": id.firmware,

@@ -116,6 +116,23 @@ mod tests {
     use super::*;
 
     #[test]
+    fn exposures_of_any_unit_and_none_are_read() {
+        let text = "v 4.0\nn 12 4 3\nd 0\ni a.tif\nd 10ms\ni b.tif\nb 2,5e-3s 100\ni c.tif\nb 20us 0\ni d.tif\nb 500 9\ni e.tif\n";
+        let (_, rows) = parse(text).unwrap();
+        let said: Vec<_> = rows.iter().map(|(_, r)| (r.kind, (r.exposure_s * 1e9).round())).collect();
+        let wanted = [
+            (Kind::Dark, 1.0),
+            (Kind::Dark, 1e7),
+            (Kind::Flat, 2.5e6),
+            (Kind::Dark, 2e4),
+            (Kind::Flat, 500.0),
+        ];
+        assert_eq!(said, wanted);
+        assert!((rows[2].1.illumination - 100.0 / 2.5e-3).abs() < 1e-6);
+        assert!(parse("n 12 4 3\nd 10m\n").unwrap_err().1.contains("write ns, us, ms or s"));
+    }
+
+    #[test]
     fn a_descriptor_is_read() {
         let text = "v 3.0\nn 12 640 480\n# darks\nd 1000000.0\ni images\\d0.png\ni images\\d1.png\n\
                     b 1000000.0 250,5\ni images\\b0.png\n";

@@ -425,6 +425,36 @@ fn first_steps_are_shown_and_followed() {
     let dir = tempfile::tempdir().unwrap();
     expect(0, &["man", "-o", dir.path().to_str().unwrap()]);
     assert!(fs::read_to_string(dir.path().join("radcam-diagnose.1")).unwrap().contains("DATASET"));
+    for verb in [
+        "cameras",
+        "capture",
+        "simulate",
+        "serve",
+        "investigate",
+        "import",
+        "noise",
+        "plan-calibration",
+        "calibrate",
+        "correct",
+        "scene",
+        "budget",
+        "reproduce",
+        "compare",
+        "diagnose",
+        "model",
+        "effects",
+        "demo",
+    ] {
+        assert!(expect(0, &[verb, "--help"]).contains("--json"), "{verb}");
+    }
+    let to = dir.path().join("captured").to_str().unwrap().to_string();
+    let capture =
+        ["capture", "--camera", "sim:cmos12", "--plan", "quick", "--region", "8,4,64,48", "-o", &to];
+    let said: serde_json::Value =
+        serde_json::from_str(&expect(0, &[&capture[..], &["--json"]].concat())).unwrap();
+    assert_eq!(said["frames"], 40);
+    let taken = radcam::dataset::Dataset::open(Path::new(&to)).unwrap();
+    assert_eq!((taken.manifest().camera.width, taken.manifest().camera.height), (64, 48));
     let pages: serde_json::Value = serde_json::from_str(&expect(0, &["effects", "--json"])).unwrap();
     assert!(pages.as_array().unwrap().len() > 25 && pages[0]["parameters"].is_array());
     // A negative number is a value, and its fault is named.

@@ -13,6 +13,18 @@ pub use camera::{Camera, DeviceInfo, Feature, FeatureKind, devices};
 pub use server::{Painter, Registers, Request, VirtualCamera, address};
 pub use stream::{Received, Stream, StreamCounts, StreamSetup};
 
+unsafe extern "C" {
+    fn arv_get_major_version() -> std::ffi::c_uint;
+    fn arv_get_minor_version() -> std::ffi::c_uint;
+    fn arv_get_micro_version() -> std::ffi::c_uint;
+}
+
+/// Version of the libaravis that runs: major, minor, micro.
+pub fn version() -> [u32; 3] {
+    // SAFETY: plain calls without arguments that return constants of the library (arvmisc.h of libaravis 0.8).
+    unsafe { [arv_get_major_version(), arv_get_minor_version(), arv_get_micro_version()] }
+}
+
 /// What libaravis refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{what}: {message}")]
