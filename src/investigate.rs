@@ -92,7 +92,7 @@ pub fn investigate(
     let dataset = root.join("dataset");
     let state_path = root.join(STATE_FILE);
     let mut state = State::default();
-    let mut zero_ns = None;
+    let mut zero_ns;
     if dataset.join("dataset.toml").exists() {
         if let Ok(text) = std::fs::read_to_string(&state_path) {
             let fault = |e: toml::de::Error| {
@@ -100,7 +100,8 @@ pub fn investigate(
             };
             state = toml::from_str(&text).map_err(fault)?;
         }
-        capture.run(plan, &dataset, true)?;
+        tracing::info!("goes on with its own plan");
+        zero_ns = capture.run(plan, &dataset, true)?.zero_ns;
     } else {
         let plan = capture.ready(plan)?;
         begins(capture, &plan, tell)?;
@@ -129,19 +130,21 @@ pub fn investigate(
             let first = opened.sets().len();
             let plan_path = dataset.join(PLAN_FILE);
             let before = std::fs::read(&plan_path).map_err(DatasetError::io(&plan_path))?;
+            let sets = (first, first + next.sets.len());
+            state.measurement.push(Measurement { about: next.about.clone(), sets });
+            keep(&state, &state_path)?;
             let summary = begins(capture, &absolute(next, &dataset)?, tell)
                 .and_then(|()| Ok(capture.extend(next, &dataset, zero_ns)?));
             match summary {
                 Ok(summary) => {
-                    zero_ns = zero_ns.and(summary.zero_ns);
-                    let sets = (first, first + next.sets.len());
-                    state.measurement.push(Measurement { about: next.about.clone(), sets });
-                    keep(&state, &state_path)?;
+                    zero_ns = summary.zero_ns;
                     None
                 }
                 // What was captured before stands.
                 Err(InvestigateError::Capture(CaptureError::Bench(e))) => {
                     write_whole(&plan_path, &before)?;
+                    state.measurement.pop();
+                    keep(&state, &state_path)?;
                     Some(e.to_string())
                 }
                 Err(e) => return Err(e),

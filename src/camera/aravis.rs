@@ -1,6 +1,6 @@
 //! Real cameras (GigE Vision, USB3 Vision) through libaravis.
 
-use super::features::{Neutral, OFF_ENTRIES, Role, is_disabled, role, suspicious};
+use super::features::{Kind, Neutral, Role, is_disabled, known, neutral_value, role, suspicious};
 use super::{
     Automatic, Bounds, Camera, CameraError, Capabilities, FrameCounter, FrameStream, Identity, Settings,
     StreamCounts, StreamOptions, Trigger, Value, check_bounds,
@@ -36,8 +36,8 @@ enum ExposureFeature {
     Raw { step_us: f64 },
 }
 
-/// Bytes of the bootstrap registers of GigE Vision up to the user's and the maker's (GigE Vision 2.0, chapter 28).
-const BOOTSTRAP_BYTES: u32 = 0x200;
+/// Bootstrap registers (GigE Vision 2.0, chapter 28): identity and addresses, the places of the description, control, stream channel 0.
+const BOOTSTRAP: [(u64, u32); 4] = [(0, 0x200), (0x200, 0x200), (0x900, 0x60), (0xd00, 0x40)];
 /// Frames of a report's look at losses.
 const REPORT_FRAMES: u64 = 30;
 
@@ -82,7 +82,18 @@ impl AravisCamera {
         let gain = ["Gain", "GainAbs"].into_iter().find(|name| in_unit(&inner, name, "dB"));
         let capabilities = capabilities(&inner, &identity.id, exposure, gain)?;
         let loopback = inner.is_gigevision() && address.starts_with("127.");
-        let tree = inner.features();
+        let mut tree = inner.features();
+        // A description may have features outside its categories, or no categories.
+        let listed: std::collections::BTreeSet<String> = tree.iter().map(|f| f.name.clone()).collect();
+        tree.extend(
+            known().filter(|(name, _)| !listed.contains(*name)).filter_map(|(name, _)| inner.feature(name)),
+        );
+        if tree.is_empty() {
+            tracing::warn!(
+                camera = identity.id,
+                "its description lists no features: nothing can be switched off"
+            );
+        }
         Ok(Self { inner, identity, capabilities, trigger: Trigger::FreeRun, tree, exposure, gain, loopback })
     }
 
@@ -104,27 +115,18 @@ impl AravisCamera {
         }
     }
 
-    /// The value at which a feature leaves the image alone; `None` where this camera means something else by the name.
+    /// The value at which a feature leaves the image alone, where it has one.
     fn neutral(&self, feature: &Feature, neutral: Neutral) -> Option<Value> {
-        let number = |value: f64| match feature.kind {
-            FeatureKind::Boolean => Some(Value::Bool(value != 0.0)),
-            FeatureKind::Integer => Some(Value::Int(value as i64)),
-            FeatureKind::Float => Some(Value::Float(value)),
-            FeatureKind::Enumeration | FeatureKind::Text => None,
+        let kind = match feature.kind {
+            FeatureKind::Boolean => Kind::Boolean,
+            FeatureKind::Enumeration => Kind::Enumeration,
+            FeatureKind::Integer => Kind::Integer,
+            FeatureKind::Float => Kind::Float,
+            FeatureKind::Text => Kind::Text,
         };
         let enumeration = feature.kind == FeatureKind::Enumeration;
         let entries = if enumeration { self.inner.entries(&feature.name).ok()? } else { Vec::new() };
-        let there = |wanted: &&&'static str| entries.iter().any(|e| e == **wanted);
-        match neutral {
-            // Left on without an entry that switches it off it is still named: nothing is what it cannot read.
-            Neutral::Off if enumeration => {
-                Some(Value::Text(OFF_ENTRIES.iter().find(there).unwrap_or(&"Off").to_string()))
-            }
-            Neutral::Off => number(0.0),
-            Neutral::On => number(1.0),
-            Neutral::Number(value) => number(value),
-            Neutral::Entry(entry) => there(&&entry).then(|| Value::Text(entry.to_string())),
-        }
+        neutral_value(neutral, kind, &entries)
     }
 
     /// Brings a feature to a value and tells what became of it.
@@ -196,10 +198,14 @@ impl AravisCamera {
         });
         let exposure_s = self.capabilities.exposure_s.map(|b| [b.min, b.max, b.increment.unwrap_or(0.0)]);
         let gain_db = self.capabilities.gain_db.map(|b| [b.min, b.max]);
-        let bootstrap = self.inner.memory(0, BOOTSTRAP_BYTES).map_or_else(
-            |e| e.to_string(),
-            |bytes| bytes.iter().map(|b| format!("{b:02x}")).collect::<String>(),
-        );
+        let hex = |(at, bytes): (u64, u32)| {
+            let text = self.inner.memory(at, bytes).map_or_else(
+                |e| e.to_string(),
+                |bytes| bytes.iter().map(|b| format!("{b:02x}")).collect::<String>(),
+            );
+            (format!("{at:#x}"), text)
+        };
+        let bootstrap: BTreeMap<String, String> = BOOTSTRAP.into_iter().map(hex).collect();
         let stream = self.stream_report();
         let id = &self.identity;
         serde_json::json!({
@@ -236,7 +242,8 @@ impl AravisCamera {
             Some(Role::Distorts(neutral, _)) => match (self.neutral(feature, neutral), &value) {
                 (Some(to), Some(now)) if to != *now => format!("a capture sets it to {to}"),
                 (Some(to), Some(_)) => format!("left at {to}, where it does nothing"),
-                _ => "would be switched off where it is available".into(),
+                (None, Some(_)) => "recorded: it has no value that switches it off".into(),
+                (_, None) => "switched off where it can be used".into(),
             },
             Some(Role::Setting) => "recorded: a setting".into(),
             Some(Role::Geometry) => "recorded: geometry".into(),
@@ -424,8 +431,15 @@ impl Camera for AravisCamera {
         check_bounds(&self.identity.id, "Gain", self.capabilities.gain_db, value, "dB")?;
         let name = self.gain.unwrap_or("Gain");
         let mut set = Ok(());
-        self.under_selector(name, |_| {
-            if let Err(e) = self.inner.set_float(name, value) {
+        // The gains of all, of the analog and of the digital part multiply; those of taps and colours stand side by side.
+        let whole = ["All", "AnalogAll"];
+        let selector = self.selector_of(name);
+        let entries = selector.and_then(|s| self.inner.entries(s).ok()).unwrap_or_default();
+        let only = whole.into_iter().find(|w| entries.iter().any(|e| e == w));
+        self.under_selector(name, |entry| {
+            if only.is_none_or(|only| entry.is_none_or(|e| e == only))
+                && let Err(e) = self.inner.set_float(name, value)
+            {
                 set = Err(e);
             }
         });
@@ -570,7 +584,12 @@ impl Camera for AravisCamera {
             let recorded = matches!(role, Some(Role::Setting | Role::Geometry)) || suspicious(name);
             (recorded && !said) || name == "TriggerMode"
         };
-        for feature in self.tree.iter().filter(|f| kept(&f.name) && self.inner.has(&f.name)) {
+        // What has no neutral value is a setting.
+        let without = |f: &Feature| match role(&f.name) {
+            Some(Role::Distorts(neutral, _)) => self.neutral(f, neutral).is_none(),
+            _ => false,
+        };
+        for feature in self.tree.iter().filter(|f| self.inner.has(&f.name) && (kept(&f.name) || without(f))) {
             self.under_selector(&feature.name, |entry| {
                 let name = &feature.name;
                 let shown = entry.map_or_else(|| name.clone(), |entry| format!("{name}[{entry}]"));

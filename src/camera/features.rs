@@ -3,6 +3,8 @@
 //! Names are those of the Standard Features Naming Convention (SFNC 2.7) and of the makers whose description files were read. A feature that
 //! has no line here and whose name speaks of radiometry is recorded with its value, and the capture warns of it ([`suspicious`]).
 
+use super::Value;
+
 /// The value at which a feature leaves the image alone.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Neutral {
@@ -317,8 +319,56 @@ pub fn acts_like(name: &str) -> &'static [&'static str] {
     }
 }
 
+/// How a feature's value is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// True or false.
+    Boolean,
+    /// One of some names.
+    Enumeration,
+    /// Whole number.
+    Integer,
+    /// Number.
+    Float,
+    /// Text.
+    Text,
+}
+
+/// The value at which a feature of this kind, with these entries, leaves the image alone; `None` where this camera means something else by
+/// the name, or has no such value: then it is a setting.
+pub fn neutral_value(neutral: Neutral, kind: Kind, entries: &[String]) -> Option<Value> {
+    let number = |value: f64| match kind {
+        Kind::Boolean => Some(Value::Bool(value != 0.0)),
+        Kind::Integer => Some(Value::Int(value as i64)),
+        Kind::Float => Some(Value::Float(value)),
+        Kind::Enumeration | Kind::Text => None,
+    };
+    let one_of = |wanted: &[&str]| {
+        let entry = wanted.iter().find(|w| entries.iter().any(|e| e == **w))?;
+        Some(Value::Text((*entry).to_string()))
+    };
+    match neutral {
+        Neutral::Off | Neutral::Entry("Off") if kind == Kind::Enumeration => one_of(&OFF_ENTRIES),
+        Neutral::Off => number(0.0),
+        Neutral::On => number(1.0),
+        Neutral::Number(value) => number(value),
+        Neutral::Entry(entry) => one_of(&[entry]),
+    }
+}
+
+/// Whether a value, as text, says that something is off.
+fn is_off(value: &str) -> bool {
+    OFF_ENTRIES.contains(&value) || matches!(value, "false" | "0")
+}
+
 /// Entries of enumerations that switch something off, as makers write it.
-pub const OFF_ENTRIES: [&str; 8] = ["Off", "OFF", "off", "Disabled", "Disable", "disable", "None", "False"];
+const OFF_ENTRIES: [&str; 8] = ["Off", "OFF", "off", "Disabled", "Disable", "disable", "None", "False"];
+
+/// Whether a value is that of a switch: an enumeration that has no entry for off is none.
+fn may_be_on(value: &str) -> bool {
+    matches!(value, "true" | "On" | "ON" | "Enabled" | "Enable" | "Continuous" | "Once" | "Auto")
+        || value.parse::<f64>().is_ok_and(|v| v != 0.0)
+}
 
 /// A feature that changes pixel values and was not neutral while frames were taken.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -339,14 +389,12 @@ impl std::fmt::Display for LeftOn {
     }
 }
 
-/// What was left on, of the values that were read back. `named` are those that could not be switched off, or that nobody knows.
+/// What was left on: of the values that were read back those that are not neutral, and the `named`, which could not be switched off.
 pub fn left_on(values: &std::collections::BTreeMap<String, String>, named: &[String]) -> Vec<LeftOn> {
     let acting = |name: &str| !is_disabled(name, |enable| values.get(enable).cloned());
     let seen = values.iter().filter(|(name, value)| {
         let neutral = match role(plain(name)) {
-            Some(Distorts(Off, _)) => {
-                OFF_ENTRIES.contains(&value.as_str()) || matches!(value.as_str(), "false" | "0")
-            }
+            Some(Distorts(Off, _)) => is_off(value) || !may_be_on(value),
             Some(Distorts(On, _)) => matches!(value.as_str(), "true" | "1"),
             Some(Distorts(Number(to), _)) => value.parse::<f64>().is_ok_and(|v| (v - to).abs() < 1e-6),
             // A camera may mean something else by the name.
@@ -366,10 +414,25 @@ pub fn left_on(values: &std::collections::BTreeMap<String, String>, named: &[Str
     names.into_iter().map(of).collect()
 }
 
-/// Whether a calibration holds for one value of a feature only. The exposure is a setting of every frame, and stands with it.
+/// Whether a calibration holds for one value of a feature only. The exposure is a setting of every frame, and stands with it; what follows
+/// the image is no setting.
 pub fn is_setting(name: &str) -> bool {
     let name = plain(name);
-    matches!(role(name), Some(Setting | Geometry)) && !name.starts_with("ExposureTime")
+    let exposure =
+        name.starts_with("ExposureTime") || name.to_lowercase().contains("shutter") || name == "Bright";
+    let global = matches!(name, "Global_Shutter" | "SensorShutterMode");
+    role(name).is_some_and(|r| !matches!(r, Harmless(_)))
+        && (!exposure || global)
+        && name != "AutoBlackLevelValue"
+}
+
+/// Whether two values of a feature, as text, are the same: `1` and `1.0` are.
+pub fn same_value(a: &str, b: &str) -> bool {
+    let plain = |v: &str| v.trim_matches('"').to_string();
+    match (plain(a).parse::<f64>(), plain(b).parse::<f64>()) {
+        (Ok(a), Ok(b)) => (a - b).abs() <= 1e-6 * a.abs().max(b.abs()),
+        _ => plain(a) == plain(b),
+    }
 }
 
 /// A name without the entry of its selector.
@@ -379,8 +442,12 @@ fn plain(name: &str) -> &str {
 
 /// Whether a feature has a switch of its own (`GammaEnable` of `Gamma`) that is off.
 pub fn is_disabled(name: &str, value_of: impl Fn(&str) -> Option<String>) -> bool {
-    let switch = ["Enable", "Enabled"].map(|end| format!("{}{end}", plain(name)));
-    switch.iter().any(|s| value_of(s).is_some_and(|v| v == "false" || OFF_ENTRIES.contains(&v.as_str())))
+    let entry = &name[plain(name).len()..];
+    let switch = |end: &str| {
+        let of_entry = format!("{}{end}{entry}", plain(name));
+        value_of(&of_entry).or_else(|| value_of(&format!("{}{end}", plain(name))))
+    };
+    ["Enable", "Enabled"].iter().any(|end| switch(end).is_some_and(|v| is_off(&v)))
 }
 
 /// Whether the name of a feature that is not listed speaks of radiometry.
@@ -451,6 +518,15 @@ mod tests {
             ["GainAuto", "LUTEnable[LUT1] = true"]
         );
         assert_eq!(found[0].acts_like, GAIN);
+        assert!(same_value("1", "1.0") && same_value("\"Off\"", "Off") && !same_value("1", "2"));
+        assert!(is_setting("BinningHorizontal") && is_setting("Gamma") && !is_setting("Shutter"));
+        let off = |entries: &[&str]| {
+            let entries: Vec<String> = entries.iter().map(ToString::to_string).collect();
+            neutral_value(Off, Kind::Enumeration, &entries)
+        };
+        assert_eq!(off(&["On", "Disabled"]), Some(Value::Text("Disabled".into())));
+        assert_eq!(off(&["Average", "Highlight"]), None);
+        assert_eq!(neutral_value(Number(1.0), Kind::Integer, &[]), Some(Value::Int(1)));
         assert!(suspicious("HighlightToneMapping") && suspicious("CdsNoiseGate"));
         assert!(!suspicious("GevMACAddress") && !suspicious("Gamma"));
     }

@@ -7,6 +7,7 @@ use super::{
 use crate::frame::{Frame, Region, Status};
 use crate::pixel_format::PixelFormat;
 use radcam_sim::{Conditions, Scene, Sensor};
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -221,6 +222,13 @@ impl Camera for SimCamera {
             }
             _ => Err(self.not_available(name)),
         }
+    }
+
+    fn features(&mut self) -> BTreeMap<String, Value> {
+        let region = self.settings.region;
+        [("OffsetX", region.x), ("OffsetY", region.y)]
+            .map(|(name, v)| (name.into(), Value::Int(v.into())))
+            .into()
     }
 
     fn draws_again(&self) -> bool {

@@ -14,11 +14,13 @@ pub(super) const SETTLING: usize = 16;
 impl Capture<'_> {
     /// Gives every exposure in seconds; measures the full exposure where the plan needs it.
     pub(super) fn absolute(&mut self, plan: &Plan, counts: &mut StreamCounts) -> Result<Plan, CaptureError> {
-        let full = match plan.full_exposure_s {
-            Some(full) => full,
-            None if plan.needs_full_exposure() => self.search(plan, counts)?,
-            None => 1.0,
+        let known = match plan.full_exposure_s {
+            Some(full) => Some(full),
+            None if plan.needs_full_exposure() => Some(self.search(plan, counts)?),
+            // Every exposure is given in seconds: none counts as 1.
+            None => None,
         };
+        let full = known.unwrap_or(1.0);
         let bounds = self.camera.capabilities().exposure_s;
         if let Some(bounds) = bounds {
             for exposure_s in plan.sets.iter().filter_map(|s| s.exposure_s) {
@@ -27,6 +29,7 @@ impl Capture<'_> {
             }
         }
         let mut absolute = plan.absolute(full, |e| bounds.map_or(e, |b| b.nearest(e)));
+        absolute.full_exposure_s = known;
         absolute.searched |= plan.full_exposure_s.is_none() && plan.needs_full_exposure();
         for (wanted, set) in plan.sets.iter().zip(&absolute.sets) {
             let wanted = wanted.exposure_s.unwrap_or(wanted.exposure.unwrap_or(1.0) * full);

@@ -150,23 +150,6 @@ impl Run {
 impl Capture<'_> {
     /// Captures a plan into a new folder, or continues it there.
     pub fn run(&mut self, plan: &Plan, root: &Path, resume: bool) -> Result<Summary, CaptureError> {
-        let automatics = self.camera.disable_automatics()?;
-        for a in &automatics {
-            if a.off {
-                tracing::info!(
-                    feature = a.feature,
-                    before = a.before,
-                    now = a.now,
-                    "automatic function is off"
-                );
-            } else {
-                tracing::warn!(
-                    feature = a.feature,
-                    now = a.now,
-                    "automatic function could not be switched off"
-                );
-            }
-        }
         let unlisted = self.camera.unlisted_features();
         if !unlisted.is_empty() {
             tracing::warn!(
@@ -176,14 +159,14 @@ impl Capture<'_> {
         }
         let mut counts = StreamCounts::default();
         let searched = !resume && plan.full_exposure_s.is_none() && plan.needs_full_exposure();
-        let (writer, plan) = if resume {
+        let (automatics, writer, plan) = if resume {
             self.resume(root)?
         } else {
-            self.set_up(plan)?;
+            let automatics = self.set_up(plan)?;
             let plan = self.absolute(plan, &mut counts)?;
-            let manifest = self.manifest(&automatics)?;
+            let manifest = self.manifest(&plan, &automatics)?;
             let writer = Writer::create(root, &manifest, &[(PLAN_FILE, &plan.to_toml()?)])?;
-            (writer, plan)
+            (automatics, writer, plan)
         };
         // How long the pause of a continued campaign was is not known.
         let clock = if resume { DeviceClock::Unknown } else { DeviceClock::FromFirstFrame };
@@ -200,7 +183,6 @@ impl Capture<'_> {
     /// Finds the full exposure of a plan that needs it, with everything as a capture has it, and gives every exposure in seconds: what a
     /// campaign will take can then be said before it starts.
     pub fn ready(&mut self, plan: &Plan) -> Result<Plan, CaptureError> {
-        self.camera.disable_automatics()?;
         self.set_up(plan)?;
         self.absolute(plan, &mut StreamCounts::default())
     }
@@ -217,16 +199,16 @@ impl Capture<'_> {
         let fault = |message: String| CaptureError::Resume { path: path.display().to_string(), message };
         let text = std::fs::read_to_string(&path).map_err(|e| fault(e.to_string()))?;
         let mut plan = Plan::from_toml(&text)?;
-        let bounds = self.camera.capabilities().exposure_s;
-        let full = plan.full_exposure_s.unwrap_or(1.0);
-        let more = more.absolute(full, |e| bounds.map_or(e, |b| b.nearest(e)));
+        // A campaign whose exposures were given in seconds has none that counts as 1: the search finds it.
+        let mut counts = StreamCounts::default();
+        let more =
+            self.absolute(&Plan { full_exposure_s: plan.full_exposure_s, ..more.clone() }, &mut counts)?;
+        plan.full_exposure_s = more.full_exposure_s;
         plan.sets.extend(more.sets);
         crate::dataset::write_whole(&path, plan.to_toml()?.as_bytes())?;
-        let automatics = self.camera.disable_automatics()?;
-        let (writer, plan) = self.resume(root)?;
+        let (automatics, writer, plan) = self.resume(root)?;
         let clock = zero_ns.map_or(DeviceClock::Unknown, DeviceClock::Zero);
-        let run =
-            Run { writer, clock, counts: StreamCounts::default(), begun_again: Vec::new(), again: false };
+        let run = Run { writer, clock, counts, begun_again: Vec::new(), again: false };
         self.carry_out(run, &plan, root, automatics, None)
     }
 
@@ -261,8 +243,38 @@ impl Capture<'_> {
         Ok(Summary { frames, counts: run.counts, automatics, full_exposure_s, zero_ns })
     }
 
-    /// Brings the camera to the plan's settings.
-    fn set_up(&mut self, plan: &Plan) -> Result<(), CaptureError> {
+    /// Switches off what distorts radiometry, brings the camera to the plan's settings, and switches off what these have made available; last
+    /// come the features that the plan names, whatever they do.
+    fn set_up(&mut self, plan: &Plan) -> Result<Vec<Automatic>, CaptureError> {
+        let first = self.camera.disable_automatics()?;
+        self.settings_of(plan)?;
+        let mut automatics = self.camera.disable_automatics()?;
+        for a in &mut automatics {
+            if let Some(was) = first.iter().find(|f| f.feature == a.feature) {
+                a.before.clone_from(&was.before);
+            }
+        }
+        for a in &automatics {
+            let (feature, before, now) = (&*a.feature, &*a.before, &*a.now);
+            if a.off {
+                tracing::info!(feature, before, now, "automatic function is off");
+            } else {
+                tracing::warn!(feature, now, "automatic function could not be switched off");
+            }
+        }
+        for (name, value) in &plan.camera.features {
+            let value = match value {
+                toml::Value::Boolean(v) => Value::Bool(*v),
+                toml::Value::Integer(v) => Value::Int(*v),
+                toml::Value::Float(v) => Value::Float(*v),
+                other => Value::Text(other.as_str().map_or_else(|| other.to_string(), Into::into)),
+            };
+            self.camera.set_feature(name, &value)?;
+        }
+        Ok(automatics)
+    }
+
+    fn settings_of(&mut self, plan: &Plan) -> Result<(), CaptureError> {
         let camera = &mut *self.camera;
         let wanted = &plan.camera;
         let deepest = camera.capabilities().pixel_formats.iter().copied().max_by_key(|f| {
@@ -293,15 +305,6 @@ impl Capture<'_> {
         if let Some(rate) = wanted.frame_rate_hz {
             camera.set_frame_rate_hz(rate)?;
         }
-        for (name, value) in &wanted.features {
-            let value = match value {
-                toml::Value::Boolean(v) => Value::Bool(*v),
-                toml::Value::Integer(v) => Value::Int(*v),
-                toml::Value::Float(v) => Value::Float(*v),
-                other => Value::Text(other.as_str().map_or_else(|| other.to_string(), Into::into)),
-            };
-            camera.set_feature(name, &value)?;
-        }
         Ok(())
     }
 
@@ -310,11 +313,18 @@ impl Capture<'_> {
         CameraError::ReadBack { camera, feature: feature.into(), asked, got }
     }
 
-    fn manifest(&mut self, automatics: &[Automatic]) -> Result<Manifest, CaptureError> {
+    fn manifest(&mut self, plan: &Plan, automatics: &[Automatic]) -> Result<Manifest, CaptureError> {
         let settings = self.camera.settings()?;
         let mut features: BTreeMap<String, Value> = self.camera.features();
         for a in automatics {
             features.insert(a.feature.clone(), Value::Text(a.now.clone()));
+        }
+        // Set last, and read back then.
+        for (name, value) in &plan.camera.features {
+            features.insert(
+                name.clone(),
+                Value::Text(value.as_str().map_or_else(|| value.to_string(), Into::into)),
+            );
         }
         let unlisted_features = self.camera.unlisted_features();
         let identity = self.camera.identity();
@@ -340,7 +350,7 @@ impl Capture<'_> {
     }
 
     /// Opens a dataset to be continued and brings the camera to its settings.
-    fn resume(&mut self, root: &Path) -> Result<(Writer, Plan), CaptureError> {
+    fn resume(&mut self, root: &Path) -> Result<(Vec<Automatic>, Writer, Plan), CaptureError> {
         let fault = |message: String| CaptureError::Resume { path: root.display().to_string(), message };
         let plan_path = root.join(PLAN_FILE);
         let text = std::fs::read_to_string(&plan_path)
@@ -363,7 +373,7 @@ impl Capture<'_> {
         plan.camera.pixel_format = PixelFormat::from_name(&was.pixel_format).ok();
         plan.camera.gain_db = plan.camera.gain_db.or(was.gain_db);
         plan.camera.black_level_dn = plan.camera.black_level_dn.or(was.black_level_dn);
-        self.set_up(&plan)?;
+        let automatics = self.set_up(&plan)?;
         let region = self.camera.settings()?.region;
         if (region.width as usize, region.height as usize) != (was.width, was.height) {
             return Err(fault(format!(
@@ -371,6 +381,11 @@ impl Capture<'_> {
                 was.width, was.height, region.width, region.height
             )));
         }
-        Ok((writer, plan))
+        // After a power cycle a camera may have come back with other settings than a plan names.
+        let now = self.manifest(&plan, &automatics)?;
+        if let Some(differs) = manifest.differs_from(&now) {
+            return Err(fault(format!("the camera {differs}; set it back, or begin a new campaign")));
+        }
+        Ok((automatics, writer, plan))
     }
 }

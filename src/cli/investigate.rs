@@ -10,7 +10,7 @@ use crate::camera::{Camera, StreamOptions};
 use crate::capture::{Capture, Progress};
 use crate::dataset::write_whole;
 use crate::inference::Given;
-use crate::investigate::{Event, Found, investigate};
+use crate::investigate::{Event, Found, STATE_FILE, investigate};
 use crate::plan::Plan;
 use crate::report;
 use anyhow::{Result, bail};
@@ -27,9 +27,9 @@ pub struct Arguments {
     /// Frames of every set of the first measurement; else those of the plan
     #[arg(long, value_parser = clap::value_parser!(u32).range(2..))]
     frames: Option<u32>,
-    /// The first measurement: standard, quick, or a plan file
-    #[arg(long, default_value = "standard")]
-    plan: String,
+    /// The first measurement: standard (where not given), quick, or a plan file
+    #[arg(long)]
+    plan: Option<String>,
     /// Effects that are known already
     #[arg(long, value_name = "M.toml|SENSOR")]
     model: Option<PathBuf>,
@@ -42,11 +42,17 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let root = &arguments.output;
-    if root.exists() && !root.join("dataset").exists() && root.read_dir()?.next().is_some() {
+    let begun = root.join("dataset").exists() || root.join(STATE_FILE).exists();
+    if root.exists() && !begun && root.read_dir()?.next().is_some() {
         bail!("{} is no investigation and not empty; choose a new folder", root.display());
     }
+    if root.join("dataset").join("dataset.toml").exists()
+        && (arguments.frames.is_some() || arguments.plan.is_some())
+    {
+        tracing::warn!("{} goes on with the plan it was begun with", root.display());
+    }
     let known = read_effects(arguments.model.as_deref())?;
-    let mut plan = load_plan(Some(&arguments.plan), false, root)?;
+    let mut plan = load_plan(arguments.plan.as_deref(), false, root)?;
     if let Some(frames) = arguments.frames {
         plan.sets.iter_mut().for_each(|s| s.frames = frames);
     }

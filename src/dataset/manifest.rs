@@ -1,6 +1,6 @@
 //! `dataset.toml`: what camera and bench said of themselves.
 
-use crate::camera::features::{LeftOn, is_setting, left_on};
+use crate::camera::features::{LeftOn, is_setting, left_on, same_value};
 use crate::camera::{Identity, Settings};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -132,7 +132,8 @@ impl Manifest {
             Some((name.as_str(), value.to_string(), other.to_string()))
         });
         let mut all = fields.into_iter().chain([light]).chain(features);
-        all.find(|(_, a, b)| a != b).map(|(name, a, b)| format!("has another {name} ({b}, not {a})"))
+        all.find(|(_, a, b)| !same_value(a, b))
+            .map(|(name, a, b)| format!("has another {name} ({b}, not {a})"))
     }
 
     /// Reads and checks; the error is for a person.

@@ -79,10 +79,10 @@ impl Verdict {
                     "Deviations are larger than chance allows, but too small to be named.".into()
                 }
                 _ => format!(
-                    "{} Gain {:.5} DN/e, read noise {:.2} e.",
+                    "{} {}, {}.",
                     "The camera does what the model says, to within the noise of this campaign.",
-                    given.base.gain_dn_per_e,
-                    given.base.read_noise_e
+                    told("Gain", given.base.gain_dn_per_e, given.base_std_err[0], "DN/e"),
+                    told("read noise", given.base.read_noise_e, given.base_std_err[1], "e")
                 ),
             };
             return Self::Describes { agreement, sentence };
@@ -113,6 +113,14 @@ impl Verdict {
         let sentence = sentence(top, &or, missing, &cost(given, whole));
         Self::Named { effect: top.effect.clone(), or, sentence }
     }
+}
+
+/// A value with its error; of one that is not known to half of itself, that.
+fn told(name: &str, value: f64, std_err: f64, unit: &'static str) -> String {
+    if std_err.is_finite() && std_err < 0.5 * value.abs() {
+        return format!("{name} {}", with_unit(value, std_err, unit));
+    }
+    format!("{name} not determined by this campaign")
 }
 
 /// What the camera does, how much, what it costs and what to do.

@@ -55,6 +55,22 @@ impl Observations {
         self.list.iter().filter(move |o| o.is(statistic))
     }
 
+    /// Whether dark charge can be told from the black level: darks, or flats of one light, have two exposures.
+    pub fn tells_dark_current(&self) -> bool {
+        let with_mean: std::collections::BTreeSet<usize> = self.of(&mean::This).filter_map(|o| o.set).collect();
+        let of_sets = with_mean.iter().map(|s| &self.campaign.sets[*s]);
+        let kinds = with_mean.iter().map(|s| self.kinds[*s]);
+        let mut exposures: std::collections::BTreeMap<Option<usize>, Vec<f64>> = Default::default();
+        for (set, kind) in of_sets.zip(kinds) {
+            // The lights of a lamp that is known are one.
+            let light = set.light.filter(|_| kind != Kind::Flat || self.light_rel_std.is_none());
+            let group = if kind == Kind::Dark { None } else { Some(light.unwrap_or(usize::MAX)) };
+            exposures.entry(group).or_default().push(set.exposure_s);
+        }
+        let apart = |all: &Vec<f64>| all.iter().any(|e| (e / all[0] - 1.0).abs() > 1e-6);
+        exposures.values().any(apart)
+    }
+
     /// Whether there is any of a statistic.
     pub fn has(&self, statistic: &dyn Statistic) -> bool {
         self.list.iter().any(|o| o.is(statistic))
@@ -163,6 +179,15 @@ pub fn of_dataset(
             "no set of darks or flats has two frames that are not clipped: nothing can be compared".into(),
         ));
     }
+    let mut levels: Vec<usize> = chunks.iter().map(|c| c.set).collect();
+    levels.dedup();
+    if levels.len() < 2 || levels.iter().all(|s| settings[*s].kind != Kind::Flat) {
+        return Err(ObserveError::Nothing(
+            "gain and noise need two levels of two frames or more that are not clipped, one of them lit: take flats at several exposures, \
+             and darks"
+                .into(),
+        ));
+    }
     spreads(&mut infos, &chunks, &settings, zero_dn);
     // A level at which the range has ended tells nothing of its light: one for itself.
     for (i, _) in &saturated {
@@ -220,7 +245,7 @@ pub fn of_dataset(
     let dark_spread_dn2 = dark_spreads(&infos, &kinds);
     let ends: Vec<f64> = frames.iter().map(|f: &FrameInfo| f.time_s + infos[f.set].exposure_s).collect();
     let frame_s = median(ends.windows(2).map(|w| w[1] - w[0]));
-    Ok(Observations {
+    let mut all = Observations {
         // Of flats: what a dark shows beside its charge is the offsets' pattern, which stays.
         largest_spread: infos
             .iter()
@@ -250,7 +275,15 @@ pub fn of_dataset(
         light_rel_std: dataset.manifest().bench.as_ref().and_then(|b| b.illumination_rel_std),
         dark_spread_dn2,
         steady_dn4,
-    })
+    };
+    if !all.tells_dark_current() {
+        all.missing.push(
+            "every light has one exposure, and so have the darks: dark current cannot be told from black level and read noise, and is taken \
+             as 0; darks at two exposures tell it"
+                .into(),
+        );
+    }
+    Ok(all)
 }
 
 /// Where the pixels' levels lie in every set.

@@ -30,10 +30,10 @@ const ROUNDS: usize = 24;
 
 /// Mean square, over what the scatter from frame to frame allows, of what is left of the profiles once each line has an offset, a gain and a
 /// dark current of its own, and each profile may have as much of the gains' pattern as it likes: 1 where the sensor is the same at every
-/// level. `None` for too few.
+/// level. `None` for too few. At one exposure dark current is a part of the offset.
 ///
 /// A response that is the same for all pixels changes how much of a pattern is seen, and no shape. Of C profiles of N lines about their mean
-/// 3 patterns are taken, of one of them in free amounts: (C - 3) (N - 2) numbers are left.
+/// 3 patterns are taken, of one of them in free amounts: (C - 3) (N - 2) numbers are left; (C - 2) (N - 2) at one exposure.
 pub fn left_over(profiles: &[Profile<'_>]) -> Option<Value> {
     let lines = profiles.first()?.lines_dn.len();
     if profiles.len() < FEWEST || lines < FEWEST_LINES {
@@ -42,8 +42,10 @@ pub fn left_over(profiles: &[Profile<'_>]) -> Option<Value> {
     let centred: Vec<Vec<f64>> = profiles.iter().map(|p| centred(p.lines_dn)).collect();
     let top = profiles.iter().map(|p| p.signal_dn.abs()).fold(1e-9, f64::max);
     let longest = profiles.iter().map(|p| p.exposure_s).fold(1e-9, f64::max);
+    let exposures = profiles.iter().any(|p| p.exposure_s < (1.0 - 1e-6) * longest);
+    let exposure = |p: &Profile<'_>| if exposures { p.exposure_s / longest } else { 0.0 };
     let mut terms: Vec<[f64; 3]> =
-        profiles.iter().map(|p| [1.0, p.signal_dn / top, p.exposure_s / longest]).collect();
+        profiles.iter().map(|p| [1.0, p.signal_dn / top, exposure(p)]).collect();
     let alike = vec![1.0; profiles.len()];
     let own: Vec<f64> = profiles.iter().map(|p| weight(p, lines)).collect();
     let mut square = 0.0;
@@ -61,7 +63,8 @@ pub fn left_over(profiles: &[Profile<'_>]) -> Option<Value> {
             square += weight * dot(&left, &left);
         }
     }
-    let dof = (profiles.len() - 3) as f64 * (lines - 2) as f64;
+    let taken = if exposures { 3 } else { 2 };
+    let dof = (profiles.len() - taken) as f64 * (lines - 2) as f64;
     let of_errors: f64 = profiles.iter().map(|p| (p.frames - 1.0) * (lines as f64 - 1.0)).sum();
     Some(Value { value: square / dof, std_err: (2.0 / dof + 2.0 / of_errors).sqrt() })
 }
@@ -83,7 +86,8 @@ fn patterns(profiles: &[Vec<f64>], terms: &[[f64; 3]], weights: &[f64]) -> Optio
     for (t, w) in terms.iter().zip(weights) {
         (0..9).for_each(|k| matrix[k] += w * t[k / 3] * t[k % 3]);
     }
-    (0..3).for_each(|k| matrix[4 * k] *= 1.0 + 1e-9);
+    // What no profile has keeps a pattern of nothing.
+    (0..3).for_each(|k| matrix[4 * k] = if matrix[4 * k] > 0.0 { matrix[4 * k] * (1.0 + 1e-9) } else { 1.0 });
     if !cholesky::factor(&mut matrix, 3) {
         return None;
     }
@@ -115,9 +119,14 @@ mod tests {
 
     /// Twenty profiles of 64 lines of 80 pixels, 4 frames each, under a response and a droop down the lines that grows with the signal.
     fn of(seed: u64, response: impl Fn(f64) -> f64, droop: f64) -> Value {
+        with(seed, response, droop, 20, 5)
+    }
+
+    /// So many profiles, at so many exposures.
+    fn with(seed: u64, response: impl Fn(f64) -> f64, droop: f64, count: u32, exposures: u32) -> Value {
         let normal = |a: u32, b: u32, c: u32| PixelRng::new(seed, Stream::Effect, a.into(), b, c).normal();
         let drawn = |c: u32| {
-            let (signal, exposure) = (200.0 * f64::from(c), 1e-3 * f64::from(1 + c % 5));
+            let (signal, exposure) = (200.0 * f64::from(c), 1e-3 * f64::from(1 + c % exposures));
             let sd = f64::sqrt(4.0 + 0.3 * signal) / 80f64.sqrt();
             let mean = |y: u32| {
                 let gain = 1.0 + 0.01 * normal(1000, y, 0);
@@ -132,7 +141,7 @@ mod tests {
             let var = frames.iter().map(square).sum::<f64>() / (3.0 * 64.0);
             (lines, var, signal, exposure)
         };
-        let all: Vec<_> = (0..20).map(drawn).collect();
+        let all: Vec<_> = (0..count).map(drawn).collect();
         let profile = |(lines, var, signal, exposure): &(Vec<f64>, f64, f64, f64)| Profile {
             lines_dn: lines.clone().leak(),
             var_dn2: *var,
@@ -160,6 +169,15 @@ mod tests {
         };
         let (mean, deviation) = statistics(|v| v);
         assert!(mean.abs() < 4.0 / 200f64.sqrt() && (deviation - 1.0).abs() < 0.2, "{mean} {deviation}");
+        // At one exposure, and of few levels, the same.
+        let few: f64 = (0..200)
+            .map(|s| {
+                let v = with(s, |v| v, 0.0, 7, 1);
+                (v.value - 1.0) / v.std_err
+            })
+            .sum::<f64>()
+            / 200.0;
+        assert!(few.abs() < 4.0 / 200f64.sqrt(), "{few}");
         let (mean, _) = statistics(|v| v - 0.03 * v * v / 4000.0);
         assert!(mean.abs() < 0.5, "{mean}");
         let droop = |s| {

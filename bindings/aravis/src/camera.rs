@@ -97,6 +97,27 @@ pub struct Feature {
     pub selected: Vec<String>,
 }
 
+/// A node of the description as a feature; `None` where it has no value.
+fn described(name: String, node: &aravis::GcNode) -> Option<Feature> {
+    let kind = if node.is::<aravis::GcBoolean>() {
+        FeatureKind::Boolean
+    } else if node.is::<aravis::GcEnumeration>() {
+        FeatureKind::Enumeration
+    } else if node.is::<aravis::GcFloat>() {
+        FeatureKind::Float
+    } else if node.is::<aravis::GcInteger>() {
+        FeatureKind::Integer
+    } else if node.is::<aravis::GcString>() {
+        FeatureKind::Text
+    } else {
+        return None;
+    };
+    let selector = node.dynamic_cast_ref::<aravis::GcSelector>().filter(|s| s.is_selector());
+    let selected = selector.map(|s| s.selected_features()).unwrap_or_default();
+    let selected = selected.iter().filter_map(|f| f.name()).map(Into::into).collect();
+    Some(Feature { name, kind, selected })
+}
+
 /// An open camera, controlled by this process.
 #[derive(Debug)]
 pub struct Camera {
@@ -157,27 +178,16 @@ impl Camera {
                 categories.extend(category.features().into_iter().map(Into::into));
                 continue;
             }
-            let kind = if node.is::<aravis::GcBoolean>() {
-                FeatureKind::Boolean
-            } else if node.is::<aravis::GcEnumeration>() {
-                FeatureKind::Enumeration
-            } else if node.is::<aravis::GcFloat>() {
-                FeatureKind::Float
-            } else if node.is::<aravis::GcInteger>() {
-                FeatureKind::Integer
-            } else if node.is::<aravis::GcString>() {
-                FeatureKind::Text
-            } else {
-                continue;
-            };
-            let selector = node.dynamic_cast_ref::<aravis::GcSelector>();
-            let selector = selector.filter(|s| s.is_selector());
-            let selected = selector.map(|s| s.selected_features()).unwrap_or_default();
-            let selected = selected.iter().filter_map(|f| f.name()).map(Into::into).collect();
-            out.push(Feature { name, kind, selected });
+            out.extend(described(name, &node));
         }
         out.sort_by(|a, b| a.name.cmp(&b.name));
         out
+    }
+
+    /// A feature by its name, wherever the description has it; `None` where there is none with a value.
+    pub fn feature(&self, name: &str) -> Option<Feature> {
+        let node = self.inner.device()?.genicam()?.node(name)?;
+        described(name.into(), &node)
     }
 
     /// The camera's description file.

@@ -481,8 +481,11 @@ pub fn predict(campaign: &Campaign, base: &BaseParameters, effects: &[(&dyn Effe
         }
     };
     run(&mut out, Stage::Light, Stage::Light);
+    // A dark charge that is not known to better than itself may come out below 0: its noise goes on in a straight line then, so that errors
+    // of the one show in the other. Half of the read noise is as far as that can go.
+    let least = -0.5 * base.read_noise_e * base.read_noise_e;
     for s in &mut out.sets {
-        s.shot = Spectrum::white(s.signal.max(0.0));
+        s.shot = Spectrum::white(s.signal.max(least.min(0.0)));
     }
     run(&mut out, Stage::Charge, Stage::Transfer);
     for s in &mut out.sets {
