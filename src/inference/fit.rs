@@ -123,7 +123,11 @@ fn fit_for(
     known: Option<&Slopes>,
 ) -> Fitted {
     let layout = Layout::new(all, &halves(half));
-    let (free, start) = Free::new(all, base, effects);
+    let (mut free, start) = Free::new(all, base, effects);
+    // What a half says nothing of is what the whole campaign says.
+    if let Some(dark) = free.place(Common::Dark).filter(|_| !all.tells_dark_current(half)) {
+        free.fixed[dark] = true;
+    }
     let mut iteration = Iteration::new(&layout, &free, start, known);
     iteration.run(effort, known);
     let Iteration { point, now, slopes, system, .. } = iteration;

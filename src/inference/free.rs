@@ -114,7 +114,7 @@ fn of_base(all: &Observations, base: &BaseParameters) -> Vec<Entry> {
         entry(Common::Gain, 0.0, 1.0, false, (-14.0, 14.0)),
         entry(Common::Read, base.read_noise_e, 0.0, false, (0.0, f64::INFINITY)),
         entry(Common::Offset, base.offset_dn, 0.0, table, ANY),
-        entry(Common::Dark, base.dark_e_per_s, 0.0, table || !all.tells_dark_current(), ANY),
+        entry(Common::Dark, base.dark_e_per_s, 0.0, table || !all.tells_dark_current(None), ANY),
         entry(Common::Light, 0.0, 1.0, false, ANY),
     ];
     if let Some(past) = base.past_e {

@@ -55,20 +55,26 @@ impl Observations {
         self.list.iter().filter(move |o| o.is(statistic))
     }
 
-    /// Whether dark charge can be told from the black level: darks, or flats of one light, have two exposures.
-    pub fn tells_dark_current(&self) -> bool {
-        let with_mean: std::collections::BTreeSet<usize> = self.of(&mean::This).filter_map(|o| o.set).collect();
-        let of_sets = with_mean.iter().map(|s| &self.campaign.sets[*s]);
-        let kinds = with_mean.iter().map(|s| self.kinds[*s]);
-        let mut exposures: std::collections::BTreeMap<Option<usize>, Vec<f64>> = Default::default();
-        for (set, kind) in of_sets.zip(kinds) {
-            // The lights of a lamp that is known are one.
-            let light = set.light.filter(|_| kind != Kind::Flat || self.light_rel_std.is_none());
-            let group = if kind == Kind::Dark { None } else { Some(light.unwrap_or(usize::MAX)) };
-            exposures.entry(group).or_default().push(set.exposure_s);
+    /// Whether dark charge can be told from the black level: darks, or flats of one light, have two exposures. A half that leaves it to its
+    /// flats, where all darks together tell it, tells it badly.
+    pub fn tells_dark_current(&self, half: Option<Half>) -> bool {
+        if half.is_some() && self.exposures_differ(None, true) {
+            return self.exposures_differ(half, true);
         }
-        let apart = |all: &Vec<f64>| all.iter().any(|e| (e / all[0] - 1.0).abs() > 1e-6);
-        exposures.values().any(apart)
+        self.exposures_differ(half, true) || self.exposures_differ(half, false)
+    }
+
+    /// Whether darks, or flats of one light, have two exposures.
+    fn exposures_differ(&self, half: Option<Half>, darks: bool) -> bool {
+        let mut exposures: std::collections::BTreeMap<Option<usize>, Vec<f64>> = Default::default();
+        for o in self.of(&mean::This).filter(|o| half.is_none_or(|h| o.half == h)) {
+            let Some(s) = o.set.filter(|s| (self.kinds[*s] == Kind::Dark) == darks) else { continue };
+            let set = &self.campaign.sets[s];
+            // The lights of a lamp that is known are one.
+            let light = set.light.filter(|_| self.kinds[s] != Kind::Flat || self.light_rel_std.is_none());
+            exposures.entry(light).or_default().push(set.exposure_s);
+        }
+        exposures.values().any(|all| all.iter().any(|e| (e / all[0] - 1.0).abs() > 1e-6))
     }
 
     /// Whether there is any of a statistic.
@@ -276,7 +282,7 @@ pub fn of_dataset(
         dark_spread_dn2,
         steady_dn4,
     };
-    if !all.tells_dark_current() {
+    if !all.tells_dark_current(None) {
         all.missing.push(
             "every light has one exposure, and so have the darks: dark current cannot be told from black level and read noise, and is taken \
              as 0; darks at two exposures tell it"

@@ -179,11 +179,14 @@ struct Piece {
 /// half 0, in the next to half 1: both see what follows a change of level.
 fn pieces(dataset: &Dataset) -> Vec<Piece> {
     let sets = dataset.sets();
+    let kinds: Vec<Kind> = sets.iter().map(|s| dataset.settings(s).kind).collect();
+    let cut: Vec<bool> = sets.iter().map(|s| s.rows.len() >= CUT).collect();
+    let turns = turns(&kinds, &cut);
     let still = |i: usize| !matches!(dataset.settings(&sets[i]).kind, Kind::Dark | Kind::Flat);
     let mut out = Vec::new();
     for (set, info) in sets.iter().enumerate() {
         let frames = info.rows.len();
-        let count = if frames < 6 { 1 } else { frames.div_ceil(PIECE).clamp(2, PIECES) };
+        let count = if frames < CUT { 1 } else { frames.div_ceil(PIECE).clamp(2, PIECES) };
         let size = frames.div_ceil(count).max(1);
         let after_scene = set > 0 && still(set - 1);
         for (number, start) in (0..frames).step_by(size).enumerate() {
@@ -197,11 +200,27 @@ fn pieces(dataset: &Dataset) -> Vec<Piece> {
                 3.. => 1,
                 _ => 0,
             };
-            let half = Half::TURNS[(set + number) % 2];
+            let half = Half::TURNS[(turns[set] + number) % 2];
             out.push(Piece { set, from: start + skip, to, half, before: skip == 1 });
         }
     }
     out
+}
+
+/// Frames from which on a set is cut into pieces for both halves.
+const CUT: usize = 6;
+
+/// Whose turn it is with every set: they take turns, unless that gives all darks to one half and all flats to the other, as where each flat
+/// is followed by its dark. Then they take turns in each kind.
+fn turns(kinds: &[Kind], cut: &[bool]) -> Vec<usize> {
+    let one_sided = |kind: Kind| {
+        let of_kind: Vec<usize> = (0..kinds.len()).filter(|s| kinds[*s] == kind).collect();
+        of_kind.len() > 1 && of_kind.iter().all(|s| !cut[*s] && s % 2 == of_kind[0] % 2)
+    };
+    if !one_sided(Kind::Dark) && !one_sided(Kind::Flat) {
+        return (0..kinds.len()).collect();
+    }
+    (0..kinds.len()).map(|s| kinds[..s].iter().filter(|k| **k == kinds[s]).count()).collect()
 }
 
 enum Work {
@@ -555,4 +574,18 @@ pub fn read(
         lines: sums.lines,
         saturated: sums.saturated,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_halves_have_darks_and_flats() {
+        let (d, f) = (Kind::Dark, Kind::Flat);
+        assert_eq!(turns(&[d, d, f, f, f], &[false; 5]), [0, 1, 2, 3, 4]);
+        assert_eq!(turns(&[f, d, f, d, f, d], &[false; 6]), [0, 0, 1, 1, 2, 2]);
+        // Sets that are cut are in both halves anyway.
+        assert_eq!(turns(&[f, d, f, d], &[true; 4]), [0, 1, 2, 3]);
+    }
 }

@@ -44,8 +44,7 @@ pub fn left_over(profiles: &[Profile<'_>]) -> Option<Value> {
     let longest = profiles.iter().map(|p| p.exposure_s).fold(1e-9, f64::max);
     let exposures = profiles.iter().any(|p| p.exposure_s < (1.0 - 1e-6) * longest);
     let exposure = |p: &Profile<'_>| if exposures { p.exposure_s / longest } else { 0.0 };
-    let mut terms: Vec<[f64; 3]> =
-        profiles.iter().map(|p| [1.0, p.signal_dn / top, exposure(p)]).collect();
+    let mut terms: Vec<[f64; 3]> = profiles.iter().map(|p| [1.0, p.signal_dn / top, exposure(p)]).collect();
     let alike = vec![1.0; profiles.len()];
     let own: Vec<f64> = profiles.iter().map(|p| weight(p, lines)).collect();
     let mut square = 0.0;
