@@ -6,6 +6,7 @@
 use crate::calibrate::dark::DarkReference;
 use crate::calibrate::defects::Defect;
 use crate::calibrate::pattern::FixedPattern;
+use crate::dataset::image::ascii;
 use crate::dataset::{CameraInfo, write_whole};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
@@ -170,7 +171,7 @@ impl Calibration {
                 .new_image::<Gray32Float>(width as u32, height as u32)
                 .map_err(|e| fault(e.to_string()))?;
             if i == 0 {
-                let tag = image.encoder().write_tag(Tag::ImageDescription, text.as_str());
+                let tag = image.encoder().write_tag(Tag::ImageDescription, ascii(&text).as_str());
                 tag.map_err(|e| fault(e.to_string()))?;
             }
             image.write_data(standard.as_slice().unwrap_or_default()).map_err(|e| fault(e.to_string()))?;

@@ -16,6 +16,9 @@ pub struct Arguments {
     /// The report, a JSON file
     #[arg(short, long, value_name = "FILE.json", requires = "report")]
     output: Option<PathBuf>,
+    /// Write over a report that is there
+    #[arg(long, requires = "report")]
+    overwrite: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -32,7 +35,10 @@ struct Row {
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     if let (Some(id), Some(path)) = (&arguments.report, &arguments.output) {
-        may_be_written(path, false)?;
+        may_be_written(path, arguments.overwrite)?;
+        if id.starts_with("sim:") || id.starts_with("replay:") {
+            anyhow::bail!("{id}: a report is of a camera on the network or on USB, aravis:ID");
+        }
         let report = report_of(id.strip_prefix("aravis:").unwrap_or(id))?;
         write_whole(path, serde_json::to_string_pretty(&report)?.as_bytes())?;
         let (features, stream) = (&report["features"], &report["stream"]);
@@ -40,6 +46,10 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             let says = |f: &&serde_json::Value| f["radcam"].as_str().is_some_and(|r| r.starts_with(part));
             features.as_array().map_or(0, |all| all.iter().filter(says).count())
         };
+        if arguments.json {
+            println!("{}", serde_json::json!({ "report": path, "stream": stream }));
+            return Ok(Outcome::Agreement);
+        }
         println!("{}: {} features", path.display(), features.as_array().map_or(0, Vec::len));
         println!(
             "  a capture would set {}, record {}; {} of {} frames came whole, {} damaged, {} missing",

@@ -1,13 +1,17 @@
 //! `radcam correct`
 
 use super::Outcome;
+use super::common::above_0;
 use crate::calibrate::file::Calibration;
 use crate::correct::{Codes, CorrectError, Corrector, differences};
 use crate::dataset::tag::FrameTag;
 use crate::dataset::{CameraInfo, Dataset, image, write_whole};
+use crate::import::names;
 use anyhow::{Context, Result, bail};
 use ndarray::Array2;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tiff::encoder::colortype::{Gray16, Gray32Float};
 
@@ -22,7 +26,7 @@ pub struct Arguments {
     #[arg(short, long)]
     output: PathBuf,
     /// Exposure of plain frames, s; what they or their dataset say where not given, else that of the calibration's darks
-    #[arg(long)]
+    #[arg(long, value_parser = above_0)]
     exposure_s: Option<f64>,
     /// 16-bit codes, SCALE times DN plus OFFSET, instead of 32-bit floats in DN
     #[arg(long, value_name = "SCALE,OFFSET", value_parser = codes)]
@@ -33,6 +37,9 @@ pub struct Arguments {
     /// Correct although the calibration was made under other settings
     #[arg(long)]
     force: bool,
+    /// Write over corrected frames that are there
+    #[arg(long)]
+    overwrite: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -56,46 +63,38 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         bail!("{}: corrected frames are written as TIFF, not as {kind}", arguments.output.display());
     }
     let calibration = Calibration::read(&arguments.calibration)?;
-    let single = arguments.input.len() == 1 && arguments.input[0].is_file();
-    let mut done = 0;
     let make = |exposure_s| {
         let corrector = Corrector::new(&calibration, exposure_s)?;
         let replacing = arguments.replace_defects;
         Ok::<_, CorrectError>(if replacing { corrector.replacing_defects(&calibration) } else { corrector })
     };
     let codes = arguments.codes;
-    for input in &arguments.input {
-        if input.is_dir() {
-            let dataset = Dataset::open(input)?;
-            check(&calibration, &dataset.manifest().camera, arguments.force)?;
-            for set in dataset.sets() {
-                let corrector = make(dataset.settings(set).exposure_s)?;
-                for &row in &set.rows {
-                    let row = &dataset.rows()[row];
-                    let out =
-                        arguments.output.join(Path::new(&row.file.replace('#', "_")).with_extension("tiff"));
-                    write(
-                        &corrector,
-                        &dataset.read(row)?,
-                        codes,
-                        &description(&arguments.calibration, codes, &corrector),
-                        &out,
-                    )?;
-                    done += 1;
-                }
+    let jobs = jobs(arguments)?;
+    free(&jobs, arguments)?;
+    let total = jobs.len();
+    let fault = |e: anyhow::Error, done: usize| match done {
+        0 => e,
+        n => e.context(format!("{n} of {total} frames are corrected, and then")),
+    };
+    let mut corrector: Option<(f64, Corrector)> = None;
+    for (done, job) in jobs.iter().enumerate() {
+        let mut one = || {
+            let (frame, exposure_s) = job.read(&calibration, arguments)?;
+            if corrector.as_ref().is_none_or(|(at, _)| *at != exposure_s) {
+                corrector = Some((exposure_s, make(exposure_s)?));
             }
-        } else {
-            let plain = Plain::read(input, &calibration, arguments.exposure_s, arguments.force)?;
-            let (frame, corrector) = (plain.pixels, make(plain.exposure_s)?);
-            let name = Path::new(input.file_name().unwrap_or_default()).with_extension("tiff");
-            let out = if single { arguments.output.clone() } else { arguments.output.join(name) };
-            if out == *input {
-                bail!("{} would be overwritten; choose another output", input.display());
-            }
-            write(&corrector, &frame, codes, &description(&arguments.calibration, codes, &corrector), &out)?;
-            done += 1;
-        }
+            let Some((_, corrector)) = &corrector else { return Ok(()) };
+            write(
+                corrector,
+                &frame,
+                codes,
+                &description(&arguments.calibration, codes, corrector),
+                &job.output,
+            )
+        };
+        one().map_err(|e: anyhow::Error| fault(e, done))?;
     }
+    let done = total;
     let scale = arguments.codes.map_or("DN above the dark reference, 32-bit floats".into(), |c| {
         format!("16-bit codes, {} per DN, {} at 0 DN", c.scale, c.offset)
     });
@@ -106,6 +105,91 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         println!("{}: {done} frames corrected ({scale})", arguments.output.display());
     }
     Ok(Outcome::Agreement)
+}
+
+/// A frame to be corrected, and where it goes.
+struct Job {
+    input: Input,
+    output: PathBuf,
+}
+
+enum Input {
+    /// A frame of a dataset, by its row.
+    Row(Arc<Dataset>, usize),
+    Plain(PathBuf),
+}
+
+impl Job {
+    /// The frame and its exposure.
+    fn read(&self, calibration: &Calibration, arguments: &Arguments) -> Result<(Array2<u16>, f64)> {
+        match &self.input {
+            Input::Row(dataset, row) => {
+                let row = &dataset.rows()[*row];
+                check(calibration, &dataset.manifest().camera, arguments.force)?;
+                Ok((dataset.read(row)?, row.exposure_s))
+            }
+            Input::Plain(path) => {
+                let plain = Plain::read(path, calibration, arguments.exposure_s, arguments.force)?;
+                Ok((plain.pixels, plain.exposure_s))
+            }
+        }
+    }
+
+    /// The file that is read.
+    fn source(&self) -> PathBuf {
+        match &self.input {
+            Input::Row(dataset, row) => {
+                let file = &dataset.rows()[*row].file;
+                dataset.root().join(file.rsplit_once('#').map_or(file.as_str(), |f| f.0))
+            }
+            Input::Plain(path) => path.clone(),
+        }
+    }
+}
+
+/// Every frame of the inputs.
+fn jobs(arguments: &Arguments) -> Result<Vec<Job>> {
+    let single = arguments.input.len() == 1 && arguments.input[0].is_file();
+    let mut jobs = Vec::new();
+    for input in &arguments.input {
+        if input.is_dir() {
+            let dataset = Arc::new(Dataset::open(input)?);
+            for (row, said) in dataset.rows().iter().enumerate() {
+                let name = Path::new(&said.file.replace('#', "_")).with_extension("tiff");
+                let output = arguments.output.join(name);
+                jobs.push(Job { input: Input::Row(Arc::clone(&dataset), row), output });
+            }
+        } else {
+            let name = Path::new(input.file_name().unwrap_or_default()).with_extension("tiff");
+            let output = if single { arguments.output.clone() } else { arguments.output.join(name) };
+            jobs.push(Job { input: Input::Plain(input.clone()), output });
+        }
+    }
+    Ok(jobs)
+}
+
+/// Refuses outputs that are two frames', that are read, or that are there already.
+fn free(jobs: &[Job], arguments: &Arguments) -> Result<()> {
+    let mut taken = BTreeSet::new();
+    let whole = |path: &Path| path.canonicalize().ok();
+    let mut read: BTreeSet<PathBuf> = jobs.iter().filter_map(|j| whole(&j.source())).collect();
+    read.extend(whole(&arguments.calibration));
+    for job in jobs {
+        let output = &job.output;
+        if !taken.insert(output) {
+            bail!(
+                "{} would be the output of two frames; correct them into folders of their own",
+                output.display()
+            );
+        }
+        if whole(output).is_some_and(|path| read.contains(&path)) {
+            bail!("{} is read, and would be overwritten; choose another output", output.display());
+        }
+        if output.exists() && !arguments.overwrite {
+            bail!("{} is there already; --overwrite writes over it", output.display());
+        }
+    }
+    Ok(())
 }
 
 fn check(calibration: &Calibration, now: &CameraInfo, force: bool) -> Result<()> {
@@ -143,6 +227,14 @@ impl Plain {
         if now.bit_depth == 0 {
             let stored = image::stored_bits(path).with_context(named)?;
             let largest = pixels.iter().fold(0, |a, b| a | b);
+            let up = largest.trailing_zeros();
+            if largest > 255 && up >= 2 && !force {
+                return Err(CorrectError::Settings(format!(
+                    "all codes are multiples of {}: shifted up by {up} bits, as `radcam import` shifts them down",
+                    1u32 << up
+                )))
+                .with_context(named);
+            }
             if largest > calibrated.full_scale_dn() {
                 now.bit_depth = (u16::BITS - largest.leading_zeros()) as u8;
             } else if stored < calibrated.bit_depth {
@@ -150,7 +242,10 @@ impl Plain {
             }
         }
         check(calibration, &now, force).with_context(named)?;
-        let said = tag.map(|t| t.exposure_s);
+        let text = |p: Option<&std::ffi::OsStr>| p.unwrap_or_default().to_string_lossy().into_owned();
+        let by_name =
+            || names::facts(&text(path.parent().and_then(Path::file_name)), &text(path.file_name()));
+        let said = tag.map(|t| t.exposure_s).or_else(|| by_name().exposure_s);
         if let (Some(given), Some(said)) = (exposure_s, said)
             && (given / said - 1.0).abs() > 1e-6
         {

@@ -60,6 +60,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             Map::from_toml(&text).with_context(|| path.display().to_string())?
         }
         None => {
+            if let Some(dataset) = arguments.inputs.iter().find(|p| p.join("dataset.toml").exists()) {
+                bail!("{} is a dataset already", dataset.display());
+            }
             let files = files(&arguments.inputs)?;
             if files.is_empty() {
                 bail!("no image files there: radcam reads TIFF, PNG, FITS and NumPy arrays (.npy)");
@@ -84,7 +87,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         print!("{}", table(&map));
     }
     let missing = map.missing();
-    let declined = missing.is_empty() && !arguments.yes && !asked(root)?;
+    // A map was written or read by a person.
+    let sure = arguments.yes || arguments.map.is_some();
+    let declined = missing.is_empty() && !sure && !asked(root)?;
     if !missing.is_empty() || declined {
         let path = match &arguments.map {
             Some(path) => path.clone(),
@@ -93,7 +98,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
                 if path.exists() {
                     bail!("{} is there already; give it with --map, or remove it", path.display());
                 }
-                write_whole(&path, toml::to_string(&map)?.as_bytes())?;
+                write_whole(&path, with_gaps(&map)?.as_bytes())?;
                 path
             }
         };
@@ -120,6 +125,17 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         println!("\n{}: {frames} frames in {sets} sets; next: radcam noise, radcam diagnose", root.display());
     }
     Ok(Outcome::Agreement)
+}
+
+/// The map as a file, with a line for every exposure that is to be filled in.
+fn with_gaps(map: &Map) -> Result<String> {
+    let text = toml::to_string(map)?;
+    let mut sets = map.sets.iter();
+    let line = |line: &str| {
+        let gap = line.starts_with("kind = ") && sets.next().is_some_and(|s| s.exposure_s.is_none());
+        if gap { format!("{line}\n# exposure_s =   # seconds\n") } else { format!("{line}\n") }
+    };
+    Ok(text.lines().map(line).collect())
 }
 
 /// Whether the table is right; no question where nobody can answer.

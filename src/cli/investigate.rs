@@ -7,10 +7,10 @@ use super::model::{fitted_model, read_effects};
 use super::progress::Show;
 use crate::bench::Illuminator;
 use crate::camera::{Camera, StreamOptions};
-use crate::capture::{Capture, Progress};
+use crate::capture::{Capture, CaptureError, Progress};
 use crate::dataset::write_whole;
 use crate::inference::Given;
-use crate::investigate::{Event, Found, STATE_FILE, investigate};
+use crate::investigate::{Event, Found, InvestigateError, STATE_FILE, investigate};
 use crate::plan::Plan;
 use crate::report;
 use anyhow::{Result, bail};
@@ -113,7 +113,14 @@ pub fn carry_out(
             }
         }
     };
-    Ok(investigate(&mut capture, plan, root, known, &mut tell)?)
+    investigate(&mut capture, plan, root, known, &mut tell).map_err(|e| match e {
+        InvestigateError::Capture(CaptureError::Interrupted { frames }) => {
+            anyhow::anyhow!(
+                "interrupted; {frames} frames are kept, and the same command goes on where it was"
+            )
+        }
+        e => e.into(),
+    })
 }
 
 fn duration(seconds: f64) -> String {

@@ -59,33 +59,35 @@ const FNV_PRIME: u64 = 0x100_0000_01b3;
 impl RegionArguments {
     pub fn read(&self) -> Result<Seen> {
         let calibration = Calibration::read(&self.calibration)?;
-        let frames: Vec<Plain> = self
-            .images
-            .iter()
-            .map(|path| Plain::read(path, &calibration, self.exposure_s, self.force))
-            .collect::<Result<_>>()?;
-        let exposure_s = frames[0].exposure_s;
-        if let Some(at) = frames.iter().position(|f| (f.exposure_s / exposure_s - 1.0).abs() > 1e-6) {
-            bail!(
-                "{} was exposed for {} s, and {} for {exposure_s} s: images of one exposure are averaged",
-                self.images[at].display(),
-                frames[at].exposure_s,
-                self.images[0].display()
-            );
-        }
-        let corrector = Corrector::new(&calibration, exposure_s)?;
-        let mut sum = Array2::<f32>::zeros(corrector.shape());
-        let mut digest = FNV_OFFSET;
-        for frame in &frames {
+        let mut first: Option<(f64, Corrector)> = None;
+        let mut sum = Array2::<f32>::zeros(calibration.k.dim());
+        let mut digest = 0;
+        for path in &self.images {
+            let frame = Plain::read(path, &calibration, self.exposure_s, self.force)?;
+            if first.is_none() {
+                first = Some((frame.exposure_s, Corrector::new(&calibration, frame.exposure_s)?));
+            }
+            let Some((exposure_s, corrector)) = &first else { continue };
+            if (frame.exposure_s / exposure_s - 1.0).abs() > 1e-6 {
+                bail!(
+                    "{} was exposed for {} s, and {} for {exposure_s} s: images of one exposure are averaged",
+                    path.display(),
+                    frame.exposure_s,
+                    self.images[0].display()
+                );
+            }
             sum += &corrector.image(&frame.pixels)?;
-            digest = frame.pixels.iter().fold(digest, |d, dn| (d ^ u64::from(*dn)).wrapping_mul(FNV_PRIME));
+            let of_frame = |d: u64, dn: &u16| (d ^ u64::from(*dn)).wrapping_mul(FNV_PRIME);
+            // The same images in another order are the same.
+            digest ^= frame.pixels.iter().fold(FNV_OFFSET, of_frame);
         }
+        let exposure_s = first.map_or(calibration.dark.exposure_s, |f| f.0);
+        let count = self.images.len() as u64;
         let (height, width) = sum.dim();
-        let frames = self.images.len() as u64;
         Ok(Seen {
-            corrected: sum / frames as f32,
+            corrected: sum / count as f32,
             dark_dn: calibration.dark.at(exposure_s)?,
-            frames,
+            frames: count,
             digest,
             roi: self.roi.unwrap_or(Roi { x: 0, y: 0, width, height }),
             calibration,

@@ -25,7 +25,7 @@ pub struct Arguments {
     #[arg(long, value_name = "NAME=VALUE")]
     stuck: Vec<String>,
     /// Share of its packets that the camera loses, 0 to 1
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = share)]
     lose_packets: f64,
     /// Print JSON
     #[arg(long)]
@@ -33,6 +33,12 @@ pub struct Arguments {
     /// End when standard input does
     #[arg(long, hide = true)]
     while_stdin: bool,
+}
+
+/// A number from 0 to 1.
+fn share(text: &str) -> Result<f64, String> {
+    let share = text.parse().ok().filter(|s| (0.0..=1.0).contains(s));
+    share.ok_or_else(|| "write a number from 0 to 1".into())
 }
 
 #[cfg(feature = "aravis")]

@@ -97,7 +97,8 @@ pub fn stored_bits(path: &Path) -> Result<u8, ImageError> {
     }
     if start.starts_with(b"SIMPLE") {
         let bits = fits_cards(path)?.get("BITPIX").and_then(|b| b.parse().ok());
-        return bits.ok_or_else(|| ImageError::Fits("has no BITPIX".into()));
+        let bits: i16 = bits.ok_or_else(|| ImageError::Fits("has no BITPIX".into()))?;
+        return Ok(bits.unsigned_abs().min(64) as u8);
     }
     let mut decoder = tiff::decoder::Decoder::new(BufReader::new(File::open(path)?))?;
     Ok(decoder.colortype()?.bit_depth())
@@ -262,6 +263,15 @@ pub fn tiff_bytes(pixels: &Array2<u16>, bit_depth: u8) -> Result<Vec<u8>, ImageE
     Ok(out.into_inner())
 }
 
+/// A text as TIFF takes it, which knows ASCII only: what is beyond is written as JSON escapes it.
+pub(crate) fn ascii(text: &str) -> String {
+    let escaped = |c: char| {
+        let mut units = [0; 2];
+        c.encode_utf16(&mut units).iter().map(|u| format!("\\u{u:04x}")).collect::<String>()
+    };
+    text.chars().map(|c| if c.is_ascii() { c.to_string() } else { escaped(c) }).collect()
+}
+
 /// The bytes of an uncompressed TIFF of one page, with an ImageDescription that says what the numbers mean.
 pub fn described_bytes<C: colortype::ColorType>(
     pixels: &Array2<C::Inner>,
@@ -276,7 +286,7 @@ where
     let standard = pixels.as_standard_layout();
     let mut encoder = TiffEncoder::new(&mut out)?;
     let mut image = encoder.new_image::<C>(width as u32, height as u32)?;
-    image.encoder().write_tag(tiff::tags::Tag::ImageDescription, description)?;
+    image.encoder().write_tag(tiff::tags::Tag::ImageDescription, ascii(description).as_str())?;
     image.write_data(standard.as_slice().unwrap_or_default())?;
     Ok(out.into_inner())
 }

@@ -227,7 +227,18 @@ impl Dataset {
         all.parts.push((all.root.clone(), 0));
         all.rows.iter_mut().for_each(|r| r.file = all.root.join(&r.file).to_string_lossy().into_owned());
         for next in std::iter::once(second).chain(datasets) {
-            if all.parts.iter().any(|(root, _)| *root == next.root) {
+            let files: HashSet<PathBuf> = all
+                .rows
+                .iter()
+                .take(1)
+                .chain(all.parts.iter().skip(1).map(|(_, at)| &all.rows[*at]))
+                .filter_map(|r| Path::new(split_page(&r.file).ok()?.0).canonicalize().ok())
+                .collect();
+            let first_file = next
+                .rows
+                .first()
+                .and_then(|r| next.root.join(split_page(&r.file).ok()?.0).canonicalize().ok());
+            if first_file.is_some_and(|file| files.contains(&file)) {
                 return Err(DatasetError::Manifest { path: next.root, message: "is given twice".into() });
             }
             if let Some(differs) = all.manifest.differs_from(&next.manifest) {
@@ -240,11 +251,11 @@ impl Dataset {
                 });
             }
             let first = all.rows.len();
-            let number = all.sets.iter().map(|s| s.number + 1).max().unwrap_or(0);
+            let number = all.sets.iter().map(|s| s.number.saturating_add(1)).max().unwrap_or(0);
             let least = next.sets.iter().map(|s| s.number).min().unwrap_or(0);
             let ends = all.rows.iter().filter_map(|r| Some(r.timestamp_s? + r.exposure_s));
             let end_s = ends.fold(0.0, f64::max);
-            let renumbered = |k: u32| number + (k - least);
+            let renumbered = |k: u32| number.saturating_add(k - least);
             all.rows.extend(next.rows.into_iter().map(|r| FrameRow {
                 file: next.root.join(&r.file).to_string_lossy().into_owned(),
                 set: renumbered(r.set),

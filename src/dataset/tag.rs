@@ -17,6 +17,10 @@ pub struct FrameTag {
     pub format: String,
     /// What it shows.
     pub kind: Kind,
+    /// Number of its set.
+    pub set: u32,
+    /// Place within the set.
+    pub index: u32,
     /// Commanded exposure, s.
     pub exposure_s: f64,
     /// Relative to the campaign's unit; 0 for darks.
@@ -37,6 +41,8 @@ impl FrameTag {
         Self {
             format: FORMAT.into(),
             kind: row.kind,
+            set: row.set,
+            index: row.index,
             exposure_s: row.exposure_s,
             illumination: row.illumination,
             configuration: row.configuration,

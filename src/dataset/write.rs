@@ -178,6 +178,22 @@ mod tests {
     }
 
     #[test]
+    fn a_name_beyond_ascii_survives_in_the_frames() {
+        let dir = tempfile::tempdir().unwrap();
+        let camera = CameraInfo {
+            vendor: "Müller & 山田 😀".into(),
+            width: 3,
+            height: 1,
+            bit_depth: 12,
+            ..Default::default()
+        };
+        let mut writer = Writer::create(&dir.path().join("c"), &Manifest::new(camera.clone()), &[]).unwrap();
+        writer.append(row(0, 0), &ndarray::array![[1, 2, 3]]).unwrap();
+        let tag = FrameTag::read(&dir.path().join("c/frames/00000.tiff")).unwrap();
+        assert_eq!((tag.camera, tag.exposure_s, tag.set), (camera, 0.01, 0));
+    }
+
+    #[test]
     fn what_cannot_be_put_in_place_leaves_nothing_aside() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("x.toml");

@@ -17,7 +17,7 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
     file.take(8).read_to_end(&mut start).map_err(|e| e.to_string())?;
     if start.starts_with(b"SIMPLE") {
         let cards = image::fits_cards(path).map_err(|e| e.to_string())?;
-        return Ok((of_words(cards.iter().map(|(k, v)| (k.as_str(), v.as_str()))), 1));
+        return Ok((of_words(cards.iter().map(|(k, v)| (k.as_str(), v.as_str())), true), 1));
     }
     if start.starts_with(b"\x89PNG") {
         return Ok((of_png(path).unwrap_or_default(), 1));
@@ -40,7 +40,8 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
             ..of_description(&text)
         },
     };
-    found.time_s = decoder.get_tag_ascii_string(Tag::DateTime).ok().and_then(|text| time_s(&text));
+    let time = || decoder_time(&mut decoder);
+    found.time_s = found.time_s.or_else(time);
     found.exposure_s = found.exposure_s.or_else(|| exif_exposure_s(&mut decoder));
     let mut pages = 1;
     while decoder.more_images() {
@@ -58,6 +59,10 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
     }
 }
 
+fn decoder_time<R: std::io::Read + std::io::Seek>(decoder: &mut tiff::decoder::Decoder<R>) -> Option<f64> {
+    time_s(&decoder.get_tag_ascii_string(Tag::DateTime).ok()?)
+}
+
 /// What a frame that radcam wrote says of itself.
 fn of_tag(tag: FrameTag) -> Facts {
     let said = |text: String| Some(text).filter(|t| !t.is_empty());
@@ -67,9 +72,12 @@ fn of_tag(tag: FrameTag) -> Facts {
         illumination: Some(tag.illumination),
         gain_db: tag.camera.gain_db,
         temperature_c: tag.camera.temperature_c,
-        vendor: said(tag.camera.vendor),
-        model: said(tag.camera.model),
+        vendor: said(tag.camera.vendor.clone()),
+        model: said(tag.camera.model.clone()),
         time_s: tag.timestamp_s,
+        set: Some(tag.set),
+        differs: Vec::new(),
+        camera: Some(tag.camera),
     }
 }
 
@@ -81,7 +89,7 @@ fn of_png(path: &Path) -> Option<Facts> {
     let latin = info.uncompressed_latin1_text.iter().map(|t| (t.keyword.clone(), t.text.clone()));
     let utf = info.utf8_text.iter().filter_map(|t| Some((t.keyword.clone(), t.get_text().ok()?)));
     let texts: Vec<(String, String)> = latin.chain(utf).collect();
-    let mut out = of_words(texts.iter().map(|(k, v)| (k.as_str(), v.as_str())));
+    let mut out = of_words(texts.iter().map(|(k, v)| (k.as_str(), v.as_str())), false);
     for (_, text) in texts.iter().filter(|(k, _)| matches!(k.as_str(), "Comment" | "Description")) {
         out = out.or(match FrameTag::from_text(text) {
             Some(tag) => of_tag(tag),
@@ -118,11 +126,12 @@ fn exif_exposure_s<R: std::io::Read + std::io::Seek>(decoder: &mut tiff::decoder
 /// `key = value` or `key: value`, one on a line.
 fn of_description(text: &str) -> Facts {
     let pairs = text.lines().filter_map(|line| line.split_once(['=', ':']));
-    of_words(pairs.map(|(k, v)| (k.trim(), v.trim())))
+    of_words(pairs.map(|(k, v)| (k.trim(), v.trim())), false)
 }
 
 /// Facts of named values. A unit in the name or behind the value counts; FITS times are seconds (FITS standard 4.0, section 4.3).
-fn of_words<'a>(pairs: impl Iterator<Item = (&'a str, &'a str)>) -> Facts {
+/// Without a unit a number counts as seconds in FITS, and where its name says so; else nobody knows.
+fn of_words<'a>(pairs: impl Iterator<Item = (&'a str, &'a str)>, fits: bool) -> Facts {
     let mut out = Facts::default();
     for (key, value) in pairs {
         let value = value.trim().trim_matches('\'').trim();
@@ -131,10 +140,9 @@ fn of_words<'a>(pairs: impl Iterator<Item = (&'a str, &'a str)>) -> Facts {
         let number = value[..end].parse::<f64>().ok().filter(|v| v.is_finite());
         match key.as_str() {
             "exptime" | "exposure" | "exposuretime" | "exposure_s" | "exposure_time" | "xposure" => {
-                // GenICam's ExposureTime is in microseconds, without a unit in the text it is not known which is meant.
                 let unit = value[end..].trim();
-                let unit_s = names::seconds(unit)
-                    .or_else(|| (unit.is_empty() && key != "exposuretime").then_some(1.0));
+                let seconds = fits || key == "exposure_s";
+                let unit_s = names::seconds(unit).or_else(|| (unit.is_empty() && seconds).then_some(1.0));
                 out.exposure_s = number.zip(unit_s).map(|(n, s)| n * s).or(out.exposure_s);
             }
             "exposure_ms" => out.exposure_s = number.map(|n| 1e-3 * n).or(out.exposure_s),
@@ -143,6 +151,9 @@ fn of_words<'a>(pairs: impl Iterator<Item = (&'a str, &'a str)>) -> Facts {
             "ccd-temp" | "temperature_c" | "det-temp" => out.temperature_c = number.or(out.temperature_c),
             "imagetyp" | "obstype" | "kind" => {
                 out.kind = value.split(|c: char| !c.is_alphabetic()).find_map(names::kind).or(out.kind);
+            }
+            "gain" | "offset" | "xbinning" | "ybinning" | "readoutm" if fits => {
+                out.differs.push((key.to_uppercase(), value.to_string()));
             }
             "instrume" | "camera" => out.model = Some(value.to_string()),
             "date-obs" | "datetime" | "creation time" => out.time_s = time_s(value).or(out.time_s),
@@ -173,10 +184,11 @@ mod tests {
         let found = of_description("ImageJ=1.53t\nimages=3\nexposure_ms=12.5\nkind: dark frame");
         assert_eq!((found.exposure_s, found.kind), (Some(0.0125), Some(Kind::Dark)));
         assert_eq!(of_description("Exposure = 20 ms").exposure_s, Some(0.02));
-        // Seconds or microseconds?
+        // Seconds, milliseconds or microseconds?
         assert_eq!(of_description("ExposureTime = 5000").exposure_s, None);
+        assert_eq!(of_description("Exposure: 20").exposure_s, None);
         let cards = [("EXPTIME", "0.25"), ("IMAGETYP", "'Bias Frame'"), ("CCD-TEMP", "-10.0")];
-        let found = of_words(cards.into_iter());
+        let found = of_words(cards.into_iter(), true);
         assert_eq!(
             (found.exposure_s, found.kind, found.temperature_c),
             (Some(0.25), Some(Kind::Dark), Some(-10.0))

@@ -59,6 +59,12 @@ pub struct Facts {
     pub model: Option<String>,
     /// When it was taken, s from any moment that is the same for all.
     pub time_s: Option<f64>,
+    /// Number of its set, where it says so.
+    pub set: Option<u32>,
+    /// Further settings by their names, which all frames of a dataset share.
+    pub differs: Vec<(String, String)>,
+    /// The camera with its settings, where it says all of it.
+    pub camera: Option<CameraInfo>,
 }
 
 impl Facts {
@@ -73,6 +79,9 @@ impl Facts {
             vendor: self.vendor.or(other.vendor),
             model: self.model.or(other.model),
             time_s: self.time_s.or(other.time_s),
+            set: self.set.or(other.set),
+            differs: [self.differs, other.differs].concat(),
+            camera: self.camera.or(other.camera),
         }
     }
 }
@@ -161,10 +170,13 @@ pub fn survey(
             };
             let cell = |y: usize, x: usize| mean(pixels.slice(s![y.., x..]).slice(s![..;2, ..;2]));
             let whole = shape.0 >= 2 && shape.1 >= 2;
+            // The one time of a stack is that of its first page.
+            let mut facts = header.clone().or(named.clone());
+            facts.time_s = facts.time_s.filter(|_| pages == 1);
             out.push(Found {
                 path: path.clone(),
                 page: (pages > 1).then_some(page),
-                facts: header.clone().or(named.clone()),
+                facts,
                 shape,
                 mean_dn: mean(pixels.view()),
                 bits: pixels.iter().fold(0, |a, b| a | b),
@@ -205,6 +217,9 @@ pub struct Map {
     /// Its model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
+    /// What frames that radcam wrote say of their camera and its settings.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<CameraInfo>,
     /// Sets in the order of time.
     #[serde(rename = "set")]
     pub sets: Vec<MapSet>,
@@ -259,7 +274,23 @@ impl Map {
         if map.plane.is_some_and(|p| p.iter().any(|k| *k > 1)) {
             return Err(ImportError::Map("plane is a row and a column of a 2 x 2 cell, each 0 or 1".into()));
         }
+        let mut named: BTreeMap<&str, usize> = BTreeMap::new();
         for (k, set) in map.sets.iter().enumerate() {
+            let fault = |message: String| Err(ImportError::Map(format!("set {k}: {message}")));
+            if let Some(exposure_s) = set.exposure_s.filter(|e| !(e.is_finite() && *e > 0.0)) {
+                return fault(format!("exposure_s is {exposure_s}, and must be above 0 s"));
+            }
+            if let Some(light) = set.illumination.filter(|l| !(l.is_finite() && *l >= 0.0)) {
+                return fault(format!("illumination is {light}, and must not be below 0"));
+            }
+            if set.kind == Kind::Dark && set.illumination.is_some_and(|l| l != 0.0) {
+                return fault("a dark has illumination 0".into());
+            }
+            for file in &set.files {
+                if let Some(other) = named.insert(file, k) {
+                    return fault(format!("{file} stands in set {other} too"));
+                }
+            }
             if let Some(times) = set.times_s.as_ref().filter(|t| t.len() != set.files.len()) {
                 let message = format!("set {k} has {} files and {} times", set.files.len(), times.len());
                 return Err(ImportError::Map(message));
@@ -329,6 +360,7 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
             gains[0]
         )));
     }
+    one_camera(found)?;
     let lowest = found.iter().map(|f| f.mean_dn).fold(f64::INFINITY, f64::min);
     let lit = lowest + LIT * f64::from(((1u32 << bit_depth) - 1) << shift);
     let mut places: BTreeMap<String, usize> = BTreeMap::new();
@@ -343,7 +375,11 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
         // Pages of a stack are one set.
         let stem = if frame.page.is_some() { name.into_owned() } else { names::stem(&name) };
         let folder = frame.path.parent().unwrap_or(Path::new("")).display();
-        let key = format!("{folder}/{stem} {kind} {:?} {:?}", facts.exposure_s, facts.illumination);
+        let key = match facts.set {
+            // What says its set needs no guess.
+            Some(set) => format!("{folder} set {set}"),
+            None => format!("{folder}/{stem} {kind} {:?} {:?}", facts.exposure_s, facts.illumination),
+        };
         let place = *places.entry(key).or_insert_with(|| {
             let set = MapSet {
                 kind,
@@ -374,6 +410,8 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
         set.mean_dn = Some((10.0 * unshifted).round() / 10.0);
         set
     };
+    let camera = found.iter().find_map(|f| f.facts.camera.clone());
+    let bit_depth = camera.as_ref().map_or(bit_depth, |c| c.bit_depth.max(depth_of(bits).min(bit_depth)));
     let first = |of: fn(&Facts) -> &Option<String>| found.iter().find_map(|f| of(&f.facts).clone());
     Ok(Map {
         format: MAP_FORMAT.into(),
@@ -383,14 +421,45 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
         gain_db: gains.first().copied(),
         vendor: first(|f| &f.vendor),
         model: first(|f| &f.model),
+        camera,
         sets: sets.into_iter().map(of).collect(),
     })
+}
+
+/// Refuses frames whose headers speak of two cameras or settings.
+fn one_camera(found: &[Found]) -> Result<(), ImportError> {
+    let of = |f: &Found| {
+        let text = |name: &str, v: &Option<String>| v.clone().map(|v| (name.to_string(), v));
+        let mut all: Vec<(String, String)> =
+            text("vendor", &f.facts.vendor).into_iter().chain(text("model", &f.facts.model)).collect();
+        all.extend(f.facts.differs.iter().cloned());
+        all
+    };
+    let mut said: BTreeMap<String, (String, PathBuf)> = BTreeMap::new();
+    for frame in found {
+        for (name, value) in of(frame) {
+            let (first, path) =
+                said.entry(name.clone()).or_insert_with(|| (value.clone(), frame.path.clone()));
+            if *first != value {
+                return Err(ImportError::Files(format!(
+                    "{} has {name} {value}, and {} has {first}; a dataset is of one camera under one set of settings, so import each by itself",
+                    frame.path.display(),
+                    path.display()
+                )));
+            }
+        }
+    }
+    Ok(())
 }
 
 /// By how much the four places of a 2 x 2 cell differ in the brightest frame, over its signal: raw Bayer frames do by tens of per cent.
 pub fn mosaic(found: &[Found]) -> f64 {
     let lowest = found.iter().map(|f| f.mean_dn).fold(f64::INFINITY, f64::min);
-    let Some(brightest) = found.iter().max_by(|a, b| a.mean_dn.total_cmp(&b.mean_dn)) else { return 0.0 };
+    let brightest = found.iter().max_by(|a, b| a.mean_dn.total_cmp(&b.mean_dn));
+    // Of darks alone nothing can be said.
+    let Some(brightest) = brightest.filter(|f| f.mean_dn - lowest > LIT * f64::from(f.bits)) else {
+        return 0.0;
+    };
     let (low, high) = brightest
         .cells_dn
         .iter()
@@ -487,7 +556,7 @@ fn fill(
         bit_depth: map.bit_depth,
         pixel_format: format!("Mono{}", map.bit_depth),
         gain_db: map.gain_db,
-        ..Default::default()
+        ..map.camera.clone().unwrap_or_default()
     };
     let bench = BenchInfo { illumination_unit: "relative".into(), illumination_rel_std: None };
     let manifest = Manifest { format: FORMAT.into(), camera, bench: Some(bench) };

@@ -14,13 +14,19 @@ pub fn seconds(unit: &str) -> Option<f64> {
     })
 }
 
-/// The kind that a word names.
+/// The kind that a word names: the word itself, its plural, or with `frame` or `field` behind it. A light frame is that of the sky to some and
+/// that of a card to others: it says nothing.
 pub fn kind(word: &str) -> Option<Kind> {
     let word = word.to_lowercase();
-    let is = |stems: &[&str]| stems.iter().any(|s| word.starts_with(s));
-    if is(&["dark", "bias", "offset", "black", "zero"]) {
+    let is = |stems: &[&str]| {
+        stems.iter().any(|stem| {
+            let rest = word.strip_prefix(stem);
+            rest.is_some_and(|rest| matches!(rest, "" | "s" | "frame" | "frames" | "field" | "fields"))
+        })
+    };
+    if is(&["dark", "bias", "biase", "offset", "black", "zero", "flatdark", "darkflat"]) {
         Some(Kind::Dark)
-    } else if is(&["flat", "bright", "white", "light", "uniform", "ptc"]) {
+    } else if is(&["flat", "bright", "white", "uniform", "ptc"]) {
         Some(Kind::Flat)
     } else if is(&["scene"]) {
         Some(Kind::Scene)
@@ -40,7 +46,7 @@ struct Number<'a> {
     unit: &'a str,
 }
 
-/// Every number of a name. A point, or a p, between digits is the decimal point.
+/// Every number of a name. A point, a comma or a p between digits is the decimal point.
 fn numbers(name: &str) -> Vec<Number<'_>> {
     let bytes = name.as_bytes();
     let digit = |i: usize| bytes.get(i).is_some_and(u8::is_ascii_digit);
@@ -54,7 +60,8 @@ fn numbers(name: &str) -> Vec<Number<'_>> {
         }
         let mut end = at;
         let mut pointed = false;
-        while digit(end) || (!pointed && matches!(bytes.get(end), Some(b'.' | b'p')) && digit(end + 1)) {
+        while digit(end) || (!pointed && matches!(bytes.get(end), Some(b'.' | b',' | b'p')) && digit(end + 1))
+        {
             pointed |= !digit(end);
             end += 1;
         }
@@ -76,7 +83,7 @@ fn numbers(name: &str) -> Vec<Number<'_>> {
         // A unit ends a word: the s of `2s0` is none.
         let ends = !rest[unit.len()..].starts_with(|c: char| c.is_ascii_digit());
         let unit = if ends { unit } else { "" };
-        if let Ok(value) = text.replace('p', ".").parse() {
+        if let Ok(value) = text.replace(['p', ','], ".").parse() {
             out.push(Number { before: &ahead[from..], text, value, unit });
         }
         at = end;
@@ -98,7 +105,7 @@ pub fn facts(folder: &str, name: &str) -> Facts {
             } else if matches!(
                 number.before.to_lowercase().as_str(),
                 "light" | "illum" | "illumination" | "level"
-            ) && number.text.contains(['.', 'p'])
+            ) && number.text.contains(['.', ',', 'p'])
             {
                 out.illumination = Some(number.value);
             }
@@ -125,22 +132,31 @@ pub fn stem(name: &str) -> String {
 /// A part of a name as it is ordered.
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Part {
-    /// Digits, by their size.
-    Number(u64),
+    /// Digits, by their size, and what stands behind a decimal point.
+    Number(u64, String),
     /// Anything else.
     Text(String),
 }
 
-/// A name as it is ordered: `a_9` before `a_10`.
+/// A name as it is ordered: `a_9` before `a_10`, `x0.25` before `x0.5`.
 pub fn natural(name: &str) -> Vec<Part> {
     let mut out: Vec<Part> = Vec::new();
-    for c in name.chars() {
-        match (c.to_digit(10).map(u64::from), out.last_mut()) {
-            (Some(d), Some(Part::Number(n))) => *n = n.saturating_mul(10).saturating_add(d),
-            (Some(d), _) => out.push(Part::Number(d)),
-            (None, Some(Part::Text(text))) => text.push(c),
-            (None, _) => out.push(Part::Text(c.to_string())),
+    let mut rest = name;
+    while !rest.is_empty() {
+        let digits = |text: &str| text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+        let whole = digits(rest);
+        if whole == 0 {
+            let end = rest.find(|c: char| c.is_ascii_digit()).unwrap_or(rest.len());
+            out.push(Part::Text(rest[..end].into()));
+            rest = &rest[end..];
+            continue;
         }
+        let number =
+            rest[..whole].bytes().fold(0u64, |n, d| n.saturating_mul(10).saturating_add((d - b'0').into()));
+        let behind = rest[whole..].strip_prefix('.').map_or(0, digits);
+        let fraction = if behind > 0 { &rest[whole + 1..whole + 1 + behind] } else { "" };
+        out.push(Part::Number(number, fraction.trim_end_matches('0').into()));
+        rest = &rest[whole + if behind > 0 { 1 + behind } else { 0 }..];
     }
     out
 }
@@ -161,6 +177,10 @@ mod tests {
             ("", "flat t=1.5e-3s 2.tif", Some(1.5e-3), None, Some(Kind::Flat)),
             ("", "frame 12.tif", None, None, None),
             (".tmpx2s", "a2S0uR1.tif", None, None, None),
+            ("", "flat_1,5ms_2.tif", Some(1.5e-3), None, Some(Kind::Flat)),
+            ("", "flatdark_5ms.tif", Some(5e-3), None, Some(Kind::Dark)),
+            ("", "darkroom_flat_5ms.tif", Some(5e-3), None, Some(Kind::Flat)),
+            ("", "Light_5ms.tif", Some(5e-3), None, None),
         ] {
             let got = facts(folder, name);
             assert_eq!((got.gain_db, got.kind), (gain_db, kind), "{name}");
@@ -178,6 +198,7 @@ mod tests {
         assert_ne!(stem("flat_10ms_003.tif"), stem("flat_20ms_003.tif"));
         assert!(natural("a_9_x.tif") < natural("a_10_x.tif"));
         assert!(natural("00_dark") < natural("01_dark"));
+        assert!(natural("light0.25") < natural("light0.5") && natural("x_1.tif") < natural("x_2.tif"));
     }
 
     proptest! {

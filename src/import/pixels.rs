@@ -2,8 +2,8 @@
 
 use super::{ImportError, Map};
 use crate::dataset::{image, write_whole};
-use ndarray::{Array2, Array3, ArrayD, Axis, Ix2, Ix3, s};
-use ndarray_npy::ReadNpyExt;
+use ndarray::{Array2, Array3, ArrayViewD, Axis, Ix2, Ix3, s};
+use ndarray_npy::ViewNpyExt;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -28,11 +28,13 @@ pub fn npy(path: &Path) -> Result<Option<Array3<u16>>, String> {
 
 fn of<T>(path: &Path) -> Result<Array3<u16>, String>
 where
-    T: ndarray_npy::ReadableElement + Copy + TryInto<u16> + std::fmt::Display,
+    T: ndarray_npy::ViewElement + Copy + TryInto<u16> + std::fmt::Display,
 {
-    let file = BufReader::new(File::open(path).map_err(|e| e.to_string())?);
-    let array = ArrayD::<T>::read_npy(file)
-        .map_err(|e| format!("cannot be read as numpy array of whole numbers (uint8, uint16, int32): {e}"))?;
+    // The whole file, and no memory for what a header claims beyond it.
+    let bytes = std::fs::read(path).map_err(|e| e.to_string())?;
+    let array = ArrayViewD::<T>::view_npy(&bytes).map_err(|e| {
+        format!("cannot be read as numpy array of whole numbers (uint8, uint16, int32) in the order of this machine: {e}")
+    })?;
     let dims = array.ndim();
     let array = match dims {
         2 => array.into_dimensionality::<Ix2>().map(|a| a.insert_axis(Axis(0))),
@@ -80,9 +82,7 @@ impl<'a> Taken<'a> {
         }
         let as_it_is = self.array.is_none() && self.map.shift == 0 && self.map.plane.is_none();
         if as_it_is {
-            if self.shape == (0, 0) {
-                self.shape = image::read(&source, number).map_err(|e| fault(e.to_string()))?.dim();
-            }
+            self.check(&image::read(&source, number).map_err(|e| fault(e.to_string()))?).map_err(fault)?;
             let page = page.map(|p| format!("#{p}")).unwrap_or_default();
             return Ok(self.copy(&source)? + &page);
         }
@@ -99,12 +99,26 @@ impl<'a> Taken<'a> {
             None => image::read(&source, number).map_err(|e| fault(e.to_string()))?,
         };
         let pixels = self.anew(pixels);
-        self.shape = pixels.dim();
+        self.check(&pixels).map_err(fault)?;
         let name = format!("frames/{:05}.tiff", self.written);
         self.written += 1;
         let bytes = image::tiff_bytes(&pixels, self.map.bit_depth).map_err(|e| fault(e.to_string()))?;
         write_whole(&self.root.join(&name), &bytes)?;
         Ok(name)
+    }
+
+    /// A map may say what the files do not bear out.
+    fn check(&mut self, pixels: &Array2<u16>) -> Result<(), String> {
+        if self.shape != (0, 0) && self.shape != pixels.dim() {
+            let ((h, w), (rows, columns)) = (pixels.dim(), self.shape);
+            return Err(format!("is {w} x {h} px, and the frames before it {columns} x {rows} px"));
+        }
+        self.shape = pixels.dim();
+        let largest = pixels.iter().max().copied().unwrap_or(0);
+        if u32::from(largest) >> self.map.bit_depth != 0 {
+            return Err(format!("holds {largest} DN, more than bit_depth = {} allows", self.map.bit_depth));
+        }
+        Ok(())
     }
 
     /// Codes shifted down, one plane of a mosaic.
@@ -126,7 +140,9 @@ impl<'a> Taken<'a> {
         let to = self.root.join(&name);
         let fault = |message: String| ImportError::File { path: source.into(), message };
         if self.link {
-            std::fs::hard_link(source, &to).map_err(|e| {
+            // A link to a link would point from another place.
+            let whole = source.canonicalize().map_err(|e| fault(e.to_string()))?;
+            std::fs::hard_link(whole, &to).map_err(|e| {
                 fault(format!("cannot be linked into {}: {e}; leave --link out", self.root.display()))
             })?;
         } else {

@@ -185,13 +185,9 @@ pub fn of_dataset(
             "no set of darks or flats has two frames that are not clipped: nothing can be compared".into(),
         ));
     }
-    let mut levels: Vec<usize> = chunks.iter().map(|c| c.set).collect();
-    levels.dedup();
-    if levels.len() < 2 || levels.iter().all(|s| settings[*s].kind != Kind::Flat) {
+    if chunks.iter().all(|c| settings[c.set].kind != Kind::Flat) {
         return Err(ObserveError::Nothing(
-            "gain and noise need two levels of two frames or more that are not clipped, one of them lit: take flats at several exposures, \
-             and darks"
-                .into(),
+            "no flats of two frames or more that are not clipped: without light there is no gain, and nothing to compare darks with".into(),
         ));
     }
     spreads(&mut infos, &chunks, &settings, zero_dn);

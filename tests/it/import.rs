@@ -206,6 +206,15 @@ fn numpy_arrays_and_times_are_read() {
     let sets: Vec<_> = dataset.sets().iter().map(|s| (dataset.settings(s).kind, s.rows.len())).collect();
     assert_eq!(sets, [(Kind::Dark, 3), (Kind::Flat, 2)]);
     assert_eq!(dataset.read(&dataset.rows()[4]).unwrap()[[1, 1]], flat[[1, 1, 1]] as u16);
+    // A header that claims more than there is asks for no memory.
+    let mut cut = fs::read(text("flat_10ms.npy")).unwrap();
+    let at = cut.windows(9).position(|w| w == b"(2, 4, 5)").unwrap();
+    cut[at..at + 9].copy_from_slice(b"(2,4,9e9)"[..9].try_into().unwrap());
+    fs::write(text("cut.npy"), &cut).unwrap();
+    assert!(refused(&["import", &text("cut.npy"), "-o", &text("e"), "--yes"]).contains("cut.npy"));
+    cut[at..at + 9].copy_from_slice(b"(99,4, 5)");
+    fs::write(text("cut.npy"), &cut).unwrap();
+    assert!(refused(&["import", &text("cut.npy"), "-o", &text("e"), "--yes"]).contains("cut.npy"));
     ndarray_npy::write_npy(text("bad.npy"), &ndarray::array![[0.5, 1.0]]).unwrap();
     assert!(refused(&["import", &text("bad.npy"), "-o", &text("e"), "--yes"]).contains("whole numbers"));
 
@@ -231,14 +240,45 @@ fn numpy_arrays_and_times_are_read() {
 fn frames_of_radcam_say_their_settings() {
     let dir = tempfile::tempdir().unwrap();
     let text = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
-    expect(0, &["simulate", "cmos12", "--region", "0,0,32,24", "--plan", "quick", "-o", &text("c")]);
+    // A plan in which settings come back: each time is a set of its own.
+    expect(0, &["simulate", "cmos12", "--region", "8,4,32,24", "--plan", "standard", "-o", &text("c")]);
     expect(0, &["import", &text("c/frames"), "-o", &text("d"), "--yes"]);
     let [a, b] = ["c", "d"].map(|name| Dataset::open(&dir.path().join(name)).unwrap());
     assert_eq!(a.rows().len(), b.rows().len());
     for (a, b) in a.rows().iter().zip(b.rows()) {
         assert_eq!((a.kind, a.set, a.index), (b.kind, b.set, b.index));
         assert_eq!((a.exposure_s, a.illumination), (b.exposure_s, b.illumination));
+        assert!((a.timestamp_s.unwrap() - b.timestamp_s.unwrap()).abs() < 1e-9);
     }
+    assert_eq!(b.manifest().camera.features, a.manifest().camera.features);
+    assert_eq!((b.manifest().camera.bit_depth, b.manifest().camera.black_level_dn), (12, Some(64.0)));
     assert_eq!(b.manifest().camera.gain_db, Some(0.0));
     assert_eq!(b.manifest().camera.model, "cmos12");
+}
+
+/// Two cameras, or two settings that headers tell of, make no dataset; a map that the files do not bear out neither.
+#[test]
+fn one_dataset_is_of_one_camera() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    let image = Array2::from_shape_fn((4, 6), |(y, x)| 900 + (y * 3 + x) as u16);
+    for (name, gain, camera) in [("a.fits", 100, "'ASI'"), ("b.fits", 300, "'ASI'"), ("c.fits", 100, "'QHY'")]
+    {
+        let cards = ["EXPTIME = 0.5".into(), format!("GAIN    = {gain}"), format!("INSTRUME= {camera}")];
+        let cards: Vec<&str> = cards.iter().map(String::as_str).collect();
+        fits(&dir.path().join(name), &cards, &image);
+    }
+    for (other, part) in [("b.fits", "GAIN 300"), ("c.fits", "model QHY")] {
+        let said = refused(&["import", &text("a.fits"), &text(other), "-o", &text("d"), "--yes"]);
+        assert!(said.contains(part) && said.contains("each by itself"), "{said}");
+    }
+    let map = |lines: &str| {
+        let set = format!("[[set]]\nkind = \"flat\"\nfiles = [\"{}\"]\n{lines}", text("a.fits"));
+        fs::write(text("m.toml"), format!("format = \"radcam-import/1\"\nbit_depth = 8\n{set}")).unwrap();
+        refused(&["import", "--map", &text("m.toml"), "-o", &text("d")])
+    };
+    assert!(map("exposure_s = 0.5\n").contains("more than bit_depth = 8"));
+    assert!(map("exposure_s = -1.0\n").contains("set 0: exposure_s is -1"));
+    assert!(map("exposure_s = 1.0\nillumination = nan\n").contains("illumination is NaN"));
+    assert!(!dir.path().join("d").exists());
 }

@@ -298,13 +298,33 @@ fn a_camera_is_calibrated_and_its_frames_corrected() {
     assert!(said.contains("serial is SIM9, and was SIM12") && said.contains("--force"), "{said}");
     fs::write(at("short.tiff"), &fs::read(at("cal.tiff")).unwrap()[..3000]).unwrap();
     assert!(refused(&["correct", &at("short.tiff"), &frame, "-o", &at("x")]).contains("short.tiff"));
+    // Nothing that is read or there already is written over, and no two frames go to one file.
+    let twice = at("again/00030.tiff");
+    fs::create_dir(at("again")).unwrap();
+    fs::copy(&frame, &twice).unwrap();
+    for (inputs, output, part) in [
+        (&[frame.as_str()][..], "one.tiff", "--overwrite writes over it"),
+        (&[frame.as_str()], "cal.tiff", "is read, and would be overwritten"),
+        (&[at("c").as_str()], "c", "is read, and would be overwritten"),
+        (&[frame.as_str(), &twice], "both", "output of two frames"),
+    ] {
+        let said = refused(&[&["correct", &at("cal.tiff")][..], inputs, &["-o", &at(output)]].concat());
+        assert!(said.contains(part), "{output}: {said}");
+    }
+    assert!(!dir.path().join("both").exists());
+    expect(0, &["correct", &at("cal.tiff"), &frame, "-o", &at("one.tiff"), "--overwrite"]);
+    assert!(
+        refused(&["correct", &at("cal.tiff"), &frame, "-o", &at("x"), "--exposure-s", "nan"])
+            .contains("above 0")
+    );
     // A plain frame is held against what it says of itself, and what its codes show.
     let plain = |name: &str, code: u16, bits: u8| {
         let image = ndarray::Array2::from_elem((80, 96), code);
         fs::write(at(name), radcam::dataset::image::tiff_bytes(&image, bits).unwrap()).unwrap();
         refused(&["correct", &at("cal.tiff"), &at(name), "-o", &at("x.tiff")])
     };
-    assert!(plain("deep.tiff", 60_000, 16).contains("bit depth is 16, and was 12"));
+    assert!(plain("shifted.tiff", 64 << 4, 16).contains("multiples of"));
+    assert!(plain("deep.tiff", 60_001, 16).contains("bit depth is 16, and was 12"));
     assert!(plain("flat8.tiff", 200, 8).contains("bit depth is 8, and was 12"));
     let lit = "[[set]]\nkind = \"target\"\nframes = 2\nexposure_s = 0.003\nillumination = 1.0\n";
     let plan = "format = \"radcam-plan/1\"\n[camera]\nregion = [400, 300, 96, 80]\n";
