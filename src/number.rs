@@ -47,6 +47,9 @@ pub fn six_digits(value: f64) -> String {
 /// assert_eq!(with_unit(0.0124, 0.0011, "1"), "0.0124 ± 0.0011");
 /// ```
 pub fn with_unit(value: f64, std_err: f64, unit: &str) -> String {
+    if value.is_nan() {
+        return "not determined".into();
+    }
     format!("{} {}", with_error(value, std_err), pretty(unit)).trim_end().into()
 }
 

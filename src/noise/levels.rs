@@ -104,6 +104,8 @@ pub fn measure(
 pub(super) const ONE_EXPOSURE_BOUNDED: &str = "between the darks of one exposure and black_level_dn";
 /// Zero from darks of one exposure alone.
 pub(super) const ONE_EXPOSURE: &str = "darks of one exposure";
+/// Zero that nobody knows.
+pub(super) const NO_ZERO: &str = "none: no usable darks, taken as 0 DN";
 /// Zero as the camera states it.
 pub(super) const BLACK_LEVEL: &str = "black_level_dn of dataset.toml";
 /// Variance below which the noise is narrower than half a step, DN^2.
@@ -112,18 +114,21 @@ const COARSE_DN2: f64 = 0.25;
 /// Share of clipped samples from which a level's variance is off by more than its error.
 const CLIPPED: f64 = 1e-4;
 
+/// Why a single frame takes no part.
+pub(super) const ONE_FRAME: &str = "one frame: a variance needs two";
+
 fn clipped_because(level: &Level) -> Option<String> {
     let percent = |share: f64| format!("{:.2} %", 100.0 * share);
     if level.pixels < 2 {
         Some("every pixel is clipped in every frame".into())
-    } else if level.frames < 2 {
-        Some("one frame: a variance needs two".into())
     } else if level.saturated > CLIPPED {
         Some(format!("{} of the samples are at full scale", percent(level.saturated)))
     } else if level.stuck > 0.5 {
         Some("most pixels are clipped in every frame".into())
     } else if level.black > CLIPPED {
         Some(format!("{} of the samples are clipped at black", percent(level.black)))
+    } else if level.frames < 2 {
+        Some(ONE_FRAME.into())
     } else {
         None
     }
@@ -167,15 +172,17 @@ pub fn zero(measured: &Measured) -> Zero {
         };
     }
     // A single frame has a mean, and the error that its pixels' scatter leaves.
-    let single =
-        measured.levels.iter().filter(|(_, kind, _, l)| *kind == Kind::Dark && l.frames == 1 && l.pixels > 1);
+    let single = measured
+        .levels
+        .iter()
+        .filter(|(_, kind, _, l)| *kind == Kind::Dark && l.frames == 1 && l.pixels > 1 && l.black <= CLIPPED);
     if let Some((.., level)) = single.min_by(|a, b| a.2.total_cmp(&b.2)) {
         let std_err_dn = (level.spatial_var_dn2 / level.pixels as f64).sqrt();
         return Zero { dn: level.mean_dn, std_err_dn, source: "a single dark frame" };
     }
     match measured.black_level_dn {
         Some(dn) => Zero { dn, std_err_dn: f64::NAN, source: BLACK_LEVEL },
-        None => Zero { dn: 0.0, std_err_dn: f64::NAN, source: "none: no usable darks, taken as 0 DN" },
+        None => Zero { dn: 0.0, std_err_dn: f64::NAN, source: NO_ZERO },
     }
 }
 

@@ -29,7 +29,7 @@ use crate::dataset::table::Table;
 use crate::dataset::{Dataset, DatasetError, Kind};
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
 use exclude::{exclude_past_the_peak, exclude_strays};
-use levels::{BLACK_LEVEL, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED};
+use levels::{BLACK_LEVEL, NO_ZERO, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED, ONE_FRAME};
 pub(crate) use levels::{Counts, pixels_from_scatter};
 use report::finite;
 use std::sync::atomic::AtomicBool;
@@ -156,8 +156,13 @@ pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, Nois
             }
         })
         .collect();
+    let mut read_noise_e = read_noise(&best);
+    if zero.source == NO_ZERO {
+        // The intercept is A times what the black level is off by, and says nothing of the noise.
+        (read_noise_e.value, read_noise_e.std_err) = (f64::NAN, f64::NAN);
+    }
     Ok(NoiseReport {
-        read_noise_e: read_noise(&best),
+        read_noise_e,
         gain_dn_per_e: best.gain_dn_per_e,
         constant_noise_var_dn2: best.constant_noise_var_dn2,
         offset_dn: Quantity { value: zero.dn, std_err: zero.std_err_dn, unit: "DN" },
@@ -180,7 +185,8 @@ fn one_level(points: &[Point], zero: &Zero) -> Option<NoiseReport> {
     if !known || lit.mean_dn <= 0.0 {
         return None;
     }
-    let bias = points.iter().filter(|p| p.kind == Kind::Dark && p.frames < 2.0).map(|p| p.spatial_var_dn2);
+    let single = |p: &&Point| p.kind == Kind::Dark && p.excluded.as_deref() == Some(ONE_FRAME);
+    let bias = points.iter().filter(single).map(|p| p.spatial_var_dn2);
     let (least, most) = (1.0 / 12.0, bias.fold(lit.var_dn2, f64::min));
     let (constant, spread) = (0.5 * (least + most), (most - least).max(0.0) / 12f64.sqrt());
     let gain = (lit.var_dn2 - constant) / lit.mean_dn;

@@ -435,6 +435,23 @@ fn words(dataset: &Dataset, left_out: &[(usize, LeftOut)]) -> Vec<String> {
     out
 }
 
+/// Takes out lit sets whose frames are the same, code for code: light has noise, so that these are copies of one frame.
+fn copies(dataset: &Dataset, chunks: &mut Vec<Chunk>) -> Option<String> {
+    let kind = |set: usize| dataset.settings(&dataset.sets()[set]).kind;
+    let is_copy = |c: &Chunk| kind(c.set) == Kind::Flat && c.said.var.value == 0.0;
+    let mut numbers: Vec<u32> =
+        chunks.iter().filter(|c| is_copy(c)).map(|c| dataset.sets()[c.set].number).collect();
+    numbers.dedup();
+    chunks.retain(|c| !is_copy(c));
+    let shown: Vec<String> = numbers.iter().take(6).map(ToString::to_string).collect();
+    (!numbers.is_empty()).then(|| {
+        format!(
+            "the frames of sets {} are the same, code for code: copies of one frame, not looked at",
+            shown.join(", ")
+        )
+    })
+}
+
 /// What all pieces said together.
 struct Sums {
     chunks: Vec<Chunk>,
@@ -563,8 +580,10 @@ pub fn read(
     drop(reader);
     sums.saturated.dedup_by_key(|s| s.0);
     sums.chunks.retain(|c| sums.saturated.iter().all(|s| s.0 != c.set));
+    let mut left_out = words(dataset, &sums.left_out);
+    left_out.extend(copies(dataset, &mut sums.chunks));
     Ok(Reading {
-        left_out: words(dataset, &sums.left_out),
+        left_out,
         steady_dn4: sums.steady.covariance(&layout),
         layout,
         zero_dn,

@@ -467,6 +467,48 @@ proptest::proptest! {
     }
 }
 
+/// Clean cameras under campaigns that others take: one dark and a sweep; pairs of a flat and its dark; one exposure at several lights; two
+/// short sets of darks. None raises an alarm: of three cameras each, where one in a hundred does by chance.
+#[test]
+fn campaigns_of_other_shapes_raise_no_alarm() {
+    let set = |kind, frames, exposure: f64, light: f64| SetPlan {
+        kind,
+        frames,
+        exposure_s: Some(0.02 * exposure),
+        exposure: None,
+        illumination: light,
+        configuration: 0,
+    };
+    let dark = |frames, exposure| set(Kind::Dark, frames, exposure, 0.0);
+    let flat = |frames, exposure, light| set(Kind::Flat, frames, exposure, light);
+    let sweep = |frames, levels: u32| {
+        (1..=levels).map(move |i| flat(frames, f64::from(i) / f64::from(levels), 1.0)).collect::<Vec<_>>()
+    };
+    let pairs = (1..=10).flat_map(|i| [flat(4, f64::from(i) / 10.0, 1.0), dark(4, f64::from(i) / 10.0)]);
+    let lights = [0.1, 0.3, 0.5, 0.7, 0.9].map(|light| flat(10, 1.0, light));
+    let shapes: [(&str, Vec<SetPlan>); 5] = [
+        ("one dark", [vec![dark(8, 1.0)], sweep(8, 8)].concat()),
+        ("pairs", pairs.collect()),
+        ("lights", [vec![dark(10, 1.0)], lights.to_vec()].concat()),
+        ("short darks", [vec![dark(4, 0.05), dark(4, 1.0)], sweep(4, 5)].concat()),
+        ("quick", [vec![dark(4, 1.0), dark(4, 6.0)], sweep(4, 8)].concat()),
+    ];
+    for (name, sets) in shapes {
+        for seed in 1..=3 {
+            let mut model = unit(seed);
+            model.base.dark_current_e_per_s = 20.0;
+            let dir = tempfile::tempdir().unwrap();
+            capture(
+                model,
+                &Plan { sets: sets.clone(), full_exposure_s: Some(0.02), ..Plan::standard() },
+                &dir.path().join("c"),
+            );
+            let d = diagnose(&observe(&dir.path().join("c")), None, Vec::new(), &mut |_| {});
+            assert!(d.consistent, "{name}, seed {seed}: {}", d.verdict.sentence());
+        }
+    }
+}
+
 /// Too little, or nothing but wrong: said by name, and never a panic.
 #[test]
 fn bad_campaigns_are_named() {
@@ -493,6 +535,19 @@ fn bad_campaigns_are_named() {
     let out = crate::support::radcam(&["diagnose", &at("level"), "--json"]);
     assert!(out.status.code().is_some_and(|c| c < 2), "{}", String::from_utf8_lossy(&out.stderr));
     assert!(String::from_utf8_lossy(&out.stdout).contains("no darks"));
+    // Darks alone have no gain; copies of one frame are no frames.
+    write("darks", &(set("dark", 8, 0.004, 0.0) + &set("dark", 8, 0.4, 0.0)));
+    assert!(crate::support::refused(&["diagnose", &at("darks")]).contains("no flats"));
+    write(
+        "copies",
+        &(set("dark", 4, 0.004, 0.0) + &set("flat", 4, 0.002, 1.0) + &set("flat", 4, 0.004, 1.0)),
+    );
+    for number in 9..12 {
+        let file = |n: u32| at(&format!("copies/frames/{n:05}.tiff"));
+        std::fs::copy(file(8), file(number)).unwrap();
+    }
+    let out = crate::support::radcam(&["diagnose", &at("copies")]);
+    assert!(String::from_utf8_lossy(&out.stdout).contains("sets 2 are the same, code for code"), "{out:?}");
     std::fs::write(at("t.csv"), "mean_dn,var_dn2\n1,2\n2,3\n").unwrap();
     assert!(crate::support::refused(&["diagnose", &at("t.csv")]).contains("four or more"));
     for (arguments, part) in [

@@ -522,6 +522,13 @@ fn one_level_and_one_bias_frame_give_a_gain_with_its_error() {
     let flats = part("flats", &|place| place.starts_with("flat,7"));
     let said = expect(0, &["noise", &flats]);
     assert!(said.contains("one lit level") && said.contains("take flats at a second level"), "{said}");
+    // A bias frame that is clipped at black bounds nothing, and levels without a zero tell no read noise.
+    let lit = part("lit", &|place| place.starts_with("flat"));
+    let manifest = fs::read_to_string(dir.path().join("lit/dataset.toml")).unwrap();
+    let unknown: String =
+        manifest.lines().filter(|l| !l.starts_with("black_level")).map(|l| format!("{l}\n")).collect();
+    fs::write(dir.path().join("lit/dataset.toml"), unknown).unwrap();
+    assert!(expect(0, &["noise", &lit]).contains("read noise       not determined"));
     let none = part("none", &|_| false);
     assert!(refused(&["noise", &none]).contains("has no frames"));
 }
