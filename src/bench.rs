@@ -2,11 +2,11 @@
 //!
 //! Three backends: the simulated bench, a camera's GenICam features, and a person at the terminal.
 
-pub use crate::camera::sim::{BenchState, SharedBench};
+pub use crate::camera::sim::SharedBench;
 use crate::camera::{Camera, CameraError, Value};
 use crate::dataset::BenchInfo;
+pub use crate::plan::{BenchState, GenicamBench};
 use radcam_sim::Scene;
-use serde::{Deserialize, Serialize};
 use std::io::{BufRead, Write};
 use std::time::Duration;
 
@@ -45,51 +45,6 @@ impl Illuminator for SharedBench {
     /// The simulated lamp is exact.
     fn info(&self) -> Option<BenchInfo> {
         Some(BenchInfo { illumination_unit: "relative".into(), illumination_rel_std: Some(0.0) })
-    }
-}
-
-/// GenICam features that drive a bench, as a plan names them.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct GenicamBench {
-    /// Float or integer feature of the light, multiplied by `illumination_scale`.
-    pub illumination: String,
-    /// Value of the feature at illumination 1.
-    #[serde(default = "one")]
-    pub illumination_scale: f64,
-    /// Boolean feature that covers the lens; without it dark is illumination 0.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub dark: Option<String>,
-    /// Integer feature of the configuration.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub configuration: Option<String>,
-    /// Enumeration feature of the scene, with the entries `Card`, `Patch` and `Chart`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub scene: Option<String>,
-    /// Time after a change until the light is steady, s.
-    #[serde(default)]
-    pub settle_s: f64,
-    /// How well each level is known, relative.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub illumination_rel_std: Option<f64>,
-}
-
-fn one() -> f64 {
-    1.0
-}
-
-impl GenicamBench {
-    /// The features of a camera that `radcam serve` plays.
-    pub fn served() -> Self {
-        Self {
-            illumination: "BenchIllumination".into(),
-            illumination_scale: 1.0,
-            dark: Some("BenchDark".into()),
-            configuration: Some("BenchConfiguration".into()),
-            scene: Some("BenchScene".into()),
-            settle_s: 0.0,
-            illumination_rel_std: Some(0.0),
-        }
     }
 }
 

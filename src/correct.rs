@@ -3,9 +3,6 @@
 use crate::calibrate::dark::DarkError;
 use crate::calibrate::defects::replacements;
 use crate::calibrate::file::Calibration;
-use crate::camera::features::{is_setting, same_value};
-use crate::dataset::CameraInfo;
-use crate::pixel_format::PixelFormat;
 use ndarray::Array2;
 use rayon::prelude::*;
 
@@ -78,40 +75,6 @@ pub enum CorrectError {
     /// The dark reference does not reach to this exposure.
     #[error(transparent)]
     Dark(#[from] DarkError),
-}
-
-/// What differs between the camera of a calibration and another, in words; empty where nothing does.
-///
-/// Compared are those properties that both sides know.
-pub fn differences(calibrated: &CameraInfo, now: &CameraInfo) -> Vec<String> {
-    let mut found = Vec::new();
-    let mut compare = |name: &str, a: String, b: String| {
-        if a != b && !a.is_empty() && !b.is_empty() {
-            found.push(format!("{name} is {b}, and was {a}"));
-        }
-    };
-    let number = |x: Option<f64>, unit: &str| x.map_or(String::new(), |x| format!("{x} {unit}"));
-    compare("vendor", calibrated.vendor.clone(), now.vendor.clone());
-    compare("model", calibrated.model.clone(), now.model.clone());
-    compare("serial", calibrated.serial.clone(), now.serial.clone());
-    let size = |c: &CameraInfo| format!("{} x {} px", c.width, c.height);
-    compare("size", size(calibrated), size(now));
-    let bits = |c: &CameraInfo| if c.bit_depth == 0 { String::new() } else { c.bit_depth.to_string() };
-    compare("bit depth", bits(calibrated), bits(now));
-    // Packing changes the bytes of a frame, and not its codes.
-    let codes = |c: &CameraInfo| match PixelFormat::from_name(&c.pixel_format) {
-        Ok(f) if f.name().starts_with("Mono") => format!("Mono of {} bits", f.bits()),
-        _ => c.pixel_format.clone(),
-    };
-    compare("pixel format", codes(calibrated), codes(now));
-    compare("gain", number(calibrated.gain_db, "dB"), number(now.gain_db, "dB"));
-    compare("black level", number(calibrated.black_level_dn, "DN"), number(now.black_level_dn, "DN"));
-    for (name, was) in calibrated.features.iter().filter(|(name, _)| is_setting(name)) {
-        if let Some(is) = now.features.get(name).filter(|is| !same_value(&was.to_string(), &is.to_string())) {
-            compare(name, was.to_string(), is.to_string());
-        }
-    }
-    found
 }
 
 impl Corrector {
@@ -248,26 +211,12 @@ mod tests {
     use crate::calibrate::dark::{DarkMean, DarkReference};
     use crate::calibrate::file::Description;
     use crate::calibrate::joint::joint;
+    use crate::dataset::CameraInfo;
     use crate::statistics::moments::Moments;
     use radcam_sim::{Conditions, Sensor, sensors};
 
     fn camera(info: (usize, usize)) -> CameraInfo {
         CameraInfo { width: info.1, height: info.0, bit_depth: 12, ..Default::default() }
-    }
-
-    #[test]
-    fn a_calibration_holds_for_its_own_geometry_and_depth() {
-        let with = |binning: i64, bit_depth: u8| CameraInfo {
-            bit_depth,
-            features: [("BinningHorizontal".to_string(), binning.into()), ("Gamma".into(), "1".into())]
-                .into(),
-            ..Default::default()
-        };
-        assert!(differences(&with(1, 12), &with(1, 12)).is_empty());
-        assert_eq!(differences(&with(1, 12), &with(2, 12)), ["BinningHorizontal is 2, and was 1"]);
-        assert_eq!(differences(&with(1, 8), &with(1, 16)), ["bit depth is 16, and was 8"]);
-        // What one side does not know is no difference.
-        assert!(differences(&with(1, 12), &CameraInfo::default()).is_empty());
     }
 
     /// A corrected flat at high light has the spatial variance of shot and constant noise alone, within 3 % at eight
@@ -366,22 +315,5 @@ mod tests {
         assert_eq!(float, [20.0, 11.0, -10.0, 2.0]);
         replacing.to_u16(&[20, 10, 0, 12], codes, &mut out).unwrap();
         assert_eq!(out[1], (420 + 132) / 2);
-    }
-
-    #[test]
-    fn another_camera_is_told_by_what_differs() {
-        let a = CameraInfo { serial: "1".into(), gain_db: Some(0.0), ..camera((3, 4)) };
-        let b = CameraInfo {
-            serial: "2".into(),
-            gain_db: Some(6.0),
-            black_level_dn: Some(1.0),
-            ..camera((3, 5))
-        };
-        assert_eq!(differences(&a, &a), Vec::<String>::new());
-        let said = differences(&a, &b).join("; ");
-        assert_eq!(
-            said,
-            "serial is 2, and was 1; size is 5 x 3 px, and was 4 x 3 px; gain is 6 dB, and was 0 dB"
-        );
     }
 }

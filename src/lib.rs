@@ -38,6 +38,7 @@ pub mod cli;
 pub mod correct;
 pub mod dataset;
 pub mod diagnosis;
+pub mod features;
 pub mod fit;
 pub mod frame;
 pub mod import;

@@ -1,4 +1,4 @@
-//! Numbers as text: as many digits as their errors are worth, and units.
+//! Numbers as text, as many digits as their errors are worth, and units.
 
 /// A value and its error with as many digits as the error is worth: `0.38004 ± 0.00021`.
 ///
@@ -93,4 +93,15 @@ pub fn percent(share: f64) -> String {
         s if !(0.01..=0.99).contains(&s) => format!("{:.1} %", 100.0 * s),
         s => format!("{:.0} %", 100.0 * s),
     }
+}
+
+/// Seconds of a unit of time; `None` where it is none.
+pub fn seconds(unit: &str) -> Option<f64> {
+    Some(match unit.to_lowercase().as_str() {
+        "s" | "sec" | "secs" | "second" | "seconds" => 1.0,
+        "ms" | "msec" | "millisec" | "milliseconds" => 1e-3,
+        "us" | "usec" | "µs" | "μs" | "microseconds" => 1e-6,
+        "ns" | "nsec" | "nanoseconds" => 1e-9,
+        _ => return None,
+    })
 }

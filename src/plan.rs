@@ -3,7 +3,6 @@
 //! Exposures may be given in seconds (`exposure_s`) or relative to the exposure that brings the card at
 //! illumination 1 close to full scale (`exposure`); `capture` measures that one before it starts.
 
-use crate::bench::{BenchState, GenicamBench};
 use crate::dataset::Kind;
 use crate::frame::Region;
 use crate::pixel_format::PixelFormat;
@@ -17,6 +16,62 @@ pub const FORMAT: &str = "radcam-plan/1";
 
 /// Part of full scale that relative exposure 1 at illumination 1 reaches.
 pub const FULL_EXPOSURE_LEVEL: f64 = 0.85;
+
+/// How the bench stands.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct BenchState {
+    /// Light relative to the campaign's unit; 0: dark, the lens covered.
+    pub illumination: f64,
+    /// Position of card and light (Section V of the paper).
+    pub configuration: u32,
+    /// What the camera looks at.
+    pub scene: Scene,
+}
+
+/// GenICam features that drive a bench, as a plan names them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GenicamBench {
+    /// Float or integer feature of the light, multiplied by `illumination_scale`.
+    pub illumination: String,
+    /// Value of the feature at illumination 1.
+    #[serde(default = "one")]
+    pub illumination_scale: f64,
+    /// Boolean feature that covers the lens; without it dark is illumination 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dark: Option<String>,
+    /// Integer feature of the configuration.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub configuration: Option<String>,
+    /// Enumeration feature of the scene, with the entries `Card`, `Patch` and `Chart`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scene: Option<String>,
+    /// Time after a change until the light is steady, s.
+    #[serde(default)]
+    pub settle_s: f64,
+    /// How well each level is known, relative.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub illumination_rel_std: Option<f64>,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+impl GenicamBench {
+    /// The features of a camera that `radcam serve` plays.
+    pub fn served() -> Self {
+        Self {
+            illumination: "BenchIllumination".into(),
+            illumination_scale: 1.0,
+            dark: Some("BenchDark".into()),
+            configuration: Some("BenchConfiguration".into()),
+            scene: Some("BenchScene".into()),
+            settle_s: 0.0,
+            illumination_rel_std: Some(0.0),
+        }
+    }
+}
 
 /// A plan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

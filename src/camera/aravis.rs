@@ -1,6 +1,6 @@
 //! Real cameras (GigE Vision, USB3 Vision) through libaravis.
 
-use super::features::{Kind, Neutral, Role, is_disabled, known, neutral_value, role, suspicious};
+use crate::features::{Kind, Neutral, Role, is_disabled, known, neutral_value, role, suspicious};
 use super::{
     Automatic, Bounds, Camera, CameraError, Capabilities, FrameCounter, FrameStream, Identity, Settings,
     StreamCounts, StreamOptions, Trigger, Value, check_bounds,

@@ -5,7 +5,7 @@ use super::{
     StreamOptions, Trigger, Value,
 };
 use crate::calibrate::file::Calibration;
-use crate::correct::{Codes, CorrectError, Corrector, differences};
+use crate::correct::{Codes, CorrectError, Corrector};
 use crate::dataset::CameraInfo;
 use crate::frame::{Frame, Region};
 use crate::pixel_format::PixelFormat;
@@ -45,7 +45,7 @@ fn fault(camera: &impl Camera, error: CorrectError) -> CameraError {
 fn info(camera: &mut impl Camera) -> Result<CameraInfo, CameraError> {
     let settings = camera.settings()?;
     let identity = camera.identity();
-    Ok(CameraInfo::of(identity, &settings))
+    Ok(settings.info(identity))
 }
 
 impl<C: Camera> Corrected<C> {
@@ -53,7 +53,7 @@ impl<C: Camera> Corrected<C> {
     /// calibration, naming what differs, and where the dark reference does not reach to the exposure in use.
     pub fn new(mut camera: C, calibration: Calibration, codes: Codes) -> Result<Self, CameraError> {
         let now = info(&mut camera)?;
-        let found = differences(&calibration.description.camera, &now);
+        let found = calibration.description.camera.differences(&now);
         if !found.is_empty() {
             return Err(fault(&camera, CorrectError::Settings(found.join("; "))));
         }
@@ -86,7 +86,7 @@ impl<C: Camera> Corrected<C> {
     ) -> Result<T, CameraError> {
         let before = self.camera.settings()?;
         let value = set(&mut self.camera)?;
-        let found = differences(&self.calibration.description.camera, &info(&mut self.camera)?);
+        let found = self.calibration.description.camera.differences(&info(&mut self.camera)?);
         if found.is_empty() {
             return Ok(value);
         }

@@ -6,10 +6,11 @@
 #[cfg(feature = "aravis")]
 pub mod aravis;
 pub mod corrected;
-pub mod features;
 pub mod replay;
 pub mod sim;
 
+pub use crate::features::Value;
+use crate::dataset::CameraInfo;
 use crate::frame::{Frame, Region};
 use crate::pixel_format::PixelFormat;
 use std::collections::BTreeMap;
@@ -104,6 +105,26 @@ pub struct Settings {
     pub temperature_c: Option<f64>,
 }
 
+impl Settings {
+    /// The `[camera]` table of a dataset: who the camera is and how it is set, without its further features.
+    pub fn info(&self, identity: &Identity) -> CameraInfo {
+        CameraInfo {
+            vendor: identity.vendor.clone(),
+            model: identity.model.clone(),
+            serial: identity.serial.clone(),
+            width: self.region.width as usize,
+            height: self.region.height as usize,
+            bit_depth: self.pixel_format.bits(),
+            pixel_format: self.pixel_format.name().into(),
+            gain_db: self.gain_db,
+            black_level_dn: self.black_level_dn,
+            temperature_c: self.temperature_c,
+            firmware: identity.firmware.clone(),
+            ..CameraInfo::default()
+        }
+    }
+}
+
 /// When the camera exposes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Trigger {
@@ -125,30 +146,6 @@ pub struct Automatic {
     pub now: String,
     /// Whether it no longer touches the image.
     pub off: bool,
-}
-
-/// The value of a feature that has no method of its own.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Value {
-    /// Boolean.
-    Bool(bool),
-    /// Integer.
-    Int(i64),
-    /// Floating point.
-    Float(f64),
-    /// String or enumeration entry.
-    Text(String),
-}
-
-impl fmt::Display for Value {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Value::Bool(v) => v.fmt(f),
-            Value::Int(v) => v.fmt(f),
-            Value::Float(v) => v.fmt(f),
-            Value::Text(v) => v.fmt(f),
-        }
-    }
 }
 
 /// How a stream is set up.
@@ -364,7 +361,7 @@ pub trait Camera: Send {
         BTreeMap::new()
     }
 
-    /// Features of which [`features::role`] knows nothing and whose names speak of radiometry.
+    /// Features of which [`crate::features::role`] knows nothing and whose names speak of radiometry.
     fn unlisted_features(&mut self) -> Vec<String> {
         Vec::new()
     }

@@ -1,6 +1,7 @@
 //! A recorded dataset as a camera: asking for a setting finds the sets that were taken with it.
 
-use super::sim::{BenchState, SharedBench};
+use super::sim::SharedBench;
+use crate::plan::BenchState;
 use super::{
     Bounds, Camera, CameraError, Capabilities, FrameStream, Identity, Settings, StreamCounts, StreamOptions,
 };

@@ -6,21 +6,11 @@ use super::{
 };
 use crate::frame::{Frame, Region, Status};
 use crate::pixel_format::PixelFormat;
-use radcam_sim::{Conditions, Scene, Sensor};
+use crate::plan::BenchState;
+use radcam_sim::{Conditions, Sensor};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-
-/// How the bench stands.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct BenchState {
-    /// Light relative to the campaign's unit; 0: dark, the lens covered.
-    pub illumination: f64,
-    /// Position of card and light (Section V of the paper).
-    pub configuration: u32,
-    /// What the camera looks at.
-    pub scene: Scene,
-}
 
 /// The state of a simulated bench, shared with the camera that looks at it.
 #[derive(Debug, Clone, Default)]

@@ -343,7 +343,7 @@ impl Capture<'_> {
                     (name, value)
                 })
                 .collect(),
-            ..CameraInfo::of(identity, &settings)
+            ..settings.info(identity)
         });
         manifest.bench = self.bench.info();
         Ok(manifest)
@@ -383,8 +383,9 @@ impl Capture<'_> {
         }
         // After a power cycle a camera may have come back with other settings than a plan names.
         let now = self.manifest(&plan, &automatics)?;
-        if let Some(differs) = manifest.differs_from(&now) {
-            return Err(fault(format!("the camera {differs}; set it back, or begin a new campaign")));
+        let differs = manifest.differences(&now);
+        if !differs.is_empty() {
+            return Err(fault(format!("{}; set it back, or begin a new campaign", differs.join("; "))));
         }
         Ok((automatics, writer, plan))
     }

@@ -3,7 +3,7 @@
 use super::Outcome;
 use super::common::above_0;
 use crate::calibrate::file::Calibration;
-use crate::correct::{Codes, CorrectError, Corrector, differences};
+use crate::correct::{Codes, CorrectError, Corrector};
 use crate::dataset::tag::FrameTag;
 use crate::dataset::{CameraInfo, Dataset, image, write_whole};
 use crate::import::names;
@@ -193,7 +193,7 @@ fn free(jobs: &[Job], arguments: &Arguments) -> Result<()> {
 }
 
 fn check(calibration: &Calibration, now: &CameraInfo, force: bool) -> Result<()> {
-    let found = differences(&calibration.description.camera, now);
+    let found = calibration.description.camera.differences(now);
     let size = (now.height, now.width) != calibration.k.dim();
     if found.is_empty() || (force && !size) {
         return Ok(());

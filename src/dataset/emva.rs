@@ -5,7 +5,7 @@
 //! photons per pixel per second. Files may be written with backslashes.
 
 use super::{BenchInfo, CameraInfo, Dataset, DatasetError, FrameRow, Kind, Manifest};
-use crate::import::names::seconds;
+use crate::number::seconds;
 use std::path::Path;
 
 /// Reads a descriptor.

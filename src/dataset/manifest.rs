@@ -1,7 +1,7 @@
 //! `dataset.toml`: what camera and bench said of themselves.
 
-use crate::camera::features::{LeftOn, is_setting, left_on, same_value};
-use crate::camera::{Identity, Settings};
+use crate::features::{LeftOn, is_setting, left_on, same_value};
+use crate::pixel_format::PixelFormat;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -75,29 +75,46 @@ pub struct BenchInfo {
 }
 
 impl CameraInfo {
-    /// What a camera says of itself and how it is set; nothing of its automatic functions and further features.
-    pub fn of(identity: &Identity, settings: &Settings) -> Self {
-        Self {
-            vendor: identity.vendor.clone(),
-            model: identity.model.clone(),
-            serial: identity.serial.clone(),
-            width: settings.region.width as usize,
-            height: settings.region.height as usize,
-            bit_depth: settings.pixel_format.bits(),
-            pixel_format: settings.pixel_format.name().into(),
-            gain_db: settings.gain_db,
-            black_level_dn: settings.black_level_dn,
-            temperature_c: settings.temperature_c,
-            firmware: identity.firmware.clone(),
-            ..Self::default()
-        }
-    }
-
     /// Features that changed pixel values while the frames were taken, as far as is known.
     pub fn left_on(&self) -> Vec<LeftOn> {
         let text = |v: &toml::Value| v.as_str().map_or_else(|| v.to_string(), Into::into);
         let values = self.features.iter().map(|(name, value)| (name.clone(), text(value))).collect();
         left_on(&values, &self.still_automatic)
+    }
+
+    /// What a camera has now and had otherwise here, in words: what a calibration or a dataset does not hold for.
+    /// Compared are those properties that both sides know.
+    ///
+    /// ```
+    /// use radcam::dataset::CameraInfo;
+    /// let of = |gain_db| CameraInfo { gain_db, ..Default::default() };
+    /// assert_eq!(of(Some(0.0)).differences(&of(Some(6.0))), ["gain is 6 dB, and was 0 dB"]);
+    /// assert!(of(Some(0.0)).differences(&of(None)).is_empty());
+    /// ```
+    pub fn differences(&self, now: &Self) -> Vec<String> {
+        let number = |x: Option<f64>, unit: &str| x.map_or(String::new(), |x| format!("{x} {unit}"));
+        let size = |c: &Self| if c.width * c.height == 0 { String::new() } else { format!("{} x {} px", c.width, c.height) };
+        let bits = |c: &Self| if c.bit_depth == 0 { String::new() } else { c.bit_depth.to_string() };
+        // Packing changes the bytes of a frame, and not its codes.
+        let codes = |c: &Self| match PixelFormat::from_name(&c.pixel_format) {
+            Ok(f) if f.name().starts_with("Mono") => format!("Mono of {} bits", f.bits()),
+            _ => c.pixel_format.clone(),
+        };
+        let own = [
+            ("vendor", self.vendor.clone(), now.vendor.clone()),
+            ("model", self.model.clone(), now.model.clone()),
+            ("serial", self.serial.clone(), now.serial.clone()),
+            ("size", size(self), size(now)),
+            ("bit depth", bits(self), bits(now)),
+            ("pixel format", codes(self), codes(now)),
+            ("gain", number(self.gain_db, "dB"), number(now.gain_db, "dB")),
+            ("black level", number(self.black_level_dn, "DN"), number(now.black_level_dn, "DN")),
+        ];
+        let settings = self.features.iter().filter(|(name, _)| is_setting(name));
+        let settings = settings.filter_map(|(name, was)| {
+            difference(name, was.to_string(), now.features.get(name)?.to_string())
+        });
+        own.into_iter().filter_map(|(name, was, is)| difference(name, was, is)).chain(settings).collect()
     }
 
     /// Largest code, DN.
@@ -106,34 +123,23 @@ impl CameraInfo {
     }
 }
 
+fn difference(name: &str, was: String, is: String) -> Option<String> {
+    let differs = !was.is_empty() && !is.is_empty() && !same_value(&was, &is);
+    differs.then(|| format!("{name} is {is}, and was {was}"))
+}
+
 impl Manifest {
     /// A manifest without a bench.
     pub fn new(camera: CameraInfo) -> Self {
         Self { format: FORMAT.into(), camera, bench: None }
     }
 
-    /// The first setting of the camera that another manifest has otherwise, in words: what one dataset, or a calibration, holds for.
-    pub fn differs_from(&self, other: &Self) -> Option<String> {
-        let (a, b) = (&self.camera, &other.camera);
-        let shown = |v: Option<f64>| v.map_or("none".into(), |v| v.to_string());
-        let fields = [
-            ("vendor", a.vendor.clone(), b.vendor.clone()),
-            ("model", a.model.clone(), b.model.clone()),
-            ("serial", a.serial.clone(), b.serial.clone()),
-            ("size", format!("{} x {} px", a.width, a.height), format!("{} x {} px", b.width, b.height)),
-            ("bit_depth", a.bit_depth.to_string(), b.bit_depth.to_string()),
-            ("gain_db", shown(a.gain_db), shown(b.gain_db)),
-            ("black_level_dn", shown(a.black_level_dn), shown(b.black_level_dn)),
-        ];
+    /// What camera, settings and light of another campaign have otherwise, in words: none where the two can be taken together.
+    pub fn differences(&self, now: &Self) -> Vec<String> {
+        let mut found = self.camera.differences(&now.camera);
         let unit = |m: &Self| m.bench.as_ref().map(|b| b.illumination_unit.clone()).unwrap_or_default();
-        let light = ("illumination_unit", unit(self), unit(other));
-        let features = a.features.iter().filter(|(name, _)| is_setting(name)).filter_map(|(name, value)| {
-            let other = b.features.get(name)?;
-            Some((name.as_str(), value.to_string(), other.to_string()))
-        });
-        let mut all = fields.into_iter().chain([light]).chain(features);
-        all.find(|(_, a, b)| !same_value(a, b))
-            .map(|(name, a, b)| format!("has another {name} ({b}, not {a})"))
+        found.extend(difference("illumination_unit", unit(self), unit(now)));
+        found
     }
 
     /// Reads and checks; the error is for a person.
@@ -182,5 +188,41 @@ mod tests {
             let message = Manifest::from_toml(&good.replace(from, to)).expect_err(to);
             assert!(message.contains(part), "{message}");
         }
+    }
+
+    fn camera(info: (usize, usize)) -> CameraInfo {
+        CameraInfo { width: info.1, height: info.0, bit_depth: 12, ..Default::default() }
+    }
+
+    #[test]
+    fn a_calibration_holds_for_its_own_geometry_and_depth() {
+        let with = |binning: i64, bit_depth: u8| CameraInfo {
+            bit_depth,
+            features: [("BinningHorizontal".to_string(), binning.into()), ("Gamma".into(), "1".into())]
+                .into(),
+            ..Default::default()
+        };
+        assert!(with(1, 12).differences(&with(1, 12)).is_empty());
+        assert_eq!(with(1, 12).differences(&with(2, 12)), ["BinningHorizontal is 2, and was 1"]);
+        assert_eq!(with(1, 8).differences(&with(1, 16)), ["bit depth is 16, and was 8"]);
+        // What one side does not know is no difference.
+        assert!(with(1, 12).differences(&CameraInfo::default()).is_empty());
+    }
+
+    #[test]
+    fn another_camera_is_told_by_what_differs() {
+        let a = CameraInfo { serial: "1".into(), gain_db: Some(0.0), ..camera((3, 4)) };
+        let b = CameraInfo {
+            serial: "2".into(),
+            gain_db: Some(6.0),
+            black_level_dn: Some(1.0),
+            ..camera((3, 5))
+        };
+        assert_eq!(a.differences(&a), Vec::<String>::new());
+        let said = a.differences(&b).join("; ");
+        assert_eq!(
+            said,
+            "serial is 2, and was 1; size is 5 x 3 px, and was 4 x 3 px; gain is 6 dB, and was 0 dB"
+        );
     }
 }

@@ -241,11 +241,13 @@ impl Dataset {
             if first_file.is_some_and(|file| files.contains(&file)) {
                 return Err(DatasetError::Manifest { path: next.root, message: "is given twice".into() });
             }
-            if let Some(differs) = all.manifest.differs_from(&next.manifest) {
+            let differs = all.manifest.differences(&next.manifest);
+            if !differs.is_empty() {
                 return Err(DatasetError::Manifest {
                     path: next.root,
                     message: format!(
-                        "{differs} than {}: only datasets of one camera under one set of settings go together",
+                        "{} in {}: only datasets of one camera under one set of settings go together",
+                        differs.join("; "),
                         all.root.display()
                     ),
                 });

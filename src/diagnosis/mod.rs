@@ -11,7 +11,7 @@ pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
 use crate::agreement::{DOUBT, P_LIMIT};
-use crate::camera::features::LeftOn;
+use crate::features::LeftOn;
 use crate::inference::{
     Comparison, Effects, Fitted, Residual, by, compare, fit, fit_near, residuals_of, seen, start,
 };

@@ -2,7 +2,7 @@
 
 use super::Missing;
 use crate::agreement::Agreement;
-use crate::camera::features::LeftOn;
+use crate::features::LeftOn;
 use crate::inference::{Comparison, Fitted};
 use crate::number::with_unit;
 use radcam_sim::effects::find;

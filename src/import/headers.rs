@@ -3,6 +3,7 @@
 use super::{Facts, names};
 use crate::dataset::image;
 use crate::dataset::tag::FrameTag;
+use crate::number::seconds as seconds_of;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
@@ -142,7 +143,7 @@ fn of_words<'a>(pairs: impl Iterator<Item = (&'a str, &'a str)>, fits: bool) -> 
             "exptime" | "exposure" | "exposuretime" | "exposure_s" | "exposure_time" | "xposure" => {
                 let unit = value[end..].trim();
                 let seconds = fits || key == "exposure_s";
-                let unit_s = names::seconds(unit).or_else(|| (unit.is_empty() && seconds).then_some(1.0));
+                let unit_s = seconds_of(unit).or_else(|| (unit.is_empty() && seconds).then_some(1.0));
                 out.exposure_s = number.zip(unit_s).map(|(n, s)| n * s).or(out.exposure_s);
             }
             "exposure_ms" => out.exposure_s = number.map(|n| 1e-3 * n).or(out.exposure_s),

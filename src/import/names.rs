@@ -2,17 +2,7 @@
 
 use super::Facts;
 use crate::dataset::Kind;
-
-/// Seconds of a unit of time; `None` where it is none.
-pub fn seconds(unit: &str) -> Option<f64> {
-    Some(match unit.to_lowercase().as_str() {
-        "s" | "sec" | "secs" | "second" | "seconds" => 1.0,
-        "ms" | "msec" | "millisec" | "milliseconds" => 1e-3,
-        "us" | "usec" | "µs" | "μs" | "microseconds" => 1e-6,
-        "ns" | "nsec" | "nanoseconds" => 1e-9,
-        _ => return None,
-    })
-}
+use crate::number::seconds;
 
 /// The kind that a word names: the word itself, its plural, or with `frame` or `field` behind it. A light frame is that of the sky to some and
 /// that of a card to others: it says nothing.

@@ -5,7 +5,7 @@ use super::{
     ChunkView, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, Statistic, codes,
     covariance, mean, successive, variance,
 };
-use crate::camera::features::LeftOn;
+use crate::features::LeftOn;
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;

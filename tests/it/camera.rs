@@ -1,7 +1,7 @@
 //! What is known of the features of real cameras.
 
 use crate::support::shared;
-use radcam::camera::features::{Kind, Role, known, neutral_value, role, suspicious};
+use radcam::features::{Kind, Role, known, neutral_value, role, suspicious};
 
 /// Every feature that 29 real cameras offer is switched off, recorded, or harmless for a reason that is written down.
 #[test]

@@ -104,6 +104,6 @@ fn several_datasets_are_taken_together() {
     expect(0, &["compare", &text("a"), &text("b"), "--model", &text("m.toml")]);
     // Not of another camera, and not the same one twice.
     expect(0, &["simulate", "xc77", "--region", "0,0,64,64", "--plan", "quick", "-o", &text("c")]);
-    assert!(refused(&["diagnose", &text("a"), &text("c")]).contains("has another"));
+    assert!(refused(&["diagnose", &text("a"), &text("c")]).contains("and was"));
     assert!(refused(&["compare", &text("a"), &text("a"), "--model", &text("m.toml")]).contains("twice"));
 }

@@ -3,7 +3,31 @@
 //! Names are those of the Standard Features Naming Convention (SFNC 2.7) and of the makers whose description files were read. A feature that
 //! has no line here and whose name speaks of radiometry is recorded with its value, and the capture warns of it ([`suspicious`]).
 
-use super::Value;
+use std::fmt;
+
+/// The value of a feature that has no method of its own.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Value {
+    /// Boolean.
+    Bool(bool),
+    /// Integer.
+    Int(i64),
+    /// Floating point.
+    Float(f64),
+    /// String or enumeration entry.
+    Text(String),
+}
+
+impl fmt::Display for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Value::Bool(v) => v.fmt(f),
+            Value::Int(v) => v.fmt(f),
+            Value::Float(v) => v.fmt(f),
+            Value::Text(v) => v.fmt(f),
+        }
+    }
+}
 
 /// The value at which a feature leaves the image alone.
 #[derive(Debug, Clone, Copy, PartialEq)]
