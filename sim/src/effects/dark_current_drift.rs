@@ -5,6 +5,17 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage
 /// Dark charge per second times 1 + rate * time.
 pub struct This;
 
+/// Spatial deviation of the dark charge over its mean, from the longest darks less the shortest; 0 where they do not tell.
+fn dark_spread(c: &Campaign, dark_dn_per_s: f64) -> f64 {
+    let darks = || c.sets.iter().filter(|s| s.light.is_none());
+    let long = darks().max_by(|a, b| a.exposure_s.total_cmp(&b.exposure_s));
+    let short = darks().min_by(|a, b| a.exposure_s.total_cmp(&b.exposure_s));
+    let (Some(long), Some(short)) = (long, short) else { return 0.0 };
+    let charge_dn = dark_dn_per_s * (long.exposure_s - short.exposure_s);
+    let var_dn2 = long.spread_dn.powi(2) - short.spread_dn.powi(2);
+    if charge_dn > 0.0 { var_dn2.max(0.0).sqrt() / charge_dn } else { 0.0 }
+}
+
 impl Effect for This {
     fn id(&self) -> &'static str {
         "dark-current-drift"
@@ -40,15 +51,22 @@ impl Effect for This {
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let dark = out.base.dark_e_per_s;
-        let mut of_set = vec![(0.0, 0.0); c.sets.len()];
+        let mut of_set = vec![(0.0, 0.0, 0.0); c.sets.len()];
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
             let Some(info) = c.sets.get(frame.set) else { continue };
             let more = p[0] * frame.time_s * dark * info.exposure_s;
             *m += more;
-            of_set[frame.set] = (of_set[frame.set].0 + more, of_set[frame.set].1 + 1.0);
+            let (sum, square, frames) = of_set[frame.set];
+            of_set[frame.set] = (sum + more, square + more * more, frames + 1.0);
         }
-        for (s, (more, frames)) in out.sets.iter_mut().zip(of_set) {
-            s.signal += more / f64::max(frames, 1.0);
+        let unequal = dark_spread(c, out.base.gain_dn_per_e * dark).powi(2);
+        for (s, (sum, square, frames)) in out.sets.iter_mut().zip(of_set) {
+            let frames = f64::max(frames, 1.0);
+            let mean = sum / frames;
+            s.signal += mean;
+            // Each pixel moves by its own dark current. How its spread is distributed, hot pixels above all, is not known.
+            let moved = (square / frames - mean * mean).max(0.0) * frames / (frames - 1.0).max(1.0);
+            s.unsure_moving = s.unsure_moving.hypot(unequal * moved);
         }
     }
 
