@@ -1,10 +1,10 @@
 //! Real cameras (GigE Vision, USB3 Vision) through libaravis.
 
-use crate::features::{Kind, Neutral, Role, is_disabled, known, neutral_value, role, suspicious};
 use super::{
     Automatic, Bounds, Camera, CameraError, Capabilities, FrameCounter, FrameStream, Identity, Settings,
     StreamCounts, StreamOptions, Trigger, Value, check_bounds,
 };
+use crate::features::{Kind, Neutral, Role, is_disabled, known, neutral_value, role, suspicious};
 use crate::frame::{Frame, Region, Status};
 use crate::pixel_format::PixelFormat;
 use radcam_aravis::{self as arv, DeviceInfo, Feature, FeatureKind, Received, StreamSetup};

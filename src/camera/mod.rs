@@ -9,8 +9,8 @@ pub mod corrected;
 pub mod replay;
 pub mod sim;
 
-pub use crate::features::Value;
 use crate::dataset::CameraInfo;
+pub use crate::features::Value;
 use crate::frame::{Frame, Region};
 use crate::pixel_format::PixelFormat;
 use std::collections::BTreeMap;

@@ -1,13 +1,13 @@
 //! A recorded dataset as a camera: asking for a setting finds the sets that were taken with it.
 
 use super::sim::SharedBench;
-use crate::plan::BenchState;
 use super::{
     Bounds, Camera, CameraError, Capabilities, FrameStream, Identity, Settings, StreamCounts, StreamOptions,
 };
 use crate::dataset::{Dataset, Kind};
 use crate::frame::{Frame, Region, Status};
 use crate::pixel_format::PixelFormat;
+use crate::plan::BenchState;
 use radcam_sim::Scene;
 use std::path::Path;
 use std::time::Duration;

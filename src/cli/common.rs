@@ -155,16 +155,9 @@ pub fn can_be_written<'a>(paths: impl IntoIterator<Item = &'a PathBuf>) -> Resul
         if path.is_dir() {
             bail!("{} is a folder; name a file", path.display());
         }
-        takes_files(folder).with_context(|| format!("{} cannot be written", path.display()))?;
+        tempfile::tempfile_in(folder).with_context(|| format!("{} cannot be written", path.display()))?;
     }
     Ok(())
-}
-
-/// Makes a file in a folder and removes it again.
-fn takes_files(folder: &Path) -> std::io::Result<()> {
-    let path = folder.join(format!(".radcam-{}.part", std::process::id()));
-    std::fs::File::create(&path)?;
-    std::fs::remove_file(&path)
 }
 
 /// Refuses to write over a file unless that is asked for.

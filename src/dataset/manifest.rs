@@ -93,7 +93,9 @@ impl CameraInfo {
     /// ```
     pub fn differences(&self, now: &Self) -> Vec<String> {
         let number = |x: Option<f64>, unit: &str| x.map_or(String::new(), |x| format!("{x} {unit}"));
-        let size = |c: &Self| if c.width * c.height == 0 { String::new() } else { format!("{} x {} px", c.width, c.height) };
+        let size = |c: &Self| {
+            if c.width * c.height == 0 { String::new() } else { format!("{} x {} px", c.width, c.height) }
+        };
         let bits = |c: &Self| if c.bit_depth == 0 { String::new() } else { c.bit_depth.to_string() };
         // Packing changes the bytes of a frame, and not its codes.
         let codes = |c: &Self| match PixelFormat::from_name(&c.pixel_format) {
@@ -111,9 +113,8 @@ impl CameraInfo {
             ("black level", number(self.black_level_dn, "DN"), number(now.black_level_dn, "DN")),
         ];
         let settings = self.features.iter().filter(|(name, _)| is_setting(name));
-        let settings = settings.filter_map(|(name, was)| {
-            difference(name, was.to_string(), now.features.get(name)?.to_string())
-        });
+        let settings = settings
+            .filter_map(|(name, was)| difference(name, was.to_string(), now.features.get(name)?.to_string()));
         own.into_iter().filter_map(|(name, was, is)| difference(name, was, is)).chain(settings).collect()
     }
 

@@ -20,21 +20,25 @@ pub struct Writer {
     written: Vec<FrameRow>,
 }
 
+/// What the names of unfinished files begin with.
+const ASIDE: &str = ".radcam-";
+
 /// Writes a whole file aside, synchronises it and puts it in place: it is there whole or not at all.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), DatasetError> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let aside = folder.join(format!(".{name}.part"));
-    let fault = || DatasetError::io(path);
-    let mut file = File::create(&aside).map_err(fault())?;
-    let written =
-        file.write_all(bytes).and_then(|()| file.sync_all()).and_then(|()| fs::rename(&aside, path));
-    if let Err(e) = written {
-        // A disk that is full is not filled with pieces.
-        fs::remove_file(&aside).ok();
-        return Err(fault()(e));
-    }
-    File::open(folder).and_then(|f| f.sync_all()).map_err(fault())
+    let write = || {
+        // Removed again where anything fails. Readable as any new file is, not by its owner alone.
+        let mut aside = tempfile::Builder::new();
+        aside.prefix(ASIDE);
+        #[cfg(unix)]
+        aside.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let mut aside = aside.tempfile_in(folder)?;
+        aside.write_all(bytes)?;
+        aside.as_file().sync_all()?;
+        aside.persist(path)?;
+        File::open(folder)?.sync_all()
+    };
+    write().map_err(DatasetError::io(path))
 }
 
 fn name(number: usize) -> String {
@@ -60,7 +64,7 @@ fn unfinished_start(root: &Path, beside: &[(&str, &str)]) -> std::io::Result<boo
         let ours = match &*name {
             "frames" => fs::read_dir(entry.path())?.next().is_none(),
             "frames.csv" => fs::read_to_string(entry.path())?.lines().count() <= 1,
-            name => name.ends_with(".part") || beside.iter().any(|(known, _)| *known == name),
+            name => name.starts_with(ASIDE) || beside.iter().any(|(known, _)| *known == name),
         };
         if !ours {
             return Ok(false);
@@ -108,6 +112,13 @@ impl Writer {
         if (1..text.len()).contains(&whole) {
             tracing::warn!(file = %path.display(), bytes = text.len() - whole, "cut off an unfinished row");
             rows.set_len(whole as u64).and_then(|()| rows.sync_all()).map_err(DatasetError::io(&path))?;
+        }
+        // What a killed program left: nobody else writes here while the folder is locked.
+        for folder in [root, &root.join("frames")] {
+            let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+            for left in entries.filter(|e| e.file_name().to_string_lossy().starts_with(ASIDE)) {
+                fs::remove_file(left.path()).map_err(DatasetError::io(&left.path()))?;
+            }
         }
         let dataset = Dataset::open(root)?;
         for row in dataset.rows() {

@@ -5,8 +5,8 @@ use super::{
     ChunkView, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, Statistic, codes,
     covariance, mean, successive, variance,
 };
-use crate::features::LeftOn;
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
+use crate::features::LeftOn;
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;

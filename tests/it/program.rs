@@ -376,8 +376,12 @@ fn resume_from_the_command_line() {
     let csv = root.join("frames.csv");
     let rows: Vec<String> = fs::read_to_string(&csv).unwrap().lines().map(Into::into).collect();
     fs::write(&csv, rows[..20].join("\n") + "\nframes/000").unwrap();
+    // A killed program leaves the frame that it was writing.
+    let left = root.join("frames/.radcam-Ab3xYz");
+    fs::write(&left, "II*").unwrap();
     let out = expect(0, &["simulate", "cmos12", "--resume", "-o", root.to_str().unwrap()]);
     assert!(out.contains("21 frames written"), "{out}");
+    assert!(!left.exists());
     // Its own plan may be named again; another one is refused.
     expect(0, &["simulate", "cmos12", "--plan", "quick", "--resume", "-o", root.to_str().unwrap()]);
     let said =
@@ -394,6 +398,34 @@ fn a_full_disk_is_told() {
     let said = String::from_utf8_lossy(&out.stderr);
     assert_eq!(out.status.code(), Some(2), "{said}");
     assert!(said.contains("No space left") && !said.contains("panicked"), "{said}");
+}
+
+/// A file that cannot be written to its end, as on a full disk, leaves nothing of itself behind; what was whole before stays.
+#[test]
+fn what_cannot_be_written_whole_leaves_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    let root = root.to_str().unwrap();
+    // No file above 8 KiB: of the frames of 64 x 48 px, 6 KiB each, all; of those of 128 x 96 px none.
+    let limited = |region: &str| {
+        let shell = "trap '' XFSZ; ulimit -f 8; exec \"$0\" \"$@\"";
+        let program = env!("CARGO_BIN_EXE_radcam");
+        let arguments = ["simulate", "cmos12", "--plan", "quick", "--region", region, "-o", root];
+        let out = std::process::Command::new("bash").args(["-c", shell, program]).args(arguments).output();
+        let out = out.unwrap();
+        (out.status.code(), String::from_utf8_lossy(&out.stderr).into_owned())
+    };
+    let files = || -> Vec<String> {
+        let all = fs::read_dir(format!("{root}/frames")).unwrap();
+        all.map(|f| f.unwrap().file_name().into_string().unwrap()).collect()
+    };
+    let (code, said) = limited("0,0,128,96");
+    assert_eq!(code, Some(2), "{said}");
+    assert!(said.contains("File too large") && said.contains("00000.tiff"), "{said}");
+    assert_eq!(files(), [""; 0]);
+    fs::remove_dir_all(root).unwrap();
+    let (code, said) = limited("0,0,64,48");
+    assert_eq!((code, files().len()), (Some(0), 40), "{said}");
 }
 
 /// A simulation that was broken off and gone on with is the one that was not: frames, rows and all that follows.
