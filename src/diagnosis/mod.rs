@@ -200,7 +200,7 @@ fn missing(
 ) -> Vec<Missing> {
     let seen = seen(all, &whole.base);
     // Neighbours tell the parts of a combination apart; without them how it splits moves it, by the brightest signal.
-    let split = (!all.has(&covariance::This)).then_some(seen.peak_e);
+    let split = (!all.has(&covariance::Covariance)).then_some(seen.peak_e);
     let fitted = residuals_of(all, whole);
     let named = named(parts, whole, [first, last], &fitted, ladder, split);
     let mut out = with_ties(parts, whole, named, split);

@@ -51,7 +51,7 @@ pub struct Candidate {
 
 /// What campaigns of this kind can tell of.
 fn there(all: &Observations) -> Needs {
-    match (all.has(&frame_scatter::This), all.has(&covariance::This)) {
+    match (all.has(&frame_scatter::FrameScatter), all.has(&covariance::Covariance)) {
         (true, _) => Needs::Frames,
         (_, true) => Needs::Covariances,
         _ => Needs::Variances,

@@ -93,7 +93,7 @@ mod tests {
                 + if i.is_multiple_of(4) { off(f64::from(i) / 200.0) } else { 0.0 },
             independent_z: 0.0,
             level_dn: f64::from(i / 4),
-            statistic: (&mean::This, 0),
+            statistic: (&mean::Mean, 0),
         };
         (0..200).map(row).collect()
     }

@@ -186,8 +186,8 @@ impl Errors<'_> {
 
 /// What the campaign shows before any fit.
 pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
-    let means = all.of(&mean::This).map(|o| o.measured.value);
-    let share = all.of(&codes_used::This).map(|o| o.measured.value).reduce(f64::max);
+    let means = all.of(&mean::Mean).map(|o| o.measured.value);
+    let share = all.of(&codes_used::CodesUsed).map(|o| o.measured.value).reduce(f64::max);
     let peak_dn = means.fold(0.0, f64::max) - base.offset_dn;
     let frames = &all.campaign.frames;
     let lit = all.campaign.sets.iter().filter(|s| s.light.is_some());

@@ -153,7 +153,7 @@ fn of_effect(place: usize, effect: &dyn Effect, values: &[f64]) -> Vec<Entry> {
 /// Light levels that have a mean, all but the one that the others are counted from.
 fn lights_of(all: &Observations, levels: usize, reference: usize) -> Vec<Light> {
     let mut used = vec![false; levels];
-    let with_mean = all.of(&mean::This).filter_map(|o| all.campaign.sets[o.set?].light);
+    let with_mean = all.of(&mean::Mean).filter_map(|o| all.campaign.sets[o.set?].light);
     with_mean.for_each(|l| used[l] = true);
     let light = |level: usize| {
         let mut sets = all.campaign.sets.iter().zip(&all.kinds);

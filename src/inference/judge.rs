@@ -46,7 +46,7 @@ pub struct Residual {
 impl Residual {
     /// Whether it is set by what came before, and not by its level.
     pub fn is_of_first_frames(&self) -> bool {
-        self.statistic.0.id() == settling::This.id()
+        self.statistic.0.id() == settling::Settling.id()
     }
 
     /// What a deviation means, in words.
@@ -109,14 +109,14 @@ fn of_settings(test: settings::Test) -> Residual {
         z: test.z,
         independent_z: test.z,
         level_dn: 0.0,
-        statistic: (&mean::This, 0),
+        statistic: (&mean::Mean, 0),
     }
 }
 
 /// Mean of every set above a zero, DN.
 fn levels(all: &Observations, zero_dn: f64) -> Vec<f64> {
     let mut sums = vec![(0.0, 0.0); all.campaign.sets.len()];
-    for o in all.of(&mean::This) {
+    for o in all.of(&mean::Mean) {
         if let Some(s) = o.set {
             sums[s] = (sums[s].0 + o.measured.value, sums[s].1 + 1.0);
         }
@@ -172,7 +172,7 @@ impl<'a> Unseen<'a> {
         let settings: Vec<f64> = fitted.predict(all).sets.iter().map(|s| s.setting).collect();
         let mut scatter = vec![0.0; settings.len()];
         for (r, (o, e)) in layout.rows.iter().zip(&state.expected).enumerate() {
-            if let Some(set) = o.set.filter(|_| o.is(&mean::This)) {
+            if let Some(set) = o.set.filter(|_| o.is(&mean::Mean)) {
                 scatter[set] = settings[set] / (slopes[r * n + light] * e.normal.2).powi(2).max(1e-30);
             }
         }
@@ -252,7 +252,7 @@ pub(crate) fn residuals_of(all: &Observations, fitted: &Fitted) -> Vec<Residual>
 fn lights_seen(all: &Observations, half: Half) -> Vec<bool> {
     let levels = all.campaign.sets.iter().filter_map(|s| s.light).max().map_or(0, |l| l + 1);
     let mut seen = vec![false; levels];
-    for o in all.of(&mean::This).filter(|o| o.half == half || o.half == Half::Both) {
+    for o in all.of(&mean::Mean).filter(|o| o.half == half || o.half == Half::Both) {
         if let Some(l) = o.set.and_then(|s| all.campaign.sets[s].light) {
             seen[l] = true;
         }

@@ -54,7 +54,7 @@ impl<'a> Layout<'a> {
                 blocks.len() - 1
             });
             // The mean first: it is what the light of a set moves.
-            if o.is(&mean::This) { blocks[at].1.insert(0, i) } else { blocks[at].1.push(i) }
+            if o.is(&mean::Mean) { blocks[at].1.insert(0, i) } else { blocks[at].1.push(i) }
         }
         let mut chunks: BTreeMap<_, Vec<usize>> = BTreeMap::new();
         for (i, o) in rows.iter().enumerate() {

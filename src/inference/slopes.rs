@@ -55,7 +55,7 @@ impl Slopes {
     /// For the rows of a layout, all 0.
     fn of_nothing(layout: &Layout<'_>, free: &Free) -> Self {
         let (n, rows, blocks) = (free.common.len(), layout.rows.len(), layout.blocks.len());
-        let monitors = (0..rows).filter(|r| layout.rows[*r].is(&monitor::This));
+        let monitors = (0..rows).filter(|r| layout.rows[*r].is(&monitor::Monitor));
         Self {
             keys: (0..n).map(|i| (!free.fixed[i]).then(|| free.key(i))).collect(),
             rows: layout.places.clone(),

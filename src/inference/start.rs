@@ -13,9 +13,9 @@ pub fn start(all: &Observations) -> BaseParameters {
     let (offset_dn, dark_dn_per_s) = if all.is_table { (0.0, 0.0) } else { zero_and_dark(all) };
     let signal_dn = signals(all, offset_dn);
     let mut points: Vec<(f64, f64)> =
-        values(all, &variance::This, Some(Kind::Flat)).map(|(s, v)| (signal_dn[s], v)).collect();
+        values(all, &variance::Variance, Some(Kind::Flat)).map(|(s, v)| (signal_dn[s], v)).collect();
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let dark = values(all, &variance::This, Some(Kind::Dark)).map(|v| v.1).reduce(f64::min);
+    let dark = values(all, &variance::Variance, Some(Kind::Dark)).map(|v| v.1).reduce(f64::min);
     let dark_var_dn2 = dark.unwrap_or_else(|| intercept(&points));
     let top_dn = points.last().map_or(0.0, |p| p.0);
     let gain_dn_per_e = gain(&points, dark_var_dn2, top_dn);
@@ -48,7 +48,7 @@ fn values<'a>(
 /// Mean of every set above the zero, DN; not a number where it has none.
 fn signals(all: &Observations, offset_dn: f64) -> Vec<f64> {
     let mut sums = vec![(0.0, 0.0); all.campaign.sets.len()];
-    values(all, &mean::This, None).for_each(|(set, v)| sums[set] = (sums[set].0 + v, sums[set].1 + 1.0));
+    values(all, &mean::Mean, None).for_each(|(set, v)| sums[set] = (sums[set].0 + v, sums[set].1 + 1.0));
     sums.into_iter().map(|(sum, n)| sum / n - offset_dn).collect()
 }
 
@@ -106,7 +106,7 @@ fn monitor_of(all: &Observations, flux_e_per_s: &[f64]) -> Option<Monitor> {
         let set = &all.campaign.sets[set];
         Some(v - (flux_e_per_s[set.light?] * set.exposure_s).ln())
     };
-    let readings: Vec<f64> = values(all, &monitor::This, None).filter_map(reading).collect();
+    let readings: Vec<f64> = values(all, &monitor::Monitor, None).filter_map(reading).collect();
     if readings.is_empty() {
         return None;
     }
@@ -118,7 +118,7 @@ fn monitor_of(all: &Observations, flux_e_per_s: &[f64]) -> Option<Monitor> {
 
 /// Level of zero charge, DN, and dark signal, DN/s, from the shortest and the longest darks.
 fn zero_and_dark(all: &Observations) -> (f64, f64) {
-    let darks: Vec<(f64, f64)> = values(all, &mean::This, Some(Kind::Dark))
+    let darks: Vec<(f64, f64)> = values(all, &mean::Mean, Some(Kind::Dark))
         .map(|(s, m)| (all.campaign.sets[s].exposure_s, m))
         .collect();
     let shortest = darks.iter().copied().min_by(|a, b| a.0.total_cmp(&b.0));
@@ -160,7 +160,7 @@ fn of_the_largest(values: impl Iterator<Item = f64>) -> Option<f64> {
 pub fn reference_level(all: &Observations) -> usize {
     // Levels that are known to both halves beforehand are those of scenes and clipped sets.
     let mut measured = vec![false; all.campaign.sets.len()];
-    let taken = all.of(&mean::This).filter(|o| o.half != Half::Both || all.means_given);
+    let taken = all.of(&mean::Mean).filter(|o| o.half != Half::Both || all.means_given);
     taken.filter_map(|o| o.set).for_each(|s| measured[s] = true);
     let sets = all.campaign.sets.iter().zip(all.kinds.iter().zip(measured));
     let sets = sets.filter(|(_, (kind, measured))| **kind == Kind::Flat && *measured);

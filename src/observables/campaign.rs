@@ -67,7 +67,7 @@ impl Observations {
     /// Whether darks, or flats of one light, have two exposures.
     fn exposures_differ(&self, half: Option<Half>, darks: bool) -> bool {
         let mut exposures: std::collections::BTreeMap<Option<usize>, Vec<f64>> = Default::default();
-        for o in self.of(&mean::This).filter(|o| half.is_none_or(|h| o.half == h)) {
+        for o in self.of(&mean::Mean).filter(|o| half.is_none_or(|h| o.half == h)) {
             let Some(s) = o.set.filter(|s| (self.kinds[*s] == Kind::Dark) == darks) else { continue };
             let set = &self.campaign.sets[s];
             // The lights of a lamp that is known are one.
@@ -206,7 +206,7 @@ pub fn of_dataset(
     for (i, level) in levels.chain(saturated) {
         let rows = &sets[i].rows;
         list.push(Observable {
-            statistic: &mean::This,
+            statistic: &mean::Mean,
             index: 0,
             set: Some(i),
             half: Half::Both,
@@ -324,7 +324,7 @@ fn of_chunks(chunks: &[Chunk], sets: &[Set]) -> Vec<Observable> {
         let rows = &sets[c.set].rows;
         let first = rows[c.from];
         let template = Observable {
-            statistic: &mean::This,
+            statistic: &mean::Mean,
             index: 0,
             set: Some(c.set),
             half: c.half,

@@ -4,9 +4,9 @@ use super::{ChunkView, Expected, Observable, Put, Statistic, View};
 
 /// The share.
 #[derive(Debug)]
-pub struct This;
+pub struct ChunkCodes;
 
-impl Statistic for This {
+impl Statistic for ChunkCodes {
     fn id(&self) -> &'static str {
         "share of codes around the level"
     }

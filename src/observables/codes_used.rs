@@ -4,9 +4,9 @@ use super::{Expected, HalfView, Observable, Put, Statistic, View};
 
 /// The share.
 #[derive(Debug)]
-pub struct This;
+pub struct CodesUsed;
 
-impl Statistic for This {
+impl Statistic for CodesUsed {
     fn id(&self) -> &'static str {
         "share of codes that occur"
     }

@@ -4,9 +4,9 @@ use super::{ChunkView, Expected, Observable, Put, Statistic, View};
 
 /// The scatter of whole columns.
 #[derive(Debug)]
-pub struct This;
+pub struct ColumnVariance;
 
-impl Statistic for This {
+impl Statistic for ColumnVariance {
     fn id(&self) -> &'static str {
         "variance of column means"
     }

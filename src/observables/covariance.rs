@@ -6,7 +6,7 @@ use crate::statistics::pass::Summary;
 
 /// The covariance at each of [`LAGS`].
 #[derive(Debug)]
-pub struct This;
+pub struct Covariance;
 
 /// Standard error for independent normal pixels.
 pub fn theory(r: &Summary) -> f64 {
@@ -17,7 +17,7 @@ fn lag(index: usize) -> (i32, i32) {
     LAGS.get(index).copied().unwrap_or((0, 1))
 }
 
-impl Statistic for This {
+impl Statistic for Covariance {
     fn id(&self) -> &'static str {
         "covariance"
     }

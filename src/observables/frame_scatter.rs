@@ -4,9 +4,9 @@ use super::{ChunkView, Expected, Observable, Put, Statistic, View};
 
 /// The scatter from frame to frame.
 #[derive(Debug)]
-pub struct This;
+pub struct FrameScatter;
 
-impl Statistic for This {
+impl Statistic for FrameScatter {
     fn id(&self) -> &'static str {
         "variance of frame means"
     }

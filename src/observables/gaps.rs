@@ -5,9 +5,9 @@ use super::{Expected, HalfView, Observable, Put, Statistic, View, in_quadrature}
 
 /// The share; index 0 is that of all codes, the others are bands of codes.
 #[derive(Debug)]
-pub struct This;
+pub struct Gaps;
 
-impl Statistic for This {
+impl Statistic for Gaps {
     fn id(&self) -> &'static str {
         "single codes left out"
     }

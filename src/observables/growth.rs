@@ -4,9 +4,9 @@ use super::{ChunkView, Expected, Observable, Put, Statistic, View, covariance, i
 
 /// What one end has more than the other.
 #[derive(Debug)]
-pub struct This;
+pub struct Growth;
 
-impl Statistic for This {
+impl Statistic for Growth {
     fn id(&self) -> &'static str {
         "growth of covariance"
     }

@@ -6,7 +6,7 @@ use crate::statistics::lines::Lines;
 
 /// The difference of the halves; rows, then columns.
 #[derive(Debug)]
-pub struct This;
+pub struct Halves;
 
 /// Mean of the second half of some numbers less that of the first; a line in the middle belongs to neither.
 fn difference(values: impl ExactSizeIterator<Item = f32>) -> f64 {
@@ -19,7 +19,7 @@ fn difference(values: impl ExactSizeIterator<Item = f32>) -> f64 {
     values.enumerate().map(of).sum::<f64>() / half.max(1) as f64
 }
 
-impl Statistic for This {
+impl Statistic for Halves {
     fn id(&self) -> &'static str {
         "difference of halves"
     }

@@ -6,9 +6,9 @@ use crate::statistics::lines::Lines;
 
 /// The fourth power of the deviations over the square of their variance, over all pixels and frames; 3 for normal noise.
 #[derive(Debug)]
-pub struct This;
+pub struct Kurtosis;
 
-impl Statistic for This {
+impl Statistic for Kurtosis {
     fn id(&self) -> &'static str {
         "kurtosis of the noise"
     }
@@ -122,7 +122,7 @@ mod tests {
                     let of = |(v, s): (&f64, &f64)| ((v - s / f64::from(k)) * scale.sqrt()) as f32;
                     let image: Vec<f32> = frame.iter().zip(&sum).map(of).collect();
                     square += image.iter().map(|v| f64::from(v * v)).sum::<f64>();
-                    This.add(&image, &Lines::new(layout.shape), &layout, &mut fourth);
+                    Kurtosis.add(&image, &Lines::new(layout.shape), &layout, &mut fourth);
                 }
                 sum.iter_mut().zip(&frame).for_each(|(s, v)| *s += v);
             }

@@ -5,13 +5,13 @@ use radcam_sim::predict::Prediction;
 
 /// What leaks out, for each of [`Direction::ALL`].
 #[derive(Debug)]
-pub struct This;
+pub struct Leak;
 
 fn way(index: usize) -> Direction {
     Direction::ALL.get(index).copied().unwrap_or(Direction::Up)
 }
 
-impl Statistic for This {
+impl Statistic for Leak {
     fn id(&self) -> &'static str {
         "leak"
     }

@@ -6,9 +6,9 @@ use super::{Expected, HalfView, Observable, Put, Statistic, View};
 
 /// The line.
 #[derive(Debug)]
-pub struct This;
+pub struct Line;
 
-impl Statistic for This {
+impl Statistic for Line {
     fn id(&self) -> &'static str {
         "line in the spectrum"
     }

@@ -4,9 +4,9 @@ use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature
 
 /// The mean.
 #[derive(Debug)]
-pub struct This;
+pub struct Mean;
 
-impl Statistic for This {
+impl Statistic for Mean {
     fn id(&self) -> &'static str {
         "mean"
     }

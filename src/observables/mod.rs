@@ -2,7 +2,7 @@
 //!
 //! # To add a statistic
 //!
-//! Write one file here with a `This` that implements [`Statistic`], and put its name on the list at the end of this file: reports come in
+//! Write one file here with a type that implements [`Statistic`], and put both names on the list at the end of this file: reports come in
 //! that order. Nothing else changes. [`mean`] is the shortest; [`kurtosis`] shows every part.
 //!
 //! 1. **What is summed** ([`Statistic::sums`], [`Statistic::add`]). Variances, covariances, row and column means, histograms and profiles are
@@ -247,15 +247,39 @@ impl Extra for Summed {
 }
 
 macro_rules! statistics {
-    ($($module:ident)*) => {
+    ($($module:ident::$name:ident)*) => {
         $(pub mod $module;)*
         /// Every statistic, in the order of reports.
-        pub static STATISTICS: &[&dyn Statistic] = &[$(&$module::This),*];
-        static SUMMED: &[&'static dyn Extra] = &[$(&Summed(&$module::This)),*];
+        pub static STATISTICS: &[&dyn Statistic] = &[$(&$module::$name),*];
+        static SUMMED: &[&'static dyn Extra] = &[$(&Summed(&$module::$name)),*];
     };
 }
 
 statistics! {
-    mean settling monitor frame_scatter succession variance kurtosis row_variance column_variance row_shape row_tails halves covariance successive unequal growth parity tap
-    occupancy transition codes_used chunk_codes gaps line profile leak
+    mean::Mean
+    settling::Settling
+    monitor::Monitor
+    frame_scatter::FrameScatter
+    succession::Succession
+    variance::Variance
+    kurtosis::Kurtosis
+    row_variance::RowVariance
+    column_variance::ColumnVariance
+    row_shape::RowShape
+    row_tails::RowTails
+    halves::Halves
+    covariance::Covariance
+    successive::Successive
+    unequal::Unequal
+    growth::Growth
+    parity::Parity
+    tap::Tap
+    occupancy::Occupancy
+    transition::Transition
+    codes_used::CodesUsed
+    chunk_codes::ChunkCodes
+    gaps::Gaps
+    line::Line
+    profile::LineProfile
+    leak::Leak
 }

@@ -4,9 +4,9 @@ use super::{Expected, Observable, Statistic, View};
 
 /// The reading.
 #[derive(Debug)]
-pub struct This;
+pub struct Monitor;
 
-impl Statistic for This {
+impl Statistic for Monitor {
     fn id(&self) -> &'static str {
         "light monitor"
     }

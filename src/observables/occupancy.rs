@@ -5,9 +5,9 @@ use super::{Expected, HalfView, Observable, Put, Statistic, View};
 
 /// The excess, for each of the low bits.
 #[derive(Debug)]
-pub struct This;
+pub struct Occupancy;
 
-impl Statistic for This {
+impl Statistic for Occupancy {
     fn id(&self) -> &'static str {
         "occupancy of codes"
     }

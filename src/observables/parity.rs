@@ -4,9 +4,9 @@ use super::{ChunkView, Expected, Observable, Put, Statistic, View, covariance, i
 
 /// What odd lines have more than even ones.
 #[derive(Debug)]
-pub struct This;
+pub struct Parity;
 
-impl Statistic for This {
+impl Statistic for Parity {
     fn id(&self) -> &'static str {
         "covariance by parity"
     }

@@ -8,9 +8,9 @@ use radcam_sim::predict::SetPrediction;
 
 /// The mean square: of rows, then of columns.
 #[derive(Debug)]
-pub struct This;
+pub struct LineProfile;
 
-impl Statistic for This {
+impl Statistic for LineProfile {
     fn id(&self) -> &'static str {
         "profiles"
     }

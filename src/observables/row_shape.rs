@@ -6,7 +6,7 @@ use crate::statistics::lines::Lines;
 
 /// The covariance at these distances.
 #[derive(Debug)]
-pub struct This;
+pub struct RowShape;
 
 /// Rows apart.
 const LAGS: [usize; 7] = [1, 2, 4, 8, 16, 32, 64];
@@ -16,7 +16,7 @@ fn lags(rows: usize) -> impl Iterator<Item = (usize, usize)> {
     LAGS.into_iter().enumerate().filter(move |(_, lag)| 2 * lag < rows)
 }
 
-impl Statistic for This {
+impl Statistic for RowShape {
     fn id(&self) -> &'static str {
         "covariance of row means"
     }

@@ -7,13 +7,13 @@ use radcam_sim::predict::Ripple;
 
 /// The kurtosis; 3 for normal rows.
 #[derive(Debug)]
-pub struct This;
+pub struct RowTails;
 
 /// Rows and frames from which on it tells something.
 const ROWS: usize = 32;
 const FRAMES: usize = 3;
 
-impl Statistic for This {
+impl Statistic for RowTails {
     fn id(&self) -> &'static str {
         "kurtosis of row means"
     }

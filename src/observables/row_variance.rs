@@ -4,9 +4,9 @@ use super::{ChunkView, Expected, Observable, Put, Statistic, View};
 
 /// The scatter of whole rows.
 #[derive(Debug)]
-pub struct This;
+pub struct RowVariance;
 
-impl Statistic for This {
+impl Statistic for RowVariance {
     fn id(&self) -> &'static str {
         "variance of row means"
     }

@@ -4,9 +4,9 @@ use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature
 
 /// The step to the settled level.
 #[derive(Debug)]
-pub struct This;
+pub struct Settling;
 
-impl Statistic for This {
+impl Statistic for Settling {
     fn id(&self) -> &'static str {
         "settling"
     }

@@ -6,12 +6,12 @@ use super::{ChunkView, Expected, Observable, Put, Statistic, View};
 
 /// The correlation from frame to frame.
 #[derive(Debug)]
-pub struct This;
+pub struct Succession;
 
 /// Frames from which on a set tells of it.
 const FEWEST: u64 = 4;
 
-impl Statistic for This {
+impl Statistic for Succession {
     fn id(&self) -> &'static str {
         "succession of frame means"
     }

@@ -6,7 +6,7 @@ use crate::statistics::successive::error_of;
 
 /// What is carried to the next frame.
 #[derive(Debug)]
-pub struct This;
+pub struct Successive;
 
 /// Standard error for independent normal pixels: of each in proportion to its own variance, so that a few noisy ones decide.
 pub fn theory(r: &Summary) -> f64 {
@@ -18,7 +18,7 @@ pub fn theory(r: &Summary) -> f64 {
 /// two by r x / 2: this share of it.
 const MOVING: f64 = 0.75;
 
-impl Statistic for This {
+impl Statistic for Successive {
     fn id(&self) -> &'static str {
         "covariance of successive frames"
     }

@@ -89,16 +89,16 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
                 });
             };
         // Without exposures the mean gives the light: known to both halves.
-        add(&mean::This, 0, if exposures { turn } else { Half::Both }, level.mean_dn, 0.0);
+        add(&mean::Mean, 0, if exposures { turn } else { Half::Both }, level.mean_dn, 0.0);
         if let Some(reading) = level.monitor.filter(|m| *m > 0.0 && exposures) {
-            add(&monitor::This, 0, turn, reading.ln(), 0.0);
+            add(&monitor::Monitor, 0, turn, reading.ln(), 0.0);
         }
         // One pair: as many degrees of freedom as pixels.
-        add(&variance::This, 0, turn, level.var_dn2, level.var_dn2 * (2.0 / point.pixels).sqrt());
+        add(&variance::Variance, 0, turn, level.var_dn2, level.var_dn2 * (2.0 / point.pixels).sqrt());
         for (lag, value) in [((0, 1), level.cov_01), ((1, 0), level.cov_10), ((1, 1), level.cov_11)] {
             let index = LAGS.iter().position(|l| *l == lag);
             if let (Some(value), Some(index)) = (value, index) {
-                add(&covariance::This, index, turn, value, level.var_dn2 / point.pixels.sqrt());
+                add(&covariance::Covariance, index, turn, value, level.var_dn2 / point.pixels.sqrt());
             }
         }
     }

@@ -6,9 +6,9 @@ use crate::statistics::taps;
 
 /// The step: twice the parts' number, and one more where it is constant.
 #[derive(Debug)]
-pub struct This;
+pub struct Tap;
 
-impl Statistic for This {
+impl Statistic for Tap {
     fn id(&self) -> &'static str {
         "step between parts"
     }

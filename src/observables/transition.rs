@@ -6,9 +6,9 @@ use super::{Expected, HalfView, Observable, Put, Statistic, View, in_quadrature}
 
 /// The excess; the index is the code above the transition.
 #[derive(Debug)]
-pub struct This;
+pub struct Transition;
 
-impl Statistic for This {
+impl Statistic for Transition {
     fn id(&self) -> &'static str {
         "occupancy at transitions"
     }

@@ -4,9 +4,9 @@ use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature
 
 /// The spread.
 #[derive(Debug)]
-pub struct This;
+pub struct Unequal;
 
-impl Statistic for This {
+impl Statistic for Unequal {
     fn id(&self) -> &'static str {
         "spread of pixel variances"
     }

@@ -5,14 +5,14 @@ use crate::statistics::pass::Summary;
 
 /// The variance.
 #[derive(Debug)]
-pub struct This;
+pub struct Variance;
 
 /// Standard error for independent normal pixels.
 pub fn theory(r: &Summary) -> f64 {
     r.var.value * (2.0 / (r.pixels * (r.frames as f64 - 1.0))).sqrt()
 }
 
-impl Statistic for This {
+impl Statistic for Variance {
     fn id(&self) -> &'static str {
         "temporal variance"
     }

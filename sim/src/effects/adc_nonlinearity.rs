@@ -5,7 +5,7 @@ use crate::normal::{AROUND, tail};
 use crate::predict::{BITS, NORMAL, PLACES};
 
 /// The weights of the six lowest bits, of the six highest, or of both are off by some part of a step.
-pub struct This;
+pub struct AdcNonlinearity;
 
 /// Bits at each end that have a weight of their own.
 const EACH: usize = 6;
@@ -160,7 +160,7 @@ fn depth(full_scale_dn: f64) -> usize {
     (libm::round(libm::log2(full_scale_dn + 1.0)) as usize).min(BITS)
 }
 
-impl Effect for This {
+impl Effect for AdcNonlinearity {
     fn id(&self) -> &'static str {
         "adc-nonlinearity"
     }

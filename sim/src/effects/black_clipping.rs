@@ -5,9 +5,9 @@ use crate::clipping::clipped;
 use crate::predict::NORMAL;
 
 /// max(v, level), counted from the level of zero charge.
-pub struct This;
+pub struct BlackClipping;
 
-impl Effect for This {
+impl Effect for BlackClipping {
     fn id(&self) -> &'static str {
         "black-clipping"
     }

@@ -5,9 +5,9 @@ use crate::clipping::clipped;
 use crate::predict::{NORMAL, SetPrediction};
 
 /// Charge above the well goes to the pixels above and below.
-pub struct This;
+pub struct Blooming;
 
-impl Effect for This {
+impl Effect for Blooming {
     fn id(&self) -> &'static str {
         "blooming"
     }

@@ -7,12 +7,12 @@ use super::{
 use crate::predict::{HALF, angle};
 
 /// Flow of arriving charge along the gradient of the charge so far.
-pub struct This;
+pub struct BrighterFatter;
 
 /// Steps in which the charge of a frame is drawn.
 const STEPS: usize = 8;
 
-impl Effect for This {
+impl Effect for BrighterFatter {
     fn id(&self) -> &'static str {
         "brighter-fatter"
     }

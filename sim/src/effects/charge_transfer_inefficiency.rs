@@ -4,7 +4,7 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen,
 
 /// A share per transfer is deferred to the pixel behind, along columns (towards row 0) and along rows (towards column 0); below nothing
 /// towards the last row and the last column. Traps that are full hold no more.
-pub struct This;
+pub struct ChargeTransferInefficiency;
 
 /// Charge deferred after n transfers, and how it grows with the charge.
 fn deferred(p: &[f64], per_transfer: f64, n: f64, charge: f64) -> (f64, f64) {
@@ -17,7 +17,7 @@ fn deferred(p: &[f64], per_transfer: f64, n: f64, charge: f64) -> (f64, f64) {
     (w * charge / fill, w / (fill * fill))
 }
 
-impl Effect for This {
+impl Effect for ChargeTransferInefficiency {
     fn id(&self) -> &'static str {
         "charge-transfer-inefficiency"
     }

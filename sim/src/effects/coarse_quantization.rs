@@ -3,9 +3,9 @@
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
 /// Codes are multiples of a step.
-pub struct This;
+pub struct CoarseQuantization;
 
-impl Effect for This {
+impl Effect for CoarseQuantization {
     fn id(&self) -> &'static str {
         "coarse-quantization"
     }

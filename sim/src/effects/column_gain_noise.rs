@@ -3,9 +3,9 @@
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// Each column of each frame times 1 + rel N(0, 1).
-pub struct This;
+pub struct ColumnGainNoise;
 
-impl Effect for This {
+impl Effect for ColumnGainNoise {
     fn id(&self) -> &'static str {
         "column-gain-noise"
     }

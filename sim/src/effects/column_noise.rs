@@ -3,9 +3,9 @@
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// One normal number for each column and frame, added with the read noise.
-pub struct This;
+pub struct ColumnNoise;
 
-impl Effect for This {
+impl Effect for ColumnNoise {
     fn id(&self) -> &'static str {
         "column-noise"
     }

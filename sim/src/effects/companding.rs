@@ -6,7 +6,7 @@ use crate::predict::quantised_mean;
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
 /// A square-root table, or coarser steps above a knee.
-pub struct This;
+pub struct Companding;
 
 /// Step of the codes at a level, DN.
 fn step(p: &[f64], level_dn: f64, full_scale_dn: f64) -> f64 {
@@ -28,7 +28,7 @@ fn expanded(p: &[f64], code: f64, full_scale_dn: f64) -> f64 {
     full_scale_dn * (sent / p[1]) * (sent / p[1])
 }
 
-impl Effect for This {
+impl Effect for Companding {
     fn id(&self) -> &'static str {
         "companding"
     }

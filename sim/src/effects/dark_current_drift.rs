@@ -3,7 +3,7 @@
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// Dark charge per second times 1 + rate * time.
-pub struct This;
+pub struct DarkCurrentDrift;
 
 /// Spatial deviation of the dark charge over its mean, from the longest darks less the shortest; 0 where they do not tell.
 fn dark_spread(c: &Campaign, dark_dn_per_s: f64) -> f64 {
@@ -16,7 +16,7 @@ fn dark_spread(c: &Campaign, dark_dn_per_s: f64) -> f64 {
     if charge_dn > 0.0 { var_dn2.max(0.0).sqrt() / charge_dn } else { 0.0 }
 }
 
-impl Effect for This {
+impl Effect for DarkCurrentDrift {
     fn id(&self) -> &'static str {
         "dark-current-drift"
     }

@@ -3,9 +3,9 @@
 use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// effective = commanded + t0, for light.
-pub struct This;
+pub struct ExposureOffset;
 
-impl Effect for This {
+impl Effect for ExposureOffset {
     fn id(&self) -> &'static str {
         "exposure-offset"
     }

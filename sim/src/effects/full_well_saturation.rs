@@ -6,9 +6,9 @@ use crate::predict::{NORMAL, SetPrediction};
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
 /// min(q, full well).
-pub struct This;
+pub struct FullWellSaturation;
 
-impl Effect for This {
+impl Effect for FullWellSaturation {
     fn id(&self) -> &'static str {
         "full-well-saturation"
     }

@@ -3,9 +3,9 @@
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// A times 1 + rate * time.
-pub struct This;
+pub struct GainDrift;
 
-impl Effect for This {
+impl Effect for GainDrift {
     fn id(&self) -> &'static str {
         "gain-drift"
     }

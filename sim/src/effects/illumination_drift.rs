@@ -3,14 +3,14 @@
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// Light times 1 + rate * time, or 1 + rel * exp(-time / tau).
-pub struct This;
+pub struct IlluminationDrift;
 
 /// Relative change of the light at a time.
 fn change(p: &[f64], time_s: f64) -> f64 {
     if p[0] >= 0.5 { p[2] * libm::exp(-time_s / p[3].max(1e-9)) } else { p[1] * time_s }
 }
 
-impl Effect for This {
+impl Effect for IlluminationDrift {
     fn id(&self) -> &'static str {
         "illumination-drift"
     }

@@ -3,9 +3,9 @@
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// Each frame's light times 1 + rel N(0, 1).
-pub struct This;
+pub struct IlluminationFlicker;
 
-impl Effect for This {
+impl Effect for IlluminationFlicker {
     fn id(&self) -> &'static str {
         "illumination-flicker"
     }

@@ -3,9 +3,9 @@
 use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// Each set's light times 1 + rel N(0, 1), the same for all its frames.
-pub struct This;
+pub struct IlluminationSetting;
 
-impl Effect for This {
+impl Effect for IlluminationSetting {
     fn id(&self) -> &'static str {
         "illumination-setting"
     }

@@ -5,7 +5,7 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen,
 
 /// A share of a frame's charge is handed on to the next; of that, again a share, or all of it is read; or two kinds of traps let it go in
 /// times of their own.
-pub struct This;
+pub struct ImageLag;
 
 /// How charge is held.
 #[derive(Clone, Copy)]
@@ -80,7 +80,7 @@ impl Held {
     }
 }
 
-impl Effect for This {
+impl Effect for ImageLag {
     fn id(&self) -> &'static str {
         "image-lag"
     }

@@ -4,9 +4,9 @@ use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction
 use crate::predict::Filter;
 
 /// Each pixel gives a share to each of its four neighbours.
-pub struct This;
+pub struct InterpixelCrosstalk;
 
-impl Effect for This {
+impl Effect for InterpixelCrosstalk {
     fn id(&self) -> &'static str {
         "interpixel-crosstalk"
     }

@@ -4,7 +4,7 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen,
 use crate::predict::Ripple;
 
 /// The rows of a frame share a light factor that changes down the image and from frame to frame.
-pub struct This;
+pub struct LightBanding;
 
 /// Correlation from row to row of the fastest wander. Rows are read some 10 us apart: light that forgets within six of them changes faster
 /// than lamps do.
@@ -21,7 +21,7 @@ fn left(ripple_hz: f64, exposure_s: f64) -> f64 {
     if x < 1e-9 { 1.0 } else { libm::sin(x) / x }
 }
 
-impl Effect for This {
+impl Effect for LightBanding {
     fn id(&self) -> &'static str {
         "light-banding"
     }
@@ -147,7 +147,7 @@ mod tests {
     fn a_ripple_that_does_not_fade_is_no_lamps() {
         let stands = |hz: f64, longest_s: f64| {
             let seen = Seen { lit_s: (1e-3, longest_s), rows: 480.0, ..Seen::default() };
-            This.contradicted(&[0.0, 0.003, 0.01, hz, 0.0], &seen).is_none()
+            LightBanding.contradicted(&[0.0, 0.003, 0.01, hz, 0.0], &seen).is_none()
         };
         assert!(stands(100.0, 0.02) && !stands(0.0, 0.02));
         // Exposures too short to tell.

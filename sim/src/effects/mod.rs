@@ -421,19 +421,45 @@ mod custom;
 pub use custom::custom;
 
 macro_rules! effects {
-    ($($module:ident)*) => {
+    ($($module:ident::$name:ident)*) => {
         $(mod $module;)*
         /// Every effect of the catalogue.
-        pub static EFFECTS: &[&dyn Effect] = &[$(&$module::This),*];
+        pub static EFFECTS: &[&dyn Effect] = &[$(&$module::$name),*];
     };
 }
 
 effects! {
-    nonlinearity brighter_fatter interpixel_crosstalk readout_lowpass spatial_filter temporal_filter image_lag
-    illumination_setting illumination_flicker illumination_drift light_banding gain_drift offset_drift dark_current_drift row_noise
-    column_noise column_gain_noise read_noise_correlation periodic_interference
-    random_telegraph_noise adc_nonlinearity charge_transfer_inefficiency smear exposure_offset full_well_saturation
-    black_clipping stray_light tap_mismatch blooming coarse_quantization companding
+    nonlinearity::Nonlinearity
+    brighter_fatter::BrighterFatter
+    interpixel_crosstalk::InterpixelCrosstalk
+    readout_lowpass::ReadoutLowpass
+    spatial_filter::SpatialFilter
+    temporal_filter::TemporalFilter
+    image_lag::ImageLag
+    illumination_setting::IlluminationSetting
+    illumination_flicker::IlluminationFlicker
+    illumination_drift::IlluminationDrift
+    light_banding::LightBanding
+    gain_drift::GainDrift
+    offset_drift::OffsetDrift
+    dark_current_drift::DarkCurrentDrift
+    row_noise::RowNoise
+    column_noise::ColumnNoise
+    column_gain_noise::ColumnGainNoise
+    read_noise_correlation::ReadNoiseCorrelation
+    periodic_interference::PeriodicInterference
+    random_telegraph_noise::RandomTelegraphNoise
+    adc_nonlinearity::AdcNonlinearity
+    charge_transfer_inefficiency::ChargeTransferInefficiency
+    smear::Smear
+    exposure_offset::ExposureOffset
+    full_well_saturation::FullWellSaturation
+    black_clipping::BlackClipping
+    stray_light::StrayLight
+    tap_mismatch::TapMismatch
+    blooming::Blooming
+    coarse_quantization::CoarseQuantization
+    companding::Companding
 }
 
 /// Effects that a program brought along.

@@ -3,7 +3,7 @@
 use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
 /// A curve after the amplifier, one of several shapes.
-pub struct This;
+pub struct Nonlinearity;
 
 /// Knots of the free curve, at equal steps up to full scale; it begins at 0.
 const KNOTS: usize = 6;
@@ -70,7 +70,7 @@ fn bent(p: &[f64], full_scale_dn: f64) -> impl Fn(f64) -> f64 {
     }
 }
 
-impl Effect for This {
+impl Effect for Nonlinearity {
     fn id(&self) -> &'static str {
         "nonlinearity"
     }

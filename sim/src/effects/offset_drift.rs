@@ -3,9 +3,9 @@
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// Black level plus rate * time.
-pub struct This;
+pub struct OffsetDrift;
 
-impl Effect for This {
+impl Effect for OffsetDrift {
     fn id(&self) -> &'static str {
         "offset-drift"
     }

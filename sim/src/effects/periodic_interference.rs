@@ -3,9 +3,9 @@
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
 /// A sine in read-out order, with a new phase in every frame.
-pub struct This;
+pub struct PeriodicInterference;
 
-impl Effect for This {
+impl Effect for PeriodicInterference {
     fn id(&self) -> &'static str {
         "periodic-interference"
     }

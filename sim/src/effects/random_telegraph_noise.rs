@@ -3,7 +3,7 @@
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, Together, takes};
 
 /// A share of the pixels is up or down by half the amplitude, at random in every frame.
-pub struct This;
+pub struct RandomTelegraphNoise;
 
 /// Of what the variances of the pixels spread by at least so much stays with the pixels (a named choice: of pixels that jump at one frame in
 /// seven it is four to six tenths in sets of eight frames, and nothing of deviations that hit any pixel).
@@ -15,7 +15,7 @@ fn spread(p: &[f64]) -> f64 {
     p[0] * (1.0 - p[0]) * jump * jump
 }
 
-impl Effect for This {
+impl Effect for RandomTelegraphNoise {
     fn id(&self) -> &'static str {
         "random-telegraph-noise"
     }
@@ -114,7 +114,7 @@ mod tests {
     #[test]
     fn what_any_pixel_has_is_no_telegraph_noise() {
         let seen = |steady_dn4| Seen { peak_e: 2000.0, peak_dn: 1000.0, steady_dn4, ..Seen::default() };
-        let stands = |steady_dn4| This.contradicted(&[0.01, 20.0], &seen(steady_dn4)).is_none();
+        let stands = |steady_dn4| RandomTelegraphNoise.contradicted(&[0.01, 20.0], &seen(steady_dn4)).is_none();
         assert!((spread(&[0.01, 20.0]) * 0.5f64.powi(4) - 6.1875).abs() < 1e-9);
         assert!(stands(Some((6.0, 0.5))) && stands(Some((2.5, 0.5))) && stands(None));
         // Not known well enough, and known to be nothing.

@@ -4,13 +4,13 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage
 use crate::predict::angle;
 
 /// Normal numbers of single pixels, each added to its own pixel and, with the same or the opposite sign, to the next of the row.
-pub struct This;
+pub struct ReadNoiseCorrelation;
 
 fn sign(p: &[f64]) -> f64 {
     if p[0] >= 0.5 { 1.0 } else { -1.0 }
 }
 
-impl Effect for This {
+impl Effect for ReadNoiseCorrelation {
     fn id(&self) -> &'static str {
         "read-noise-correlation"
     }

@@ -4,9 +4,9 @@ use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction
 use crate::predict::Filter;
 
 /// Each pixel keeps a share of the one read before it in the row.
-pub struct This;
+pub struct ReadoutLowpass;
 
-impl Effect for This {
+impl Effect for ReadoutLowpass {
     fn id(&self) -> &'static str {
         "readout-lowpass"
     }

@@ -4,13 +4,13 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen,
 use crate::predict::Ripple;
 
 /// One normal number for each row and frame, added with the read noise; rows may have a part in common with the next.
-pub struct This;
+pub struct RowNoise;
 
 fn wanders(p: &[f64]) -> bool {
     p[0] >= 0.5
 }
 
-impl Effect for This {
+impl Effect for RowNoise {
     fn id(&self) -> &'static str {
         "row-noise"
     }

@@ -4,9 +4,9 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage
 use ndarray::Axis;
 
 /// Every pixel of a column gets the column's mean light for some time, whatever the exposure.
-pub struct This;
+pub struct Smear;
 
-impl Effect for This {
+impl Effect for Smear {
     fn id(&self) -> &'static str {
         "smear"
     }

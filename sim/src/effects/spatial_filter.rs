@@ -5,7 +5,7 @@ use crate::predict::Filter;
 use crate::quantize::Correction;
 
 /// The difference from a mean of the neighbours is enlarged (s above 0) or lessened.
-pub struct This;
+pub struct SpatialFilter;
 
 /// Share of the four diagonal neighbours in that mean: none, as the other four, half as much.
 fn diagonal(p: &[f64]) -> f64 {
@@ -21,7 +21,7 @@ fn fine(p: &[f64]) -> bool {
     p[2] >= 0.5
 }
 
-impl Effect for This {
+impl Effect for SpatialFilter {
     fn id(&self) -> &'static str {
         "spatial-filter"
     }

@@ -3,9 +3,9 @@
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// A share of the mean light falls on every pixel alike.
-pub struct This;
+pub struct StrayLight;
 
-impl Effect for This {
+impl Effect for StrayLight {
     fn id(&self) -> &'static str {
         "stray-light"
     }

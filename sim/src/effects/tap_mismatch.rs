@@ -3,7 +3,7 @@
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
 /// Gain and offset of half of the pixels differ from those of the rest.
-pub struct This;
+pub struct TapMismatch;
 
 /// Whether a pixel of (rows, columns) belongs to the second tap: right half, lower half, odd columns, odd rows.
 fn second(kind: f64, (y, x): (usize, usize), (rows, columns): (usize, usize)) -> bool {
@@ -15,7 +15,7 @@ fn second(kind: f64, (y, x): (usize, usize), (rows, columns): (usize, usize)) ->
     }
 }
 
-impl Effect for This {
+impl Effect for TapMismatch {
     fn id(&self) -> &'static str {
         "tap-mismatch"
     }

@@ -7,7 +7,7 @@ use crate::quantize::Correction;
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
 /// A running average with weight 1 - alpha for the new frame.
-pub struct This;
+pub struct TemporalFilter;
 
 /// What y_t = (1 - a) x_t + a y_(t-1) makes of independent noise: its variance, relative, and the correlations over 1, 2, ... frames
 /// (an autoregression of the first order: Box and Jenkins 1976, 3.2.3).
@@ -212,7 +212,7 @@ fn move_frames(p: &[f64], c: &Campaign, out: &mut Prediction, added: &[Added]) -
     firsts
 }
 
-impl Effect for This {
+impl Effect for TemporalFilter {
     fn id(&self) -> &'static str {
         "temporal-filter"
     }
