@@ -1,6 +1,6 @@
 //! The bench: what lights the card, what closes the shutter, and who moves both.
 //!
-//! Three backends: the simulated bench, a camera's GenICam features, and a person at the terminal.
+//! Three backends: the simulated bench, a camera's GenICam features, and an operator at the terminal.
 
 pub use crate::camera::sim::SharedBench;
 use crate::camera::{Camera, CameraError, Value};
@@ -16,9 +16,9 @@ pub enum BenchError {
     /// A feature of the camera refused.
     #[error("bench: {0}")]
     Camera(#[from] CameraError),
-    /// The person at the terminal cannot be asked or gave up.
+    /// The operator cannot be asked or gave up.
     #[error("bench: {0}")]
-    Person(String),
+    Operator(String),
 }
 
 /// A bench that can be told how to stand.
@@ -30,7 +30,7 @@ pub trait Illuminator {
     /// What is known of the light, for `dataset.toml`.
     fn info(&self) -> Option<BenchInfo>;
 
-    /// Whether it moves by itself; else a person is asked to.
+    /// Whether it moves by itself; else the operator is asked to.
     fn moves_itself(&self) -> bool {
         true
     }
@@ -84,39 +84,39 @@ impl Illuminator for GenicamBench {
     }
 }
 
-/// A person who is told what to do and presses Enter.
-pub struct PersonBench<R, W> {
+/// A manual bench: its operator is told what to do and presses Enter.
+pub struct ManualBench<R, W> {
     input: R,
     output: W,
     now: Option<BenchState>,
 }
 
-impl<R: BufRead, W: Write> PersonBench<R, W> {
-    /// A person who reads `output` and answers on `input`.
+impl<R: BufRead, W: Write> ManualBench<R, W> {
+    /// The operator reads `output` and answers on `input`.
     pub fn new(input: R, output: W) -> Self {
         Self { input, output, now: None }
     }
 
     fn ask(&mut self, what: &str) -> Result<(), BenchError> {
-        let person = |e: std::io::Error| BenchError::Person(format!("{what}: {e}"));
-        write!(self.output, "{what}, then press Enter (q gives up): ").map_err(person)?;
-        self.output.flush().map_err(person)?;
+        let fault = |e: std::io::Error| BenchError::Operator(format!("{what}: {e}"));
+        write!(self.output, "{what}, then press Enter (q gives up): ").map_err(fault)?;
+        self.output.flush().map_err(fault)?;
         let mut answer = String::new();
-        let read = self.input.read_line(&mut answer).map_err(person)?;
+        let read = self.input.read_line(&mut answer).map_err(fault)?;
         if read == 0 {
             let message = format!(
                 "nobody is at the terminal to \"{what}\"; name the bench's GenICam features in the plan"
             );
-            return Err(BenchError::Person(message));
+            return Err(BenchError::Operator(message));
         }
         if answer.trim().eq_ignore_ascii_case("q") {
-            return Err(BenchError::Person(format!("given up at \"{what}\"")));
+            return Err(BenchError::Operator(format!("given up at \"{what}\"")));
         }
         Ok(())
     }
 }
 
-impl<R: BufRead, W: Write> Illuminator for PersonBench<R, W> {
+impl<R: BufRead, W: Write> Illuminator for ManualBench<R, W> {
     fn apply(&mut self, state: &BenchState, _camera: &mut dyn Camera) -> Result<BenchState, BenchError> {
         let before = self.now;
         if before == Some(*state) {
@@ -165,21 +165,21 @@ mod tests {
     use radcam_sim::{Sensor, sensors};
 
     #[test]
-    fn a_person_is_asked_for_what_changes_and_no_more() {
+    fn the_operator_is_asked_for_what_changes_and_no_more() {
         let sensor = Sensor::new(sensors::load("cmos12").unwrap()).unwrap();
         let mut camera = SimCamera::new("cmos12", sensor.into(), SharedBench::default());
         let mut said = Vec::new();
-        let mut person = PersonBench::new(&b"\n\n\n\n\nq\n"[..], &mut said);
+        let mut bench = ManualBench::new(&b"\n\n\n\n\nq\n"[..], &mut said);
         let dark = BenchState::default();
         let flat = BenchState { illumination: 0.5, ..dark };
         for state in [dark, dark, flat, flat, BenchState { configuration: 2, ..flat }] {
-            person.apply(&state, &mut camera).unwrap();
+            bench.apply(&state, &mut camera).unwrap();
         }
         let patch = BenchState { scene: Scene::Patch, ..flat };
-        person.apply(&patch, &mut camera).unwrap();
+        bench.apply(&patch, &mut camera).unwrap();
         let bright = BenchState { illumination: 1.0, ..patch };
-        assert!(person.apply(&bright, &mut camera).unwrap_err().to_string().contains("given up"));
-        assert!(person.apply(&bright, &mut camera).unwrap_err().to_string().contains("nobody"));
+        assert!(bench.apply(&bright, &mut camera).unwrap_err().to_string().contains("given up"));
+        assert!(bench.apply(&bright, &mut camera).unwrap_err().to_string().contains("nobody"));
         let said = String::from_utf8(said).unwrap();
         assert_eq!(said.matches("press Enter").count(), 7, "{said}");
         assert!(said.contains("50.0000 %") && said.contains("configuration 2"), "{said}");

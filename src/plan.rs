@@ -1,4 +1,4 @@
-//! Plans: what to capture, as a TOML file a person can write.
+//! Plans: what to capture, as TOML files.
 //!
 //! Exposures may be given in seconds (`exposure_s`) or relative to the exposure that brings the card at
 //! illumination 1 close to full scale (`exposure`); `capture` measures that one before it starts.
@@ -91,7 +91,7 @@ pub struct Plan {
     /// Settings of the camera for the whole campaign.
     #[serde(default, skip_serializing_if = "CameraPlan::is_default")]
     pub camera: CameraPlan,
-    /// GenICam features that drive the bench; without them a person is asked.
+    /// GenICam features that drive the bench; without them the operator is asked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench: Option<GenicamBench>,
     /// The sets, in the order of time.

@@ -18,7 +18,7 @@ pub struct CameraNoise {
     pub gain_dn_per_e: f64,
     /// sigma_C^2, DN^2.
     pub constant_noise_var_dn2: f64,
-    /// Level of zero charge, DN.
+    /// Black level at zero exposure, DN.
     pub offset_dn: f64,
     /// Variance of A, covariance, variance of sigma_C^2.
     pub covariance: [f64; 3],
@@ -106,7 +106,7 @@ impl CameraNoise {
         }
     }
 
-    /// sigma_N^2 of one frame at a mean above the level of zero charge (eq. 41), DN^2.
+    /// sigma_N^2 of one frame at a mean above the black level (eq. 41), DN^2.
     pub fn var_dn2(&self, above_zero_dn: f64) -> f64 {
         self.gain_dn_per_e * above_zero_dn + self.constant_noise_var_dn2
     }

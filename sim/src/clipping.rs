@@ -21,7 +21,7 @@ pub(crate) struct Clipped {
 }
 
 impl Clipped {
-    /// By so much the variance of the pixels' variances is not known, where `less` of the variance is left and `rest` is all noise that
+    /// Model uncertainty of the variance of the pixels' variances, where `less` of the variance is left and `rest` is all noise that
     /// is: a few pixels in the tails have most of it.
     pub fn unsure(&self, less: f64, rest: f64) -> f64 {
         3.0 * (1.0 - less) * rest * rest + self.above * self.unequal

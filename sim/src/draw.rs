@@ -284,7 +284,7 @@ impl Sensor {
     /// Draws frame number `frame` of `region` into `out`, row by row, `width * height` codes in DN.
     ///
     /// A pixel's code depends on (seed, frame, pixel) and the conditions alone: not on the region, on the
-    /// number of threads, or on what was drawn before. Where the model has effects that remember (lag, a temporal filter), the
+    /// number of threads, or on what was drawn before. Where the model has effects with memory (image lag, temporal filter), the
     /// frame drawn last is the one before.
     ///
     /// # Panics

@@ -1,4 +1,4 @@
-//! Expected statistics of a whole campaign: what every model must say before it is held against measurements.
+//! Expected statistics of a whole campaign: what every model must say before it is compared with measurements.
 
 use crate::clipping::Clipped;
 use crate::normal::upper;
@@ -63,13 +63,13 @@ pub struct BaseParameters {
     pub gain_dn_per_e: f64,
     /// Read noise, e.
     pub read_noise_e: f64,
-    /// Level of zero charge, DN.
+    /// Black level at zero exposure, DN.
     pub offset_dn: f64,
     /// Dark current, e/s.
     pub dark_e_per_s: f64,
     /// Light of each lamp level, e/s.
     pub flux_e_per_s: Vec<f64>,
-    /// Signal of the frames before the first, e, for effects that remember; `None`: nothing was exposed.
+    /// Signal of the frames before the first, e, for effects with memory; `None`: nothing was exposed.
     pub past_e: Option<f64>,
     /// The light monitor, where there is one.
     pub monitor: Option<Monitor>,
@@ -94,7 +94,7 @@ impl BaseParameters {
 /// Expected statistics of one set.
 ///
 /// What acts on the whole image acts through one operation on all parts of it: [`gain`](Self::gain), [`filter`](Self::filter),
-/// [`remember`](Self::remember).
+/// [`mix_in_time`](Self::mix_in_time).
 #[derive(Debug, Clone, PartialEq)]
 pub struct SetPrediction {
     /// Mean signal of the settled frames, e before the amplifier, DN above zero after it.
@@ -124,21 +124,21 @@ pub struct SetPrediction {
     /// Fourth cumulants of a pixel's noise in two successive frames, DN^4: three of the later and one of the earlier, two of each, one and
     /// three; the mean over all pixels.
     pub fourth_next: [f64; 3],
-    /// By so much `unequal` is not known, e^4, then DN^4.
+    /// Model uncertainty of `unequal`, e^4, then DN^4.
     pub unsure: f64,
-    /// By so much variance and covariances are not known, e^2, then DN^2.
+    /// Model uncertainty of variance and covariances, e^2, then DN^2.
     pub unsure_var: f64,
-    /// By so much variance is not known beside that, and no covariance: what single pixels have of their own, e^2, then DN^2.
+    /// Model uncertainty of the variance alone, beside that: what single pixels have of their own, e^2, then DN^2.
     pub unsure_own: f64,
-    /// By so much variance is not known while the level still moves, e^2, then DN^2.
+    /// Model uncertainty of the variance while the level still moves, e^2, then DN^2.
     pub unsure_moving: f64,
     /// What the mean of the pixels' fourth cumulants may be off by, DN^4.
     pub unsure_fourth: f64,
-    /// By so much the first frame of a set is not known, DN.
+    /// Model uncertainty of the mean of the first frame of a set, DN.
     pub unsure_first: f64,
     /// Share of the samples that are moved by whole codes after conversion.
     pub moved: f64,
-    /// By so much the mean is not known, e, then DN.
+    /// Model uncertainty of the mean, e, then DN.
     pub unsure_mean: f64,
     /// What a pixel's mean may deviate by from an offset and a gain of its own, one standard deviation, e, then DN.
     pub uneven: f64,
@@ -170,7 +170,7 @@ pub struct Prediction {
     pub code_step_dn: f64,
     /// Whether firmware has handed on whole codes already.
     pub whole: bool,
-    /// Nothing lies below this level, DN above that of zero charge.
+    /// Nothing lies below this level, DN above the black level.
     pub floor_dn: f64,
     /// Gain of the right half over the left, minus 1, and its offset, DN; of the lower half over the upper; of odd columns over even
     /// ones; of odd rows.
@@ -263,8 +263,8 @@ impl SetPrediction {
         self.follow(before);
     }
 
-    /// Mixes each frame with those before it: all noise is multiplied by `less` and remembers.
-    pub fn remember(&mut self, less: f64, memory: &[f64]) {
+    /// Mixes each frame with those before it: all noise is multiplied by `less` and correlated in time by `memory`.
+    pub fn mix_in_time(&mut self, less: f64, memory: &[f64]) {
         let setting = self.setting;
         self.scale(less);
         // What all frames of a set share stays.

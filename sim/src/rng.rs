@@ -25,7 +25,7 @@ pub enum Stream {
     DarkCurrent = 2,
     /// Which pixels are hot, and how much.
     HotPixels = 3,
-    /// The map of offsets at zero charge.
+    /// The fixed pattern of the black level.
     Offset = 4,
     /// Grain of the card and of painted squares.
     Card = 5,

@@ -150,7 +150,7 @@ mod tests {
     }
 
     /// Offset and dark current of every pixel are found: the pixels' deviations have the stated size, hot ones included
-    /// (they have more noise, so that they are held against their own).
+    /// (they have more noise, so that they are compared with their own).
     #[test]
     fn every_pixels_dark_line_is_found() {
         let mut model = sensors::load("cmos12").unwrap();

@@ -34,7 +34,7 @@ pub struct Description {
     pub gain_dn_per_e: Option<f64>,
     /// sigma_C^2, DN^2.
     pub constant_noise_var_dn2: Option<f64>,
-    /// Level of zero charge, DN.
+    /// Black level at zero exposure, DN.
     pub offset_dn: Option<f64>,
     /// Variance of A, covariance of A and sigma_C^2, variance of sigma_C^2.
     #[serde(default, skip_serializing_if = "Option::is_none")]

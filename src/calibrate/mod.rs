@@ -64,7 +64,7 @@ fn average(dataset: &Dataset, sets: &[&Set]) -> Result<Moments, DatasetError> {
     let mut moments = Moments::new((camera.height, camera.width), camera.bit_depth);
     for &row in sets.iter().flat_map(|s| &s.rows) {
         let frame = dataset.read(&dataset.rows()[row])?;
-        // Its size was held against the manifest.
+        // Its size was checked by the manifest.
         let _ = moments.add(&[frame.as_slice().unwrap_or_default()]);
     }
     Ok(moments)

@@ -133,7 +133,7 @@ impl Capture<'_> {
         Ok(())
     }
 
-    /// Mean and share of clipped pixels of a frame at an exposure; the first frame is let pass.
+    /// Mean and share of clipped pixels of a frame at an exposure; the first frame is discarded.
     fn pilot(&mut self, exposure_s: f64, counts: &mut StreamCounts) -> Result<(f64, f64), CaptureError> {
         self.camera.set_exposure_s(exposure_s)?;
         let full_scale = self.camera.settings()?.pixel_format.full_scale_dn();

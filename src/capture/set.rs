@@ -24,7 +24,7 @@ impl Capture<'_> {
         if run.have(number) >= set.frames && !run.again {
             return Ok(());
         }
-        // A person is not asked to move the light for it; frames that are let pass at the start of each set are no transition.
+        // An operator is not asked to move the light for it; frames that are discarded at the start of each set are no transition.
         let before = number.checked_sub(1).map(|k| &plan.sets[k]);
         let before = before.filter(|b| self.bench.moves_itself() || b.bench() == set.bench());
         let before = before.filter(|_| plan.camera.settle_frames == 0);

@@ -1,6 +1,6 @@
 //! What several verbs need: logs, interruption, cameras by name, plans by name.
 
-use crate::bench::{GenicamBench, Illuminator, PersonBench, SharedBench};
+use crate::bench::{GenicamBench, Illuminator, ManualBench, SharedBench};
 use crate::camera::Camera;
 use crate::camera::replay::ReplayCamera;
 use crate::camera::sim::SimCamera;
@@ -123,7 +123,7 @@ pub fn open_camera(name: &str, plan: &Plan) -> Result<(Box<dyn Camera>, Box<dyn 
             let bench: Box<dyn Illuminator> = match &plan.bench {
                 Some(features) => Box::new(features.clone()),
                 None if camera.has_feature("BenchIllumination") => Box::new(GenicamBench::served()),
-                None => Box::new(PersonBench::new(std::io::stdin().lock(), std::io::stderr())),
+                None => Box::new(ManualBench::new(std::io::stdin().lock(), std::io::stderr())),
             };
             Ok((camera, bench))
         }

@@ -46,11 +46,11 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     println!("{}: {}", names(&arguments.datasets), c.agreement.words());
     println!("  error    {:.3} on frames that the fit did not see (1: agreement to within noise)", c.error);
     println!("  p-value  {} over {} residuals", chance(c.p_value), c.residuals.len());
-    let strayed = signatures(&c.residuals);
-    for s in strayed.iter().take(6) {
+    let deviations = signatures(&c.residuals);
+    for s in deviations.iter().take(6) {
         println!("  - {}", s.text);
     }
-    if strayed.is_empty() && !c.consistent {
+    if deviations.is_empty() && !c.consistent {
         let mut worst: Vec<_> = c.residuals.iter().collect();
         worst.sort_by(|a, b| b.z.abs().total_cmp(&a.z.abs()));
         for r in worst.iter().take(3) {

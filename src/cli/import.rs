@@ -18,7 +18,7 @@ pub struct Arguments {
     /// The dataset folder to be made
     #[arg(short, long, value_name = "DATASET")]
     output: PathBuf,
-    /// Which files make which sets, as this command wrote it and a person completed it
+    /// Which files make which sets, as this command wrote it and you completed it
     #[arg(long, value_name = "MAP.toml", conflicts_with = "inputs")]
     map: Option<PathBuf>,
     /// Copy the files (the default)
@@ -87,7 +87,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         print!("{}", table(&map));
     }
     let missing = map.missing();
-    // A map was written or read by a person.
+    // The user wrote or read the map.
     let sure = arguments.yes || arguments.map.is_some();
     let declined = missing.is_empty() && !sure && !asked(root)?;
     if !missing.is_empty() || declined {
@@ -150,7 +150,7 @@ fn asked(root: &std::path::Path) -> Result<bool> {
     Ok(matches!(answer.trim().to_lowercase().as_str(), "" | "y" | "yes"))
 }
 
-/// The sets as a person checks them.
+/// The sets, as a table to be checked.
 fn table(map: &Map) -> String {
     let mut out = format!(
         "{:>4}  {:<16} {:>6}  {:>12}  {:>6}  {:>10}  first file\n",

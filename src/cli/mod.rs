@@ -86,9 +86,9 @@ enum Verb {
     Surface(surface::Arguments),
     /// Parts of a region's variance against intensity (Fig. 4)
     Budget(budget::Arguments),
-    /// Run the paper's experiments again and hold its numbers against ours (Section VII)
+    /// Run the paper's experiments again and compare its numbers with ours (Section VII)
     Reproduce(reproduce::Arguments),
-    /// Hold a model against a campaign: where it fails, and by how much
+    /// Compare a model with a campaign: where it fails, and by how much
     Compare(compare::Arguments),
     /// Say which physical effect a campaign shows that the model lacks
     Diagnose(diagnose::Arguments),

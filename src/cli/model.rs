@@ -95,7 +95,7 @@ pub fn read_effects(path: Option<&Path>) -> Result<Vec<Given>> {
 }
 
 /// The effects of a model as a fit takes them: what an earlier fit has found, and has an error therefore, is searched for anew, choices
-/// included; what a person has given is kept, and so is where a formula of the user's own began.
+/// included; what the user has given is kept, and so is where a formula of the user's own began.
 fn to_be_fitted(model: &Model) -> Result<Vec<Given>> {
     let of = |e: &EffectValues| {
         let mut e = e.clone();

@@ -64,10 +64,7 @@ fn print(path: &Path, r: &NoiseReport) {
         r.offset_source
     );
     if r.dof == 0 {
-        println!(
-            "  {:<16} none: there is nothing beyond the line's own parameters to hold it against",
-            "chi-square"
-        );
+        println!("  {:<16} none: two levels fit any line", "chi-square");
     } else {
         let verdict = r.agreement().of_a_line();
         println!(

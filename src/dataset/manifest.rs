@@ -143,7 +143,7 @@ impl Manifest {
         found
     }
 
-    /// Reads and checks; the error is for a person.
+    /// Reads and checks; the error is a sentence.
     pub fn from_toml(text: &str) -> Result<Self, String> {
         let table: toml::Table = toml::from_str(text).map_err(|e| e.to_string().trim_end().to_string())?;
         match table.get("format").and_then(|f| f.as_str()) {

@@ -310,7 +310,7 @@ impl Dataset {
         &self.root
     }
 
-    /// Reads one frame, (rows, columns) in DN, and holds its size and range against the manifest.
+    /// Reads one frame, (rows, columns) in DN, and checks its size and range by the manifest.
     pub fn read(&self, row: &FrameRow) -> Result<Array2<u16>, DatasetError> {
         let fault = |message: String| DatasetError::Frame {
             file: row.file.clone(),

@@ -7,7 +7,7 @@ use std::path::Path;
 /// One row: a level of light, black level removed.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 pub struct Level {
-    /// Mean above the level of zero charge, DN.
+    /// Mean above the black level, DN.
     pub mean_dn: f64,
     /// Temporal variance, DN^2.
     pub var_dn2: f64,

@@ -46,7 +46,7 @@ const AGREES: f64 = 2.3;
 /// (seeds 141 to 172 in docs/CONFUSION.md) that have one effect none is named right with more than two beside ties, and one without a name was
 /// taken for five.
 const AT_ONCE: usize = 3;
-/// A single addition lowers the error by so much at least.
+/// Least decrease of the error that a single addition must bring.
 const HELPS: f64 = 1e-3;
 /// Names that are given as the nearest of what has none.
 const NEAREST: usize = 3;
@@ -274,7 +274,7 @@ fn next_measurement(
         Some((format!("{} or {other}: {}", part.effect.id(), page.measure), page.sets))
     });
     tie.or_else(|| {
-        let words = "the statistic that strays most, at more levels and frames; a custom formula in the model file can describe it";
+        let words = "the statistic that deviates most, at more levels and frames; a custom formula in the model file can describe it";
         missing.iter().any(|m| m.effect == "unknown").then(|| (words.into(), takes::PAIRS))
     })
 }
@@ -476,7 +476,7 @@ fn unknown(parts: &[Part], doubt: Option<String>, first: &Comparison, last: &Com
     }
     nearest.dedup();
     nearest.truncate(NEAREST);
-    let mut evidence = what_strays(first, last, strongest.is_some());
+    let mut evidence = what_deviates(first, last, strongest.is_some());
     evidence.extend(better);
     if let Some(doubt) = &doubt {
         evidence.insert(0, doubt.clone());
@@ -503,8 +503,8 @@ fn unknown(parts: &[Part], doubt: Option<String>, first: &Comparison, last: &Com
     })
 }
 
-/// What is left once all names are in says what to look for; what strayed before, where to look.
-fn what_strays(first: &Comparison, last: &Comparison, named: bool) -> Vec<String> {
+/// What is left once all names are in says what to look for; what deviated before, where to look.
+fn what_deviates(first: &Comparison, last: &Comparison, named: bool) -> Vec<String> {
     let of = |c: &Comparison, most: usize| -> Vec<String> {
         signatures(&c.residuals).into_iter().take(most).map(|s| s.text).collect()
     };
@@ -557,10 +557,10 @@ fn parameters(fitted: &Fitted, at: usize, split: Option<f64>) -> BTreeMap<String
 
 /// The statistics that deviate without an effect and are mended with it, worst first, and what the effect does.
 fn reasons(without: &[Residual], with: &[Residual], effect: &dyn Effect) -> Vec<String> {
-    let strayed = signatures(without);
+    let deviations = signatures(without);
     let left = signatures(with);
     let mended = |s: &&Signature| left.iter().all(|l| l.name != s.name || l.excess < 0.5 * s.excess);
-    let mut out: Vec<String> = strayed.iter().filter(mended).take(4).map(|s| s.text.clone()).collect();
+    let mut out: Vec<String> = deviations.iter().filter(mended).take(4).map(|s| s.text.clone()).collect();
     out.push(format!("{}: {}", effect.id(), effect.page().signature));
     out
 }

@@ -15,7 +15,7 @@ const MOST: usize = 8;
 pub const NEEDED: f64 = 9.0;
 /// Candidates that are fitted, of those that promise most.
 const FITTED: usize = 9;
-/// The same where what stands in a model already is held against others.
+/// The same where what stands in a model already is compared with others.
 const RIVALS: usize = 4;
 /// What promises less than this share of the evidence of what stands in a model already is not fitted as a rival of it. A named choice: on
 /// the 182 cameras of docs/CONFUSION.md as many are right, unknown and wrong as without it.

@@ -95,7 +95,7 @@ impl Verdict {
             };
             let most = match (&top.doubt, top.evidence.first()) {
                 (Some(doubt), _) => format!(" {}.", capital(doubt)),
-                (None, Some(strays)) => format!(" What deviates most: {strays}."),
+                (None, Some(most)) => format!(" What deviates most: {most}."),
                 (None, None) => String::new(),
             };
             let sentence = format!(

@@ -1,4 +1,4 @@
-//! Residuals in words: which statistics stray, how they scale, along which axis and in which frames.
+//! Residuals in words: which statistics deviate, how they scale, along which axis and in which frames.
 
 use crate::inference::Residual;
 

@@ -1,6 +1,6 @@
 //! Loose image files into a dataset folder.
 //!
-//! [`survey`] looks at the files, [`propose`] sorts them into sets as a [`Map`], a person confirms or completes it, and [`write()`] copies the
+//! [`survey`] looks at the files, [`propose`] sorts them into sets as a [`Map`], the user confirms or completes it, and [`write()`] copies the
 //! frames. What cannot be known is not guessed: [`Map::missing`] says what is to be filled in.
 
 mod headers;
@@ -194,7 +194,7 @@ pub fn survey(
 /// Name of the map's format.
 pub const MAP_FORMAT: &str = "radcam-import/1";
 
-/// How files become sets: what a person confirms, and may write.
+/// How files become sets: what the user confirms, and may write.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Map {

@@ -84,7 +84,7 @@ fn numbers(name: &str) -> Vec<Number<'_>> {
 /// Facts of a path: of its last folder's name and of its own, which counts more.
 pub fn facts(folder: &str, name: &str) -> Facts {
     let mut out = Facts::default();
-    // A hidden folder is named by a program, not by a person.
+    // A hidden folder is named by a program, not by the user.
     let folder = if folder.starts_with('.') { "" } else { folder };
     for text in [folder, name] {
         for number in numbers(text) {

@@ -85,7 +85,7 @@ pub fn fit(all: &Observations, base: &BaseParameters, effects: &Effects) -> Fitt
     fit_for(Effort::Full, all, None, base, effects, None)
 }
 
-/// The same beside another fit whose slopes serve at first; a model that is far off, as exactly as it is to be held against others.
+/// The same beside another fit whose slopes serve at first; a model that is far off, as exactly as it is to be compared with others.
 pub(crate) fn fit_near(all: &Observations, near: &Fitted, effects: &Effects) -> Fitted {
     fit_for(Effort::Rival, all, None, &near.base, effects, Some(&near.slopes))
 }

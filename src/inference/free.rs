@@ -21,7 +21,7 @@ pub enum Common {
     Gain,
     /// Read noise, e.
     Read,
-    /// Level of zero charge, DN.
+    /// Black level at zero exposure, DN.
     Offset,
     /// Dark current, e/s.
     Dark,
@@ -185,9 +185,9 @@ fn factors_of(all: &Observations, lights: &[Light], reference: usize, flux_e_per
 impl Free {
     /// For a model, and the place where it stands.
     pub fn new(all: &Observations, base: &BaseParameters, effects: &Effects) -> (Self, Point) {
-        let remembers = effects.iter().any(|(e, _)| e.remembers()) && !all.is_table;
+        let has_memory = effects.iter().any(|(e, _)| e.has_memory()) && !all.is_table;
         let mut template = base.clone();
-        template.past_e = remembers.then(|| base.past_e.unwrap_or(0.0));
+        template.past_e = has_memory.then(|| base.past_e.unwrap_or(0.0));
         let mut entries = of_base(all, &template);
         for (place, (effect, values)) in effects.iter().enumerate() {
             entries.extend(of_effect(place, *effect, values));

@@ -9,7 +9,7 @@ use super::system::System;
 /// A round that gains less of the objective has arrived, where residuals are of the size of their errors; where they are larger, in
 /// proportion to their mean square.
 const ARRIVED: f64 = 1e-3;
-/// The same, in proportion to the mean square, of models beyond this one that are only held against others (named choices).
+/// The same, in proportion to the mean square, of models beyond this one that are only compared with others (named choices).
 const ARRIVED_FAR: f64 = 0.03;
 /// A mean square of the residuals beyond which a model is far off.
 pub(super) const FAR_SQUARE: f64 = 4.0;
@@ -32,7 +32,7 @@ pub(super) enum Effort {
     Look,
     /// Few rounds: enough to tell how far off a model is.
     Short,
-    /// To the end; a model that is far off, as exactly as it is to be held against others.
+    /// To the end; a model that is far off, as exactly as it is to be compared with others.
     Rival,
     /// To the end.
     Full,

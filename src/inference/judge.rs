@@ -1,4 +1,4 @@
-//! Holds a model against a campaign: fitted on one half of the frames, judged on the other.
+//! Compares a model with a campaign: fitted on one half of the frames, judged on the other.
 //!
 //! Halves take turns from set to set: the first frames after a change of level belong now to the one, now to the other. Whole
 //! frames go to one half, so that noise that runs from frame to frame within a chunk stays on one side.
@@ -35,7 +35,7 @@ pub struct Residual {
     /// The same once what the statistics of the same frames have in common is taken for one number.
     #[serde(skip)]
     pub independent_z: f64,
-    /// Mean of the set above the level of zero charge, DN.
+    /// Mean of the set above the black level, DN.
     #[serde(skip)]
     pub level_dn: f64,
     /// The statistic itself, and which of its several.
@@ -154,9 +154,9 @@ struct Unseen<'a> {
     light: usize,
     /// Light levels that the fit saw.
     lights: Vec<bool>,
-    /// Of sets that the fit saw: what their setting is off by and by so much that is not known, in units of the light.
+    /// Of sets that the fit used: the error of their light setting and its uncertainty, in units of the light.
     told: BTreeMap<usize, (f64, f64)>,
-    /// By so much a setting scatters that the fit did not see, in squares of the light; by set.
+    /// Variance of a light setting that the fit did not use, in units of the light squared; by set.
     scatter: Vec<f64>,
 }
 
@@ -271,7 +271,7 @@ pub struct OfStatistic {
     pub excess: f64,
 }
 
-/// By so much a statistic's standardised residuals may pass what chance gives, since errors are predicted to some per cent and parameters
+/// Allowed excess of a statistic's standardised residuals over chance, since errors are predicted to some per cent and parameters
 /// were fitted: the sum of their squares by a quarter, their mean by a fifth of its deviation.
 const SLACK_OF_SQUARES: f64 = 1.25;
 /// See [`SLACK_OF_SQUARES`].
@@ -291,7 +291,7 @@ pub(crate) fn by<'r>(residuals: &'r [Residual], name: impl Fn(&'r Residual) -> &
         let squares: f64 = z.iter().map(|z| z * z).sum();
         let sum: f64 = z.iter().sum();
         let chi2 = ChiSquared::new(n).map_or(1.0, |c| c.sf(squares / SLACK_OF_SQUARES));
-        // What strays a little to one side in every set.
+        // What deviates a little to one side in every set.
         let aside = two_sided(sum / n.sqrt() / SLACK_OF_MEAN);
         OfStatistic {
             name: name.to_string(),

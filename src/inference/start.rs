@@ -116,7 +116,7 @@ fn monitor_of(all: &Observations, flux_e_per_s: &[f64]) -> Option<Monitor> {
     Some(Monitor { ln_per_e: middle, rel: scatter.max(1e-5) })
 }
 
-/// Level of zero charge, DN, and dark signal, DN/s, from the shortest and the longest darks.
+/// Black level at zero exposure, DN, and dark signal, DN/s, from the shortest and the longest darks.
 fn zero_and_dark(all: &Observations) -> (f64, f64) {
     let darks: Vec<(f64, f64)> = values(all, &mean::Mean, Some(Kind::Dark))
         .map(|(s, m)| (all.campaign.sets[s].exposure_s, m))

@@ -24,7 +24,7 @@ pub(super) fn exclude_past_the_peak(points: &mut [Point]) {
 }
 
 /// Marks single levels that stand off a line on which the others lie; a curve is left as it is.
-pub(super) fn exclude_strays(points: &mut [Point]) {
+pub(super) fn exclude_outliers(points: &mut [Point]) {
     let most = points.iter().filter(|p| p.excluded.is_none()).count() / 5;
     for _ in 0..most {
         let used: Vec<usize> = (0..points.len()).filter(|&i| points[i].excluded.is_none()).collect();

@@ -15,7 +15,7 @@ pub struct Point {
     pub set: u32,
     /// Dark or flat.
     pub kind: Kind,
-    /// Mean above the level of zero charge, DN.
+    /// Mean above the black level, DN.
     pub mean_dn: f64,
     /// Temporal variance, DN^2.
     pub var_dn2: f64,
@@ -31,7 +31,7 @@ pub struct Point {
     pub excluded: Option<String>,
 }
 
-/// The level of zero charge.
+/// The black level at zero exposure.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Zero {
     /// DN.
@@ -82,7 +82,7 @@ pub fn measure(
             let frames: Vec<_> =
                 rows.iter().map(|&i| dataset.read(&dataset.rows()[i])).collect::<Result<_, _>>()?;
             let slices: Vec<&[u16]> = frames.iter().filter_map(|f| f.as_slice()).collect();
-            // Memory for what the frames are, not for what a damaged manifest says. Their sizes were held against it
+            // Memory for what the frames are, not for what a damaged manifest says. Their sizes were checked by it
             // when they were read.
             let shape = (camera.height, camera.width);
             let level = accumulator.get_or_insert_with(|| LevelAccumulator::new(shape, camera.bit_depth));
@@ -134,7 +134,7 @@ fn clipped_because(level: &Level) -> Option<String> {
     }
 }
 
-/// The level of zero charge from the darks: their means extrapolated to no exposure.
+/// The black level at zero exposure from the darks: their means extrapolated to no exposure.
 pub fn zero(measured: &Measured) -> Zero {
     let darks: Vec<_> = measured
         .levels

@@ -1,6 +1,6 @@
 //! Section IV of the paper: gain A and constant noise sigma_C^2 from the growth of variance with the mean.
 //!
-//! sigma^2 = A mu + sigma_C^2 (eq. 41) holds for mu counted from the level of zero charge. The paper's camera has
+//! sigma^2 = A mu + sigma_C^2 (eq. 41) holds for mu counted from the black level. The paper's camera has
 //! no black level; others have, and it would enter the intercept as A times the black level. So the zero is
 //! taken from the darks, extrapolated to no exposure ([`Zero`]).
 //!
@@ -28,7 +28,7 @@ use crate::agreement::P_LIMIT;
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, DatasetError, Kind};
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
-use exclude::{exclude_past_the_peak, exclude_strays};
+use exclude::{exclude_outliers, exclude_past_the_peak};
 use levels::{BLACK_LEVEL, NO_ZERO, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED, ONE_FRAME};
 pub(crate) use levels::{Counts, pixels_from_scatter};
 use report::finite;
@@ -89,7 +89,7 @@ pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, Nois
         Counts::Unknown => notes.push("no pixel count, and too few rows to see their scatter: no errors".into()),
     }
     exclude_past_the_peak(&mut points);
-    exclude_strays(&mut points);
+    exclude_outliers(&mut points);
     let is_lit = |p: &&Point| p.excluded.is_none() && p.kind == Kind::Flat;
     let lit = points.iter().filter(is_lit).count();
     let line = reweighted(&points).filter(|_| lit > 0);
@@ -125,12 +125,12 @@ pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, Nois
     let from_one = zero.source == ONE_EXPOSURE || zero.source == ONE_EXPOSURE_BOUNDED;
     if from_one {
         notes.push(
-            "darks of one exposure do not tell the level of zero charge from the dark charge; take darks at two or more"
+            "darks of one exposure do not tell the black level at zero exposure from the dark charge; take darks at two or more"
                 .into(),
         );
     } else if !zero.std_err_dn.is_finite() && zero.source != TABLE_ZERO {
         notes.push(format!(
-            "level of zero charge: {}. If it is wrong by d DN, the constant noise is wrong by A d",
+            "black level at zero exposure: {}. If it is wrong by d DN, the constant noise is wrong by A d",
             zero.source
         ));
     }
@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stray_level_and_full_wells_are_shown_with_the_reason() {
+    fn an_outlying_level_and_full_wells_are_shown_with_the_reason() {
         let mut points = scattered(1, 12, 10_000.0);
         points[5].var_dn2 *= 1.5;
         for (i, var) in [(12, 70.0), (13, 30.0)] {

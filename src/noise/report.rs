@@ -87,7 +87,7 @@ pub struct LevelReport {
     pub set: u32,
     /// Dark or flat.
     pub kind: Kind,
-    /// Mean above the level of zero charge, DN.
+    /// Mean above the black level, DN.
     pub mean_dn: f64,
     /// Temporal variance, DN^2; not a number where the level has none.
     #[serde(serialize_with = "finite")]
@@ -113,7 +113,7 @@ pub struct NoiseReport {
     pub constant_noise_var_dn2: Quantity,
     /// Read noise with quantisation taken off, electrons: sqrt(sigma_C^2 - q^2/12) / A (eq. 27).
     pub read_noise_e: Quantity,
-    /// The level of zero charge.
+    /// The black level at zero exposure.
     pub offset_dn: Quantity,
     /// Where the zero comes from.
     pub offset_source: &'static str,

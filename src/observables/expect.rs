@@ -40,7 +40,7 @@ impl Expected {
         }
     }
 
-    /// The same where the value may be off by so much more: of a cube root by a third of that share.
+    /// The same where the value may be off by that much more: of a cube root by a third of that share.
     pub fn unsure(self, by: f64) -> Self {
         let (measured, root, error) = self.normal;
         let more = by / (3.0 * self.value.powf(2.0 / 3.0));
@@ -58,7 +58,7 @@ pub fn in_quadrature(errors: &[f64]) -> f64 {
     errors.iter().map(|e| e * e).sum::<f64>().sqrt()
 }
 
-/// What taking off the mean over `n` frames leaves of the variance of noise that remembers.
+/// What taking off the mean over `n` frames leaves of the variance of temporally correlated noise.
 fn left(memory: &[f64], n: f64) -> f64 {
     let lost: f64 = memory.iter().enumerate().map(|(k, r)| (n - (k + 1) as f64).max(0.0) * r).sum();
     1.0 - 2.0 * lost / (n * (n - 1.0))
@@ -263,7 +263,7 @@ impl<'a> View<'a> {
             - self.of_mean
     }
 
-    /// By so much the variance is not known while the level still moves, DN^2: between a sixteenth of a code and none it no longer does.
+    /// Model uncertainty of the variance while the level still moves, DN^2; below a sixteenth of a code it no longer does.
     pub fn unsure_moving(&self) -> f64 {
         self.set().filter(|_| self.moved > 0.004).map_or(0.0, |s| s.unsure_moving)
     }

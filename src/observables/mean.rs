@@ -28,7 +28,7 @@ impl Statistic for Mean {
         if view.all.is_table {
             return Expected::plain(o, view.mean, (view.noise / o.pixels).sqrt());
         }
-        // Noise that remembers averages out less.
+        // Temporally correlated noise averages out less.
         let memory = s.shot_memory.first().copied().unwrap_or(0.0).max(0.0);
         let noise = ((view.of_mean + s.common) * (1.0 + 2.0 * memory) / view.n).sqrt();
         // The sums are kept in 32 bits and means in some thousandths of a DN.

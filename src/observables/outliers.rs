@@ -1,4 +1,4 @@
-//! Frames and samples that are no part of a campaign: a flash, a person in the light, a cosmic ray. They are left out and reported, and
+//! Frames and samples that are no part of a campaign: a flash, someone in the light, a cosmic ray. They are left out and reported, and
 //! decide nothing.
 
 use crate::statistics::median::median;
@@ -125,7 +125,7 @@ impl Usual {
     }
 
     /// Places of frames in a block that lie far from the others; `start`: place of its first frame in the set.
-    pub fn strays(&self, a: &Apart, dark: bool, start: usize, zero_dn: f64) -> Vec<usize> {
+    pub fn outliers(&self, a: &Apart, dark: bool, start: usize, zero_dn: f64) -> Vec<usize> {
         let above = (a.level_dn - zero_dn).max(1.0);
         let (mean, cell) = if dark {
             (self.dark_dn, self.dark_cell_dn)
@@ -234,22 +234,22 @@ mod tests {
     }
 
     #[test]
-    fn a_flash_and_a_shadow_stray() {
+    fn a_flash_and_a_shadow_are_outliers() {
         let blocks: Vec<(bool, Apart)> = (0..8).map(|s| (false, apart(&block(s)))).collect();
         let usual = Usual::of(&blocks, 100.0);
-        assert!(blocks.iter().all(|(_, a)| usual.strays(a, false, 8, 100.0).is_empty()));
+        assert!(blocks.iter().all(|(_, a)| usual.outliers(a, false, 8, 100.0).is_empty()));
         let mut flash = block(30);
         flash[5].mapv_inplace(|v| v + 12);
-        assert_eq!(usual.strays(&apart(&flash), false, 8, 100.0), [5]);
+        assert_eq!(usual.outliers(&apart(&flash), false, 8, 100.0), [5]);
         let mut shadow = block(31);
         shadow[6].slice_mut(ndarray::s![..12, 40..]).mapv_inplace(|v| v - 20);
-        assert_eq!(usual.strays(&apart(&shadow), false, 8, 100.0), [6]);
+        assert_eq!(usual.outliers(&apart(&shadow), false, 8, 100.0), [6]);
         // In the second frame of a set too, and never the first.
         let mut second = block(32);
         second[1].mapv_inplace(|v| v + 12);
-        assert_eq!(usual.strays(&apart(&second), false, 0, 100.0), [1]);
+        assert_eq!(usual.outliers(&apart(&second), false, 0, 100.0), [1]);
         let mut first = block(33);
         first[0].mapv_inplace(|v| v + 12);
-        assert!(usual.strays(&apart(&first), false, 0, 100.0).is_empty());
+        assert!(usual.outliers(&apart(&first), false, 0, 100.0).is_empty());
     }
 }

@@ -46,7 +46,7 @@ impl Statistic for LineProfile {
                 continue;
             }
             n += 1.0;
-            value += remembered(s, USUAL_FRAMES);
+            value += correlated(s, USUAL_FRAMES);
             let telegraph = s.unequal.max(0.0).sqrt() / pixels as f64;
             // A ripple whose phase moves slowly stays in the mean of a few frames.
             let ripple = if o.index == 0 { s.ripple(0.0) } else { 0.0 };
@@ -76,8 +76,8 @@ fn of_line(s: &SetPrediction, axis: usize, pixels: usize) -> f64 {
     own + if axis == 0 { s.row.lag(0) + s.ripple(0.0) } else { s.column.lag(0) }
 }
 
-/// By how much the mean of so many frames scatters more than their scatter about it tells, for noise that remembers.
-fn remembered(s: &SetPrediction, frames: f64) -> f64 {
+/// By how much the mean of so many frames scatters more than their scatter about it tells, for temporally correlated noise.
+fn correlated(s: &SetPrediction, frames: f64) -> f64 {
     let lost = |memory: &[f64]| -> f64 {
         memory.iter().enumerate().map(|(k, r)| (frames - (k + 1) as f64).max(0.0) * r).sum::<f64>() / frames
     };

@@ -282,16 +282,16 @@ impl<'b> Reader<'_, 'b> {
         let mut pass = free().pop().unwrap_or_else(|| Pass::with(self.layout, SUMMED));
         let (mut from, mut to) = (p.from, p.to);
         let work = loop {
-            let stray = self.add(p, from..to, kind == Kind::Dark, &mut pass, &mut out)?;
-            let Some(stray) = stray else { break self.said(p, from, &mut pass) };
+            let outlier = self.add(p, from..to, kind == Kind::Dark, &mut pass, &mut out)?;
+            let Some(outlier) = outlier else { break self.said(p, from, &mut pass) };
             // The longer run of frames without it is what the piece is made of.
-            out.frames.push(stray);
+            out.frames.push(outlier);
             out.struck.clear();
             pass.clear();
-            if stray - from >= to - stray {
-                to = stray
+            if outlier - from >= to - outlier {
+                to = outlier
             } else {
-                from = stray + 1
+                from = outlier + 1
             }
             if to < from + 2 {
                 break Ok(Work::Noise(None));
@@ -317,9 +317,9 @@ impl<'b> Reader<'_, 'b> {
         for start in places.clone().step_by(size) {
             let end = (start + size).min(places.end);
             let mut block = (start..end).map(|i| self.frame(p.set, i)).collect::<Result<Vec<_>, _>>()?;
-            let stray = self.without_outliers(p.set, &mut block, start, dark, out);
-            if let Some(stray) = stray {
-                return Ok(Some(start + stray));
+            let outlier = self.without_outliers(p.set, &mut block, start, dark, out);
+            if let Some(outlier) = outlier {
+                return Ok(Some(start + outlier));
             }
             for frame in &block {
                 pass.add(frame.as_slice().unwrap_or(&[])).map_err(wrong)?;
@@ -338,17 +338,17 @@ impl<'b> Reader<'_, 'b> {
         dark: bool,
         out: &mut LeftOut,
     ) -> Option<usize> {
-        let stray = self.stray(set, block, start, dark);
-        if !self.clean || stray.is_some() && block.len() <= 2 {
-            return stray;
+        let outlier = self.outlier(set, block, start, dark);
+        if !self.clean || outlier.is_some() && block.len() <= 2 {
+            return outlier;
         }
-        let whole = stray.map(|_| block.clone());
+        let whole = outlier.map(|_| block.clone());
         let struck = outliers::take_struck(block);
         if let Some(whole) = whole {
-            let stray = self.stray(set, block, start, dark);
-            if stray.is_some() {
+            let outlier = self.outlier(set, block, start, dark);
+            if outlier.is_some() {
                 *block = whole;
-                return stray;
+                return outlier;
             }
         }
         out.struck.extend(struck.into_iter().map(|(f, pixel)| (pixel, start + f)));
@@ -356,29 +356,29 @@ impl<'b> Reader<'_, 'b> {
     }
 
     /// The first frame of a block that lies far from the others.
-    fn stray(&self, set: usize, block: &[Array2<u16>], start: usize, dark: bool) -> Option<usize> {
+    fn outlier(&self, set: usize, block: &[Array2<u16>], start: usize, dark: bool) -> Option<usize> {
         let apart = outliers::apart(block);
         // The first frames of a set may carry what came before.
-        let before = |stray: usize| match stray.checked_sub(1) {
+        let before = |outlier: usize| match outlier.checked_sub(1) {
             Some(before) => Some(apart.mean_dn[before]),
             None => {
                 let before = start.checked_sub(1).and_then(|i| self.frame(set, i).ok());
                 before.map(|f| outliers::mean_dn(&f) - apart.level_dn)
             }
         };
-        let carried = |stray: usize| {
-            let dies_away = |b: f64| outliers::dies_away(b, apart.mean_dn[stray]);
-            start + stray <= 2 && before(stray).is_none_or(dies_away)
+        let carried = |outlier: usize| {
+            let dies_away = |b: f64| outliers::dies_away(b, apart.mean_dn[outlier]);
+            start + outlier <= 2 && before(outlier).is_none_or(dies_away)
         };
         // A level that still settles: the middle frame is not where it goes to, but each step is less than the one before.
-        let settling = |stray: usize| {
+        let settling = |outlier: usize| {
             let step = |k: usize| apart.mean_dn[k] - apart.mean_dn[k - 1];
-            start <= 1 && stray == 2 && outliers::dies_away(step(stray - 1), step(stray))
+            start <= 1 && outlier == 2 && outliers::dies_away(step(outlier - 1), step(outlier))
         };
-        let mut strays = self.usual.strays(&apart, dark, start, self.zero_dn);
-        strays.retain(|stray| !carried(*stray) && !settling(*stray));
-        // Where many stray nothing does.
-        strays.first().copied().filter(|_| strays.len() * 3 <= block.len())
+        let mut outliers = self.usual.outliers(&apart, dark, start, self.zero_dn);
+        outliers.retain(|outlier| !carried(*outlier) && !settling(*outlier));
+        // Where many deviate none is an outlier.
+        outliers.first().copied().filter(|_| outliers.len() * 3 <= block.len())
     }
 
     /// What the frames in a pass say.

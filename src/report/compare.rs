@@ -80,8 +80,8 @@ fn body(c: &Comparison) -> Markup {
             div { span { "p-value" } b { (chance(c.p_value)) } }
             div { span { "residuals" } b { (c.residuals.len()) } }
         }
-        @let strayed = signatures(&c.residuals);
-        @if !strayed.is_empty() { ul { @for s in strayed.iter().take(8) { li { (s.text) } } } }
+        @let deviations = signatures(&c.residuals);
+        @if !deviations.is_empty() { ul { @for s in deviations.iter().take(8) { li { (s.text) } } } }
         (heat(&c.residuals))
     }
 }

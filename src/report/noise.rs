@@ -81,7 +81,7 @@ pub fn html(title: &str, subtitle: &str, report: &NoiseReport, truth: Option<&Tr
         }
         h2 { "Levels" }
         p.sub {
-            (used) " of " (report.levels.len()) " levels used. Means are counted from the level of zero charge, "
+            (used) " of " (report.levels.len()) " levels used. Means are counted from the black level, "
             (with_error(report.offset_dn.value, report.offset_dn.std_err)) " DN (" (report.offset_source) ")."
         }
         @for note in &report.notes { p { (note) } }
@@ -128,7 +128,7 @@ pub fn plot(report: &NoiseReport) -> Markup {
         (top.line((from, a * from + c), (x.1, a * x.1 + c), "var(--fit)"))
         (top.marks(&points))
         text x="100" y="38" { "σ² = A μ + σ" tspan dy="4" font-size="9" { "C" } tspan dy="-4" { "²" } }
-        (low.axes("mean above the level of zero charge (DN)", "residual (σ)", true))
+        (low.axes("mean above the black level (DN)", "residual (σ)", true))
         (low.band(-1.0, 1.0)) (low.band(-2.0, 2.0))
         (low.line((x.0, 0.0), (x.1, 0.0), "var(--fit)"))
         (low.marks(&residuals))

@@ -300,7 +300,7 @@ impl Painter for Artist {
         let conditions = Conditions { time_s: self.time_s - 1.0, ..conditions };
         let next = Job { number: request.number + 1, conditions, ..job };
         if !self.sensor.model().effects.is_empty() {
-            // Effects remember the frame before: none may be drawn that is not asked for.
+            // Effects may depend on the frame before: none may be drawn that is not asked for.
             self.spare = dn;
             return now_ns;
         }

@@ -39,7 +39,7 @@ impl Variance {
 
     /// Excess of the spread of the pixels' variances over what the frames allow, 0 for pixels that are alike and normal.
     ///
-    /// Each pixel is held against what its own mean lets expect: hot pixels and shading have more shot noise. In the dark what
+    /// Each pixel is compared with what its own mean lets expect: hot pixels and shading have more shot noise. In the dark what
     /// differs is mostly offset; only what stands out there is signal.
     pub fn tails(&self, layout: &Layout, dof: f64, mean_dn: impl Fn(usize) -> f64) -> Value {
         let var = self.finish(layout, dof).value;

@@ -103,7 +103,7 @@ fn what_was_captured_before_a_fault_stays_whole() {
             self.1 += 1;
             // Once for the search, once to let it fade, and once for each set.
             if self.1 > 6 {
-                return Err(BenchError::Person("the lamp is broken".into()));
+                return Err(BenchError::Operator("the lamp is broken".into()));
             }
             self.0.apply(state, camera)
         }

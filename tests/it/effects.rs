@@ -73,20 +73,20 @@ fn look(model: Model) -> (Observations, Diagnosis) {
     (all, d)
 }
 
-/// Draws a camera with these effects and holds the model that has them, fitted, against it; what strays where it does.
+/// Draws a camera with these effects and compares the model that has them, fitted, with it; what deviates where it does.
 ///
 /// What is drawn and what is predicted are two pieces of code.
-fn strays(seed: u64, effects: &[(&str, f64)]) -> Option<String> {
+fn deviation(seed: u64, effects: &[(&str, f64)]) -> Option<String> {
     let model = unit(seed);
     let values = |(id, strength): &(&str, f64)| {
         Some((find(id).unwrap(), scaled(id, &example(id, &model)?, *strength)))
     };
     let held: Option<Vec<_>> = effects.iter().map(values).collect();
-    strays_from(model.clone(), &held?)
+    deviations_from(model.clone(), &held?)
 }
 
-/// As [`strays`], for values.
-fn strays_from(model: Model, held: &[(&'static dyn Effect, Vec<f64>)]) -> Option<String> {
+/// As [`deviation`], for values.
+fn deviations_from(model: Model, held: &[(&'static dyn Effect, Vec<f64>)]) -> Option<String> {
     let effects: Vec<_> = held.iter().map(|(e, values)| (e.id(), values)).collect();
     let one = |more: u64| {
         let mut model = model.clone();
@@ -128,7 +128,8 @@ fn seed_of(id: &str) -> u64 {
 /// For every effect: a campaign drawn by it is described by the model that holds it, fitted, on frames that the fit did not see.
 #[test]
 fn what_is_drawn_is_what_is_predicted() {
-    let bad: Vec<String> = EFFECTS.iter().filter_map(|e| strays(seed_of(e.id()), &[(e.id(), 1.0)])).collect();
+    let bad: Vec<String> =
+        EFFECTS.iter().filter_map(|e| deviation(seed_of(e.id()), &[(e.id(), 1.0)])).collect();
     assert!(bad.is_empty(), "{bad:#?}");
 }
 
@@ -145,7 +146,7 @@ fn what_is_drawn_is_what_is_predicted_for_every_choice() {
             let model = unit(40 + choice as u64);
             let mut values = example(effect.id(), &model).unwrap();
             values[k] = choice;
-            bad.extend(strays_from(model, &[(*effect, values)]));
+            bad.extend(deviations_from(model, &[(*effect, values)]));
         }
     }
     assert!(bad.is_empty(), "{bad:#?}");
@@ -205,9 +206,9 @@ fn random_pair(k: u64) -> Option<(u64, [(&'static str, f64); 2])> {
 fn strengths_and_pairs_are_what_is_predicted() {
     let mut bad = Vec::new();
     for (k, effect) in EFFECTS.iter().enumerate() {
-        bad.extend([0.3, 1.0, 2.0].iter().filter_map(|s| strays(300 + k as u64, &[(effect.id(), *s)])));
+        bad.extend([0.3, 1.0, 2.0].iter().filter_map(|s| deviation(300 + k as u64, &[(effect.id(), *s)])));
     }
-    bad.extend((0..40).filter_map(random_pair).filter_map(|(seed, pair)| strays(seed, &pair)));
+    bad.extend((0..40).filter_map(random_pair).filter_map(|(seed, pair)| deviation(seed, &pair)));
     assert!(bad.is_empty(), "{bad:#?}");
 }
 
@@ -223,7 +224,7 @@ fn some_strengths_and_pairs_are_what_is_predicted() {
         (614, pair(("temporal-filter", 1.0), ("adc-nonlinearity", 2.0))),
     ];
     all.extend((0..40).step_by(9).filter_map(random_pair).map(|(seed, pair)| (seed, pair.to_vec())));
-    let bad: Vec<String> = all.iter().filter_map(|(seed, effects)| strays(*seed, effects)).collect();
+    let bad: Vec<String> = all.iter().filter_map(|(seed, effects)| deviation(*seed, effects)).collect();
     assert!(bad.is_empty(), "{bad:#?}");
 }
 

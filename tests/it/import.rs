@@ -8,7 +8,7 @@ use radcam::dataset::{Dataset, Kind};
 use std::fs;
 use std::path::Path;
 
-/// The frames of a campaign as a person keeps them: a folder for each set, settings in its name.
+/// The frames of a campaign as people keep them: a folder for each set, settings in its name.
 fn loose(dataset: &Dataset, to: &Path) {
     for (k, set) in dataset.sets().iter().enumerate() {
         let row = dataset.settings(set);

@@ -146,10 +146,10 @@ fn a_camera_of_others_is_measured_right() {
 }
 
 /// The paper's camera and two of today, a whole standard campaign each: pulls of A, constant noise and zero over 24 specimens
-/// have unit size. The zero is held against the mean of the drawn offsets.
+/// have unit size. The zero is compared with the mean of the drawn offsets.
 #[test]
 fn cameras_are_recovered_within_stated_errors_zero_included() {
-    let (mut pulls, mut strays) = (Vec::new(), 0);
+    let (mut pulls, mut deviations) = (Vec::new(), 0);
     for seed in 0..24 {
         let name = ["cmos12", "ccd16", "xc77"][seed % 3];
         let mut model = small(name, 96, 80);
@@ -185,12 +185,12 @@ fn cameras_are_recovered_within_stated_errors_zero_included() {
         pulls.push((a.value - gain) / a.std_err);
         pulls.push((c.value - constant) / c.std_err);
         pulls.push((zero.dn - offset) / zero.std_err_dn);
-        strays += usize::from(report.q < 0.01);
+        deviations += usize::from(report.q < 0.01);
     }
     let n = pulls.len() as f64;
     let square = pulls.iter().map(|p| p * p).sum::<f64>() / n;
     // Errors from the scatter of few frames give pulls with heavier tails than normal ones: 2.5 in place of 2.
     assert!((square - 1.0).abs() < 4.0 * (2.5 / n).sqrt(), "mean square of the pulls {square}: {pulls:.1?}");
     assert!(pulls.iter().all(|p| p.abs() < 5.0), "{pulls:.1?}");
-    assert!(strays <= 2, "{strays} of 24 with Q below 0.01");
+    assert!(deviations <= 2, "{deviations} of 24 with Q below 0.01");
 }

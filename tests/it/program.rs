@@ -317,7 +317,7 @@ fn a_camera_is_calibrated_and_its_frames_corrected() {
         refused(&["correct", &at("cal.tiff"), &frame, "-o", &at("x"), "--exposure-s", "nan"])
             .contains("above 0")
     );
-    // A plain frame is held against what it says of itself, and what its codes show.
+    // A plain frame is checked by what it says of itself, and what its codes show.
     let plain = |name: &str, code: u16, bits: u8| {
         let image = ndarray::Array2::from_elem((80, 96), code);
         fs::write(at(name), radcam::dataset::image::tiff_bytes(&image, bits).unwrap()).unwrap();

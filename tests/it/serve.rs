@@ -185,7 +185,7 @@ impl AravisError {
     fn of(mut camera: AravisCamera) -> Self {
         let error = camera.set_feature("NoSuchFeature", &Value::Int(1)).unwrap_err();
         assert!(matches!(error, CameraError::NotAvailable { .. }));
-        // The bounds that Aravis would let pass by default.
+        // The bounds that Aravis would not check by default.
         assert!(camera.set_feature("Gain", &Value::Float(99.0)).is_err());
         assert!(camera.set_feature("SensorWidth", &Value::Int(7)).is_err());
         Self(error.to_string())
@@ -477,7 +477,7 @@ fn aravis_own_camera_is_captured() {
     .unwrap();
     let root = dir.path().join("c");
     let (plan, path) = (plan.to_str().unwrap(), root.to_str().unwrap());
-    // The only bench is a person; cover the lens, Enter.
+    // A manual bench: cover the lens, Enter.
     let mut capture = Command::new(env!("CARGO_BIN_EXE_radcam"))
         .args(["capture", "--camera", "aravis:127.0.0.1", "--plan", plan, "-o", path])
         .stdin(Stdio::piped())
@@ -592,7 +592,7 @@ fn a_calibration_over_the_wire_gives_the_same_k() {
 }
 
 /// The user's own path: served, found, its exposure searched for, captured, diagnosed. Two cameras as the paper has them, two with something
-/// hidden that remembers what the search exposed.
+/// hidden that has memory of what the search exposed.
 #[test]
 fn what_is_captured_over_the_wire_is_judged_right() {
     let _port = gige_port();

@@ -157,7 +157,7 @@ impl<'a> Stream<'a> {
     }
 
     /// A buffer with status Success can still be short: with the packet socket the first IP fragment of a packet
-    /// larger than the MTU passes for the whole. So the length is held against the payload.
+    /// larger than the MTU passes for the whole. So the length is compared with the payload.
     fn look<'b>(&self, buffer: &'b Buffer) -> Received<'b> {
         if buffer.status() != BufferStatus::Success {
             return Received::Damaged(format!("{:?}", buffer.status()));

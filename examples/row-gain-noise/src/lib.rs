@@ -41,7 +41,7 @@ impl Effect for RowGainNoise {
     }
 
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
-        // After the amplifier everything is in DN above the level of zero charge.
+        // After the amplifier everything is in DN above the black level.
         for s in &mut out.sets {
             s.row.add((p[0] * s.signal).powi(2));
         }

@@ -4,7 +4,7 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen,
 use crate::clipping::clipped;
 use crate::predict::NORMAL;
 
-/// max(v, level), counted from the level of zero charge.
+/// max(v, level), counted from the black level.
 pub struct BlackClipping;
 
 impl Effect for BlackClipping {
@@ -44,7 +44,7 @@ impl Effect for BlackClipping {
     fn page(&self) -> Page {
         Page {
             what: "The black level is too low, or the camera cuts off what lies below it: half of the dark noise is lost.",
-            equation: "v' = max(v, level), from the level of zero charge",
+            equation: "v' = max(v, level), from the black level",
             signature: "darks have less variance and a higher mean than the line says; one code occurs far too often",
             look_alikes: "a wrong zero moves all levels alike",
             remedy: "raise the black level until no sample is cut off",

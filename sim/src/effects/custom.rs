@@ -12,7 +12,7 @@
 //!
 //! Formulas give the change of `mean` (DN), `variance`, `cov_01`, `cov_10`, `cov_11`, `row`, `column`, `common` (DN^2), and of
 //! `parity_01`, `parity_10` (what a neighbour covariance from odd columns, rows has more than from even ones), in terms of
-//! the parameters and of mu (mean above the level of zero charge, DN), exposure (s) and illumination (relative to the bench's unit);
+//! the parameters and of mu (mean above the black level, DN), exposure (s) and illumination (relative to the bench's unit);
 //! when frames are drawn, `mean` and `variance` may also use row, column and parity (0 or 1).
 
 use crate::predict::{HALF, angle};

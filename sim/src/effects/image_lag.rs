@@ -111,7 +111,7 @@ impl Effect for ImageLag {
         })
     }
 
-    fn remembers(&self) -> bool {
+    fn has_memory(&self) -> bool {
         true
     }
 

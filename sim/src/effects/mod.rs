@@ -18,7 +18,7 @@ pub enum Stage {
     Transfer,
     /// Noise added at read-out, before the amplifier.
     Read,
-    /// The amplifier, DN above the level of zero charge.
+    /// The amplifier, DN above the black level.
     Amplifier,
     /// The converter.
     Converter,
@@ -213,7 +213,7 @@ pub mod takes {
         Take { scene: Some(Scene::Patch), frames: 32, exposure, light: 1.0 }
     }
 
-    /// Many short darks, and as many bright flats to hold them against.
+    /// Many short darks, and as many bright flats to compare them with.
     pub const DARKS: &[Take] = &[dark(128, 0.02), flat(32, 1.0, 0.5), dark(32, 1.0), flat(32, 1.0, 1.0)];
     /// Exposures in small steps up to full scale at one light, and one light level against another at one exposure.
     pub const SWEEP: &[Take] = &[
@@ -323,7 +323,7 @@ pub trait Effect: Sync + Send {
         None
     }
     /// Whether frames depend on those before them: what was exposed before the first is then not known.
-    fn remembers(&self) -> bool {
+    fn has_memory(&self) -> bool {
         false
     }
     /// Whether it is another effect at these values: a limit of its shape.
@@ -356,7 +356,7 @@ pub trait Effect: Sync + Send {
 
 /// A frame on its way through the chain.
 ///
-/// `image` holds the expected charge (e) at [`Stage::Light`], charge (e) until the amplifier, DN above the level of zero charge
+/// `image` holds the expected charge (e) at [`Stage::Light`], charge (e) until the amplifier, DN above the black level
 /// until the end of [`Stage::Converter`], and DN with the black level at [`Stage::Firmware`].
 #[derive(Debug)]
 pub struct Drawing<'a> {
@@ -380,7 +380,7 @@ pub struct Drawing<'a> {
     pub seed: u64,
     /// Largest code, DN.
     pub full_scale_dn: f64,
-    /// Level of zero charge, DN: from it the image counts before conversion.
+    /// Black level at zero exposure, DN: from it the image counts before conversion.
     pub offset_dn: f64,
     /// What an effect keeps from frame to frame, by its identifier.
     pub memory: &'a mut Memory,

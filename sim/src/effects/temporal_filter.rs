@@ -27,7 +27,7 @@ fn sees_more(p: &[f64]) -> bool {
 
 /// A change of level between two frames, DN.
 struct Change<'a> {
-    /// By so much the last frame was brighter.
+    /// Excess of the last frame over this one.
     away: f64,
     /// Deviation of that from pixel to pixel, in these places.
     across: f64,
@@ -44,7 +44,7 @@ impl Change<'_> {
         self.places.iter().zip(SHARES).map(at).sum()
     }
 
-    /// By so much that is not known, since where pixels lie is known as a few shares: to a seventh of their deviation (a named choice). In
+    /// Its uncertainty, since where pixels lie is known as a few shares: to a seventh of their deviation (a named choice). In
     /// proportion to the change nothing is lost by it.
     fn unsure(&self, a: f64) -> f64 {
         let by = libm::hypot(self.noise, self.across) / 7.0;
@@ -76,7 +76,7 @@ struct Added {
 struct First {
     /// Whether the level still moves after the first.
     moves: bool,
-    /// By so much the mean of the first is not known, DN.
+    /// Model uncertainty of the mean of the first, DN.
     unsure_dn: f64,
 }
 
@@ -110,11 +110,11 @@ impl Added {
             let less = (1.0 - slope) * (1.0 - slope) + slope * slope * v;
             let carried = slope * ((1.0 - slope) * (1.0 - a) + slope * a * v) / less;
             let memory: Vec<f64> = (0..8).map(|k| carried * libm::pow(a, f64::from(k))).collect();
-            s.remember(less, &memory);
+            s.mix_in_time(less, &memory);
             s.read.add_white(self.noise);
         } else {
             let (less, memory) = running_average(slope);
-            s.remember(less, &memory);
+            s.mix_in_time(less, &memory);
             s.read.add_white(self.noise / (1.0 - slope * slope));
         }
         s.moved = s.moved.max(self.correction.moves());
@@ -247,7 +247,7 @@ impl Effect for TemporalFilter {
         })
     }
 
-    fn remembers(&self) -> bool {
+    fn has_memory(&self) -> bool {
         true
     }
 
@@ -273,7 +273,7 @@ impl Effect for TemporalFilter {
         let a = p[0];
         if sees_more(p) {
             let (less, memory) = running_average(a);
-            out.sets.iter_mut().for_each(|s| s.remember(less, &memory));
+            out.sets.iter_mut().for_each(|s| s.mix_in_time(less, &memory));
             let mut last = out.base.past_e.map(|past| past * out.base.gain_dn_per_e);
             for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
                 if frame.settled {
