@@ -120,7 +120,7 @@ pub fn tell(summary: &Summary, root: &Path, json: bool) -> Result<()> {
         let left_on: Vec<_> = summary.automatics.iter().filter(|a| !a.off).collect();
         let left_on: Vec<_> =
             left_on.iter().map(|a| serde_json::json!({ "feature": a.feature, "value": a.now })).collect();
-        let said = serde_json::json!({
+        let answer = serde_json::json!({
             "dataset": root,
             "frames": summary.frames,
             "received": c.completed,
@@ -130,7 +130,7 @@ pub fn tell(summary: &Summary, root: &Path, json: bool) -> Result<()> {
             "full_exposure_s": summary.full_exposure_s,
             "left_on": left_on,
         });
-        println!("{}", serde_json::to_string_pretty(&said)?);
+        println!("{}", serde_json::to_string_pretty(&answer)?);
         return Ok(());
     }
     println!("{}: {} frames written", root.display(), summary.frames);

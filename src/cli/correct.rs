@@ -99,8 +99,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         format!("16-bit codes, {} per DN, {} at 0 DN", c.scale, c.offset)
     });
     if arguments.json {
-        let said = serde_json::json!({ "output": arguments.output, "frames": done, "value": scale });
-        println!("{}", serde_json::to_string_pretty(&said)?);
+        let answer = serde_json::json!({ "output": arguments.output, "frames": done, "value": scale });
+        println!("{}", serde_json::to_string_pretty(&answer)?);
     } else {
         println!("{}: {done} frames corrected ({scale})", arguments.output.display());
     }

@@ -123,10 +123,10 @@ fn the_story(
     let found = tied && d.missing.first().is_none_or(|m| m.effect != "unknown");
     let outcome = if found { Outcome::Agreement } else { Outcome::Disagreement };
     if arguments.json {
-        let said = serde_json::json!({
+        let answer = serde_json::json!({
             "hidden": effect.id(), "values": hidden, "found": found, "diagnosis": d, "report": path, "dataset": dataset,
         });
-        println!("{}", serde_json::to_string_pretty(&said)?);
+        println!("{}", serde_json::to_string_pretty(&answer)?);
         return Ok(outcome);
     }
     println!("\n  report:   {}\n  dataset:  {}", path.display(), dataset.display());

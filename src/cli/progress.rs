@@ -14,7 +14,7 @@ pub struct Show {
     bar: Option<ProgressBar>,
     begun: Instant,
     first: Option<u64>,
-    said: Instant,
+    last_line: Instant,
 }
 
 impl Show {
@@ -27,7 +27,7 @@ impl Show {
             bar
         });
         let now = Instant::now();
-        Self { what, bar, begun: now, first: None, said: now }
+        Self { what, bar, begun: now, first: None, last_line: now }
     }
 
     /// Steps without bytes.
@@ -48,8 +48,8 @@ impl Show {
             bar.set_length(of);
             bar.set_message(what.to_string());
             bar.set_position(done);
-        } else if self.said.elapsed() >= LINE_EVERY {
-            self.said = Instant::now();
+        } else if self.last_line.elapsed() >= LINE_EVERY {
+            self.last_line = Instant::now();
             let left = self.begun.elapsed().as_secs_f64() / done.max(1) as f64 * (of - done.min(of)) as f64;
             eprintln!("{}: {done}/{of} {what}, {left:.0} s left", self.what);
         }

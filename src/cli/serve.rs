@@ -58,10 +58,10 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     served.set_lost_packets(arguments.lose_packets.clamp(0.0, 1.0));
     let (sensor, interface, serial) = (&arguments.sensor, arguments.interface, &arguments.serial);
     if arguments.json {
-        let said = serde_json::json!({
+        let answer = serde_json::json!({
             "sensor": sensor, "serial": serial, "interface": interface, "camera": format!("aravis:{interface}"),
         });
-        println!("{said}");
+        println!("{answer}");
     } else {
         println!("serving {sensor} as {serial} over GigE Vision on {interface}; Ctrl-C ends");
     }

@@ -112,16 +112,16 @@ impl Slopes {
 
     /// Makes the slopes say of a step what it did, which costs no prediction (Broyden 1965; Madsen, Nielsen and Tingleff 2004, section 3.5).
     /// What they missed is given to the values in proportion to what each moved, in units of what the campaign tells of it: `weights`, the
-    /// diagonal of the normal matrix. `said`: what the slopes made of the step, row by row.
-    pub fn follow(&mut self, moved: &[f64], weights: &[f64], said: &[f64], from: &State, to: &State) {
+    /// diagonal of the normal matrix. `predicted`: what the slopes made of the step, row by row.
+    pub fn follow(&mut self, moved: &[f64], weights: &[f64], predicted: &[f64], from: &State, to: &State) {
         let weighted: Vec<f64> = moved.iter().zip(weights).map(|(x, w)| x * w).collect();
         let square: f64 = weighted.iter().zip(moved).map(|(w, x)| w * x).sum();
         if square <= 0.0 || !square.is_finite() {
             return;
         }
-        let rows = self.expected.chunks_exact_mut(moved.len()).zip(said);
-        for ((row, said), (a, b)) in rows.zip(from.expected.iter().zip(&to.expected)) {
-            let missed = (b.normal.1 - a.normal.1 - said) / square;
+        let rows = self.expected.chunks_exact_mut(moved.len()).zip(predicted);
+        for ((row, predicted), (a, b)) in rows.zip(from.expected.iter().zip(&to.expected)) {
+            let missed = (b.normal.1 - a.normal.1 - predicted) / square;
             if missed != 0.0 && missed.is_finite() {
                 row.iter_mut().zip(&weighted).for_each(|(s, w)| *s += missed * w);
             }
@@ -129,7 +129,7 @@ impl Slopes {
     }
 
     /// What they make of a step of the common values and of the factor of each row's light, whose slope is that of the value `light`.
-    pub fn said(&self, moved: &[f64], light: Option<usize>, factors: impl Fn(usize) -> f64) -> Vec<f64> {
+    pub fn predicted(&self, moved: &[f64], light: Option<usize>, factors: impl Fn(usize) -> f64) -> Vec<f64> {
         let of = |(r, row): (usize, &[f64])| {
             let common: f64 = row.iter().zip(moved).map(|(s, x)| s * x).sum();
             common + light.map_or(0.0, |i| row[i] * factors(r))
@@ -167,7 +167,7 @@ mod tests {
         State { expected: values.iter().map(expected).collect(), setting: Vec::new() }
     }
 
-    /// What defines the update: after a step the slopes say what it did, and across it (in the metric of the weights) what they said before.
+    /// What defines the update: after a step the slopes say what it did, and across it (in the metric of the weights) what they predicted before.
     #[test]
     fn slopes_follow_a_step_and_stay_across_it() {
         let before = vec![1.0, 2.0, -0.5, 3.0];
@@ -182,14 +182,14 @@ mod tests {
         };
         let (moved, weights) = ([0.2, -0.1], [4.0, 9.0]);
         let (from, to) = (state(&[0.0, 5.0]), state(&[0.7, 4.2]));
-        let said = slopes.said(&moved, None, |_| 0.0);
-        slopes.follow(&moved, &weights, &said, &from, &to);
-        for (now, did) in slopes.said(&moved, None, |_| 0.0).iter().zip([0.7, -0.8]) {
+        let predicted = slopes.predicted(&moved, None, |_| 0.0);
+        slopes.follow(&moved, &weights, &predicted, &from, &to);
+        for (now, did) in slopes.predicted(&moved, None, |_| 0.0).iter().zip([0.7, -0.8]) {
             assert!((now - did).abs() < 1e-12, "{now}, not {did}");
         }
         // sum of weights * moved * across = 0.
         let across = [weights[1] * moved[1], -weights[0] * moved[0]];
-        let now = slopes.said(&across, None, |_| 0.0);
+        let now = slopes.predicted(&across, None, |_| 0.0);
         for (row, now) in before.chunks(2).zip(now) {
             let was = row[0] * across[0] + row[1] * across[1];
             assert!((now - was).abs() < 1e-12, "{now}, was {was}");

@@ -265,9 +265,9 @@ impl<'a> System<'a> {
         normal: &Normal,
     ) {
         let light = |r: usize| self.light[r].map_or(0.0, |k| moved.lights[k]);
-        let said = slopes.said(&moved.x, free.place(Common::Light), light);
+        let predicted = slopes.predicted(&moved.x, free.place(Common::Light), light);
         let weights: Vec<f64> = (0..self.n).map(|i| normal.matrix[i * self.n + i]).collect();
-        slopes.follow(&moved.x, &weights, &said, from, to);
+        slopes.follow(&moved.x, &weights, &predicted, from, to);
     }
 
     fn of_priors(&self, lights: &[f64]) -> f64 {

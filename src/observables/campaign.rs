@@ -94,7 +94,7 @@ pub fn dark_spreads(sets: &[SetInfo], kinds: &[Kind]) -> Vec<f64> {
     sets.iter().zip(kinds).map(of).collect()
 }
 
-/// Why nothing can be said.
+/// Why there are no observables.
 #[derive(Debug, thiserror::Error)]
 pub enum ObserveError {
     /// The dataset.
@@ -219,18 +219,18 @@ pub fn of_dataset(
     let mut filled = [codes::Filled::default(), codes::Filled::default()];
     let mut pairs = [None, None];
     for (half, codes) in Half::TURNS.into_iter().zip(codes) {
-        let said = codes.finish();
+        let of_codes = codes.finish();
         let of_half: Vec<_> = scenes.iter().filter(|s| s.half == half).collect();
         pairs[half.place()] = ScenePair::of(&of_half, &settings, zero_dn, &layout);
         let view = HalfView {
-            chunks: chunks.iter().filter(|c| c.half == half).map(|c| &c.said).collect(),
+            chunks: chunks.iter().filter(|c| c.half == half).map(|c| &c.summary).collect(),
             sets: chunks
                 .iter()
                 .filter(|c| c.half == half)
                 .map(|c| (settings[c.set].exposure_s, after_scene[c.set]))
                 .collect(),
             zero_dn,
-            codes: &said,
+            codes: &of_codes,
             line: line.map(|(place, _)| lines[half.place()].at(place)),
             scene: pairs[half.place()].as_ref(),
         };
@@ -240,7 +240,7 @@ pub fn of_dataset(
                 Observable { statistic, index: 0, set: None, half, frames: (0, 0), measured, pixels: 1.0 };
             statistic.of_half(&view, &mut Put { all: &mut list, template });
         }
-        filled[half.place()] = said.filled;
+        filled[half.place()] = of_codes.filled;
     }
     missing.extend(cannot_be_told(shape, pairs.iter().any(Option::is_some), &settings));
     let kinds: Vec<Kind> = settings.iter().map(|s| s.kind).collect();
@@ -291,15 +291,15 @@ pub fn of_dataset(
 /// Where the pixels' levels lie in every set.
 fn spreads(infos: &mut [SetInfo], chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) {
     for c in chunks {
-        let above = c.said.frame_means.mean_dn() - zero_dn;
-        let spread_dn = c.said.spatial_var_dn2.max(0.0).sqrt();
+        let above = c.summary.frame_means.mean_dn() - zero_dn;
+        let spread_dn = c.summary.spatial_var_dn2.max(0.0).sqrt();
         infos[c.set].spread_dn = spread_dn;
-        infos[c.set].places = c.said.places;
+        infos[c.set].places = c.summary.places;
         infos[c.set].spread = if above > 5.0 { (spread_dn / above).min(0.3) } else { 0.0 };
     }
     // Flats have one pattern of light and response. Where the range ended an image has lost it: what others show holds before that.
     // Dim ones have more of the offsets' pattern.
-    let above = |c: &Chunk| c.said.frame_means.mean_dn() - zero_dn;
+    let above = |c: &Chunk| c.summary.frame_means.mean_dn() - zero_dn;
     let top = chunks.iter().map(above).fold(0.0, f64::max);
     let bright: Vec<usize> = chunks
         .iter()
@@ -328,9 +328,9 @@ fn of_chunks(chunks: &[Chunk], sets: &[Set]) -> Vec<Observable> {
             index: 0,
             set: Some(c.set),
             half: c.half,
-            frames: (first, first + c.said.frames),
+            frames: (first, first + c.summary.frames),
             measured: Value { value: 0.0, std_err: 0.0 },
-            pixels: c.said.pixels,
+            pixels: c.summary.pixels,
         };
         for (extra, &statistic) in STATISTICS.iter().enumerate() {
             let view = ChunkView { chunk: c, rows, inflation: &inflation, extra };
@@ -366,7 +366,7 @@ impl Inflation {
     fn of(chunks: &[Chunk]) -> Self {
         let over = |ratio: &dyn Fn(&Summary) -> f64| {
             let all: Vec<f64> =
-                chunks.iter().map(|c| ratio(&c.said)).filter(|x| x.is_finite() && *x > 0.0).collect();
+                chunks.iter().map(|c| ratio(&c.summary)).filter(|x| x.is_finite() && *x > 0.0).collect();
             let mean = (all.iter().map(|x| x * x).sum::<f64>() / all.len().max(1) as f64).sqrt();
             let middle = median(all.iter().copied());
             // The median, unless a few levels truly scatter more.

@@ -71,11 +71,11 @@ impl Codes {
     }
 
     /// Adds the codes of one level. Narrow levels say nothing: their histogram is all slope.
-    pub fn add(&mut self, said: &Summary) {
-        if said.var.value < WIDE_DN2 {
+    pub fn add(&mut self, summary: &Summary) {
+        if summary.var.value < WIDE_DN2 {
             return;
         }
-        let n = &said.occupancy.0;
+        let n = &summary.occupancy.0;
         let last = n.len() - 1;
         self.counts.iter_mut().zip(n).for_each(|(a, b)| *a += b);
         for (k, t) in self.transitions.iter_mut().enumerate().skip(1) {
@@ -109,9 +109,9 @@ impl Codes {
     }
 
     /// The range of filled codes, and what they say.
-    pub fn finish(self) -> Said {
+    pub fn finish(self) -> CodeStatistics {
         let n = &self.counts;
-        let mut out = Said::default();
+        let mut out = CodeStatistics::default();
         let wide = |c: usize| n[c.saturating_sub(8)..(c + 9).min(n.len())].iter().sum::<u64>();
         let filled: Vec<usize> = (1..n.len().saturating_sub(1)).filter(|c| wide(*c) > 1000).collect();
         if filled.len() < 32 {
@@ -170,7 +170,7 @@ impl Filled {
 
 /// What the codes of one half of a campaign say.
 #[derive(Debug, Clone, Default)]
-pub struct Said {
+pub struct CodeStatistics {
     /// Codes that are filled.
     pub filled: Filled,
     used: Option<Value>,
@@ -180,7 +180,7 @@ pub struct Said {
     transitions: Vec<(usize, Value)>,
 }
 
-impl Said {
+impl CodeStatistics {
     /// Share of the codes of the range that occur.
     pub fn used(&self) -> Option<Value> {
         self.used
@@ -208,8 +208,8 @@ impl Said {
 }
 
 /// Share of the codes that occur among those with many samples on both sides, and its error; `None` where they are few.
-pub fn share_used(said: &Summary) -> Option<(f64, f64)> {
-    let n = &said.occupancy.0;
+pub fn share_used(summary: &Summary) -> Option<(f64, f64)> {
+    let n = &summary.occupancy.0;
     const REACH: usize = 16;
     // Where codes of ordinary width would hold a dozen samples: none of them is missed by chance.
     let enough = 12 * REACH as u64;
@@ -265,15 +265,15 @@ impl LineSearch {
     }
 
     /// Adds the spectrum of one level.
-    pub fn add(&mut self, said: &Summary) {
-        if self.length < 1024 || said.var.value <= 0.0 {
+    pub fn add(&mut self, summary: &Summary) {
+        if self.length < 1024 || summary.var.value <= 0.0 {
             return;
         }
-        let n = said.frames as f64;
-        let w = 1.0 / said.var.value;
+        let n = summary.frames as f64;
+        let w = 1.0 / summary.var.value;
         // The pixels' means took their share of the power with them.
         let up = w * n / (n - 1.0);
-        self.power.iter_mut().zip(&said.power).for_each(|(a, b)| *a += up * b);
+        self.power.iter_mut().zip(&summary.power).for_each(|(a, b)| *a += up * b);
         self.weight += w * n;
         // One phase a frame, about the pixels' means: its power in n frames has the relative error 1 / sqrt(n (n - 1)).
         self.walk += w * w * n / (n - 1.0);

@@ -16,7 +16,7 @@ impl Statistic for ColumnVariance {
     }
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
-        put.put(0, chunk.said().line_var_dn2[1], 0.0);
+        put.put(0, chunk.summary().line_var_dn2[1], 0.0);
     }
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {

@@ -36,7 +36,7 @@ impl Statistic for Covariance {
     }
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
-        let r = chunk.said();
+        let r = chunk.summary();
         let std_err = chunk.inflation.covariance * theory(r);
         r.covariances.at.iter().enumerate().for_each(|(k, c)| put.put(k, c.value, std_err));
     }

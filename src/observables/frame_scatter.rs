@@ -16,7 +16,7 @@ impl Statistic for FrameScatter {
     }
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
-        put.put(0, chunk.said().frame_means.variance_dn2(), 0.0);
+        put.put(0, chunk.summary().frame_means.variance_dn2(), 0.0);
     }
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {

@@ -20,7 +20,7 @@ impl Statistic for Growth {
     }
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
-        let r = chunk.said();
+        let r = chunk.summary();
         let std_err = chunk.inflation.covariance * 2.0 * covariance::theory(r);
         r.covariances.growth.iter().enumerate().for_each(|(k, v)| put.put(k, v.value, std_err));
     }

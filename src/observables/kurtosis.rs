@@ -38,7 +38,7 @@ impl Statistic for Kurtosis {
     }
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
-        let r = chunk.said();
+        let r = chunk.summary();
         let square = r.var.value.powi(2);
         if let (Some(fourth), true) = (chunk.sums().first(), square > 0.0) {
             put.put(0, fourth / r.pixels / square, 0.0);

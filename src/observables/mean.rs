@@ -20,7 +20,7 @@ impl Statistic for Mean {
     }
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
-        put.put(0, chunk.said().frame_means.mean_dn(), 0.0);
+        put.put(0, chunk.summary().frame_means.mean_dn(), 0.0);
     }
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {

@@ -130,13 +130,13 @@ pub struct ChunkView<'a> {
 
 impl ChunkView<'_> {
     /// What the frames say.
-    pub fn said(&self) -> &Summary {
-        &self.chunk.said
+    pub fn summary(&self) -> &Summary {
+        &self.chunk.summary
     }
 
     /// What the statistic's own [`Statistic::add`] summed up, over the degrees of freedom.
     pub fn sums(&self) -> &[f64] {
-        self.chunk.said.extra.get(self.extra).map_or(&[], Vec::as_slice)
+        self.chunk.summary.extra.get(self.extra).map_or(&[], Vec::as_slice)
     }
 
     /// Mean of the frame before, where that is the first of the set, DN.
@@ -146,7 +146,7 @@ impl ChunkView<'_> {
 
     /// From the set's first frame to the chunk's last, as places in the campaign.
     fn since_the_first(&self) -> (usize, usize) {
-        (self.rows[0], self.rows[self.chunk.from] + self.chunk.said.frames)
+        (self.rows[0], self.rows[self.chunk.from] + self.chunk.summary.frames)
     }
 
     /// Share of the codes around the level that occur, and its error.
@@ -156,7 +156,7 @@ impl ChunkView<'_> {
 
     /// Degrees of freedom of what is taken about the pixels' means.
     pub fn dof(&self) -> f64 {
-        self.chunk.said.frames as f64 - 1.0
+        self.chunk.summary.frames as f64 - 1.0
     }
 }
 
@@ -167,7 +167,7 @@ pub struct HalfView<'a> {
     sets: Vec<(f64, bool)>,
     zero_dn: f64,
     /// How often codes occur.
-    codes: &'a codes::Said,
+    codes: &'a codes::CodeStatistics,
     /// Variance in the strongest line of the spectrum, DN^2.
     line: Option<Value>,
     /// A still scene at two exposures.

@@ -36,7 +36,7 @@ pub struct Chunk {
     pub before: Option<f64>,
     /// Share of the codes around the level that occur, and its error.
     pub codes_used: Option<(f64, f64)>,
-    pub said: Summary,
+    pub summary: Summary,
     /// Of short darks, until they are summed up: variance of every pixel, DN^2.
     var_dn2: Vec<f32>,
 }
@@ -283,7 +283,7 @@ impl<'b> Reader<'_, 'b> {
         let (mut from, mut to) = (p.from, p.to);
         let work = loop {
             let outlier = self.add(p, from..to, kind == Kind::Dark, &mut pass, &mut out)?;
-            let Some(outlier) = outlier else { break self.said(p, from, &mut pass) };
+            let Some(outlier) = outlier else { break self.summarise(p, from, &mut pass) };
             // The longer run of frames without it is what the piece is made of.
             out.frames.push(outlier);
             out.struck.clear();
@@ -382,11 +382,11 @@ impl<'b> Reader<'_, 'b> {
     }
 
     /// What the frames in a pass say.
-    fn said(&self, p: &Piece, from: usize, pass: &mut Pass<'_>) -> Result<Work, ObserveError> {
+    fn summarise(&self, p: &Piece, from: usize, pass: &mut Pass<'_>) -> Result<Work, ObserveError> {
         if pass.clipped() > CLIPPED {
             return Ok(Work::Clipped(p.set, pass.mean_dn()));
         }
-        let said = pass.finish();
+        let summary = pass.finish();
         let set = self.dataset.settings(&self.dataset.sets()[p.set]);
         // Longer ones have shot noise of dark charge, which stays with its pixels too.
         let is_short_dark = set.kind == Kind::Dark && set.exposure_s <= self.longest_lit_s;
@@ -395,12 +395,12 @@ impl<'b> Reader<'_, 'b> {
         } else {
             None
         };
-        let chunk = |said: Summary| {
-            let codes_used = codes::share_used(&said);
+        let chunk = |summary: Summary| {
+            let codes_used = codes::share_used(&summary);
             let var_dn2 = if is_short_dark { pass.variances_dn2() } else { Vec::new() };
-            Box::new(Chunk { set: p.set, from, half: p.half, before, codes_used, said, var_dn2 })
+            Box::new(Chunk { set: p.set, from, half: p.half, before, codes_used, summary, var_dn2 })
         };
-        Ok(Work::Noise(said.map(chunk)))
+        Ok(Work::Noise(summary.map(chunk)))
     }
 }
 
@@ -438,7 +438,7 @@ fn words(dataset: &Dataset, left_out: &[(usize, LeftOut)]) -> Vec<String> {
 /// Takes out lit sets whose frames are the same, code for code: light has noise, so that these are copies of one frame.
 fn copies(dataset: &Dataset, chunks: &mut Vec<Chunk>) -> Option<String> {
     let kind = |set: usize| dataset.settings(&dataset.sets()[set]).kind;
-    let is_copy = |c: &Chunk| kind(c.set) == Kind::Flat && c.said.var.value == 0.0;
+    let is_copy = |c: &Chunk| kind(c.set) == Kind::Flat && c.summary.var.value == 0.0;
     let mut numbers: Vec<u32> =
         chunks.iter().filter(|c| is_copy(c)).map(|c| dataset.sets()[c.set].number).collect();
     numbers.dedup();
@@ -452,7 +452,7 @@ fn copies(dataset: &Dataset, chunks: &mut Vec<Chunk>) -> Option<String> {
     })
 }
 
-/// What all pieces said together.
+/// The sums over all pieces.
 struct Sums {
     chunks: Vec<Chunk>,
     scenes: Vec<SceneMean>,
@@ -478,7 +478,7 @@ impl Sums {
         }
     }
 
-    /// Adds what a piece of a set of this kind said.
+    /// Adds the summary of a piece of a set of this kind.
     fn add(&mut self, work: Work, kind: Kind) {
         let mut chunk = match work {
             Work::Scene(scene) => return self.scenes.push(scene),
@@ -487,15 +487,15 @@ impl Sums {
             Work::Noise(Some(chunk)) => chunk,
         };
         let half = chunk.half.place();
-        self.lines[half].add(&chunk.said);
+        self.lines[half].add(&chunk.summary);
         if kind == Kind::Flat {
-            self.codes[half].add(&chunk.said);
+            self.codes[half].add(&chunk.summary);
         }
         if !chunk.var_dn2.is_empty() {
-            self.steady.add(&chunk.var_dn2, chunk.said.var.value);
+            self.steady.add(&chunk.var_dn2, chunk.summary.var.value);
         }
         // They are long, and their sums are all that is needed.
-        (chunk.said.power, chunk.said.occupancy.0) = (Vec::new(), Vec::new());
+        (chunk.summary.power, chunk.summary.occupancy.0) = (Vec::new(), Vec::new());
         chunk.var_dn2 = Vec::new();
         self.chunks.push(*chunk);
     }

@@ -32,7 +32,7 @@ impl Statistic for RowTails {
     }
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
-        let r = chunk.said();
+        let r = chunk.summary();
         let square = r.line_var_dn2[0].powi(2);
         if let (Some(fourth), true) = (chunk.sums().first(), r.frames >= FRAMES && square > 0.0) {
             // Each frame's deviation from those before it is scaled to the variance of a frame: they are independent.

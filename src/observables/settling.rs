@@ -21,7 +21,7 @@ impl Statistic for Settling {
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
         if let Some(before) = chunk.before() {
-            let means = &chunk.said().frame_means;
+            let means = &chunk.summary().frame_means;
             put.put_over(0, chunk.since_the_first(), before - means.mean_dn());
             put.put_over(1, chunk.since_the_first(), means.first_step_dn());
         }

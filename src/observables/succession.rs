@@ -21,7 +21,7 @@ impl Statistic for Succession {
     }
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
-        let means = &chunk.said().frame_means;
+        let means = &chunk.summary().frame_means;
         if means.frames() >= FEWEST {
             put.put(0, means.succession(), 0.0);
         }

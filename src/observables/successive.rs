@@ -28,7 +28,7 @@ impl Statistic for Successive {
     }
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
-        let r = chunk.said();
+        let r = chunk.summary();
         if r.frames > 2 {
             put.put(0, r.successive.value, chunk.inflation.successive * theory(r));
         }

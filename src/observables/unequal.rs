@@ -16,7 +16,7 @@ impl Statistic for Unequal {
     }
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
-        let r = chunk.said();
+        let r = chunk.summary();
         put.put(0, r.unequal.value, chunk.inflation.unequal * (8.0 / r.pixels).sqrt());
     }
 

@@ -22,7 +22,7 @@ impl Statistic for Variance {
     }
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
-        let r = chunk.said();
+        let r = chunk.summary();
         put.put(0, r.var.value, chunk.inflation.variance * theory(r));
     }
 

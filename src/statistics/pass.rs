@@ -369,8 +369,8 @@ impl pulp::NullaryFnOnce for Total<'_> {
 /// ```
 /// use radcam::statistics::{layout::Layout, pass::collect};
 /// let layout = Layout::new(&ndarray::Array2::from_elem((2, 2), true), 4095);
-/// let said = collect(&layout, &[&[10, 12, 9, 9], &[12, 10, 9, 9]])?.expect("two frames say something");
-/// assert!((said.var.value - 1.0).abs() < 1e-6); // two of four pixels have the variance 2
+/// let summary = collect(&layout, &[&[10, 12, 9, 9], &[12, 10, 9, 9]])?.expect("two frames say something");
+/// assert!((summary.var.value - 1.0).abs() < 1e-6); // two of four pixels have the variance 2
 /// # Ok::<(), radcam::statistics::moments::SizeMismatch>(())
 /// ```
 pub fn collect(layout: &Layout, frames: &[&[u16]]) -> Result<Option<Summary>, SizeMismatch> {
@@ -430,18 +430,18 @@ mod tests {
         let mut squares = std::collections::BTreeMap::<String, Vec<f64>>::new();
         for run in 0..1000u64 {
             let images = frames(4, |f, y, x| 10.0 * normal(100 * run + f, y * 96 + x));
-            let said = collect(&layout, &refs(&images)).unwrap().unwrap();
+            let summary = collect(&layout, &refs(&images)).unwrap().unwrap();
             let truth = 100.0 + 1.0 / 12.0;
             let mut add = |name: &str, v: Value, t: f64| {
                 squares.entry(name.into()).or_default().push(((v.value - t) / v.std_err).powi(2));
             };
-            add("variance", said.var, truth);
-            said.covariances.at.iter().for_each(|c| add("covariance", *c, 0.0));
-            add("successive", said.successive, 0.0);
-            said.covariances.growth.iter().for_each(|g| add("growth", *g, 0.0));
-            said.covariances.parity.iter().for_each(|p| add("parity", *p, 0.0));
-            add("unequal", said.unequal, 0.0);
-            for (v, width) in said.line_var_dn2.into_iter().zip([96.0, 64.0]) {
+            add("variance", summary.var, truth);
+            summary.covariances.at.iter().for_each(|c| add("covariance", *c, 0.0));
+            add("successive", summary.successive, 0.0);
+            summary.covariances.growth.iter().for_each(|g| add("growth", *g, 0.0));
+            summary.covariances.parity.iter().for_each(|p| add("parity", *p, 0.0));
+            add("unequal", summary.unequal, 0.0);
+            for (v, width) in summary.line_var_dn2.into_iter().zip([96.0, 64.0]) {
                 let lines = SHAPE.0 as f64 * SHAPE.1 as f64 / width;
                 let std_err = truth / width * (2.0f64 / (3.0 * lines)).sqrt();
                 add("lines", Value { value: v, std_err }, truth / width * (1.0 - 1.0 / lines));
@@ -480,26 +480,26 @@ mod tests {
                 sum.merge(&part);
                 from = to;
             }
-            let said = sum.finish().unwrap();
+            let summary = sum.finish().unwrap();
             let close = |a: f64, b: f64, unit: f64| assert!((a - b).abs() < 2e-5 * unit, "{a} {b}");
             let var = whole.var.value;
-            close(said.var.value, var, var);
-            close(said.successive.value, whole.successive.value, var);
-            close(said.unequal.value, whole.unequal.value, 1.0);
-            close(said.spatial_var_dn2, whole.spatial_var_dn2, whole.spatial_var_dn2);
-            close(said.frame_means.variance_dn2(), whole.frame_means.variance_dn2(), var);
-            close(said.frame_means.first_step_dn(), whole.frame_means.first_step_dn(), var);
+            close(summary.var.value, var, var);
+            close(summary.successive.value, whole.successive.value, var);
+            close(summary.unequal.value, whole.unequal.value, 1.0);
+            close(summary.spatial_var_dn2, whole.spatial_var_dn2, whole.spatial_var_dn2);
+            close(summary.frame_means.variance_dn2(), whole.frame_means.variance_dn2(), var);
+            close(summary.frame_means.first_step_dn(), whole.frame_means.first_step_dn(), var);
             for k in 0..LAGS.len() {
-                close(said.covariances.at[k].value, whole.covariances.at[k].value, var);
+                close(summary.covariances.at[k].value, whole.covariances.at[k].value, var);
             }
             for k in 0..2 {
-                close(said.line_var_dn2[k], whole.line_var_dn2[k], var);
-                close(said.covariances.growth[k].value, whole.covariances.growth[k].value, var);
-                close(said.covariances.parity[k].value, whole.covariances.parity[k].value, var);
+                close(summary.line_var_dn2[k], whole.line_var_dn2[k], var);
+                close(summary.covariances.growth[k].value, whole.covariances.growth[k].value, var);
+                close(summary.covariances.parity[k].value, whole.covariances.parity[k].value, var);
             }
             let total: f64 = whole.power.iter().sum();
-            close(said.power.iter().sum(), total, total);
-            assert_eq!(said.occupancy, whole.occupancy);
+            close(summary.power.iter().sum(), total, total);
+            assert_eq!(summary.occupancy, whole.occupancy);
         }
         // From the definition: residuals of the two-way layout.
         let n = images.len() as f64;
@@ -524,9 +524,9 @@ mod tests {
             }
         }
         let diagonal = LAGS.iter().position(|l| *l == (1, -1)).unwrap();
-        let said = [whole.var, whole.covariances.at[diagonal], whole.successive];
-        for (said, (sum, count)) in said.iter().zip(products) {
-            assert!((said.value - sum / count).abs() < 2e-5 * whole.var.value, "{said:?} {}", sum / count);
+        let summary = [whole.var, whole.covariances.at[diagonal], whole.successive];
+        for (summary, (sum, count)) in summary.iter().zip(products) {
+            assert!((summary.value - sum / count).abs() < 2e-5 * whole.var.value, "{summary:?} {}", sum / count);
         }
     }
 
@@ -534,10 +534,10 @@ mod tests {
     fn shared_noise_is_seen_where_it_is() {
         let layout = all();
         let images = frames(6, |f, y, x| 5.0 * normal(f, y * 96 + x) + 3.0 * normal(500 + f, y));
-        let said = collect(&layout, &refs(&images)).unwrap().unwrap();
-        assert!((said.line_var_dn2[0] - 9.0).abs() < 9.0 * 5.0 * (2.0f64 / 320.0).sqrt());
-        assert!(said.line_var_dn2[1] < 2.0);
-        assert!(said.covariances.at[0].value > 7.0 && said.covariances.at[3].value.abs() < 2.5);
+        let summary = collect(&layout, &refs(&images)).unwrap().unwrap();
+        assert!((summary.line_var_dn2[0] - 9.0).abs() < 9.0 * 5.0 * (2.0f64 / 320.0).sqrt());
+        assert!(summary.line_var_dn2[1] < 2.0);
+        assert!(summary.covariances.at[0].value > 7.0 && summary.covariances.at[3].value.abs() < 2.5);
         assert!(collect(&layout, &refs(&images[..1])).unwrap().is_none());
         assert!(collect(&layout, &[&[0; 7], &[0; 7]]).is_err());
     }
@@ -551,11 +551,11 @@ mod tests {
             4.0 * normal(f, y * 96 + x)
                 + 4.0 * (std::f64::consts::TAU * 0.1234 * (y * 96 + x) as f64 + phase).sin()
         });
-        let said = collect(&layout, &refs(&images)).unwrap().unwrap();
+        let summary = collect(&layout, &refs(&images)).unwrap().unwrap();
         let n = SHAPE.0 * SHAPE.1;
-        let top = (1..n / 2).max_by(|&a, &b| said.power[a].total_cmp(&said.power[b])).unwrap();
+        let top = (1..n / 2).max_by(|&a, &b| summary.power[a].total_cmp(&summary.power[b])).unwrap();
         assert_eq!(top, (0.1234 * n as f64).round() as usize);
-        let around: f64 = said.power[top - 3..=top + 3].iter().sum();
+        let around: f64 = summary.power[top - 3..=top + 3].iter().sum();
         // Seven degrees of freedom, of which one sine a frame; the floor is 7 x 16 x 7.
         let variance = (around - 784.0) / 7.0 * 2.0 / n as f64;
         assert!((variance - 8.0).abs() < 0.15 * 8.0, "{variance}");
@@ -571,8 +571,8 @@ mod tests {
                 let value = |i| 1500.0 + 40.0 * normal(1000 + run, i) + 10.0 * normal(2000 + 4 * run + f, i);
                 (0..SHAPE.0 * SHAPE.1).map(|i| value(i).round() as u16).collect()
             };
-            let said = collect(&layout, &refs(&[image(0), image(1)])).unwrap().unwrap();
-            found.iter_mut().zip(said.places).for_each(|(all, place)| all[run as usize] = place);
+            let summary = collect(&layout, &refs(&[image(0), image(1)])).unwrap().unwrap();
+            found.iter_mut().zip(summary.places).for_each(|(all, place)| all[run as usize] = place);
         }
         for (all, normal) in found.iter().zip(radcam_sim::predict::NORMAL) {
             let mean = all.iter().sum::<f64>() / RUNS as f64;

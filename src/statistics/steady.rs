@@ -78,8 +78,8 @@ mod tests {
             let scatter = (all.iter().map(|v| (v.value - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
             assert!((mean - expected).abs() < 5.0 * scatter / n.sqrt(), "{mean}, not {expected}");
             // Jackknife errors are known to some per cent each: their mean to less than a tenth.
-            let said = (all.iter().map(|v| v.std_err * v.std_err).sum::<f64>() / n).sqrt();
-            assert!((said / scatter - 1.0).abs() < 0.25, "{said}, scatter {scatter}");
+            let stated = (all.iter().map(|v| v.std_err * v.std_err).sum::<f64>() / n).sqrt();
+            assert!((stated / scatter - 1.0).abs() < 0.25, "{stated}, scatter {scatter}");
         }
     }
 }
