@@ -1,6 +1,6 @@
 //! Whether something agrees with measurements, as every verb and report says it.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Below this chance a model does not describe the campaign.
 pub const P_LIMIT: f64 = 1e-3;
@@ -8,7 +8,7 @@ pub const P_LIMIT: f64 = 1e-3;
 pub const DOUBT: f64 = 0.05;
 
 /// Whether a model describes a campaign: the one word that every verb and report has for it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Agreement {
     /// Within the noise.

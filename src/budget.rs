@@ -1,9 +1,9 @@
 //! Variance budget of a region (Fig. 4 of the paper): which part of the total variance comes from where, against intensity.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// What the variance of a raw region is made of.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Parts {
     /// V_s of the surface.
     pub scene_variation: f64,
@@ -20,7 +20,7 @@ pub struct Parts {
 }
 
 /// The budget at one intensity: variances in DN^2.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Level {
     /// Mean above the dark reference, DN.
     pub mean_dn: f64,

@@ -395,7 +395,7 @@ fn may_be_on(value: &str) -> bool {
 }
 
 /// A feature that changes pixel values and was not neutral while frames were taken.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct LeftOn {
     /// GenICam name.
     pub feature: String,

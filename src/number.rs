@@ -1,5 +1,49 @@
 //! Numbers as text, as many digits as their errors are worth, and units.
 
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
+use std::fmt;
+
+/// A value with its standard error and unit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Quantity {
+    /// The value.
+    #[serde(with = "finite")]
+    pub value: f64,
+    /// Its standard error.
+    #[serde(with = "finite")]
+    pub std_err: f64,
+    /// Unit of both.
+    pub unit: Cow<'static, str>,
+}
+
+impl Quantity {
+    /// A value, its standard error and their unit.
+    pub fn new(value: f64, std_err: f64, unit: &'static str) -> Self {
+        Self { value, std_err, unit: unit.into() }
+    }
+}
+
+/// Value, error and unit, as [`with_unit`] writes them.
+impl fmt::Display for Quantity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&with_unit(self.value, self.std_err, &self.unit))
+    }
+}
+
+/// JSON has no NaN: it is written as null, and read back as NaN.
+pub(crate) mod finite {
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    pub fn serialize<S: Serializer>(x: &f64, s: S) -> Result<S::Ok, S::Error> {
+        if x.is_finite() { s.serialize_f64(*x) } else { s.serialize_none() }
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+        Ok(Option::deserialize(d)?.unwrap_or(f64::NAN))
+    }
+}
+
 /// A value and its error with as many digits as the error is worth: `0.38004 ± 0.00021`.
 ///
 /// ```

@@ -4,9 +4,9 @@
 //! mean, and its factor V_s = sigma_E^2 / S^2 belongs to the surface (and to how its light varies) alone.
 
 use crate::calibrate::file::Calibration;
-use crate::noise::Quantity;
+use crate::number::Quantity;
 use ndarray::{Array2, ArrayView2, s};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Blocks along each side of a region for the standard error.
 const BLOCKS: usize = 5;
@@ -25,7 +25,7 @@ pub struct CameraNoise {
 }
 
 /// A rectangle of pixels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Roi {
     /// First column.
     pub x: usize,
@@ -73,7 +73,7 @@ pub enum VariationError {
 }
 
 /// Scene variation of a region with what it was made of.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Variation {
     /// V_s.
     pub scene_variation: Quantity,
@@ -197,7 +197,7 @@ pub fn of_region(
     let stays = (spatial_var_dn2 - temporal).max(0.0);
     let again = (2.0 * temporal * temporal + 4.0 * temporal * stays) / n / mean_dn.powi(4);
     Ok(Variation {
-        scene_variation: Quantity { value: whole, std_err: (jackknife + of_line).sqrt(), unit: "1" },
+        scene_variation: Quantity::new(whole, (jackknife + of_line).sqrt(), "1"),
         mean_dn,
         spatial_var_dn2,
         noise_var_dn2,

@@ -1,6 +1,6 @@
 //! Surfaces recognised by their scene variation: one band, any light level (Section VI of the paper).
 
-use crate::noise::Quantity;
+use crate::number::Quantity;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -37,7 +37,7 @@ pub struct Surface {
 }
 
 /// What a library says of a region.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
     /// The most likely surface; null: none of these.
     pub surface: Option<String>,
@@ -46,7 +46,7 @@ pub struct Answer {
 }
 
 /// One surface as a candidate.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Candidate {
     /// Its name.
     pub name: String,
@@ -100,7 +100,7 @@ impl Library {
 
     /// Adds a region's V_s to a surface, or a new surface: regions are put together by the inverse of their variances. `region` tells it from
     /// others; one that was learnt before is refused, for it tells nothing new.
-    pub fn learn(&mut self, name: &str, seen: Quantity, region: &str) -> Result<(), String> {
+    pub fn learn(&mut self, name: &str, seen: &Quantity, region: &str) -> Result<(), String> {
         let before = self.surfaces.iter().find(|s| s.seen.iter().any(|r| r == region));
         if let Some(before) = before {
             return Err(format!("this region was learnt before, as \"{}\"", before.name));
@@ -129,17 +129,17 @@ impl Library {
     /// [`NONE_BELOW`].
     ///
     /// ```
-    /// use radcam::noise::Quantity;
+    /// use radcam::number::Quantity;
     /// use radcam::surfaces::Library;
     /// let mut library = Library::default();
-    /// let quantity = |value| Quantity { value, std_err: 1e-5, unit: "1" };
+    /// let quantity = |value| Quantity::new(value, 1e-5, "1");
     /// library.learn("rough", quantity(1e-3), "first image")?;
     /// library.learn("smooth", quantity(1e-4), "second image")?;
     /// assert_eq!(library.identify(quantity(1.02e-4)).surface.as_deref(), Some("smooth"));
     /// assert_eq!(library.identify(quantity(5e-4)).surface, None);
     /// # Ok::<(), String>(())
     /// ```
-    pub fn identify(&self, seen: Quantity) -> Answer {
+    pub fn identify(&self, seen: &Quantity) -> Answer {
         let mut candidates: Vec<Candidate> = self
             .surfaces
             .iter()
@@ -173,12 +173,12 @@ mod tests {
         let path = dir.path().join("s.toml");
         let mut library = Library::default();
         for value in [1.0e-3, 1.2e-3] {
-            let seen = Quantity { value, std_err: 1e-4, unit: "1" };
-            library.learn("paint", seen, &value.to_string()).unwrap();
+            let seen = Quantity::new(value, 1e-4, "1");
+            library.learn("paint", &seen, &value.to_string()).unwrap();
         }
         // The same region tells nothing new, whatever it is called.
-        let again = Quantity { value: 1.2e-3, std_err: 1e-4, unit: "1" };
-        assert!(library.learn("chalk", again, "0.0012").unwrap_err().contains("as \"paint\""));
+        let again = Quantity::new(1.2e-3, 1e-4, "1");
+        assert!(library.learn("chalk", &again, "0.0012").unwrap_err().contains("as \"paint\""));
         assert!((library.surfaces[0].scene_variation - 1.1e-3).abs() < 1e-12);
         assert!((library.surfaces[0].std_err - 1e-4 / 2f64.sqrt()).abs() < 1e-12);
         library.write(&path).unwrap();
@@ -186,7 +186,7 @@ mod tests {
         std::fs::write(&path, "format = \"radcam-surfaces/3\"").unwrap();
         assert!(Library::read(&path).unwrap_err().to_string().contains("radcam-surfaces/3"));
         assert_eq!(
-            Library::default().identify(Quantity { value: 1.0, std_err: 1.0, unit: "1" }).surface,
+            Library::default().identify(&Quantity::new(1.0, 1.0, "1")).surface,
             None
         );
     }

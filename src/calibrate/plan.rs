@@ -7,7 +7,7 @@ use crate::dataset::{Dataset, Kind};
 use crate::noise::NoiseReport;
 use crate::plan::{CameraPlan, Plan, SetPlan};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Configurations that a pilot needs to measure the scatter of the card.
 pub const PILOT_CONFIGURATIONS: u32 = 6;
@@ -15,7 +15,7 @@ pub const PILOT_CONFIGURATIONS: u32 = 6;
 pub const PILOT_FRAMES: u32 = 8;
 
 /// What is needed, and what was measured to find it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Needs {
     /// Configurations n1.
     pub n1: u64,

@@ -13,6 +13,7 @@ use crate::dataset::CameraInfo;
 pub use crate::features::Value;
 use crate::frame::{Frame, Region};
 use crate::pixel_format::PixelFormat;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::time::Duration;
@@ -136,7 +137,7 @@ pub enum Trigger {
 }
 
 /// An automatic function, and what became of it.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Automatic {
     /// GenICam name.
     pub feature: String,
@@ -182,7 +183,7 @@ impl Default for StreamOptions {
 }
 
 /// What a stream counted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct StreamCounts {
     /// Whole frames handed out.
     pub completed: u64,

@@ -10,6 +10,7 @@ use crate::pixel_format::PixelFormat;
 use crate::plan::{Plan, PlanError};
 use exposure::SETTLING;
 use set::DeviceClock;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -75,7 +76,8 @@ pub struct Progress {
 }
 
 /// What a capture did.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct Summary {
     /// Frames written now.
     pub frames: u64,

@@ -6,7 +6,6 @@ use super::{Outcome, investigate, noise};
 use crate::bench::Illuminator;
 use crate::camera::{Camera, StreamOptions};
 use crate::dataset::write_whole;
-use crate::number::with_unit;
 use crate::plan::Plan;
 use crate::report::noise::{Truth, html, sigmas};
 use anyhow::{Context, Result, bail};
@@ -136,7 +135,7 @@ fn the_story(
         effect.parameters().iter().enumerate().filter(|(k, p)| effect.uses(hidden, *k) && !p.is_choice())
     {
         let quantity = place.and_then(|i| d.missing[i].parameters.get(p.name));
-        let found = quantity.map_or("-".into(), |q| with_unit(q.value, q.std_err, q.unit));
+        let found = quantity.map_or("-".into(), |q| q.to_string());
         let z = quantity.map(|q| (q.value - hidden[k]) / q.std_err).filter(|z| z.is_finite());
         let z = z.map_or(String::new(), |z| format!("{z:+.1} σ"));
         let name = format!("{} {}", effect.id(), p.name);
@@ -192,7 +191,7 @@ fn the_papers(
     for (name, measured, truth) in truth.rows(&report) {
         let z = sigmas(measured, truth);
         worst = worst.max(z.abs());
-        let value = with_unit(measured.value, measured.std_err, measured.unit);
+        let value = measured.to_string();
         println!("  {name:<16} {value:<28} {truth:<12.5} {z:+.1} σ");
     }
     println!("\n  χ² = {:.1} for {} degrees of freedom, Q = {:.3}", report.chi2, report.dof, report.q);

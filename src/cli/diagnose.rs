@@ -6,7 +6,7 @@ use super::model::{fitted_model, read_effects};
 use super::observe::{names, observe_all};
 use crate::dataset::write_whole;
 use crate::diagnosis::{Diagnosis, diagnose, searched};
-use crate::number::{chance, with_unit};
+use crate::number::chance;
 use crate::report;
 use anyhow::Result;
 use std::path::PathBuf;
@@ -69,7 +69,7 @@ pub fn print(title: &str, d: &Diagnosis) {
     for m in &d.missing {
         println!("  {} ({})", m.effect, report::compare::heading(m));
         for (name, q) in m.parameters.iter().filter(|(_, q)| q.unit != "choice") {
-            println!("      {name} = {}", with_unit(q.value, q.std_err, q.unit));
+            println!("      {name} = {}", q.to_string());
         }
         for text in &m.evidence {
             println!("    - {text}");

@@ -5,7 +5,7 @@ use super::{Outcome, progress::Show};
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, write_whole};
 use crate::noise::{NoiseReport, of_dataset, of_table};
-use crate::number::{with_error, with_unit};
+use crate::number::with_error;
 use crate::report;
 use anyhow::Result;
 use std::path::{Path, PathBuf};
@@ -51,11 +51,11 @@ fn print(path: &Path, r: &NoiseReport) {
     let used = r.levels.iter().filter(|l| l.used).count();
     println!("{}: {used} of {} levels used\n", path.display(), r.levels.len());
     for (name, q) in [
-        ("gain A", r.gain_dn_per_e),
-        ("constant noise", r.constant_noise_var_dn2),
-        ("read noise", r.read_noise_e),
+        ("gain A", &r.gain_dn_per_e),
+        ("constant noise", &r.constant_noise_var_dn2),
+        ("read noise", &r.read_noise_e),
     ] {
-        println!("  {name:<16} {}", with_unit(q.value, q.std_err, q.unit));
+        println!("  {name:<16} {}", q.to_string());
     }
     println!(
         "  {:<16} {} DN ({})",
@@ -75,7 +75,7 @@ fn print(path: &Path, r: &NoiseReport) {
 
     println!("\n  {:<12} {:<24} {:<24} {:>9} {:>4}  Q", "estimator", "A (DN/e⁻)", "σ_C² (DN²)", "χ²", "dof");
     for e in &r.estimators {
-        let (a, c) = (e.gain_dn_per_e, e.constant_noise_var_dn2);
+        let (a, c) = (&e.gain_dn_per_e, &e.constant_noise_var_dn2);
         println!(
             "  {:<12} {:<24} {:<24} {:>9.2} {:>4}  {:.4}",
             e.method.name(),

@@ -48,7 +48,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             let seen = regions.variation()?.scene_variation;
             let roi = regions.roi;
             let id = format!("{:016x} {},{},{},{}", regions.digest, roi.x, roi.y, roi.width, roi.height);
-            library.learn(name, seen, &id).map_err(|e| anyhow::anyhow!("{}: {e}", path.display()))?;
+            library.learn(name, &seen, &id).map_err(|e| anyhow::anyhow!("{}: {e}", path.display()))?;
             library.write(path)?;
             if *json {
                 println!("{}", serde_json::to_string_pretty(&library)?);
@@ -63,7 +63,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
                 bail!("{}: holds no surfaces; `radcam surface learn` adds them", path.display());
             }
             let seen = region.read()?.variation()?.scene_variation;
-            let answer = library.identify(seen);
+            let answer = library.identify(&seen);
             if *json {
                 println!("{}", serde_json::to_string_pretty(&answer)?);
             } else {

@@ -15,7 +15,7 @@ use crate::features::LeftOn;
 use crate::inference::{
     Comparison, Effects, Fitted, Residual, by, compare, fit, fit_near, residuals_of, seen, start,
 };
-use crate::noise::Quantity;
+use crate::number::Quantity;
 use crate::number::chance;
 use crate::observables::{Observations, covariance};
 use crate::plan::Plan;
@@ -23,7 +23,7 @@ use radcam_sim::effects::{Effect, Parameter, Seen, Take, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
 use search::{Candidate, NEEDED, is_something, rivals, score, search, without};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Candidates within this evidence of the best cannot be told apart.
@@ -52,7 +52,8 @@ const HELPS: f64 = 1e-3;
 const NEAREST: usize = 3;
 
 /// What is missing.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct Missing {
     /// Identifier; `unknown` where none of the effects explains it.
     pub effect: String,
@@ -69,7 +70,7 @@ pub struct Missing {
     /// Whether it explains a part only.
     pub partial: bool,
     /// Of `unknown`: the names that come nearest.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub nearest: Vec<String>,
     /// What it is tied with: this campaign cannot tell them apart.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -82,7 +83,8 @@ pub struct Missing {
 }
 
 /// A rung.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct Rung {
     /// What was added; null for the model as given.
     pub added: Option<String>,
@@ -93,7 +95,8 @@ pub struct Rung {
 }
 
 /// The whole answer.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct Diagnosis {
     /// In one plain sentence or two.
     pub verdict: Verdict,
@@ -106,7 +109,7 @@ pub struct Diagnosis {
     /// What is missing, strongest first.
     pub missing: Vec<Missing>,
     /// Features of the camera that changed pixel values: the first suspects.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_on: Vec<LeftOn>,
     /// The ladder.
     pub ladder: Vec<Rung>,
@@ -245,7 +248,7 @@ fn so_many(names: usize) -> Option<String> {
 /// worst of all.
 fn not_told(effect: &dyn Effect, last: &Comparison) -> Option<String> {
     let told_by = effect.told_by();
-    let groups = by(&last.residuals, |r| r.statistic.0.id());
+    let groups = by(&last.residuals, |r| &*r.statistic);
     let told = groups.iter().filter(|g| told_by.contains(&g.name.as_str()));
     let worst = told.min_by(|a, b| a.chance.total_cmp(&b.chance))?;
     if worst.chance * told_by.len() as f64 >= HOLDS {
@@ -538,7 +541,7 @@ fn parameters(fitted: &Fitted, at: usize, split: Option<f64>) -> BTreeMap<String
     let used = effect.parameters().iter().enumerate().filter(|(k, _)| effect.uses(values, *k));
     let own = |(k, p): (usize, &Parameter)| {
         let std_err = errors[k].hypot(effect.resolution(k));
-        (p.name.to_string(), Quantity { value: values[k], std_err, unit: p.unit })
+        (p.name.to_string(), Quantity::new(values[k], std_err, p.unit))
     };
     let mut out: BTreeMap<String, Quantity> = used.map(own).collect();
     let Some(t) = effect.together(values) else { return out };
@@ -550,7 +553,7 @@ fn parameters(fitted: &Fitted, at: usize, split: Option<f64>) -> BTreeMap<String
         of.iter().for_each(|k| {
             out.remove(effect.parameters()[*k].name);
         });
-        out.insert(t.name.into(), Quantity { value: t.value, std_err, unit: t.unit });
+        out.insert(t.name.into(), Quantity::new(t.value, std_err, t.unit));
     }
     out
 }

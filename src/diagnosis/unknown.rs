@@ -79,7 +79,7 @@ fn gain(squares: &[[f64; TERMS]; TERMS], with: &[f64; TERMS], variance: f64) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::observables::mean;
+    use crate::observables::{Statistic, mean};
     use radcam_sim::rng::{PixelRng, Stream};
 
     fn rows(seed: u64, off: impl Fn(f64) -> f64) -> Vec<Residual> {
@@ -93,7 +93,8 @@ mod tests {
                 + if i.is_multiple_of(4) { off(f64::from(i) / 200.0) } else { 0.0 },
             independent_z: 0.0,
             level_dn: f64::from(i / 4),
-            statistic: (&mean::Mean, 0),
+            statistic: mean::Mean.id().into(),
+            meaning: mean::Mean.meaning(0).into(),
         };
         (0..200).map(row).collect()
     }

@@ -6,10 +6,10 @@ use crate::features::LeftOn;
 use crate::inference::{Comparison, Fitted};
 use crate::number::with_unit;
 use radcam_sim::effects::find;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// The verdict.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase", tag = "kind")]
 pub enum Verdict {
     /// The model that was given describes the campaign.
@@ -131,7 +131,7 @@ fn sentence(top: &Missing, or: &[String], missing: &[Missing], cost: &str) -> St
         .parameters
         .iter()
         .filter(|(_, q)| q.unit != "choice")
-        .map(|(name, q)| format!("{name} = {}", with_unit(q.value, q.std_err, q.unit)))
+        .map(|(name, q)| format!("{name} = {}", q.to_string()))
         .collect();
     let form = top.form.as_ref().map_or(String::new(), |f| format!(", {f}"));
     let tie = if or.is_empty() {

@@ -61,7 +61,7 @@ fn describe(name: &str, of: &[&Residual]) -> String {
         }
         None => String::new(),
     };
-    format!("{name}: {off} from the model{place}, {:+.1} sigma{grows}; {}", worst.z, worst.meaning())
+    format!("{name}: {off} from the model{place}, {:+.1} sigma{grows}; {}", worst.z, worst.meaning)
 }
 
 /// Whether darks deviate by twice their errors, of at least three among four.

@@ -13,12 +13,14 @@ use super::system::System;
 use super::white::White;
 use crate::agreement::{Agreement, P_LIMIT};
 use crate::observables::{Expected, Half, Observable, Observations, Statistic, mean, settling};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use std::collections::BTreeMap;
 
 /// One residual on frames that the fit did not see.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct Residual {
     /// Which statistic.
     pub observable: String,
@@ -33,30 +35,25 @@ pub struct Residual {
     /// Their difference over its standard error.
     pub z: f64,
     /// The same once what the statistics of the same frames have in common is taken for one number.
-    #[serde(skip)]
     pub independent_z: f64,
     /// Mean of the set above the black level, DN.
-    #[serde(skip)]
     pub level_dn: f64,
-    /// The statistic itself, and which of its several.
-    #[serde(skip)]
-    pub statistic: (&'static dyn Statistic, usize),
+    /// The statistic: those of one kind share it.
+    pub statistic: Cow<'static, str>,
+    /// What a deviation means, in words.
+    pub meaning: Cow<'static, str>,
 }
 
 impl Residual {
     /// Whether it is set by what came before, and not by its level.
     pub fn is_of_first_frames(&self) -> bool {
-        self.statistic.0.id() == settling::Settling.id()
-    }
-
-    /// What a deviation means, in words.
-    pub fn meaning(&self) -> &'static str {
-        self.statistic.0.meaning(self.statistic.1)
+        self.statistic == settling::Settling.id()
     }
 }
 
 /// A comparison.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct Comparison {
     /// Root mean square of the standardised residuals; 1 is agreement.
     pub error: f64,
@@ -109,7 +106,8 @@ fn of_settings(test: settings::Test) -> Residual {
         z: test.z,
         independent_z: test.z,
         level_dn: 0.0,
-        statistic: (&mean::Mean, 0),
+        statistic: mean::Mean.id().into(),
+        meaning: mean::Mean.meaning(0).into(),
     }
 }
 
@@ -231,7 +229,8 @@ fn residual(
         z,
         independent_z: z,
         level_dn: o.set.map_or(0.0, |s| levels[s]),
-        statistic: (o.statistic, o.index),
+        statistic: o.statistic.id().into(),
+        meaning: o.statistic.meaning(o.index).into(),
     }
 }
 

@@ -1,6 +1,7 @@
 //! The three estimators of the line.
 
-use super::{Estimate, Method, Point, Quantity, Zero};
+use super::{Estimate, Method, Point, Zero};
+use crate::number::Quantity;
 use crate::dataset::Kind;
 use crate::fit::line::{Line, fit, goodness};
 
@@ -123,7 +124,7 @@ pub(super) fn likelihood(points: &[Point], start: &Line) -> Option<Line> {
 pub(super) fn estimate_of(method: Method, line: &Line, zero: &Zero) -> Estimate {
     // An error of the zero moves every mean together, and so the intercept by A times it.
     let shift = if zero.std_err_dn.is_finite() { line.slope * zero.std_err_dn } else { 0.0 };
-    let quantity = |value, variance: f64, unit| Quantity { value, std_err: variance.sqrt(), unit };
+    let quantity = |value, variance: f64, unit| Quantity::new(value, variance.sqrt(), unit);
     Estimate {
         method,
         gain_dn_per_e: quantity(line.slope, line.var_slope, "DN/e"),

@@ -1,6 +1,7 @@
 //! The levels: from the frames of a dataset, or the rows of a table, to points of the photon-transfer plot.
 
-use super::{NoiseError, finite};
+use super::NoiseError;
+use crate::number::finite;
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, Kind};
 use crate::fit::line::fit;
@@ -35,10 +36,10 @@ pub struct Point {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Zero {
     /// DN.
-    #[serde(serialize_with = "finite")]
+    #[serde(with = "finite")]
     pub dn: f64,
     /// Standard error, DN.
-    #[serde(serialize_with = "finite")]
+    #[serde(with = "finite")]
     pub std_err_dn: f64,
     /// Where it comes from.
     pub source: &'static str,

@@ -22,16 +22,16 @@ mod levels;
 mod report;
 
 pub use levels::{Measured, Point, Zero, measure, points, table_points, zero};
-pub use report::{Estimate, LevelReport, Method, NoiseReport, Quantity};
+pub use report::{Estimate, LevelReport, Method, NoiseReport};
 
 use crate::agreement::P_LIMIT;
 use crate::dataset::table::Table;
+use crate::number::Quantity;
 use crate::dataset::{Dataset, DatasetError, Kind};
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
 use exclude::{exclude_outliers, exclude_past_the_peak};
 use levels::{BLACK_LEVEL, NO_ZERO, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED, ONE_FRAME};
 pub(crate) use levels::{Counts, pixels_from_scatter};
-use report::finite;
 use std::sync::atomic::AtomicBool;
 
 /// Why there is no answer.
@@ -165,8 +165,8 @@ pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, Nois
         read_noise_e,
         gain_dn_per_e: best.gain_dn_per_e,
         constant_noise_var_dn2: best.constant_noise_var_dn2,
-        offset_dn: Quantity { value: zero.dn, std_err: zero.std_err_dn, unit: "DN" },
-        offset_source: zero.source,
+        offset_dn: Quantity::new(zero.dn, zero.std_err_dn, "DN"),
+        offset_source: zero.source.into(),
         chi2: best.chi2,
         dof: best.dof,
         q: best.q,
@@ -195,8 +195,8 @@ fn one_level(points: &[Point], zero: &Zero) -> Option<NoiseReport> {
     let std_err = of_variance.hypot(spread / lit.mean_dn).hypot(of_zero);
     let estimate = Estimate {
         method: Method::OneLevel,
-        gain_dn_per_e: Quantity { value: gain, std_err, unit: "DN/e" },
-        constant_noise_var_dn2: Quantity { value: constant, std_err: spread, unit: "DN^2" },
+        gain_dn_per_e: Quantity::new(gain, std_err, "DN/e"),
+        constant_noise_var_dn2: Quantity::new(constant, spread, "DN^2"),
         covariance: -spread * spread / lit.mean_dn,
         chi2: 0.0,
         dof: 0,
@@ -214,12 +214,12 @@ fn one_level(points: &[Point], zero: &Zero) -> Option<NoiseReport> {
         excluded_because: p.excluded.clone(),
     });
     Some(NoiseReport {
-        gain_dn_per_e: estimate.gain_dn_per_e,
-        constant_noise_var_dn2: estimate.constant_noise_var_dn2,
+        gain_dn_per_e: estimate.gain_dn_per_e.clone(),
+        constant_noise_var_dn2: estimate.constant_noise_var_dn2.clone(),
         // Its own bounds: from none to the largest.
-        read_noise_e: Quantity { value: 0.5 * read(most), std_err: read(most) / 12f64.sqrt(), unit: "e" },
-        offset_dn: Quantity { value: zero.dn, std_err: zero.std_err_dn, unit: "DN" },
-        offset_source: zero.source,
+        read_noise_e: Quantity::new(0.5 * read(most), read(most) / 12f64.sqrt(), "e"),
+        offset_dn: Quantity::new(zero.dn, zero.std_err_dn, "DN"),
+        offset_source: zero.source.into(),
         chi2: 0.0,
         dof: 0,
         q: f64::NAN,
@@ -238,12 +238,12 @@ fn one_level(points: &[Point], zero: &Zero) -> Option<NoiseReport> {
 
 /// sigma_R = sqrt(sigma_C^2 - 1/12) / A (eq. 27), its error by first order in both.
 fn read_noise(e: &Estimate) -> Quantity {
-    let (a, c) = (e.gain_dn_per_e, e.constant_noise_var_dn2);
+    let (a, c) = (&e.gain_dn_per_e, &e.constant_noise_var_dn2);
     let dn2 = c.value - 1.0 / 12.0;
     let value = dn2.max(0.0).sqrt() / a.value;
     let (by_c, by_a) = (0.5 / (dn2.sqrt() * a.value), -value / a.value);
     let variance = (by_c * c.std_err).powi(2) + (by_a * a.std_err).powi(2) + 2.0 * by_c * by_a * e.covariance;
-    Quantity { value, std_err: variance.sqrt(), unit: "e" }
+    Quantity::new(value, variance.sqrt(), "e")
 }
 
 const TABLE_ZERO: &str = "table: black level removed";

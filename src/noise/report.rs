@@ -2,10 +2,11 @@
 
 use crate::agreement::Agreement;
 use crate::dataset::Kind;
-use serde::Serialize;
+use crate::number::{Quantity, finite};
+use serde::{Deserialize, Serialize};
 
 /// How A and sigma_C^2 are estimated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
     /// As in the paper.
@@ -31,26 +32,8 @@ impl Method {
     }
 }
 
-/// A value with its standard error and unit.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Quantity {
-    /// The value.
-    #[serde(serialize_with = "finite")]
-    pub value: f64,
-    /// Its standard error.
-    #[serde(serialize_with = "finite")]
-    pub std_err: f64,
-    /// Unit of both.
-    pub unit: &'static str,
-}
-
-/// JSON has no NaN: it becomes null.
-pub(super) fn finite<S: serde::Serializer>(x: &f64, s: S) -> Result<S::Ok, S::Error> {
-    if x.is_finite() { s.serialize_f64(*x) } else { s.serialize_none() }
-}
-
 /// A and sigma_C^2 by one method.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
     /// Which method.
     pub method: Method,
@@ -59,15 +42,15 @@ pub struct Estimate {
     /// sigma_C^2, DN^2.
     pub constant_noise_var_dn2: Quantity,
     /// Covariance of the two.
-    #[serde(serialize_with = "finite")]
+    #[serde(with = "finite")]
     pub covariance: f64,
     /// Chi-square (deviance for the likelihood).
-    #[serde(serialize_with = "finite")]
+    #[serde(with = "finite")]
     pub chi2: f64,
     /// Its degrees of freedom.
     pub dof: usize,
     /// Chance of a larger chi-square.
-    #[serde(serialize_with = "finite")]
+    #[serde(with = "finite")]
     pub q: f64,
 }
 
@@ -81,7 +64,7 @@ impl Estimate {
 }
 
 /// One level as the report shows it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LevelReport {
     /// Number of the set.
     pub set: u32,
@@ -90,13 +73,13 @@ pub struct LevelReport {
     /// Mean above the black level, DN.
     pub mean_dn: f64,
     /// Temporal variance, DN^2; not a number where the level has none.
-    #[serde(serialize_with = "finite")]
+    #[serde(with = "finite")]
     pub var_dn2: f64,
     /// Standard error of the variance at the fitted line, DN^2.
-    #[serde(serialize_with = "finite")]
+    #[serde(with = "finite")]
     pub var_std_err_dn2: f64,
     /// Distance from the line over its standard error.
-    #[serde(serialize_with = "finite")]
+    #[serde(with = "finite")]
     pub z: f64,
     /// Whether it took part in the fit.
     pub used: bool,
@@ -105,7 +88,8 @@ pub struct LevelReport {
 }
 
 /// The whole answer.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct NoiseReport {
     /// A by the reweighted estimator; of one lit level by the bounds of the constant noise.
     pub gain_dn_per_e: Quantity,
@@ -116,14 +100,14 @@ pub struct NoiseReport {
     /// The black level at zero exposure.
     pub offset_dn: Quantity,
     /// Where the zero comes from.
-    pub offset_source: &'static str,
+    pub offset_source: String,
     /// Chi-square of the reweighted fit.
-    #[serde(serialize_with = "finite")]
+    #[serde(with = "finite")]
     pub chi2: f64,
     /// Its degrees of freedom.
     pub dof: usize,
     /// Chance of a larger chi-square.
-    #[serde(serialize_with = "finite")]
+    #[serde(with = "finite")]
     pub q: f64,
     /// Every estimator that the data allow.
     pub estimators: Vec<Estimate>,

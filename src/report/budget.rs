@@ -33,7 +33,7 @@ pub fn plot(levels: &[Level]) -> Markup {
 
 /// The page of one region.
 pub fn html(subtitle: &str, seen: &Variation, levels: &[Level]) -> String {
-    let v = seen.scene_variation;
+    let v = &seen.scene_variation;
     let body = html! {
         div.cards {
             div { span { "scene variation V" sub { "s" } } b { (with_error(v.value, v.std_err)) } }

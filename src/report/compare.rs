@@ -3,7 +3,7 @@
 use super::page;
 use crate::diagnosis::{Diagnosis, Missing, signatures};
 use crate::inference::{Comparison, Residual};
-use crate::number::{chance, percent, with_unit};
+use crate::number::{chance, percent};
 use maud::{Markup, html};
 
 /// A comparison as a page.
@@ -21,7 +21,7 @@ pub fn diagnosis(title: &str, subtitle: &str, d: &Diagnosis) -> String {
             h2 { (m.effect) " " span.note { (heading(m)) } }
             ul {
                 @for (name, q) in &m.parameters {
-                    li { (name) " = " (with_unit(q.value, q.std_err, q.unit)) }
+                    li { (name) " = " (q.to_string()) }
                 }
                 @for text in &m.evidence { li { (text) } }
             }

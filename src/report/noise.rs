@@ -2,8 +2,9 @@
 
 use super::page;
 use super::svg::{Mark, Panel, picture, range};
-use crate::noise::{LevelReport, NoiseReport, Quantity};
-use crate::number::{with_error, with_unit};
+use crate::noise::{LevelReport, NoiseReport};
+use crate::number::Quantity;
+use crate::number::with_error;
 use maud::{Markup, html};
 
 /// What a simulated camera was made with, for comparison.
@@ -19,22 +20,18 @@ pub struct Truth {
 
 impl Truth {
     /// (what, measured, truth) for each quantity.
-    pub fn rows(&self, r: &NoiseReport) -> [(&'static str, Quantity, f64); 3] {
+    pub fn rows<'a>(&self, r: &'a NoiseReport) -> [(&'static str, &'a Quantity, f64); 3] {
         [
-            ("gain A", r.gain_dn_per_e, self.gain_dn_per_e),
-            ("constant noise", r.constant_noise_var_dn2, self.constant_noise_var_dn2),
-            ("read noise", r.read_noise_e, self.read_noise_e),
+            ("gain A", &r.gain_dn_per_e, self.gain_dn_per_e),
+            ("constant noise", &r.constant_noise_var_dn2, self.constant_noise_var_dn2),
+            ("read noise", &r.read_noise_e, self.read_noise_e),
         ]
     }
 }
 
 /// Distance from the truth in standard errors.
-pub fn sigmas(measured: Quantity, truth: f64) -> f64 {
+pub fn sigmas(measured: &Quantity, truth: f64) -> f64 {
     (measured.value - truth) / measured.std_err
-}
-
-fn quantity(q: Quantity) -> String {
-    with_unit(q.value, q.std_err, q.unit)
 }
 
 /// The page of a noise estimate.
@@ -44,9 +41,9 @@ pub fn html(title: &str, subtitle: &str, report: &NoiseReport, truth: Option<&Tr
     let verdict = html! { b class=(class) { (report.agreement().of_a_line()) } };
     let body = html! {
         div.cards {
-            div { span { "gain A" } b { (quantity(report.gain_dn_per_e)) } }
-            div { span { "constant noise σ" sub { "C" } "²" } b { (quantity(report.constant_noise_var_dn2)) } }
-            div { span { "read noise σ" sub { "R" } } b { (quantity(report.read_noise_e)) } }
+            div { span { "gain A" } b { (report.gain_dn_per_e.to_string()) } }
+            div { span { "constant noise σ" sub { "C" } "²" } b { (report.constant_noise_var_dn2.to_string()) } }
+            div { span { "read noise σ" sub { "R" } } b { (report.read_noise_e.to_string()) } }
             div { span { "χ² = " (format!("{:.1}", report.chi2)) " for " (report.dof) " degrees of freedom, Q = "
                 (format!("{:.3}", report.q)) } (verdict) }
         }
@@ -58,7 +55,7 @@ pub fn html(title: &str, subtitle: &str, report: &NoiseReport, truth: Option<&Tr
                     @let z = sigmas(measured, truth);
                     tr {
                         td { (name) }
-                        td { (quantity(measured)) }
+                        td { (measured.to_string()) }
                         td { (format!("{truth:.5}")) }
                         td class=(if z.abs() <= 3.0 { "good" } else { "bad" }) { (format!("{z:+.1} σ")) }
                     }

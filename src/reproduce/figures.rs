@@ -98,7 +98,7 @@ pub(super) fn surfaces(
         ..Default::default()
     };
     let mut description = Description::of(info);
-    let (gain, constant) = (line.gain_dn_per_e, line.constant_noise_var_dn2);
+    let (gain, constant) = (&line.gain_dn_per_e, &line.constant_noise_var_dn2);
     description.gain_dn_per_e = Some(gain.value);
     description.constant_noise_var_dn2 = Some(constant.value);
     description.noise_covariance = Some([gain.std_err.powi(2), line.covariance, constant.std_err.powi(2)]);

@@ -24,7 +24,7 @@ use crate::statistics::moments::Moments;
 use ndarray::Zip;
 use radcam_sim::{ModelError, Scene, Sensor, Texture, sensors};
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -48,7 +48,7 @@ const CARD: Texture = Texture {
 };
 
 /// One number of the paper beside ours.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// What it is, with its unit.
     pub quantity: String,

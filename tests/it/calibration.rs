@@ -10,7 +10,7 @@ use radcam::camera::{Camera, StreamOptions};
 use radcam::correct::{Codes, Corrector};
 use radcam::dataset::{CameraInfo, Dataset};
 use radcam::frame::Frame;
-use radcam::noise::Quantity;
+use radcam::number::Quantity;
 use radcam::scene_variation::{Roi, Variation, of_region};
 use radcam::surfaces::Library;
 use radcam_sim::{Conditions, Model, Scene, Sensor, Texture};
@@ -222,16 +222,16 @@ fn surfaces_are_recognised_whatever_the_light() {
     let chart = Chart::new();
     let (mut library, mut raw_library) = (Library::default(), Library::default());
     let names: Vec<_> = chart.sensor.model().bench.chart.iter().map(|s| s.name.clone()).collect();
-    let quantity = |value, std_err| Quantity { value, std_err, unit: "1" };
+    let quantity = |value, std_err| Quantity::new(value, std_err, "1");
     // Learnt in half light, from four positions of the chart.
     for configuration in 0..4 {
         for (name, (v, raw)) in
             names.iter().zip(chart.seen(900 + u64::from(configuration), 0.5, configuration))
         {
             let region = format!("{name} {configuration}");
-            library.learn(name, v.scene_variation, &region).unwrap();
+            library.learn(name, &v.scene_variation, &region).unwrap();
             let raw = quantity(raw, raw * v.scene_variation.std_err / v.scene_variation.value);
-            raw_library.learn(name, raw, &region).unwrap();
+            raw_library.learn(name, &raw, &region).unwrap();
         }
     }
     let (mut right, mut right_raw, mut draws) = (0, 0, 0);
@@ -251,8 +251,8 @@ fn surfaces_are_recognised_whatever_the_light() {
             draws += 1;
             let relative = v.scene_variation.std_err / v.scene_variation.value;
             let is = |answer: Option<String>| usize::from(answer.as_ref() == Some(&names[square]));
-            right += is(library.identify(v.scene_variation).surface);
-            right_raw += is(raw_library.identify(quantity(*raw, raw * relative)).surface);
+            right += is(library.identify(&v.scene_variation).surface);
+            right_raw += is(raw_library.identify(&quantity(*raw, raw * relative)).surface);
         }
     }
     println!("of {draws} draws: {right} right by V_s, {right_raw} by the raw variance");

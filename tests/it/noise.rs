@@ -134,11 +134,11 @@ fn a_camera_of_others_is_measured_right() {
         serde_json::from_str(&std::fs::read_to_string(practice.join("clean/truth.json")).unwrap()).unwrap();
     let truth = |name: &str| truth[name].as_f64().unwrap();
     let report = noise::of_dataset(&dataset, &AtomicBool::new(false), &mut |_, _| {}).unwrap();
-    let a = report.gain_dn_per_e;
+    let a = report.gain_dn_per_e.clone();
     let gain = truth("gain_dn_per_e");
     assert!((a.value / gain - 1.0).abs() < 0.01);
     assert!((a.value - gain).abs() < 4.0 * a.std_err, "{a:?}");
-    let c = report.constant_noise_var_dn2;
+    let c = report.constant_noise_var_dn2.clone();
     let constant = (gain * truth("read_noise_e")).powi(2) + 1.0 / 12.0;
     assert!((c.value - constant).abs() < 4.0 * c.std_err, "{c:?} {constant}");
     assert!((report.offset_dn.value - truth("offset_dn")).abs() < 0.1, "{:?}", report.offset_dn);
