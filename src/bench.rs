@@ -5,6 +5,7 @@
 pub use crate::camera::sim::SharedBench;
 use crate::camera::{Camera, CameraError, Value};
 use crate::dataset::BenchInfo;
+use crate::plan::Plan;
 pub use crate::plan::{BenchState, GenicamBench};
 use radcam_sim::Scene;
 use std::io::{BufRead, Write};
@@ -33,6 +34,27 @@ pub trait Illuminator {
     /// Whether it moves by itself; else the operator is asked to.
     fn moves_itself(&self) -> bool {
         true
+    }
+}
+
+/// The bench that belongs to a camera: the simulated one before a simulated camera, the GenICam features that the plan names, those of a
+/// served camera, or else an operator, who is asked at the terminal.
+///
+/// ```
+/// use radcam::{bench, camera, plan::Plan};
+/// let mut camera = camera::open("sim:cmos12")?;
+/// let bench = bench::of(&mut *camera, &Plan::quick());
+/// assert!(bench.moves_itself());
+/// # Ok::<(), radcam::camera::CameraError>(())
+/// ```
+pub fn of(camera: &mut dyn Camera, plan: &Plan) -> Box<dyn Illuminator> {
+    if let Some(bench) = camera.shared_bench() {
+        return Box::new(bench);
+    }
+    match &plan.bench {
+        Some(features) => Box::new(features.clone()),
+        None if camera.has_feature("BenchIllumination") => Box::new(GenicamBench::served()),
+        None => Box::new(ManualBench::new(std::io::stdin().lock(), std::io::stderr())),
     }
 }
 

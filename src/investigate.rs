@@ -101,14 +101,14 @@ pub fn investigate(
             state = toml::from_str(&text).map_err(fault)?;
         }
         tracing::info!("goes on with its own plan");
-        zero_ns = capture.run(plan, &dataset, true)?.zero_ns;
+        zero_ns = capture.resume(&dataset)?.zero_ns;
     } else {
         let plan = capture.ready(plan)?;
         begins(capture, &plan, tell)?;
         state.measurement.push(Measurement { about: plan.about.clone(), sets: (0, plan.sets.len()) });
         std::fs::create_dir_all(root).map_err(DatasetError::io(root))?;
         keep(&state, &state_path)?;
-        zero_ns = capture.run(&plan, &dataset, false)?.zero_ns;
+        zero_ns = capture.run(&plan, &dataset)?.zero_ns;
     }
     loop {
         let opened = Dataset::open(&dataset)?;

@@ -6,25 +6,52 @@
 //!
 //! `radcam-sim` says what should be seen, this crate says what was seen, and the difference is the product.
 //!
+//! From a camera to its gain and to the effect that its model lacks; `aravis:192.168.1.5` in place of `sim:cmos12` is a real camera:
+//!
 //! ```
-//! use radcam::bench::{BenchState, Illuminator, SharedBench};
-//! use radcam::camera::{Camera, StreamOptions, sim::SimCamera};
-//! use radcam::frame::{Frame, Region};
+//! use radcam::prelude::*;
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! # let folder = tempfile::tempdir()?;
+//! # let campaign = folder.path().join("campaign");
+//! let mut camera = camera::open("sim:cmos12")?;
+//! let mut plan = Plan::quick(); // two darks and eight exposures, four frames each
+//! plan.camera.region = Some([0, 0, 64, 64]);
+//! let mut bench = bench::of(&mut *camera, &plan);
+//! let summary = Capture::new(&mut *camera, &mut *bench).run(&plan, &campaign)?;
+//! assert_eq!(summary.frames, 40);
+//!
+//! let source = Source::open(&campaign)?; // a dataset folder, an EMVA 1288 descriptor or a table
+//! let noise = source.noise()?;
+//! println!("gain {}", noise.gain_dn_per_e); // such as: gain 0.3815 ± 0.0019 DN/e⁻
+//! let diagnosis = source.diagnose(&[])?;
+//! println!("{}", diagnosis.verdict.sentence());
+//! # assert!((noise.gain_dn_per_e.value - 0.38).abs() < 5.0 * noise.gain_dn_per_e.std_err);
+//! # assert!(diagnosis.consistent, "{}", diagnosis.verdict.sentence());
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Frames one by one, as in an inspection program:
+//!
+//! ```
+//! use radcam::prelude::*;
 //! use std::time::Duration;
 //!
-//! let sensor = radcam_sim::Sensor::new(radcam_sim::sensors::load("cmos12")?)?;
-//! let mut bench = SharedBench::default();
-//! let mut camera = SimCamera::new("cmos12", sensor.into(), bench.clone());
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let mut camera = camera::open("sim:cmos12")?;
 //! camera.set_region(Region { x: 0, y: 0, width: 64, height: 48 })?;
 //! let exposure_s = camera.set_exposure_s(0.005)?; // what the camera then reports, s
-//! bench.apply(&BenchState { illumination: 0.5, ..Default::default() }, &mut camera)?;
-//!
 //! let mut frame = Frame::new(64, 48);
-//! camera.stream(&StreamOptions::default())?.next(&mut frame, Duration::from_secs(1))?;
+//! let mut stream = camera.stream(&StreamOptions::default())?;
+//! stream.next(&mut frame, Duration::from_secs(1))?;
 //! assert_eq!(frame.pixels.dim(), (48, 64)); // (rows, columns), DN
 //! # assert_eq!(exposure_s, 0.005);
-//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! # Ok(())
+//! # }
 //! ```
+//!
+//! Results ([`NoiseReport`](noise::NoiseReport), [`Diagnosis`](diagnosis::Diagnosis), ...) serialise to the JSON of the program and back.
 
 pub mod agreement;
 pub mod bench;
@@ -54,5 +81,24 @@ pub mod reproduce;
 pub mod scene_variation;
 #[cfg(feature = "aravis")]
 pub mod serve;
+pub mod source;
 pub mod statistics;
 pub mod surfaces;
+
+pub use ndarray;
+pub use radcam_sim as sim;
+
+/// What most programs use: `use radcam::prelude::*;`
+pub mod prelude {
+    pub use crate::bench::{self, Illuminator};
+    pub use crate::calibrate::file::Calibration;
+    pub use crate::camera::{self, Camera, FrameStream, StreamOptions};
+    pub use crate::capture::Capture;
+    pub use crate::correct::{Codes, Corrector};
+    pub use crate::dataset::Dataset;
+    pub use crate::diagnosis::Diagnosis;
+    pub use crate::frame::{Frame, Region};
+    pub use crate::noise::NoiseReport;
+    pub use crate::plan::Plan;
+    pub use crate::source::Source;
+}

@@ -133,10 +133,10 @@ impl Library {
     /// use radcam::surfaces::Library;
     /// let mut library = Library::default();
     /// let quantity = |value| Quantity::new(value, 1e-5, "1");
-    /// library.learn("rough", quantity(1e-3), "first image")?;
-    /// library.learn("smooth", quantity(1e-4), "second image")?;
-    /// assert_eq!(library.identify(quantity(1.02e-4)).surface.as_deref(), Some("smooth"));
-    /// assert_eq!(library.identify(quantity(5e-4)).surface, None);
+    /// library.learn("rough", &quantity(1e-3), "first image")?;
+    /// library.learn("smooth", &quantity(1e-4), "second image")?;
+    /// assert_eq!(library.identify(&quantity(1.02e-4)).surface.as_deref(), Some("smooth"));
+    /// assert_eq!(library.identify(&quantity(5e-4)).surface, None);
     /// # Ok::<(), String>(())
     /// ```
     pub fn identify(&self, seen: &Quantity) -> Answer {
@@ -185,9 +185,6 @@ mod tests {
         assert_eq!(Library::read(&path).unwrap(), library);
         std::fs::write(&path, "format = \"radcam-surfaces/3\"").unwrap();
         assert!(Library::read(&path).unwrap_err().to_string().contains("radcam-surfaces/3"));
-        assert_eq!(
-            Library::default().identify(&Quantity::new(1.0, 1.0, "1")).surface,
-            None
-        );
+        assert_eq!(Library::default().identify(&Quantity::new(1.0, 1.0, "1")).surface, None);
     }
 }

@@ -1,8 +1,8 @@
 //! Real cameras (GigE Vision, USB3 Vision) through libaravis.
 
 use super::{
-    Automatic, Bounds, Camera, CameraError, Capabilities, FrameCounter, FrameStream, Identity, Settings,
-    StreamCounts, StreamOptions, Trigger, Value, check_bounds,
+    Automatic, Backend, Bounds, Camera, CameraError, Capabilities, FrameCounter, FrameStream, Identity, Listed,
+    Settings, StreamCounts, StreamOptions, Trigger, Value, check_bounds,
 };
 use crate::features::{Kind, Neutral, Role, is_disabled, known, neutral_value, role, suspicious};
 use crate::frame::{Frame, Region, Status};
@@ -44,9 +44,24 @@ const REPORT_FRAMES: u64 = 30;
 /// Largest GVSP packet that the loopback's MTU of 65536 bytes passes whole.
 const LOOPBACK_PACKET: u32 = 65_000;
 
+/// Real cameras.
+pub const BACKEND: Backend = Backend {
+    name: "aravis",
+    takes: "ID (an IP address, an Aravis id or a serial number)",
+    open: |id| Ok(Box::new(AravisCamera::open(id)?)),
+    list,
+};
+
 /// Every camera on networks and USB. Takes about a second.
-pub fn list() -> Vec<DeviceInfo> {
-    arv::devices()
+fn list() -> Vec<Listed> {
+    let of = |d: DeviceInfo| Listed {
+        camera: format!("aravis:{}", if d.protocol.starts_with("GigE") { d.address } else { d.id }),
+        vendor: d.vendor,
+        model: d.model,
+        serial: d.serial,
+        protocol: d.protocol,
+    };
+    arv::devices().into_iter().map(of).collect()
 }
 
 impl AravisCamera {
@@ -58,7 +73,7 @@ impl AravisCamera {
         let direct = name.parse::<std::net::IpAddr>().is_ok();
         let mut address = name.to_string();
         if !direct {
-            let devices = list();
+            let devices = arv::devices();
             let matching = |d: &&DeviceInfo| d.id == name || d.serial == name || d.address == name;
             let Some(device) = devices.iter().find(matching) else {
                 let found: Vec<_> = devices.iter().map(|d| format!("{} ({})", d.id, d.address)).collect();

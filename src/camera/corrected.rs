@@ -183,6 +183,10 @@ impl<C: Camera> Camera for Corrected<C> {
         self.camera.continue_after(frames, time_s)
     }
 
+    fn shared_bench(&self) -> Option<super::sim::SharedBench> {
+        self.camera.shared_bench()
+    }
+
     fn stream(&mut self, options: &StreamOptions) -> Result<Box<dyn FrameStream + '_>, CameraError> {
         let raw = Frame::new(0, 0);
         let id = self.camera.identity().id.clone();

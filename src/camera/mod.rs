@@ -1,13 +1,25 @@
 //! Cameras behind one trait: real ones, simulated ones, and recordings.
 //!
-//! A backend is one file here and one line below. What a camera cannot do answers
+//! A backend is one file here, with its [`Backend`], and one line below. What a camera cannot do answers
 //! [`CameraError::NotAvailable`], and [`Capabilities`] says so beforehand.
 
-#[cfg(feature = "aravis")]
-pub mod aravis;
 pub mod corrected;
-pub mod replay;
-pub mod sim;
+
+macro_rules! backends {
+    ($($(#[$when:meta])* $module:ident)*) => {
+        $($(#[$when])* pub mod $module;)*
+
+        /// Every backend of this build.
+        pub static BACKENDS: &[Backend] = &[$($(#[$when])* $module::BACKEND),*];
+    };
+}
+
+backends! {
+    #[cfg(feature = "aravis")]
+    aravis
+    sim
+    replay
+}
 
 use crate::dataset::CameraInfo;
 pub use crate::features::Value;
@@ -17,6 +29,70 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::time::Duration;
+
+/// A kind of camera.
+#[derive(Debug, Clone, Copy)]
+pub struct Backend {
+    /// What stands before the colon of a camera's name.
+    pub name: &'static str,
+    /// What stands behind it, in words.
+    pub takes: &'static str,
+    /// Opens a camera by what stands behind the colon.
+    pub open: fn(&str) -> Result<Box<dyn Camera>, CameraError>,
+    /// The cameras that are there now.
+    pub list: fn() -> Vec<Listed>,
+}
+
+/// A camera that can be opened.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Listed {
+    /// What [`open`] takes.
+    pub camera: String,
+    /// Maker.
+    pub vendor: String,
+    /// Model name.
+    pub model: String,
+    /// Serial number.
+    pub serial: String,
+    /// How it is reached, such as `GigEVision`.
+    pub protocol: String,
+}
+
+/// Opens a camera by its name: `aravis:ID` (an IP address, an Aravis id or a serial number), `sim:SENSOR` or `replay:DATASET`.
+///
+/// ```
+/// let camera = radcam::camera::open("sim:cmos12")?;
+/// assert_eq!(camera.identity().id, "sim:cmos12");
+/// # Ok::<(), radcam::camera::CameraError>(())
+/// ```
+///
+/// # Errors
+///
+/// [`CameraError::Absent`] where no backend has that name or no such camera answers.
+pub fn open(name: &str) -> Result<Box<dyn Camera>, CameraError> {
+    let absent = |message: String| CameraError::Absent { camera: name.into(), message };
+    let Some((kind, id)) = name.split_once(':') else {
+        let forms: Vec<String> = BACKENDS.iter().map(|b| format!("{}:{}", b.name, b.takes)).collect();
+        return Err(absent(format!("write {}; `radcam cameras` lists them", forms.join(" or "))));
+    };
+    match BACKENDS.iter().find(|b| b.name == kind) {
+        Some(backend) => (backend.open)(id),
+        None if kind == "aravis" => Err(absent(NO_ARAVIS.into())),
+        None => {
+            let names: Vec<&str> = BACKENDS.iter().map(|b| b.name).collect();
+            Err(absent(format!("no backend \"{kind}\"; there are {}", names.join(", "))))
+        }
+    }
+}
+
+/// Every camera that [`open`] can open now, recordings aside. A search of networks and USB takes about a second.
+pub fn list() -> Vec<Listed> {
+    BACKENDS.iter().flat_map(|b| (b.list)()).collect()
+}
+
+/// What is missing where radcam was built without libaravis.
+pub const NO_ARAVIS: &str = "this radcam was built without libaravis; install libaravis-dev and libusb-1.0-0-dev and \
+                             build with the feature \"aravis\" (on by default)";
 
 /// Who a camera is.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -376,6 +452,11 @@ pub trait Camera: Send {
     /// A simulated camera must not draw the same noise twice. Whether the camera's clock shows campaign time from now.
     fn continue_after(&mut self, _frames: u64, _time_s: f64) -> bool {
         false
+    }
+
+    /// The simulated bench before it, which drives its light; `None`: a real one.
+    fn shared_bench(&self) -> Option<sim::SharedBench> {
+        None
     }
 
     /// Starts the acquisition.

@@ -2,7 +2,7 @@
 
 use super::sim::SharedBench;
 use super::{
-    Bounds, Camera, CameraError, Capabilities, FrameStream, Identity, Settings, StreamCounts, StreamOptions,
+    Backend, Bounds, Camera, CameraError, Capabilities, FrameStream, Identity, Settings, StreamCounts, StreamOptions,
 };
 use crate::dataset::{Dataset, Kind};
 use crate::frame::{Frame, Region, Status};
@@ -11,6 +11,14 @@ use crate::plan::BenchState;
 use radcam_sim::Scene;
 use std::path::Path;
 use std::time::Duration;
+
+/// Recordings.
+pub const BACKEND: Backend = Backend {
+    name: "replay",
+    takes: "DATASET",
+    open: |path| Ok(Box::new(ReplayCamera::open(Path::new(path), SharedBench::default())?)),
+    list: Vec::new,
+};
 
 /// A camera that plays a dataset back.
 #[derive(Debug)]
@@ -129,6 +137,10 @@ impl Camera for ReplayCamera {
         } else {
             Err(self.not_available(&format!("region {region:?}: a recording has the one it was taken with")))
         }
+    }
+
+    fn shared_bench(&self) -> Option<SharedBench> {
+        Some(self.bench.clone())
     }
 
     fn stream(&mut self, _options: &StreamOptions) -> Result<Box<dyn FrameStream + '_>, CameraError> {

@@ -1,16 +1,55 @@
 //! The simulator as a camera.
 
 use super::{
-    Bounds, Camera, CameraError, Capabilities, FrameStream, Identity, Settings, StreamCounts, StreamOptions,
+    Backend, Bounds, Camera, CameraError, Capabilities, FrameStream, Identity, Listed, Settings, StreamCounts, StreamOptions,
     Trigger, Value, check_bounds,
 };
 use crate::frame::{Frame, Region, Status};
 use crate::pixel_format::PixelFormat;
 use crate::plan::BenchState;
-use radcam_sim::{Conditions, Sensor};
+use radcam_sim::{Conditions, Model, Sensor, sensors};
+use std::path::Path;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
+
+/// Simulated cameras.
+pub const BACKEND: Backend =
+    Backend { name: "sim", takes: "SENSOR", open: |name| Ok(Box::new(SimCamera::open(name, None)?)), list };
+
+/// The sensors that come with radcam.
+fn list() -> Vec<Listed> {
+    let of = |(name, text): &(&str, &str)| {
+        let model = Model::from_toml(text).ok()?;
+        Some(Listed {
+            camera: format!("sim:{name}"),
+            vendor: model.camera.vendor,
+            model: model.camera.model,
+            serial: format!("SIM{}", model.base.seed),
+            protocol: "simulated".into(),
+        })
+    };
+    sensors::ALL.iter().filter_map(of).collect()
+}
+
+/// The model of a sensor by its name (`xc77`, `cmos12`, `ccd16`) or from a model file; with another seed, another specimen.
+///
+/// # Errors
+///
+/// In words: no such sensor or file, or what is wrong with the file.
+pub fn model(name: &str, seed: Option<u64>) -> Result<Model, String> {
+    let mut model = if sensors::get(name).is_some() {
+        sensors::load(name).map_err(|e| e.to_string())?
+    } else if Path::new(name).exists() {
+        let text = std::fs::read_to_string(name).map_err(|e| format!("{name}: {e}"))?;
+        Model::from_toml(&text).map_err(|e| format!("{name}: {e}"))?
+    } else {
+        let names: Vec<_> = sensors::ALL.iter().map(|(known, _)| *known).collect();
+        return Err(format!("no model or sensor \"{name}\": neither a file nor one of {}", names.join(", ")));
+    };
+    model.base.seed = seed.unwrap_or(model.base.seed);
+    Ok(model)
+}
 
 /// The state of a simulated bench, shared with the camera that looks at it.
 #[derive(Debug, Clone, Default)]
@@ -66,6 +105,18 @@ pub fn narrow(dn: &mut [u16], bit_depth: u8, bits: u8) {
 }
 
 impl SimCamera {
+    /// A camera of a sensor by name or from a model file, before a bench of its own: see [`model`].
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::Absent`] where there is no such sensor, or its file is no model.
+    pub fn open(name: &str, seed: Option<u64>) -> Result<Self, CameraError> {
+        let absent = |message: String| CameraError::Absent { camera: format!("sim:{name}"), message };
+        let model = model(name, seed).map_err(absent)?;
+        let sensor = Sensor::new(model).map_err(|e| absent(e.to_string()))?;
+        Ok(Self::new(name, sensor.into(), SharedBench::default()))
+    }
+
     /// A camera of this sensor before this bench.
     pub fn new(name: &str, sensor: Arc<Sensor>, bench: SharedBench) -> Self {
         let model = sensor.model();
@@ -228,6 +279,10 @@ impl Camera for SimCamera {
     fn continue_after(&mut self, frames: u64, time_s: f64) -> bool {
         self.clock = Clock { frame: frames, time_s };
         true
+    }
+
+    fn shared_bench(&self) -> Option<SharedBench> {
+        Some(self.bench.clone())
     }
 
     fn stream(&mut self, _options: &StreamOptions) -> Result<Box<dyn FrameStream + '_>, CameraError> {

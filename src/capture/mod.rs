@@ -9,8 +9,8 @@ use crate::dataset::{CameraInfo, DatasetError, Manifest, Writer};
 use crate::pixel_format::PixelFormat;
 use crate::plan::{Plan, PlanError};
 use exposure::SETTLING;
-use set::DeviceClock;
 use serde::{Deserialize, Serialize};
+use set::DeviceClock;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -102,7 +102,7 @@ pub struct Capture<'a> {
     /// Set from outside to stop after the frame in flight.
     pub stop: &'a AtomicBool,
     /// Told after each frame.
-    pub progress: &'a mut dyn FnMut(Progress),
+    pub progress: Option<&'a mut dyn FnMut(Progress)>,
 }
 
 /// Name of the log inside a dataset: one line a run, with the buffer statistics.
@@ -149,9 +149,36 @@ impl Run {
     }
 }
 
-impl Capture<'_> {
-    /// Captures a plan into a new folder, or continues it there.
-    pub fn run(&mut self, plan: &Plan, root: &Path, resume: bool) -> Result<Summary, CaptureError> {
+/// Of a capture that nobody stops.
+static NEVER: AtomicBool = AtomicBool::new(false);
+
+impl<'a> Capture<'a> {
+    /// With the usual stream options, uninterrupted and without a word.
+    pub fn new(camera: &'a mut dyn Camera, bench: &'a mut dyn Illuminator) -> Self {
+        Self { camera, bench, options: StreamOptions::default(), stop: &NEVER, progress: None }
+    }
+
+    /// Captures a plan into a new folder.
+    ///
+    /// # Errors
+    ///
+    /// What camera, bench, disk or plan refuse, a set with too many damaged frames, or that it was stopped. What was written before stays
+    /// whole, and [`resume`](Self::resume) goes on with it.
+    pub fn run(&mut self, plan: &Plan, root: &Path) -> Result<Summary, CaptureError> {
+        self.start(Some(plan), root)
+    }
+
+    /// Goes on with a capture where it stopped, by its own plan.
+    ///
+    /// # Errors
+    ///
+    /// As [`run`](Self::run), and where camera or settings are not those of the capture.
+    pub fn resume(&mut self, root: &Path) -> Result<Summary, CaptureError> {
+        self.start(None, root)
+    }
+
+    /// Captures a plan into a new folder, or goes on there where none is given.
+    fn start(&mut self, plan: Option<&Plan>, root: &Path) -> Result<Summary, CaptureError> {
         let unlisted = self.camera.unlisted_features();
         if !unlisted.is_empty() {
             tracing::warn!(
@@ -160,15 +187,17 @@ impl Capture<'_> {
             );
         }
         let mut counts = StreamCounts::default();
-        let searched = !resume && plan.full_exposure_s.is_none() && plan.needs_full_exposure();
-        let (automatics, writer, plan) = if resume {
-            self.resume(root)?
-        } else {
-            let automatics = self.set_up(plan)?;
-            let plan = self.absolute(plan, &mut counts)?;
-            let manifest = self.manifest(&plan, &automatics)?;
-            let writer = Writer::create(root, &manifest, &[(PLAN_FILE, &plan.to_toml()?)])?;
-            (automatics, writer, plan)
+        let resume = plan.is_none();
+        let searched = plan.is_some_and(|p| p.full_exposure_s.is_none() && p.needs_full_exposure());
+        let (automatics, writer, plan) = match plan {
+            None => self.reopen(root)?,
+            Some(plan) => {
+                let automatics = self.set_up(plan)?;
+                let plan = self.absolute(plan, &mut counts)?;
+                let manifest = self.manifest(&plan, &automatics)?;
+                let writer = Writer::create(root, &manifest, &[(PLAN_FILE, &plan.to_toml()?)])?;
+                (automatics, writer, plan)
+            }
         };
         // How long the pause of a continued campaign was is not known.
         let clock = if resume { DeviceClock::Unknown } else { DeviceClock::FromFirstFrame };
@@ -208,7 +237,7 @@ impl Capture<'_> {
         plan.full_exposure_s = more.full_exposure_s;
         plan.sets.extend(more.sets);
         crate::dataset::write_whole(&path, plan.to_toml()?.as_bytes())?;
-        let (automatics, writer, plan) = self.resume(root)?;
+        let (automatics, writer, plan) = self.reopen(root)?;
         let clock = zero_ns.map_or(DeviceClock::Unknown, DeviceClock::Zero);
         let run = Run { writer, clock, counts, begun_again: Vec::new(), again: false };
         self.carry_out(run, &plan, root, automatics, None)
@@ -352,7 +381,7 @@ impl Capture<'_> {
     }
 
     /// Opens a dataset to be continued and brings the camera to its settings.
-    fn resume(&mut self, root: &Path) -> Result<(Vec<Automatic>, Writer, Plan), CaptureError> {
+    fn reopen(&mut self, root: &Path) -> Result<(Vec<Automatic>, Writer, Plan), CaptureError> {
         let fault = |message: String| CaptureError::Resume { path: root.display().to_string(), message };
         let plan_path = root.join(PLAN_FILE);
         let text = std::fs::read_to_string(&plan_path)

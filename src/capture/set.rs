@@ -65,7 +65,8 @@ impl Capture<'_> {
             stop: self.stop,
             whole,
         };
-        let outcome = take(&mut *stream, &job, run, self.progress);
+        let mut tell = |p| self.progress.iter_mut().for_each(|progress| progress(p));
+        let outcome = take(&mut *stream, &job, run, &mut tell);
         let counted = stream.counts();
         tracing::debug!(set = number, ?counted, "set done");
         run.counts.add(counted);

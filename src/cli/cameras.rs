@@ -4,8 +4,6 @@ use super::Outcome;
 use super::common::may_be_written;
 use crate::dataset::write_whole;
 use anyhow::Result;
-use radcam_sim::{Model, sensors};
-use serde::Serialize;
 use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
@@ -22,15 +20,6 @@ pub struct Arguments {
     /// Print JSON
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Serialize)]
-struct Row {
-    camera: String,
-    vendor: String,
-    model: String,
-    serial: String,
-    protocol: String,
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
@@ -62,17 +51,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         );
         return Ok(Outcome::Agreement);
     }
-    let mut rows = real();
-    for (name, text) in sensors::ALL {
-        let model = Model::from_toml(text)?;
-        rows.push(Row {
-            camera: format!("sim:{name}"),
-            vendor: model.camera.vendor,
-            model: model.camera.model,
-            serial: format!("SIM{}", model.base.seed),
-            protocol: "simulated".into(),
-        });
-    }
+    #[cfg(not(feature = "aravis"))]
+    tracing::warn!("{}", crate::camera::NO_ARAVIS);
+    let rows = crate::camera::list();
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&rows)?);
         return Ok(Outcome::Agreement);
@@ -91,25 +72,5 @@ fn report_of(id: &str) -> Result<serde_json::Value> {
 
 #[cfg(not(feature = "aravis"))]
 fn report_of(_: &str) -> Result<serde_json::Value> {
-    anyhow::bail!("{}", super::common::NO_ARAVIS)
-}
-
-#[cfg(feature = "aravis")]
-fn real() -> Vec<Row> {
-    crate::camera::aravis::list()
-        .into_iter()
-        .map(|d| Row {
-            camera: format!("aravis:{}", if d.protocol.starts_with("GigE") { d.address } else { d.id }),
-            vendor: d.vendor,
-            model: d.model,
-            serial: d.serial,
-            protocol: d.protocol,
-        })
-        .collect()
-}
-
-#[cfg(not(feature = "aravis"))]
-fn real() -> Vec<Row> {
-    tracing::warn!("{}", super::common::NO_ARAVIS);
-    Vec::new()
+    anyhow::bail!("{}", crate::camera::NO_ARAVIS)
 }

@@ -109,8 +109,8 @@ pub fn capture(
 ) -> Result<Summary> {
     let mut show = Show::new("capture");
     let mut progress = |p: Progress| show.frames(p);
-    let mut capture = Capture { camera, bench, options, stop: &STOP, progress: &mut progress };
-    Ok(capture.run(plan, root, resume)?)
+    let mut capture = Capture { camera, bench, options, stop: &STOP, progress: Some(&mut progress) };
+    Ok(if resume { capture.resume(root)? } else { capture.run(plan, root)? })
 }
 
 /// The result in words.

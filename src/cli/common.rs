@@ -1,15 +1,12 @@
 //! What several verbs need: logs, interruption, cameras by name, plans by name.
 
-use crate::bench::{GenicamBench, Illuminator, ManualBench, SharedBench};
-use crate::camera::Camera;
-use crate::camera::replay::ReplayCamera;
-use crate::camera::sim::SimCamera;
+use crate::bench::{self, Illuminator};
+use crate::camera::{Camera, sim};
 use crate::capture::PLAN_FILE;
 use crate::plan::{Plan, SetPlan};
 use anyhow::{Context, Result, bail};
-use radcam_sim::{Model, Sensor, sensors};
+use radcam_sim::Model;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Set by Ctrl-C; the second one ends the program at once.
@@ -50,19 +47,7 @@ pub fn catch_interrupts() {
 
 /// A sensor by name or from a model file, with another seed where wanted.
 pub fn load_model(name: &str, seed: Option<u64>) -> Result<Model> {
-    let mut model = if sensors::get(name).is_some() {
-        sensors::load(name)?
-    } else if Path::new(name).exists() {
-        let text = std::fs::read_to_string(name).with_context(|| name.to_string())?;
-        Model::from_toml(&text).with_context(|| name.to_string())?
-    } else {
-        let names: Vec<_> = sensors::ALL.iter().map(|(known, _)| *known).collect();
-        bail!("no model or sensor \"{name}\": neither a file nor one of {}", names.join(", "));
-    };
-    if let Some(seed) = seed {
-        model.base.seed = seed;
-    }
-    Ok(model)
+    sim::model(name, seed).map_err(anyhow::Error::msg)
 }
 
 /// A plan by name or from a file; the plan of a campaign that is continued, which is that one where it is named again.
@@ -100,53 +85,12 @@ fn plan_of(name: &str) -> Result<Plan> {
     Plan::from_toml(&text).with_context(|| name.to_string())
 }
 
-/// A simulated camera with its bench.
-pub fn simulated(name: &str, seed: Option<u64>) -> Result<(SimCamera, SharedBench)> {
-    let sensor = Sensor::new(load_model(name, seed)?)?;
-    let bench = SharedBench::default();
-    Ok((SimCamera::new(name, Arc::new(sensor), bench.clone()), bench))
-}
-
-/// Opens `aravis:ID`, `sim:SENSOR` or `replay:DATASET`, with the bench that belongs to it.
+/// A camera by its name, with the bench that belongs to it.
 pub fn open_camera(name: &str, plan: &Plan) -> Result<(Box<dyn Camera>, Box<dyn Illuminator>)> {
-    match name.split_once(':') {
-        Some(("sim", sensor)) => {
-            let (camera, bench) = simulated(sensor, None)?;
-            Ok((Box::new(camera), Box::new(bench)))
-        }
-        Some(("replay", path)) => {
-            let bench = SharedBench::default();
-            Ok((Box::new(ReplayCamera::open(Path::new(path), bench.clone())?), Box::new(bench)))
-        }
-        Some(("aravis", id)) => {
-            let mut camera = open_aravis(id)?;
-            let bench: Box<dyn Illuminator> = match &plan.bench {
-                Some(features) => Box::new(features.clone()),
-                None if camera.has_feature("BenchIllumination") => Box::new(GenicamBench::served()),
-                None => Box::new(ManualBench::new(std::io::stdin().lock(), std::io::stderr())),
-            };
-            Ok((camera, bench))
-        }
-        _ => bail!(
-            "camera \"{name}\": write aravis:ID, sim:SENSOR or replay:DATASET; `radcam cameras` lists them"
-        ),
-    }
+    let mut camera = crate::camera::open(name)?;
+    let bench = bench::of(&mut *camera, plan);
+    Ok((camera, bench))
 }
-
-#[cfg(feature = "aravis")]
-fn open_aravis(id: &str) -> Result<Box<dyn Camera>> {
-    Ok(Box::new(crate::camera::aravis::AravisCamera::open(id)?))
-}
-
-#[cfg(not(feature = "aravis"))]
-fn open_aravis(id: &str) -> Result<Box<dyn Camera>> {
-    bail!("aravis:{id}: {NO_ARAVIS}")
-}
-
-/// What is missing where the program was built without libaravis.
-#[cfg(not(feature = "aravis"))]
-pub const NO_ARAVIS: &str = "this radcam was built without libaravis; install libaravis-dev and libusb-1.0-0-dev and \
-                             build with the feature \"aravis\" (on by default)";
 
 /// Refuses files that cannot be written, before anything is computed.
 pub fn can_be_written<'a>(paths: impl IntoIterator<Item = &'a PathBuf>) -> Result<()> {

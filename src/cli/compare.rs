@@ -3,7 +3,7 @@
 use super::Outcome;
 use super::common::can_be_written;
 use super::model::read_effects;
-use super::observe::{names, observe_all};
+use super::observe::{names, observe};
 use crate::dataset::write_whole;
 use crate::diagnosis::{searched, signatures};
 use crate::inference::{compare, fit, start};
@@ -32,7 +32,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     can_be_written(&arguments.report)?;
     let effects = read_effects(arguments.model.as_deref())?;
-    let all = observe_all(&arguments.datasets)?;
+    let all = observe(&arguments.datasets)?;
     let c = compare(&all, &fit(&all, &start(&all), &searched(&all, &effects)));
     if let Some(path) = &arguments.report {
         let subtitle = names(&arguments.datasets);

@@ -267,10 +267,11 @@ fn with_camera<T>(
 fn with_camera<T>(
     arguments: &Arguments,
     sensor: &Path,
-    _plan: &Plan,
+    plan: &Plan,
     act: impl FnOnce(&mut dyn Camera, &mut dyn Illuminator) -> Result<T>,
 ) -> Result<T> {
-    eprintln!("{}; the demo uses the simulator in this process instead", super::common::NO_ARAVIS);
-    let (mut camera, mut bench) = super::common::simulated(&sensor.display().to_string(), arguments.seed)?;
-    act(&mut camera, &mut bench)
+    eprintln!("{}; the demo uses the simulator in this process instead", crate::camera::NO_ARAVIS);
+    let mut camera = crate::camera::sim::SimCamera::open(&sensor.display().to_string(), arguments.seed)?;
+    let mut bench = crate::bench::of(&mut camera, plan);
+    act(&mut camera, &mut *bench)
 }

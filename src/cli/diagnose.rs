@@ -3,7 +3,7 @@
 use super::Outcome;
 use super::common::can_be_written;
 use super::model::{fitted_model, read_effects};
-use super::observe::{names, observe_all};
+use super::observe::{names, observe};
 use crate::dataset::write_whole;
 use crate::diagnosis::{Diagnosis, diagnose, searched};
 use crate::number::chance;
@@ -37,7 +37,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     can_be_written([&arguments.report, &arguments.output, &arguments.next].into_iter().flatten())?;
     let effects = read_effects(arguments.model.as_deref())?;
-    let all = observe_all(&arguments.datasets)?;
+    let all = observe(&arguments.datasets)?;
     let diagnosis = diagnose(&all, None, searched(&all, &effects), &mut |text| tracing::info!("{text}"));
     if let Some(path) = &arguments.report {
         let subtitle = names(&arguments.datasets);

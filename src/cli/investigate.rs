@@ -65,7 +65,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let page = report::compare::diagnosis("What the model lacks", &dataset.display().to_string(), d);
     write_whole(&report_path, page.as_bytes())?;
     if let Some(fitted) = &d.fitted {
-        let all = super::observe::observe(&dataset)?;
+        let all = super::observe::observe(std::slice::from_ref(&dataset))?;
         let model = fitted_model(&all, fitted, arguments.model.as_deref(), std::slice::from_ref(&dataset))?;
         write_whole(&model_path, model.to_toml()?.as_bytes())?;
     }
@@ -98,7 +98,7 @@ pub fn carry_out(
     let by_hand = !bench.moves_itself();
     let mut show = Show::new("capture");
     let mut progress = |p: Progress| show.frames(p);
-    let mut capture = Capture { camera, bench, options, stop: &STOP, progress: &mut progress };
+    let mut capture = Capture { camera, bench, options, stop: &STOP, progress: Some(&mut progress) };
     let mut tell = |event: Event<'_>| match event {
         Event::Begins { about, frames, sets, seconds, full_exposure_s } => {
             let full = full_exposure_s.map_or(String::new(), |s| format!(", full exposure {s:.6} s"));

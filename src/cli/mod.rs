@@ -5,30 +5,10 @@
 
 #![allow(clippy::print_stdout, clippy::print_stderr)] // printing is what a command line is for
 
-mod budget;
-mod calibrate;
-mod cameras;
-mod capture;
 mod common;
-mod compare;
-mod correct;
-mod demo;
-mod diagnose;
-mod effects;
-mod import;
-mod investigate;
-mod model;
-mod noise;
 mod observe;
-mod plan_calibration;
 mod progress;
 mod region;
-mod reproduce;
-mod scene;
-mod serve;
-mod shell;
-mod simulate;
-mod surface;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use common::{INTERRUPTED, STOP};
@@ -58,50 +38,48 @@ struct Arguments {
     verb: Verb,
 }
 
-#[derive(Debug, Subcommand)]
-enum Verb {
-    /// List the cameras that answer, and the simulated ones
-    Cameras(cameras::Arguments),
-    /// Capture a plan with a camera into a dataset folder
-    Capture(capture::Arguments),
-    /// Draw a plan with a simulated camera into a dataset folder
-    Simulate(simulate::Arguments),
-    /// Serve a simulated camera over GigE Vision
-    Serve(serve::Arguments),
-    /// From a camera to a verdict: capture, diagnose, and the measurement that tells the closest names apart
-    Investigate(investigate::Arguments),
-    /// Loose image files into a dataset folder
-    Import(import::Arguments),
-    /// Estimate gain and constant noise (Section IV of Healey and Kondepudy)
-    Noise(noise::Arguments),
-    /// Say how many configurations, frames and darks a calibration needs, and write the plan
-    PlanCalibration(plan_calibration::Arguments),
-    /// Dark reference and fixed pattern K into a calibration file (Section V)
-    Calibrate(calibrate::Arguments),
-    /// Take dark reference and fixed pattern off frames (eq. 51)
-    Correct(correct::Arguments),
-    /// Scene variation of a region: a surface's own number, whatever the light (Section VI)
-    Scene(scene::Arguments),
-    /// Learn surfaces and name them by their scene variation
-    Surface(surface::Arguments),
-    /// Parts of a region's variance against intensity (Fig. 4)
-    Budget(budget::Arguments),
-    /// Run the paper's experiments again and compare its numbers with ours (Section VII)
-    Reproduce(reproduce::Arguments),
-    /// Compare a model with a campaign: where it fails, and by how much
-    Compare(compare::Arguments),
-    /// Say which physical effect a campaign shows that the model lacks
-    Diagnose(diagnose::Arguments),
-    /// Make, show, change and fit model files
-    Model(model::Arguments),
-    /// What each effect is, how it shows, and what to do about it
-    Effects(effects::Arguments),
-    /// Serve, capture, measure and report a camera, all in one
-    Demo(demo::Arguments),
-    /// Print the completions of a shell
-    Completions(shell::Completions),
-    /// Write the manual pages
-    Man(shell::Man),
+macro_rules! verbs {
+    ($($module:ident $verb:ident $about:literal)*) => {
+        $(mod $module;)*
+
+        #[derive(Debug, Subcommand)]
+        enum Verb {
+            $(#[doc = $about] $verb($module::Arguments)),*
+        }
+
+        impl Verb {
+            fn run(&self) -> anyhow::Result<Outcome> {
+                match self {
+                    $(Self::$verb(arguments) => $module::run(arguments)),*
+                }
+            }
+        }
+    };
+}
+
+// A verb is one file, with `Arguments` and `run`, and one line here: module, name, what `radcam --help` says of it.
+verbs! {
+    cameras Cameras "List the cameras that answer, and the simulated ones"
+    capture Capture "Capture a plan with a camera into a dataset folder"
+    simulate Simulate "Draw a plan with a simulated camera into a dataset folder"
+    serve Serve "Serve a simulated camera over GigE Vision"
+    investigate Investigate "From a camera to a verdict: capture, diagnose, and the measurement that tells the closest names apart"
+    import Import "Loose image files into a dataset folder"
+    noise Noise "Estimate gain and constant noise (Section IV of Healey and Kondepudy)"
+    plan_calibration PlanCalibration "Say how many configurations, frames and darks a calibration needs, and write the plan"
+    calibrate Calibrate "Dark reference and fixed pattern K into a calibration file (Section V)"
+    correct Correct "Take dark reference and fixed pattern off frames (eq. 51)"
+    scene Scene "Scene variation of a region: a surface's own number, whatever the light (Section VI)"
+    surface Surface "Learn surfaces and name them by their scene variation"
+    budget Budget "Parts of a region's variance against intensity (Fig. 4)"
+    reproduce Reproduce "Run the paper's experiments again and compare its numbers with ours (Section VII)"
+    compare Compare "Compare a model with a campaign: where it fails, and by how much"
+    diagnose Diagnose "Say which physical effect a campaign shows that the model lacks"
+    model Model "Make, show, change and fit model files"
+    effects Effects "What each effect is, how it shows, and what to do about it"
+    demo Demo "Serve, capture, measure and report a camera, all in one"
+    completions Completions "Print the completions of a shell"
+    man Man "Write the manual pages"
 }
 
 /// What stands there where the program is called alone.
@@ -152,30 +130,7 @@ pub fn main() -> ExitCode {
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|e| e.exit());
     common::start_logging(arguments.verbose);
     common::catch_interrupts();
-    let outcome = match arguments.verb {
-        Verb::Cameras(a) => cameras::run(&a),
-        Verb::Capture(a) => capture::run(&a),
-        Verb::Simulate(a) => simulate::run(&a),
-        Verb::Serve(a) => serve::run(&a),
-        Verb::Investigate(a) => investigate::run(&a),
-        Verb::Import(a) => import::run(&a),
-        Verb::Noise(a) => noise::run(&a),
-        Verb::PlanCalibration(a) => plan_calibration::run(&a),
-        Verb::Calibrate(a) => calibrate::run(&a),
-        Verb::Correct(a) => correct::run(&a),
-        Verb::Scene(a) => scene::run(&a),
-        Verb::Surface(a) => surface::run(&a),
-        Verb::Budget(a) => budget::run(&a),
-        Verb::Reproduce(a) => reproduce::run(&a),
-        Verb::Compare(a) => compare::run(&a),
-        Verb::Model(a) => model::run(&a),
-        Verb::Effects(a) => effects::run(&a),
-        Verb::Diagnose(a) => diagnose::run(&a),
-        Verb::Demo(a) => demo::run(&a),
-        Verb::Completions(a) => shell::completions(&a),
-        Verb::Man(a) => shell::man(&a),
-    };
-    match outcome {
+    match arguments.verb.run() {
         Ok(Outcome::Agreement) => ExitCode::SUCCESS,
         Ok(Outcome::Disagreement) => ExitCode::from(1),
         Err(error) => {

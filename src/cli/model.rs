@@ -2,7 +2,7 @@
 
 use super::Outcome;
 use super::common::{load_model, no_effect};
-use super::observe::{names, observe_all};
+use super::observe::{names, observe};
 
 use crate::dataset::{Dataset, write_whole};
 use crate::diagnosis::searched;
@@ -228,7 +228,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         }
         Action::Fit { model: path, datasets } => {
             let list = to_be_fitted(&read(path)?)?;
-            let all = observe_all(datasets)?;
+            let all = observe(datasets)?;
             let fitted = fit(&all, &start(&all), &searched(&all, &list));
             let model = fitted_model(&all, &fitted, Some(path), datasets)?;
             write(path, &model)?;

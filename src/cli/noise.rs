@@ -2,11 +2,11 @@
 
 use super::common::STOP;
 use super::{Outcome, progress::Show};
-use crate::dataset::table::Table;
-use crate::dataset::{Dataset, write_whole};
-use crate::noise::{NoiseReport, of_dataset, of_table};
+use crate::dataset::write_whole;
+use crate::noise::NoiseReport;
 use crate::number::with_error;
 use crate::report;
+use crate::source::Source;
 use anyhow::Result;
 use std::path::{Path, PathBuf};
 
@@ -39,12 +39,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
 
 /// Section IV on whatever the path is.
 pub fn estimate(path: &Path) -> Result<NoiseReport> {
-    if path.is_file() && Table::is_table(path) {
-        return Ok(of_table(&Table::open(path)?)?);
-    }
-    let dataset = Dataset::open(path)?;
     let mut show = Show::new("noise");
-    Ok(of_dataset(&dataset, &STOP, &mut |done, of| show.step(done, of))?)
+    Ok(Source::open(path)?.noise_with(&STOP, &mut |done, of| show.step(done, of))?)
 }
 
 fn print(path: &Path, r: &NoiseReport) {

@@ -4,7 +4,6 @@ use super::Outcome;
 use super::common::{STOP, may_be_written, open_camera};
 use super::progress::Show;
 use crate::calibrate::plan::{campaign, needs, pilot};
-use crate::camera::StreamOptions;
 use crate::capture::Capture;
 use crate::dataset::{Dataset, write_whole};
 use crate::noise;
@@ -40,14 +39,11 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             let plan = pilot();
             let (mut camera, mut bench) = open_camera(name, &plan)?;
             let mut show = Show::new("pilot");
-            let mut capture = Capture {
-                camera: &mut *camera,
-                bench: &mut *bench,
-                options: StreamOptions::default(),
-                stop: &STOP,
-                progress: &mut |p| show.frames(p),
-            };
-            capture.run(&plan, folder, false).context("pilot")?;
+            let mut progress = |p| show.frames(p);
+            let mut capture = Capture::new(&mut *camera, &mut *bench);
+            capture.stop = &STOP;
+            capture.progress = Some(&mut progress);
+            capture.run(&plan, folder).context("pilot")?;
             folder
         }
         (_, _, Some(pilot)) => pilot,

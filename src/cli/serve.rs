@@ -80,5 +80,5 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
 
 #[cfg(not(feature = "aravis"))]
 pub fn run(_arguments: &Arguments) -> Result<Outcome> {
-    anyhow::bail!("serve: {}", super::common::NO_ARAVIS)
+    anyhow::bail!("serve: {}", crate::camera::NO_ARAVIS)
 }

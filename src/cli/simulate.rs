@@ -2,8 +2,10 @@
 
 use super::Outcome;
 use super::capture::{capture, region, tell};
-use super::common::{load_plan, simulated};
+use super::common::load_plan;
+use crate::bench;
 use crate::camera::StreamOptions;
+use crate::camera::sim::SimCamera;
 use anyhow::Result;
 use std::path::PathBuf;
 
@@ -34,9 +36,10 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let mut plan = load_plan(arguments.plan.as_deref(), arguments.resume, &arguments.output)?;
     plan.camera.region = arguments.region.or(plan.camera.region);
-    let (mut camera, mut bench) = simulated(&arguments.sensor, arguments.seed)?;
+    let mut camera = SimCamera::open(&arguments.sensor, arguments.seed)?;
+    let mut bench = bench::of(&mut camera, &plan);
     let options = StreamOptions::default();
-    let summary = capture(&mut camera, &mut bench, options, &plan, &arguments.output, arguments.resume)?;
+    let summary = capture(&mut camera, &mut *bench, options, &plan, &arguments.output, arguments.resume)?;
     tell(&summary, &arguments.output, arguments.json)?;
     Ok(Outcome::Agreement)
 }

@@ -279,6 +279,11 @@ impl Dataset {
         (part, self.parts.get(part).is_some_and(|(_, first)| *first == row))
     }
 
+    /// The folders of the datasets that were joined; of one that was not, none.
+    pub fn parts(&self) -> Vec<&Path> {
+        self.parts.iter().map(|(root, _)| root.as_path()).collect()
+    }
+
     /// What camera and bench said of themselves; of joined datasets those of the first.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
@@ -572,7 +577,7 @@ mod tests {
         );
         assert_eq!(all.read_set(&all.sets()[1]).unwrap()[1], ndarray::array![[1, 9]]);
         let fault = |other: Dataset| Dataset::join(vec![a.clone(), other]).unwrap_err().to_string();
-        assert!(fault(part("c", 6.0)).contains("gain_db"));
+        assert!(fault(part("c", 6.0)).contains("gain is"));
         assert!(fault(a.clone()).contains("twice"));
     }
 

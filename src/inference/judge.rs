@@ -14,8 +14,8 @@ use super::white::White;
 use crate::agreement::{Agreement, P_LIMIT};
 use crate::observables::{Expected, Half, Observable, Observations, Statistic, mean, settling};
 use serde::{Deserialize, Serialize};
-use std::borrow::Cow;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 /// One residual on frames that the fit did not see.

@@ -1,9 +1,9 @@
 //! The three estimators of the line.
 
 use super::{Estimate, Method, Point, Zero};
-use crate::number::Quantity;
 use crate::dataset::Kind;
 use crate::fit::line::{Line, fit, goodness};
+use crate::number::Quantity;
 
 /// Variance of a level's variance at the fitted line.
 ///

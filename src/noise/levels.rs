@@ -1,10 +1,10 @@
 //! The levels: from the frames of a dataset, or the rows of a table, to points of the photon-transfer plot.
 
 use super::NoiseError;
-use crate::number::finite;
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, Kind};
 use crate::fit::line::fit;
+use crate::number::finite;
 use crate::statistics::level::{Level, LevelAccumulator};
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};

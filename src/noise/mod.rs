@@ -26,8 +26,8 @@ pub use report::{Estimate, LevelReport, Method, NoiseReport};
 
 use crate::agreement::P_LIMIT;
 use crate::dataset::table::Table;
-use crate::number::Quantity;
 use crate::dataset::{Dataset, DatasetError, Kind};
+use crate::number::Quantity;
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
 use exclude::{exclude_outliers, exclude_past_the_peak};
 use levels::{BLACK_LEVEL, NO_ZERO, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED, ONE_FRAME};

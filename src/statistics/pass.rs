@@ -526,7 +526,11 @@ mod tests {
         let diagonal = LAGS.iter().position(|l| *l == (1, -1)).unwrap();
         let summary = [whole.var, whole.covariances.at[diagonal], whole.successive];
         for (summary, (sum, count)) in summary.iter().zip(products) {
-            assert!((summary.value - sum / count).abs() < 2e-5 * whole.var.value, "{summary:?} {}", sum / count);
+            assert!(
+                (summary.value - sum / count).abs() < 2e-5 * whole.var.value,
+                "{summary:?} {}",
+                sum / count
+            );
         }
     }
 

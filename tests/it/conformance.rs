@@ -7,7 +7,6 @@ use radcam::camera::{Camera, CameraError, StreamOptions, Trigger};
 use radcam::capture::Capture;
 use radcam::frame::{Frame, Region, Status};
 use radcam::plan::Plan;
-use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 const TIMEOUT: Duration = Duration::from_secs(10);
@@ -159,14 +158,7 @@ fn a_replay_conforms() {
     let mut plan = Plan::quick();
     plan.sets.iter_mut().for_each(|s| s.illumination *= 0.5);
     plan.sets.iter_mut().for_each(|s| s.exposure = Some(1.0));
-    let mut capture = Capture {
-        camera: &mut camera,
-        bench: &mut bench,
-        options: StreamOptions::default(),
-        stop: &AtomicBool::new(false),
-        progress: &mut |_| {},
-    };
-    capture.run(&plan, &root, false).unwrap();
+    Capture::new(&mut camera, &mut bench).run(&plan, &root).unwrap();
     let mut replay = ReplayCamera::open(&root, bench.clone()).unwrap();
     suite(&mut replay, &mut bench);
 }

@@ -26,8 +26,9 @@ fn run(
     let stop = AtomicBool::new(false);
     let mut progress = |p: radcam::capture::Progress| stop.store(p.frames >= stop_after, Ordering::Relaxed);
     let options = StreamOptions::default();
-    let mut capture = Capture { camera, bench, options, stop: &stop, progress: &mut progress };
-    capture.run(plan, root, resume).map(|s| s.frames)
+    let mut capture = Capture { camera, bench, options, stop: &stop, progress: Some(&mut progress) };
+    let summary = if resume { capture.resume(root) } else { capture.run(plan, root) };
+    summary.map(|s| s.frames)
 }
 
 /// Every row of the contract's header, one dataset.toml, and time that runs forwards.

@@ -2,7 +2,6 @@
 
 use crate::outside;
 use crate::support::{camera, expect, shared, small};
-use radcam::bench::Illuminator;
 use radcam::capture::Capture;
 use radcam::dataset::{Dataset, Kind};
 use radcam::diagnosis::{Diagnosis, diagnose};
@@ -50,12 +49,7 @@ pub fn campaign(model: Model, root: &Path) {
 
 fn capture(model: Model, plan: &Plan, root: &Path) {
     let (mut camera, mut bench) = camera(model);
-    let bench: &mut dyn Illuminator = &mut bench;
-    let stop = AtomicBool::new(false);
-    let options = Default::default();
-    Capture { camera: &mut camera, bench, options, stop: &stop, progress: &mut |_| {} }
-        .run(plan, root, false)
-        .unwrap();
+    Capture::new(&mut camera, &mut bench).run(plan, root).unwrap();
 }
 
 pub fn observe(root: &Path) -> Observations {

@@ -19,3 +19,4 @@ mod support;
 
 #[cfg(feature = "aravis")]
 mod serve;
+mod source;

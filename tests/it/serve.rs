@@ -514,14 +514,7 @@ fn a_campaign_over_the_wire_measures_the_same_camera() {
     let _served = served(&sensor);
     let gain = |camera: &mut dyn Camera, bench: &mut dyn Illuminator, name: &str| {
         let root = dir.path().join(name);
-        let mut capture = radcam::capture::Capture {
-            camera,
-            bench,
-            options: StreamOptions::default(),
-            stop: &std::sync::atomic::AtomicBool::new(false),
-            progress: &mut |_| {},
-        };
-        capture.run(&radcam::plan::Plan::quick(), &root, false).unwrap();
+        radcam::capture::Capture::new(camera, bench).run(&radcam::plan::Plan::quick(), &root).unwrap();
         let json: serde_json::Value =
             serde_json::from_str(&expect(0, &["noise", root.to_str().unwrap(), "--json"])).unwrap();
         let a = &json["gain_dn_per_e"];
@@ -555,13 +548,9 @@ fn a_calibration_over_the_wire_gives_the_same_k() {
     }
     let plan = radcam::plan::Plan::from_toml(&plan).unwrap();
     let dir = tempfile::tempdir().unwrap();
-    let stop = std::sync::atomic::AtomicBool::new(false);
     let capture = |camera: &mut dyn Camera, bench: &mut dyn Illuminator, name: &str| {
-        let options = StreamOptions::default();
-        let mut capture =
-            radcam::capture::Capture { camera, bench, options, stop: &stop, progress: &mut |_| {} };
         let root = dir.path().join(name);
-        capture.run(&plan, &root, false).unwrap();
+        radcam::capture::Capture::new(camera, bench).run(&plan, &root).unwrap();
         let dataset = radcam::dataset::Dataset::open(&root).unwrap();
         of_dataset(&dataset, Estimator::Joint, None, name).unwrap().calibration
     };
