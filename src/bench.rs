@@ -13,6 +13,7 @@ use std::time::Duration;
 
 /// Why the bench is not as it should be.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum BenchError {
     /// A feature of the camera refused.
     #[error("bench: {0}")]
@@ -26,6 +27,10 @@ pub enum BenchError {
 pub trait Illuminator {
     /// Brings the bench into a state and returns the one it then has: a lamp may have steps. `camera` is for benches
     /// that hang on it.
+    ///
+    /// # Errors
+    ///
+    /// Where a feature of the camera refuses, or the operator gives up.
     fn apply(&mut self, state: &BenchState, camera: &mut dyn Camera) -> Result<BenchState, BenchError>;
 
     /// What is known of the light, for `dataset.toml`.

@@ -60,6 +60,7 @@ pub struct Codes {
 
 /// Why a frame cannot be corrected.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum CorrectError {
     /// The frame and the calibration differ in size.
     #[error("the frame has {found} pixels, the calibration {expected}")]
@@ -79,6 +80,10 @@ pub enum CorrectError {
 
 impl Corrector {
     /// Makes a calibration ready for frames of an exposure, s.
+    ///
+    /// # Errors
+    ///
+    /// Where the dark reference does not reach to this exposure.
     pub fn new(calibration: &Calibration, exposure_s: f64) -> Result<Self, CorrectError> {
         let dark = calibration.dark.at(exposure_s)?;
         Ok(Self {
@@ -114,6 +119,10 @@ impl Corrector {
     }
 
     /// Corrects a frame (row by row, DN) to DN above the dark reference.
+    ///
+    /// # Errors
+    ///
+    /// Where frame, output and calibration differ in size.
     pub fn to_f32(&self, frame: &[u16], out: &mut [f32]) -> Result<(), CorrectError> {
         self.each(frame, out, ())?;
         for (at, from) in &self.replace {
@@ -123,6 +132,10 @@ impl Corrector {
     }
 
     /// Corrects a frame (row by row, DN) to 16-bit codes.
+    ///
+    /// # Errors
+    ///
+    /// Where frame, output and calibration differ in size.
     pub fn to_u16(&self, frame: &[u16], codes: Codes, out: &mut [u16]) -> Result<(), CorrectError> {
         self.each(frame, out, codes)?;
         for (at, from) in &self.replace {
@@ -149,6 +162,10 @@ impl Corrector {
     }
 
     /// Corrects a frame into a new image, (rows, columns), DN above the dark reference.
+    ///
+    /// # Errors
+    ///
+    /// Where frame, output and calibration differ in size.
     pub fn image(&self, frame: &Array2<u16>) -> Result<Array2<f32>, CorrectError> {
         let mut out = Array2::zeros(self.shape);
         let frame = frame.as_standard_layout();

@@ -14,6 +14,7 @@ use std::path::Path;
 
 /// Why an investigation stopped. What was captured stays, and is gone on with.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum InvestigateError {
     /// The capture.
     #[error(transparent)]
@@ -82,6 +83,10 @@ pub struct Found {
 
 /// Captures a plan into `root`, which is new or an investigation that was interrupted, and measures on until the verdict is clear. `known` are
 /// effects that the camera is known to have.
+///
+/// # Errors
+///
+/// What stopped the capture, or what cannot be read. What was captured stays, and the same call goes on with it.
 pub fn investigate(
     capture: &mut Capture<'_>,
     plan: &Plan,

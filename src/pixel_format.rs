@@ -88,11 +88,19 @@ impl PixelFormat {
     /// assert_eq!(dn, [0xABC, 0x456]);
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
+    ///
+    /// # Errors
+    ///
+    /// Where radcam cannot unpack a format of this name.
     pub fn from_name(name: &str) -> Result<Self, UnknownFormat> {
         Self::all().find(|f| f.name() == name).ok_or_else(|| UnknownFormat(format!("\"{name}\"")))
     }
 
     /// The format of a PFNC code.
+    ///
+    /// # Errors
+    ///
+    /// Where radcam cannot unpack a format of this code.
     pub fn from_code(code: u32) -> Result<Self, UnknownFormat> {
         Self::all().find(|f| f.code() == code).ok_or_else(|| UnknownFormat(format!("{code:#010x}")))
     }
@@ -128,6 +136,10 @@ impl PixelFormat {
     }
 
     /// Codes in DN from the bytes of a frame.
+    ///
+    /// # Errors
+    ///
+    /// Where the two lengths do not fit together.
     pub fn unpack(self, bytes: &[u8], dn: &mut [u16]) -> Result<(), WrongLength> {
         self.check(bytes.len(), dn.len())?;
         (self.row().unpack)(bytes, dn);
@@ -135,6 +147,10 @@ impl PixelFormat {
     }
 
     /// Bytes of a frame from its codes; the inverse of [`unpack`](Self::unpack).
+    ///
+    /// # Errors
+    ///
+    /// Where the two lengths do not fit together.
     pub fn pack(self, dn: &[u16], bytes: &mut [u8]) -> Result<(), WrongLength> {
         self.check(bytes.len(), dn.len())?;
         (self.row().pack)(dn, bytes);

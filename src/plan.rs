@@ -182,6 +182,7 @@ impl SetPlan {
 
 /// What is wrong with a plan.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum PlanError {
     /// Not TOML, or a key is missing, unknown or of the wrong type.
     #[error("not a plan: {0}")]
@@ -271,6 +272,10 @@ impl Plan {
     /// assert_eq!(Plan::from_toml(&text)?, Plan::standard());
     /// # Ok::<(), radcam::plan::PlanError>(())
     /// ```
+    ///
+    /// # Errors
+    ///
+    /// Where the text is no plan: line, key or set, and what is wrong.
     pub fn from_toml(text: &str) -> Result<Self, PlanError> {
         let table: toml::Table =
             toml::from_str(text).map_err(|e| PlanError::Syntax(e.to_string().trim_end().into()))?;
@@ -290,6 +295,10 @@ impl Plan {
     }
 
     /// The plan as TOML.
+    ///
+    /// # Errors
+    ///
+    /// Where a value cannot be written as TOML.
     pub fn to_toml(&self) -> Result<String, PlanError> {
         toml::to_string(self).map_err(|e| PlanError::Syntax(e.to_string()))
     }

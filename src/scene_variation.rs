@@ -39,6 +39,7 @@ pub struct Roi {
 
 /// Why there is no scene variation.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum VariationError {
     /// The calibration was made without levels enough to know the noise.
     #[error(
@@ -93,6 +94,10 @@ pub struct Variation {
 
 impl CameraNoise {
     /// Noise of a calibration's camera.
+    ///
+    /// # Errors
+    ///
+    /// Where the calibration holds no gain and constant noise.
     pub fn of(calibration: &Calibration) -> Result<Self, VariationError> {
         let d = &calibration.description;
         match (d.gain_dn_per_e, d.constant_noise_var_dn2) {
@@ -113,6 +118,10 @@ impl CameraNoise {
 }
 
 /// The part of a map that a region covers.
+///
+/// # Errors
+///
+/// Where the rectangle leaves the image.
 pub fn part<'a, T>(map: &'a Array2<T>, roi: Roi) -> Result<ArrayView2<'a, T>, VariationError> {
     let (rows, columns) = map.dim();
     let fits = |from: usize, size: usize, all: usize| from.checked_add(size).is_some_and(|end| end <= all);
@@ -133,6 +142,10 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
 /// The variance that the calibration itself adds is taken off too: the mean square error of K times the squared mean, and
 /// the error of the dark reference. The standard error is a delete-one-block jackknife over 25 blocks, so that a grain
 /// wider than a pixel does not make it too small, together with the errors of A and sigma_C^2.
+///
+/// # Errors
+///
+/// Where the region leaves the image, is too small or too dark, or frame and calibration differ in size.
 pub fn of_region(
     corrected: &Array2<f32>,
     frames: u64,
@@ -209,6 +222,10 @@ pub fn of_region(
 
 /// V_s over windows of `side` pixels side by side, and its standard error, each (windows down, windows across); NaN where a
 /// window is dark.
+///
+/// # Errors
+///
+/// Where the region leaves the image, is too small or too dark, or frame and calibration differ in size.
 pub fn map(
     corrected: &Array2<f32>,
     frames: u64,

@@ -23,7 +23,7 @@ use std::sync::atomic::AtomicBool;
 #[derive(Debug, Clone)]
 pub enum Source {
     /// Frames: a dataset folder or the files that an EMVA 1288 descriptor names.
-    Frames(Dataset),
+    Frames(Box<Dataset>),
     /// Means and variances.
     Table(Table),
 }
@@ -39,7 +39,7 @@ impl Source {
         if path.is_file() && Table::is_table(path) {
             return Ok(Self::Table(Table::open(path)?));
         }
-        Ok(Self::Frames(Dataset::open(path)?))
+        Ok(Self::Frames(Box::new(Dataset::open(path)?)))
     }
 
     /// Opens several datasets of one camera under one set of settings as one ([`Dataset::join`]); a table stands alone.
@@ -56,7 +56,7 @@ impl Source {
             return Err(DatasetError::Manifest { path: table.clone(), message });
         }
         let all = paths.iter().map(|p| Dataset::open(p)).collect::<Result<_, _>>()?;
-        Ok(Self::Frames(Dataset::join(all)?))
+        Ok(Self::Frames(Box::new(Dataset::join(all)?)))
     }
 
     /// Gain and constant noise (Section IV of the paper).

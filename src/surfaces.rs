@@ -74,6 +74,10 @@ impl Default for Library {
 
 impl Library {
     /// Reads a library.
+    ///
+    /// # Errors
+    ///
+    /// Where the file cannot be read or is no library.
     pub fn read(path: &Path) -> Result<Self, LibraryError> {
         let fault = |message: String| LibraryError { path: path.into(), message };
         let text = std::fs::read_to_string(path).map_err(|e| fault(e.to_string()))?;
@@ -92,6 +96,10 @@ impl Library {
     }
 
     /// Writes the library whole or not at all.
+    ///
+    /// # Errors
+    ///
+    /// Where the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), LibraryError> {
         let fault = |message: String| LibraryError { path: path.into(), message };
         let text = toml::to_string(self).map_err(|e| fault(e.to_string()))?;
@@ -100,6 +108,10 @@ impl Library {
 
     /// Adds a region's V_s to a surface, or a new surface: regions are put together by the inverse of their variances. `region` tells it from
     /// others; one that was learnt before is refused, for it tells nothing new.
+    ///
+    /// # Errors
+    ///
+    /// Where this region was learnt already, and as what.
     pub fn learn(&mut self, name: &str, seen: &Quantity, region: &str) -> Result<(), String> {
         let before = self.surfaces.iter().find(|s| s.seen.iter().any(|r| r == region));
         if let Some(before) = before {

@@ -189,6 +189,10 @@ impl std::fmt::Debug for Sensor {
 
 impl Sensor {
     /// Checks the model and draws its maps.
+    ///
+    /// # Errors
+    ///
+    /// What is wrong with the model.
     pub fn new(model: Model) -> Result<Self, ModelError> {
         model.check()?;
         let maps = Maps::new(&model);

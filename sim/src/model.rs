@@ -67,6 +67,10 @@ pub struct EffectValues {
 
 impl EffectValues {
     /// The effect of this identifier, or the one that the formulas make.
+    ///
+    /// # Errors
+    ///
+    /// Where no effect has this identifier, or a formula cannot be understood.
     pub fn effect(&self) -> Result<&'static dyn Effect, ModelError> {
         if self.id == CUSTOM {
             let name = self.name.as_deref().unwrap_or(CUSTOM);
@@ -85,6 +89,10 @@ impl EffectValues {
 
     /// Values to draw with, in the order of the effect's parameters. An error names one that is not given; a choice that is not is the
     /// first.
+    ///
+    /// # Errors
+    ///
+    /// Which parameter is missing or out of its bounds.
     pub fn values(&self, effect: &dyn Effect) -> Result<Vec<f64>, ModelError> {
         let mut choices: Vec<f64> = Vec::new();
         for p in effect.parameters() {
@@ -194,6 +202,7 @@ pub struct Bench {
 
 /// Why a model cannot be used.
 #[derive(Debug, thiserror::Error, PartialEq)]
+#[non_exhaustive]
 pub enum ModelError {
     /// The text is not TOML, or a key is missing, unknown or of the wrong type.
     #[error("not a camera model: {0}")]
@@ -238,6 +247,10 @@ impl Model {
     /// let model = radcam_sim::Model::from_toml(text).unwrap();
     /// assert_eq!(model.base.gain_dn_per_e, 0.003384);
     /// ```
+    ///
+    /// # Errors
+    ///
+    /// Where the text is no model: line, key and what is wrong.
     pub fn from_toml(text: &str) -> Result<Self, ModelError> {
         let model: Self = toml::from_str(text).map_err(|e| {
             let found = toml::from_str::<toml::Table>(text).ok();
@@ -251,11 +264,19 @@ impl Model {
     }
 
     /// The model as TOML.
+    ///
+    /// # Errors
+    ///
+    /// Where a value cannot be written as TOML.
     pub fn to_toml(&self) -> Result<String, ModelError> {
         toml::to_string(self).map_err(|e| ModelError::Syntax(e.to_string()))
     }
 
     /// Checks every value against its physical bounds.
+    ///
+    /// # Errors
+    ///
+    /// Which value is out of its bounds.
     pub fn check(&self) -> Result<(), ModelError> {
         if self.format != FORMAT {
             return Err(ModelError::Format(self.format.clone()));

@@ -32,6 +32,7 @@ pub struct DarkReference {
 
 /// Why there is no dark reference.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum DarkError {
     /// Nothing to average.
     #[error("a dark reference needs dark frames, and there are none")]
@@ -56,6 +57,10 @@ impl DarkReference {
     /// Fits offset and dark current of every pixel to means at one or more exposures, for use at `exposure_s`.
     ///
     /// A pixel's exposures are weighted alike for all pixels, by frames over the pooled temporal variance.
+    ///
+    /// # Errors
+    ///
+    /// Where there are no darks at this exposure nor at enough others.
     pub fn fit(darks: &[DarkMean], exposure_s: f64) -> Result<Self, DarkError> {
         let first = darks.first().ok_or(DarkError::None)?;
         let shape = first.mean_dn.dim();
@@ -104,6 +109,10 @@ impl DarkReference {
     }
 
     /// D_D at an exposure, (rows, columns), DN.
+    ///
+    /// # Errors
+    ///
+    /// Where the dark reference does not reach to this exposure.
     pub fn at(&self, exposure_s: f64) -> Result<Array2<f32>, DarkError> {
         let reach = exposure_s - self.exposure_s;
         match &self.current_dn_per_s {

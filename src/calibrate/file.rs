@@ -151,6 +151,10 @@ impl Calibration {
     }
 
     /// Writes the file whole or not at all.
+    ///
+    /// # Errors
+    ///
+    /// Where the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
         let fault = |message: String| FileError { path: path.into(), message };
         let mut out = Cursor::new(Vec::new());
@@ -180,6 +184,10 @@ impl Calibration {
     }
 
     /// Reads a file; one that was cut short, edited or is of another version is refused by name.
+    ///
+    /// # Errors
+    ///
+    /// Where the file cannot be read or is no calibration.
     pub fn read(path: &Path) -> Result<Self, FileError> {
         let fault = |message: String| FileError { path: path.into(), message };
         let bytes = std::fs::read(path).map_err(|e| fault(e.to_string()))?;

@@ -23,6 +23,10 @@ const MOST_BLOCKS: f64 = 6000.0;
 ///
 /// The standard error is the scatter over the configurations; the surfaces' own errors are smaller by the root of the
 /// pixels over the surface's terms.
+///
+/// # Errors
+///
+/// Where there are too few configurations, or they differ in size.
 pub fn joint(configurations: &[Array2<f32>]) -> Result<FixedPattern, PatternError> {
     check(configurations)?;
     let shape = configurations[0].dim();
@@ -54,6 +58,10 @@ pub fn joint(configurations: &[Array2<f32>]) -> Result<FixedPattern, PatternErro
 /// the surface is taken for the camera's: no frame can tell.
 ///
 /// `noise` is (A, sigma_C^2) and `frames` their number in each image: the standard error holds the temporal noise alone.
+///
+/// # Errors
+///
+/// Where there are too few configurations, or they differ in size.
 pub fn smooth(
     images: &[Array2<f32>],
     noise: Option<(f64, f64)>,

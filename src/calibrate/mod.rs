@@ -33,6 +33,7 @@ pub enum Estimator {
 
 /// Why a dataset gives no calibration.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CalibrateError {
     /// The dataset.
     #[error(transparent)]
@@ -161,6 +162,10 @@ pub struct Calibrated {
 /// configuration, however many frames went into it.
 ///
 /// Of flats with several exposures the one with the most configurations is taken, of equal ones the longest.
+///
+/// # Errors
+///
+/// What the dataset lacks for a calibration, or which frame cannot be read.
 pub fn of_dataset(
     dataset: &Dataset,
     estimator: Estimator,

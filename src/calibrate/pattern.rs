@@ -54,6 +54,7 @@ pub(super) fn level(configurations: &[Array2<f32>]) -> f64 {
 
 /// Why there is no K.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum PatternError {
     /// One configuration cannot tell K from the card.
     #[error(
@@ -104,6 +105,10 @@ pub(super) fn check_images(configurations: &[Array2<f32>]) -> Result<(), Pattern
 ///
 /// The standard error holds the scatter over the configurations and sigma_K / m, the error that K's own mean over the
 /// window leaves and that no averaging removes.
+///
+/// # Errors
+///
+/// Where there are too few configurations, or they differ in size.
 pub fn paper(configurations: &[Array2<f32>], options: Options) -> Result<FixedPattern, PatternError> {
     check(configurations)?;
     let n1 = configurations.len();

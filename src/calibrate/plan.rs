@@ -53,6 +53,10 @@ pub fn configurations(bit_depth: u8, p: f64, slope_sd: f64, worst_kept: f64) -> 
 }
 
 /// Needs from a pilot: darks and flats of at least three configurations.
+///
+/// # Errors
+///
+/// What the pilot lacks, or which frame cannot be read.
 pub fn needs(pilot: &Dataset, noise: &NoiseReport) -> Result<Needs, CalibrateError> {
     let options = Options::default();
     let camera = &pilot.manifest().camera;

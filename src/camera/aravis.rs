@@ -66,6 +66,10 @@ fn list() -> Vec<Listed> {
 
 impl AravisCamera {
     /// Opens a camera by IP address, Aravis id, or serial number.
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::Absent`] where no such camera answers, with those that do; what it refuses while it is set up.
     pub fn open(name: &str) -> Result<Self, CameraError> {
         let id = format!("aravis:{name}");
         let absent = |message: String| CameraError::Absent { camera: id.clone(), message };

@@ -51,6 +51,10 @@ fn info(camera: &mut impl Camera) -> Result<CameraInfo, CameraError> {
 impl<C: Camera> Corrected<C> {
     /// Joins a camera and its calibration. Refused where camera, size, format, gain or black level are not those of the
     /// calibration, naming what differs, and where the dark reference does not reach to the exposure in use.
+    ///
+    /// # Errors
+    ///
+    /// What differs between the camera and that of the calibration.
     pub fn new(mut camera: C, calibration: Calibration, codes: Codes) -> Result<Self, CameraError> {
         let now = info(&mut camera)?;
         let found = calibration.description.camera.differences(&now);

@@ -283,6 +283,7 @@ impl StreamCounts {
 
 /// What went wrong with a camera.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CameraError {
     /// No such camera.
     #[error("camera {camera}: {message}")]
@@ -363,9 +364,17 @@ pub trait FrameStream {
     /// Waits for the next frame and fills `frame` with it, without a new allocation where the size fits.
     ///
     /// A damaged frame is handed out with its status and counted; it must not be used.
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::Timeout`] where no frame came in time, [`CameraError::Lost`] where the camera is gone.
     fn next(&mut self, frame: &mut Frame, timeout: Duration) -> Result<(), CameraError>;
 
     /// Asks for one frame, with [`Trigger::Software`].
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::NotAvailable`] without a software trigger.
     fn trigger(&mut self) -> Result<(), CameraError>;
 
     /// What was counted so far.
@@ -383,33 +392,65 @@ pub trait Camera: Send {
     fn capabilities(&self) -> &Capabilities;
 
     /// Reads every setting back.
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::Lost`] or what the camera refuses to tell.
     fn settings(&mut self) -> Result<Settings, CameraError>;
 
     /// Sets the exposure, s.
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::OutOfRange`], or what the camera refuses.
     fn set_exposure_s(&mut self, value: f64) -> Result<f64, CameraError>;
 
     /// Sets the gain, dB.
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::NotAvailable`] where it has no such setting, [`CameraError::OutOfRange`], or what it refuses.
     fn set_gain_db(&mut self, _value: f64) -> Result<f64, CameraError> {
         Err(self.not_available("Gain"))
     }
 
     /// Sets the black level, DN.
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::NotAvailable`] where it has no such setting, [`CameraError::OutOfRange`], or what it refuses.
     fn set_black_level_dn(&mut self, _value: f64) -> Result<f64, CameraError> {
         Err(self.not_available("BlackLevel"))
     }
 
     /// Sets the frame rate, 1/s.
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::NotAvailable`] where it has no such setting, [`CameraError::OutOfRange`], or what it refuses.
     fn set_frame_rate_hz(&mut self, _value: f64) -> Result<f64, CameraError> {
         Err(self.not_available("AcquisitionFrameRate"))
     }
 
     /// Sets the pixel format.
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::NotAvailable`] where it has no such format, or what it refuses.
     fn set_pixel_format(&mut self, format: PixelFormat) -> Result<PixelFormat, CameraError>;
 
     /// Sets the region of interest.
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::OutOfRange`], or what the camera refuses.
     fn set_region(&mut self, region: Region) -> Result<Region, CameraError>;
 
     /// Sets when the camera exposes.
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::NotAvailable`] where it has no such trigger.
     fn set_trigger(&mut self, trigger: Trigger) -> Result<(), CameraError> {
         match trigger {
             Trigger::FreeRun => Ok(()),
@@ -418,6 +459,10 @@ pub trait Camera: Send {
     }
 
     /// Switches off what distorts radiometry, reads each setting back and tells what became of it.
+    ///
+    /// # Errors
+    ///
+    /// What the camera refuses to tell; what cannot be switched off is no error.
     fn disable_automatics(&mut self) -> Result<Vec<Automatic>, CameraError> {
         Ok(Vec::new())
     }
@@ -428,6 +473,10 @@ pub trait Camera: Send {
     }
 
     /// Sets a feature by its GenICam name and reads it back.
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::NotAvailable`] where it has no such feature, or what it refuses.
     fn set_feature(&mut self, name: &str, _value: &Value) -> Result<Value, CameraError> {
         Err(self.not_available(name))
     }
@@ -460,6 +509,10 @@ pub trait Camera: Send {
     }
 
     /// Starts the acquisition.
+    ///
+    /// # Errors
+    ///
+    /// What the camera refuses, or that no stream can be set up.
     fn stream(&mut self, options: &StreamOptions) -> Result<Box<dyn FrameStream + '_>, CameraError>;
 
     /// The error for what this camera has not.

@@ -34,6 +34,10 @@ pub struct ReplayCamera {
 
 impl ReplayCamera {
     /// Opens a dataset as a camera before a bench that stands as it stood then.
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::Absent`] where the dataset cannot be opened or has no frames.
     pub fn open(path: &Path, bench: SharedBench) -> Result<Self, CameraError> {
         let absent =
             |message: String| CameraError::Absent { camera: format!("replay:{}", path.display()), message };

@@ -17,6 +17,7 @@ use std::sync::atomic::AtomicBool;
 
 /// Why a capture stopped. What was written before stays whole.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CaptureError {
     /// The camera.
     #[error(transparent)]
@@ -213,6 +214,10 @@ impl<'a> Capture<'a> {
 
     /// Finds the full exposure of a plan that needs it, with everything as a capture has it, and gives every exposure in seconds: what a
     /// campaign will take can then be said before it starts.
+    ///
+    /// # Errors
+    ///
+    /// What the camera, the bench or the plan refuse.
     pub fn ready(&mut self, plan: &Plan) -> Result<Plan, CaptureError> {
         self.set_up(plan)?;
         self.absolute(plan, &mut StreamCounts::default())
@@ -220,6 +225,10 @@ impl<'a> Capture<'a> {
 
     /// Adds the sets of another plan to a campaign that is complete, under its settings and with its full exposure: one campaign in the order
     /// of time. `zero_ns` is what its summary said, where this is the same run of the camera.
+    ///
+    /// # Errors
+    ///
+    /// As [`run`](Self::run), and where the folder is no campaign of this camera.
     pub fn extend(
         &mut self,
         more: &Plan,

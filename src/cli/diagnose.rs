@@ -69,7 +69,7 @@ pub fn print(title: &str, d: &Diagnosis) {
     for m in &d.missing {
         println!("  {} ({})", m.effect, report::compare::heading(m));
         for (name, q) in m.parameters.iter().filter(|(_, q)| q.unit != "choice") {
-            println!("      {name} = {}", q.to_string());
+            println!("      {name} = {}", q);
         }
         for text in &m.evidence {
             println!("    - {text}");

@@ -51,7 +51,7 @@ fn print(path: &Path, r: &NoiseReport) {
         ("constant noise", &r.constant_noise_var_dn2),
         ("read noise", &r.read_noise_e),
     ] {
-        println!("  {name:<16} {}", q.to_string());
+        println!("  {name:<16} {}", q);
     }
     println!(
         "  {:<16} {} DN ({})",

@@ -9,6 +9,7 @@ use tiff::encoder::{TiffEncoder, colortype};
 
 /// Why an image cannot be read or written.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ImageError {
     /// The file system refused.
     #[error("{0}")]
@@ -52,6 +53,10 @@ pub(crate) fn tiff_words(error: &tiff::TiffError) -> String {
 }
 
 /// Reads one page as (rows, columns) of DN. The kind of file is told by its first bytes, not by its name.
+///
+/// # Errors
+///
+/// Where the file cannot be read or has no such page, or its pixels are no codes of up to 16 bits.
 pub fn read(path: &Path, page: usize) -> Result<Array2<u16>, ImageError> {
     let mut start = [0u8; 8];
     let read = std::io::Read::read(&mut File::open(path)?, &mut start)?;
@@ -70,6 +75,10 @@ pub fn read(path: &Path, page: usize) -> Result<Array2<u16>, ImageError> {
 }
 
 /// Reads a file that has one frame; of a stack nobody said which.
+///
+/// # Errors
+///
+/// As [`read`], and where the file has several pages.
 pub fn read_single(path: &Path) -> Result<Array2<u16>, ImageError> {
     let pixels = read(path, 0)?;
     let next = tiff::decoder::Decoder::new(BufReader::new(File::open(path)?)).and_then(|mut decoder| {
@@ -88,6 +97,10 @@ pub fn read_single(path: &Path) -> Result<Array2<u16>, ImageError> {
 }
 
 /// Bits of a pixel as the file keeps it, 8, 16 or 32: what a code can be at most.
+///
+/// # Errors
+///
+/// Where the file cannot be read.
 pub fn stored_bits(path: &Path) -> Result<u8, ImageError> {
     let mut start = [0u8; 26];
     let read = std::io::Read::read(&mut File::open(path)?, &mut start)?;
@@ -241,6 +254,10 @@ fn read_fits(bytes: &[u8]) -> Result<Array2<u16>, ImageError> {
 }
 
 /// Writes a frame as an uncompressed TIFF, 8 bits deep where `bit_depth` is at most 8, else 16.
+///
+/// # Errors
+///
+/// Where the output cannot be written.
 pub fn write_tiff<W: Write + Seek>(out: W, pixels: &Array2<u16>, bit_depth: u8) -> Result<(), ImageError> {
     let (height, width) = pixels.dim();
     let (width, height) = (width as u32, height as u32);
@@ -257,6 +274,10 @@ pub fn write_tiff<W: Write + Seek>(out: W, pixels: &Array2<u16>, bit_depth: u8) 
 }
 
 /// The bytes of [`write_tiff`].
+///
+/// # Errors
+///
+/// Where the output cannot be written.
 pub fn tiff_bytes(pixels: &Array2<u16>, bit_depth: u8) -> Result<Vec<u8>, ImageError> {
     let mut out = Cursor::new(Vec::with_capacity(pixels.len() * 2 + 1024));
     write_tiff(&mut out, pixels, bit_depth)?;
@@ -273,6 +294,10 @@ pub(crate) fn ascii(text: &str) -> String {
 }
 
 /// The bytes of an uncompressed TIFF of one page, with an ImageDescription that says what the numbers mean.
+///
+/// # Errors
+///
+/// Where the output cannot be written.
 pub fn described_bytes<C: colortype::ColorType>(
     pixels: &Array2<C::Inner>,
     description: &str,

@@ -144,6 +144,10 @@ impl Manifest {
     }
 
     /// Reads and checks; the error is a sentence.
+    ///
+    /// # Errors
+    ///
+    /// What is wrong with it, in words.
     pub fn from_toml(text: &str) -> Result<Self, String> {
         let table: toml::Table = toml::from_str(text).map_err(|e| e.to_string().trim_end().to_string())?;
         match table.get("format").and_then(|f| f.as_str()) {

@@ -82,6 +82,7 @@ pub struct FrameRow {
 
 /// What is wrong with a dataset, and where.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum DatasetError {
     /// The file system refused.
     #[error("{path}: {source}")]
@@ -161,6 +162,10 @@ impl Dataset {
     /// }
     /// # Ok::<(), radcam::dataset::DatasetError>(())
     /// ```
+    ///
+    /// # Errors
+    ///
+    /// Where the folder, the descriptor or a row cannot be understood: file, line and what is wrong.
     pub fn open(path: &Path) -> Result<Self, DatasetError> {
         if path.is_file() {
             return emva::open(path);
@@ -218,6 +223,10 @@ impl Dataset {
     /// Several datasets of one camera under one set of settings as one: sets and times of each follow those of the one before.
     ///
     /// Their light levels are told apart, for nobody knows that two campaigns had the same light. The pause between them is not known.
+    ///
+    /// # Errors
+    ///
+    /// Where they differ in camera, settings or unit of light, or one is given twice.
     pub fn join(datasets: Vec<Self>) -> Result<Self, DatasetError> {
         let mut datasets = datasets.into_iter();
         let Some(mut all) = datasets.next() else {
@@ -316,6 +325,10 @@ impl Dataset {
     }
 
     /// Reads one frame, (rows, columns) in DN, and checks its size and range by the manifest.
+    ///
+    /// # Errors
+    ///
+    /// Which frame cannot be read, or has another size or larger codes than the manifest says.
     pub fn read(&self, row: &FrameRow) -> Result<Array2<u16>, DatasetError> {
         let fault = |message: String| DatasetError::Frame {
             file: row.file.clone(),
@@ -366,6 +379,10 @@ impl Dataset {
     }
 
     /// Reads the frames of a set in the order of time.
+    ///
+    /// # Errors
+    ///
+    /// Which frame cannot be read, or has another size or larger codes than the manifest says.
     pub fn read_set(&self, set: &Set) -> Result<Vec<Array2<u16>>, DatasetError> {
         set.rows.iter().map(|&i| self.read(&self.rows[i])).collect()
     }

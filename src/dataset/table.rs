@@ -54,6 +54,10 @@ impl Table {
     }
 
     /// Reads a table. Lines that begin with `#` are comments; columns that are not known are passed over.
+    ///
+    /// # Errors
+    ///
+    /// Where the file cannot be read, or a line is no row: its number and what is wrong.
     pub fn open(path: &Path) -> Result<Self, DatasetError> {
         let text = super::text(path)?;
         Self::parse(&text).map_err(|(line, message)| DatasetError::Row { path: path.into(), line, message })

@@ -24,6 +24,10 @@ pub struct Writer {
 const ASIDE: &str = ".radcam-";
 
 /// Writes a whole file aside, synchronises it and puts it in place: it is there whole or not at all.
+///
+/// # Errors
+///
+/// Where the file cannot be written; nothing of it is left then.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), DatasetError> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let write = || {
@@ -78,6 +82,10 @@ impl Writer {
     ///
     /// `beside` are further files, by name. The manifest comes last: a folder without one is no campaign yet and may
     /// be started again.
+    ///
+    /// # Errors
+    ///
+    /// Where the folder is not empty or cannot be written.
     pub fn create(root: &Path, manifest: &Manifest, beside: &[(&str, &str)]) -> Result<Self, DatasetError> {
         let fault = || DatasetError::io(root);
         if root.exists() && !unfinished_start(root, beside).map_err(fault())? {
@@ -103,6 +111,10 @@ impl Writer {
     }
 
     /// Continues a campaign. A last row that a crash cut short is taken off; every whole row is kept.
+    ///
+    /// # Errors
+    ///
+    /// Where the folder is no dataset, a frame of it cannot be read, or another program writes to it.
     pub fn resume(root: &Path) -> Result<(Self, Manifest), DatasetError> {
         let path = root.join("frames.csv");
         // First the lock: another program may be in the middle of a row.
@@ -136,6 +148,10 @@ impl Writer {
     }
 
     /// Appends a frame. `row.file` is given a name of the writer's choice.
+    ///
+    /// # Errors
+    ///
+    /// Where the frame cannot be written; the campaign stays as it was.
     pub fn append(&mut self, mut row: FrameRow, pixels: &Array2<u16>) -> Result<(), DatasetError> {
         // A frame whose row a crash has cut off keeps its name.
         let mut number = self.written.len();

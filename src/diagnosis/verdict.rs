@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 /// The verdict.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase", tag = "kind")]
+#[non_exhaustive]
 pub enum Verdict {
     /// The model that was given describes the campaign.
     Describes {
@@ -131,7 +132,7 @@ fn sentence(top: &Missing, or: &[String], missing: &[Missing], cost: &str) -> St
         .parameters
         .iter()
         .filter(|(_, q)| q.unit != "choice")
-        .map(|(name, q)| format!("{name} = {}", q.to_string()))
+        .map(|(name, q)| format!("{name} = {q}"))
         .collect();
     let form = top.form.as_ref().map_or(String::new(), |f| format!(", {f}"));
     let tie = if or.is_empty() {

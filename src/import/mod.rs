@@ -17,6 +17,7 @@ use std::path::{Path, PathBuf};
 
 /// Why files cannot be imported.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ImportError {
     /// A file cannot be read or is no frame.
     #[error("{path}: {message}")]
@@ -109,6 +110,10 @@ pub struct Found {
 const EXTENSIONS: [&str; 7] = ["tif", "tiff", "png", "fits", "fit", "fts", "npy"];
 
 /// The image files that are named, and those in folders that are.
+///
+/// # Errors
+///
+/// Which file or folder cannot be read.
 pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>, ImportError> {
     let mut out = Vec::new();
     for path in named {
@@ -133,6 +138,10 @@ pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>, ImportError> {
 }
 
 /// Reads every file and page.
+///
+/// # Errors
+///
+/// Which file cannot be read, or that it was stopped.
 pub fn survey(
     paths: &[PathBuf],
     mut step: impl FnMut(usize, usize) -> bool,
@@ -262,6 +271,10 @@ fn is_zero(n: &u8) -> bool {
 
 impl Map {
     /// Reads and checks.
+    ///
+    /// # Errors
+    ///
+    /// Where the text is no map: line, key and what is wrong.
     pub fn from_toml(text: &str) -> Result<Self, ImportError> {
         let map: Self =
             toml::from_str(text).map_err(|e| ImportError::Map(e.to_string().trim_end().to_string()))?;
@@ -340,6 +353,10 @@ const SAME_LIGHT: f64 = 0.1;
 const LIT: f64 = 0.02;
 
 /// Sorts frames into sets: by what names and headers say, else by folder and name, darks from flats by their means.
+///
+/// # Errors
+///
+/// Where the files are not of one camera and one size, or there is none.
 pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportError> {
     let bits = found.iter().fold(0, |a, f| a | f.bits);
     // Multiples of one number in 16 bits: cameras send 12 bits so.
@@ -477,6 +494,10 @@ fn depth_of(bits: u16) -> u8 {
 }
 
 /// Refuses a folder that has something in it.
+///
+/// # Errors
+///
+/// Where the folder holds something.
 pub fn must_be_free(root: &Path) -> Result<(), ImportError> {
     if root.exists() && root.read_dir().map_or(true, |mut inside| inside.next().is_some()) {
         return Err(ImportError::Files(format!("{} is there already; choose a new folder", root.display())));
@@ -486,6 +507,10 @@ pub fn must_be_free(root: &Path) -> Result<(), ImportError> {
 
 /// Copies the frames of a map into a new dataset folder, or makes hard links where `link` says so, and opens it. Where that fails what was
 /// copied is removed again.
+///
+/// # Errors
+///
+/// Which file cannot be read or written, what the map leaves open, or that it was stopped.
 pub fn write(
     map: &Map,
     root: &Path,

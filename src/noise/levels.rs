@@ -57,6 +57,10 @@ pub struct Measured {
 }
 
 /// Reads every dark and flat. `progress` is told (sets done, sets).
+///
+/// # Errors
+///
+/// Which frame cannot be read, or that it was stopped.
 pub fn measure(
     dataset: &Dataset,
     stop: &AtomicBool,

@@ -36,6 +36,7 @@ use std::sync::atomic::AtomicBool;
 
 /// Why there is no answer.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum NoiseError {
     /// The dataset.
     #[error(transparent)]
@@ -77,6 +78,10 @@ pub enum NoiseError {
 /// assert!((report.gain_dn_per_e.value - 0.5).abs() < 1e-9);
 /// # Ok::<(), noise::NoiseError>(())
 /// ```
+///
+/// # Errors
+///
+/// Where no line can be fitted, with the reason.
 pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, NoiseError> {
     let mut notes = Vec::new();
     let counts = pixels_from_scatter(&mut points);
@@ -249,6 +254,10 @@ fn read_noise(e: &Estimate) -> Quantity {
 const TABLE_ZERO: &str = "table: black level removed";
 
 /// Section IV on a dataset of frames.
+///
+/// # Errors
+///
+/// Where no line can be fitted, which frame cannot be read, or that it was stopped.
 pub fn of_dataset(
     dataset: &Dataset,
     stop: &AtomicBool,
@@ -263,6 +272,10 @@ pub fn of_dataset(
 }
 
 /// Section IV on a table of statistics.
+///
+/// # Errors
+///
+/// Where no line can be fitted, with the reason.
 pub fn of_table(table: &Table) -> Result<NoiseReport, NoiseError> {
     estimate(table_points(table), &Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO })
 }

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 /// How A and sigma_C^2 are estimated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum Method {
     /// As in the paper.
     Paper,

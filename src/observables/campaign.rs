@@ -96,6 +96,7 @@ pub fn dark_spreads(sets: &[SetInfo], kinds: &[Kind]) -> Vec<f64> {
 
 /// Why there are no observables.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ObserveError {
     /// The dataset.
     #[error(transparent)]
@@ -163,6 +164,10 @@ fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<Fram
 }
 
 /// Reads a dataset. `progress` is told (pieces done, pieces).
+///
+/// # Errors
+///
+/// Where there is nothing to look at, which frame cannot be read, or that it was stopped.
 pub fn of_dataset(
     dataset: &Dataset,
     stop: &AtomicBool,

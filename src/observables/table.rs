@@ -10,6 +10,10 @@ use crate::statistics::jackknife::Value;
 use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, SetInfo};
 
 /// Rows up to the peak of the variance as sets of one pair each.
+///
+/// # Errors
+///
+/// Where the table has too few levels.
 pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
     let mut points = table_points(table);
     let counts = pixels_from_scatter(&mut points);

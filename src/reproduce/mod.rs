@@ -80,6 +80,7 @@ pub struct Reproduction {
 
 /// Why it could not be run.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ReproduceError {
     /// The sensor file.
     #[error(transparent)]
@@ -163,6 +164,10 @@ impl Setup {
 }
 
 /// Runs Section VII on `seeds` cameras. `progress` is told (cameras done, cameras).
+///
+/// # Errors
+///
+/// Where a sensor file is wrong, or that it was stopped.
 pub fn run(
     seeds: u64,
     stop: &AtomicBool,

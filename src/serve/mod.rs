@@ -78,6 +78,7 @@ const SIZE_STEP: u32 = 4;
 
 /// Why a camera cannot be served.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ServeError {
     /// The network or libaravis.
     #[error(transparent)]
@@ -103,6 +104,10 @@ impl Served {
 }
 
 /// Serves a sensor on an interface, named by its IPv4 address.
+///
+/// # Errors
+///
+/// Where the interface cannot be bound or a value of the options cannot be taken.
 pub fn serve(
     sensor: Arc<Sensor>,
     interface: IpAddr,

@@ -51,6 +51,10 @@ impl Default for Processing {
 
 impl Processing {
     /// Sets a feature by its GenICam name.
+    ///
+    /// # Errors
+    ///
+    /// Where there is no such feature or it cannot take the value, in words.
     pub fn set(&mut self, name: &str, value: &str) -> Result<(), String> {
         let fault = |what: &str| format!("{name} = {value}: {what}");
         let truth = || value.parse::<bool>().map_err(|_| fault("write true or false"));

@@ -81,6 +81,10 @@ impl LevelAccumulator {
     }
 
     /// Adds frames in the order of time, codes in DN row by row.
+    ///
+    /// # Errors
+    ///
+    /// Where the frames differ in size.
     pub fn add(&mut self, frames: &[&[u16]]) -> Result<(), SizeMismatch> {
         self.moments.add(frames)?;
         for frame in frames {

@@ -48,6 +48,10 @@ impl Moments {
     /// assert_eq!(moments.variance_dn2(), ndarray::array![[8.0, 0.0]]); // n - 1 in the denominator
     /// # Ok::<(), radcam::statistics::moments::SizeMismatch>(())
     /// ```
+    ///
+    /// # Errors
+    ///
+    /// Where they differ in size.
     pub fn add(&mut self, frames: &[&[u16]]) -> Result<(), SizeMismatch> {
         let expected = self.sum.len();
         if let Some(wrong) = frames.iter().find(|f| f.len() != expected) {
@@ -65,6 +69,10 @@ impl Moments {
     }
 
     /// Adds what another accumulator saw.
+    ///
+    /// # Errors
+    ///
+    /// Where they differ in size.
     pub fn merge(&mut self, other: &Self) -> Result<(), SizeMismatch> {
         if self.sum.len() != other.sum.len() {
             return Err(SizeMismatch { expected: self.sum.len(), found: other.sum.len() });

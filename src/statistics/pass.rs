@@ -191,6 +191,10 @@ impl<'a> Pass<'a> {
     }
 
     /// Adds the next frame: (rows * columns) codes in DN, row by row.
+    ///
+    /// # Errors
+    ///
+    /// Where a frame has another size than the layout.
     pub fn add(&mut self, frame: &[u16]) -> Result<(), SizeMismatch> {
         let expected = self.mean.len();
         if frame.len() != expected {
@@ -373,11 +377,19 @@ impl pulp::NullaryFnOnce for Total<'_> {
 /// assert!((summary.var.value - 1.0).abs() < 1e-6); // two of four pixels have the variance 2
 /// # Ok::<(), radcam::statistics::moments::SizeMismatch>(())
 /// ```
+///
+/// # Errors
+///
+/// Where a frame has another size than the layout.
 pub fn collect(layout: &Layout, frames: &[&[u16]]) -> Result<Option<Summary>, SizeMismatch> {
     collect_with(layout, frames, &mut Vec::new())
 }
 
 /// [`collect`] in memory that is there: one pass for each core, made where missing. All must be of this layout.
+///
+/// # Errors
+///
+/// Where a frame has another size than the layout.
 pub fn collect_with<'a>(
     layout: &'a Layout,
     frames: &[&[u16]],

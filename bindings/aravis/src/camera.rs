@@ -130,6 +130,10 @@ impl Camera {
     ///
     /// By address is safer on a machine with several interfaces: opened by name, Aravis may listen for frames on
     /// another one.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says where no camera answers by that name.
     pub fn open(name: &str) -> Result<Self, Error> {
         let inner = aravis::Camera::new(Some(name)).named("open")?;
         // Both are off by default: gain 99 of at most 24 would be accepted.
@@ -150,6 +154,10 @@ impl Camera {
     }
 
     /// (vendor, model, serial number).
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says where the camera does not answer.
     pub fn identity(&self) -> Result<(String, String, String), Error> {
         let vendor = self.inner.vendor_name().named("DeviceVendorName")?;
         let model = self.inner.model_name().named("DeviceModelName")?;
@@ -197,6 +205,10 @@ impl Camera {
     }
 
     /// Reads so many bytes of the camera's memory: bootstrap registers at 0 (GigE Vision 2.0, chapter 28).
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says where the camera does not let that memory be read.
     pub fn memory(&self, address: u64, size: u32) -> Result<Vec<u8>, Error> {
         let what = format!("memory at {address:#x}");
         let device = self.inner.device().ok_or_else(|| Error::new(&what, "no device"))?;
@@ -229,11 +241,19 @@ impl Camera {
     }
 
     /// Reads a float.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn float(&self, feature: &str) -> Result<f64, Error> {
         self.inner.float(feature).named(feature)
     }
 
     /// Smallest and largest value of a float.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn float_bounds(&self, feature: &str) -> Result<(f64, f64), Error> {
         self.inner.float_bounds(feature).named(feature)
     }
@@ -251,16 +271,28 @@ impl Camera {
     }
 
     /// Writes a float.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn set_float(&self, feature: &str, value: f64) -> Result<(), Error> {
         self.inner.set_float(feature, value).named(feature)
     }
 
     /// Reads an integer.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn integer(&self, feature: &str) -> Result<i64, Error> {
         self.inner.integer(feature).named(feature)
     }
 
     /// Smallest and largest value of an integer.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn integer_bounds(&self, feature: &str) -> Result<(i64, i64), Error> {
         self.inner.integer_bounds(feature).named(feature)
     }
@@ -271,68 +303,120 @@ impl Camera {
     }
 
     /// Writes an integer.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn set_integer(&self, feature: &str, value: i64) -> Result<(), Error> {
         self.inner.set_integer(feature, value).named(feature)
     }
 
     /// Reads a boolean.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn boolean(&self, feature: &str) -> Result<bool, Error> {
         self.inner.boolean(feature).named(feature)
     }
 
     /// Writes a boolean.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn set_boolean(&self, feature: &str, value: bool) -> Result<(), Error> {
         self.inner.set_boolean(feature, value).named(feature)
     }
 
     /// Reads a string or the entry of an enumeration.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn string(&self, feature: &str) -> Result<String, Error> {
         self.inner.string(feature).map(Into::into).named(feature)
     }
 
     /// Writes a string or the entry of an enumeration.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn set_string(&self, feature: &str, value: &str) -> Result<(), Error> {
         self.inner.set_string(feature, value).named(feature)
     }
 
     /// Entries of an enumeration that can be chosen now.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn entries(&self, feature: &str) -> Result<Vec<String>, Error> {
         let entries = self.inner.dup_available_enumerations_as_strings(feature).named(feature)?;
         Ok(entries.into_iter().map(Into::into).collect())
     }
 
     /// Executes a command.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn execute(&self, feature: &str) -> Result<(), Error> {
         self.inner.execute_command(feature).named(feature)
     }
 
     /// Exposure, s, by whatever name the maker gave it.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn exposure_s(&self) -> Result<f64, Error> {
         self.inner.exposure_time().map(|us| us * 1e-6).named("ExposureTime")
     }
 
     /// Shortest and longest exposure, s.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn exposure_bounds_s(&self) -> Result<(f64, f64), Error> {
         let (min, max) = self.inner.exposure_time_bounds().named("ExposureTime")?;
         Ok((min * 1e-6, max * 1e-6))
     }
 
     /// Sets the exposure, s.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn set_exposure_s(&self, value: f64) -> Result<(), Error> {
         self.inner.set_exposure_time(value * 1e6).named("ExposureTime")
     }
 
     /// Gain in the camera's unit, by whatever name the maker gave it.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn gain(&self) -> Result<f64, Error> {
         self.inner.gain().named("Gain")
     }
 
     /// Smallest and largest gain.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn gain_bounds(&self) -> Result<(f64, f64), Error> {
         self.inner.gain_bounds().named("Gain")
     }
 
     /// Sets the gain.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn set_gain(&self, value: f64) -> Result<(), Error> {
         self.inner.set_gain(value).named("Gain")
     }
@@ -343,63 +427,111 @@ impl Camera {
     }
 
     /// Frames per second.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn frame_rate_hz(&self) -> Result<f64, Error> {
         self.inner.frame_rate().named("AcquisitionFrameRate")
     }
 
     /// Smallest and largest frame rate.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn frame_rate_bounds_hz(&self) -> Result<(f64, f64), Error> {
         self.inner.frame_rate_bounds().named("AcquisitionFrameRate")
     }
 
     /// Sets the frame rate; this also puts the camera into free run.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn set_frame_rate_hz(&self, value: f64) -> Result<(), Error> {
         self.inner.set_frame_rate(value).named("AcquisitionFrameRate")
     }
 
     /// PFNC code of the pixel format.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn pixel_format(&self) -> Result<u32, Error> {
         self.inner.pixel_format().map(|f| f.raw()).named("PixelFormat")
     }
 
     /// PFNC codes of every pixel format that can be chosen now.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn pixel_formats(&self) -> Result<Vec<u32>, Error> {
         let codes = self.inner.dup_available_pixel_formats().named("PixelFormat")?;
         Ok(codes.into_iter().map(|c| c as u32).collect())
     }
 
     /// Sets the pixel format by its PFNC code.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn set_pixel_format(&self, code: u32) -> Result<(), Error> {
         self.inner.set_pixel_format(aravis::PixelFormat::from_raw(code)).named("PixelFormat")
     }
 
     /// x, y, width, height of the region, pixels.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn region(&self) -> Result<[i32; 4], Error> {
         let (x, y, w, h) = self.inner.region().named("Width")?;
         Ok([x, y, w, h])
     }
 
     /// Sets x, y, width, height of the region, pixels.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn set_region(&self, [x, y, w, h]: [i32; 4]) -> Result<(), Error> {
         self.inner.set_region(x, y, w, h).named("Width")
     }
 
     /// Puts the camera into software trigger mode.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn set_software_trigger(&self) -> Result<(), Error> {
         self.inner.set_trigger("Software").named("TriggerMode")
     }
 
     /// Puts the camera into free run.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn clear_triggers(&self) -> Result<(), Error> {
         self.inner.clear_triggers().named("TriggerMode")
     }
 
     /// Sends one software trigger.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn software_trigger(&self) -> Result<(), Error> {
         self.inner.software_trigger().named("TriggerSoftware")
     }
 
     /// Starts an acquisition. Settings cannot be changed until the stream is dropped.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says where no stream can be set up, such as for lack of memory or of a route to the camera.
     pub fn stream(&mut self, setup: &StreamSetup) -> Result<Stream<'_>, Error> {
         if self.is_gigevision() {
             match setup.packet_size {

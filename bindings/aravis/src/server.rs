@@ -198,6 +198,10 @@ unsafe extern "C" fn fill(
 impl VirtualCamera {
     /// Answers on `interface` (its IPv4 address) with the description file `xml`. `set_up` fills the registers before
     /// the first client can see them.
+    ///
+    /// # Errors
+    ///
+    /// Where the interface cannot be bound, another server has the port, or the description cannot be written.
     pub fn start(
         interface: IpAddr,
         serial: &str,

@@ -117,11 +117,19 @@ impl<'a> Stream<'a> {
     }
 
     /// Sends one software trigger.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says where the camera has no software trigger or does not answer.
     pub fn trigger(&self) -> Result<(), Error> {
         self.camera.software_trigger().named("TriggerSoftware")
     }
 
     /// Waits for the next frame and shows it to `take`. `Ok(None)`: none came in time. An error: control was lost.
+    ///
+    /// # Errors
+    ///
+    /// Where no buffer came in time; a buffer that came damaged is no error, and says so.
     pub fn next<T>(
         &mut self,
         timeout: Duration,

@@ -101,6 +101,10 @@ pub struct Custom {
 }
 
 /// Makes an effect of formulas. It is kept until the program ends.
+///
+/// # Errors
+///
+/// Which formula or bound cannot be understood.
 pub fn custom(
     name: &str,
     formulas: &BTreeMap<String, String>,

@@ -469,6 +469,10 @@ static OWN: std::sync::RwLock<Vec<&'static dyn Effect>> = std::sync::RwLock::new
 /// error says which effect has its identifier already.
 ///
 /// `examples/row-gain-noise` is a program with an effect of its own.
+///
+/// # Errors
+///
+/// Which effect has its identifier already.
 pub fn register(effect: &'static dyn Effect) -> Result<(), String> {
     let mut own = OWN.write().unwrap_or_else(std::sync::PoisonError::into_inner);
     let taken = EFFECTS.iter().chain(own.iter()).any(|e| e.id() == effect.id());

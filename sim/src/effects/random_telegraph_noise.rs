@@ -114,7 +114,8 @@ mod tests {
     #[test]
     fn what_any_pixel_has_is_no_telegraph_noise() {
         let seen = |steady_dn4| Seen { peak_e: 2000.0, peak_dn: 1000.0, steady_dn4, ..Seen::default() };
-        let stands = |steady_dn4| RandomTelegraphNoise.contradicted(&[0.01, 20.0], &seen(steady_dn4)).is_none();
+        let stands =
+            |steady_dn4| RandomTelegraphNoise.contradicted(&[0.01, 20.0], &seen(steady_dn4)).is_none();
         assert!((spread(&[0.01, 20.0]) * 0.5f64.powi(4) - 6.1875).abs() < 1e-9);
         assert!(stands(Some((6.0, 0.5))) && stands(Some((2.5, 0.5))) && stands(None));
         // Not known well enough, and known to be nothing.

@@ -15,6 +15,10 @@ pub fn get(name: &str) -> Option<&'static str> {
 }
 
 /// Reads a sensor of the catalogue.
+///
+/// # Errors
+///
+/// Where there is no sensor of this name.
 pub fn load(name: &str) -> Result<Model, ModelError> {
     let text = get(name).ok_or_else(|| {
         let names: Vec<_> = ALL.iter().map(|(known, _)| *known).collect();
