@@ -5,7 +5,7 @@
 //! fall as 1 / (1 + k^2), so that its evidence has a closed form (linear model with a normal prior: Bishop 2006, eq. 3.86). Or every set is
 //! off by a number of its own, which both halves of its frames show.
 
-use crate::fit::cholesky;
+use crate::fit::cholesky::Factor;
 use crate::inference::Residual;
 use std::collections::BTreeMap;
 
@@ -65,14 +65,12 @@ fn terms(rank: f64) -> [f64; TERMS] {
 /// residuals (Bishop 2006, eq. 3.86).
 fn gain(squares: &[[f64; TERMS]; TERMS], with: &[f64; TERMS], variance: f64) -> f64 {
     let own = |i: usize, j: usize| if i == j { 1.0 / variance } else { 0.0 };
-    let mut a: Vec<f64> =
+    let a: Vec<f64> =
         (0..TERMS * TERMS).map(|k| squares[k / TERMS][k % TERMS] + own(k / TERMS, k % TERMS)).collect();
-    if !cholesky::factor(&mut a, TERMS) {
-        return 0.0;
-    }
-    let log_det: f64 = (0..TERMS).map(|i| 2.0 * a[i * TERMS + i].ln() + variance.ln()).sum();
+    let Some(factor) = Factor::of(&a, TERMS) else { return 0.0 };
+    let log_det = factor.ln_determinant() + TERMS as f64 * variance.ln();
     let mut solved = with.to_vec();
-    cholesky::solve(&a, &mut solved);
+    factor.solve(&mut solved);
     solved.iter().zip(with).map(|(s, w)| s * w).sum::<f64>() - log_det
 }
 

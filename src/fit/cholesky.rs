@@ -1,39 +1,38 @@
-//! Normal equations by Cholesky's factorisation (Golub and Van Loan 2013, section 4.2).
+//! Symmetric equations by Cholesky's factorisation (Golub and Van Loan 2013, section 4.2), as nalgebra has it.
 
-/// Factor of a symmetric matrix (n x n, row by row), in its lower triangle. What depends on what came before has the pivot 0: `false`
-/// where there is such a thing.
-pub fn factor(a: &mut [f64], n: usize) -> bool {
-    let mut whole = true;
-    for i in 0..n {
-        let own = a[i * n + i];
-        for j in 0..=i {
-            let dot: f64 = (0..j).map(|k| a[i * n + k] * a[j * n + k]).sum();
-            let rest = a[i * n + j] - dot;
-            let pivot = a[j * n + j];
-            a[i * n + j] = if i != j {
-                if pivot > 0.0 { rest / pivot } else { 0.0 }
-            } else if rest.is_finite() && rest > 1e-14 * own {
-                rest.sqrt()
-            } else {
-                whole = false;
-                0.0
-            };
-        }
-    }
-    whole
-}
+use nalgebra::{Cholesky, DMatrix, DVectorViewMut, Dyn};
 
-/// Solves with a factor, in place; an unknown without a pivot is left out: 0.
-pub fn solve(factor: &[f64], b: &mut [f64]) {
-    let n = b.len();
-    let divided = |value: f64, pivot: f64| if pivot > 0.0 { value / pivot } else { 0.0 };
-    for i in 0..n {
-        let dot: f64 = (0..i).map(|k| factor[i * n + k] * b[k]).sum();
-        b[i] = divided(b[i] - dot, factor[i * n + i]);
+/// The factor of a symmetric matrix.
+#[derive(Debug, Clone)]
+pub struct Factor(Cholesky<f64, Dyn>);
+
+/// Where less than this part of a pivot is left, rounding alone says that there is any (2^-53 times the order of what is subtracted).
+const ROUNDING: f64 = 1e-14;
+
+impl Factor {
+    /// Of a matrix, n x n, row by row, of which the lower triangle is read. `None` where an unknown depends on those before it, or an entry is
+    /// no number.
+    pub fn of(a: &[f64], n: usize) -> Option<Self> {
+        let factor = Cholesky::new(DMatrix::from_row_slice(n, n, a))?;
+        let pivots = factor.l_dirty().diagonal();
+        let sound = |(i, pivot): (usize, &f64)| pivot.is_finite() && pivot * pivot > ROUNDING * a[i * n + i];
+        pivots.iter().enumerate().all(sound).then_some(Self(factor))
     }
-    for i in (0..n).rev() {
-        let dot: f64 = (i + 1..n).map(|k| factor[k * n + i] * b[k]).sum();
-        b[i] = divided(b[i] - dot, factor[i * n + i]);
+
+    /// Solves for a right-hand side, in place.
+    pub fn solve(&self, b: &mut [f64]) {
+        let n = b.len();
+        self.0.solve_mut(&mut DVectorViewMut::from_slice(b, n));
+    }
+
+    /// The logarithm of the determinant.
+    pub fn ln_determinant(&self) -> f64 {
+        self.0.ln_determinant()
+    }
+
+    /// The inverse, row by row.
+    pub fn inverse(&self) -> Vec<f64> {
+        self.0.inverse().as_slice().to_vec()
     }
 }
 
@@ -42,18 +41,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn solutions_solve_and_what_depends_is_left_out() {
+    fn solutions_solve_and_what_depends_is_refused() {
         let m = [4.0, 2.0, 0.6, 2.0, 5.0, 1.0, 0.6, 1.0, 3.0];
         let truth = [1.0, -2.0, 0.5];
         let mut b: Vec<f64> = (0..3).map(|i| (0..3).map(|j| m[i * 3 + j] * truth[j]).sum()).collect();
-        let mut a = m;
-        assert!(factor(&mut a, 3));
-        solve(&a, &mut b);
+        let factor = Factor::of(&m, 3).unwrap();
+        factor.solve(&mut b);
         assert!(b.iter().zip(truth).all(|(b, t)| (b - t).abs() < 1e-12), "{b:?}");
-        let mut twice = [1.0, 1.0, 1.0, 1.0];
-        assert!(!factor(&mut twice, 2));
-        let mut b = [3.0, 3.0];
-        solve(&twice, &mut b);
-        assert_eq!(b, [3.0, 0.0]);
+        // 4 * (5 * 3 - 1) - 2 * (2 * 3 - 0.6) + 0.6 * (2 - 3)
+        assert!((factor.ln_determinant() - 44.6f64.ln()).abs() < 1e-12);
+        let inverse = factor.inverse();
+        let product: f64 = (0..3).map(|k| m[3 + k] * inverse[k * 3 + 1]).sum();
+        assert!((product - 1.0).abs() < 1e-12);
+        assert!(Factor::of(&[1.0, 1.0, 1.0, 1.0], 2).is_none());
+        assert!(Factor::of(&[1.0, 0.5, 0.5, 0.25 + 1e-16], 2).is_none());
+        assert!(Factor::of(&[f64::NAN], 1).is_none());
     }
 }

@@ -3,7 +3,7 @@
 use super::layout::State;
 use super::normal::{Normal, Solver};
 use super::system::System;
-use crate::fit::cholesky;
+use crate::fit::cholesky::Factor;
 use crate::observables::Expected;
 
 /// By how much minus twice the logarithm of the likelihood falls.
@@ -114,9 +114,7 @@ impl<'s, 'a> Direction<'s, 'a> {
         for i in 0..k {
             a[i * k + i] = a[i * k + i] * (1.0 + 1e-9) + 1e-12;
         }
-        cholesky::factor(&mut a, k).then(|| {
-            cholesky::solve(&a, &mut b);
-            b
-        })
+        Factor::of(&a, k)?.solve(&mut b);
+        Some(b)
     }
 }

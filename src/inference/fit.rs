@@ -128,6 +128,10 @@ fn fit_for(
     if let Some(dark) = free.place(Common::Dark).filter(|_| !all.tells_dark_current(half)) {
         free.fixed[dark] = true;
     }
+    let begins = |h| all.of(&mean::Mean).any(|o| o.half == h && o.frames.0 == 0);
+    if let Some(past) = free.place(Common::Past).filter(|_| half.is_some_and(|h| !begins(h))) {
+        free.fixed[past] = true;
+    }
     let mut iteration = Iteration::new(&layout, &free, start, known);
     iteration.run(effort, known);
     let Iteration { point, now, slopes, system, .. } = iteration;

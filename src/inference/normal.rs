@@ -1,6 +1,6 @@
 //! Normal equations: an arrowhead, since light factors touch their own sets only.
 
-use crate::fit::cholesky;
+use crate::fit::cholesky::Factor;
 
 /// What a light factor has to say.
 #[derive(Debug, Clone)]
@@ -23,7 +23,7 @@ pub struct Normal {
 
 /// Normal equations with the lights eliminated, factored.
 pub struct Solver {
-    factor: Vec<f64>,
+    factor: Factor,
     squares: Vec<f64>,
 }
 
@@ -35,7 +35,7 @@ impl Solver {
             b.iter_mut().zip(&l.with).for_each(|(b, w)| *b -= w * gradient / square);
         }
         b.iter_mut().zip(&normal.scatter).filter(|(_, s)| **s).for_each(|(b, _)| *b = 0.0);
-        cholesky::solve(&self.factor, &mut b);
+        self.factor.solve(&mut b);
         let back = |((l, square), gradient): ((&LightTerm, &f64), &f64)| {
             (gradient - l.with.iter().zip(&b).map(|(w, x)| w * x).sum::<f64>()) / square
         };
@@ -71,7 +71,7 @@ impl Normal {
             }
             a[i * n + i] = 1.0;
         }
-        cholesky::factor(&mut a, n).then_some(Solver { factor: a, squares })
+        Some(Solver { factor: Factor::of(&a, n)?, squares })
     }
 
     /// The step that they ask for, damped; `None` where there is none.
@@ -102,17 +102,7 @@ impl Normal {
         for k in 0..n {
             a[k * n + k] += 1e-12 + 1e-10 * self.matrix[k * n + k];
         }
-        let common = if cholesky::factor(&mut a, n) {
-            let column = |i: usize| {
-                let mut b = vec![0.0; n];
-                b[i] = 1.0;
-                cholesky::solve(&a, &mut b);
-                b
-            };
-            (0..n).flat_map(column).collect()
-        } else {
-            vec![f64::NAN; n * n]
-        };
+        let common = Factor::of(&a, n).map_or_else(|| vec![f64::NAN; n * n], |f| f.inverse());
         Covariance { n, common, lights }
     }
 }

@@ -5,15 +5,37 @@ pub fn median(values: impl Iterator<Item = f64>) -> f64 {
     median_of(&values.collect::<Vec<_>>(), &mut Vec::new())
 }
 
-/// Median of a list; `sorted` is memory that is used again. NaN of an empty one.
-pub fn median_of(values: &[f64], sorted: &mut Vec<f64>) -> f64 {
-    sorted.clear();
-    sorted.extend_from_slice(values);
-    sorted.sort_unstable_by(f64::total_cmp);
-    let half = sorted.len() / 2;
-    match sorted.len() {
-        0 => f64::NAN,
-        n if n % 2 == 1 => sorted[half],
-        _ => 0.5 * (sorted[half - 1] + sorted[half]),
+/// Median of a list, by selection; `memory` is used again. NaN of an empty one.
+pub fn median_of(values: &[f64], memory: &mut Vec<f64>) -> f64 {
+    memory.clear();
+    memory.extend_from_slice(values);
+    let n = memory.len();
+    if n == 0 {
+        return f64::NAN;
+    }
+    let (below, upper, _) = memory.select_nth_unstable_by(n / 2, f64::total_cmp);
+    if n % 2 == 1 {
+        return *upper;
+    }
+    let lower = below.iter().copied().max_by(f64::total_cmp).unwrap_or(*upper);
+    0.5 * (lower + *upper)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::median;
+
+    #[test]
+    fn the_middle_of_any_order() {
+        for (values, middle) in [
+            (&[3.0][..], 3.0),
+            (&[4.0, 1.0], 2.5),
+            (&[9.0, -1.0, 2.0], 2.0),
+            (&[1.0, 8.0, 2.0, 7.0], 4.5),
+            (&[2.0, 2.0, 2.0, 1.0, 3.0, 2.0], 2.0),
+        ] {
+            assert_eq!(median(values.iter().copied()), middle);
+        }
+        assert!(median([].into_iter()).is_nan());
     }
 }

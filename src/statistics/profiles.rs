@@ -1,7 +1,7 @@
 //! Whether every level shows the same sensor: means of lines at all levels as one offset and one gain of each line, and one dark current.
 
 use super::jackknife::Value;
-use crate::fit::cholesky;
+use crate::fit::cholesky::Factor;
 
 /// Means of lines at one level, about their own mean.
 #[derive(Debug, Clone, Copy)]
@@ -87,9 +87,7 @@ fn patterns(profiles: &[Vec<f64>], terms: &[[f64; 3]], weights: &[f64]) -> Optio
     }
     // What no profile has keeps a pattern of nothing.
     (0..3).for_each(|k| matrix[4 * k] = if matrix[4 * k] > 0.0 { matrix[4 * k] * (1.0 + 1e-9) } else { 1.0 });
-    if !cholesky::factor(&mut matrix, 3) {
-        return None;
-    }
+    let factor = Factor::of(&matrix, 3)?;
     let lines = profiles.first()?.len();
     let mut out = vec![vec![0.0; lines]; 3];
     for y in 0..lines {
@@ -97,7 +95,7 @@ fn patterns(profiles: &[Vec<f64>], terms: &[[f64; 3]], weights: &[f64]) -> Optio
         for ((profile, t), w) in profiles.iter().zip(terms).zip(weights) {
             of.iter_mut().zip(t).for_each(|(o, t)| *o += w * t * profile[y]);
         }
-        cholesky::solve(&matrix, &mut of);
+        factor.solve(&mut of);
         out.iter_mut().zip(of).for_each(|(pattern, v)| pattern[y] = v);
     }
     Some(out)
