@@ -17,7 +17,7 @@ use crate::camera::sim::{formats_of, narrow};
 use crate::frame::Region;
 use crate::pixel_format::PixelFormat;
 use processing::Processing;
-use radcam_aravis::{Painter, Registers, Request, VirtualCamera, address};
+use radcam_aravis::{Initial, Painter, Registers, Request, VirtualCamera, address};
 use radcam_sim::{Conditions, Model, Scene, Sensor};
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -121,10 +121,10 @@ pub fn serve(
     }
     let xml = description::of(&model, options);
     let painter = Artist::new(sensor, options.names);
-    let camera = VirtualCamera::start(interface, serial, &xml, Box::new(painter), |registers| {
-        set_up(&model, registers);
-        processing.write(registers);
-    })?;
+    let mut initial = Initial::default();
+    set_up(&model, &mut initial);
+    processing.write(&mut initial);
+    let camera = VirtualCamera::start(interface, serial, &xml, Box::new(painter), &initial)?;
     Ok(Served { camera })
 }
 
@@ -138,7 +138,7 @@ fn size(pixels: u32) -> u32 {
     (pixels / SIZE_STEP * SIZE_STEP).max(1)
 }
 
-fn set_up(model: &Model, r: &Registers) {
+fn set_up(model: &Model, r: &mut Initial) {
     let body = &model.camera;
     r.set_text(address::VENDOR, 32, &body.vendor);
     r.set_text(address::MODEL, 32, &body.model);

@@ -3,7 +3,7 @@
 
 use super::register;
 use crate::frame::Region;
-use radcam_aravis::Registers;
+use radcam_aravis::{Initial, Registers};
 
 /// Features by their GenICam names, and the registers behind them.
 pub(super) const FEATURES: [(&str, u32); 7] = [
@@ -85,7 +85,7 @@ impl Processing {
     }
 
     /// Puts it into the registers.
-    pub(super) fn write(&self, r: &Registers) {
+    pub(super) fn write(&self, r: &mut Initial) {
         r.set_u32(register::BINNING_HORIZONTAL, self.binning.0);
         r.set_u32(register::BINNING_VERTICAL, self.binning.1);
         r.set_f64(register::GAMMA, self.gamma);

@@ -469,7 +469,7 @@ impl Camera {
     /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
     pub fn pixel_formats(&self) -> Result<Vec<u32>, Error> {
         let codes = self.inner.dup_available_pixel_formats().named("PixelFormat")?;
-        Ok(codes.into_iter().map(|c| c as u32).collect())
+        Ok(codes.into_iter().filter_map(|c| u32::try_from(c).ok()).collect())
     }
 
     /// Sets the pixel format by its PFNC code.
@@ -535,7 +535,10 @@ impl Camera {
     pub fn stream(&mut self, setup: &StreamSetup) -> Result<Stream<'_>, Error> {
         if self.is_gigevision() {
             match setup.packet_size {
-                Some(size) => self.inner.gv_set_packet_size(size as i32).named("GevSCPSPacketSize")?,
+                Some(size) => {
+                    let size = i32::try_from(size).map_err(|e| Error::new("GevSCPSPacketSize", e))?;
+                    self.inner.gv_set_packet_size(size).named("GevSCPSPacketSize")?;
+                }
                 None => {
                     self.inner.gv_set_packet_size_adjustment(GvPacketSizeAdjustment::OnFailureOnce);
                     if let Err(e) = self.inner.gv_auto_packet_size() {

@@ -7,6 +7,7 @@ use std::ffi::c_void;
 use std::io::Write;
 use std::net::{IpAddr, UdpSocket};
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::Duration;
 
 /// Port of the GigE Vision control protocol.
 const GVCP_PORT: u16 = 3956;
@@ -44,28 +45,31 @@ const REGISTER_SPACE: usize = 0x1_0000;
 pub struct Registers(*mut ArvFakeCamera);
 
 impl Registers {
-    /// Reads bytes; zeros beyond the register space.
-    pub fn read<const N: usize>(&self, address: u32) -> [u8; N] {
+    /// Reads bytes; zeros beyond the register space. Only on the server's thread, or before anything else has the camera: Aravis has no lock
+    /// on the registers.
+    fn read<const N: usize>(&self, address: u32) -> [u8; N] {
         let mut bytes = [0; N];
+        let size = const { size_of_read::<N>() };
         if address as usize + N <= REGISTER_SPACE {
             // SAFETY: the camera lives as long as the VirtualCamera that owns these registers, N bytes at `bytes` are
             // ours, and the range lies within the register space.
             unsafe {
-                aravis_sys::arv_fake_camera_read_memory(self.0, address, N as u32, bytes.as_mut_ptr().cast());
+                aravis_sys::arv_fake_camera_read_memory(self.0, address, size, bytes.as_mut_ptr().cast());
             }
         }
         bytes
     }
 
-    /// Writes bytes; nothing beyond the register space.
-    pub fn write(&self, address: u32, bytes: &[u8]) {
-        if !bytes.is_empty() && address as usize + bytes.len() < REGISTER_SPACE {
+    /// Writes a 32-bit register; nothing beyond the register space.
+    pub fn set_u32(&self, address: u32, value: u32) {
+        let bytes = value.to_be_bytes();
+        if address as usize + bytes.len() < REGISTER_SPACE {
             // SAFETY: as in `read`; libaravis copies from `bytes` and does not write to it.
             unsafe {
                 aravis_sys::arv_fake_camera_write_memory(
                     self.0,
                     address,
-                    bytes.len() as u32,
+                    4,
                     bytes.as_ptr().cast_mut().cast(),
                 );
             }
@@ -81,23 +85,70 @@ impl Registers {
     pub fn f64(&self, address: u32) -> f64 {
         f64::from_be_bytes(self.read(address))
     }
+}
 
-    /// Writes a 32-bit register.
-    pub fn set_u32(&self, address: u32, value: u32) {
-        self.write(address, &value.to_be_bytes());
+/// The size of what is read, checked while compiling.
+const fn size_of_read<const N: usize>() -> u32 {
+    assert!(N <= 8);
+    #[expect(clippy::cast_possible_truncation, reason = "at most 8")]
+    {
+        N as u32
+    }
+}
+
+/// What the registers hold when the camera begins to answer.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Initial(Vec<(u32, Vec<u8>)>);
+
+impl Initial {
+    /// A 32-bit register.
+    pub fn set_u32(&mut self, address: u32, value: u32) {
+        self.0.push((address, value.to_be_bytes().into()));
     }
 
-    /// Writes a 64-bit floating-point register.
-    pub fn set_f64(&self, address: u32, value: f64) {
-        self.write(address, &value.to_be_bytes());
+    /// A 64-bit floating-point register.
+    pub fn set_f64(&mut self, address: u32, value: f64) {
+        self.0.push((address, value.to_be_bytes().into()));
     }
 
-    /// Writes text into a field of so many bytes, cut and filled with zeros.
-    pub fn set_text(&self, address: u32, field: usize, text: &str) {
+    /// Text in a field of so many bytes, cut and filled with zeros.
+    pub fn set_text(&mut self, address: u32, field: usize, text: &str) {
         let mut bytes = vec![0; field];
         let length = text.len().min(field.saturating_sub(1));
         bytes[..length].copy_from_slice(&text.as_bytes()[..length]);
-        self.write(address, &bytes);
+        self.0.push((address, bytes));
+    }
+
+    /// Writes them over the control protocol (GigE Vision 2.0, WRITEMEM_CMD). Aravis starts its thread with the camera and has no lock on the
+    /// registers, so that thread itself must write.
+    fn send(&self, interface: IpAddr) -> std::io::Result<()> {
+        const COMMAND: u8 = 0x42;
+        const ACKNOWLEDGE: u8 = 0x01;
+        const WRITEMEM_CMD: u16 = 0x0086;
+        const WRITEMEM_ACK: u16 = 0x0087;
+        let socket = UdpSocket::bind((interface, 0))?;
+        socket.connect((interface, GVCP_PORT))?;
+        socket.set_read_timeout(Some(Duration::from_millis(500)))?;
+        for (id, (address, bytes)) in (1u16..).zip(&self.0) {
+            let size = 4 + u16::try_from(bytes.len()).map_err(std::io::Error::other)?;
+            let mut packet = vec![COMMAND, ACKNOWLEDGE];
+            [WRITEMEM_CMD, size, id].iter().for_each(|n| packet.extend(n.to_be_bytes()));
+            packet.extend(address.to_be_bytes());
+            packet.extend(bytes);
+            let acknowledged = || -> std::io::Result<bool> {
+                socket.send(&packet)?;
+                let mut answer = [0; 64];
+                let n = socket.recv(&mut answer)?;
+                Ok(n >= 8 && answer[2..4] == WRITEMEM_ACK.to_be_bytes() && answer[6..8] == id.to_be_bytes())
+            };
+            // Loopback loses nothing; a slow machine may be late.
+            if !(0..4).any(|_| acknowledged().unwrap_or(false)) {
+                let message =
+                    format!("the register at {address:#x} could not be written; another client has control");
+                return Err(std::io::Error::other(message));
+            }
+        }
+        Ok(())
     }
 }
 
@@ -137,26 +188,12 @@ pub struct VirtualCamera {
 // until Drop has joined that thread; the two objects are reference-counted atomically.
 unsafe impl Send for VirtualCamera {}
 
-type Fill = unsafe extern "C" fn(*mut ArvBuffer, *mut c_void, u32, u32, u32);
-
-unsafe extern "C" {
-    /// Three arguments up to libaravis 0.8.26, a destroy notifier more in later ones. A fourth argument that the callee
-    /// does not look at is harmless in the C calling conventions of every platform that libaravis runs on, so that
-    /// one declaration fits both.
-    fn arv_fake_camera_set_fill_pattern(
-        camera: *mut ArvFakeCamera,
-        callback: Option<Fill>,
-        data: *mut c_void,
-        destroy: *mut c_void,
-    );
-}
-
 unsafe extern "C" fn fill(
     buffer: *mut ArvBuffer,
     data: *mut c_void,
     _exposure: u32,
     _gain: u32,
-    _format: u32,
+    _format: aravis_sys::ArvPixelFormat,
 ) {
     // SAFETY: `data` is the Context that `start` boxed; it is freed only after the callback was taken off and the
     // thread that calls it was joined. The library holds a mutex around the call, so that there is no second one.
@@ -196,8 +233,7 @@ unsafe extern "C" fn fill(
 }
 
 impl VirtualCamera {
-    /// Answers on `interface` (its IPv4 address) with the description file `xml`. `set_up` fills the registers before
-    /// the first client can see them.
+    /// Answers on `interface` (its IPv4 address) with the description file `xml`, its registers as `initial` says.
     ///
     /// # Errors
     ///
@@ -207,7 +243,7 @@ impl VirtualCamera {
         serial: &str,
         xml: &str,
         painter: Box<dyn Painter>,
-        set_up: impl FnOnce(&Registers),
+        initial: &Initial,
     ) -> Result<Self, Error> {
         let fault = |message: String| Error::new(&format!("virtual camera on {interface}"), message);
         if serial.is_empty() || serial.len() > 15 || !serial.is_ascii() {
@@ -231,11 +267,11 @@ impl VirtualCamera {
         // The library asks 25 times a second for a trigger; a thousand times make it prompt.
         camera.set_trigger_frequency(1000.0);
         let pointer: *mut ArvFakeCamera = camera.to_glib_none().0;
-        set_up(&Registers(pointer));
+        initial.send(interface).map_err(|e| fault(e.to_string()))?;
         let context = Box::into_raw(Box::new(Context { registers: Registers(pointer), painter, number: 0 }));
         // SAFETY: the camera is alive, and `context` is until Drop has taken the callback off.
         unsafe {
-            arv_fake_camera_set_fill_pattern(pointer, Some(fill), context.cast(), std::ptr::null_mut());
+            aravis_sys::arv_fake_camera_set_fill_pattern(pointer, Some(fill), context.cast());
         }
         Ok(Self { server: Some(server), camera, context })
     }
@@ -250,14 +286,13 @@ impl VirtualCamera {
 
 impl Drop for VirtualCamera {
     fn drop(&mut self) {
-        // First the server: dropping the only reference joins its thread. Then nobody calls the painter any more.
-        drop(self.server.take());
         let pointer: *mut ArvFakeCamera = self.camera.to_glib_none().0;
-        // SAFETY: the camera is alive by our reference; null restores the library's own pattern; the context came from
-        // Box::into_raw, and its only other user, the callback, is gone.
-        unsafe {
-            arv_fake_camera_set_fill_pattern(pointer, None, std::ptr::null_mut(), std::ptr::null_mut());
-            drop(Box::from_raw(self.context));
-        }
+        // SAFETY: the camera is alive by our reference; null restores the library's own pattern. The library holds its mutex here and around
+        // the callback: after this nobody paints any more.
+        unsafe { aravis_sys::arv_fake_camera_set_fill_pattern(pointer, None, std::ptr::null_mut()) };
+        // Dropping the only reference joins the server's thread.
+        drop(self.server.take());
+        // SAFETY: the context came from Box::into_raw, and its only other user, the callback, is gone.
+        drop(unsafe { Box::from_raw(self.context) });
     }
 }

@@ -99,10 +99,10 @@ impl<'a> Stream<'a> {
             } else {
                 GvStreamPacketResend::Never
             });
-            gv.set_packet_timeout(setup.packet_timeout.as_micros() as u32);
-            gv.set_frame_retention(setup.frame_retention.as_micros() as u32);
+            gv.set_packet_timeout(microseconds(setup.packet_timeout));
+            gv.set_frame_retention(microseconds(setup.frame_retention));
             gv.set_socket_buffer(GvStreamSocketBuffer::Fixed);
-            gv.set_socket_buffer_size(setup.socket_buffer.min(i32::MAX as usize) as i32);
+            gv.set_socket_buffer_size(i32::try_from(setup.socket_buffer).unwrap_or(i32::MAX));
         }
         for _ in 0..setup.buffers.max(2) {
             stream.push_buffer(Buffer::new_allocate(payload));
@@ -152,7 +152,7 @@ impl<'a> Stream<'a> {
         loop {
             // Slices of a tenth of a second: a lost camera is noticed in the middle of a long wait.
             let left = end.saturating_duration_since(Instant::now()).min(Duration::from_millis(100));
-            if let Some(buffer) = self.stream.timeout_pop_buffer(left.as_micros() as u64) {
+            if let Some(buffer) = self.stream.timeout_pop_buffer(microseconds(left).into()) {
                 return Ok(buffer);
             }
             if self.lost.load(Ordering::Acquire) {
@@ -196,6 +196,11 @@ impl<'a> Stream<'a> {
         let (completed, failures, underruns) = self.stream.statistics();
         StreamCounts { completed, failures, underruns }
     }
+}
+
+/// A time as libaravis takes it; the longest, 71 minutes, in place of a longer one.
+fn microseconds(time: Duration) -> u32 {
+    u32::try_from(time.as_micros()).unwrap_or(u32::MAX)
 }
 
 impl Drop for Stream<'_> {
