@@ -202,10 +202,11 @@ pub(crate) fn fits_cards(path: &Path) -> Result<Cards, ImageError> {
     Ok(cards_of(&std::fs::read(path)?)?.0)
 }
 
-/// Reads the primary image of a FITS file: two axes, BITPIX 8 or 16, BSCALE 1.
+/// Reads the primary image of a FITS file that has two axes, with BZERO and BSCALE applied (section 5.2.5): FITS has no unsigned 16-bit
+/// integers, they are written with BZERO = 32768. Rows are kept in the order of the file.
 ///
-/// FITS has no unsigned 16-bit integers; they are written with BZERO = 32768 (section 5.2.5). Rows are kept in
-/// the order of the file.
+/// Our own, for of the crates that read FITS one leaves BZERO to its user, one needs the C library, and one asks for as much memory as a header
+/// claims (docs/decisions/0006-our-own-fits-reader.md).
 fn read_fits(bytes: &[u8]) -> Result<Array2<u16>, ImageError> {
     let (values, end) = cards_of(bytes)?;
     let data_at = end.next_multiple_of(FITS_RECORD);
@@ -228,29 +229,28 @@ fn read_fits(bytes: &[u8]) -> Result<Array2<u16>, ImageError> {
     let (width, height) = (size("NAXIS1")?, size("NAXIS2")?);
     let (scale, zero) = (number("BSCALE", Some(1.0))?, number("BZERO", Some(0.0))?);
     let bits = number("BITPIX", None)?;
-    if scale != 1.0 || !(bits == 8.0 || bits == 16.0) {
-        return Err(ImageError::NotGrey(format!("a FITS with BITPIX {bits} and BSCALE {scale}")));
-    }
-    let needed = width * height * (bits as usize / 8);
+    let raw: fn(&[u8]) -> f64 = match bits as i64 {
+        8 => |b| b.first().copied().map_or(f64::NAN, f64::from),
+        16 => |b| b.try_into().map_or(f64::NAN, |b| i16::from_be_bytes(b).into()),
+        32 => |b| b.try_into().map_or(f64::NAN, |b| i32::from_be_bytes(b).into()),
+        -32 => |b| b.try_into().map_or(f64::NAN, |b| f32::from_be_bytes(b).into()),
+        _ => return Err(ImageError::NotGrey(format!("a FITS with BITPIX {bits}"))),
+    };
+    let bytes_each = bits.abs() as usize / 8;
+    let needed = width * height * bytes_each;
     let data = bytes.get(data_at..data_at + needed).ok_or_else(|| {
         let has = bytes.len().saturating_sub(data_at);
         ImageError::Fits(format!("cut short: {needed} bytes of pixels are needed, {has} are there"))
     })?;
-    let unsigned = |raw: f64| {
-        let value = raw + zero;
-        if (0.0..=65_535.0).contains(&value) {
+    let code = |b: &[u8]| {
+        let value = scale * raw(b) + zero;
+        if (0.0..=65_535.0).contains(&value) && value.fract() == 0.0 {
             Ok(value as u16)
         } else {
             Err(ImageError::NotGrey(format!("a FITS with the value {value}")))
         }
     };
-    let pixels = if bits == 8.0 {
-        data.iter().map(|&b| unsigned(b.into())).collect::<Result<Vec<_>, _>>()?
-    } else {
-        let (words, _) = data.as_chunks::<2>();
-        words.iter().map(|&w| unsigned(i16::from_be_bytes(w).into())).collect::<Result<Vec<_>, _>>()?
-    };
-    array(width, height, pixels)
+    array(width, height, data.chunks_exact(bytes_each).map(code).collect::<Result<_, _>>()?)
 }
 
 /// Writes a frame as an uncompressed TIFF, 8 bits deep where `bit_depth` is at most 8, else 16.
@@ -342,6 +342,12 @@ mod tests {
         assert_eq!(image, ndarray::array![[0u16, 65_535]]);
         let cut = read_fits(&fits(&cards, &[0x80])).unwrap_err().to_string();
         assert!(cut.contains("4 bytes of pixels are needed, 1 are there"), "{cut}");
+        // Codes in 32 bits or as floating-point numbers, as other tools write them.
+        for (bits, data) in [("32", 4_000i32.to_be_bytes()), ("-32", 4_000f32.to_be_bytes())] {
+            let bitpix = format!("BITPIX  = {bits}");
+            let cards = [HEAD[0], &bitpix, HEAD[2], "NAXIS1  = 1", "NAXIS2  = 1"];
+            assert_eq!(read_fits(&fits(&cards, &data)).unwrap(), ndarray::array![[4_000]]);
+        }
         // Without BZERO the values are signed.
         assert!(read_fits(&fits(&[&HEAD[..], &["NAXIS2  = 1"]].concat(), &[0xFF; 4])).is_err());
     }
@@ -361,6 +367,21 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn no_fits_header_makes_the_reader_panic(
+            bits in prop::sample::select(vec![8i64, 16, 32, 64, -32, -64, 0, 7, i64::MIN]),
+            axes in prop::collection::vec(prop_oneof![0i64..9, any::<i64>()], 0..4),
+            count in prop_oneof![0i64..4, any::<i64>()],
+            extra in prop::sample::select(vec!["PCOUNT  = 9223372036854775807", "GCOUNT  = -1", "BSCALE  = 'x'", "GROUPS  = T", "ZIMAGE  = T"]),
+            data in prop::collection::vec(any::<u8>(), 0..64),
+        ) {
+            let sizes = axes.iter().enumerate().map(|(i, n)| format!("NAXIS{}  = {n}", i + 1));
+            let head = [HEAD[0].into(), format!("BITPIX  = {bits}"), format!("NAXIS   = {count}")];
+            let cards: Vec<String> = head.into_iter().chain(sizes).chain([extra.into()]).collect();
+            let cards: Vec<&str> = cards.iter().map(String::as_str).collect();
+            let _ = read_fits(&fits(&cards, &data));
+        }
+
         #[test]
         fn no_bytes_make_the_readers_panic(bytes in prop::collection::vec(any::<u8>(), 0..400), kind in 0usize..4) {
             let start: &[u8] = [&b"SIMPLE  "[..], b"\x89PNG\r\n\x1a\n", b"II*\0", b""][kind];

@@ -6,14 +6,26 @@
 use super::processing::{BINNINGS, FEATURES, PATTERNS};
 use super::{EXPOSURE_BASE_US, GAIN_STEP_DB, Names, Options, SCENES, SIZE_STEP, register, size};
 use crate::camera::sim::formats_of;
+use quick_xml::Writer;
+use quick_xml::events::{BytesDecl, BytesText, Event};
 use radcam_aravis::address;
 use radcam_sim::Model;
-use std::fmt::Write;
 
 /// Builds the GenICam description file.
 struct Description {
     categories: Vec<(&'static str, Vec<String>)>,
-    nodes: String,
+    nodes: Writer<Vec<u8>>,
+}
+
+/// Of memory alone: writing to it does not fail.
+const MEMORY: &str = "writes to memory";
+
+/// The attributes of a node. What the Standard Features Naming Convention names is `Standard`; the bench is ours, and so is what stands behind
+/// a feature.
+fn attributes<'a>(tag: &str, name: &'a str) -> [(&'a str, &'a str); 2] {
+    let behind = tag.ends_with("Converter") || ["IntReg", "FloatReg"].contains(&tag) || name.ends_with("Max");
+    let space = if behind || name.starts_with("Bench") { "Custom" } else { "Standard" };
+    [("Name", name), ("NameSpace", space)]
 }
 
 impl Description {
@@ -24,64 +36,91 @@ impl Description {
         }
     }
 
+    /// A node with its name and its elements, each a tag and a text.
+    fn node(&mut self, tag: &str, name: &str, elements: &[(&str, &str)]) {
+        let inner = |w: &mut Writer<Vec<u8>>| {
+            elements.iter().try_for_each(|(tag, text)| {
+                // `pVariable:A` is a variable of a formula by its name.
+                let (tag, variable) = tag.split_once(':').map_or((*tag, None), |(t, v)| (t, Some(v)));
+                let element = w.create_element(tag);
+                let element = variable.into_iter().fold(element, |e, v| e.with_attribute(("Name", v)));
+                element.write_text_content(BytesText::new(text)).map(drop)
+            })
+        };
+        let element = self.nodes.create_element(tag).with_attributes(attributes(tag, name));
+        element.write_inner_content(inner).expect(MEMORY);
+    }
+
     fn register(&mut self, name: &str, at: u32, access: &str) {
-        let _ = writeln!(
-            self.nodes,
-            "<IntReg Name=\"{name}\" NameSpace=\"Custom\"><Address>{at:#x}</Address><Length>4</Length>\
-             <AccessMode>{access}</AccessMode><pPort>Device</pPort><Cachable>NoCache</Cachable>\
-             <Sign>Unsigned</Sign><Endianess>BigEndian</Endianess></IntReg>"
+        let address = format!("{at:#x}");
+        self.node(
+            "IntReg",
+            name,
+            &[
+                ("Address", &address),
+                ("Length", "4"),
+                ("AccessMode", access),
+                ("pPort", "Device"),
+                ("Cachable", "NoCache"),
+                ("Sign", "Unsigned"),
+                ("Endianess", "BigEndian"),
+            ],
         );
     }
 
     fn text(&mut self, category: &'static str, name: &str, at: u32, length: u32) {
         self.list(category, name);
-        let _ = writeln!(
-            self.nodes,
-            "<StringReg Name=\"{name}\" NameSpace=\"Standard\"><Address>{at:#x}</Address>\
-             <Length>{length}</Length><AccessMode>RO</AccessMode><pPort>Device</pPort></StringReg>"
-        );
+        let (address, length) = (format!("{at:#x}"), length.to_string());
+        let elements =
+            [("Address", &*address), ("Length", &length), ("AccessMode", "RO"), ("pPort", "Device")];
+        self.node("StringReg", name, &elements);
     }
 
     /// An integer that nobody can change.
     fn constant(&mut self, category: &'static str, name: &str, at: u32) {
         self.list(category, name);
-        let _ = writeln!(
-            self.nodes,
-            "<Integer Name=\"{name}\" NameSpace=\"Standard\"><pValue>{name}Reg</pValue></Integer>"
-        );
-        self.register(&format!("{name}Reg"), at, "RO");
+        let register = format!("{name}Reg");
+        self.node("Integer", name, &[("pValue", &register)]);
+        self.register(&register, at, "RO");
+    }
+
+    /// A converter of this tag that keeps what passes it within bounds, by formulas of `FROM` and of `TO`, and the register behind it.
+    fn converter(
+        &mut self,
+        tag: &str,
+        name: &str,
+        variable: Option<(&str, &str)>,
+        within: impl Fn(&str) -> String,
+    ) {
+        let (to, from, register) = (within("FROM"), within("TO"), format!("{name}Reg"));
+        let mut elements: Vec<(&str, &str)> = variable.into_iter().collect();
+        elements.extend([
+            ("FormulaTo", &*to),
+            ("FormulaFrom", &from),
+            ("pValue", &register),
+            ("Slope", "Increasing"),
+        ]);
+        self.node(tag, &format!("{name}Converter"), &elements);
     }
 
     /// An integer from `min` to the value of the node `max`, in steps.
     fn integer(&mut self, category: &'static str, name: &str, at: u32, (min, max, step): (u32, &str, u32)) {
         self.list(category, name);
-        let _ = writeln!(
-            self.nodes,
-            "<Integer Name=\"{name}\" NameSpace=\"Standard\"><pValue>{name}Converter</pValue><Min>{min}</Min>\
-             <pMax>{max}</pMax><Inc>{step}</Inc></Integer>"
-        );
-        let within = |x: &str| {
-            format!(
-                "({x} &lt; {min}) ? {min} : (({x} &gt; MOST) ? (MOST - (MOST - {min}) % {step}) : ({x} - ({x} - {min}) % {step}))"
-            )
-        };
-        let _ = writeln!(
-            self.nodes,
-            "<IntConverter Name=\"{name}Converter\"><pVariable Name=\"MOST\">{max}</pVariable><FormulaTo>{}</FormulaTo>\
-             <FormulaFrom>{}</FormulaFrom><pValue>{name}Reg</pValue><Slope>Increasing</Slope></IntConverter>",
-            within("FROM"),
-            within("TO")
-        );
+        let (least, inc, converter) = (min.to_string(), step.to_string(), format!("{name}Converter"));
+        let elements = [("pValue", &*converter), ("Min", &least), ("pMax", max), ("Inc", &inc)];
+        self.node("Integer", name, &elements);
+        self.converter("IntConverter", name, Some(("pVariable:MOST", max)), |x| {
+            format!("({x} < {min}) ? {min} : (({x} > MOST) ? (MOST - (MOST - {min}) % {step}) : ({x} - ({x} - {min}) % {step}))")
+        });
         self.register(&format!("{name}Reg"), at, "RW");
     }
 
     /// A number that other nodes compute with.
     fn number(&mut self, name: &str, formula: &str, variables: &[&str]) {
-        let _ = write!(self.nodes, "<IntSwissKnife Name=\"{name}\">");
-        for (letter, node) in ["A", "B"].iter().zip(variables) {
-            let _ = write!(self.nodes, "<pVariable Name=\"{letter}\">{node}</pVariable>");
-        }
-        let _ = writeln!(self.nodes, "<Formula>{formula}</Formula></IntSwissKnife>");
+        let mut elements: Vec<(&str, &str)> =
+            ["pVariable:A", "pVariable:B"].into_iter().zip(variables.iter().copied()).collect();
+        elements.push(("Formula", formula));
+        self.node("IntSwissKnife", name, &elements);
     }
 
     /// A float within bounds, on steps where it has some. `access`: `RW` or `RO`.
@@ -94,29 +133,50 @@ impl Description {
         [unit, access]: [&str; 2],
     ) {
         self.list(category, name);
-        let inc = step.map_or(String::new(), |s| format!("<Inc>{s}</Inc>"));
-        let _ = writeln!(
-            self.nodes,
-            "<Float Name=\"{name}\" NameSpace=\"Standard\"><pValue>{name}Converter</pValue><Min>{min}</Min>\
-             <Max>{max}</Max>{inc}<Unit>{unit}</Unit></Float>"
-        );
-        let within = |x: &str| {
+        let converter = format!("{name}Converter");
+        let (least, most, inc) = (min.to_string(), max.to_string(), step.map(|s| s.to_string()));
+        let mut elements = vec![("pValue", &*converter), ("Min", &least), ("Max", &most)];
+        elements.extend(inc.as_deref().map(|inc| ("Inc", inc)));
+        elements.push(("Unit", unit));
+        self.node("Float", name, &elements);
+        self.converter("Converter", name, None, |x| {
             let on_steps = match step {
                 Some(s) => format!("{min} + FLOOR(({x} - {min}) / {s} + 0.5) * {s}"),
                 None => x.to_string(),
             };
-            format!("({x} &lt; {min}) ? {min} : (({x} &gt; {max}) ? {max} : ({on_steps}))")
-        };
-        let _ = writeln!(
-            self.nodes,
-            "<Converter Name=\"{name}Converter\"><FormulaTo>{}</FormulaTo><FormulaFrom>{}</FormulaFrom>\
-             <pValue>{name}Reg</pValue><Slope>Increasing</Slope></Converter>\n\
-             <FloatReg Name=\"{name}Reg\" NameSpace=\"Custom\"><Address>{at:#x}</Address><Length>8</Length>\
-             <AccessMode>{access}</AccessMode><pPort>Device</pPort><Cachable>NoCache</Cachable>\
-             <Endianess>BigEndian</Endianess></FloatReg>",
-            within("FROM"),
-            within("TO")
+            format!("({x} < {min}) ? {min} : (({x} > {max}) ? {max} : ({on_steps}))")
+        });
+        let address = format!("{at:#x}");
+        self.node(
+            "FloatReg",
+            &format!("{name}Reg"),
+            &[
+                ("Address", &address),
+                ("Length", "8"),
+                ("AccessMode", access),
+                ("pPort", "Device"),
+                ("Cachable", "NoCache"),
+                ("Endianess", "BigEndian"),
+            ],
         );
+    }
+
+    /// An enumeration whose value stands in an element: `pValue` and a register, or a `Value` of its own.
+    fn entries(&mut self, name: &str, entries: &[(&str, u32)], (tag, value): (&str, &str)) {
+        let inner = |w: &mut Writer<Vec<u8>>| {
+            for (entry, value) in entries {
+                let of_entry = |w: &mut Writer<Vec<u8>>| {
+                    w.create_element("Value").write_text_content(BytesText::new(&value.to_string())).map(drop)
+                };
+                w.create_element("EnumEntry")
+                    .with_attribute(("Name", *entry))
+                    .write_inner_content(of_entry)?;
+            }
+            w.create_element(tag).write_text_content(BytesText::new(value)).map(drop)
+        };
+        let element =
+            self.nodes.create_element("Enumeration").with_attributes(attributes("Enumeration", name));
+        element.write_inner_content(inner).expect(MEMORY);
     }
 
     fn enumeration(
@@ -128,31 +188,21 @@ impl Description {
         access: &str,
     ) {
         self.list(category, name);
-        let _ = write!(self.nodes, "<Enumeration Name=\"{name}\" NameSpace=\"Standard\">");
-        for (entry, value) in entries {
-            let _ = write!(self.nodes, "<EnumEntry Name=\"{entry}\"><Value>{value}</Value></EnumEntry>");
-        }
-        let _ = writeln!(self.nodes, "<pValue>{name}Reg</pValue></Enumeration>");
-        self.register(&format!("{name}Reg"), at, access);
+        let register = format!("{name}Reg");
+        self.entries(name, entries, ("pValue", &register));
+        self.register(&register, at, access);
     }
 
     fn boolean(&mut self, category: &'static str, name: &str, at: u32, access: &str) {
         self.list(category, name);
-        let _ = writeln!(
-            self.nodes,
-            "<Boolean Name=\"{name}\"><pValue>{name}Reg</pValue><OnValue>1</OnValue><OffValue>0</OffValue>\
-             </Boolean>"
-        );
-        self.register(&format!("{name}Reg"), at, access);
+        let register = format!("{name}Reg");
+        self.node("Boolean", name, &[("pValue", &register), ("OnValue", "1"), ("OffValue", "0")]);
+        self.register(&register, at, access);
     }
 
     fn command(&mut self, category: &'static str, name: &str, reg: &str, value: u32) {
         self.list(category, name);
-        let _ = writeln!(
-            self.nodes,
-            "<Command Name=\"{name}\" NameSpace=\"Standard\"><pValue>{reg}</pValue>\
-             <CommandValue>{value}</CommandValue></Command>"
-        );
+        self.node("Command", name, &[("pValue", reg), ("CommandValue", &value.to_string())]);
     }
 }
 
@@ -178,15 +228,11 @@ impl Description {
     fn binning(&mut self, name: &str, at: u32, entries: &[(&str, u32)], access: &str) {
         self.list("ImageFormatControl", name);
         let most = entries.iter().map(|e| e.1).max().unwrap_or(1);
-        let within = |x: &str| format!("({x} &lt; 2) ? 1 : (({x} &lt; {most}) ? 2 : {most})");
-        let _ = writeln!(
-            self.nodes,
-            "<Integer Name=\"{name}\" NameSpace=\"Standard\"><pValue>{name}Converter</pValue><Min>1</Min><Max>{most}</Max>\
-             </Integer>\n<IntConverter Name=\"{name}Converter\"><FormulaTo>{}</FormulaTo><FormulaFrom>{}</FormulaFrom>\
-             <pValue>{name}Reg</pValue><Slope>Increasing</Slope></IntConverter>",
-            within("FROM"),
-            within("TO")
-        );
+        let (most_text, converter) = (most.to_string(), format!("{name}Converter"));
+        self.node("Integer", name, &[("pValue", &converter), ("Min", "1"), ("Max", &most_text)]);
+        self.converter("IntConverter", name, None, |x| {
+            format!("({x} < 2) ? 1 : (({x} < {most}) ? 2 : {most})")
+        });
         self.register(&format!("{name}Reg"), at, access);
     }
 
@@ -233,11 +279,7 @@ impl Description {
     /// A selector of one entry, as cameras of one tap have it.
     fn only_all(&mut self, name: &str) {
         self.list("AnalogControl", name);
-        let _ = writeln!(
-            self.nodes,
-            "<Enumeration Name=\"{name}\" NameSpace=\"Standard\"><EnumEntry Name=\"All\"><Value>0</Value></EnumEntry>\
-             <Value>0</Value></Enumeration>"
-        );
+        self.entries(name, &[("All", 0)], ("Value", "0"));
     }
 }
 
@@ -245,7 +287,7 @@ impl Description {
 pub fn of(model: &Model, options: &Options) -> String {
     let body = &model.camera;
     let (w, h) = (size(body.width), size(body.height));
-    let mut d = Description { categories: Vec::new(), nodes: String::new() };
+    let mut d = Description { categories: Vec::new(), nodes: Writer::new_with_indent(Vec::new(), b' ', 1) };
 
     d.text("DeviceControl", "DeviceVendorName", address::VENDOR, 32);
     d.text("DeviceControl", "DeviceModelName", address::MODEL, 32);
@@ -268,7 +310,7 @@ pub fn of(model: &Model, options: &Options) -> String {
         ("Width", "SensorWidth", "BinningHorizontal", "OffsetX"),
         ("Height", "SensorHeight", "BinningVertical", "OffsetY"),
     ] {
-        let most = format!("(A / B / {step} * {step} &gt; 0) ? (A / B / {step} * {step}) : 1");
+        let most = format!("(A / B / {step} * {step} > 0) ? (A / B / {step} * {step}) : 1");
         d.number(&format!("{size}Max"), &most, &[sensor, binning]);
         d.number(&format!("{offset}Max"), "A - B", &[&format!("{size}Max"), size]);
     }
@@ -288,20 +330,22 @@ pub fn of(model: &Model, options: &Options) -> String {
     d.command("AcquisitionControl", "AcquisitionStart", "AcquisitionReg", 1);
     d.command("AcquisitionControl", "AcquisitionStop", "AcquisitionReg", 0);
     d.list("AcquisitionControl", "AcquisitionFrameRate");
-    d.nodes.push_str(
-        "<Float Name=\"AcquisitionFrameRate\" NameSpace=\"Standard\"><pValue>FrameRateConverter</pValue>\
-         <Min>0.1</Min><Max>1000</Max><Unit>Hz</Unit></Float>\n\
-         <Converter Name=\"FrameRateConverter\">\
-         <FormulaTo>1000000 / ((FROM &lt; 0.1) ? 0.1 : ((FROM &gt; 1000) ? 1000 : FROM))</FormulaTo>\
-         <FormulaFrom>1000000 / ((TO &lt; 1000) ? 1000 : ((TO &gt; 10000000) ? 10000000 : TO))</FormulaFrom><pValue>FramePeriodReg</pValue><Slope>Decreasing</Slope></Converter>\n",
+    let hz = [("pValue", "FrameRateConverter"), ("Min", "0.1"), ("Max", "1000"), ("Unit", "Hz")];
+    d.node("Float", "AcquisitionFrameRate", &hz);
+    d.node(
+        "Converter",
+        "FrameRateConverter",
+        &[
+            ("FormulaTo", "1000000 / ((FROM < 0.1) ? 0.1 : ((FROM > 1000) ? 1000 : FROM))"),
+            ("FormulaFrom", "1000000 / ((TO < 1000) ? 1000 : ((TO > 10000000) ? 10000000 : TO))"),
+            ("pValue", "FramePeriodReg"),
+            ("Slope", "Decreasing"),
+        ],
     );
     d.register("FramePeriodReg", address::FRAME_PERIOD_US, "RW");
     d.settings(model, options.names);
     d.list("AcquisitionControl", "TriggerSelector");
-    d.nodes.push_str(
-        "<Enumeration Name=\"TriggerSelector\" NameSpace=\"Standard\"><EnumEntry Name=\"FrameStart\">\
-         <Value>0</Value></EnumEntry><Value>0</Value></Enumeration>\n",
-    );
+    d.entries("TriggerSelector", &[("FrameStart", 0)], ("Value", "0"));
     d.enumeration("AcquisitionControl", "TriggerMode", 0x300, &[("Off", 0), ("On", 1)], "RW");
     d.enumeration("AcquisitionControl", "TriggerSource", 0x304, &[("Line0", 0), ("Software", 1)], "RW");
     d.enumeration("AcquisitionControl", "TriggerActivation", 0x308, &[("RisingEdge", 0)], "RW");
@@ -321,35 +365,58 @@ pub fn of(model: &Model, options: &Options) -> String {
     d.enumeration("BenchControl", "BenchScene", register::SCENE, &SCENES.map(|(name, n, _)| (name, n)), "RW");
 
     d.list("TransportLayerControl", "PayloadSize");
-    d.nodes.push_str(
-        "<IntSwissKnife Name=\"PayloadSize\" NameSpace=\"Standard\"><pVariable Name=\"W\">Width</pVariable>\
-         <pVariable Name=\"H\">Height</pVariable><pVariable Name=\"P\">PixelFormat</pVariable>\
-         <Formula>W * H * ((P &gt;&gt; 16) &amp; 0xFF) / 8</Formula></IntSwissKnife>\n\
-         <Integer Name=\"TLParamsLocked\"><Visibility>Invisible</Visibility><Value>0</Value><Min>0</Min>\
-         <Max>1</Max></Integer>\n<Port Name=\"Device\" NameSpace=\"Standard\"/>\n",
+    d.node(
+        "IntSwissKnife",
+        "PayloadSize",
+        &[
+            ("pVariable:W", "Width"),
+            ("pVariable:H", "Height"),
+            ("pVariable:P", "PixelFormat"),
+            ("Formula", "W * H * ((P >> 16) & 0xFF) / 8"),
+        ],
     );
+    d.node(
+        "Integer",
+        "TLParamsLocked",
+        &[("Visibility", "Invisible"), ("Value", "0"), ("Min", "0"), ("Max", "1")],
+    );
+    d.node("Port", "Device", &[]);
 
-    let escape = |s: &str| s.replace('&', "&amp;").replace('"', "&quot;").replace('<', "&lt;");
-    let mut xml = format!(
-        "<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<RegisterDescription ModelName=\"{}\" VendorName=\"{}\" \
-         StandardNameSpace=\"GEV\" SchemaMajorVersion=\"1\" SchemaMinorVersion=\"0\" SchemaSubMinorVersion=\"1\" \
-         MajorVersion=\"1\" MinorVersion=\"0\" SubMinorVersion=\"0\" ToolTip=\"{}\" \
-         ProductGuid=\"0\" VersionGuid=\"0\" xmlns=\"http://www.genicam.org/GenApi/Version_1_0\">\n",
-        escape(&body.model),
-        escape(&body.vendor),
-        escape(&model.about),
-    );
-    xml.push_str("<Category Name=\"Root\" NameSpace=\"Standard\">");
-    for (category, _) in &d.categories {
-        let _ = write!(xml, "<pFeature>{category}</pFeature>");
-    }
-    xml.push_str("</Category>\n");
-    for (category, names) in &d.categories {
-        let _ = write!(xml, "<Category Name=\"{category}\">");
-        for name in names {
-            let _ = write!(xml, "<pFeature>{name}</pFeature>");
+    let mut xml = Writer::new_with_indent(Vec::new(), b' ', 1);
+    xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("utf-8"), None))).expect(MEMORY);
+    let root = xml.create_element("RegisterDescription").with_attributes([
+        ("ModelName", &*body.model),
+        ("VendorName", &body.vendor),
+        ("ToolTip", &model.about),
+        ("StandardNameSpace", "GEV"),
+        ("SchemaMajorVersion", "1"),
+        ("SchemaMinorVersion", "0"),
+        ("SchemaSubMinorVersion", "1"),
+        ("MajorVersion", "1"),
+        ("MinorVersion", "0"),
+        ("SubMinorVersion", "0"),
+        ("ProductGuid", "0"),
+        ("VersionGuid", "0"),
+        ("xmlns", "http://www.genicam.org/GenApi/Version_1_0"),
+    ]);
+    let nodes = String::from_utf8(d.nodes.into_inner()).expect(MEMORY);
+    let features = |w: &mut Writer<Vec<u8>>, category: &str, names: &[&str]| {
+        let list = |w: &mut Writer<Vec<u8>>| {
+            names.iter().try_for_each(|name| {
+                w.create_element("pFeature").write_text_content(BytesText::new(name)).map(drop)
+            })
+        };
+        let element = w.create_element("Category").with_attributes(attributes("Category", category));
+        element.write_inner_content(list).map(drop)
+    };
+    let inner = |w: &mut Writer<Vec<u8>>| {
+        let categories: Vec<&str> = d.categories.iter().map(|(category, _)| *category).collect();
+        features(w, "Root", &categories)?;
+        for (category, names) in &d.categories {
+            features(w, category, &names.iter().map(String::as_str).collect::<Vec<_>>())?;
         }
-        xml.push_str("</Category>\n");
-    }
-    xml + &d.nodes + "</RegisterDescription>\n"
+        w.write_event(Event::Text(BytesText::from_escaped(nodes.as_str())))
+    };
+    root.write_inner_content(inner).expect(MEMORY);
+    String::from_utf8(xml.into_inner()).expect(MEMORY)
 }
