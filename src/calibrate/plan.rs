@@ -33,6 +33,8 @@ pub struct Needs {
     pub full_scale_var_dn2: f64,
     /// Temporal variance in the dark, DN^2.
     pub dark_var_dn2: f64,
+    /// The standard error of K that was asked for; without one K keeps as many bits as the converter has (Section V.B).
+    pub k_std_err: Option<f64>,
 }
 
 /// Frames n2 so that sigma_N^2 / n2 is at most q^2 / 9 at full scale, q = 1 DN.
@@ -52,18 +54,33 @@ pub fn configurations(bit_depth: u8, p: f64, slope_sd: f64, worst_kept: f64) -> 
     (kept / worst_kept.clamp(0.05, 1.0)).ceil().clamp(3.0, 1e9) as u64
 }
 
-/// Needs from a pilot: darks and flats of at least three configurations.
+/// Configurations n1 and frames n2 in each for a standard error of K: the card, whose slopes scatter by `card_sd`, and the frames' own noise,
+/// of relative variance `noise_var` in each, take half of its square. At least three configurations and two frames.
+///
+/// ```
+/// // Noise of 1 % in a frame and a card of 0.2 %, for K to 0.1 %: 8 configurations, and 200 / 8 frames in each.
+/// assert_eq!(radcam::calibrate::plan::for_error(1e-3, 2e-3, 1e-4), (8, 25));
+/// ```
+pub fn for_error(k_std_err: f64, card_sd: f64, noise_var: f64) -> (u64, u64) {
+    let half = 0.5 * k_std_err * k_std_err;
+    // Rounding of the quotients must not ask for one more.
+    let up = |x: f64| (x * (1.0 - 1e-9)).ceil().clamp(0.0, 1e9) as u64;
+    let n1 = up(card_sd * card_sd / half).max(3);
+    (n1, up(noise_var / half / n1 as f64).max(2))
+}
+
+/// Needs from a pilot: darks and flats of at least three configurations. `k_std_err`: the standard error of K wanted, relative; `None`: so small
+/// that K keeps as many bits as the converter has, as in the paper.
 ///
 /// # Errors
 ///
 /// What the pilot lacks, or which frame cannot be read.
-pub fn needs(pilot: &Dataset, noise: &NoiseReport) -> Result<Needs, CalibrateError> {
+pub fn needs(pilot: &Dataset, noise: &NoiseReport, k_std_err: Option<f64>) -> Result<Needs, CalibrateError> {
     let options = Options::default();
     let camera = &pilot.manifest().camera;
     let (a, c) = (noise.gain_dn_per_e.value, noise.constant_noise_var_dn2.value);
     let full_scale = f64::from(camera.full_scale_dn()) - noise.offset_dn.value;
     let full_scale_var_dn2 = a * full_scale + c;
-    let n2 = frames(full_scale_var_dn2);
     let darks: Vec<_> =
         noise.levels.iter().filter(|l| l.kind == Kind::Dark && l.var_dn2.is_finite()).collect();
     let dark_var_dn2 = darks.iter().map(|l| l.var_dn2).fold(c, f64::max);
@@ -77,17 +94,21 @@ pub fn needs(pilot: &Dataset, noise: &NoiseReport) -> Result<Needs, CalibrateErr
     // The frames' own noise is in the pilot's scatter as averaged there; in the campaign it is averaged over n2.
     let noise_var = (a * level + c) / (level * level);
     let card = (found.pooled_sd.powi(2) - noise_var / frames_each as f64).max(0.0);
+    let wanted = k_std_err.map(|e| for_error(e, card.sqrt(), noise_var));
+    let n2 = wanted.map_or_else(|| frames(full_scale_var_dn2), |(_, n2)| n2);
     let slope_sd = (card + noise_var / n2 as f64).sqrt();
     // The pilot has few configurations, so that its worst share is a poor guess: at worst half the median share.
     let share = |kept: u16| f64::from(kept) / images.len() as f64;
     let mut kept: Vec<f64> = found.kept.iter().map(|&k| share(k)).collect();
     kept.sort_by(f64::total_cmp);
     let worst_kept = kept[kept.len() / 1000].max(0.5 * kept[kept.len() / 2]);
-    let n1 = configurations(camera.bit_depth, options.p, slope_sd, worst_kept);
-    // The dark reference as good as the averaged flats: q / 3.
-    let s = frames_needed(dark_var_dn2, 1.0 / 3.0);
+    let n1 = wanted
+        .map_or_else(|| configurations(camera.bit_depth, options.p, slope_sd, worst_kept), |(n1, _)| n1);
+    // The dark reference as good as the averaged flats: q / 3, or a third of the error wanted at the level of the flats.
+    let dark_std_err_dn = k_std_err.map_or(1.0 / 3.0, |e| (e * level / 3.0).min(1.0));
+    let s = frames_needed(dark_var_dn2, dark_std_err_dn).max(4);
     let bit_depth = camera.bit_depth;
-    Ok(Needs { n1, n2, s, slope_sd, worst_kept, bit_depth, full_scale_var_dn2, dark_var_dn2 })
+    Ok(Needs { n1, n2, s, slope_sd, worst_kept, bit_depth, full_scale_var_dn2, dark_var_dn2, k_std_err })
 }
 
 fn set(kind: Kind, frames: u64, exposure_s: f64, illumination: f64, configuration: u32) -> SetPlan {

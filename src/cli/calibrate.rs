@@ -6,6 +6,7 @@ use crate::calibrate::pattern::{Options, Start};
 use crate::calibrate::{Calibrated, Estimator, of_dataset};
 use crate::dataset::Dataset;
 use crate::noise;
+use crate::number::six_digits;
 use anyhow::{Result, bail};
 use std::path::PathBuf;
 
@@ -97,7 +98,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     println!(
         "  dark reference   {mean:.3} DN, standard deviation {:.3} DN, at {} s",
         sd(level),
-        d.dark_exposure_s
+        six_digits(d.dark_exposure_s)
     );
     println!("  defects          {} of {} pixels", defects.len(), calibration.k.len());
     for d in defects.iter().take(LISTED) {
@@ -110,7 +111,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         println!("  note: nothing was moved: K contains the card, and of the lamp what is not smooth");
     }
     if calibration.dark.current_dn_per_s.is_none() {
-        println!("  note: darks of one exposure: the dark reference holds at {} s only", d.dark_exposure_s);
+        println!("  note: darks of one exposure: the dark reference holds at {} s only", six_digits(d.dark_exposure_s));
     }
     Ok(Outcome::Agreement)
 }

@@ -156,3 +156,11 @@ pub fn wrapped(text: &str, indent: usize) -> String {
     let pad = " ".repeat(indent);
     lines.iter().map(|l| format!("{pad}{l}")).collect::<Vec<_>>().join("\n")
 }
+
+pub fn duration(seconds: f64) -> String {
+    match seconds.round() as u64 {
+        s @ 0..=99 => format!("{s} s"),
+        s @ 100..=5999 => format!("{} min", (s + 30) / 60),
+        s => format!("{} h {} min", s / 3600, s % 3600 / 60),
+    }
+}

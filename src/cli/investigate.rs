@@ -2,7 +2,7 @@
 
 use super::Outcome;
 use super::capture::StreamArguments;
-use super::common::{STOP, load_plan, open_camera};
+use super::common::{duration, STOP, load_plan, open_camera};
 use super::model::{fitted_model, read_effects};
 use super::progress::Show;
 use crate::bench::Illuminator;
@@ -121,12 +121,4 @@ pub fn carry_out(
         }
         e => e.into(),
     })
-}
-
-fn duration(seconds: f64) -> String {
-    match seconds.round() as u64 {
-        s @ 0..=99 => format!("{s} s"),
-        s @ 100..=5999 => format!("{} min", (s + 30) / 60),
-        s => format!("{} h {} min", s / 3600, s % 3600 / 60),
-    }
 }

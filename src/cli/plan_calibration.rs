@@ -1,13 +1,14 @@
 //! `radcam plan-calibration`
 
 use super::Outcome;
-use super::common::{STOP, may_be_written, open_camera};
+use super::common::{STOP, above_0, duration, may_be_written, open_camera};
 use super::progress::Show;
 use crate::calibrate::plan::{campaign, needs, pilot};
 use crate::capture::Capture;
 use crate::dataset::{Dataset, write_whole};
 use crate::noise;
 use anyhow::{Context, Result, bail};
+use indicatif::HumanBytes;
 use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
@@ -24,6 +25,10 @@ pub struct Arguments {
     /// The plan that `capture` runs
     #[arg(short, long, value_name = "PLAN.toml")]
     output: PathBuf,
+    /// Standard error of K wanted, relative, such as 0.001; where not given, K keeps as many bits as the converter has, as in the paper,
+    /// which takes very many frames of a camera of 12 bits
+    #[arg(long, value_name = "ERROR", value_parser = above_0)]
+    k_error: Option<f64>,
     /// Write over a plan that is there
     #[arg(long)]
     overwrite: bool,
@@ -31,6 +36,9 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
 }
+
+/// Frames above which a smaller campaign is offered: ten minutes of a camera of 30 frames per second.
+const MANY: u64 = 18_000;
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     may_be_written(&arguments.output, arguments.overwrite)?;
@@ -51,7 +59,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     };
     let dataset = Dataset::open(folder)?;
     let noise = noise::of_dataset(&dataset, &STOP, &mut |_, _| {})?;
-    let needs = needs(&dataset, &noise)?;
+    let needs = needs(&dataset, &noise, arguments.k_error)?;
     let plan = campaign(&dataset, &needs);
     write_whole(&arguments.output, plan.to_toml()?.as_bytes())?;
     if arguments.json {
@@ -60,6 +68,23 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     }
     let full = f64::from((1u32 << needs.bit_depth) - 1);
     println!("{}: {}", arguments.output.display(), plan.about);
+    let frames = plan.frames();
+    let camera = &dataset.manifest().camera;
+    let bytes = frames * (camera.width * camera.height * camera.bit_depth.div_ceil(8) as usize) as u64;
+    println!(
+        "  {frames} frames in {} sets, {}, {} of exposure",
+        plan.sets.len(),
+        HumanBytes(bytes),
+        duration(plan.seconds(None))
+    );
+    if let Some(error) = needs.k_std_err {
+        println!(
+            "  n1 = {:<6} configurations of {} frames each, for K to {} a pixel: slopes scatter by {:.5}",
+            needs.n1, needs.n2, error, needs.slope_sd
+        );
+        println!("  s  = {:<6} darks at each exposure", needs.s);
+        return Ok(Outcome::Agreement);
+    }
     println!(
         "  n1 = {:<6} configurations: slopes scatter by {:.5}, and at worst {:.0} % of them are kept,\n\
          {:11}so that K's error leaves {} bits whole: 10 * 2^{} * (1.5 * {:.5})^2 / {:.2}",
@@ -80,11 +105,12 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         "  s  = {:<6} darks at each exposure: {:.3} DN^2 come down to q^2/9",
         needs.s, needs.dark_var_dn2
     );
-    if needs.n1 > 200 {
+    if frames > MANY {
         println!(
-            "  note: {} configurations are many: a smoother card, or fewer bits than the converter's {}, need fewer; `calibrate`\n        \
-             states the error of K whatever their number",
-            needs.n1, needs.bit_depth
+            "  note: that many frames keep K to {:.1e}, one part in 10 * 2^{} of the variance. --k-error 0.001 asks for an error that you choose;\n        \
+             `calibrate` states the error of K whatever their number",
+            (10.0 * 2f64.powi(2 * i32::from(needs.bit_depth))).sqrt().recip(),
+            2 * needs.bit_depth
         );
     }
     Ok(Outcome::Agreement)

@@ -367,6 +367,25 @@ fn a_camera_is_calibrated_and_its_frames_corrected() {
     assert!(refused(&["calibrate", &at("flat_only"), "-o", &at("y.tiff")]).contains("three configurations"));
 }
 
+/// A plan for an error of K gives that error: its mean over the pixels, which a campaign of few frames knows to some per cent, is no larger and
+/// no needlessly small.
+#[test]
+fn an_error_of_k_that_is_asked_for_is_met() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    let (plan, campaign, cal) = (at("plan.toml"), at("campaign"), at("cal.tiff"));
+    let sensor = crate::support::small_sensor(dir.path(), "cmos12", 96, 64);
+    let camera = format!("sim:{}", sensor.display());
+    let pilot = ["--camera", &camera, "--pilot-folder", &at("pilot"), "--k-error", "0.001", "-o", &plan];
+    let out = expect(0, &[&["plan-calibration"], &pilot[..]].concat());
+    assert!(out.contains("MiB") && out.contains("for K to 0.001"), "{out}");
+    expect(0, &["capture", "--camera", &camera, "--plan", &plan, "-o", &campaign]);
+    let out = expect(0, &["calibrate", &campaign, "-o", &cal]);
+    let error = out.split("error of K").nth(1).and_then(|t| t.split_whitespace().next());
+    let error: f64 = error.unwrap().parse().unwrap();
+    assert!((0.0004..0.0011).contains(&error), "{out}");
+}
+
 /// One verb continues what another run left unfinished.
 #[test]
 fn resume_from_the_command_line() {

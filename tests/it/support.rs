@@ -68,3 +68,12 @@ pub fn gige_port() -> std::fs::File {
     file.lock().unwrap();
     file
 }
+
+/// A model file of a sensor with fewer pixels.
+pub fn small_sensor(folder: &Path, sensor: &str, width: u32, height: u32) -> PathBuf {
+    let mut model = radcam_sim::sensors::load(sensor).unwrap();
+    (model.camera.width, model.camera.height) = (width, height);
+    let path = folder.join(format!("{sensor}.toml"));
+    std::fs::write(&path, model.to_toml().unwrap()).unwrap();
+    path
+}
