@@ -32,11 +32,11 @@ impl Agreement {
     /// In words, of a model.
     pub fn words(self) -> &'static str {
         match self {
-            Self::Holds => "the model holds within the noise",
+            Self::Holds => "the model agrees with the measurements to within the noise",
             Self::Doubtful => {
-                "the model may hold: deviations this large come by chance less than once in twenty campaigns"
+                "the model may agree: deviations as large come by chance less than once in twenty campaigns"
             }
-            Self::Fails => "THE MODEL FAILS",
+            Self::Fails => "THE MODEL DOES NOT AGREE WITH THE MEASUREMENTS",
         }
     }
 

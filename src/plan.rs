@@ -115,7 +115,7 @@ pub struct CameraPlan {
     /// First column, first row, width, height, pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub region: Option<[u32; 4]>,
-    /// Frames thrown away at the start of each set, for a camera that takes a new setting up late. Such frames are
+    /// Frames discarded at the start of each set, for a camera that takes a new setting up late. Such frames are
     /// not there when lag is looked for.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub settle_frames: u32,

@@ -7,7 +7,7 @@ use crate::dataset::Kind;
 use crate::frame::{Frame, Status};
 use crate::plan::{FULL_EXPOSURE_LEVEL, Plan, SetPlan};
 
-/// Frames that are thrown away before a level that is to follow a known one, after the search for the exposure and where a set is begun again.
+/// Frames that are discarded before a level that is to follow a known one, after the search for the exposure and where a set is begun again.
 /// A filter that keeps a third of the last frame has forgotten it to one part in 10^7.
 pub(super) const SETTLING: usize = 16;
 

@@ -36,7 +36,7 @@ pub enum CaptureError {
     Damaged {
         /// Number of the set.
         set: usize,
-        /// Frames thrown away.
+        /// Frames discarded.
         damaged: u64,
         /// Frames the plan asks for.
         wanted: u32,
@@ -119,7 +119,7 @@ struct Run {
     counts: StreamCounts,
     /// Sets that were begun again, once for each time.
     begun_again: Vec<usize>,
-    /// Frames that are on disk are exposed again and thrown away: the camera draws the same ones.
+    /// Frames that are on disk are exposed again and discarded: the camera draws the same ones.
     again: bool,
 }
 

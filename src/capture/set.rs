@@ -117,7 +117,7 @@ fn take(
                 );
                 return Ok(false);
             }
-            tracing::warn!(set = number, frame = frame.id, why, "damaged frame thrown away");
+            tracing::warn!(set = number, frame = frame.id, why, "damaged frame discarded");
             if damaged > 20 + 4 * u64::from(set.frames) {
                 return Err(CaptureError::Damaged {
                     set: number,

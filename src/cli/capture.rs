@@ -141,7 +141,7 @@ pub fn tell(summary: &Summary, root: &Path, json: bool) -> Result<()> {
         n => format!(" ({} kept; {n} exposed for the search or to settle, or drawn again)", summary.frames),
     };
     println!(
-        "  frames received {}{passed}, damaged and thrown away {}, without a free buffer {}, never arrived {}",
+        "  frames received {}{passed}, damaged and discarded {}, without a free buffer {}, never arrived {}",
         c.completed, c.failures, c.underruns, c.missing
     );
     let still_on: Vec<_> =

@@ -145,12 +145,12 @@ fn the_story(
     println!(
         "\nHidden was {id}. {}",
         match (found, place) {
-            (true, Some(0)) => "It was named first, and the error fell to the noise.".to_string(),
+            (true, Some(0)) => "It was named first, and the error fell to 1, the noise.".to_string(),
             (true, _) =>
                 format!("It is tied with {}: this campaign cannot tell them apart.", d.missing[0].effect),
             (false, Some(_)) => format!("It was found, but {} stands before it.", d.missing[0].effect),
             (false, None) if d.consistent =>
-                "It is too weak for this campaign: the paper's model holds.".into(),
+                "It is too weak for this campaign: the paper's model agrees with it.".into(),
             (false, None) => format!("IT WAS NOT FOUND; {} stands first.", d.missing[0].effect),
         }
     );

@@ -72,15 +72,19 @@ pub fn print(title: &str, d: &Diagnosis) {
             println!("      {name} = {}", q);
         }
         for text in &m.evidence {
-            println!("    - {text}");
+            println!("    - {}", super::common::wrapped(text, 6).trim_start());
         }
     }
-    println!("\n  {:<34} {:>8}  {:>9}", "ladder", "error", "p");
+    println!(
+        "\n  {:<34} {:>8}  {:>9}   error: RMS of the residuals in sigma on frames that",
+        "effects added", "error", "p-value"
+    );
+    println!("  {:<34} {:>8}  {:>9}   the fit did not use; 1 is agreement", "", "", "");
     for r in &d.ladder {
         let bar = "#".repeat((r.error.ln().max(0.0) * 6.0).round().min(40.0) as usize);
         println!(
             "  {:<34} {:>8.3}  {:>9}  {bar}",
-            r.added.as_deref().unwrap_or("as given"),
+            r.added.as_deref().unwrap_or("starting model"),
             r.error,
             chance(r.p_value)
         );

@@ -54,7 +54,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         return Ok(Outcome::Agreement);
     }
     let page = e.page();
-    println!("{} (acts on the {:?})\n", e.id(), e.stage());
+    println!("{}, an effect of the {}\n", e.id(), e.stage().words());
     for (title, text) in [
         ("what happens", page.what),
         ("equation", page.equation),
@@ -70,7 +70,13 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     }
     println!("\n  parameters");
     for p in e.parameters() {
-        println!("    {:<24} {} to {} {}", p.name, p.min, p.max, pretty(p.unit));
+        let range = match p.unit {
+            "choice" => String::new(),
+            unit => format!(" ({} to {}{}{})", p.min, p.max, if unit == "1" { "" } else { " " }, pretty(unit)),
+        };
+        let mut lines = wrap(&format!("{}{range}", p.meaning), 68).into_iter();
+        println!("    {:<24} {}", p.name, lines.next().unwrap_or_default());
+        lines.for_each(|line| println!("    {:24} {line}", ""));
     }
     Ok(Outcome::Agreement)
 }

@@ -220,7 +220,8 @@ fn missing(
     if let Some(unknown) = unknown(parts, first_in_doubt, first, last) {
         for m in &mut out {
             m.partial = true;
-            m.evidence.push("explains a part only: its shape is near, its name need not be right".into());
+            m.evidence
+                .push("explains part of it only: its shape is similar, the name need not be right".into());
         }
         out.insert(0, unknown);
     }
@@ -412,7 +413,7 @@ fn named(
         }
         if let (true, Some(other)) = (ties.is_empty(), part.others.first().filter(|c| c.evidence > NEEDED)) {
             entry.evidence.push(format!(
-                "next best: {}, its evidence {:.0} below",
+                "next best: {}, BIC higher by {:.0}",
                 other.effect.id(),
                 part.evidence - other.evidence
             ));
@@ -514,7 +515,7 @@ fn what_deviates(first: &Comparison, last: &Comparison, named: bool) -> Vec<Stri
     if !named {
         return of(last, 6);
     }
-    let left = of(last, 4).into_iter().map(|text| format!("left with all that is named: {text}"));
+    let left = of(last, 4).into_iter().map(|text| format!("remaining with all named effects: {text}"));
     left.chain(of(first, 3)).collect()
 }
 

@@ -81,7 +81,7 @@ impl Verdict {
                 }
                 _ => format!(
                     "{} {}, {}.",
-                    "The camera does what the model says, to within the noise of this campaign.",
+                    "The camera agrees with the model to within the noise of this campaign.",
                     told("Gain", given.base.gain_dn_per_e, given.base_std_err[0], "DN/e"),
                     told("read noise", given.base.read_noise_e, given.base_std_err[1], "e")
                 ),
@@ -90,9 +90,9 @@ impl Verdict {
         };
         if top.effect == "unknown" {
             let near = match top.nearest.as_slice() {
-                [] => "No effect of the catalogue comes near.".into(),
-                [name] => format!("Nearest comes {name}, but it does not explain it."),
-                names => format!("Nearest come {}, but none of them explains it.", names.join(", ")),
+                [] => "No effect of the catalogue is similar.".into(),
+                [name] => format!("{} comes nearest, but does not explain it.", capital(name)),
+                names => format!("The nearest are {}, but none of them explains it.", names.join(", ")),
             };
             let most = match (&top.doubt, top.evidence.first()) {
                 (Some(doubt), _) => format!(" {}.", capital(doubt)),
@@ -100,8 +100,8 @@ impl Verdict {
                 (None, None) => String::new(),
             };
             let sentence = format!(
-                "The camera does something that has no name here. {near}{most} Take gain, linearity and read noise of this campaign with \
-                 care until it is known."
+                "The camera shows an effect that is not in the catalogue. {near}{most} Do not rely on gain, linearity and read noise of this \
+                 campaign until it is known."
             );
             return Self::Unknown { nearest: top.nearest.clone(), sentence };
         }
@@ -134,11 +134,11 @@ fn sentence(top: &Missing, or: &[String], missing: &[Missing], cost: &str) -> St
         .filter(|(_, q)| q.unit != "choice")
         .map(|(name, q)| format!("{name} = {q}"))
         .collect();
-    let form = top.form.as_ref().map_or(String::new(), |f| format!(", {f}"));
+    let form = top.form.as_ref().map_or(String::new(), |f| format!("; {f}"));
     let tie = if or.is_empty() {
         String::new()
     } else {
-        format!(" This campaign cannot tell it from {}.", or.join(" or "))
+        format!(" This campaign cannot distinguish it from {}.", or.join(" or "))
     };
     let also: Vec<&str> = missing
         .iter()
@@ -146,12 +146,12 @@ fn sentence(top: &Missing, or: &[String], missing: &[Missing], cost: &str) -> St
         .filter(|m| m.tied_with.is_none() && !m.partial && m.effect != "unknown")
         .map(|m| m.effect.as_str())
         .collect();
-    let also = if also.is_empty() { String::new() } else { format!(" It also has {}.", also.join(", ")) };
+    let also = if also.is_empty() { String::new() } else { format!(" It also shows {}.", also.join(", ")) };
     let remedy = page.map_or(String::new(), |p| format!(" What to do: {}.", p.remedy));
-    format!("{} ({}{form}): {what}{tie}{also}{cost}{remedy}", capital(&top.effect), sizes.join(", "))
+    format!("The camera shows {} ({}{form}). {what}{tie}{also}{cost}{remedy}", top.effect, sizes.join(", "))
 }
 
-/// What a measurement that knows nothing of it is wrong by.
+/// What a measurement that ignores it is wrong by.
 fn cost(given: &Fitted, whole: &Fitted) -> String {
     let of = |what: &str, given: f64, whole: f64, std_err: f64, decimals: usize| {
         let whole = whole.max(1e-9);
@@ -167,9 +167,9 @@ fn cost(given: &Fitted, whole: &Fitted) -> String {
     .flatten()
     .collect();
     if parts.is_empty() {
-        " Gain and read noise come out right all the same.".into()
+        " It does not bias gain or read noise.".into()
     } else {
-        format!(" A measurement that knows nothing of it finds {}.", parts.join(" and "))
+        format!(" A measurement that ignores it gets {}.", parts.join(" and "))
     }
 }
 

@@ -46,22 +46,22 @@ fn describe(name: &str, of: &[&Residual]) -> String {
     let worst = of.iter().max_by(|a, b| a.z.abs().total_cmp(&b.z.abs()));
     let Some(worst) = worst else { return name.to_string() };
     let off = if worst.predicted.abs() > 5.0 * worst.std_err {
-        format!("{:+.2} %", 100.0 * (worst.measured / worst.predicted - 1.0))
+        format!("off by {:+.2} %", 100.0 * (worst.measured / worst.predicted - 1.0))
     } else {
-        format!("{:+.3}", worst.measured - worst.predicted)
+        format!("off by {:+.3}", worst.measured - worst.predicted)
     };
     let place = match worst.set {
-        Some(set) => format!(" at {:.0} DN (set {set})", worst.level_dn),
+        Some(set) => format!(" at a level of {:.0} DN (set {set})", worst.level_dn),
         None => String::new(),
     };
     let grows = match power(of) {
-        Some(power) => format!(", growing as mean to the power {power:.1}"),
+        Some(power) => format!(", in proportion to mean^{power:.1}"),
         None if !worst.is_of_first_frames() && darks_deviate(of) => {
-            ", darks too: independent of the light".into()
+            ", in darks too: independent of the light".into()
         }
         None => String::new(),
     };
-    format!("{name}: {off} from the model{place}, {:+.1} sigma{grows}; {}", worst.z, worst.meaning)
+    format!("{name}: {off}{place}, {:+.1} sigma{grows}; {}", worst.z, worst.meaning)
 }
 
 /// Whether darks deviate by twice their errors, of at least three among four.

@@ -12,7 +12,7 @@ impl Statistic for CodesUsed {
     }
 
     fn meaning(&self, _: usize) -> &'static str {
-        "in the codes, by their bits"
+        "unequal codes, by their bits"
     }
 
     fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {

@@ -29,7 +29,7 @@ impl Statistic for Halves {
     }
 
     fn meaning(&self, _: usize) -> &'static str {
-        "halves of the sensor that scatter apart, from frame to frame"
+        "halves of the sensor that scatter independently from frame to frame"
     }
 
     fn sums(&self, layout: &Layout) -> usize {

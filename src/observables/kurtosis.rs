@@ -14,7 +14,7 @@ impl Statistic for Kurtosis {
     }
 
     fn meaning(&self, _: usize) -> &'static str {
-        "noise with rare large deviations where it is larger, of two levels or cut short where it is smaller"
+        "above 0: rare large deviations; below 0: two levels or clipped"
     }
 
     fn sums(&self, _: &Layout) -> usize {

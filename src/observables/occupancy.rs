@@ -17,7 +17,7 @@ impl Statistic for Occupancy {
     }
 
     fn meaning(&self, _: usize) -> &'static str {
-        "in the codes, by their bits"
+        "unequal codes, by their bits"
     }
 
     fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {

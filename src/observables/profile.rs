@@ -16,7 +16,7 @@ impl Statistic for LineProfile {
     }
 
     fn name(&self, index: usize) -> String {
-        format!("profiles of {} beside one sensor", ["rows", "columns"][index.min(1)])
+        format!("profiles of {} against one offset, gain and dark current", ["rows", "columns"][index.min(1)])
     }
 
     fn meaning(&self, _: usize) -> &'static str {

@@ -16,7 +16,7 @@ impl Statistic for Settling {
     }
 
     fn meaning(&self, _: usize) -> &'static str {
-        "set by what came before"
+        "depends on the frames before"
     }
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {

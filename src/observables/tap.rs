@@ -16,7 +16,10 @@ impl Statistic for Tap {
     fn name(&self, index: usize) -> String {
         let parts = ["left and right", "top and bottom", "even and odd columns", "even and odd rows"];
         let parts = parts.get(index / 2).unwrap_or(&"parts");
-        format!("{parts}, {}", if index.is_multiple_of(2) { "of the signal" } else { "constant" })
+        format!(
+            "{parts}, {}",
+            if index.is_multiple_of(2) { "in proportion to the signal" } else { "constant" }
+        )
     }
 
     fn meaning(&self, _: usize) -> &'static str {

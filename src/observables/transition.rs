@@ -18,7 +18,7 @@ impl Statistic for Transition {
     }
 
     fn meaning(&self, _: usize) -> &'static str {
-        "in the codes, by their bits"
+        "unequal codes, by their bits"
     }
 
     fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {

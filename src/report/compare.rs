@@ -27,7 +27,7 @@ pub fn diagnosis(title: &str, subtitle: &str, d: &Diagnosis) -> String {
             }
         }
         @if let Some(next) = &d.next_measurement { h2 { "Next measurement" } p { (next) } }
-        @for (c, name) in d.comparisons.iter().zip(["The model as given", "With what was added"]) {
+        @for (c, name) in d.comparisons.iter().zip(["The starting model", "With the effects found"]) {
             h2 { (name) }
             (body(c))
         }
@@ -44,14 +44,14 @@ pub fn heading(m: &Missing) -> String {
             parts.push(format!("nearest: {}", m.nearest.join(", ")));
         }
     } else {
-        parts.push(format!("{} of the evidence", percent(m.confidence)));
+        parts.push(format!("probability {}", percent(m.confidence)));
     }
     parts.extend(m.form.clone());
     if let Some(other) = &m.tied_with {
         parts.push(format!("tied with {other}"));
     }
     if m.partial {
-        parts.push("explains a part only".into());
+        parts.push("explains part of it only".into());
     }
     parts.join("; ")
 }
@@ -63,7 +63,7 @@ fn ladder(d: &Diagnosis) -> Markup {
         @for (i, r) in d.ladder.iter().enumerate() {
             @let y = 8.0 + 34.0 * i as f64;
             @let width = 6.0 + 470.0 * r.error.max(1.0).ln() / top;
-            text x="190" y=(y + 17.0) text-anchor="end" { (r.added.as_deref().unwrap_or("as given")) }
+            text x="190" y=(y + 17.0) text-anchor="end" { (r.added.as_deref().unwrap_or("starting model")) }
             rect x="200" y=(y) width=(width) height="24" rx="3"
                 fill=(if r.error < 1.15 { "var(--good)" } else { "var(--bad)" }) {}
             text x=(210.0 + width) y=(y + 17.0) { (format!("error {:.2}", r.error)) }

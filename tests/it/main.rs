@@ -7,6 +7,7 @@ mod calibration;
 mod camera;
 mod conformance;
 mod dataset;
+mod docs;
 mod effects;
 mod import;
 mod investigate;

@@ -29,7 +29,11 @@ fn a_real_ccd_is_diagnosed() {
     assert!(after < 1.5, "{after}");
     // What is left has no name, and words.
     assert_eq!(missing[0]["effect"], "unknown");
-    assert!(missing[0]["evidence"].to_string().contains("left with all that is named"), "{:#?}", missing[0]);
+    assert!(
+        missing[0]["evidence"].to_string().contains("remaining with all named effects"),
+        "{:#?}",
+        missing[0]
+    );
 }
 
 /// A camera without a black level: its darks are clipped at code 0, which is no missing effect.

@@ -20,7 +20,14 @@ impl Effect for RowGainNoise {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "rel", unit: "1", min: 0.0, max: 0.1, starts: &[0.001] }]
+        &[Parameter {
+            name: "rel",
+            meaning: "standard deviation of a row's gain from frame to frame, relative",
+            unit: "1",
+            min: 0.0,
+            max: 0.1,
+            starts: &[0.001],
+        }]
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {

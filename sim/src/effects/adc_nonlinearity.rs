@@ -10,8 +10,8 @@ pub struct AdcNonlinearity;
 /// Bits at each end that have a weight of their own.
 const EACH: usize = 6;
 
-const fn bit(name: &'static str, max: f64) -> Parameter {
-    Parameter { name, unit: "DN", min: -max, max, starts: &[0.05] }
+const fn bit(name: &'static str, meaning: &'static str, max: f64) -> Parameter {
+    Parameter { name, meaning, unit: "DN", min: -max, max, starts: &[0.05] }
 }
 
 /// Errors of all bits of a converter of so many.
@@ -171,19 +171,26 @@ impl Effect for AdcNonlinearity {
 
     fn parameters(&self) -> &'static [Parameter] {
         const ALL: [Parameter; 1 + 2 * EACH] = [
-            Parameter { name: "bits", unit: "choice", min: 0.0, max: 2.0, starts: &[0.0, 1.0, 2.0] },
-            bit("bit0_dn", 0.9),
-            bit("bit1_dn", 0.9),
-            bit("bit2_dn", 0.9),
-            bit("bit3_dn", 0.9),
-            bit("bit4_dn", 0.9),
-            bit("bit5_dn", 0.9),
-            bit("top0_dn", 32.0),
-            bit("top1_dn", 32.0),
-            bit("top2_dn", 32.0),
-            bit("top3_dn", 32.0),
-            bit("top4_dn", 32.0),
-            bit("top5_dn", 32.0),
+            Parameter {
+                name: "bits",
+                meaning: "0: the lowest six bits, 1: the highest six, 2: both",
+                unit: "choice",
+                min: 0.0,
+                max: 2.0,
+                starts: &[0.0, 1.0, 2.0],
+            },
+            bit("bit0_dn", "error of the weight of bit 0, counted from the lowest", 0.9),
+            bit("bit1_dn", "error of the weight of bit 1, counted from the lowest", 0.9),
+            bit("bit2_dn", "error of the weight of bit 2, counted from the lowest", 0.9),
+            bit("bit3_dn", "error of the weight of bit 3, counted from the lowest", 0.9),
+            bit("bit4_dn", "error of the weight of bit 4, counted from the lowest", 0.9),
+            bit("bit5_dn", "error of the weight of bit 5, counted from the lowest", 0.9),
+            bit("top0_dn", "error of the weight of bit 0, counted from the highest", 32.0),
+            bit("top1_dn", "error of the weight of bit 1, counted from the highest", 32.0),
+            bit("top2_dn", "error of the weight of bit 2, counted from the highest", 32.0),
+            bit("top3_dn", "error of the weight of bit 3, counted from the highest", 32.0),
+            bit("top4_dn", "error of the weight of bit 4, counted from the highest", 32.0),
+            bit("top5_dn", "error of the weight of bit 5, counted from the highest", 32.0),
         ];
         &ALL
     }

@@ -17,7 +17,14 @@ impl Effect for BlackClipping {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "level_dn", unit: "DN", min: -1e3, max: 1e3, starts: &[] }]
+        &[Parameter {
+            name: "level_dn",
+            meaning: "lowest value that is passed, from the black level",
+            unit: "DN",
+            min: -1e3,
+            max: 1e3,
+            starts: &[],
+        }]
     }
 
     /// Within the dark noise as it is measured: a clipped half has 0.58 of the deviation.

@@ -17,7 +17,14 @@ impl Effect for Blooming {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "full_well_e", unit: "e", min: 1.0, max: 1e9, starts: &[] }]
+        &[Parameter {
+            name: "full_well_e",
+            meaning: "charge at which the well spills",
+            unit: "e",
+            min: 1.0,
+            max: 1e9,
+            starts: &[],
+        }]
     }
 
     /// Near the brightest level.

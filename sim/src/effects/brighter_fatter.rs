@@ -24,8 +24,22 @@ impl Effect for BrighterFatter {
     fn parameters(&self) -> &'static [Parameter] {
         const STARTS: &[f64] = &[1e-6];
         &[
-            Parameter { name: "a_vertical_per_e", unit: "1/e", min: 0.0, max: 1e-3, starts: STARTS },
-            Parameter { name: "a_horizontal_per_e", unit: "1/e", min: 0.0, max: 1e-3, starts: STARTS },
+            Parameter {
+                name: "a_vertical_per_e",
+                meaning: "change of a pixel's area for one electron more in the neighbour above or below",
+                unit: "1/e",
+                min: 0.0,
+                max: 1e-3,
+                starts: STARTS,
+            },
+            Parameter {
+                name: "a_horizontal_per_e",
+                meaning: "the same for the neighbour to the left or right",
+                unit: "1/e",
+                min: 0.0,
+                max: 1e-3,
+                starts: STARTS,
+            },
         ]
     }
 

@@ -29,10 +29,38 @@ impl Effect for ChargeTransferInefficiency {
     fn parameters(&self) -> &'static [Parameter] {
         const STARTS: &[f64] = &[1e-5];
         &[
-            Parameter { name: "shape", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0, 1.0] },
-            Parameter { name: "parallel_per_transfer", unit: "1", min: -0.01, max: 0.01, starts: STARTS },
-            Parameter { name: "serial_per_transfer", unit: "1", min: -0.01, max: 0.01, starts: STARTS },
-            Parameter { name: "full_e", unit: "e", min: 1.0, max: 1e7, starts: &[] },
+            Parameter {
+                name: "shape",
+                meaning: "0: in proportion to the charge, 1: traps that fill",
+                unit: "choice",
+                min: 0.0,
+                max: 1.0,
+                starts: &[0.0, 1.0],
+            },
+            Parameter {
+                name: "parallel_per_transfer",
+                meaning: "share left behind at each transfer along the columns; the sign says at which end the output lies",
+                unit: "1",
+                min: -0.01,
+                max: 0.01,
+                starts: STARTS,
+            },
+            Parameter {
+                name: "serial_per_transfer",
+                meaning: "the same along the rows",
+                unit: "1",
+                min: -0.01,
+                max: 0.01,
+                starts: STARTS,
+            },
+            Parameter {
+                name: "full_e",
+                meaning: "shape 1: charge at which half of the traps are full",
+                unit: "e",
+                min: 1.0,
+                max: 1e7,
+                starts: &[],
+            },
         ]
     }
 

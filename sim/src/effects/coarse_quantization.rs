@@ -15,7 +15,14 @@ impl Effect for CoarseQuantization {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "step_dn", unit: "DN", min: 1.0, max: 256.0, starts: &[2.0, 4.0, 16.0] }]
+        &[Parameter {
+            name: "step_dn",
+            meaning: "every code is a multiple of this",
+            unit: "DN",
+            min: 1.0,
+            max: 256.0,
+            starts: &[2.0, 4.0, 16.0],
+        }]
     }
 
     /// The step that the codes show, and usual ones.

@@ -15,7 +15,14 @@ impl Effect for ColumnNoise {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "e", unit: "e", min: 0.0, max: 1e4, starts: &[0.5] }]
+        &[Parameter {
+            name: "e",
+            meaning: "standard deviation of what a column shares in one frame",
+            unit: "e",
+            min: 0.0,
+            max: 1e4,
+            starts: &[0.5],
+        }]
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {

@@ -39,11 +39,39 @@ impl Effect for Companding {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[
-            Parameter { name: "shape", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0, 1.0] },
-            Parameter { name: "codes", unit: "1", min: 16.0, max: 65_536.0, starts: &[] },
-            Parameter { name: "knee_dn", unit: "DN", min: 1.0, max: 65_535.0, starts: &[] },
+            Parameter {
+                name: "shape",
+                meaning: "0: square root, 1: two slopes",
+                unit: "choice",
+                min: 0.0,
+                max: 1.0,
+                starts: &[0.0, 1.0],
+            },
+            Parameter {
+                name: "codes",
+                meaning: "shape 0: number of codes that are sent",
+                unit: "1",
+                min: 16.0,
+                max: 65_536.0,
+                starts: &[],
+            },
+            Parameter {
+                name: "knee_dn",
+                meaning: "shape 1: level above which steps are coarse",
+                unit: "DN",
+                min: 1.0,
+                max: 65_535.0,
+                starts: &[],
+            },
             // Fewer bits are sent: steps of two codes at least.
-            Parameter { name: "step_dn", unit: "DN", min: 2.0, max: 256.0, starts: &[4.0] },
+            Parameter {
+                name: "step_dn",
+                meaning: "shape 1: size of the coarse steps",
+                unit: "DN",
+                min: 2.0,
+                max: 256.0,
+                starts: &[4.0],
+            },
         ]
     }
 

@@ -155,7 +155,7 @@ pub fn custom(
             let [min, max] = bounds.get(n).copied().unwrap_or([-1e12, 1e12]);
             // "choice" has a meaning of its own: see Parameter::is_choice.
             let unit = keep(units.get(n).map(String::as_str).filter(|u| *u != "choice").unwrap_or("1"));
-            Parameter { name: keep(n), unit, min, max, starts: Box::leak(Box::new([*v])) }
+            Parameter { name: keep(n), meaning: "", unit, min, max, starts: Box::leak(Box::new([*v])) }
         })
         .collect();
     Ok(Box::leak(Box::new(Custom {

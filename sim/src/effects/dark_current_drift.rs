@@ -26,7 +26,14 @@ impl Effect for DarkCurrentDrift {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "rel_per_s", unit: "1/s", min: -0.05, max: 0.2, starts: &[1e-3] }]
+        &[Parameter {
+            name: "rel_per_s",
+            meaning: "change of the dark current per second, relative to its value at the start",
+            unit: "1/s",
+            min: -0.05,
+            max: 0.2,
+            starts: &[1e-3],
+        }]
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {

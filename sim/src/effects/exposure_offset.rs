@@ -15,7 +15,14 @@ impl Effect for ExposureOffset {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "t0_s", unit: "s", min: -1.0, max: 1.0, starts: &[1e-6, -1e-6, 1e-4] }]
+        &[Parameter {
+            name: "t0_s",
+            meaning: "effective less commanded exposure",
+            unit: "s",
+            min: -1.0,
+            max: 1.0,
+            starts: &[1e-6, -1e-6, 1e-4],
+        }]
     }
 
     fn needs(&self) -> Needs {

@@ -18,7 +18,14 @@ impl Effect for FullWellSaturation {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "full_well_e", unit: "e", min: 1.0, max: 1e9, starts: &[] }]
+        &[Parameter {
+            name: "full_well_e",
+            meaning: "charge at which the well is full",
+            unit: "e",
+            min: 1.0,
+            max: 1e9,
+            starts: &[],
+        }]
     }
 
     /// Near the brightest level.

@@ -15,7 +15,14 @@ impl Effect for GainDrift {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "rel_per_s", unit: "1/s", min: -0.05, max: 0.05, starts: &[1e-4, -1e-4] }]
+        &[Parameter {
+            name: "rel_per_s",
+            meaning: "change of the gain per second, relative",
+            unit: "1/s",
+            min: -0.05,
+            max: 0.05,
+            starts: &[1e-4, -1e-4],
+        }]
     }
 
     /// One amplifier serves all pixels.

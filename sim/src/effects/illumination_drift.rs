@@ -21,10 +21,38 @@ impl Effect for IlluminationDrift {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[
-            Parameter { name: "shape", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0, 1.0] },
-            Parameter { name: "rel_per_s", unit: "1/s", min: -0.05, max: 0.05, starts: &[1e-4] },
-            Parameter { name: "rel", unit: "1", min: -0.5, max: 0.5, starts: &[0.01] },
-            Parameter { name: "tau_s", unit: "s", min: 1e-3, max: 1e5, starts: &[] },
+            Parameter {
+                name: "shape",
+                meaning: "0: a straight line in time, 1: a lamp that warms up",
+                unit: "choice",
+                min: 0.0,
+                max: 1.0,
+                starts: &[0.0, 1.0],
+            },
+            Parameter {
+                name: "rel_per_s",
+                meaning: "shape 0: change of the light per second, relative",
+                unit: "1/s",
+                min: -0.05,
+                max: 0.05,
+                starts: &[1e-4],
+            },
+            Parameter {
+                name: "rel",
+                meaning: "shape 1: excess of the light at the start, relative",
+                unit: "1",
+                min: -0.5,
+                max: 0.5,
+                starts: &[0.01],
+            },
+            Parameter {
+                name: "tau_s",
+                meaning: "shape 1: time constant of the warming up",
+                unit: "s",
+                min: 1e-3,
+                max: 1e5,
+                starts: &[],
+            },
         ]
     }
 

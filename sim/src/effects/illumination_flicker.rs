@@ -15,7 +15,14 @@ impl Effect for IlluminationFlicker {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "rel", unit: "1", min: 0.0, max: 0.5, starts: &[0.002] }]
+        &[Parameter {
+            name: "rel",
+            meaning: "standard deviation of the light from frame to frame, relative",
+            unit: "1",
+            min: 0.0,
+            max: 0.5,
+            starts: &[0.002],
+        }]
     }
 
     fn example(&self, _: &Plain) -> Option<Vec<f64>> {

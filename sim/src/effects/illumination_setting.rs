@@ -15,7 +15,14 @@ impl Effect for IlluminationSetting {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "rel", unit: "1", min: 0.0, max: 0.3, starts: &[0.002] }]
+        &[Parameter {
+            name: "rel",
+            meaning: "standard deviation of the light from setting to setting, relative",
+            unit: "1",
+            min: 0.0,
+            max: 0.3,
+            starts: &[0.002],
+        }]
     }
 
     fn needs(&self) -> Needs {

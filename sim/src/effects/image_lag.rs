@@ -91,11 +91,46 @@ impl Effect for ImageLag {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[
-            Parameter { name: "shape", unit: "choice", min: 0.0, max: 2.0, starts: &[0.0, 1.0, 2.0] },
-            Parameter { name: "fraction", unit: "1", min: 0.0, max: 0.5, starts: &[0.005] },
-            Parameter { name: "tau_s", unit: "s", min: 1e-4, max: 1e4, starts: &[] },
-            Parameter { name: "fraction_2", unit: "1", min: 0.0, max: 0.5, starts: &[0.002] },
-            Parameter { name: "tau_2_s", unit: "s", min: 1e-4, max: 1e4, starts: &[] },
+            Parameter {
+                name: "shape",
+                meaning: "0: all with the next frame, 1: over many frames, 2: two kinds of traps",
+                unit: "choice",
+                min: 0.0,
+                max: 2.0,
+                starts: &[0.0, 1.0, 2.0],
+            },
+            Parameter {
+                name: "fraction",
+                meaning: "share f of the charge that is held back",
+                unit: "1",
+                min: 0.0,
+                max: 0.5,
+                starts: &[0.005],
+            },
+            Parameter {
+                name: "tau_s",
+                meaning: "shape 2: time constant of the first kind",
+                unit: "s",
+                min: 1e-4,
+                max: 1e4,
+                starts: &[],
+            },
+            Parameter {
+                name: "fraction_2",
+                meaning: "shape 2: share that the second kind holds back",
+                unit: "1",
+                min: 0.0,
+                max: 0.5,
+                starts: &[0.002],
+            },
+            Parameter {
+                name: "tau_2_s",
+                meaning: "shape 2: time constant of the second kind",
+                unit: "s",
+                min: 1e-4,
+                max: 1e4,
+                starts: &[],
+            },
         ]
     }
 
@@ -132,15 +167,16 @@ impl Effect for ImageLag {
 
     fn page(&self) -> Page {
         Page {
-            what: "The photodiode is not emptied, or traps hold charge: a share of it is read with later frames.",
-            equation: "shape 0: out_t = (1 - f) q_t + f q_(t-1), variance times (1 - f)^2 + f^2, covariance of successive frames f (1 - f); \
-                       shape 1: out_t = (1 - f) (q_t + f q_(t-1) + f^2 q_(t-2) + ...); shape 2: two kinds of traps, each holds a share f and \
-                       lets go exp(-t / tau) of it",
-            signature: "the first frames after a change of level carry the one before; darks after bright frames are raised; steady \
-                        levels are right, with slightly less variance",
-            look_alikes: "a temporal filter correlates the read noise of darks too, and lasts several frames",
-            remedy: "throw away the first frames after a change; a longer reset; charge flushing",
-            measure: "darks straight after a bright flat, and a bright flat straight after darks",
+            what: "The photodiode is not fully emptied at read-out, or traps hold charge: part of a frame's charge is read with later frames.",
+            equation: "q_t is the charge of frame t, out_t what is read of it, f the fraction; shape 0: out_t = (1 - f) q_t + f q_(t-1), so that \
+                       the variance is multiplied by (1 - f)^2 + f^2 and successive frames have the covariance f (1 - f) var q; shape 1: \
+                       out_t = (1 - f) (q_t + f q_(t-1) + f^2 q_(t-2) + ...); shape 2: each of two kinds of traps captures its fraction \
+                       of the charge and holds exp(-dt / tau) of it over a time dt",
+            signature: "the first frames after a change of level contain part of the level before it, darks after bright frames \
+                        included; at a steady level the mean is right and the variance slightly too small",
+            look_alikes: "a temporal filter also correlates the read noise of darks from frame to frame, and lasts several frames",
+            remedy: "discard the first frames after a change of level; use a longer reset or charge flushing",
+            measure: "darks directly after bright flats, and bright flats directly after darks",
             sets: takes::TRANSITIONS,
             source: "Fossum and Hondongwa 2014, IEEE JEDS 2(3); Janesick 2007; persistence: Tulloch 2019, IDW (several time constants)",
         }

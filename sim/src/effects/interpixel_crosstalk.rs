@@ -16,7 +16,14 @@ impl Effect for InterpixelCrosstalk {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "a", unit: "1", min: 0.0, max: 0.2, starts: &[0.005] }]
+        &[Parameter {
+            name: "a",
+            meaning: "share of the charge that goes to each of the four neighbours",
+            unit: "1",
+            min: 0.0,
+            max: 0.2,
+            starts: &[0.005],
+        }]
     }
 
     fn needs(&self) -> Needs {

@@ -32,11 +32,46 @@ impl Effect for LightBanding {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[
-            Parameter { name: "shape", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0, 1.0] },
-            Parameter { name: "rel", unit: "1", min: 0.0, max: 0.2, starts: &[0.003] },
-            Parameter { name: "cycles_per_row", unit: "1/px", min: 1e-4, max: 0.5, starts: &[] },
-            Parameter { name: "ripple_hz", unit: "Hz", min: 0.0, max: 1e5, starts: &[] },
-            Parameter { name: "next_row", unit: "1", min: SHORTEST, max: 0.9999, starts: &[] },
+            Parameter {
+                name: "shape",
+                meaning: "0: a sine, 1: a wander from row to row",
+                unit: "choice",
+                min: 0.0,
+                max: 1.0,
+                starts: &[0.0, 1.0],
+            },
+            Parameter {
+                name: "rel",
+                meaning: "amplitude of the ripple (shape 1: its standard deviation), relative to the light",
+                unit: "1",
+                min: 0.0,
+                max: 0.2,
+                starts: &[0.003],
+            },
+            Parameter {
+                name: "cycles_per_row",
+                meaning: "shape 0: periods of the ripple in one row time",
+                unit: "1/px",
+                min: 1e-4,
+                max: 0.5,
+                starts: &[],
+            },
+            Parameter {
+                name: "ripple_hz",
+                meaning: "shape 0: frequency of the ripple",
+                unit: "Hz",
+                min: 0.0,
+                max: 1e5,
+                starts: &[],
+            },
+            Parameter {
+                name: "next_row",
+                meaning: "shape 1: correlation from row to row",
+                unit: "1",
+                min: SHORTEST,
+                max: 0.9999,
+                starts: &[],
+            },
         ]
     }
 

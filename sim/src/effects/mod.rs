@@ -26,12 +26,30 @@ pub enum Stage {
     Firmware,
 }
 
+impl Stage {
+    /// In words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Light => "light",
+            Self::Charge => "charge generation and collection",
+            Self::Well => "full well",
+            Self::Transfer => "charge transfer",
+            Self::Read => "read-out",
+            Self::Amplifier => "amplifier",
+            Self::Converter => "analogue-to-digital converter",
+            Self::Firmware => "camera firmware",
+        }
+    }
+}
+
 /// A parameter of an effect.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Parameter {
     /// Its name, with the unit in it where it has one.
     pub name: &'static str,
-    /// Unit; `1` for a share.
+    /// What it is, in a few words; of a choice what each value means.
+    pub meaning: &'static str,
+    /// Unit; `1` for a ratio, `choice` for one of several forms.
     pub unit: &'static str,
     /// Smallest physical value.
     pub min: f64,

@@ -14,9 +14,10 @@ const KNEE: usize = 5;
 const ASYMPTOTE: usize = 7;
 const FIRST_KNOT: usize = 8;
 
-const fn size(name: &'static str, max: f64, start: f64) -> Parameter {
+const fn size(name: &'static str, meaning: &'static str, start: f64) -> Parameter {
+    let max = 0.45;
     let starts: &[f64] = if start == 0.01 { &[0.01] } else { &[0.003] };
-    Parameter { name, unit: "1", min: -max, max, starts }
+    Parameter { name, meaning, unit: "1", min: -max, max, starts }
 }
 
 /// Natural cubic spline through (0, 0) and values at equal steps: second derivatives at the knots, in steps
@@ -83,24 +84,53 @@ impl Effect for Nonlinearity {
         const ALL: [Parameter; FIRST_KNOT + KNOTS] = [
             Parameter {
                 name: "shape",
+                meaning: "0 to 2: one power, 3: polynomial, 4: gamma, 5: two slopes, 6: exponential saturation, 7: free curve",
                 unit: "choice",
                 min: 0.0,
                 max: 7.0,
                 starts: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0],
             },
-            size("rel", 0.45, 0.01),
-            size("rel_2", 0.45, 0.003),
-            size("rel_3", 0.45, 0.003),
-            Parameter { name: "exponent", unit: "1", min: 0.4, max: 2.5, starts: &[0.97, 1.03] },
-            Parameter { name: "knee_dn", unit: "DN", min: 1.0, max: 65_535.0, starts: &[] },
-            Parameter { name: "ratio", unit: "1", min: 0.05, max: 2.0, starts: &[0.9] },
-            Parameter { name: "asymptote_dn", unit: "DN", min: 1.0, max: 1e8, starts: &[] },
-            size("bend_1", 0.45, 0.003),
-            size("bend_2", 0.45, 0.003),
-            size("bend_3", 0.45, 0.003),
-            size("bend_4", 0.45, 0.003),
-            size("bend_5", 0.45, 0.003),
-            size("bend_6", 0.45, 0.003),
+            size("rel", "shapes 0 to 3: what is missing at full scale, relative", 0.01),
+            size("rel_2", "shape 3: of the second power", 0.003),
+            size("rel_3", "shape 3: of the third power", 0.003),
+            Parameter {
+                name: "exponent",
+                meaning: "shape 4: the exponent",
+                unit: "1",
+                min: 0.4,
+                max: 2.5,
+                starts: &[0.97, 1.03],
+            },
+            Parameter {
+                name: "knee_dn",
+                meaning: "shape 5: level of the knee",
+                unit: "DN",
+                min: 1.0,
+                max: 65_535.0,
+                starts: &[],
+            },
+            Parameter {
+                name: "ratio",
+                meaning: "shape 5: slope above the knee over that below",
+                unit: "1",
+                min: 0.05,
+                max: 2.0,
+                starts: &[0.9],
+            },
+            Parameter {
+                name: "asymptote_dn",
+                meaning: "shape 6: level that the output approaches",
+                unit: "DN",
+                min: 1.0,
+                max: 1e8,
+                starts: &[],
+            },
+            size("bend_1", "shape 7: the curve at 1/6 of full scale, relative", 0.003),
+            size("bend_2", "shape 7: the curve at 2/6 of full scale, relative", 0.003),
+            size("bend_3", "shape 7: the curve at 3/6 of full scale, relative", 0.003),
+            size("bend_4", "shape 7: the curve at 4/6 of full scale, relative", 0.003),
+            size("bend_5", "shape 7: the curve at 5/6 of full scale, relative", 0.003),
+            size("bend_6", "shape 7: the curve at 6/6 of full scale, relative", 0.003),
         ];
         &ALL
     }

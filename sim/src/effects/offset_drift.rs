@@ -15,7 +15,14 @@ impl Effect for OffsetDrift {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "dn_per_s", unit: "DN/s", min: -10.0, max: 10.0, starts: &[1e-3, -1e-3] }]
+        &[Parameter {
+            name: "dn_per_s",
+            meaning: "change of the black level per second",
+            unit: "DN/s",
+            min: -10.0,
+            max: 10.0,
+            starts: &[1e-3, -1e-3],
+        }]
     }
 
     /// A glow fades where it glows; the black level moves everywhere.

@@ -16,8 +16,22 @@ impl Effect for PeriodicInterference {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[
-            Parameter { name: "amplitude_dn", unit: "DN", min: 0.0, max: 1e4, starts: &[0.3] },
-            Parameter { name: "cycles_per_px", unit: "1/px", min: 0.0, max: 0.5, starts: &[] },
+            Parameter {
+                name: "amplitude_dn",
+                meaning: "amplitude of the line",
+                unit: "DN",
+                min: 0.0,
+                max: 1e4,
+                starts: &[0.3],
+            },
+            Parameter {
+                name: "cycles_per_px",
+                meaning: "its frequency in read-out order",
+                unit: "1/px",
+                min: 0.0,
+                max: 0.5,
+                starts: &[],
+            },
         ]
     }
 

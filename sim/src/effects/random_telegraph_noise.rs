@@ -26,8 +26,22 @@ impl Effect for RandomTelegraphNoise {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[
-            Parameter { name: "fraction", unit: "1", min: 1e-5, max: 0.5, starts: &[0.01] },
-            Parameter { name: "amplitude_e", unit: "e", min: 0.0, max: 1e5, starts: &[20.0] },
+            Parameter {
+                name: "fraction",
+                meaning: "share of the pixels that have two levels",
+                unit: "1",
+                min: 1e-5,
+                max: 0.5,
+                starts: &[0.01],
+            },
+            Parameter {
+                name: "amplitude_e",
+                meaning: "distance of the two levels",
+                unit: "e",
+                min: 0.0,
+                max: 1e5,
+                starts: &[20.0],
+            },
         ]
     }
 

@@ -21,8 +21,22 @@ impl Effect for ReadNoiseCorrelation {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[
-            Parameter { name: "shape", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0, 1.0] },
-            Parameter { name: "e", unit: "e", min: 0.0, max: 1e4, starts: &[1.0, 1.0] },
+            Parameter {
+                name: "shape",
+                meaning: "0: neighbours with opposite sign, 1: with equal sign",
+                unit: "choice",
+                min: 0.0,
+                max: 1.0,
+                starts: &[0.0, 1.0],
+            },
+            Parameter {
+                name: "e",
+                meaning: "standard deviation of the noise that neighbours share",
+                unit: "e",
+                min: 0.0,
+                max: 1e4,
+                starts: &[1.0, 1.0],
+            },
         ]
     }
 

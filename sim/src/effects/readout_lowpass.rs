@@ -16,7 +16,14 @@ impl Effect for ReadoutLowpass {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "alpha", unit: "1", min: 0.0, max: 0.9, starts: &[0.02] }]
+        &[Parameter {
+            name: "alpha",
+            meaning: "share of the previous pixel's voltage that is left",
+            unit: "1",
+            min: 0.0,
+            max: 0.9,
+            starts: &[0.02],
+        }]
     }
 
     fn needs(&self) -> Needs {

@@ -21,10 +21,38 @@ impl Effect for RowNoise {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[
-            Parameter { name: "shape", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0, 1.0] },
-            Parameter { name: "e", unit: "e", min: 0.0, max: 1e4, starts: &[0.5] },
-            Parameter { name: "in_bands", unit: "1", min: 0.0, max: 1.0, starts: &[] },
-            Parameter { name: "next_row", unit: "1", min: 0.0, max: 0.995, starts: &[] },
+            Parameter {
+                name: "shape",
+                meaning: "0: every row by itself, 1: a part of it in bands of rows",
+                unit: "choice",
+                min: 0.0,
+                max: 1.0,
+                starts: &[0.0, 1.0],
+            },
+            Parameter {
+                name: "e",
+                meaning: "standard deviation of what a row shares in one frame",
+                unit: "e",
+                min: 0.0,
+                max: 1e4,
+                starts: &[0.5],
+            },
+            Parameter {
+                name: "in_bands",
+                meaning: "part of the variance that lies in bands",
+                unit: "1",
+                min: 0.0,
+                max: 1.0,
+                starts: &[],
+            },
+            Parameter {
+                name: "next_row",
+                meaning: "correlation of the bands from row to row",
+                unit: "1",
+                min: 0.0,
+                max: 0.995,
+                starts: &[],
+            },
         ]
     }
 

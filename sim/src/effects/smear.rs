@@ -16,7 +16,14 @@ impl Effect for Smear {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "transfer_s", unit: "s", min: 0.0, max: 1.0, starts: &[1e-6, 1e-4] }]
+        &[Parameter {
+            name: "transfer_s",
+            meaning: "time that a pixel is lit by the rest of its column while the rows are shifted",
+            unit: "s",
+            min: 0.0,
+            max: 1.0,
+            starts: &[1e-6, 1e-4],
+        }]
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {

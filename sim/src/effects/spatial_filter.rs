@@ -36,11 +36,32 @@ impl Effect for SpatialFilter {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[
-            Parameter { name: "strength", unit: "1", min: -0.49, max: 3.0, starts: &[0.05] },
+            Parameter {
+                name: "strength",
+                meaning: "s: positive sharpens, negative smooths",
+                unit: "1",
+                min: -0.49,
+                max: 3.0,
+                starts: &[0.05],
+            },
             // 4 neighbours, 8 alike, 8 with the diagonal ones at half.
-            Parameter { name: "kernel", unit: "choice", min: 0.0, max: 2.0, starts: &[0.0] },
+            Parameter {
+                name: "kernel",
+                meaning: "0: the nearest four neighbours, 1: all eight alike, 2: the diagonal ones at half weight",
+                unit: "choice",
+                min: 0.0,
+                max: 2.0,
+                starts: &[0.0],
+            },
             // Of whole codes, or of samples with more bits than the codes that are sent.
-            Parameter { name: "of", unit: "choice", min: 0.0, max: 1.0, starts: &[0.0] },
+            Parameter {
+                name: "of",
+                meaning: "0: of whole codes, 1: before codes are rounded",
+                unit: "choice",
+                min: 0.0,
+                max: 1.0,
+                starts: &[0.0],
+            },
         ]
     }
 

@@ -15,7 +15,14 @@ impl Effect for StrayLight {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter { name: "share", unit: "1", min: 0.0, max: 0.9, starts: &[0.01] }]
+        &[Parameter {
+            name: "share",
+            meaning: "share of the light that is spread over the image",
+            unit: "1",
+            min: 0.0,
+            max: 0.9,
+            starts: &[0.01],
+        }]
     }
 
     fn example(&self, _: &Plain) -> Option<Vec<f64>> {

@@ -26,10 +26,31 @@ impl Effect for TapMismatch {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[
-            Parameter { name: "gain_rel", unit: "1", min: -0.5, max: 0.5, starts: &[0.003] },
-            Parameter { name: "offset_dn", unit: "DN", min: -1e3, max: 1e3, starts: &[0.0] },
+            Parameter {
+                name: "gain_rel",
+                meaning: "gain of the second part over that of the first, less 1",
+                unit: "1",
+                min: -0.5,
+                max: 0.5,
+                starts: &[0.003],
+            },
+            Parameter {
+                name: "offset_dn",
+                meaning: "offset of the second part less that of the first",
+                unit: "DN",
+                min: -1e3,
+                max: 1e3,
+                starts: &[0.0],
+            },
             // Right half, lower half, odd columns, odd rows.
-            Parameter { name: "parts", unit: "choice", min: 0.0, max: 3.0, starts: &[0.0, 1.0, 2.0, 3.0] },
+            Parameter {
+                name: "parts",
+                meaning: "0: right half, 1: lower half, 2: odd columns, 3: odd rows against the rest",
+                unit: "choice",
+                min: 0.0,
+                max: 3.0,
+                starts: &[0.0, 1.0, 2.0, 3.0],
+            },
         ]
     }
 

@@ -227,9 +227,23 @@ impl Effect for TemporalFilter {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[
-            Parameter { name: "alpha", unit: "1", min: 0.0, max: 0.9, starts: &[0.05] },
+            Parameter {
+                name: "alpha",
+                meaning: "weight of the frames before",
+                unit: "1",
+                min: 0.0,
+                max: 0.9,
+                starts: &[0.05],
+            },
             // Whole codes, parts of a code, parts of a code of samples with more bits than the codes that are sent.
-            Parameter { name: "kept", unit: "choice", min: 0.0, max: 2.0, starts: &[0.0, 1.0, 2.0] },
+            Parameter {
+                name: "kept",
+                meaning: "0: the mean is kept in whole codes, 1: in parts of a code, 2: of samples with more bits than are sent",
+                unit: "choice",
+                min: 0.0,
+                max: 2.0,
+                starts: &[0.0, 1.0, 2.0],
+            },
         ]
     }
 
