@@ -1,8 +1,8 @@
 //! Real cameras (GigE Vision, USB3 Vision) through libaravis.
 
 use super::{
-    Automatic, Backend, Bounds, Camera, CameraError, Capabilities, FrameCounter, FrameStream, Identity, Listed,
-    Settings, StreamCounts, StreamOptions, Trigger, Value, check_bounds,
+    Automatic, Backend, Bounds, Camera, CameraError, Capabilities, FrameCounter, FrameStream, Identity,
+    Listed, Settings, StreamCounts, StreamOptions, Trigger, Value, check_bounds,
 };
 use crate::features::{Kind, Neutral, Role, is_disabled, known, neutral_value, role, suspicious};
 use crate::frame::{Frame, Region, Status};

@@ -2,7 +2,8 @@
 
 use super::sim::SharedBench;
 use super::{
-    Backend, Bounds, Camera, CameraError, Capabilities, FrameStream, Identity, Settings, StreamCounts, StreamOptions,
+    Backend, Bounds, Camera, CameraError, Capabilities, FrameStream, Identity, Settings, StreamCounts,
+    StreamOptions,
 };
 use crate::dataset::{Dataset, Kind};
 use crate::frame::{Frame, Region, Status};

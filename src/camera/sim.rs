@@ -1,15 +1,15 @@
 //! The simulator as a camera.
 
 use super::{
-    Backend, Bounds, Camera, CameraError, Capabilities, FrameStream, Identity, Listed, Settings, StreamCounts, StreamOptions,
-    Trigger, Value, check_bounds,
+    Backend, Bounds, Camera, CameraError, Capabilities, FrameStream, Identity, Listed, Settings,
+    StreamCounts, StreamOptions, Trigger, Value, check_bounds,
 };
 use crate::frame::{Frame, Region, Status};
 use crate::pixel_format::PixelFormat;
 use crate::plan::BenchState;
 use radcam_sim::{Conditions, Model, Sensor, sensors};
-use std::path::Path;
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 

@@ -111,7 +111,10 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         println!("  note: nothing was moved: K contains the card, and of the lamp what is not smooth");
     }
     if calibration.dark.current_dn_per_s.is_none() {
-        println!("  note: darks of one exposure: the dark reference holds at {} s only", six_digits(d.dark_exposure_s));
+        println!(
+            "  note: darks of one exposure: the dark reference holds at {} s only",
+            six_digits(d.dark_exposure_s)
+        );
     }
     Ok(Outcome::Agreement)
 }

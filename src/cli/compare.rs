@@ -44,9 +44,14 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         return Ok(outcome);
     }
     println!("{}: {}", names(&arguments.datasets), c.agreement.words());
-    println!("  error    {:.3}, the RMS of the residuals in sigma on frames that the fit did not use (1 is agreement)", c.error);
+    println!(
+        "  error    {:.3}, the RMS of the residuals in sigma on frames that the fit did not use (1 is agreement)",
+        c.error
+    );
     println!("  p-value  {} over {} residuals", chance(c.p_value), c.residuals.len());
-    println!("  fitted   gain, read noise, black level, dark current and light; effects keep the values that the model gives");
+    println!(
+        "  fitted   gain, read noise, black level, dark current and light; effects keep the values that the model gives"
+    );
     let deviations = signatures(&c.residuals);
     for s in deviations.iter().take(6) {
         println!("  - {}", s.text);

@@ -72,7 +72,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     for p in e.parameters() {
         let range = match p.unit {
             "choice" => String::new(),
-            unit => format!(" ({} to {}{}{})", p.min, p.max, if unit == "1" { "" } else { " " }, pretty(unit)),
+            unit => {
+                format!(" ({} to {}{}{})", p.min, p.max, if unit == "1" { "" } else { " " }, pretty(unit))
+            }
         };
         let mut lines = wrap(&format!("{}{range}", p.meaning), 68).into_iter();
         println!("    {:<24} {}", p.name, lines.next().unwrap_or_default());

@@ -2,7 +2,7 @@
 
 use super::Outcome;
 use super::capture::StreamArguments;
-use super::common::{duration, STOP, load_plan, open_camera};
+use super::common::{STOP, duration, load_plan, open_camera};
 use super::model::{fitted_model, read_effects};
 use super::progress::Show;
 use crate::bench::Illuminator;
