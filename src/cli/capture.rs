@@ -15,7 +15,7 @@ pub struct Arguments {
     /// aravis:ID (an IP address, an Aravis id or a serial number), sim:SENSOR or replay:DATASET
     #[arg(long)]
     camera: String,
-    /// quick, standard (where not given), or a plan file; a resumed capture has its own, and may name it again
+    /// quick, standard (the default), or a plan file; a resumed capture has its own, and may name it again
     #[arg(long)]
     plan: Option<String>,
     /// Folder of the new dataset

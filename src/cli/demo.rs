@@ -130,7 +130,7 @@ fn the_story(
     }
     println!("\n  report:   {}\n  dataset:  {}", path.display(), dataset.display());
     println!("  next:     radcam effects {}", effect.id());
-    println!("\n  {:<28} {:<16} {:<28} difference", "hidden", "value", "found");
+    println!("\n  {:<28} {:<16} {:<28} deviation", "simulated", "true value", "estimate");
     for (k, p) in
         effect.parameters().iter().enumerate().filter(|(k, p)| effect.uses(hidden, *k) && !p.is_choice())
     {
@@ -143,9 +143,12 @@ fn the_story(
     }
     let id = effect.id();
     println!(
-        "\nHidden was {id}. {}",
+        "\nThe simulated effect was {id}. {}",
         match (found, place) {
-            (true, Some(0)) => "It was named first, and the error fell to 1, the noise.".to_string(),
+            (true, Some(0)) => format!(
+                "It was named first, and the error fell from {:.2} to {:.2} (1: noise alone).",
+                d.error_before, d.error_after
+            ),
             (true, _) =>
                 format!("It is tied with {}: this campaign cannot tell them apart.", d.missing[0].effect),
             (false, Some(_)) => format!("It was found, but {} stands before it.", d.missing[0].effect),

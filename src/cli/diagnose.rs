@@ -75,20 +75,20 @@ pub fn print(title: &str, d: &Diagnosis) {
             println!("    - {}", super::common::wrapped(text, 6).trim_start());
         }
     }
-    println!(
-        "\n  {:<34} {:>8}  {:>9}   error: RMS of the residuals in sigma on frames that",
-        "effects added", "error", "p-value"
-    );
-    println!("  {:<34} {:>8}  {:>9}   the fit did not use; 1 is agreement", "", "", "");
+    println!("\n  {:<34} {:>8}  {:>9}", "model", "error", "p");
     for r in &d.ladder {
         let bar = "#".repeat((r.error.ln().max(0.0) * 6.0).round().min(40.0) as usize);
         println!(
             "  {:<34} {:>8.3}  {:>9}  {bar}",
-            r.added.as_deref().unwrap_or("starting model"),
+            r.added.as_ref().map_or("starting model".into(), |added| format!("+ {added}")),
             r.error,
             chance(r.p_value)
         );
     }
+    println!(
+        "  error: RMS of (measured - predicted) / standard error on frames that the fit did not use; 1 is agreement"
+    );
+    println!("  p: probability of deviations as large by chance; below 0.001 the model is rejected");
     if let Some(next) = &d.next_measurement {
         println!("\n  next measurement: {next}\n    (as a plan for `radcam capture`: --next PLAN.toml)");
     }

@@ -54,14 +54,14 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         return Ok(Outcome::Agreement);
     }
     let page = e.page();
-    println!("{}, an effect of the {}\n", e.id(), e.stage().words());
+    println!("{} (acts on: {})\n", e.id(), e.stage().words());
     for (title, text) in [
         ("what happens", page.what),
         ("equation", page.equation),
         ("signature", page.signature),
         ("look-alikes", page.look_alikes),
-        ("what to do", page.remedy),
-        ("measure", page.measure),
+        ("remedy", page.remedy),
+        ("how to measure", page.measure),
         ("source", page.source),
     ] {
         let mut lines = wrap(text, 80).into_iter();

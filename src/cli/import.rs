@@ -15,7 +15,7 @@ pub struct Arguments {
     /// Image files (TIFF and its stacks, PNG, FITS, NumPy arrays), or folders of them
     #[arg(required_unless_present = "map", value_name = "FILE|FOLDER")]
     inputs: Vec<PathBuf>,
-    /// The dataset folder to be made
+    /// The new dataset folder
     #[arg(short, long, value_name = "DATASET")]
     output: PathBuf,
     /// Which files make which sets, as this command wrote it and you completed it

@@ -30,7 +30,7 @@ enum Outcome {
                         be done; 130 interrupted.\nLogs go to standard error: -v, -vv, or RADCAM_LOG=debug."
 )]
 struct Arguments {
-    /// Say more (twice: still more)
+    /// More log output (-vv: still more)
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
 
@@ -61,20 +61,20 @@ macro_rules! verbs {
 verbs! {
     cameras Cameras "List the cameras that answer, and the simulated ones"
     capture Capture "Capture a plan with a camera into a dataset folder"
-    simulate Simulate "Draw a plan with a simulated camera into a dataset folder"
+    simulate Simulate "Capture a plan with a simulated camera in this process"
     serve Serve "Serve a simulated camera over GigE Vision"
-    investigate Investigate "From a camera to a verdict: capture, diagnose, and the measurement that tells the closest names apart"
-    import Import "Loose image files into a dataset folder"
+    investigate Investigate "From a camera to a verdict: capture, diagnose, and the measurement that distinguishes the closest candidates"
+    import Import "Import image files into a dataset folder"
     noise Noise "Estimate gain and constant noise (Section IV of Healey and Kondepudy)"
-    plan_calibration PlanCalibration "Say how many configurations, frames and darks a calibration needs, and write the plan"
-    calibrate Calibrate "Dark reference and fixed pattern K into a calibration file (Section V)"
-    correct Correct "Take dark reference and fixed pattern off frames (eq. 51)"
-    scene Scene "Scene variation of a region: a surface's own number, whatever the light (Section VI)"
-    surface Surface "Learn surfaces and name them by their scene variation"
+    plan_calibration PlanCalibration "Plan a calibration: how many configurations, frames and darks it needs"
+    calibrate Calibrate "Make a calibration file: dark reference, fixed pattern K, defects (Section V)"
+    correct Correct "Correct frames by a calibration (eq. 51)"
+    scene Scene "Scene variation of a region: a property of the surface, independent of the light (Section VI)"
+    surface Surface "Learn surfaces and identify them by their scene variation"
     budget Budget "Parts of a region's variance against intensity (Fig. 4)"
     reproduce Reproduce "Run the paper's experiments again and compare its numbers with ours (Section VII)"
     compare Compare "Compare a model with a campaign: where it fails, and by how much"
-    diagnose Diagnose "Say which physical effect a campaign shows that the model lacks"
+    diagnose Diagnose "Name the physical effect that a campaign shows and the model lacks"
     model Model "Make, show, change and fit model files"
     effects Effects "What each effect is, how it shows, and what to do about it"
     demo Demo "Serve, capture, measure and report a camera, all in one"

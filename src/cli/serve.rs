@@ -10,7 +10,7 @@ pub struct Arguments {
     /// IPv4 address of the network interface to answer on
     #[arg(long, default_value = "127.0.0.1")]
     interface: std::net::Ipv4Addr,
-    /// Serial number that the camera tells
+    /// Serial number of the camera
     #[arg(long, default_value = "SIM1")]
     serial: String,
     /// Another specimen of the same camera: seed of its maps and its noise

@@ -93,6 +93,7 @@ mod tests {
             level_dn: f64::from(i / 4),
             statistic: mean::Mean.id().into(),
             meaning: mean::Mean.meaning(0).into(),
+            unit: "".into(),
         };
         (0..200).map(row).collect()
     }

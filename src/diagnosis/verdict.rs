@@ -100,8 +100,8 @@ impl Verdict {
                 (None, None) => String::new(),
             };
             let sentence = format!(
-                "The camera shows an effect that is not in the catalogue. {near}{most} Do not rely on gain, linearity and read noise of this \
-                 campaign until it is known."
+                "The camera shows an effect that is not in the catalogue. {near}{most} Do not rely on system gain, linearity and read noise of \
+                 this campaign until it is known."
             );
             return Self::Unknown { nearest: top.nearest.clone(), sentence };
         }
@@ -147,7 +147,7 @@ fn sentence(top: &Missing, or: &[String], missing: &[Missing], cost: &str) -> St
         .map(|m| m.effect.as_str())
         .collect();
     let also = if also.is_empty() { String::new() } else { format!(" It also shows {}.", also.join(", ")) };
-    let remedy = page.map_or(String::new(), |p| format!(" What to do: {}.", p.remedy));
+    let remedy = page.map_or(String::new(), |p| format!(" Remedy: {}.", p.remedy));
     format!("The camera shows {} ({}{form}). {what}{tie}{also}{cost}{remedy}", top.effect, sizes.join(", "))
 }
 
@@ -156,20 +156,20 @@ fn cost(given: &Fitted, whole: &Fitted) -> String {
     let of = |what: &str, given: f64, whole: f64, std_err: f64, decimals: usize| {
         let whole = whole.max(1e-9);
         (((given - whole) / std_err).abs() > 3.0)
-            .then(|| format!("the {what} {}", wrong_by(given.max(1e-9) / whole, decimals)))
+            .then(|| format!("{what} {}", wrong_by(given.max(1e-9) / whole, decimals)))
     };
     let (g, w, errors) = (&given.base, &whole.base, &whole.base_std_err);
     let parts: Vec<String> = [
-        of("gain", g.gain_dn_per_e, w.gain_dn_per_e, errors[0], 2),
-        of("read noise", g.read_noise_e, w.read_noise_e, errors[1], 1),
+        of("a system gain (DN/e)", g.gain_dn_per_e, w.gain_dn_per_e, errors[0], 2),
+        of("a read noise", g.read_noise_e, w.read_noise_e, errors[1], 1),
     ]
     .into_iter()
     .flatten()
     .collect();
     if parts.is_empty() {
-        " It does not bias gain or read noise.".into()
+        " It does not bias system gain or read noise.".into()
     } else {
-        format!(" A measurement that ignores it gets {}.", parts.join(" and "))
+        format!(" A fit of the model without it gives {}.", parts.join(" and "))
     }
 }
 

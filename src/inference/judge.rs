@@ -26,7 +26,7 @@ pub struct Residual {
     pub observable: String,
     /// Number of the set; null for the whole campaign.
     pub set: Option<u32>,
-    /// What was measured, DN or DN^2.
+    /// What was measured.
     pub measured: f64,
     /// What the model expects.
     pub predicted: f64,
@@ -42,6 +42,8 @@ pub struct Residual {
     pub statistic: Cow<'static, str>,
     /// What a deviation means, in words.
     pub meaning: Cow<'static, str>,
+    /// Unit of what was measured; none for ratios.
+    pub unit: Cow<'static, str>,
 }
 
 impl Residual {
@@ -108,6 +110,7 @@ fn of_settings(test: settings::Test) -> Residual {
         level_dn: 0.0,
         statistic: mean::Mean.id().into(),
         meaning: mean::Mean.meaning(0).into(),
+        unit: "".into(),
     }
 }
 
@@ -231,6 +234,7 @@ fn residual(
         level_dn: o.set.map_or(0.0, |s| levels[s]),
         statistic: o.statistic.id().into(),
         meaning: o.statistic.meaning(o.index).into(),
+        unit: o.statistic.unit().into(),
     }
 }
 

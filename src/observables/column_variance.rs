@@ -15,6 +15,10 @@ impl Statistic for ColumnVariance {
         "shared by whole columns"
     }
 
+    fn unit(&self) -> &'static str {
+        "DN^2"
+    }
+
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
         put.put(0, chunk.summary().line_var_dn2[1], 0.0);
     }

@@ -35,6 +35,10 @@ impl Statistic for Covariance {
         }
     }
 
+    fn unit(&self) -> &'static str {
+        "DN^2"
+    }
+
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
         let r = chunk.summary();
         let std_err = chunk.inflation.covariance * theory(r);

@@ -15,6 +15,10 @@ impl Statistic for FrameScatter {
         "shared by whole frames, from frame to frame"
     }
 
+    fn unit(&self) -> &'static str {
+        "DN^2"
+    }
+
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
         put.put(0, chunk.summary().frame_means.variance_dn2(), 0.0);
     }

@@ -32,6 +32,10 @@ impl Statistic for Halves {
         "halves of the sensor that scatter independently from frame to frame"
     }
 
+    fn unit(&self) -> &'static str {
+        "DN^2"
+    }
+
     fn sums(&self, layout: &Layout) -> usize {
         if layout.shape.0.min(layout.shape.1) < 16 { 0 } else { 2 }
     }

@@ -15,6 +15,10 @@ impl Statistic for Mean {
         "the level of whole sets"
     }
 
+    fn unit(&self) -> &'static str {
+        "DN"
+    }
+
     fn sees_light(&self) -> bool {
         true
     }

@@ -212,6 +212,10 @@ pub trait Statistic: Sync + std::fmt::Debug {
     }
     /// What a deviation of it means, in words.
     fn meaning(&self, index: usize) -> &'static str;
+    /// Its unit; none for ratios.
+    fn unit(&self) -> &'static str {
+        ""
+    }
     /// Whether it tells of the light of its set: what a lamp's setting is off by is common to all of a set that do.
     fn sees_light(&self) -> bool {
         false

@@ -32,6 +32,10 @@ impl Statistic for RowShape {
         "shared by bands of rows"
     }
 
+    fn unit(&self) -> &'static str {
+        "DN^2"
+    }
+
     fn sums(&self, layout: &Layout) -> usize {
         lags(layout.shape.0).count()
     }

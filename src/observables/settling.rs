@@ -19,6 +19,10 @@ impl Statistic for Settling {
         "depends on the frames before"
     }
 
+    fn unit(&self) -> &'static str {
+        "DN"
+    }
+
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
         if let Some(before) = chunk.before() {
             let means = &chunk.summary().frame_means;

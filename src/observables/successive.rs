@@ -27,6 +27,10 @@ impl Statistic for Successive {
         "carried to the next frame"
     }
 
+    fn unit(&self) -> &'static str {
+        "DN^2"
+    }
+
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
         let r = chunk.summary();
         if r.frames > 2 {

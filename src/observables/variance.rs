@@ -21,6 +21,10 @@ impl Statistic for Variance {
         "the noise of single pixels"
     }
 
+    fn unit(&self) -> &'static str {
+        "DN^2"
+    }
+
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
         let r = chunk.summary();
         put.put(0, r.var.value, chunk.inflation.variance * theory(r));

@@ -93,7 +93,7 @@ impl Effect for ImageLag {
         &[
             Parameter {
                 name: "shape",
-                meaning: "0: all with the next frame, 1: over many frames, 2: two kinds of traps",
+                meaning: "0: the held charge is read with the next frame, 1: over many frames, 2: two kinds of traps",
                 unit: "choice",
                 min: 0.0,
                 max: 2.0,
@@ -140,7 +140,7 @@ impl Effect for ImageLag {
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {
         Some(match p[0].round() as i32 {
-            0 => "all of it comes with the next frame",
+            0 => "the held charge is read with the next frame",
             1 => "of what stays, the same share stays again",
             _ => "two time constants",
         })
@@ -170,12 +170,14 @@ impl Effect for ImageLag {
             what: "The photodiode is not fully emptied at read-out, or traps hold charge: part of a frame's charge is read with later frames.",
             equation: "q_t is the charge of frame t, out_t what is read of it, f the fraction; shape 0: out_t = (1 - f) q_t + f q_(t-1), so that \
                        the variance is multiplied by (1 - f)^2 + f^2 and successive frames have the covariance f (1 - f) var q; shape 1: \
-                       out_t = (1 - f) (q_t + f q_(t-1) + f^2 q_(t-2) + ...); shape 2: each of two kinds of traps captures its fraction \
-                       of the charge and holds exp(-dt / tau) of it over a time dt",
-            signature: "the first frames after a change of level contain part of the level before it, darks after bright frames \
-                        included; at a steady level the mean is right and the variance slightly too small",
-            look_alikes: "a temporal filter also correlates the read noise of darks from frame to frame, and lasts several frames",
-            remedy: "discard the first frames after a change of level; use a longer reset or charge flushing",
+                       out_t = (1 - f) (q_t + f q_(t-1) + f^2 q_(t-2) + ...); shape 2: two kinds of traps, \
+                       each with s_t = s_(t-1) exp(-dt / tau) + f q_t and out_t = q_t - f q_t + s_(t-1) (1 - exp(-dt / tau)), dt the \
+                       time from frame to frame",
+            signature: "the first frames after a change of level contain part of the previous signal, also darks that follow bright \
+                        frames; at constant signal the mean is unbiased and the temporal variance slightly too small",
+            look_alikes: "a temporal filter: unlike image lag, it correlates the read noise of darks from frame to frame",
+            remedy: "discard the first frames after a change of level, which makes the mean right; correct the variance by the fitted fraction, \
+                     or use a longer reset or charge flushing",
             measure: "darks directly after bright flats, and bright flats directly after darks",
             sets: takes::TRANSITIONS,
             source: "Fossum and Hondongwa 2014, IEEE JEDS 2(3); Janesick 2007; persistence: Tulloch 2019, IDW (several time constants)",
