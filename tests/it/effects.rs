@@ -554,7 +554,7 @@ fn bad_campaigns_are_named() {
         assert!(crate::support::refused(&arguments).contains(part), "{arguments:?}");
     }
     assert!(expect(0, &["effects"]).lines().count() > 25);
-    assert!(expect(0, &["effects", "image-lag"]).contains("what to do"));
+    assert!(expect(0, &["effects", "image-lag"]).contains("remedy"));
 }
 
 /// Tables of several lamp levels and exposures, with and without a bend: rows of one illumination share a light that is not known.

@@ -92,7 +92,7 @@ fn a_fit_forgets_what_other_data_chose() {
         let said = expect(0, &["model", "fit", &at("m.toml"), &at(data)]);
         let fitted = Model::from_toml(&std::fs::read_to_string(at("m.toml")).unwrap()).unwrap();
         assert_eq!(fitted.effects[0].parameters["shape"], shape, "{said}");
-        assert!(said.contains("the model holds") && said.contains("p-value"), "{said}");
+        assert!(said.contains("the model agrees") && said.contains("p-value"), "{said}");
         let gain = said.lines().rev().find(|l| l.trim_start().starts_with("A ")).unwrap_or_default();
         assert!(gain.contains("±"), "{said}");
     }
