@@ -88,7 +88,12 @@ pub fn print(title: &str, d: &Diagnosis) {
     println!(
         "  error: RMS of (measured - predicted) / standard error on frames that the fit did not use; 1 is agreement"
     );
-    println!("  p: probability of deviations as large by chance; below 0.001 the model is rejected");
+    println!(
+        "  starting model: the linear sensor of the paper and what --model adds, fitted to these frames"
+    );
+    println!(
+        "  p: probability of deviations at least as large if the model is right; below 0.001 the model is rejected"
+    );
     if let Some(next) = &d.next_measurement {
         println!("\n  next measurement: {next}\n    (as a plan for `radcam capture`: --next PLAN.toml)");
     }

@@ -64,7 +64,11 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         ("how to measure", page.measure),
         ("source", page.source),
     ] {
-        let mut lines = wrap(text, 80).into_iter();
+        // The forms of an equation each on lines of their own.
+        let forms = text.split("; ").map(|form| wrap(form, 80));
+        let parts: Vec<Vec<String>> =
+            if title == "equation" { forms.collect() } else { vec![wrap(text, 80)] };
+        let mut lines = parts.into_iter().flatten();
         println!("  {title:<14} {}", lines.next().unwrap_or_default());
         lines.for_each(|line| println!("  {:14} {line}", ""));
     }

@@ -413,7 +413,7 @@ fn named(
         }
         if let (true, Some(other)) = (ties.is_empty(), part.others.first().filter(|c| c.evidence > NEEDED)) {
             entry.evidence.push(format!(
-                "next best: {}, BIC higher by {:.0}",
+                "next best: {}, which fits worse (BIC higher by {:.0})",
                 other.effect.id(),
                 part.evidence - other.evidence
             ));

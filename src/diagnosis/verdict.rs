@@ -161,7 +161,7 @@ fn cost(given: &Fitted, whole: &Fitted) -> String {
     let (g, w, errors) = (&given.base, &whole.base, &whole.base_std_err);
     let parts: Vec<String> = [
         of("a system gain (DN/e)", g.gain_dn_per_e, w.gain_dn_per_e, errors[0], 2),
-        of("a read noise", g.read_noise_e, w.read_noise_e, errors[1], 1),
+        of("a read noise (e)", g.read_noise_e, w.read_noise_e, errors[1], 1),
     ]
     .into_iter()
     .flatten()
@@ -169,7 +169,7 @@ fn cost(given: &Fitted, whole: &Fitted) -> String {
     if parts.is_empty() {
         " It does not bias system gain or read noise.".into()
     } else {
-        format!(" A fit of the model without it gives {}.", parts.join(" and "))
+        format!(" If it is left out of the model, the fit to these frames gives {}.", parts.join(" and "))
     }
 }
 

@@ -44,7 +44,7 @@ pub fn heading(m: &Missing) -> String {
             parts.push(format!("nearest: {}", m.nearest.join(", ")));
         }
     } else {
-        parts.push(format!("probability {}", percent(m.confidence)));
+        parts.push(format!("probability among the candidates: {}", percent(m.confidence)));
     }
     parts.extend(m.form.clone());
     if let Some(other) = &m.tied_with {
