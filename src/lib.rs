@@ -65,6 +65,7 @@ pub mod cli;
 pub mod correct;
 pub mod dataset;
 pub mod diagnosis;
+pub mod emva;
 pub mod features;
 pub mod fit;
 pub mod frame;

@@ -72,8 +72,7 @@ pub struct Listed {
 pub fn open(name: &str) -> Result<Box<dyn Camera>, CameraError> {
     let absent = |message: String| CameraError::Absent { camera: name.into(), message };
     let Some((kind, id)) = name.split_once(':') else {
-        let forms: Vec<String> = BACKENDS.iter().map(|b| format!("{}:{}", b.name, b.takes)).collect();
-        return Err(absent(format!("write {}; `radcam cameras` lists them", forms.join(" or "))));
+        return Err(absent(format!("write {}; `radcam cameras` lists them", names())));
     };
     match BACKENDS.iter().find(|b| b.name == kind) {
         Some(backend) => (backend.open)(id),
@@ -82,6 +81,15 @@ pub fn open(name: &str) -> Result<Box<dyn Camera>, CameraError> {
             let names: Vec<&str> = BACKENDS.iter().map(|b| b.name).collect();
             Err(absent(format!("no backend \"{kind}\"; there are {}", names.join(", "))))
         }
+    }
+}
+
+/// What [`open`] takes, in words: `aravis:ID (...), sim:SENSOR or replay:DATASET`.
+pub fn names() -> String {
+    let forms: Vec<String> = BACKENDS.iter().map(|b| format!("{}:{}", b.name, b.takes)).collect();
+    match forms.split_last() {
+        Some((last, rest)) if !rest.is_empty() => format!("{} or {last}", rest.join(", ")),
+        _ => forms.concat(),
     }
 }
 

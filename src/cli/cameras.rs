@@ -25,7 +25,9 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     if let (Some(id), Some(path)) = (&arguments.report, &arguments.output) {
         may_be_written(path, arguments.overwrite)?;
-        if id.starts_with("sim:") || id.starts_with("replay:") {
+        if id.split_once(':').is_some_and(|(backend, _)| {
+            backend != "aravis" && crate::camera::BACKENDS.iter().any(|b| b.name == backend)
+        }) {
             anyhow::bail!("{id}: a report is of a camera on the network or on USB, aravis:ID");
         }
         let report = report_of(id.strip_prefix("aravis:").unwrap_or(id))?;

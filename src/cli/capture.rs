@@ -12,8 +12,7 @@ use std::time::Duration;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// aravis:ID (an IP address, an Aravis id or a serial number), sim:SENSOR or replay:DATASET
-    #[arg(long)]
+    #[arg(long, help = crate::camera::names())]
     camera: String,
     /// quick, standard (the default), or a plan file; a resumed capture has its own, and may name it again
     #[arg(long)]

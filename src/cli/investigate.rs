@@ -18,8 +18,7 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// aravis:ID (an IP address, an Aravis id or a serial number), sim:SENSOR or replay:DATASET
-    #[arg(long)]
+    #[arg(long, help = crate::camera::names())]
     camera: String,
     /// Folder for the dataset, the report and the model; an investigation that was interrupted there goes on
     #[arg(short, long, value_name = "DIR")]

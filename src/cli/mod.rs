@@ -66,6 +66,7 @@ verbs! {
     investigate Investigate "From a camera to a verdict: capture, diagnose, and the measurement that distinguishes the closest candidates"
     import Import "Import image files into a dataset folder"
     noise Noise "Estimate gain and constant noise (Section IV of Healey and Kondepudy)"
+    emva Emva "Evaluate a camera by EMVA 1288, with standard errors"
     plan_calibration PlanCalibration "Plan a calibration: how many configurations, frames and darks it needs"
     calibrate Calibrate "Make a calibration file: dark reference, fixed pattern K, defects (Section V)"
     correct Correct "Correct frames by a calibration (eq. 51)"

@@ -324,5 +324,6 @@ fn residuals_of_clean_cameras_are_of_unit_size() {
     }
     let error = errors.iter().sum::<f64>() / errors.len() as f64;
     println!("error {error:.4}");
-    assert!((error - 1.0).abs() < 0.02, "{error}");
+    // Below 1: errors of the kurtosis are stated too large, and shares of codes cannot deviate where all occur (docs/METHODS.md).
+    assert!((0.96..1.01).contains(&error), "{error}");
 }

@@ -9,6 +9,7 @@ mod conformance;
 mod dataset;
 mod docs;
 mod effects;
+mod emva;
 mod import;
 mod investigate;
 mod models;

@@ -1,4 +1,4 @@
-//! Effects that the paper's model lacks. An effect is one file here, one `mod` line and one entry of [`EFFECTS`].
+//! Effects that the paper's model lacks. An effect is one file here and one line of `effects!` at the end.
 //!
 //! Each does two things that check each other: it draws (acts on a frame at its place in the chain) and it predicts (shifts
 //! the expected statistics of a campaign).
