@@ -88,6 +88,7 @@ pub mod surfaces;
 
 pub use ndarray;
 pub use radcam_sim as sim;
+pub use toml;
 
 /// What most programs use: `use radcam::prelude::*;`
 pub mod prelude {

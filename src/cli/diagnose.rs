@@ -86,10 +86,11 @@ pub fn print(title: &str, d: &Diagnosis) {
         );
     }
     println!(
-        "  error: RMS of (measured - predicted) / standard error on frames that the fit did not use; 1 is agreement"
+        "  error: RMS of (measured - predicted) / standard error over all statistics (means, variances, covariances, ...),"
     );
+    println!("         each on frames that were held out of the fit; 1 is agreement");
     println!(
-        "  starting model: the linear sensor of the paper and what --model adds, fitted to these frames"
+        "  starting model: the linear sensor of Healey and Kondepudy 1994, and the effects of --model if given, fitted"
     );
     println!(
         "  p: probability of deviations at least as large if the model is right; below 0.001 the model is rejected"

@@ -516,7 +516,7 @@ fn what_deviates(first: &Comparison, last: &Comparison, named: bool) -> Vec<Stri
         return of(last, 6);
     }
     let left = of(last, 4).into_iter().map(|text| format!("remaining with all named effects: {text}"));
-    left.chain(of(first, 3)).collect()
+    left.chain(of(first, 3).into_iter().map(|text| format!("starting model: {text}"))).collect()
 }
 
 /// An effect of a model with its values. `split`: the brightest signal, e, where nothing tells the parts of a combination apart.
@@ -564,7 +564,8 @@ fn reasons(without: &[Residual], with: &[Residual], effect: &dyn Effect) -> Vec<
     let deviations = signatures(without);
     let left = signatures(with);
     let mended = |s: &&Signature| left.iter().all(|l| l.name != s.name || l.excess < 0.5 * s.excess);
-    let mut out: Vec<String> = deviations.iter().filter(mended).take(4).map(|s| s.text.clone()).collect();
+    let mut out: Vec<String> =
+        deviations.iter().filter(mended).take(4).map(|s| format!("without it: {}", s.text)).collect();
     out.push(format!("{}: {}", effect.id(), effect.page().signature));
     out
 }

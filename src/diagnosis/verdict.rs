@@ -169,7 +169,10 @@ fn cost(given: &Fitted, whole: &Fitted) -> String {
     if parts.is_empty() {
         " It does not bias system gain or read noise.".into()
     } else {
-        format!(" If it is left out of the model, the fit to these frames gives {}.", parts.join(" and "))
+        format!(
+            " If it is left out of the model, the fit to all statistics of these frames gives {}.",
+            parts.join(" and ")
+        )
     }
 }
 

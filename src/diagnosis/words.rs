@@ -46,10 +46,10 @@ fn describe(name: &str, of: &[&Residual]) -> String {
     let worst = of.iter().max_by(|a, b| a.z.abs().total_cmp(&b.z.abs()));
     let Some(worst) = worst else { return name.to_string() };
     let off = if worst.predicted.abs() > 5.0 * worst.std_err {
-        format!("{:+.2} % from the model", 100.0 * (worst.measured / worst.predicted - 1.0))
+        format!("{:+.2} % from the prediction", 100.0 * (worst.measured / worst.predicted - 1.0))
     } else {
         let unit = if worst.unit.is_empty() { String::new() } else { format!(" {}", worst.unit) };
-        format!("{:+.3}{unit} from the model", worst.measured - worst.predicted)
+        format!("{:+.3}{unit} from the prediction", worst.measured - worst.predicted)
     };
     let place = match worst.set {
         Some(set) => format!(" at {:.0} DN above black (set {set})", worst.level_dn),
@@ -62,7 +62,7 @@ fn describe(name: &str, of: &[&Residual]) -> String {
         }
         None => String::new(),
     };
-    format!("{name}: {off}{place}, {:+.1} sigma{grows} ({})", worst.z, worst.meaning)
+    format!("{name}: {off}{place}, {:+.1} standard errors{grows} ({})", worst.z, worst.meaning)
 }
 
 /// Whether darks deviate by twice their errors, of at least three among four.

@@ -12,11 +12,11 @@ impl Statistic for Settling {
     }
 
     fn name(&self, index: usize) -> String {
-        if index == 0 { "first frame" } else { "second frame" }.into()
+        if index == 0 { "mean of the first frame" } else { "mean of the second frame" }.into()
     }
 
     fn meaning(&self, _: usize) -> &'static str {
-        "depends on the frames before"
+        "a frame depends on those before it"
     }
 
     fn unit(&self) -> &'static str {

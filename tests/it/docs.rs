@@ -100,6 +100,8 @@ fn the_formats_are_those_that_are_read() {
     let manifest = Manifest::from_toml(&block("Dataset", "toml", 1)).unwrap();
     assert_eq!(manifest.camera.left_on().len(), 1);
     assert_eq!(radcam::plan::Plan::from_toml(&block("Plan", "toml", 1)).unwrap().sets.len(), 2);
+    let standard = radcam::plan::Plan::from_toml(&document("docs/standard-plan.toml")).unwrap();
+    assert_eq!(standard, radcam::plan::Plan::standard());
     let model = radcam_sim::Model::from_toml(&block("Model", "toml", 1)).unwrap();
     assert_eq!(model.effects.len(), 2);
     radcam_sim::Sensor::new(model).unwrap();

@@ -171,14 +171,15 @@ impl Effect for ImageLag {
             equation: "q_t is the charge of frame t, out_t what is read of it, f the fraction; shape 0: out_t = (1 - f) q_t + f q_(t-1), so that \
                        the variance is multiplied by (1 - f)^2 + f^2 and successive frames have the covariance f (1 - f) var q; shape 1: \
                        out_t = (1 - f) (q_t + f q_(t-1) + f^2 q_(t-2) + ...); shape 2: two kinds of \
-                       traps, i = 1 with f_1 = fraction and tau_1 = tau_s, i = 2 with fraction_2 and tau_2_s: s_i,t = s_i,(t-1) exp(-dt / tau_i) \
-                       + f_i q_t, out_t = (1 - f_1 - f_2) q_t + sum over i of s_i,(t-1) (1 - exp(-dt / tau_i)), dt the time from frame to \
-                       frame",
+                       traps, i = 1, 2, with f_1 = fraction, tau_1 = tau_s, f_2 = fraction_2, tau_2 = tau_2_s, s_i,t the charge that kind i holds \
+                       after frame t: s_i,t = s_i,(t-1) exp(-dt / tau_i) + f_i q_t, out_t = (1 - f_1 - f_2) q_t + sum over i of s_i,(t-1) \
+                       (1 - exp(-dt / tau_i)), dt the time from frame to frame",
             signature: "the first frames after a change of level contain part of the previous signal, also darks that follow bright \
                         frames; at constant signal the mean is unbiased and the temporal variance slightly too small",
             look_alikes: "a temporal filter: unlike image lag, it correlates the read noise of darks from frame to frame",
-            remedy: "discard the first frames after a change of level, which makes the mean right, and divide the \
-                     variance by the factor of the equation; or use a longer reset or charge flushing",
+            remedy: "discard the first frames after a change of level, which makes the mean right; to correct the gain, divide the \
+                     variance of the signal by (1 - f)^2 + f^2 (shape 0) or (1 - f) / (1 + f) (shape 1); or use a longer reset or charge \
+                     flushing",
             measure: "darks directly after bright flats, and bright flats directly after darks",
             sets: takes::TRANSITIONS,
             source: "Fossum and Hondongwa 2014, IEEE JEDS 2(3); Janesick 2007; persistence: Tulloch 2019, IDW (several time constants)",
