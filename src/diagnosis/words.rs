@@ -52,7 +52,7 @@ fn describe(name: &str, of: &[&Residual]) -> String {
         format!("{:+.3}{unit} from the prediction", worst.measured - worst.predicted)
     };
     let place = match worst.set {
-        Some(set) => format!(" at {:.0} DN above black (set {set})", worst.level_dn),
+        Some(set) => format!(" in set {set} (signal {:.0} DN)", worst.level_dn),
         None => String::new(),
     };
     let grows = match power(of) {
@@ -62,7 +62,7 @@ fn describe(name: &str, of: &[&Residual]) -> String {
         }
         None => String::new(),
     };
-    format!("{name}: {off}{place}, {:+.1} standard errors{grows} ({})", worst.z, worst.meaning)
+    format!("{name}{place}: {off}, {:+.1} standard errors{grows} ({})", worst.z, worst.meaning)
 }
 
 /// Whether darks deviate by twice their errors, of at least three among four.

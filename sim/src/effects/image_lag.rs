@@ -177,8 +177,10 @@ impl Effect for ImageLag {
             signature: "the first frames after a change of level contain part of the previous signal, also darks that follow bright \
                         frames; at constant signal the mean is unbiased and the temporal variance slightly too small",
             look_alikes: "a temporal filter: unlike image lag, it correlates the read noise of darks from frame to frame",
-            remedy: "discard the first frames after a change of level, which makes the mean right; to correct the gain, divide the \
-                     variance of the signal by (1 - f)^2 + f^2 (shape 0) or (1 - f) / (1 + f) (shape 1); or use a longer reset or charge \
+            remedy: "discard the first frames after a change of level, which makes the mean right; to correct a photon-transfer gain, \
+                     divide the temporal variance (read noise taken off, over many frames and not from differences of successive ones) by \
+                     (1 - f)^2 + f^2 where the held charge is read with the next frame, by (1 - f) / (1 + f) where it is read over many \
+                     frames, f being the fraction; or use a longer reset or charge \
                      flushing",
             measure: "darks directly after bright flats, and bright flats directly after darks",
             sets: takes::TRANSITIONS,
