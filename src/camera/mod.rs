@@ -4,6 +4,9 @@
 //! [`CameraError::NotAvailable`], and [`Capabilities`] says so beforehand.
 
 pub mod corrected;
+mod counter;
+
+pub use counter::FrameCounter;
 
 macro_rules! backends {
     ($($(#[$when:meta])* $module:ident)*) => {
@@ -548,59 +551,9 @@ pub(crate) fn check_bounds(
     Err(CameraError::OutOfRange { camera: camera.into(), feature: feature.into(), value, min, max, unit })
 }
 
-/// Takes the 16-bit frame numbers of GigE Vision, which run 1 .. 65535 and begin again, for ever longer ones.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct FrameCounter {
-    last: Option<u64>,
-}
-
-impl FrameCounter {
-    /// The running number of a frame, and how many were skipped before it. `bits16` tells a camera that wraps.
-    pub fn take(&mut self, id: u64, bits16: bool) -> (u64, u64) {
-        let Some(last) = self.last else {
-            self.last = Some(id);
-            return (id, 0);
-        };
-        const PERIOD: u64 = 65_535; // 0 is never used
-        let id = if bits16 && id <= PERIOD {
-            let mut long = last - last % PERIOD + id % PERIOD;
-            if long <= last {
-                long += PERIOD;
-            }
-            // A step of more than half the period is a frame that came late.
-            if long - last > PERIOD / 2 { long - PERIOD } else { long }
-        } else {
-            id
-        };
-        if id <= last {
-            return (id, 0);
-        }
-        self.last = Some(id);
-        (id, id - last - 1)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_wrap_of_the_frame_number_is_no_loss() {
-        let mut counter = FrameCounter::default();
-        assert_eq!(counter.take(65_534, true), (65_534, 0));
-        assert_eq!(counter.take(65_535, true), (65_535, 0));
-        assert_eq!(counter.take(1, true), (65_536, 0));
-        assert_eq!(counter.take(4, true), (65_539, 2));
-        // Out of order: neither loss nor a lap.
-        assert_eq!(counter.take(3, true), (65_538, 0));
-        for lap in 0..200_000u64 {
-            let id = (4 + lap) % 65_535 + 1;
-            assert_eq!(counter.take(id, true), (65_540 + lap, 0));
-        }
-        let mut long = FrameCounter::default();
-        long.take(65_535, false);
-        assert_eq!(long.take(65_540, false), (65_540, 4));
-    }
 
     #[test]
     fn the_nearest_value_lies_on_the_grid_and_within_bounds() {
