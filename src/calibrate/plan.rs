@@ -55,7 +55,8 @@ pub fn configurations(bit_depth: u8, p: f64, slope_sd: f64, worst_kept: f64) -> 
 }
 
 /// Configurations n1 and frames n2 in each for a standard error of K: the card, whose slopes scatter by `card_sd`, and the frames' own noise,
-/// of relative variance `noise_var` in each, take half of its square. At least three configurations and two frames.
+/// of relative variance `noise_var` in each, take half of its square: var K = (card_sd^2 + noise_var / n2) / n1. At least three configurations
+/// and two frames.
 ///
 /// ```
 /// // Noise of 1 % in a frame and a card of 0.2 %, for K to 0.1 %: 8 configurations, and 200 / 8 frames in each.

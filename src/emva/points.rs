@@ -56,7 +56,8 @@ pub struct Points {
     pub photons_known: bool,
 }
 
-/// Mean and temporal variance of the first two frames of a set (section 6.2: the difference of two frames, its mean taken off).
+/// Mean and temporal variance of the first two frames of a set (`Data1288._get_temporal_data`: half the variance of the
+/// difference of two frames, its mean taken off).
 fn pair(frames: &[Array2<u16>]) -> (f64, f64) {
     let n = frames[0].len() as f64;
     let (mut sum, mut difference, mut square) = (0u64, 0i64, 0u64);

@@ -15,9 +15,9 @@ pub struct Evaluation {
     pub notes: Vec<String>,
 }
 
-/// Variance of quantisation, DN^2 (eq. 11).
+/// Variance of quantisation, DN^2 (`Results1288.s2q`; q^2 / 12, eq. 27 of the paper).
 const QUANTISATION_DN2: f64 = 1.0 / 12.0;
-/// Below this temporal variance of the darks, DN^2, quantisation hides the noise (section 6.6: 0.24).
+/// Below this temporal variance of the darks, DN^2, quantisation hides the noise (`Results1288.sigma_y_dark`).
 const SMALLEST_DARK_DN2: f64 = 0.24;
 
 /// A straight line y = slope x + offset by least squares without weights.
@@ -96,7 +96,7 @@ pub fn evaluate(points: &Points) -> Result<Evaluation, EmvaError> {
     let mut out = BTreeMap::new();
     let mut notes = Vec::new();
 
-    // Gain and responsivity: lines through the origin, without weights (section 6.6).
+    // Gain and responsivity: lines through the origin, without weights (`Results1288.K`, `R`).
     let square: f64 = signal[used.clone()].iter().map(|x| x * x).sum();
     let through = |x: &[f64], y: &[f64]| -> f64 {
         let xy: f64 = used.clone().map(|i| x[i] * y[i]).sum();
@@ -145,7 +145,7 @@ pub fn evaluate(points: &Points) -> Result<Evaluation, EmvaError> {
     if dark_dn2 < SMALLEST_DARK_DN2 {
         notes.push(format!(
             "sigma_y_dark: the temporal variance of the darks is {dark_dn2:.4} DN^2, below {SMALLEST_DARK_DN2} DN^2, where quantisation \
-             hides it (section 6.6); {SMALLEST_DARK_DN2} DN^2 stands in its place, an upper bound"
+             hides it; {SMALLEST_DARK_DN2} DN^2 stands in its place, an upper bound"
         ));
     }
     let dark = inputs
@@ -190,7 +190,7 @@ pub fn evaluate(points: &Points) -> Result<Evaluation, EmvaError> {
         notes.push("R, QE, u_p_min and u_p_sat: the light is not in photons per pixel; give it in dataset.toml, illumination_unit".into());
     }
 
-    // Linearity, 5 to 95 % of saturation, weights 1 / signal (section 8.2 of the standard's release 3.1).
+    // Linearity, 5 to 95 % of saturation, weights 1 / signal (`Results1288.linearity`).
     let first = signal.iter().position(|s| *s >= 0.05 * signal[saturation]);
     let last = last_below(0.95);
     let range = first.zip(last).filter(|(a, b)| b > a);
@@ -209,7 +209,7 @@ pub fn evaluate(points: &Points) -> Result<Evaluation, EmvaError> {
         notes.push("LE_min, LE_max: fewer than two exposures lie between 5 and 95 % of saturation".into());
     }
 
-    // Dark current (section 7).
+    // Dark current (`Results1288.u_I_mean`, `u_I_var`).
     let slope_error = |y: &[f64], fitted| (scatter_of(y, fitted) / xx).sqrt();
     let nothing = Value::exact(f64::NAN);
     let (by_mean, by_var) = if several {
@@ -245,7 +245,7 @@ pub fn evaluate(points: &Points) -> Result<Evaluation, EmvaError> {
 }
 
 /// Where the temporal variance has its maximum, looked for from the brightest end: a single peak of the noise on the way up is passed over
-/// (section 6.6; the reference tool's rule).
+/// (`Results1288.index_u_ysat`).
 fn saturation(var_dn2: &[f64]) -> usize {
     let (mut most, mut at) = (0.0, 0);
     for i in (0..var_dn2.len()).rev() {
@@ -269,7 +269,7 @@ fn linearity(x: &[f64], y: &[f64]) -> Vec<f64> {
     x.iter().zip(y).map(|(x, y)| 100.0 * (y - (slope * x + offset)) / (slope * x + offset)).collect()
 }
 
-/// DSNU and PRNU with their rows, columns and pixels (section 8).
+/// DSNU and PRNU with their rows, columns and pixels (`Results1288.s_2_y_col` and its neighbours, release 4.0 eq. 36 to 41).
 fn nonuniformity(
     (rows, columns): (usize, usize),
     stacks: &[Spatial; 2],
