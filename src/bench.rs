@@ -71,7 +71,7 @@ impl Illuminator for SharedBench {
 
     /// The simulated lamp is exact.
     fn info(&self) -> Option<BenchInfo> {
-        Some(BenchInfo { illumination_unit: "relative".into(), illumination_rel_std: Some(0.0) })
+        Some(BenchInfo { illumination_unit: "relative".into(), illumination_rel_std: Some(0.0), light: None })
     }
 }
 
@@ -107,7 +107,7 @@ impl Illuminator for GenicamBench {
 
     fn info(&self) -> Option<BenchInfo> {
         let illumination_rel_std = self.illumination_rel_std;
-        Some(BenchInfo { illumination_unit: "relative".into(), illumination_rel_std })
+        Some(BenchInfo { illumination_unit: "relative".into(), illumination_rel_std, light: None })
     }
 }
 
@@ -181,7 +181,7 @@ impl<R: BufRead, W: Write> Illuminator for ManualBench<R, W> {
 
     /// A level set by hand is nominal.
     fn info(&self) -> Option<BenchInfo> {
-        Some(BenchInfo { illumination_unit: "relative".into(), illumination_rel_std: None })
+        Some(BenchInfo { illumination_unit: "relative".into(), ..Default::default() })
     }
 }
 

@@ -72,6 +72,7 @@ pub mod frame;
 pub mod import;
 pub mod inference;
 pub mod investigate;
+pub mod light;
 pub mod noise;
 pub mod number;
 pub mod observables;

@@ -5,6 +5,7 @@
 
 use crate::dataset::Kind;
 use crate::frame::Region;
+use crate::light::Light;
 use crate::pixel_format::PixelFormat;
 use radcam_sim::Scene;
 use radcam_sim::effects::Take;
@@ -94,6 +95,9 @@ pub struct Plan {
     /// GenICam features that drive the bench; without them the operator is asked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench: Option<GenicamBench>,
+    /// The light at illumination 1 in photons, as a photodiode told it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub light: Option<Light>,
     /// The sets, in the order of time.
     #[serde(rename = "set")]
     pub sets: Vec<SetPlan>,
@@ -209,6 +213,7 @@ impl Plan {
             searched: false,
             camera: CameraPlan::default(),
             bench: None,
+            light: None,
             sets,
         }
     }
@@ -241,6 +246,20 @@ impl Plan {
         Self::of("Full characterisation", sets)
     }
 
+    /// An EMVA 1288 measurement (release 4.0 Linear, section 6.5, 7.1 and 8): pairs at 50 equally spaced exposures up to saturation and their
+    /// darks, pairs of darks at six long exposures, and 100 flats and 100 darks at half of saturation. Darks come first: a lens is covered once.
+    pub fn emva1288() -> Self {
+        // Exposure 1 brings the mean to 85 % of full scale; the steps end at 1.25 times that, past saturation whatever the black level.
+        let step = |i: u32| 0.025 * f64::from(i);
+        let half = step(24);
+        let mut sets: Vec<_> = (1..=50).map(|i| SetPlan::new(Kind::Dark, 2, step(i), 0.0)).collect();
+        sets.extend((1..=6).map(|i| SetPlan::new(Kind::Dark, 2, 10.0 * f64::from(i), 0.0)));
+        sets.push(SetPlan::new(Kind::Dark, 100, half, 0.0));
+        sets.extend((1..=50).map(|i| SetPlan::new(Kind::Flat, 2, step(i), 1.0)));
+        sets.push(SetPlan::new(Kind::Flat, 100, half, 1.0));
+        Self::of("EMVA 1288", sets)
+    }
+
     /// What an effect's page asks for (`radcam effects ID`), as a plan.
     pub fn of_takes(about: &str, takes: &[Take]) -> Self {
         let set = |t: &Take| {
@@ -255,11 +274,12 @@ impl Plan {
         Self::of(about, takes.iter().map(set).collect())
     }
 
-    /// `quick`, `standard`, or the text of a plan file.
+    /// The plans that come with radcam: `quick`, `standard`, `emva1288`.
     pub fn named(name: &str) -> Option<Self> {
         match name {
             "quick" => Some(Self::quick()),
             "standard" => Some(Self::standard()),
+            "emva1288" => Some(Self::emva1288()),
             _ => None,
         }
     }
@@ -310,6 +330,9 @@ impl Plan {
         }
         if self.full_exposure_s.is_some_and(|e| !positive(e)) {
             return Err(PlanError::Plan("full_exposure_s must be above 0 s".into()));
+        }
+        if let Some(light) = &self.light {
+            light.check().map_err(|message| PlanError::Plan(format!("light.{message}")))?;
         }
         for (set, plan) in self.sets.iter().enumerate() {
             if plan.exposure_s.or(plan.exposure).is_some_and(|e| e > 1e6) {

@@ -169,6 +169,7 @@ pub fn campaign(pilot: &Dataset, needs: &Needs) -> Plan {
             ..CameraPlan::default()
         },
         bench: None,
+        light: None,
         sets,
     }
 }

@@ -591,6 +591,10 @@ impl Camera for AravisCamera {
         Err(CameraError::ReadBack { camera: self.identity.id.clone(), feature: name.into(), asked, got })
     }
 
+    fn photon_flux_per_s(&mut self) -> Option<f64> {
+        self.inner.float("BenchPhotonFlux").ok().filter(|flux| *flux > 0.0)
+    }
+
     fn features(&mut self) -> BTreeMap<String, Value> {
         let mut features = BTreeMap::new();
         let kept = |name: &str| {

@@ -187,6 +187,10 @@ impl<C: Camera> Camera for Corrected<C> {
         self.camera.continue_after(frames, time_s)
     }
 
+    fn photon_flux_per_s(&mut self) -> Option<f64> {
+        self.camera.photon_flux_per_s()
+    }
+
     fn shared_bench(&self) -> Option<super::sim::SharedBench> {
         self.camera.shared_bench()
     }

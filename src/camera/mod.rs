@@ -519,6 +519,11 @@ pub trait Camera: Send {
         None
     }
 
+    /// Photons per pixel per second that its own bench gives at illumination 1, where it says so: a simulated or served camera.
+    fn photon_flux_per_s(&mut self) -> Option<f64> {
+        None
+    }
+
     /// Starts the acquisition.
     ///
     /// # Errors

@@ -272,6 +272,10 @@ impl Camera for SimCamera {
             .into()
     }
 
+    fn photon_flux_per_s(&mut self) -> Option<f64> {
+        Some(self.sensor.model().bench.photon_flux_per_s)
+    }
+
     fn draws_again(&self) -> bool {
         self.clock.frame == 0
     }

@@ -11,6 +11,27 @@ use crate::plan::{FULL_EXPOSURE_LEVEL, Plan, SetPlan};
 /// A filter that keeps a third of the last frame has forgotten it to one part in 10^7.
 pub(super) const SETTLING: usize = 16;
 
+/// The longest exposure of sets with light, s.
+fn longest_flat(plan: &Plan, full: f64) -> f64 {
+    let lit = plan.sets.iter().filter(|s| s.kind != Kind::Dark);
+    lit.map(|s| s.exposure_s.unwrap_or(s.exposure.unwrap_or(1.0) * full)).fold(0.0, f64::max)
+}
+
+/// By what long darks are shortened together, so that the longest is within the camera's bounds and they stay apart; exposures given in
+/// seconds stay as they are.
+fn shrink(plan: &Plan, full: f64, longest_flat: f64, max: f64) -> f64 {
+    if plan.sets.iter().any(|s| s.exposure_s.is_some_and(|e| e > longest_flat)) {
+        return 1.0;
+    }
+    let darks = plan.sets.iter().filter(|s| s.kind == Kind::Dark).filter_map(|s| s.exposure);
+    let longest = darks.map(|e| e * full).fold(0.0, f64::max);
+    let shrink = if longest > longest_flat && max > longest_flat { (max / longest).min(1.0) } else { 1.0 };
+    if shrink < 1.0 {
+        tracing::info!(longest_s = max, "the camera's longest exposure: longer darks are shortened to it in proportion");
+    }
+    shrink
+}
+
 impl Capture<'_> {
     /// Gives every exposure in seconds; measures the full exposure where the plan needs it.
     pub(super) fn absolute(&mut self, plan: &Plan, counts: &mut StreamCounts) -> Result<Plan, CaptureError> {
@@ -28,11 +49,14 @@ impl Capture<'_> {
                 crate::camera::check_bounds(id, "ExposureTime", Some(bounds), exposure_s, "s")?;
             }
         }
-        let mut absolute = plan.absolute(full, |e| bounds.map_or(e, |b| b.nearest(e)));
+        let long = longest_flat(plan, full);
+        let shrink = bounds.map_or(1.0, |b| shrink(plan, full, long, b.max));
+        let fitting = |e: f64| if e > long { (e * shrink).max(long) } else { e };
+        let mut absolute = plan.absolute(full, |e| bounds.map_or(e, |b| b.nearest(fitting(e))));
         absolute.full_exposure_s = known;
         absolute.searched |= plan.full_exposure_s.is_none() && plan.needs_full_exposure();
         for (wanted, set) in plan.sets.iter().zip(&absolute.sets) {
-            let wanted = wanted.exposure_s.unwrap_or(wanted.exposure.unwrap_or(1.0) * full);
+            let wanted = fitting(wanted.exposure_s.unwrap_or(wanted.exposure.unwrap_or(1.0) * full));
             let got = set.exposure_s.unwrap_or(wanted);
             if (got / wanted - 1.0).abs() > 0.05 {
                 tracing::warn!(

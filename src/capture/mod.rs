@@ -5,7 +5,8 @@ mod set;
 
 use crate::bench::{BenchError, Illuminator};
 use crate::camera::{Automatic, Camera, CameraError, StreamCounts, StreamOptions, Value};
-use crate::dataset::{CameraInfo, DatasetError, Manifest, Writer};
+use crate::light::Light;
+use crate::dataset::{CameraInfo, Dataset, DatasetError, Manifest, Writer};
 use crate::pixel_format::PixelFormat;
 use crate::plan::{Plan, PlanError};
 use exposure::SETTLING;
@@ -278,6 +279,10 @@ impl<'a> Capture<'a> {
             tracing::warn!(error = %e, "the buffer statistics could not be kept");
         }
         outcome?;
+        // A campaign of pairs is one of EMVA 1288: the reference tool reads it too.
+        if let Some(path) = crate::dataset::write_descriptor(&Dataset::open(root)?)? {
+            tracing::info!(file = %path.display(), "EMVA 1288 descriptor");
+        }
         let zero_ns = if let DeviceClock::Zero(zero) = run.clock { Some(zero) } else { None };
         let full_exposure_s = plan.full_exposure_s;
         Ok(Summary { frames, counts: run.counts, automatics, full_exposure_s, zero_ns })
@@ -386,6 +391,11 @@ impl<'a> Capture<'a> {
             ..settings.info(identity)
         });
         manifest.bench = self.bench.info();
+        let flux = self.camera.photon_flux_per_s();
+        let own = flux.map(|flux| Light { photon_flux_per_s: Some(flux), ..Default::default() });
+        if let Some(bench) = &mut manifest.bench {
+            bench.light = plan.light.or(own);
+        }
         Ok(manifest)
     }
 

@@ -79,7 +79,7 @@ fn plan_of(name: &str) -> Result<Plan> {
         return Ok(plan);
     }
     if !Path::new(name).exists() {
-        bail!("no plan \"{name}\": neither a file nor one of quick, standard");
+        bail!("no plan \"{name}\": neither a file nor one of quick, standard, emva1288");
     }
     let text = std::fs::read_to_string(name).with_context(|| name.to_string())?;
     Plan::from_toml(&text).with_context(|| name.to_string())

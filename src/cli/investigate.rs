@@ -26,7 +26,7 @@ pub struct Arguments {
     /// Frames of every set of the first measurement; else those of the plan
     #[arg(long, value_parser = clap::value_parser!(u32).range(2..))]
     frames: Option<u32>,
-    /// The first measurement: standard (the default), quick, or a plan file
+    /// The first measurement: standard (the default), quick, emva1288, or a plan file
     #[arg(long)]
     plan: Option<String>,
     /// Effects that are known already

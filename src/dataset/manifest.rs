@@ -1,5 +1,6 @@
 //! `dataset.toml`: what camera and bench said of themselves.
 
+use crate::light::Light;
 use crate::features::{LeftOn, is_setting, left_on, same_value};
 use crate::pixel_format::PixelFormat;
 use serde::{Deserialize, Serialize};
@@ -65,13 +66,16 @@ pub struct CameraInfo {
 }
 
 /// The `[bench]` table.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct BenchInfo {
     /// `relative` or `photons/px/s`.
     pub illumination_unit: String,
     /// How well each level is known, relative; absent: not known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub illumination_rel_std: Option<f64>,
+    /// The light at illumination 1 in photons, where a photodiode told it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub light: Option<Light>,
 }
 
 impl CameraInfo {
@@ -169,6 +173,9 @@ impl Manifest {
             && !(std.is_finite() && std >= 0.0)
         {
             return Err(format!("bench.illumination_rel_std is {std}, and must not be below 0"));
+        }
+        if let Some(light) = manifest.bench.as_ref().and_then(|b| b.light) {
+            light.check().map_err(|message| format!("bench.light.{message}"))?;
         }
         Ok(manifest)
     }

@@ -10,6 +10,7 @@ pub mod table;
 pub mod tag;
 mod write;
 
+pub use emva::{DESCRIPTOR, write_descriptor};
 pub use manifest::{BenchInfo, CameraInfo, FORMAT, Manifest};
 pub use write::{Writer, write_whole};
 

@@ -1,44 +1,85 @@
-//! What the frames say: means and variances of pairs, means and variances of stacks.
+//! What the frames say: means and variances of pairs, and the stacks of the spatial part.
 
 use super::EmvaError;
-use crate::dataset::{Dataset, Kind, Set};
+use crate::dataset::{Dataset, FrameRow, Kind, Set};
+use crate::light::Light;
 use crate::statistics::moments::Moments;
 use ndarray::{Array2, Axis};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// One exposure of the temporal part: a pair of flats and a pair of darks.
+/// A pair of frames.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pair {
+    /// Mean, DN.
+    pub mean_dn: f64,
+    /// Temporal variance, DN^2 (release 4.0 Linear, eq. 18: the difference of the two means is taken off).
+    pub var_dn2: f64,
+    /// Mean of the first frame less that of the second, DN.
+    pub difference_dn: f64,
+    /// Variance over the pixels of a single frame, mean of the two, DN^2 (eq. 17): temporal and spatial together.
+    pub single_var_dn2: f64,
+    /// Share of the samples at 0 DN.
+    pub zero_share: f64,
+    /// Share of the samples at full scale.
+    pub full_share: f64,
+}
+
+/// One exposure of the temporal part: a pair of flats with the darks of its exposure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Temporal {
     /// Exposure, s.
     pub exposure_s: f64,
     /// Photons per pixel and exposure; in the dataset's unit times s where that is not known.
     pub photons: f64,
-    /// Mean of the flats, DN (mu_y).
-    pub mean_dn: f64,
-    /// Temporal variance of the flats, DN^2 (sigma_y^2).
-    pub var_dn2: f64,
-    /// Mean of the darks, DN (mu_y.dark).
-    pub dark_mean_dn: f64,
-    /// Temporal variance of the darks, DN^2 (sigma_y.dark^2).
-    pub dark_var_dn2: f64,
+    /// The flats.
+    pub flat: Pair,
+    /// The darks.
+    pub dark: Pair,
+}
+
+impl Temporal {
+    /// Mean above the dark, DN (mu_y - mu_y.dark).
+    pub fn signal_dn(&self) -> f64 {
+        self.flat.mean_dn - self.dark.mean_dn
+    }
+
+    /// Temporal variance above the dark's, DN^2 (sigma_y^2 - sigma_y.dark^2).
+    pub fn noise_dn2(&self) -> f64 {
+        self.flat.var_dn2 - self.dark.var_dn2
+    }
+}
+
+/// A pair of darks.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Dark {
+    /// Exposure, s.
+    pub exposure_s: f64,
+    /// Its frames.
+    pub pair: Pair,
+    /// Whether a flat has this exposure; else it belongs to a run for the dark current.
+    pub with_flat: bool,
 }
 
 /// A stack of the spatial part.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Spatial {
+    /// Photons per pixel and exposure, as in [`Temporal`]; 0 for darks.
+    pub photons: f64,
     /// Frames L.
-    pub frames: f64,
-    /// Mean, DN.
-    pub mean_dn: f64,
+    pub frames: u64,
+    /// Sum of each pixel's codes, (rows, columns), DN.
+    pub sum_dn: Array2<i64>,
     /// Mean temporal variance of the pixels, DN^2 (sigma_y.stack^2).
     pub stack_var_dn2: f64,
-    /// Variance of the mean image, DN^2 (s_y.measured^2).
-    pub measured_var_dn2: f64,
-    /// Variance of the column means, DN^2, less what noise adds (s_y.cav^2).
-    pub columns_var_dn2: f64,
-    /// Variance of the row means, DN^2, less what noise adds (s_y.rav^2).
-    pub rows_var_dn2: f64,
+}
+
+impl Spatial {
+    /// The mean image, (rows, columns), DN.
+    pub fn mean_image_dn(&self) -> Array2<f64> {
+        let n = self.frames as f64;
+        self.sum_dn.mapv(|s| s as f64 / n)
+    }
 }
 
 /// Everything that the evaluation needs.
@@ -46,6 +87,8 @@ pub struct Spatial {
 pub struct Points {
     /// In the order of exposure and light.
     pub temporal: Vec<Temporal>,
+    /// Every pair of darks, in the order of exposure.
+    pub darks: Vec<Dark>,
     /// The bright stack and the dark one; absent where no set has more than two frames.
     pub spatial: Option<[Spatial; 2]>,
     /// Rows and columns.
@@ -54,54 +97,161 @@ pub struct Points {
     pub full_scale_dn: f64,
     /// Whether light is in photons per pixel.
     pub photons_known: bool,
+    /// What is known of the light.
+    pub light: Light,
 }
 
-/// Mean and temporal variance of the first two frames of a set (`Data1288._get_temporal_data`: half the variance of the
-/// difference of two frames, its mean taken off).
-fn pair(frames: &[Array2<u16>]) -> (f64, f64) {
-    let n = frames[0].len() as f64;
-    let (mut sum, mut difference, mut square) = (0u64, 0i64, 0u64);
-    for (a, b) in frames[0].iter().zip(&frames[1]) {
-        let d = i64::from(*b) - i64::from(*a);
-        sum += u64::from(*a) + u64::from(*b);
-        difference += d;
-        square += (d * d) as u64;
+/// Mean and temporal variance of the first two frames of a set: half the variance of the difference of two frames, its mean taken off
+/// (release 4.0 Linear, section 6.6).
+fn pair(a: &[u16], b: &[u16], full_scale: u16) -> Pair {
+    /// Samples whose sums fit into 32 bits: 4096 times 65 535.
+    const RUN: usize = 4096;
+    let [mut first, mut second, mut products, mut squares, mut zeros, mut full] = [0u64; 6];
+    for (a, b) in a.chunks(RUN).zip(b.chunks(RUN)) {
+        let [mut s, mut t, mut z, mut f] = [0u32; 4];
+        let [mut p, mut q] = [0u64; 2];
+        for (&a, &b) in a.iter().zip(b) {
+            let (x, y) = (u32::from(a), u32::from(b));
+            s += x;
+            t += y;
+            p += u64::from(x * y);
+            q += u64::from(x * x) + u64::from(y * y);
+            z += u32::from(a == 0) + u32::from(b == 0);
+            f += u32::from(a == full_scale) + u32::from(b == full_scale);
+        }
+        first += u64::from(s);
+        second += u64::from(t);
+        products += p;
+        squares += q;
+        zeros += u64::from(z);
+        full += u64::from(f);
     }
-    let mean_difference = difference as f64 / n;
-    (sum as f64 / (2.0 * n), 0.5 * (square as f64 / n - mean_difference * mean_difference))
+    let n = a.len() as f64;
+    let (a, b) = (first as f64 / n, second as f64 / n);
+    // Exact whole numbers up to here: what is subtracted is not rounded.
+    let difference_square = (squares - 2 * products) as f64 / n;
+    let own = |sum: u64| sum as f64 / n;
+    Pair {
+        mean_dn: 0.5 * (a + b),
+        var_dn2: 0.5 * (difference_square - (a - b) * (a - b)),
+        difference_dn: a - b,
+        single_var_dn2: 0.5 * (own(squares) - a * a - b * b),
+        zero_share: zeros as f64 / (2.0 * n),
+        full_share: full as f64 / (2.0 * n),
+    }
 }
 
-fn stack(dataset: &Dataset, set: &Set) -> Result<Spatial, EmvaError> {
+/// Frames of a stack that are in memory at once.
+const AT_ONCE: usize = 4;
+
+fn stack(
+    dataset: &Dataset,
+    set: &Set,
+    photons: f64,
+    stop: &AtomicBool,
+    step: &(dyn Fn() + Sync),
+) -> Result<Spatial, EmvaError> {
     let camera = &dataset.manifest().camera;
-    let mut moments = Moments::new((camera.height, camera.width), camera.bit_depth);
-    // Two frames at a time: memory that does not grow with their number, and one pass over the sums for both.
-    for rows in set.rows.chunks(2) {
+    let shape = (camera.height, camera.width);
+    let mut moments: Option<Moments> = None;
+    // A few frames at a time: memory that does not grow with their number.
+    for rows in set.rows.chunks(AT_ONCE) {
+        if stop.load(Ordering::Relaxed) {
+            return Err(EmvaError::Interrupted);
+        }
         let frames =
             rows.par_iter().map(|&r| dataset.read(&dataset.rows()[r])).collect::<Result<Vec<_>, _>>()?;
         let codes: Vec<&[u16]> = frames.iter().filter_map(|f| f.as_slice()).collect();
+        // Only now: the size that the manifest claims is that of a frame.
+        let moments = moments.get_or_insert_with(|| Moments::new(shape, camera.bit_depth));
         moments.add(&codes).map_err(|e| EmvaError::Missing(e.to_string()))?;
+        step();
     }
-    let frames = moments.frames() as f64;
-    let image = moments.mean_dn();
-    let (rows, columns) = (image.nrows() as f64, image.ncols() as f64);
-    let mean_dn = image.mean().unwrap_or(f64::NAN);
-    let stack_var_dn2 = moments.variance_dn2().mean().unwrap_or(f64::NAN);
-    let spread = |axis: usize, lines: f64, across: f64| {
-        let means = image.mean_axis(Axis(axis)).unwrap_or_default();
-        let square: f64 = means.iter().map(|m| (m - mean_dn).powi(2)).sum();
-        square / lines - stack_var_dn2 / (frames * across)
-    };
+    let moments = moments.unwrap_or_else(|| Moments::new(shape, camera.bit_depth));
+    let n = moments.frames() as f64;
+    let sums = moments.sums().iter().map(|&s| s as i64).collect();
     Ok(Spatial {
-        frames,
-        mean_dn,
-        stack_var_dn2,
-        measured_var_dn2: image.var(1.0),
-        columns_var_dn2: spread(0, columns, rows),
-        rows_var_dn2: spread(1, rows, columns),
+        photons,
+        frames: moments.frames(),
+        sum_dn: Array2::from_shape_vec(shape, sums).map_err(|e| EmvaError::Missing(e.to_string()))?,
+        stack_var_dn2: moments.total_spread_dn2() / (n * (n - 1.0)) / moments.sums().len() as f64,
     })
 }
 
-/// Reads a dataset; `progress` is told (sets done, sets).
+/// Row means and column means of an image.
+pub(super) fn line_means(image: &Array2<f64>) -> [Vec<f64>; 2] {
+    [1, 0].map(|axis| image.mean_axis(Axis(axis)).unwrap_or_default().to_vec())
+}
+
+/// What sets are to be read for what.
+struct Wanted<'a> {
+    flats: Vec<&'a Set>,
+    darks: Vec<&'a Set>,
+    /// The dark of each flat.
+    dark_of: Vec<usize>,
+    /// Bright and dark.
+    stacks: Option<[&'a Set; 2]>,
+}
+
+fn same_exposure(a: &FrameRow, b: &FrameRow) -> bool {
+    (a.exposure_s / b.exposure_s - 1.0).abs() < 1e-9
+}
+
+fn wanted(dataset: &Dataset) -> Result<Wanted<'_>, EmvaError> {
+    let settings = |s: &Set| dataset.settings(s);
+    let sets = dataset.sets();
+    let of_kind = |s: &&Set, kind| settings(s).kind == kind;
+    let single = |kind| sets.iter().find(|s| settings(s).kind == kind && s.rows.len() < 2);
+    let pairs: Vec<&Set> = sets.iter().filter(|s| s.rows.len() == 2).collect();
+    // Campaigns that were not made for the standard have sets of several frames: their first two serve.
+    let temporal: Vec<&Set> = if pairs.iter().any(|s| of_kind(s, Kind::Flat)) {
+        pairs
+    } else {
+        sets.iter().filter(|s| s.rows.len() > 2).collect()
+    };
+    let mut flats: Vec<&Set> = temporal.iter().copied().filter(|s| of_kind(s, Kind::Flat)).collect();
+    let light = |s: &Set| settings(s).illumination * settings(s).exposure_s;
+    flats.sort_by(|a, b| {
+        settings(a).exposure_s.total_cmp(&settings(b).exposure_s).then(light(a).total_cmp(&light(b)))
+    });
+    if flats.is_empty() {
+        return Err(EmvaError::Missing(match single(Kind::Flat) {
+            Some(s) => format!("set {}: one flat; the temporal noise needs two frames at each exposure", s.number),
+            None => "there are no flats of two frames or more".into(),
+        }));
+    }
+    let mut darks: Vec<&Set> = temporal.iter().copied().filter(|s| of_kind(s, Kind::Dark)).collect();
+    darks.sort_by(|a, b| settings(a).exposure_s.total_cmp(&settings(b).exposure_s));
+    let dark_of = |flat: &&Set| {
+        let found = darks.iter().position(|d| same_exposure(settings(d), settings(flat)));
+        found.ok_or_else(|| {
+            let exposure_s = settings(flat).exposure_s;
+            let one = sets.iter().find(|s| {
+                of_kind(s, Kind::Dark) && s.rows.len() < 2 && same_exposure(settings(s), settings(flat))
+            });
+            let why = one.map(|s| format!(" (set {} has one frame)", s.number)).unwrap_or_default();
+            EmvaError::Missing(format!(
+                "set {}: no pair of darks at its exposure of {exposure_s} s{why}; every exposure needs flats and darks",
+                flat.number
+            ))
+        })
+    };
+    let dark_of = flats.iter().map(dark_of).collect::<Result<_, _>>()?;
+    let stacks: Vec<&Set> = sets.iter().filter(|s| s.rows.len() > 2).collect();
+    // The largest stack of flats with a dark stack of its exposure; of equal ones the first.
+    let stacks = stacks
+        .iter()
+        .rev()
+        .filter(|s| of_kind(s, Kind::Flat))
+        .filter_map(|f| {
+            let dark = stacks.iter().find(|d| of_kind(d, Kind::Dark) && same_exposure(settings(d), settings(f)))?;
+            Some([*f, *dark])
+        })
+        .max_by_key(|[f, _]| f.rows.len());
+    Ok(Wanted { flats, darks, dark_of, stacks })
+}
+
+/// Reads a dataset, both cores at work; `progress` is told (pieces done, pieces).
 ///
 /// # Errors
 ///
@@ -111,79 +261,91 @@ pub fn of_dataset(
     stop: &AtomicBool,
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<Points, EmvaError> {
+    let camera = &dataset.manifest().camera;
     let bench = dataset.manifest().bench.as_ref();
-    let photons_known = bench.is_some_and(|b| b.illumination_unit == "photons/px/s");
-    let settings = |s: &Set| dataset.settings(s).clone();
-    let light = |s: &Set| settings(s).kind == Kind::Flat;
-    let dark = |s: &Set| settings(s).kind == Kind::Dark;
-    let same = |a: &Set, b: &Set| (settings(a).exposure_s / settings(b).exposure_s - 1.0).abs() < 1e-9;
-    let sets = dataset.sets();
-    let pairs: Vec<&Set> = sets.iter().filter(|s| s.rows.len() == 2).collect();
-    // Campaigns that were not made for the standard have sets of several frames: their first two serve.
-    let temporal: Vec<&Set> = if pairs.iter().any(|s| light(s)) {
-        pairs
-    } else {
-        sets.iter().filter(|s| s.rows.len() > 2).collect()
-    };
-    let mut flats: Vec<&&Set> = temporal.iter().filter(|s| light(s)).collect();
-    flats.sort_by(|a, b| {
-        let (a, b) = (settings(a), settings(b));
-        let photons = |r: &crate::dataset::FrameRow| r.illumination * r.exposure_s;
-        a.exposure_s.total_cmp(&b.exposure_s).then(photons(&a).total_cmp(&photons(&b)))
-    });
-    if flats.is_empty() {
-        return Err(EmvaError::Missing("there are no flats of two frames or more".into()));
-    }
+    let light = bench.and_then(|b| b.light).unwrap_or_default();
+    let in_photons = bench.is_some_and(|b| b.illumination_unit == "photons/px/s");
+    // Photons per pixel and second of one unit of illumination.
+    let unit = if in_photons { Some(1.0) } else { light.photons_per_px_s() };
+    let wanted = wanted(dataset)?;
+    let settings = |s: &Set| dataset.settings(s);
+    let photons = |s: &Set| settings(s).illumination * unit.unwrap_or(1.0) * settings(s).exposure_s;
+    let chunks = |s: &Set| s.rows.len().div_ceil(AT_ONCE);
+    let of = wanted.flats.len() + wanted.darks.len() + wanted.stacks.iter().flatten().map(|s| chunks(s)).sum::<usize>();
     let done = AtomicUsize::new(0);
-    let read_pair = |set: &Set| -> Result<(f64, f64), EmvaError> {
+    let step = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, of);
+    let read_pair = |set: &&Set| -> Result<Pair, EmvaError> {
         if stop.load(Ordering::Relaxed) {
             return Err(EmvaError::Interrupted);
         }
-        let read = |&r: &usize| dataset.read(&dataset.rows()[r]);
-        let frames = set.rows.iter().take(2).map(read).collect::<Result<Vec<_>, _>>()?;
-        progress(done.fetch_add(1, Ordering::Relaxed) + 1, flats.len());
-        Ok(pair(&frames))
+        let read = |k: usize| dataset.read(&dataset.rows()[set.rows[k]]);
+        let frames = [read(0)?, read(1)?];
+        let [a, b] = frames.each_ref().map(|f| f.as_slice().unwrap_or_default());
+        let found = pair(a, b, camera.full_scale_dn());
+        step();
+        Ok(found)
     };
-    let darks: Vec<&Set> = temporal.iter().copied().filter(|s| dark(s)).collect();
-    let dark_of: Vec<usize> = flats
-        .iter()
-        .map(|flat| {
-            let found = darks.iter().position(|d| same(d, flat));
-            found.ok_or_else(|| {
-                let exposure_s = settings(flat).exposure_s;
-                EmvaError::Missing(format!("set {}: no darks at its exposure of {exposure_s} s", flat.number))
-            })
-        })
-        .collect::<Result<_, _>>()?;
-    let dark_pairs = darks.par_iter().map(|d| read_pair(d)).collect::<Result<Vec<_>, _>>()?;
-    let flat_pairs = flats.par_iter().map(|f| read_pair(f)).collect::<Result<Vec<_>, _>>()?;
-    let temporal = flats
-        .iter()
-        .zip(flat_pairs)
-        .zip(dark_of)
-        .map(|((flat, (mean_dn, var_dn2)), dark)| {
-            let row = settings(flat);
-            let (dark_mean_dn, dark_var_dn2) = dark_pairs[dark];
-            let photons = row.illumination * row.exposure_s;
-            Temporal { exposure_s: row.exposure_s, photons, mean_dn, var_dn2, dark_mean_dn, dark_var_dn2 }
-        })
-        .collect();
-    let stacks: Vec<&Set> = sets.iter().filter(|s| s.rows.len() > 2).collect();
-    // The largest stack of flats with a dark stack of its exposure; of equal ones the first.
-    let best = stacks
-        .iter()
-        .rev()
-        .filter(|s| light(s))
-        .filter_map(|f| Some((f, stacks.iter().find(|d| dark(d) && same(d, f))?)))
-        .max_by_key(|(f, _)| f.rows.len());
-    let spatial =
-        best.map(|(f, d)| Ok::<_, EmvaError>([stack(dataset, f)?, stack(dataset, d)?])).transpose()?;
-    let camera = &dataset.manifest().camera;
+    let dark_pairs = wanted.darks.par_iter().map(read_pair).collect::<Result<Vec<_>, _>>()?;
+    let flat_pairs = wanted.flats.par_iter().map(read_pair).collect::<Result<Vec<_>, _>>()?;
+    let temporal = wanted.flats.iter().zip(flat_pairs).zip(&wanted.dark_of);
+    let temporal = temporal.map(|((set, flat), &dark)| Temporal {
+        exposure_s: settings(set).exposure_s,
+        photons: photons(set),
+        flat,
+        dark: dark_pairs[dark],
+    });
+    let with_flat = |d: &Set| wanted.flats.iter().any(|f| same_exposure(settings(f), settings(d)));
+    let darks = wanted.darks.iter().zip(&dark_pairs);
+    let darks = darks.map(|(set, pair)| Dark {
+        exposure_s: settings(set).exposure_s,
+        pair: *pair,
+        with_flat: with_flat(set),
+    });
+    let spatial = match wanted.stacks {
+        None => None,
+        Some([bright, dark]) => Some([
+            stack(dataset, bright, photons(bright), stop, &step)?,
+            stack(dataset, dark, 0.0, stop, &step)?,
+        ]),
+    };
     Ok(Points {
-        temporal,
+        temporal: temporal.collect(),
+        darks: darks.collect(),
         spatial,
         shape: (camera.height, camera.width),
         full_scale_dn: f64::from(camera.full_scale_dn()),
-        photons_known,
+        photons_known: unit.is_some(),
+        light,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pair_is_what_two_passes_say() {
+        let code = |k: u32, i: usize| ((i as u32).wrapping_mul(2_654_435_761 + k) >> 16) as u16;
+        let [a, b]: [Vec<u16>; 2] = [0, 2].map(|k| (0..9170).map(|i| code(k, i)).collect());
+        let found = pair(&a, &b, code(2, 5));
+        let n = a.len() as f64;
+        let d: Vec<f64> = a.iter().zip(&b).map(|(a, b)| f64::from(*b) - f64::from(*a)).collect();
+        let mean = d.iter().sum::<f64>() / n;
+        let var = d.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / n / 2.0;
+        assert!((found.var_dn2 / var - 1.0).abs() < 1e-12);
+        assert!((found.difference_dn + mean).abs() < 1e-9);
+        let of_one = |frame: &[u16]| {
+            let mean = frame.iter().map(|c| f64::from(*c)).sum::<f64>() / n;
+            frame.iter().map(|c| (f64::from(*c) - mean).powi(2)).sum::<f64>() / n
+        };
+        let single = 0.5 * (of_one(&a) + of_one(&b));
+        assert!((found.single_var_dn2 / single - 1.0).abs() < 1e-12);
+        let all = a.iter().chain(&b);
+        assert!((found.mean_dn - all.clone().map(|c| f64::from(*c)).sum::<f64>() / (2.0 * n)).abs() < 1e-9);
+        let at = |c: u16| all.clone().filter(|x| **x == c).count() as f64 / (2.0 * n);
+        assert_eq!((found.zero_share, found.full_share), (at(0), at(code(2, 5))));
+        // Full swing neither overflows nor rounds.
+        let extreme = pair(&[0; 8192], &[65_535; 8192], 65_535);
+        assert_eq!((extreme.mean_dn, extreme.var_dn2, extreme.full_share), (32_767.5, 0.0, 0.5));
+    }
 }

@@ -1,339 +1,682 @@
 //! The quantities, from the points.
 
-use super::{EmvaError, Points, Spatial};
+use super::general::{General, general};
+use super::points::{Dark, Points, Temporal};
+use super::saturation::{self, Saturation};
+use super::spatial::{Variances, filtered, variances};
+use super::spline::Spline;
+use super::value::{Inputs, Value};
+use super::{Definitions, EmvaError};
+use crate::agreement::Agreement;
+use crate::dataset::table::{Level, Table};
+use crate::fit::line::goodness;
+use crate::noise;
 use crate::number::Quantity;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+
+/// A quantity that is only bounded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Limit {
+    /// The quantity is no more than the value.
+    AtMost,
+    /// The quantity is no less.
+    AtLeast,
+}
+
+/// The gain by Section IV of Healey and Kondepudy, from the same levels, and whether they lie on a line.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct GainByNoise {
+    /// Gain A, which the standard calls K.
+    pub gain: Quantity,
+    /// Read noise.
+    pub read_noise: Quantity,
+    /// Chi-square of the line.
+    #[serde(with = "crate::number::finite")]
+    pub chi2: f64,
+    /// Its degrees of freedom.
+    pub dof: usize,
+    /// Chance of a larger chi-square.
+    #[serde(with = "crate::number::finite")]
+    pub q: f64,
+    /// What that says of the line.
+    pub line: Agreement,
+}
 
 /// The evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Evaluation {
-    /// By the reference tool's names; null where the standard leaves one undefined, and a note says why.
+    /// Whose definitions hold.
+    pub definitions: Definitions,
+    /// By the reference tool's names; null where a quantity is undefined, and a note says why.
     pub quantities: BTreeMap<String, Option<Quantity>>,
+    /// Mean signal at saturation, or the largest there is, DN: gain and linearity are looked at up to shares of it.
+    pub saturation_signal_dn: f64,
+    /// Quantities that are bounds.
+    pub limits: BTreeMap<String, Limit>,
+    /// Values of the reference tool where its definition gives another one; null where it gives none.
+    pub reference_tool: BTreeMap<String, Option<f64>>,
+    /// The general model of release 4.0, which assumes neither a linear camera nor raw data.
+    pub general: Option<General>,
+    /// The gain by `noise`.
+    pub noise: Option<GainByNoise>,
     /// What a reader should know.
     pub notes: Vec<String>,
 }
 
-/// Variance of quantisation, DN^2 (`Results1288.s2q`; q^2 / 12, eq. 27 of the paper).
-const QUANTISATION_DN2: f64 = 1.0 / 12.0;
-/// Below this temporal variance of the darks, DN^2, quantisation hides the noise (`Results1288.sigma_y_dark`).
+/// Variance of quantisation, DN^2 (section 2.4; q^2 / 12, eq. 27 of Healey and Kondepudy).
+pub(super) const QUANTISATION_DN2: f64 = 1.0 / 12.0;
+/// Below this temporal variance of the darks, DN^2, quantisation hides the noise (appendix C.4).
 const SMALLEST_DARK_DN2: f64 = 0.24;
+/// What the standard puts in place of the dark noise then, DN, and the limit of the noise without quantisation, DN (eq. 54).
+const HIDDEN_DARK_DN: f64 = 0.49;
+const HIDDEN_NOISE_DN: f64 = 0.40;
+/// Share of dark samples at 0 DN from which they count as clipped (section 6.5: less than about 0.5 %).
+pub(super) const UNDERFLOW: f64 = 0.005;
+/// Part of saturation up to which gain and responsivity are fitted (section 6.6).
+const FIT_RANGE: f64 = 0.7;
+/// Part of saturation within which linearity is looked at (section 6.9).
+const LINEAR_RANGE: (f64, f64) = (0.05, 0.95);
+/// Exposures that the standard wants for the dark current (section 7.1).
+const DARK_EXPOSURES: usize = 6;
+/// Chance of a chi-square below which the scatter about a line, not the noise of the points, gives its errors.
+const BY_CHANCE: f64 = 0.01;
 
-/// A straight line y = slope x + offset by least squares without weights.
-fn line(x: &[f64], y: &[f64]) -> (f64, f64) {
-    let n = x.len() as f64;
-    let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
-    let xx: f64 = x.iter().map(|x| (x - mx).powi(2)).sum();
-    let xy: f64 = x.iter().zip(y).map(|(x, y)| (x - mx) * (y - my)).sum();
-    (xy / xx, my - xy / xx * mx)
+/// A line y = slope x + offset without weights, from points (x, y, standard error of y); the offset may be held at 0. Errors of slope and offset
+/// come from those of the points, or from their scatter where it is more than chance.
+pub(super) struct Fitted {
+    pub slope: f64,
+    pub offset: f64,
+    /// Abscissa and standard error of each point.
+    points: Vec<(f64, f64)>,
+    mean_x: f64,
+    xx: f64,
+    /// 1 / n, or 0 where the offset is held at 0.
+    share: f64,
+    /// How much wider the scatter is than the points' errors.
+    scale: f64,
 }
 
-/// A value, and its derivatives by the independent inputs times their standard errors: errors add in quadrature.
-#[derive(Debug, Clone)]
-struct Value {
-    value: f64,
-    parts: Vec<(usize, f64)>,
-}
-
-impl Value {
-    fn exact(value: f64) -> Self {
-        Self { value, parts: Vec::new() }
+impl Fitted {
+    /// Standard error of a combination of the points' ordinates.
+    fn std_of(&self, weight: impl Fn(f64) -> f64) -> f64 {
+        self.scale * self.points.iter().map(|(x, s)| (weight(*x) * s).powi(2)).sum::<f64>().sqrt()
     }
 
-    fn std_err(&self) -> f64 {
-        self.parts.iter().map(|p| p.1 * p.1).sum::<f64>().sqrt()
+    pub fn slope_std(&self) -> f64 {
+        self.std_of(|x| (x - self.mean_x) / self.xx)
     }
 
-    /// A function of some values, by central differences in each.
-    fn of(values: &[&Self], f: impl Fn(&[f64]) -> f64) -> Self {
-        let at: Vec<f64> = values.iter().map(|v| v.value).collect();
-        let mut parts: BTreeMap<usize, f64> = BTreeMap::new();
-        for (k, v) in values.iter().enumerate() {
-            let step = 1e-6 * v.value.abs().max(1e-12);
-            let moved = |by: f64| {
-                let mut to = at.clone();
-                to[k] += by;
-                f(&to)
-            };
-            let slope = (moved(step) - moved(-step)) / (2.0 * step);
-            for (input, part) in &v.parts {
-                *parts.entry(*input).or_default() += slope * part;
-            }
-        }
-        Self { value: f(&at), parts: parts.into_iter().collect() }
+    /// The line at x and its standard error.
+    pub fn at(&self, x: f64) -> (f64, f64) {
+        let std = self.std_of(|of| self.share + (x - self.mean_x) * (of - self.mean_x) / self.xx);
+        (self.offset + self.slope * x, std)
     }
 }
 
-/// Independent inputs.
-#[derive(Default)]
-struct Inputs(usize);
+pub(super) fn line(points: &[(f64, f64, f64)], through_origin: bool) -> Fitted {
+    let n = points.len() as f64;
+    let mean = |of: &dyn Fn(&(f64, f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / n;
+    let (mx, my) = if through_origin { (0.0, 0.0) } else { (mean(&|p| p.0), mean(&|p| p.1)) };
+    let xx: f64 = points.iter().map(|p| (p.0 - mx).powi(2)).sum();
+    let slope = points.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum::<f64>() / xx;
+    let offset = my - slope * mx;
+    let chi2: f64 = points.iter().map(|p| ((p.1 - offset - slope * p.0) / p.2).powi(2)).sum();
+    let dof = n - if through_origin { 1.0 } else { 2.0 };
+    let by_scatter = dof > 0.0 && chi2.is_finite() && goodness(chi2, dof) < BY_CHANCE;
+    let scale = if by_scatter { (chi2 / dof).sqrt() } else { 1.0 };
+    let share = if through_origin { 0.0 } else { 1.0 / n };
+    Fitted { slope, offset, points: points.iter().map(|p| (p.0, p.2)).collect(), mean_x: mx, xx, share, scale }
+}
 
-impl Inputs {
-    fn value(&mut self, value: f64, std_err: f64) -> Value {
-        self.0 += 1;
-        Value { value, parts: vec![(self.0, std_err)] }
+/// What is put together.
+struct Sheet {
+    inputs: Inputs,
+    quantities: BTreeMap<String, Option<Quantity>>,
+    limits: BTreeMap<String, Limit>,
+    notes: Vec<String>,
+}
+
+impl Sheet {
+    fn put(&mut self, name: &str, value: &Value, unit: &'static str) {
+        let quantity = value.value.is_finite().then(|| Quantity::new(value.value, value.std_err(), unit));
+        self.quantities.insert(name.to_string(), quantity);
     }
+
+    fn note(&mut self, note: String) {
+        self.notes.push(note);
+    }
+}
+
+/// Standard error of a pair's variance, DN^2 (eq. 19).
+pub(super) fn of_variance(var_dn2: f64, pixels: f64) -> f64 {
+    var_dn2 * (2.0 / pixels).sqrt()
+}
+
+/// Standard error of a level's variance above its dark's, DN^2.
+fn noise_std(p: &Temporal, pixels: f64) -> f64 {
+    of_variance(p.flat.var_dn2, pixels).hypot(of_variance(p.dark.var_dn2, pixels))
+}
+
+/// Standard error of a level's mean above its dark's, DN: two frames each.
+pub(super) fn signal_std(p: &Temporal, pixels: f64) -> f64 {
+    ((p.flat.var_dn2 + p.dark.var_dn2) / (2.0 * pixels)).sqrt()
 }
 
 /// Evaluates the points.
 ///
+/// ```no_run
+/// use radcam::emva::{Definitions, evaluate, of_dataset};
+/// let dataset = radcam::dataset::Dataset::open("EMVA1288_Data.txt".as_ref())?;
+/// let points = of_dataset(&dataset, &Default::default(), &|_, _| {})?;
+/// let evaluation = evaluate(&points, Definitions::Release4)?;
+/// if let Some(Some(k)) = evaluation.quantities.get("K") {
+///     println!("K = {k}"); // K = 0.2800(5) DN/e
+/// }
+/// # Ok::<(), radcam::emva::EmvaError>(())
+/// ```
+///
 /// # Errors
 ///
 /// Where there are too few points for the fits of the standard.
-pub fn evaluate(points: &Points) -> Result<Evaluation, EmvaError> {
-    let t = &points.temporal;
-    let pixels = (points.shape.0 * points.shape.1) as f64;
-    let signal: Vec<f64> = t.iter().map(|p| p.mean_dn - p.dark_mean_dn).collect();
-    let noise: Vec<f64> = t.iter().map(|p| p.var_dn2 - p.dark_var_dn2).collect();
-    let photons: Vec<f64> = t.iter().map(|p| p.photons).collect();
-    let saturation = saturation(&t.iter().map(|p| p.var_dn2).collect::<Vec<_>>());
-    let last_below = |share: f64| signal.iter().rposition(|s| *s <= share * signal[saturation]);
-    let too_few = |what: &str| EmvaError::Missing(format!("there are too few exposures for {what}"));
-    let most = last_below(0.7).ok_or_else(|| too_few("the gain (up to 70 % of saturation)"))?;
-    let used = 0..most + 1;
-    let mut inputs = Inputs::default();
-    let mut out = BTreeMap::new();
-    let mut notes = Vec::new();
-
-    // Gain and responsivity: lines through the origin, without weights (`Results1288.K`, `R`).
-    let square: f64 = signal[used.clone()].iter().map(|x| x * x).sum();
-    let through = |x: &[f64], y: &[f64]| -> f64 {
-        let xy: f64 = used.clone().map(|i| x[i] * y[i]).sum();
-        xy / used.clone().map(|i| x[i] * x[i]).sum::<f64>()
-    };
-    let k = through(&signal, &noise);
-    // The variance of a pair's difference is known to root 2 / pixels of itself.
-    let of_variance = |v: f64| v * (2.0 / pixels).sqrt();
-    let k_var: f64 = used
-        .clone()
-        .map(|i| {
-            let error = of_variance(t[i].var_dn2).hypot(of_variance(t[i].dark_var_dn2));
-            (signal[i] * error / square).powi(2)
-        })
-        .sum();
-    let k = inputs.value(k, k_var.sqrt());
-    let r = through(&photons, &signal);
-    let n = used.len() as f64;
-    let light_square: f64 = used.clone().map(|i| photons[i] * photons[i]).sum();
-    let scatter: f64 =
-        used.clone().map(|i| (signal[i] - r * photons[i]).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-    let r = inputs.value(r, (scatter / light_square).sqrt());
-
-    // Dark noise: its value at no exposure where there are more than two exposures.
-    let mut exposures: Vec<f64> = t.iter().map(|p| p.exposure_s).collect();
-    exposures.dedup();
-    let several = exposures.len() > 2;
-    let seconds: Vec<f64> = t.iter().map(|p| p.exposure_s).collect();
-    let dark_var: Vec<f64> = t.iter().map(|p| p.dark_var_dn2).collect();
-    let dark_mean: Vec<f64> = t.iter().map(|p| p.dark_mean_dn).collect();
-    let var_line = line(&seconds, &dark_var);
-    let mean_line = line(&seconds, &dark_mean);
-    let scatter_of = |y: &[f64], (slope, offset): (f64, f64)| {
-        let left: f64 = seconds.iter().zip(y).map(|(x, y)| (y - offset - slope * x).powi(2)).sum();
-        left / (y.len() as f64 - 2.0).max(1.0)
-    };
-    let mx = seconds.iter().sum::<f64>() / seconds.len() as f64;
-    let xx: f64 = seconds.iter().map(|x| (x - mx).powi(2)).sum();
-    let offset_share = (1.0 / seconds.len() as f64 + mx * mx / xx).sqrt();
-    let dark_dn2 = if several { var_line.1 } else { dark_var[0] };
-    let dark_error = if several {
-        scatter_of(&dark_var, var_line).sqrt() * offset_share
-    } else {
-        of_variance(dark_var[0])
-    };
-    if dark_dn2 < SMALLEST_DARK_DN2 {
-        notes.push(format!(
-            "sigma_y_dark: the temporal variance of the darks is {dark_dn2:.4} DN^2, below {SMALLEST_DARK_DN2} DN^2, where quantisation \
-             hides it; {SMALLEST_DARK_DN2} DN^2 stands in its place, an upper bound"
-        ));
-    }
-    let dark = inputs
-        .value(dark_dn2.max(SMALLEST_DARK_DN2), if dark_dn2 < SMALLEST_DARK_DN2 { 0.0 } else { dark_error });
-
-    // Saturation is known to the step between exposures.
-    let step = photons[saturation] - if saturation > 0 { photons[saturation - 1] } else { 0.0 };
-    let at_saturation = inputs.value(photons[saturation], step.abs() / 12f64.sqrt());
-
-    let mut put = |name: &str, value: &Value, unit: &'static str| {
-        let quantity = value.value.is_finite().then(|| Quantity::new(value.value, value.std_err(), unit));
-        out.insert(name.to_string(), quantity);
-    };
-    let qe = Value::of(&[&r, &k], |v| 100.0 * v[0] / v[1]);
-    let sigma_y_dark = Value::of(&[&dark], |v| v[0].sqrt());
-    let sigma_d = Value::of(&[&dark, &k], |v| (v[0] - QUANTISATION_DN2).sqrt() / v[1]);
-    let u_e_min = Value::of(&[&dark, &k], |v| v[0].sqrt() / v[1] + 0.5);
-    let u_p_min = Value::of(&[&dark, &k, &r], |v| (v[0].sqrt() / v[1] + 0.5) * v[1] / v[2]);
-    let u_e_sat = Value::of(&[&at_saturation, &r, &k], |v| v[0] * v[1] / v[2]);
-    let dr =
-        Value::of(&[&at_saturation, &dark, &k, &r], |v| v[0] / ((v[1].sqrt() / v[2] + 0.5) * v[2] / v[3]));
-    let snr = Value::of(&[&u_e_sat], |v| v[0].sqrt());
-    put("K", &k, "DN/e");
-    put("inverse_K", &Value::of(&[&k], |v| 1.0 / v[0]), "e/DN");
-    put("sigma_y_dark", &sigma_y_dark, "DN");
-    put("sigma_d", &sigma_d, "e");
-    put("u_e_min", &u_e_min, "e");
-    put("u_e_sat", &u_e_sat, "e");
-    put("SNR_max", &snr, "1");
-    put("SNR_max_dB", &Value::of(&[&snr], |v| 20.0 * v[0].log10()), "dB");
-    put("SNR_max_bit", &Value::of(&[&snr], |v| v[0].log2()), "bit");
-    put("inverse_SNR_max", &Value::of(&[&snr], |v| 100.0 / v[0]), "%");
-    put("DR", &dr, "1");
-    put("DR_dB", &Value::of(&[&dr], |v| 20.0 * v[0].log10()), "dB");
-    for (name, value, unit) in
-        [("R", &r, "DN/p"), ("QE", &qe, "%"), ("u_p_min", &u_p_min, "p"), ("u_p_sat", &at_saturation, "p")]
+pub fn evaluate(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError> {
+    let mut evaluation = by(points, definitions)?;
+    if definitions != Definitions::ReferenceTool
+        && let Ok(tool) = by(points, Definitions::ReferenceTool)
     {
-        let known = if points.photons_known { value.clone() } else { Value::exact(f64::NAN) };
-        put(name, &known, unit);
-    }
-    if !points.photons_known {
-        notes.push("R, QE, u_p_min and u_p_sat: the light is not in photons per pixel; give it in dataset.toml, illumination_unit".into());
-    }
-
-    // Linearity, 5 to 95 % of saturation, weights 1 / signal (`Results1288.linearity`).
-    let first = signal.iter().position(|s| *s >= 0.05 * signal[saturation]);
-    let last = last_below(0.95);
-    let range = first.zip(last).filter(|(a, b)| b > a);
-    let deviations = range.map(|(a, b)| linearity(&photons[a..=b], &signal[a..=b]));
-    // Each deviation is known to the noise of its means.
-    let of_means = range.map_or(f64::NAN, |(a, b)| {
-        let one = |i: usize| 100.0 * (0.5 * (t[i].var_dn2 + t[i].dark_var_dn2) / pixels).sqrt() / signal[i];
-        (a..=b).map(one).fold(0.0, f64::max)
-    });
-    let (least, greatest) = deviations.map_or((f64::NAN, f64::NAN), |d| {
-        (d.iter().copied().fold(f64::INFINITY, f64::min), d.iter().copied().fold(f64::NEG_INFINITY, f64::max))
-    });
-    put("LE_min", &inputs.value(least, of_means), "%");
-    put("LE_max", &inputs.value(greatest, of_means), "%");
-    if range.is_none() {
-        notes.push("LE_min, LE_max: fewer than two exposures lie between 5 and 95 % of saturation".into());
-    }
-
-    // Dark current (`Results1288.u_I_mean`, `u_I_var`).
-    let slope_error = |y: &[f64], fitted| (scatter_of(y, fitted) / xx).sqrt();
-    let nothing = Value::exact(f64::NAN);
-    let (by_mean, by_var) = if several {
-        (
-            inputs.value(mean_line.0, slope_error(&dark_mean, mean_line)),
-            inputs.value(var_line.0, slope_error(&dark_var, var_line)),
-        )
-    } else {
-        notes.push("u_I_mean, u_I_var: the dark current needs three exposures or more".into());
-        (nothing.clone(), nothing.clone())
-    };
-    put("u_I_mean_DN", &by_mean, "DN/s");
-    put("u_I_mean", &Value::of(&[&by_mean, &k], |v| v[0] / v[1]), "e/s");
-    let sound = if by_var.value < 0.0 { &nothing } else { &by_var };
-    if by_var.value < 0.0 {
-        notes.push(format!(
-            "u_I_var: the variance of the darks falls with the exposure ({:.4} ± {:.4} DN^2/s)",
-            by_var.value,
-            by_var.std_err()
-        ));
-    }
-    put("u_I_var_DN", &Value::of(&[sound, &k], |v| v[0] / v[1]), "DN/s");
-    put("u_I_var", &Value::of(&[sound, &k], |v| v[0] / (v[1] * v[1])), "e/s");
-
-    match &points.spatial {
-        Some(stacks) => nonuniformity(points.shape, stacks, &k, &mut inputs, &mut put, &mut notes),
-        None => notes.push(
-            "DSNU and PRNU: no set of more than two flats has darks of its exposure in more than two frames"
-                .into(),
-        ),
-    }
-    Ok(Evaluation { quantities: out, notes })
-}
-
-/// Where the temporal variance has its maximum, looked for from the brightest end: a single peak of the noise on the way up is passed over
-/// (`Results1288.index_u_ysat`).
-fn saturation(var_dn2: &[f64]) -> usize {
-    let (mut most, mut at) = (0.0, 0);
-    for i in (0..var_dn2.len()).rev() {
-        let before = var_dn2[if i == 0 { 1.min(var_dn2.len() - 1) } else { i - 1 }];
-        if var_dn2[i] >= most || before >= most {
-            (most, at) = (var_dn2[i], i);
-        } else {
-            break;
+        for (name, theirs) in tool.quantities {
+            let value = |q: &Option<Quantity>| q.as_ref().map(|q| q.value);
+            let (ours, theirs) = (evaluation.quantities.get(&name).and_then(value), value(&theirs));
+            let same = match (ours, theirs) {
+                (Some(a), Some(b)) => (a - b).abs() <= 1e-6 * b.abs(),
+                (a, b) => a.is_none() && b.is_none(),
+            };
+            if !same {
+                evaluation.reference_tool.insert(name, theirs);
+            }
         }
     }
-    at
+    Ok(evaluation)
 }
 
-/// Relative deviations from the line fitted with weights 1 / y^2, per cent.
-fn linearity(x: &[f64], y: &[f64]) -> Vec<f64> {
-    let sum = |f: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(x, y)| f(*x, *y)).sum::<f64>();
+fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError> {
+    let as_tool = definitions == Definitions::ReferenceTool;
+    let release4 = definitions == Definitions::Release4;
+    let mut points = points.clone();
+    if definitions == Definitions::Release31 {
+        // The difference of the two means came off in release 4.0 (appendix E.1, 4).
+        let with_difference = |p: &mut super::Pair| p.var_dn2 += 0.5 * p.difference_dn * p.difference_dn;
+        for p in &mut points.temporal {
+            with_difference(&mut p.flat);
+            with_difference(&mut p.dark);
+        }
+        points.darks.iter_mut().for_each(|d| with_difference(&mut d.pair));
+    }
+    let t = &points.temporal;
+    let pixels = (points.shape.0 * points.shape.1) as f64;
+    let mut sheet =
+        Sheet { inputs: Inputs::default(), quantities: BTreeMap::new(), limits: BTreeMap::new(), notes: Vec::new() };
+    let calibration = (sheet.inputs.next(), points.light.irradiance_rel_std.unwrap_or(0.0));
+
+    // Darks that are cut off at 0 DN say less than their noise, and shift every signal.
+    let underflow = underflow(&points.darks);
+    let clipped = !as_tool && underflow > UNDERFLOW;
+    if clipped {
+        sheet.note(format!(
+            "sigma_y_dark, sigma_d, u_p_min, u_e_min, DR, DSNU and the dark current are undefined: {:.1} % of the samples of the darks are at 0 DN, \
+             where the standard allows 0.5 % (section 6.5). Raise the black level. K and R are the slopes of lines with a free offset through \
+             levels that are not cut off",
+            100.0 * underflow
+        ));
+    }
+
+    let saturated = if release4 {
+        saturation::by_share(t, pixels, &mut sheet.inputs)
+    } else {
+        saturation::at_peak(t, &mut sheet.inputs)
+    };
+    let most = saturated.signal_dn();
+    let at_saturation = match &saturated {
+        Saturation::At { photons, note, .. } => {
+            sheet.notes.extend(note.clone());
+            photons.clone().scaled_by(calibration.0, calibration.1)
+        }
+        Saturation::Unknown { why, .. } => {
+            sheet.note(format!("u_p_sat, u_e_sat, SNR_max and DR are undefined: {why}"));
+            Value::undefined()
+        }
+    };
+
+    let used = fitted_points(t, most, definitions, clipped)?;
+    let [k, r] = transfer_lines(&used, pixels, definitions, clipped);
+    let k = sheet.inputs.value(k.slope, k.slope_std());
+    let r = sheet.inputs.value(r.slope, r.slope_std()).scaled_by(calibration.0, -calibration.1);
+    if k.value < 3.0 * k.std_err() {
+        sheet.note(format!(
+            "K is {} DN/e: no more than three of its standard errors. The variance does not grow with the signal as photon noise does",
+            crate::number::with_error(k.value, k.std_err())
+        ));
+    }
+
+    let dark = dark_noise(&points, definitions, clipped, pixels, &mut sheet);
+    sensitivity(&points, definitions, &mut sheet, &k, &r, &dark, &at_saturation);
+    linearity(t, most, definitions, pixels, &mut sheet);
+    dark_current(&points.darks, definitions, clipped, pixels, &mut sheet, &k);
+    nonuniformity(&points, definitions, clipped, &k, &mut sheet);
+    let by_noise = (!as_tool).then(|| gain_by_noise(&points)).flatten();
+    if release4 {
+        local_gains(&used, k.value, &mut sheet);
+    }
+    let general = if release4 { general(&points, &saturated) } else { None };
+    if !points.photons_known {
+        sheet.note(
+            "R, QE, u_p_min and u_p_sat are undefined: the light is not in photons. Give [bench.light] in dataset.toml: photon_flux_per_s, or \
+             irradiance_w_per_m2 with wavelength_nm and pixel_area_um2"
+                .into(),
+        );
+    }
+    let Sheet { quantities, limits, notes, .. } = sheet;
+    Ok(Evaluation {
+        definitions,
+        quantities,
+        saturation_signal_dn: most,
+        limits,
+        reference_tool: BTreeMap::new(),
+        general,
+        noise: by_noise,
+        notes,
+    })
+}
+
+/// The photon transfer line, of slope K, and the response line, of slope R (section 6.6).
+pub(super) fn transfer_lines(used: &[Temporal], pixels: f64, definitions: Definitions, clipped: bool) -> [Fitted; 2] {
+    let noise: Vec<_> = used.iter().map(|p| (p.signal_dn(), p.noise_dn2(), noise_std(p, pixels))).collect();
+    let response: Vec<_> = used.iter().map(|p| (p.photons, p.signal_dn(), signal_std(p, pixels))).collect();
+    // Release 4.0: unknown offset (eq. 50). Before: no offset. The response has none (eq. 49), unless the darks are cut off.
+    [line(&noise, definitions != Definitions::Release4), line(&response, !clipped)]
+}
+
+/// Share of the samples of the darks at 0 DN, at most.
+pub(super) fn underflow(darks: &[Dark]) -> f64 {
+    darks.iter().map(|d| d.pair.zero_share).fold(0.0, f64::max)
+}
+
+/// The levels that gain and responsivity are fitted to: up to 70 % of saturation.
+pub(super) fn fitted_points(
+    t: &[Temporal],
+    most: f64,
+    definitions: Definitions,
+    clipped: bool,
+) -> Result<Vec<Temporal>, EmvaError> {
+    let limit = FIT_RANGE * most;
+    let within: Vec<Temporal> = if definitions == Definitions::ReferenceTool {
+        // Up to the last level of the list that lies below.
+        let last = t.iter().rposition(|p| p.signal_dn() <= limit);
+        last.map(|last| t[..=last].to_vec()).unwrap_or_default()
+    } else {
+        let below = |p: &&Temporal| p.signal_dn() <= limit && !(clipped && p.flat.zero_share > UNDERFLOW);
+        t.iter().filter(below).copied().collect()
+    };
+    let needed = if definitions == Definitions::Release4 { 3 } else { 1 };
+    if within.len() < needed {
+        return Err(EmvaError::Missing(format!(
+            "{} of the {} exposures lie below 70 % of saturation (a signal of {limit:.0} DN), and the gain needs {needed} or more; take shorter \
+             exposures or less light",
+            within.len(),
+            t.len()
+        )));
+    }
+    Ok(within)
+}
+
+/// Temporal variance of the darks, DN^2, with what hides it.
+struct DarkNoise {
+    var_dn2: Value,
+    /// Quantisation hides it: the value is a bound.
+    hidden: bool,
+}
+
+fn distinct(darks: &[Dark]) -> usize {
+    let mut exposures: Vec<f64> = darks.iter().map(|d| d.exposure_s).collect();
+    exposures.dedup_by(|a, b| (*a / *b - 1.0).abs() < 1e-9);
+    exposures.len()
+}
+
+/// Darks whose exposure has a flat: the reference tool knows no others.
+fn with_flats(darks: &[Dark]) -> Vec<Dark> {
+    darks.iter().filter(|d| d.with_flat).copied().collect()
+}
+
+/// Lines of the darks' means and variances against the exposure; none for fewer than three exposures.
+pub(super) fn dark_lines(darks: &[Dark], pixels: f64) -> Option<[Fitted; 2]> {
+    let means: Vec<_> =
+        darks.iter().map(|d| (d.exposure_s, d.pair.mean_dn, (d.pair.var_dn2 / (2.0 * pixels)).sqrt())).collect();
+    let variances: Vec<_> = darks
+        .iter()
+        .map(|d| (d.exposure_s, d.pair.var_dn2, of_variance(d.pair.var_dn2, pixels)))
+        .collect();
+    (distinct(darks) > 2).then(|| [line(&means, false), line(&variances, false)])
+}
+
+fn dark_noise(points: &Points, definitions: Definitions, clipped: bool, pixels: f64, sheet: &mut Sheet) -> DarkNoise {
+    let shortest = points.darks.first().map_or(f64::NAN, |d| d.pair.var_dn2);
+    let (value, std_err) = match definitions {
+        // The lowest exposure (section 6.6).
+        Definitions::Release4 => (shortest, of_variance(shortest, pixels)),
+        // The offset of the line of the variances against the exposure.
+        _ => {
+            let darks = with_flats(&points.darks);
+            match dark_lines(&darks, pixels) {
+                Some([_, variances]) => variances.at(0.0),
+                None => {
+                    let first = darks.first().map_or(f64::NAN, |d| d.pair.var_dn2);
+                    (first, of_variance(first, pixels))
+                }
+            }
+        }
+    };
+    if clipped {
+        return DarkNoise { var_dn2: Value::undefined(), hidden: false };
+    }
+    let hidden = value < SMALLEST_DARK_DN2;
+    if !hidden {
+        return DarkNoise { var_dn2: sheet.inputs.value(value, std_err), hidden };
+    }
+    sheet.note(format!(
+        "sigma_y_dark: the temporal variance of the darks is {value:.4} DN², below {SMALLEST_DARK_DN2} DN², where quantisation hides it. The standard \
+         puts {HIDDEN_DARK_DN} DN in its place: sigma_y_dark, sigma_d, u_p_min and u_e_min are upper limits, DR is a lower one"
+    ));
+    for name in ["sigma_y_dark", "sigma_d", "u_p_min", "u_e_min", "u_p_min_area", "u_e_min_area"] {
+        sheet.limits.insert(name.into(), Limit::AtMost);
+    }
+    for name in ["DR", "DR_dB"] {
+        sheet.limits.insert(name.into(), Limit::AtLeast);
+    }
+    // The tool takes the root of 0.24 DN^2.
+    let bound = if definitions == Definitions::ReferenceTool { SMALLEST_DARK_DN2 } else { HIDDEN_DARK_DN.powi(2) };
+    DarkNoise { var_dn2: Value::exact(bound), hidden }
+}
+
+/// Gain, quantum efficiency, dark noise, threshold, saturation, SNR and dynamic range (section 6.6).
+fn sensitivity(
+    points: &Points,
+    definitions: Definitions,
+    sheet: &mut Sheet,
+    k: &Value,
+    r: &Value,
+    dark: &DarkNoise,
+    at_saturation: &Value,
+) {
+    let as_tool = definitions == Definitions::ReferenceTool;
+    // The exact threshold came with release 4.0 (eq. 26; appendix E.1, 6).
+    let half = if definitions == Definitions::Release4 { 0.25 } else { 0.0 };
+    let threshold_e = move |dark_dn2: f64, k: f64| (dark_dn2 / (k * k) + half).sqrt() + 0.5;
+    let d = &dark.var_dn2;
+    let noise_dn = move |dark_dn2: f64| (dark_dn2 - QUANTISATION_DN2).sqrt();
+    let sigma_d = if dark.hidden && !as_tool {
+        Value::of(&[k], |v| HIDDEN_NOISE_DN / v[0])
+    } else {
+        Value::of(&[d, k], |v| noise_dn(v[0]) / v[1])
+    };
+    let u_e_min = Value::of(&[d, k], |v| threshold_e(v[0], v[1]));
+    let u_p_min = Value::of(&[d, k, r], |v| threshold_e(v[0], v[1]) * v[1] / v[2]);
+    let u_e_sat = Value::of(&[at_saturation, r, k], |v| v[0] * v[1] / v[2]);
+    let dr = Value::of(&[at_saturation, d, k, r], |v| v[0] / (threshold_e(v[1], v[2]) * v[2] / v[3]));
+    let snr = Value::of(&[&u_e_sat], |v| v[0].sqrt());
+    sheet.put("K", k, "DN/e");
+    sheet.put("inverse_K", &Value::of(&[k], |v| 1.0 / v[0]), "e/DN");
+    sheet.put("sigma_y_dark", &Value::of(&[d], |v| v[0].sqrt()), "DN");
+    sheet.put("sigma_d", &sigma_d, "e");
+    sheet.put("u_e_min", &u_e_min, "e");
+    sheet.put("u_e_sat", &u_e_sat, "e");
+    sheet.put("SNR_max", &snr, "1");
+    sheet.put("SNR_max_dB", &Value::of(&[&snr], |v| 20.0 * v[0].log10()), "dB");
+    sheet.put("SNR_max_bit", &Value::of(&[&snr], |v| v[0].log2()), "bit");
+    sheet.put("inverse_SNR_max", &Value::of(&[&snr], |v| 100.0 / v[0]), "%");
+    sheet.put("DR", &dr, "1");
+    sheet.put("DR_dB", &Value::of(&[&dr], |v| 20.0 * v[0].log10()), "dB");
+    let qe = Value::of(&[r, k], |v| 100.0 * v[0] / v[1]);
+    let nothing = Value::undefined();
+    let with_light = |v| if points.photons_known { v } else { &nothing };
+    for (name, value, unit) in
+        [("R", r, "DN/p"), ("QE", &qe, "%"), ("u_p_min", &u_p_min, "p"), ("u_p_sat", at_saturation, "p")]
+    {
+        sheet.put(name, with_light(value), unit);
+    }
+    if let Some(area) = points.light.pixel_area_um2 {
+        let over_area = |v: &Value| Value::of(&[v], |v| v[0] / area);
+        sheet.put("u_p_min_area", &over_area(with_light(&u_p_min)), "p/um^2");
+        sheet.put("u_p_sat_area", &over_area(with_light(at_saturation)), "p/um^2");
+        sheet.put("u_e_min_area", &over_area(&u_e_min), "e/um^2");
+        sheet.put("u_e_sat_area", &over_area(&u_e_sat), "e/um^2");
+    }
+}
+
+/// The line of the linearity error (eq. 59 to 61): offset and slope with weights 1 / y^2, and the places of the first and last level of its range.
+pub(super) struct Linearity {
+    pub offset: f64,
+    pub slope: f64,
+    pub levels: Vec<Temporal>,
+}
+
+impl Linearity {
+    /// Relative deviation of a level, per cent (eq. 62).
+    pub fn deviation(&self, p: &Temporal) -> f64 {
+        let fitted = self.offset + self.slope * p.photons;
+        100.0 * (p.signal_dn() - fitted) / fitted
+    }
+}
+
+/// Fits levels between 5 and 95 % of a signal; none for fewer than three.
+pub(super) fn linear_range(t: &[Temporal], most: f64, definitions: Definitions) -> Option<Linearity> {
+    let (low, high) = (LINEAR_RANGE.0 * most, LINEAR_RANGE.1 * most);
+    let levels: Vec<Temporal> = if definitions == Definitions::ReferenceTool {
+        let first = t.iter().position(|p| p.signal_dn() >= low)?;
+        let last = t.iter().rposition(|p| p.signal_dn() <= high)?;
+        t.get(first..=last)?.to_vec()
+    } else {
+        t.iter().filter(|p| (low..=high).contains(&p.signal_dn())).copied().collect()
+    };
+    if levels.len() < 3 {
+        return None;
+    }
+    let sum = |f: &dyn Fn(f64, f64) -> f64| levels.iter().map(|p| f(p.photons, p.signal_dn())).sum::<f64>();
     let (xy, xy2, x2y2) = (sum(&|x, y| x / y), sum(&|x, y| x / (y * y)), sum(&|x, y| (x / y).powi(2)));
     let (y1, y2) = (sum(&|_, y| 1.0 / y), sum(&|_, y| 1.0 / (y * y)));
     let offset = (xy * xy2 - x2y2 * y1) / (xy2 * xy2 - x2y2 * y2);
     let slope = (xy - offset * xy2) / x2y2;
-    x.iter().zip(y).map(|(x, y)| 100.0 * (y - (slope * x + offset)) / (slope * x + offset)).collect()
+    Some(Linearity { offset, slope, levels })
 }
 
-/// DSNU and PRNU with their rows, columns and pixels (`Results1288.s_2_y_col` and its neighbours, release 4.0 eq. 36 to 41).
-fn nonuniformity(
-    (rows, columns): (usize, usize),
-    stacks: &[Spatial; 2],
-    k: &Value,
-    inputs: &mut Inputs,
-    put: &mut dyn FnMut(&str, &Value, &'static str),
-    notes: &mut Vec<String>,
-) {
-    let (m, n) = (rows as f64, columns as f64);
-    let free = m * n - m - n;
-    let mut variances = Vec::new();
-    for (stack, name) in stacks.iter().zip(["", "_dark"]) {
-        let measured = stack.measured_var_dn2;
-        // Variances of m n values, of n column means and of m row means.
-        let measured_value = inputs.value(measured, measured * (2.0 / (m * n)).sqrt());
-        let with_noise = |v: f64, across: f64| v + stack.stack_var_dn2 / (stack.frames * across);
-        let columns_value =
-            inputs.value(stack.columns_var_dn2, with_noise(stack.columns_var_dn2, m) * (2.0 / n).sqrt());
-        let rows_value =
-            inputs.value(stack.rows_var_dn2, with_noise(stack.rows_var_dn2, n) * (2.0 / m).sqrt());
-        let temporal = stack.stack_var_dn2 / stack.frames;
-        let whole = Value::of(&[&measured_value], |v| v[0] - temporal);
-        let all = [&whole, &columns_value, &rows_value];
-        let column = Value::of(&all, |v| (m * n - m) / free * v[1] - n / free * (v[0] - v[2]));
-        let row = Value::of(&all, |v| (m * n - n) / free * v[2] - m / free * (v[0] - v[1]));
-        let pixel = Value::of(&all, |v| m * n / free * (v[0] - v[1] - v[2]));
-        let stack_value = inputs
-            .value(stack.stack_var_dn2, stack.stack_var_dn2 * (2.0 / (m * n * (stack.frames - 1.0))).sqrt());
-        for (part, value) in [
-            ("sigma_2_y_stack", &stack_value),
-            ("s_2_y_measured", &measured_value),
-            ("s_2_y", &whole),
-            ("s_2_y_cav", &columns_value),
-            ("s_2_y_rav", &rows_value),
-            ("s_2_y_col", &column),
-            ("s_2_y_row", &row),
-            ("s_2_y_pixel", &pixel),
-        ] {
-            put(&format!("{part}{name}"), value, "DN^2");
+fn linearity(t: &[Temporal], most: f64, definitions: Definitions, pixels: f64, sheet: &mut Sheet) {
+    let Some(fit) = linear_range(t, most, definitions) else {
+        for name in ["LE", "LE_min", "LE_max"] {
+            sheet.put(name, &Value::undefined(), "%");
         }
-        variances.push([whole, column, row, pixel]);
+        sheet.note("LE is undefined: fewer than three exposures lie between 5 and 95 % of saturation".into());
+        return;
+    };
+    let deviations: Vec<f64> = fit.levels.iter().map(|p| fit.deviation(p)).collect();
+    let errors: Vec<f64> = fit.levels.iter().map(|p| 100.0 * signal_std(p, pixels) / p.signal_dn()).collect();
+    let n = deviations.len() as f64;
+    // Of the level that has it.
+    let of = |better: &dyn Fn(f64, f64) -> bool| {
+        let mut at = 0;
+        for (i, d) in deviations.iter().enumerate() {
+            if better(*d, deviations[at]) {
+                at = i;
+            }
+        }
+        (deviations[at], errors[at])
+    };
+    let (least, greatest) = (of(&|a, b| a < b), of(&|a, b| a > b));
+    // Release 4.0: the mean of the magnitudes (eq. 63).
+    let mean = deviations.iter().map(|d| d.abs()).sum::<f64>() / n;
+    let mean_std = errors.iter().map(|e| e * e).sum::<f64>().sqrt() / n;
+    if definitions != Definitions::ReferenceTool {
+        let value = sheet.inputs.value(mean, mean_std);
+        sheet.put("LE", &value, "%");
     }
-    let light = stacks[0].mean_dn - stacks[1].mean_dn;
-    for (i, part) in ["", "_col", "_row", "_pixel"].into_iter().enumerate() {
-        let (bright, dark) = (&variances[0][i], &variances[1][i]);
-        let root = |v: f64| if v < 0.0 { f64::NAN } else { v.sqrt() };
-        put(&format!("DSNU1288{part}"), &Value::of(&[dark, k], |v| root(v[0]) / v[1]), "e");
-        if i == 0 {
-            put("DSNU1288_DN", &Value::of(&[dark], |v| root(v[0])), "DN");
-        }
-        put(
-            &format!("PRNU1288{part}"),
-            &Value::of(&[bright, dark], |v| 100.0 * root(v[0] - v[1]) / light),
-            "%",
+    for (name, (value, std_err)) in [("LE_min", least), ("LE_max", greatest)] {
+        let value = sheet.inputs.value(value, std_err);
+        sheet.put(name, &value, "%");
+    }
+}
+
+/// Dark current from mean and variance (section 7.1).
+fn dark_current(
+    darks: &[Dark],
+    definitions: Definitions,
+    clipped: bool,
+    pixels: f64,
+    sheet: &mut Sheet,
+    k: &Value,
+) {
+    let as_tool = definitions == Definitions::ReferenceTool;
+    let darks = if as_tool { with_flats(darks) } else { darks.to_vec() };
+    let lines = if clipped { None } else { dark_lines(&darks, pixels) };
+    let exposures = distinct(&darks);
+    if exposures < 3 && !clipped {
+        sheet.note(format!(
+            "u_I_mean and u_I_var are undefined: the dark current needs darks at three exposures or more, and there are {exposures}"
+        ));
+    } else if exposures < DARK_EXPOSURES && !as_tool && !clipped {
+        sheet.note(format!("the dark current is of {exposures} exposures; the standard wants six (section 7.1)"));
+    }
+    let (by_mean, by_var) = match &lines {
+        Some([means, variances]) => (
+            sheet.inputs.value(means.slope, means.slope_std()),
+            sheet.inputs.value(variances.slope, variances.slope_std()),
+        ),
+        None => (Value::undefined(), Value::undefined()),
+    };
+    sheet.put("u_I_mean_DN", &by_mean, "DN/s");
+    sheet.put("u_I_mean", &Value::of(&[&by_mean, k], |v| v[0] / v[1]), "e/s");
+    // The standard reports a negative one too, with its error: an upper limit (section 7.1). The tool does not.
+    let by_var = if as_tool && by_var.value < 0.0 { Value::undefined() } else { by_var };
+    if as_tool {
+        sheet.put("u_I_var_DN", &Value::of(&[&by_var, k], |v| v[0] / v[1]), "DN/s");
+    } else {
+        sheet.put("u_I_var_DN", &by_var, "DN^2/s");
+    }
+    sheet.put("u_I_var", &Value::of(&[&by_var, k], |v| v[0] / (v[1] * v[1])), "e/s");
+}
+
+/// DSNU and PRNU with their rows, columns and pixels (eq. 66 and 67).
+fn nonuniformity(points: &Points, definitions: Definitions, clipped: bool, k: &Value, sheet: &mut Sheet) {
+    let Some(stacks) = &points.spatial else {
+        sheet.note(
+            "DSNU and PRNU are undefined: no set of more than two flats has darks of its exposure in more than two frames".into(),
         );
-        if dark.value < 0.0 {
-            notes.push(format!(
-                "DSNU1288{part}: the spatial variance of the darks is {:.5} ± {:.5} DN^2: no more than their noise",
-                dark.value,
-                dark.std_err()
+        return;
+    };
+    let images = stacks.each_ref().map(super::Spatial::mean_image_dn);
+    let light = images[0].mean().unwrap_or(f64::NAN) - images[1].mean().unwrap_or(f64::NAN);
+    let mut both: Vec<Variances> = Vec::new();
+    for (stack, image) in stacks.iter().zip(&images) {
+        let (image, filter) = filtered(image, definitions);
+        if filter != definitions.high_pass() && both.is_empty() {
+            sheet.note("DSNU and PRNU are of images without the high-pass filter, which is larger than they are".into());
+        }
+        both.push(variances(stack, &image, filter, definitions, &mut sheet.inputs));
+    }
+    for (v, name) in both.iter().zip(["", "_dark"]) {
+        for (part, value) in [
+            ("sigma_2_y_stack", &v.stack),
+            ("s_2_y_measured", &v.measured),
+            ("s_2_y", &v.whole),
+            ("s_2_y_cav", &v.columns_of_means),
+            ("s_2_y_rav", &v.rows_of_means),
+            ("s_2_y_col", &v.column),
+            ("s_2_y_row", &v.row),
+            ("s_2_y_pixel", &v.pixel),
+        ] {
+            sheet.put(&format!("{part}{name}"), value, "DN^2");
+        }
+    }
+    let root = |v: f64| if v < 0.0 { f64::NAN } else { v.sqrt() };
+    let parts = |v: &Variances| [v.whole.clone(), v.column.clone(), v.row.clone(), v.pixel.clone()];
+    let (bright, dark) = (parts(&both[0]), parts(&both[1]));
+    for (i, part) in ["", "_col", "_row", "_pixel"].into_iter().enumerate() {
+        let (bright, dark) = (&bright[i], &dark[i]);
+        let nothing = Value::undefined();
+        let of_dark = if clipped { &nothing } else { dark };
+        sheet.put(&format!("DSNU1288{part}"), &Value::of(&[of_dark, k], |v| root(v[0]) / v[1]), "e");
+        if i == 0 {
+            sheet.put("DSNU1288_DN", &Value::of(&[of_dark], |v| root(v[0])), "DN");
+        }
+        let prnu = Value::of(&[bright, dark], |v| 100.0 * root(v[0] - v[1]) / light);
+        sheet.put(&format!("PRNU1288{part}"), &prnu, "%");
+        let named = |v: &Value| format!("{} DN²", crate::number::with_error(v.value, v.std_err()));
+        if dark.value < 0.0 && !clipped {
+            sheet.note(format!(
+                "DSNU1288{part} is undefined: the spatial variance of the darks is {}, no more than their noise",
+                named(dark)
             ));
         }
         if bright.value < dark.value {
-            notes.push(format!("PRNU1288{part}: the flats vary no more than the darks"));
+            let difference = Value::of(&[bright, dark], |v| v[0] - v[1]);
+            sheet.note(format!(
+                "PRNU1288{part} is undefined: the flats vary no more than the darks, by {}",
+                named(&difference)
+            ));
         }
     }
+}
+
+/// The standard's check of the photon transfer curve (eq. 51): the mean of the local slopes' deviation from K, of a cubic B-spline.
+fn local_gains(used: &[Temporal], k: f64, sheet: &mut Sheet) {
+    let points: Vec<(f64, f64)> = used.iter().map(|p| (p.signal_dn(), p.noise_dn2())).collect();
+    let end = points.iter().map(|p| p.0).fold(0.0, f64::max);
+    // Of 35 levels below 70 % of saturation six intervals, as the general model has for 50.
+    let spline = Spline::fit(&points, end, (points.len() / 6).clamp(2, 6));
+    let deviation = match &spline {
+        Some(spline) if points.len() >= 9 => {
+            let sum: f64 = points.iter().map(|p| (spline.at(p.0).1 / k - 1.0).abs()).sum();
+            100.0 * sum / points.len() as f64
+        }
+        _ => f64::NAN,
+    };
+    sheet.put("K_deviation", &Value::exact(deviation), "%");
+    if deviation > 3.0 {
+        sheet.note(format!(
+            "K_deviation: the local slope of the photon transfer curve differs from K by {deviation:.1} % on average; above 3 % the standard's linear \
+             model does not hold (eq. 51) and the general one is to be used. `radcam diagnose` looks for the reason. (Few pixels make the slope \
+             scatter too: see whether the line of `noise` holds)"
+        ));
+    }
+}
+
+/// Section IV on the same levels, the black level taken from the darks.
+fn gain_by_noise(points: &Points) -> Option<GainByNoise> {
+    let pixels = (points.shape.0 * points.shape.1) as f64;
+    let zero_dn = dark_lines(&points.darks, pixels)
+        .map_or_else(|| points.darks.first().map_or(f64::NAN, |d| d.pair.mean_dn), |[means, _]| means.offset);
+    let level = |mean_dn: f64, var_dn2: f64| Level {
+        mean_dn: mean_dn - zero_dn,
+        var_dn2,
+        pixels: Some(pixels),
+        exposure_s: None,
+        illumination: None,
+        cov_01: None,
+        cov_10: None,
+        cov_11: None,
+        lamp: None,
+        monitor: None,
+    };
+    let uncut = |p: &super::Pair| p.zero_share < 1e-4 && p.full_share < 1e-4;
+    let pairs = points.temporal.iter().map(|p| p.flat).chain(points.darks.iter().map(|d| d.pair));
+    let levels = pairs.filter(uncut).map(|p| level(p.mean_dn, p.var_dn2)).collect();
+    let report = noise::of_table(&Table { levels }).ok()?;
+    Some(GainByNoise {
+        line: report.agreement(),
+        gain: report.gain_dn_per_e,
+        read_noise: report.read_noise_e,
+        chi2: report.chi2,
+        dof: report.dof,
+        q: report.q,
+    })
 }

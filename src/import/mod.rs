@@ -583,7 +583,7 @@ fn fill(
         gain_db: map.gain_db,
         ..map.camera.clone().unwrap_or_default()
     };
-    let bench = BenchInfo { illumination_unit: "relative".into(), illumination_rel_std: None };
+    let bench = BenchInfo { illumination_unit: "relative".into(), ..Default::default() };
     let manifest = Manifest { format: FORMAT.into(), camera, bench: Some(bench) };
     let text = toml::to_string(&manifest).map_err(|e| ImportError::Map(e.to_string()))?;
     let rows = rows.into_inner().map_err(|e| ImportError::Map(e.to_string()))?;

@@ -2,6 +2,7 @@
 
 pub mod budget;
 pub mod compare;
+pub mod emva;
 pub mod noise;
 pub mod reproduce;
 pub mod svg;

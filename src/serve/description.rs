@@ -359,6 +359,13 @@ pub fn of(model: &Model, options: &Options) -> String {
         (0.0, 1e6, None),
         ["relative", "RW"],
     );
+    d.float(
+        "BenchControl",
+        "BenchPhotonFlux",
+        register::PHOTON_FLUX,
+        (0.0, 1e15, None),
+        ["photons/px/s", "RO"],
+    );
     d.boolean("BenchControl", "BenchDark", register::DARK, "RW");
     d.number("BenchConfigurationMax", "1000000", &[]);
     d.integer("BenchControl", "BenchConfiguration", register::CONFIGURATION, (0, "BenchConfigurationMax", 1));

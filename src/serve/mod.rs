@@ -44,6 +44,7 @@ mod register {
     pub const GAIN_RAW: u32 = 0x8064;
     pub const BLACK_RAW: u32 = 0x8068;
     pub const EXPOSURE_BASE_US: u32 = 0x8070;
+    pub const PHOTON_FLUX: u32 = 0x8078;
 }
 
 /// Names of exposure, gain and black level.
@@ -159,6 +160,7 @@ fn set_up(model: &Model, r: &mut Initial) {
     r.set_f64(register::BLACK_LEVEL, model.base.black_level_dn);
     r.set_f64(register::TEMPERATURE_C, model.base.dark_reference_c);
     r.set_f64(register::ILLUMINATION, 1.0);
+    r.set_f64(register::PHOTON_FLUX, model.bench.photon_flux_per_s);
     r.set_u32(register::DARK, 0);
     r.set_u32(register::CONFIGURATION, 0);
     r.set_u32(register::SCENE, 0);

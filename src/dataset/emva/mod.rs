@@ -1,8 +1,12 @@
 //! The descriptor file of the EMVA 1288 reference tool, so that its datasets work as they are.
 //!
-//! Lines: `v VERSION` (any), `n BITS WIDTH HEIGHT`, `b EXPOSURE PHOTONS` and `d EXPOSURE` begin a set (nanoseconds, or with a unit: `10ms`),
-//! `i FILE` adds a frame to it; `#` begins a comment. Photons are per pixel and exposure; here they become
+//! Lines: `v VERSION` (any), `n BITS WIDTH HEIGHT`, `b EXPOSURE PHOTONS` and `d EXPOSURE` begin a set (nanoseconds, or with a unit: `10ms`), as does
+//! `dc EXPOSURE`, darks for the dark current alone; `i FILE` adds a frame to it; `#` begins a comment. Photons are per pixel and exposure; here they become
 //! photons per pixel per second. Files may be written with backslashes.
+
+mod write;
+
+pub use write::{DESCRIPTOR, write_descriptor};
 
 use super::{BenchInfo, CameraInfo, Dataset, DatasetError, FrameRow, Kind, Manifest};
 use crate::number::seconds;
@@ -14,7 +18,7 @@ pub fn open(path: &Path) -> Result<Dataset, DatasetError> {
     let (camera, rows) =
         parse(&text).map_err(|(line, message)| DatasetError::Row { path: path.into(), line, message })?;
     let mut manifest = Manifest::new(camera);
-    manifest.bench = Some(BenchInfo { illumination_unit: "photons/px/s".into(), illumination_rel_std: None });
+    manifest.bench = Some(BenchInfo { illumination_unit: "photons/px/s".into(), ..Default::default() });
     let root = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     Dataset::new(root.into(), manifest, rows, path)
 }
@@ -90,7 +94,7 @@ fn parse(text: &str) -> Result<Parsed, (u64, String)> {
                 });
             }
             ["b", exposed, photons] => begin(Kind::Flat, exposure(exposed)?, float(photons)?),
-            ["d", exposed] => begin(Kind::Dark, exposure(exposed)?, 0.0),
+            ["d" | "dc", exposed] => begin(Kind::Dark, exposure(exposed)?, 0.0),
             ["i", _, ..] => {
                 let file = line.trim_start().trim_start_matches('i').trim();
                 let row =
@@ -101,7 +105,7 @@ fn parse(text: &str) -> Result<Parsed, (u64, String)> {
             }
             [word, ..] => {
                 return Err(fault(format!(
-                    "\"{word}\" begins no line of an EMVA 1288 descriptor (v, n, b, d, i), and the file is no table \
+                    "\"{word}\" begins no line of an EMVA 1288 descriptor (v, n, b, d, dc, i), and the file is no table \
                      with mean_dn and var_dn2 either"
                 )));
             }
