@@ -79,7 +79,8 @@ mod tests {
 
     #[test]
     fn photons_need_all_three_or_the_flux() {
-        let mut light = Light { irradiance_w_per_m2: Some(0.01), wavelength_nm: Some(530.0), ..Default::default() };
+        let mut light =
+            Light { irradiance_w_per_m2: Some(0.01), wavelength_nm: Some(530.0), ..Default::default() };
         assert_eq!(light.photons_per_px_s(), None);
         light.photon_flux_per_s = Some(7e5);
         assert_eq!(light.photons_per_px_s(), Some(7e5));

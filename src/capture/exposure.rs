@@ -27,7 +27,10 @@ fn shrink(plan: &Plan, full: f64, longest_flat: f64, max: f64) -> f64 {
     let longest = darks.map(|e| e * full).fold(0.0, f64::max);
     let shrink = if longest > longest_flat && max > longest_flat { (max / longest).min(1.0) } else { 1.0 };
     if shrink < 1.0 {
-        tracing::info!(longest_s = max, "the camera's longest exposure: longer darks are shortened to it in proportion");
+        tracing::info!(
+            longest_s = max,
+            "the camera's longest exposure: longer darks are shortened to it in proportion"
+        );
     }
     shrink
 }

@@ -5,8 +5,8 @@ mod set;
 
 use crate::bench::{BenchError, Illuminator};
 use crate::camera::{Automatic, Camera, CameraError, StreamCounts, StreamOptions, Value};
-use crate::light::Light;
 use crate::dataset::{CameraInfo, Dataset, DatasetError, Manifest, Writer};
+use crate::light::Light;
 use crate::pixel_format::PixelFormat;
 use crate::plan::{Plan, PlanError};
 use exposure::SETTLING;

@@ -1,7 +1,7 @@
 //! `dataset.toml`: what camera and bench said of themselves.
 
-use crate::light::Light;
 use crate::features::{LeftOn, is_setting, left_on, same_value};
+use crate::light::Light;
 use crate::pixel_format::PixelFormat;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

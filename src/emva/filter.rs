@@ -71,10 +71,7 @@ impl HighPass {
         let weights = self.weights();
         let Some(middle) = weights.first().copied() else { return Gains { pixels: 1.0, lines: 1.0 } };
         let square = middle * middle + 2.0 * weights[1..].iter().map(|w| w * w).sum::<f64>();
-        Gains {
-            pixels: 1.0 - 2.0 * middle * middle + square * square,
-            lines: 1.0 - 2.0 * middle + square,
-        }
+        Gains { pixels: 1.0 - 2.0 * middle * middle + square * square, lines: 1.0 - 2.0 * middle + square }
     }
 }
 

@@ -1,13 +1,13 @@
 //! The general model of release 4.0: a camera as a black box, neither linear nor raw. Equation numbers are those of release 4.0 General
 //! (release candidate of 2021-03-15).
 
+use super::Definitions;
 use super::points::{Points, Temporal};
 use super::quantities::{QUANTISATION_DN2, dark_lines, of_variance, signal_std};
 use super::saturation::Saturation;
 use super::spatial::{filtered, variances};
 use super::spline::Spline;
 use super::value::Inputs;
-use super::Definitions;
 use crate::number::Quantity;
 use radcam_sim::rng::{PixelRng, Stream};
 use serde::{Deserialize, Serialize};

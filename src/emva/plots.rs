@@ -3,7 +3,8 @@
 use super::histogram::{Histogram, accumulated, histogram};
 use super::points::{Points, Temporal, line_means};
 use super::quantities::{
-    QUANTISATION_DN2, UNDERFLOW, dark_lines, fitted_points, linear_range, of_variance, signal_std, transfer_lines, underflow,
+    QUANTISATION_DN2, UNDERFLOW, dark_lines, fitted_points, linear_range, of_variance, signal_std,
+    transfer_lines, underflow,
 };
 use super::spatial::filtered;
 use super::{Definitions, Evaluation};
@@ -121,15 +122,21 @@ fn temporal(points: &Points, e: &Evaluation) -> Vec<Plot> {
     let clipped = e.definitions != Definitions::ReferenceTool && underflow(&points.darks) > UNDERFLOW;
     let used = fitted_points(t, most, e.definitions, clipped).unwrap_or_default();
     let [transfer, response] = transfer_lines(&used, pixels, e.definitions, clipped);
-    let photons = if points.photons_known { "exposure μ_p (photons/pixel)" } else { "exposure (relative light × s)" };
-    let marks = |of: &dyn Fn(&Temporal) -> [f64; 3], from: &[Temporal]| from.iter().map(of).collect::<Vec<_>>();
+    let photons =
+        if points.photons_known { "exposure μ_p (photons/pixel)" } else { "exposure (relative light × s)" };
+    let marks =
+        |of: &dyn Fn(&Temporal) -> [f64; 3], from: &[Temporal]| from.iter().map(of).collect::<Vec<_>>();
     let end_signal = t.iter().map(Temporal::signal_dn).fold(0.0, f64::max);
     let end_photons = t.iter().map(|p| p.photons).fold(0.0, f64::max);
     let along = |end: f64, of: &dyn Fn(f64) -> (f64, f64)| -> Vec<[f64; 3]> {
         between(0.0, end, 60, false).map(|x| (x, of(x))).map(|(x, (y, s))| [x, y, s]).collect()
     };
     let noise = |p: &Temporal| {
-        [p.signal_dn(), p.noise_dn2(), of_variance(p.flat.var_dn2, pixels).hypot(of_variance(p.dark.var_dn2, pixels))]
+        [
+            p.signal_dn(),
+            p.noise_dn2(),
+            of_variance(p.flat.var_dn2, pixels).hypot(of_variance(p.dark.var_dn2, pixels)),
+        ]
     };
     let signal = |p: &Temporal| [p.photons, p.signal_dn(), signal_std(p, pixels)];
     let mut all = vec![
@@ -192,7 +199,8 @@ fn temporal(points: &Points, e: &Evaluation) -> Vec<Plot> {
         let std = p.flat.var_dn2.sqrt();
         [p.signal_dn(), std, std / (2.0 * pixels).sqrt()]
     };
-    let difference = |p: &Temporal| [p.signal_dn(), p.flat.difference_dn, (2.0 * p.flat.var_dn2 / pixels).sqrt()];
+    let difference =
+        |p: &Temporal| [p.signal_dn(), p.flat.difference_dn, (2.0 * p.flat.var_dn2 / pixels).sqrt()];
     all.push(Plot {
         id: "stability",
         title: "Stability",
@@ -229,7 +237,8 @@ fn snr(points: &Points, value: &dyn Fn(&str) -> f64, photons: &str) -> Plot {
             between(first, end, 80, true).map(|p| [p, of(p), f64::NAN]).collect()
         };
         let model = |p: f64| eta * p / (dark * dark + eta * p).sqrt();
-        let total = |p: f64| eta * p / (dark * dark + dsnu * dsnu + eta * p + (prnu * eta * p).powi(2)).sqrt();
+        let total =
+            |p: f64| eta * p / (dark * dark + dsnu * dsnu + eta * p + (prnu * eta * p).powi(2)).sqrt();
         all.push(series("linear model", Shape::Line, curve(&model)));
         if dsnu.is_finite() && prnu.is_finite() {
             all.push(series("linear model with nonuniformity", Shape::Dashed, curve(&total)));
@@ -285,10 +294,13 @@ fn power(image: &Array2<f64>) -> Vec<f64> {
                 sum
             },
         )
-        .reduce(|| vec![0.0; half], |mut a, b| {
-            a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
-            a
-        });
+        .reduce(
+            || vec![0.0; half],
+            |mut a, b| {
+                a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+                a
+            },
+        );
     let scale = (rows * columns) as f64;
     sum.iter().map(|s| s / scale).collect()
 }

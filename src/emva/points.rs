@@ -216,7 +216,9 @@ fn wanted(dataset: &Dataset) -> Result<Wanted<'_>, EmvaError> {
     });
     if flats.is_empty() {
         return Err(EmvaError::Missing(match single(Kind::Flat) {
-            Some(s) => format!("set {}: one flat; the temporal noise needs two frames at each exposure", s.number),
+            Some(s) => {
+                format!("set {}: one flat; the temporal noise needs two frames at each exposure", s.number)
+            }
             None => "there are no flats of two frames or more".into(),
         }));
     }
@@ -244,7 +246,8 @@ fn wanted(dataset: &Dataset) -> Result<Wanted<'_>, EmvaError> {
         .rev()
         .filter(|s| of_kind(s, Kind::Flat))
         .filter_map(|f| {
-            let dark = stacks.iter().find(|d| of_kind(d, Kind::Dark) && same_exposure(settings(d), settings(f)))?;
+            let dark =
+                stacks.iter().find(|d| of_kind(d, Kind::Dark) && same_exposure(settings(d), settings(f)))?;
             Some([*f, *dark])
         })
         .max_by_key(|[f, _]| f.rows.len());
@@ -271,7 +274,9 @@ pub fn of_dataset(
     let settings = |s: &Set| dataset.settings(s);
     let photons = |s: &Set| settings(s).illumination * unit.unwrap_or(1.0) * settings(s).exposure_s;
     let chunks = |s: &Set| s.rows.len().div_ceil(AT_ONCE);
-    let of = wanted.flats.len() + wanted.darks.len() + wanted.stacks.iter().flatten().map(|s| chunks(s)).sum::<usize>();
+    let of = wanted.flats.len()
+        + wanted.darks.len()
+        + wanted.stacks.iter().flatten().map(|s| chunks(s)).sum::<usize>();
     let done = AtomicUsize::new(0);
     let step = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, of);
     let read_pair = |set: &&Set| -> Result<Pair, EmvaError> {

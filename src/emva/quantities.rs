@@ -12,6 +12,7 @@ use crate::dataset::table::{Level, Table};
 use crate::fit::line::goodness;
 use crate::noise;
 use crate::number::Quantity;
+use radcam_sim::rng::{PixelRng, Stream};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -124,12 +125,31 @@ pub(super) fn line(points: &[(f64, f64, f64)], through_origin: bool) -> Fitted {
     let xx: f64 = points.iter().map(|p| (p.0 - mx).powi(2)).sum();
     let slope = points.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum::<f64>() / xx;
     let offset = my - slope * mx;
-    let chi2: f64 = points.iter().map(|p| ((p.1 - offset - slope * p.0) / p.2).powi(2)).sum();
-    let dof = n - if through_origin { 1.0 } else { 2.0 };
+    // Whether a line describes the points is told by the best one: this one leaves more than noise where points of small error lie.
+    let (chi2, dof) = best_chi2(points, through_origin);
     let by_scatter = dof > 0.0 && chi2.is_finite() && goodness(chi2, dof) < BY_CHANCE;
     let scale = if by_scatter { (chi2 / dof).sqrt() } else { 1.0 };
     let share = if through_origin { 0.0 } else { 1.0 / n };
-    Fitted { slope, offset, points: points.iter().map(|p| (p.0, p.2)).collect(), mean_x: mx, xx, share, scale }
+    Fitted {
+        slope,
+        offset,
+        points: points.iter().map(|p| (p.0, p.2)).collect(),
+        mean_x: mx,
+        xx,
+        share,
+        scale,
+    }
+}
+
+/// Chi-square of the weighted line and its degrees of freedom.
+fn best_chi2(points: &[(f64, f64, f64)], through_origin: bool) -> (f64, f64) {
+    if !through_origin {
+        let line = crate::fit::line::fit(points.iter().map(|p| (p.0, p.1, p.2 * p.2)));
+        return line.map_or((0.0, 0.0), |l| (l.chi2, l.dof as f64));
+    }
+    let sum = |of: &dyn Fn(&(f64, f64, f64)) -> f64| points.iter().map(|p| of(p) / (p.2 * p.2)).sum::<f64>();
+    let slope = sum(&|p| p.0 * p.1) / sum(&|p| p.0 * p.0);
+    (sum(&|p| (p.1 - slope * p.0).powi(2)), points.len() as f64 - 1.0)
 }
 
 /// What is put together.
@@ -217,8 +237,12 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
     }
     let t = &points.temporal;
     let pixels = (points.shape.0 * points.shape.1) as f64;
-    let mut sheet =
-        Sheet { inputs: Inputs::default(), quantities: BTreeMap::new(), limits: BTreeMap::new(), notes: Vec::new() };
+    let mut sheet = Sheet {
+        inputs: Inputs::default(),
+        quantities: BTreeMap::new(),
+        limits: BTreeMap::new(),
+        notes: Vec::new(),
+    };
     let calibration = (sheet.inputs.next(), points.light.irradiance_rel_std.unwrap_or(0.0));
 
     // Darks that are cut off at 0 DN say less than their noise, and shift every signal.
@@ -268,7 +292,7 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
     nonuniformity(&points, definitions, clipped, &k, &mut sheet);
     let by_noise = (!as_tool).then(|| gain_by_noise(&points)).flatten();
     if release4 {
-        local_gains(&used, k.value, &mut sheet);
+        local_gains(&used, k.value, pixels, &mut sheet);
     }
     let general = if release4 { general(&points, &saturated) } else { None };
     if !points.photons_known {
@@ -292,7 +316,12 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
 }
 
 /// The photon transfer line, of slope K, and the response line, of slope R (section 6.6).
-pub(super) fn transfer_lines(used: &[Temporal], pixels: f64, definitions: Definitions, clipped: bool) -> [Fitted; 2] {
+pub(super) fn transfer_lines(
+    used: &[Temporal],
+    pixels: f64,
+    definitions: Definitions,
+    clipped: bool,
+) -> [Fitted; 2] {
     let noise: Vec<_> = used.iter().map(|p| (p.signal_dn(), p.noise_dn2(), noise_std(p, pixels))).collect();
     let response: Vec<_> = used.iter().map(|p| (p.photons, p.signal_dn(), signal_std(p, pixels))).collect();
     // Release 4.0: unknown offset (eq. 50). Before: no offset. The response has none (eq. 49), unless the darks are cut off.
@@ -352,16 +381,22 @@ fn with_flats(darks: &[Dark]) -> Vec<Dark> {
 
 /// Lines of the darks' means and variances against the exposure; none for fewer than three exposures.
 pub(super) fn dark_lines(darks: &[Dark], pixels: f64) -> Option<[Fitted; 2]> {
-    let means: Vec<_> =
-        darks.iter().map(|d| (d.exposure_s, d.pair.mean_dn, (d.pair.var_dn2 / (2.0 * pixels)).sqrt())).collect();
-    let variances: Vec<_> = darks
+    let means: Vec<_> = darks
         .iter()
-        .map(|d| (d.exposure_s, d.pair.var_dn2, of_variance(d.pair.var_dn2, pixels)))
+        .map(|d| (d.exposure_s, d.pair.mean_dn, (d.pair.var_dn2 / (2.0 * pixels)).sqrt()))
         .collect();
+    let variances: Vec<_> =
+        darks.iter().map(|d| (d.exposure_s, d.pair.var_dn2, of_variance(d.pair.var_dn2, pixels))).collect();
     (distinct(darks) > 2).then(|| [line(&means, false), line(&variances, false)])
 }
 
-fn dark_noise(points: &Points, definitions: Definitions, clipped: bool, pixels: f64, sheet: &mut Sheet) -> DarkNoise {
+fn dark_noise(
+    points: &Points,
+    definitions: Definitions,
+    clipped: bool,
+    pixels: f64,
+    sheet: &mut Sheet,
+) -> DarkNoise {
     let shortest = points.darks.first().map_or(f64::NAN, |d| d.pair.var_dn2);
     let (value, std_err) = match definitions {
         // The lowest exposure (section 6.6).
@@ -396,7 +431,8 @@ fn dark_noise(points: &Points, definitions: Definitions, clipped: bool, pixels: 
         sheet.limits.insert(name.into(), Limit::AtLeast);
     }
     // The tool takes the root of 0.24 DN^2.
-    let bound = if definitions == Definitions::ReferenceTool { SMALLEST_DARK_DN2 } else { HIDDEN_DARK_DN.powi(2) };
+    let bound =
+        if definitions == Definitions::ReferenceTool { SMALLEST_DARK_DN2 } else { HIDDEN_DARK_DN.powi(2) };
     DarkNoise { var_dn2: Value::exact(bound), hidden }
 }
 
@@ -544,7 +580,9 @@ fn dark_current(
             "u_I_mean and u_I_var are undefined: the dark current needs darks at three exposures or more, and there are {exposures}"
         ));
     } else if exposures < DARK_EXPOSURES && !as_tool && !clipped {
-        sheet.note(format!("the dark current is of {exposures} exposures; the standard wants six (section 7.1)"));
+        sheet.note(format!(
+            "the dark current is of {exposures} exposures; the standard wants six (section 7.1)"
+        ));
     }
     let (by_mean, by_var) = match &lines {
         Some([means, variances]) => (
@@ -579,7 +617,10 @@ fn nonuniformity(points: &Points, definitions: Definitions, clipped: bool, k: &V
     for (stack, image) in stacks.iter().zip(&images) {
         let (image, filter) = filtered(image, definitions);
         if filter != definitions.high_pass() && both.is_empty() {
-            sheet.note("DSNU and PRNU are of images without the high-pass filter, which is larger than they are".into());
+            sheet.note(
+                "DSNU and PRNU are of images without the high-pass filter, which is larger than they are"
+                    .into(),
+            );
         }
         both.push(variances(stack, &image, filter, definitions, &mut sheet.inputs));
     }
@@ -628,24 +669,40 @@ fn nonuniformity(points: &Points, definitions: Definitions, clipped: bool, k: &V
 }
 
 /// The standard's check of the photon transfer curve (eq. 51): the mean of the local slopes' deviation from K, of a cubic B-spline.
-fn local_gains(used: &[Temporal], k: f64, sheet: &mut Sheet) {
+fn local_gains(used: &[Temporal], k: f64, pixels: f64, sheet: &mut Sheet) {
     let points: Vec<(f64, f64)> = used.iter().map(|p| (p.signal_dn(), p.noise_dn2())).collect();
     let end = points.iter().map(|p| p.0).fold(0.0, f64::max);
     // Of 35 levels below 70 % of saturation six intervals, as the general model has for 50.
-    let spline = Spline::fit(&points, end, (points.len() / 6).clamp(2, 6));
-    let deviation = match &spline {
-        Some(spline) if points.len() >= 9 => {
-            let sum: f64 = points.iter().map(|p| (spline.at(p.0).1 / k - 1.0).abs()).sum();
-            100.0 * sum / points.len() as f64
-        }
-        _ => f64::NAN,
+    let deviation_of = |points: &[(f64, f64)]| -> Option<f64> {
+        let spline =
+            Spline::fit(points, end, (points.len() / 6).clamp(2, 6)).filter(|_| points.len() >= 9)?;
+        let sum: f64 = points.iter().map(|p| (spline.at(p.0).1 / k - 1.0).abs()).sum();
+        Some(100.0 * sum / points.len() as f64)
     };
-    sheet.put("K_deviation", &Value::exact(deviation), "%");
+    let deviation = deviation_of(&points).unwrap_or(f64::NAN);
+    // What the noise of the variances alone would make of a straight line: its mean is taken for the error.
+    let by_noise: Vec<f64> = (0..40)
+        .filter_map(|draw| {
+            let mut rng = PixelRng::new(51, Stream::Effect, draw, 0, 0);
+            let straight = |p: &Temporal, rng: &mut PixelRng| {
+                (p.signal_dn(), k * p.signal_dn() + noise_std(p, pixels) * rng.normal())
+            };
+            deviation_of(&used.iter().map(|p| straight(p, &mut rng)).collect::<Vec<_>>())
+        })
+        .collect();
+    let expected = by_noise.iter().sum::<f64>() / by_noise.len().max(1) as f64;
+    let value = sheet.inputs.value(deviation, expected);
+    sheet.put("K_deviation", &value, "%");
     if deviation > 3.0 {
+        let why = if deviation < 2.0 * expected {
+            format!(
+                "the noise of so few pixels alone makes {expected:.1} %: more pixels or exposures would tell"
+            )
+        } else {
+            "the standard's linear model does not hold (eq. 51): use the general one. `radcam diagnose` looks for the reason".into()
+        };
         sheet.note(format!(
-            "K_deviation: the local slope of the photon transfer curve differs from K by {deviation:.1} % on average; above 3 % the standard's linear \
-             model does not hold (eq. 51) and the general one is to be used. `radcam diagnose` looks for the reason. (Few pixels make the slope \
-             scatter too: see whether the line of `noise` holds)"
+            "K_deviation: the local slope of the photon transfer curve differs from K by {deviation:.1} % on average, more than 3 %; {why}"
         ));
     }
 }

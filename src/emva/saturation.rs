@@ -2,7 +2,6 @@
 
 use super::points::Temporal;
 use super::value::{Inputs, Value};
-use statrs::distribution::{ContinuousCDF, Normal};
 
 /// The exposure of saturation.
 #[derive(Debug, Clone)]
@@ -81,25 +80,29 @@ pub(super) fn by_share(points: &[Temporal], pixels: f64, inputs: &mut Inputs) ->
     let spread = |p: f64| (temporal(p) + spatial * (p / uncut.photons).powi(2)).max(1.0 / 12.0).sqrt();
     // The signal that a linear camera would have, from the last uncut level on.
     let linear = |p: f64| uncut.signal_dn() * p / uncut.photons;
-    let near: Vec<&&Temporal> = sorted
-        .iter()
-        .filter(|p| p.photons >= uncut.photons && p.flat.full_share < CUT)
-        .collect();
-    let Ok(normal) = Normal::new(0.0, 1.0) else {
-        return Saturation::Unknown { why: "no normal distribution".into(), signal_dn };
+    let near: Vec<&&Temporal> =
+        sorted.iter().filter(|p| p.photons >= uncut.photons && p.flat.full_share < CUT).collect();
+    // Photon noise is skewed to the bright side: its third moment is the gain times its variance.
+    let gain = (uncut.flat.var_dn2 - uncut.dark.var_dn2).max(0.0) / uncut.signal_dn();
+    let skewness = |p: f64| gain * (temporal(p) - uncut.dark.var_dn2).max(0.0) / spread(p).powi(3);
+    // The share beyond a limit that lies w deviations above the mean, to the first order of the skewness (Edgeworth's series; Kendall and Stuart,
+    // The Advanced Theory of Statistics, section 6.18).
+    let beyond = |p: f64, limit: f64, scale: f64| {
+        let w = (limit - scale * linear(p)) / spread(p);
+        let density = (-0.5 * w * w).exp() / std::f64::consts::TAU.sqrt();
+        let above = 0.5 * libm::erfc(w * std::f64::consts::FRAC_1_SQRT_2);
+        above + skewness(p) / 6.0 * (w * w - 1.0) * density
     };
-    // Share = Phi((scale linear(p) - limit) / spread(p)), with scale near 1.
     let limit_at = uncut.signal_dn() + spread(uncut.photons) * 3.0;
     let samples = 2.0 * pixels;
     let objective = |limit: f64, scale: f64| -> f64 {
         let of = |p: &&&Temporal| {
-            let share = normal.cdf((scale * linear(p.photons) - limit) / spread(p.photons));
-            let share = share.clamp(1e-12, 1.0 - 1e-12);
+            let share = beyond(p.photons, limit, scale).clamp(1e-12, 1.0 - 1e-12);
             let count = samples * p.flat.full_share;
             -(count * share.ln() + (samples - count) * (1.0 - share).ln())
         };
-        // Two levels at least tell both; with fewer the scale stays near 1, to the percent to which cameras are linear.
-        near.iter().map(of).sum::<f64>() + 0.5 * ((scale - 1.0) / 0.01).powi(2)
+        // Two levels tell both. Where fewer lie near saturation the scale stays near 1, to the 3 % by which a linear camera may bend there.
+        near.iter().map(of).sum::<f64>() + 0.5 * ((scale - 1.0) / 0.03).powi(2)
     };
     let Some((limit, scale, covariance)) = minimum(&objective, limit_at, spread(uncut.photons)) else {
         let at = sorted[first];
@@ -107,16 +110,21 @@ pub(super) fn by_share(points: &[Temporal], pixels: f64, inputs: &mut Inputs) ->
         return Saturation::At {
             photons: inputs.value(at.photons - 0.5 * step, step / 12f64.sqrt()),
             signal_dn: uncut.signal_dn(),
-            note: Some("u_p_sat: known to the step between exposures; more of them near saturation would tell".into()),
+            note: Some(
+                "u_p_sat: known to the step between exposures; more of them near saturation would tell"
+                    .into(),
+            ),
         };
     };
-    let z = normal.inverse_cdf(SHARE);
-    // Where the share is reached: scale linear(p) - limit = z spread(p), by bisection.
+    // Where the share is reached, by bisection.
     let reached = |limit: f64, scale: f64| {
-        let (mut low, mut high) = (0.0, 4.0 * limit.max(1.0) / linear(1.0).max(1e-300));
+        // From where the limit is five deviations away to where it is met.
+        let at_limit = limit.max(1.0) / (scale * linear(1.0)).max(1e-300);
+        let (mut low, mut high) =
+            (at_limit * (1.0 - 6.0 * spread(at_limit) / limit.max(1.0)).max(0.0), at_limit);
         for _ in 0..200 {
             let middle = 0.5 * (low + high);
-            if (scale * linear(middle) - limit) / spread(middle) < z { low = middle } else { high = middle }
+            if beyond(middle, limit, scale) < SHARE { low = middle } else { high = middle }
         }
         0.5 * (low + high)
     };
@@ -183,7 +191,8 @@ fn minimum(f: &dyn Fn(f64, f64) -> f64, limit: f64, width: f64) -> Option<(f64, 
         let gradient = [(xp - xm) / (2.0 * dx), (yp - ym) / (2.0 * dy)];
         let xx = (xp - 2.0 * here + xm) / (dx * dx);
         let yy = (yp - 2.0 * here + ym) / (dy * dy);
-        let xy = (f(x + dx, y + dy) - f(x + dx, y - dy) - f(x - dx, y + dy) + f(x - dx, y - dy)) / (4.0 * dx * dy);
+        let xy =
+            (f(x + dx, y + dy) - f(x + dx, y - dy) - f(x - dx, y + dy) + f(x - dx, y - dy)) / (4.0 * dx * dy);
         let determinant = xx * yy - xy * xy;
         if !(determinant > 0.0 && xx > 0.0) {
             return None;

@@ -42,7 +42,13 @@ pub(super) fn filtered(image: &Array2<f64>, definitions: Definitions) -> (Array2
 /// c2): A = c1 (s_col^2 + p / M), B = c1 (s_row^2 + p / N), T = c1 (s_row^2 + s_col^2) + c2 p, where p = s_pixel^2 + sigma^2 / L. Without a
 /// filter both gains are 1, and the solution is eq. (44). The standard's text has no gains: it would put DSNU and PRNU of pixels 0.5 % and those of lines
 /// 5 % too low. A, B and the pixels' own part are independent, with the errors of variances of N, M and M N values.
-pub(super) fn variances(stack: &Spatial, image: &Array2<f64>, filter: HighPass, definitions: Definitions, inputs: &mut Inputs) -> Variances {
+pub(super) fn variances(
+    stack: &Spatial,
+    image: &Array2<f64>,
+    filter: HighPass,
+    definitions: Definitions,
+    inputs: &mut Inputs,
+) -> Variances {
     let (m, n) = (image.nrows() as f64, image.ncols() as f64);
     let gains = filter.gains();
     let frames = stack.frames as f64;
@@ -55,7 +61,8 @@ pub(super) fn variances(stack: &Spatial, image: &Array2<f64>, filter: HighPass, 
     let (a, b) = (spread(&column_means) / gains.lines, spread(&row_means) / gains.lines);
     let lines = gains.lines * (a + b);
     let p = (total - lines) / (gains.pixels - gains.lines * (1.0 / m + 1.0 / n));
-    let of = |inputs: &mut Inputs, value: f64, count: f64| inputs.value(value, value.abs() * (2.0 / count).sqrt());
+    let of =
+        |inputs: &mut Inputs, value: f64, count: f64| inputs.value(value, value.abs() * (2.0 / count).sqrt());
     let (a, b, p) = (of(inputs, a, n), of(inputs, b, m), of(inputs, p, m * n));
     let pixels_of_stack = stack.sum_dn.len() as f64;
     let stack_value = inputs.value(temporal, temporal * (2.0 / (pixels_of_stack * (frames - 1.0))).sqrt());

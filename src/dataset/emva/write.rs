@@ -27,7 +27,8 @@ fn text(dataset: &Dataset) -> Option<String> {
     let manifest = dataset.manifest();
     let bench = manifest.bench.as_ref();
     let in_photons = bench.is_some_and(|b| b.illumination_unit == "photons/px/s");
-    let unit = if in_photons { Some(1.0) } else { bench.and_then(|b| b.light).and_then(|l| l.photons_per_px_s()) };
+    let unit =
+        if in_photons { Some(1.0) } else { bench.and_then(|b| b.light).and_then(|l| l.photons_per_px_s()) };
     let settings = |s: &Set| dataset.settings(s);
     let ns = |s: &Set| settings(s).exposure_s * 1e9;
     let of = |kind: Kind, wanted: fn(usize) -> bool| {
@@ -50,12 +51,17 @@ fn text(dataset: &Dataset) -> Option<String> {
         camera.model,
         camera.serial,
         env!("CARGO_PKG_VERSION"),
-        if unit.is_some() { "" } else { "# The light is not known in photons: they are relative light times nanoseconds.\n" },
+        if unit.is_some() {
+            ""
+        } else {
+            "# The light is not known in photons: they are relative light times nanoseconds.\n"
+        },
         camera.bit_depth,
         camera.width,
         camera.height,
     );
-    let photons = |s: &Set| settings(s).illumination * unit.map_or(ns(s), |flux| flux * settings(s).exposure_s);
+    let photons =
+        |s: &Set| settings(s).illumination * unit.map_or(ns(s), |flux| flux * settings(s).exposure_s);
     let mut put = |head: String, set: &Set| {
         out += &format!("{head}\n");
         for &row in &set.rows {
@@ -76,7 +82,8 @@ fn text(dataset: &Dataset) -> Option<String> {
         }
     }
     // One stack of each: the tool knows no more.
-    let stack = of(Kind::Flat, more).find_map(|f| Some((f, of(Kind::Dark, more).find(|d| key(d) == key(f))?)));
+    let stack =
+        of(Kind::Flat, more).find_map(|f| Some((f, of(Kind::Dark, more).find(|d| key(d) == key(f))?)));
     if let Some((flat, of_dark)) = stack {
         put(bright(flat), flat);
         put(dark(of_dark), of_dark);
