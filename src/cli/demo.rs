@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// A sensor (xc77, cmos12, ccd16) or a model file
+    /// A sensor (xc77, cmos12, ccd16, imx250...; `radcam cameras` lists them) or a model file
     #[arg(long, default_value = "cmos12")]
     sensor: String,
     /// Another specimen of the same camera: seed of its maps and its noise

@@ -5,7 +5,7 @@ use anyhow::Result;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// A sensor (xc77, cmos12, ccd16) or a model file
+    /// A sensor (xc77, cmos12, ccd16, imx250...; `radcam cameras` lists them) or a model file
     sensor: String,
     /// IPv4 address of the network interface to answer on
     #[arg(long, default_value = "127.0.0.1")]

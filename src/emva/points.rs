@@ -227,7 +227,8 @@ fn wanted(dataset: &Dataset) -> Result<Wanted<'_>, EmvaError> {
     let dark_of = |flat: &&Set| {
         let found = darks.iter().position(|d| same_exposure(settings(d), settings(flat)));
         found.ok_or_else(|| {
-            let exposure_s = settings(flat).exposure_s;
+            // To the nanosecond: a descriptor's exposure in seconds has a last digit of its own.
+            let exposure_s = (settings(flat).exposure_s * 1e9).round() / 1e9;
             let one = sets.iter().find(|s| {
                 of_kind(s, Kind::Dark) && s.rows.len() < 2 && same_exposure(settings(s), settings(flat))
             });

@@ -3,7 +3,7 @@
 use crate::support::{camera, expect, refused, shared};
 use radcam::capture::Capture;
 use radcam::dataset::Dataset;
-use radcam::emva::{Definitions, Evaluation, evaluate, of_dataset};
+use radcam::emva::{Definitions, EmvaError, Evaluation, Limit, evaluate, of_dataset};
 use radcam::plan::Plan;
 use radcam_sim::Model;
 use radcam_sim::rng::{PixelRng, Stream};
@@ -11,7 +11,7 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 /// Compares every number that the reference tool prints with ours under its definitions, to 1e-6 of itself; how many.
-fn same_as_the_tool(ours: &Evaluation, tool: &serde_json::Map<String, serde_json::Value>) -> usize {
+pub fn same_as_the_tool(ours: &Evaluation, tool: &serde_json::Map<String, serde_json::Value>) -> usize {
     let mut compared = 0;
     for (name, of_tool) in tool {
         // Places in the tool's lists; histograms are compared elsewhere.
@@ -24,7 +24,14 @@ fn same_as_the_tool(ours: &Evaluation, tool: &serde_json::Map<String, serde_json
         match (of_tool.as_f64(), ours) {
             (None, None) => {}
             (Some(value), Some(q)) => {
-                assert!((q.value - value).abs() <= 1e-6 * value.abs(), "{name}: {} and {value}", q.value);
+                // The tool iterates its line of the darks, in nanoseconds, and stops short of the solution by up to a few ten-thousandths of its
+                // standard error (rational arithmetic gives ours).
+                let iterated = if name.starts_with("u_I") { 1e-3 * q.std_err } else { 0.0 };
+                assert!(
+                    (q.value - value).abs() <= 1e-6 * value.abs() + iterated,
+                    "{name}: {} and {value}",
+                    q.value
+                );
                 assert!(q.std_err >= 0.0 && q.std_err.is_finite(), "{name}: {q}");
             }
             (value, ours) => panic!("{name}: {value:?} and {ours:?}"),
@@ -49,7 +56,7 @@ fn every_quantity_is_the_reference_tools() {
 }
 
 /// The tool itself, in an environment of its own; says so where it is not there.
-fn tool() -> Option<impl Fn(&[&str]) -> serde_json::Value> {
+pub fn tool() -> Option<impl Fn(&[&str]) -> serde_json::Value> {
     let Some(venv) = std::env::var_os("RADCAM_TEST_EMVA") else {
         println!(
             "SKIPPED: RADCAM_TEST_EMVA names no environment with emva1288 (.ci/test makes one where PyPI can be reached)"
@@ -264,6 +271,179 @@ fn coverage() {
         }
     }
     assert!(off.is_empty(), "{off:?}");
+}
+
+/// Captures a plan with a camera and evaluates it.
+fn measured(model: Model, plan: &Plan, root: &Path) -> Result<Evaluation, EmvaError> {
+    let (mut camera, mut bench) = camera(model);
+    Capture::new(&mut camera, &mut bench).run(plan, root).unwrap();
+    let points = of_dataset(&Dataset::open(root).unwrap(), &AtomicBool::new(false), &|_, _| {})?;
+    evaluate(&points, Definitions::Release4)
+}
+
+/// Within four standard errors.
+fn is_true(e: &Evaluation, name: &str, truth: f64) {
+    let q = e.quantities[name].as_ref().unwrap_or_else(|| panic!("{name}: {:?}", e.notes));
+    println!("{name}: {q}, truth {truth}, tool {:?}", e.reference_tool.get(name));
+    assert!((q.value - truth).abs() < 4.0 * q.std_err, "{name}: {q}, truth {truth}");
+}
+
+/// A null, and the note that says why.
+fn is_refused(e: &Evaluation, name: &str, why: &str) {
+    assert_eq!(e.quantities[name], None, "{name}");
+    assert!(e.notes.iter().any(|n| n.contains(name) && n.contains(why)), "{name}: {:?}", e.notes);
+}
+
+/// Where the reference tool gives a number that is wrong, or ends in its own error: the table of docs/emva.md, row by row.
+#[test]
+fn what_fails_silently_is_true_or_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let plan = || {
+        let mut plan = Plan::emva1288();
+        plan.full_exposure_s = Some(0.85 / 50.0);
+        plan.sets.iter_mut().filter(|s| s.frames > 2).for_each(|s| s.frames = 16);
+        plan
+    };
+    let of = |model: &Model| {
+        let b = &model.base;
+        (b.gain_dn_per_e, 100.0 * b.quantum_efficiency, b.read_noise_e)
+    };
+
+    // The dark signal lies below its noise: half of the darks are at 0 DN.
+    let mut model = specimen(1);
+    model.base.black_level_dn = 0.0;
+    let (k, qe, _) = of(&model);
+    let e = measured(model, &plan(), &at("black")).unwrap();
+    is_true(&e, "K", k);
+    is_true(&e, "QE", qe);
+    for name in ["sigma_d", "u_p_min", "DSNU", "DR"] {
+        let name = if name == "DSNU" { "DSNU1288" } else { name };
+        assert_eq!(e.quantities[name], None, "{name}");
+    }
+    is_refused(&e, "sigma_y_dark", "Raise the black level");
+
+    // A gain of 0.02 DN/e: the dark noise is a tenth of a step.
+    let mut model = specimen(2);
+    model.camera.bit_depth = 8;
+    let b = &mut model.base;
+    (b.gain_dn_per_e, b.read_noise_e, b.black_level_dn, b.offset_spread_dn) = (0.02, 5.0, 8.3, 0.4);
+    model.bench.photon_flux_per_s = 50.0 * 255.0 / (b.gain_dn_per_e * b.quantum_efficiency);
+    let (k, qe, sigma) = of(&model);
+    let e = measured(model, &plan(), &at("gain")).unwrap();
+    is_true(&e, "K", k);
+    is_true(&e, "QE", qe);
+    assert_eq!(e.limits["sigma_d"], Limit::AtMost);
+    assert!(e.quantities["sigma_d"].as_ref().unwrap().value > sigma);
+
+    // Saturation between two of twelve exposures.
+    let model = specimen(3);
+    let sat = saturation(&model);
+    let mut coarse = plan();
+    // Every fourth of the fifty, and the stacks.
+    coarse.sets.retain(|s| {
+        s.frames > 2 || s.exposure.is_some_and(|e| e > 5.0 || ((e / 0.025).round() as i32) % 4 == 0)
+    });
+    let e = measured(model.clone(), &coarse, &at("coarse")).unwrap();
+    is_true(&e, "u_p_sat", sat);
+
+    // No exposure saturates.
+    let mut dim = plan();
+    dim.sets.retain(|s| s.frames > 2 || s.exposure.is_some_and(|e| e < 0.8));
+    let e = measured(model.clone(), &dim, &at("dim")).unwrap();
+    for name in ["u_p_sat", "u_e_sat", "SNR_max", "DR"] {
+        is_refused(&e, name, "saturation lies beyond");
+    }
+    is_true(&e, "K", model.base.gain_dn_per_e);
+
+    // One exposure, the light varied.
+    let mut light = plan();
+    for set in &mut light.sets {
+        if set.frames == 2 && set.illumination > 0.0 {
+            set.illumination = set.exposure.unwrap();
+        }
+        set.exposure = Some(1.0);
+    }
+    light.sets.iter_mut().filter(|s| s.frames > 2 && s.illumination > 0.0).for_each(|s| s.illumination = 0.6);
+    let mut darks = 0;
+    light.sets.retain(|s| {
+        s.frames > 2 || s.illumination > 0.0 || {
+            darks += 1;
+            darks == 1
+        }
+    });
+    let e = measured(model.clone(), &light, &at("light")).unwrap();
+    is_refused(&e, "u_I_mean", "three exposures");
+    for (name, truth) in
+        [("K", of(&model).0), ("QE", of(&model).1), ("sigma_d", of(&model).2), ("u_p_sat", sat)]
+    {
+        is_true(&e, name, truth);
+    }
+
+    // The same as a flash before a shutter of 0 s: in the descriptor the exposure is 0.
+    let path = at("light").join("EMVA1288_Data.txt");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let exposure = format!(" {:.3}", 0.85 / 50.0 * 1e9);
+    assert!(text.contains(&exposure), "{text:.300}");
+    let flash = at("light").join("flash.txt");
+    std::fs::write(&flash, text.replace(&exposure, " 0")).unwrap();
+    let shown = expect(0, &["emva", flash.to_str().unwrap(), "--json"]);
+    let flashed: Evaluation = serde_json::from_str(&shown).unwrap();
+    is_true(&flashed, "QE", of(&model).1);
+    is_refused(&flashed, "u_I_mean", "three exposures");
+
+    // Gaps: an exposure without darks, a pair with one frame, a dark with one.
+    let gap = |drop: &str, with: &str| {
+        let path = at("coarse").join("gap.txt");
+        let text = std::fs::read_to_string(at("coarse").join("EMVA1288_Data.txt")).unwrap();
+        let i = text.find(drop).unwrap() + 1;
+        let from = i + text[i..].find('\n').unwrap() + 1;
+        let lines: Vec<&str> = text[from..].lines().collect();
+        let rest = match with {
+            "one frame" => [&lines[..1], &lines[2..]].concat(),
+            _ => lines[2..].to_vec(),
+        };
+        let head = if with == "one frame" { &text[..from] } else { &text[..i] };
+        std::fs::write(&path, format!("{head}{}\n", rest.join("\n"))).unwrap();
+        refused(&["emva", path.to_str().unwrap()])
+    };
+    assert!(gap("\nd ", "nothing").contains("no pair of darks at its exposure of 0.0017 s"));
+    assert!(gap("\nd ", "one frame").contains("has one frame"));
+    // A flat of one frame is none: the level is missing, and the others serve.
+    // Everything saturated.
+    let mut bright = plan();
+    bright.sets.retain(|s| s.frames > 2 || s.exposure.is_some_and(|e| (1.1..5.0).contains(&e)));
+    bright.sets.iter_mut().filter(|s| s.frames > 2).for_each(|s| s.exposure = Some(1.2));
+    let e = measured(model, &bright, &at("bright"));
+    assert!(e.unwrap_err().to_string().contains("below 70 % of saturation"));
+}
+
+/// A camera with the datasheet of a real one measures that datasheet.
+#[test]
+fn sensors_return_their_published_datasheets() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut sensors = 0;
+    for (sensor, text) in radcam_sim::sensors::ALL {
+        let Some(published) = text.lines().find_map(|l| l.strip_prefix("# Published: ")) else { continue };
+        assert!(text.starts_with("# Source: "), "{sensor}");
+        let root = dir.path().join(sensor);
+        let at = root.to_str().unwrap();
+        expect(0, &["simulate", sensor, "--plan", "emva1288", "--region", "0,0,160,120", "-o", at]);
+        let e: Evaluation = serde_json::from_str(&expect(0, &["emva", at, "--json"])).unwrap();
+        for field in published.split_whitespace().filter(|f| f.contains('=')) {
+            let (name, value) = field.split_once('=').unwrap();
+            let value: f64 = value.parse().unwrap();
+            let q = e.quantities[name].as_ref().unwrap_or_else(|| panic!("{sensor}: {name}: {:?}", e.notes));
+            // Four standard errors, what the published figure is rounded to, and 1.5 % of the saturation, which releases define otherwise.
+            let digits = field.split('.').nth(1).map_or(0, str::len) as i32;
+            let rounding = 0.5 * 10f64.powi(-digits) + if name == "u_e_sat" { 0.015 * value } else { 0.0 };
+            let off = (q.value - value).abs();
+            assert!(off < 4.0 * q.std_err + rounding, "{sensor}: {name} is {q}, published {value}");
+        }
+        std::fs::remove_dir_all(root).unwrap();
+        sensors += 1;
+    }
+    assert!(sensors >= 12, "{sensors}");
 }
 
 #[test]

@@ -598,3 +598,41 @@ fn what_is_captured_over_the_wire_is_judged_right() {
         assert!(hide == "none" || last.contains("named first"), "{sensor} {hide}: {said}");
     }
 }
+
+/// The plan of the standard over the wire: the reference tool reads what was captured and says the same, and the errors hold what was served.
+#[test]
+fn an_emva_campaign_over_the_wire_is_the_tools_and_the_truth() {
+    let _port = gige_port();
+    let mut model = small("imx287", 128, 96);
+    // Short exposures: the wire is tested, not patience.
+    model.bench.photon_flux_per_s *= 5.0;
+    let sensor = Arc::new(Sensor::new(model.clone()).unwrap());
+    let _served = served(&sensor);
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("campaign");
+    let at = root.to_str().unwrap();
+    expect(0, &["capture", "--camera", "aravis:127.0.0.1", "--plan", "emva1288", "-o", at]);
+    let ours: radcam::emva::Evaluation = serde_json::from_str(&expect(0, &["emva", at, "--json"])).unwrap();
+    let b = &model.base;
+    for (name, truth) in [
+        ("K", b.gain_dn_per_e),
+        ("QE", 100.0 * b.quantum_efficiency),
+        ("sigma_d", b.read_noise_e),
+        ("DSNU1288", b.offset_spread_dn / b.gain_dn_per_e),
+        ("PRNU1288", 100.0 * b.sigma_k),
+    ] {
+        let q = ours.quantities[name].as_ref().unwrap();
+        // Four standard errors.
+        assert!((q.value - truth).abs() < 4.0 * q.std_err, "{name}: {q}, truth {truth}");
+    }
+    let Some(tool) = crate::emva::tool() else { return };
+    let descriptor = root.join(radcam::dataset::DESCRIPTOR);
+    let descriptor = descriptor.to_str().unwrap();
+    let theirs = tool(&["results", descriptor]);
+    // By the descriptor and by the dataset's own files.
+    for source in [descriptor, at] {
+        let shown = expect(0, &["emva", source, "--as", "reference-tool", "--json"]);
+        let ours = serde_json::from_str(&shown).unwrap();
+        assert!(crate::emva::same_as_the_tool(&ours, theirs.as_object().unwrap()) >= 47);
+    }
+}
