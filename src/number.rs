@@ -103,6 +103,11 @@ pub fn pretty(unit: &str) -> &str {
         "DN^2" => "DN²",
         "DN/e" => "DN/e⁻",
         "e" => "e⁻",
+        "e/s" => "e⁻/s",
+        "e/DN" => "e⁻/DN",
+        "DN^2/s" => "DN²/s",
+        "p/um^2" => "p/µm²",
+        "e/um^2" => "e⁻/µm²",
         "1" | "choice" => "",
         other => other,
     }

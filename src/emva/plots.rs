@@ -3,8 +3,7 @@
 use super::histogram::{Histogram, accumulated, histogram};
 use super::points::{Points, Temporal, line_means};
 use super::quantities::{
-    QUANTISATION_DN2, UNDERFLOW, dark_lines, fitted_points, linear_range, of_variance, signal_std,
-    transfer_lines, underflow,
+    UNDERFLOW, dark_lines, fitted_points, linear_range, of_variance, signal_std, transfer_lines, underflow,
 };
 use super::spatial::filtered;
 use super::{Definitions, Evaluation};
@@ -60,6 +59,8 @@ pub struct Plot {
     pub y: Axis,
     /// What is drawn.
     pub series: Vec<Series>,
+    /// Range of y that the standard asks for.
+    pub y_range: Option<(f64, f64)>,
 }
 
 impl Plot {
@@ -150,6 +151,7 @@ fn temporal(points: &Points, e: &Evaluation) -> Vec<Plot> {
                 series("fit, 0 to 70 % of saturation", Shape::Line, along(end_signal, &|x| transfer.at(x))),
                 series("used in the fit", Shape::Points, marks(&noise, &used)),
             ],
+            y_range: None,
         },
         snr(points, &value, photons),
         Plot {
@@ -162,6 +164,7 @@ fn temporal(points: &Points, e: &Evaluation) -> Vec<Plot> {
                 series("fit, 0 to 70 % of saturation", Shape::Line, along(end_photons, &|x| response.at(x))),
                 series("used in the fit", Shape::Points, marks(&signal, &used)),
             ],
+            y_range: None,
         },
     ];
     all.extend(dark_plots(points, pixels));
@@ -180,6 +183,7 @@ fn temporal(points: &Points, e: &Evaluation) -> Vec<Plot> {
                 ),
                 series("used in the fit", Shape::Points, marks(&signal, &fit.levels)),
             ],
+            y_range: None,
         });
         let deviation =
             |p: &Temporal| [p.photons, fit.deviation(p), 100.0 * signal_std(p, pixels) / p.signal_dn()];
@@ -193,6 +197,7 @@ fn temporal(points: &Points, e: &Evaluation) -> Vec<Plot> {
                 series("measured", Shape::Points, marks(&deviation, &fit.levels)),
                 level("no deviation", 0.0, ends),
             ],
+            y_range: None,
         });
     }
     let sigma = |p: &Temporal| {
@@ -210,6 +215,7 @@ fn temporal(points: &Points, e: &Evaluation) -> Vec<Plot> {
             series("difference of the two frames' means", Shape::Points, marks(&difference, t)),
             series("temporal noise σ_y", Shape::Line, marks(&sigma, t)),
         ],
+        y_range: None,
     });
     all
 }
@@ -218,7 +224,10 @@ fn temporal(points: &Points, e: &Evaluation) -> Vec<Plot> {
 fn snr(points: &Points, value: &dyn Fn(&str) -> f64, photons: &str) -> Plot {
     let pixels = (points.shape.0 * points.shape.1) as f64;
     let of = |var: &dyn Fn(&Temporal) -> f64| -> Vec<[f64; 3]> {
-        let lit = points.temporal.iter().filter(|p| var(p) > 0.0 && p.signal_dn() > 0.0);
+        // Beyond saturation the noise is cut off, and the ratio says nothing.
+        let end = value("u_p_sat");
+        let below = |p: &&Temporal| !(p.photons > end) && p.flat.full_share < 0.01;
+        let lit = points.temporal.iter().filter(|p| var(p) > 0.0 && p.signal_dn() > 0.0).filter(below);
         lit.map(|p| (p.photons, p.signal_dn() / var(p).sqrt()))
             .map(|(x, y)| [x, y, y / (2.0 * pixels).sqrt()])
             .collect()
@@ -245,8 +254,14 @@ fn snr(points: &Points, value: &dyn Fn(&str) -> f64, photons: &str) -> Plot {
         }
         all.push(series("shot-noise limit", Shape::Dashed, curve(&f64::sqrt)));
     }
-    debug_assert!(QUANTISATION_DN2 > 0.0);
-    Plot { id: "snr", title: "Signal-to-noise ratio", x: log(photons), y: log("SNR"), series: all }
+    Plot {
+        id: "snr",
+        title: "Signal-to-noise ratio",
+        x: log(photons),
+        y: log("SNR"),
+        series: all,
+        y_range: None,
+    }
 }
 
 fn dark_plots(points: &Points, pixels: f64) -> Vec<Plot> {
@@ -268,7 +283,7 @@ fn dark_plots(points: &Points, pixels: f64) -> Vec<Plot> {
             let line = between(0.0, end, 60, false).map(|x| (x, lines[k].at(x))).map(|(x, (y, s))| [x, y, s]);
             all.push(series("fit", Shape::Line, line.collect()));
         }
-        Plot { id, title, x: axis("exposure time (s)"), y: axis(unit), series: all }
+        Plot { id, title, x: axis("exposure time (s)"), y: axis(unit), series: all, y_range: None }
     };
     vec![
         of("dark-mean", "Dark signal", "dark mean μ_y.dark (DN)", means, 0),
@@ -359,6 +374,7 @@ fn spatial(points: &Points, e: &Evaluation) -> Vec<Plot> {
                 level("PRNU", value("PRNU1288"), 0.5),
                 level("temporal noise of one frame", 100.0 * stack("sigma_2_y_stack") / mean, 0.5),
             ],
+            y_range: None,
         });
         all.push(Plot {
             id: ids[1],
@@ -370,6 +386,7 @@ fn spatial(points: &Points, e: &Evaluation) -> Vec<Plot> {
                 level("DSNU", value("DSNU1288_DN"), 0.5),
                 level("temporal noise of one frame", stack("sigma_2_y_stack_dark"), 0.5),
             ],
+            y_range: None,
         });
     }
     all.extend(histograms(points, e, [&dark_flat, &response_flat], mean));
@@ -445,6 +462,7 @@ fn histograms(points: &Points, e: &Evaluation, [dark, response]: [&Array2<f64>; 
                 series("measured", Shape::Steps, shifted(counted(&h), by, factor)),
                 series("normal distribution", Shape::Dashed, shifted(normal(&h, values, scale), by, factor)),
             ],
+            y_range: None,
         });
         let a = accumulated(values, scale, e.definitions);
         let n = values.len() as f64;
@@ -455,6 +473,7 @@ fn histograms(points: &Points, e: &Evaluation, [dark, response]: [&Array2<f64>; 
             x: axis(format!("deviation from the mean, at least ({unit})")),
             y: log("pixels (%)"),
             series: vec![series("measured", Shape::Steps, shares.collect())],
+            y_range: None,
         });
     }
     all
@@ -477,17 +496,26 @@ fn profiles(response: &Array2<f64>, dark: &Array2<f64>) -> Vec<Plot> {
         let folded = |start: f64, f: fn(f64, f64) -> f64| {
             turned.columns().into_iter().map(|c| c.fold(start, |a, b| f(a, *b))).collect::<Vec<f64>>()
         };
+        let (greatest, least) = (folded(f64::NEG_INFINITY, f64::max), folded(f64::INFINITY, f64::min));
+        let average = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+        // Section 8.7.
+        let range = if id.ends_with("dsnu") {
+            (0.9 * average(&least), 1.1 * average(&greatest))
+        } else {
+            (0.9 * average(&means), 1.1 * average(&means))
+        };
         all.push(Plot {
             id,
             title,
             x: axis(if vertical { "row" } else { "column" }),
             y: axis("signal (DN)"),
             series: vec![
-                series("greatest", Shape::Line, numbered(folded(f64::NEG_INFINITY, f64::max))),
-                series("least", Shape::Line, numbered(folded(f64::INFINITY, f64::min))),
+                series("greatest", Shape::Line, numbered(greatest)),
+                series("least", Shape::Line, numbered(least)),
                 series("middle", Shape::Line, numbered(turned.row(turned.nrows() / 2).to_vec())),
                 series("mean", Shape::Line, numbered(means)),
             ],
+            y_range: Some(range),
         });
     }
     all

@@ -4,6 +4,7 @@ pub mod budget;
 pub mod compare;
 pub mod emva;
 pub mod noise;
+mod plot;
 pub mod reproduce;
 pub mod svg;
 
