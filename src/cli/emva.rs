@@ -96,7 +96,8 @@ fn table(evaluation: &Evaluation) -> Result<String> {
     let mut out = csv::Writer::from_writer(Vec::new());
     out.write_record(["name", "value", "std_err", "unit", "limit"])?;
     for (name, quantity) in &evaluation.quantities {
-        let number = |of: fn(&Quantity) -> f64| quantity.as_ref().map(|q| of(q).to_string()).unwrap_or_default();
+        let number =
+            |of: fn(&Quantity) -> f64| quantity.as_ref().map(|q| of(q).to_string()).unwrap_or_default();
         let unit = quantity.as_ref().map(|q| q.unit.to_string()).unwrap_or_default();
         let limit = evaluation.limits.get(name).map_or("", |l| words(*l));
         out.write_record([name, &number(|q| q.value), &number(|q| q.std_err), &unit, limit])?;

@@ -52,26 +52,48 @@ pub(crate) fn tiff_words(error: &tiff::TiffError) -> String {
     }
 }
 
+/// Memory for a frame that serves again: asking the system for a new page costs more than filling it.
+#[derive(Debug, Default)]
+pub struct Buffer {
+    dn: Vec<u16>,
+    bytes: Vec<u8>,
+    /// Rows and columns.
+    shape: (usize, usize),
+}
+
+impl Buffer {
+    /// The codes, row by row, DN.
+    pub fn dn(&self) -> &[u16] {
+        &self.dn
+    }
+
+    /// Rows and columns.
+    pub fn shape(&self) -> (usize, usize) {
+        self.shape
+    }
+
+    /// As (rows, columns).
+    pub fn into_array(self) -> Array2<u16> {
+        // Every reader leaves as many codes as its shape says.
+        Array2::from_shape_vec(self.shape, self.dn).unwrap_or_default()
+    }
+
+    fn set(&mut self, image: Array2<u16>) {
+        self.shape = image.dim();
+        self.dn.clear();
+        self.dn.extend(image.iter());
+    }
+}
+
 /// Reads one page as (rows, columns) of DN. The kind of file is told by its first bytes, not by its name.
 ///
 /// # Errors
 ///
 /// Where the file cannot be read or has no such page, or its pixels are no codes of up to 16 bits.
 pub fn read(path: &Path, page: usize) -> Result<Array2<u16>, ImageError> {
-    let mut start = [0u8; 8];
-    let read = std::io::Read::read(&mut File::open(path)?, &mut start)?;
-    let start = &start[..read];
-    if start.starts_with(JPEG) {
-        Err(ImageError::NotGrey(NO_JPEG.into()))
-    } else if start.starts_with(b"\x89PNG") {
-        first_page_only(page)?;
-        read_png(path)
-    } else if start.starts_with(b"SIMPLE") {
-        first_page_only(page)?;
-        read_fits(&std::fs::read(path)?)
-    } else {
-        read_tiff(path, page)
-    }
+    let mut buffer = Buffer::default();
+    read_into(path, Some(page), &mut buffer)?;
+    Ok(buffer.into_array())
 }
 
 /// Reads a file that has one frame; of a stack nobody said which.
@@ -80,20 +102,36 @@ pub fn read(path: &Path, page: usize) -> Result<Array2<u16>, ImageError> {
 ///
 /// As [`read`], and where the file has several pages.
 pub fn read_single(path: &Path) -> Result<Array2<u16>, ImageError> {
-    let pixels = read(path, 0)?;
-    let next = tiff::decoder::Decoder::new(BufReader::new(File::open(path)?)).and_then(|mut decoder| {
-        let more = decoder.more_images();
-        if more {
-            decoder.next_image()?;
-        }
-        Ok((more, decoder.dimensions()?))
-    });
-    let (height, width) = pixels.dim();
-    match next {
-        // A second page of another size is a thumbnail.
-        Ok((true, (w, h))) if (w as usize, h as usize) == (width, height) => Err(ImageError::Stack(2)),
-        _ => Ok(pixels),
+    let mut buffer = Buffer::default();
+    read_into(path, None, &mut buffer)?;
+    Ok(buffer.into_array())
+}
+
+/// Reads one page, or the only one, into memory that is there.
+///
+/// # Errors
+///
+/// As [`read`], and where no page is named and the file has several.
+pub fn read_into(path: &Path, page: Option<usize>, buffer: &mut Buffer) -> Result<(), ImageError> {
+    let mut file = File::open(path)?;
+    let mut start = [0u8; 8];
+    let read = std::io::Read::read(&mut file, &mut start)?;
+    let start = &start[..read];
+    if start.starts_with(JPEG) {
+        return Err(ImageError::NotGrey(NO_JPEG.into()));
     }
+    if start.starts_with(b"\x89PNG") {
+        first_page_only(page.unwrap_or(0))?;
+        file.rewind()?;
+        return read_png(file, buffer);
+    }
+    if start.starts_with(b"SIMPLE") {
+        first_page_only(page.unwrap_or(0))?;
+        buffer.set(read_fits(&std::fs::read(path)?)?);
+        return Ok(());
+    }
+    file.rewind()?;
+    read_tiff(file, page, buffer)
 }
 
 /// Bits of a pixel as the file keeps it, 8, 16 or 32: what a code can be at most.
@@ -127,28 +165,109 @@ fn array(width: usize, height: usize, pixels: Vec<u16>) -> Result<Array2<u16>, I
         .map_err(|_| ImageError::NotGrey(format!("{width} x {height} px with {found} values")))
 }
 
-fn read_tiff(path: &Path, page: usize) -> Result<Array2<u16>, ImageError> {
-    let mut decoder = tiff::decoder::Decoder::new(BufReader::new(File::open(path)?))?;
-    for _ in 0..page {
+fn read_tiff(file: File, page: Option<usize>, buffer: &mut Buffer) -> Result<(), ImageError> {
+    let mut decoder = tiff::decoder::Decoder::new(BufReader::new(file))?;
+    for _ in 0..page.unwrap_or(0) {
         if !decoder.more_images() {
-            return Err(ImageError::NoPage(page));
+            return Err(ImageError::NoPage(page.unwrap_or(0)));
         }
         decoder.next_image()?;
     }
     let (width, height) = decoder.dimensions()?;
-    match decoder.colortype()? {
-        tiff::ColorType::Gray(8 | 16 | 32) => {}
-        other => return Err(ImageError::NotGrey(format!("{other:?}"))),
-    }
-    let pixels = match decoder.read_image()? {
-        DecodingResult::U8(v) => v.into_iter().map(u16::from).collect(),
-        DecodingResult::U16(v) => v,
-        // The EMVA reference tool keeps its codes in 32 bits.
-        DecodingResult::U32(v) => v.into_iter().map(narrow).collect::<Result<_, _>>()?,
-        DecodingResult::I32(v) => v.into_iter().map(narrow).collect::<Result<_, _>>()?,
-        _ => return Err(ImageError::NotGrey("a TIFF of signed or floating-point values".into())),
+    let color = decoder.colortype()?;
+    let tiff::ColorType::Gray(bits @ (8 | 16 | 32)) = color else {
+        return Err(ImageError::NotGrey(format!("{color:?}")));
     };
-    array(width as usize, height as usize, pixels)
+    let shape = (height as usize, width as usize);
+    if let Some(strips) = plain_strips(&mut decoder, bits, shape) {
+        read_strips(&mut decoder, &strips, bits, shape, buffer)?;
+    } else {
+        let pixels = match decoder.read_image()? {
+            DecodingResult::U8(v) => v.into_iter().map(u16::from).collect(),
+            DecodingResult::U16(v) => v,
+            // The EMVA reference tool keeps its codes in 32 bits.
+            DecodingResult::U32(v) => v.into_iter().map(narrow).collect::<Result<_, _>>()?,
+            DecodingResult::I32(v) => v.into_iter().map(narrow).collect::<Result<_, _>>()?,
+            _ => return Err(ImageError::NotGrey("a TIFF of signed or floating-point values".into())),
+        };
+        buffer.set(array(shape.1, shape.0, pixels)?);
+    }
+    if page.is_none() && decoder.more_images() {
+        // A second page of another size, or one that cannot be read, is a thumbnail.
+        let next = decoder.next_image().and_then(|()| decoder.dimensions());
+        if next.is_ok_and(|size| size == (width, height)) {
+            return Err(ImageError::Stack(2));
+        }
+    }
+    Ok(())
+}
+
+/// Where the pixels lie in a file of 8 or 16 bits that is neither compressed nor tiled nor inverted: offset and bytes of each strip, which
+/// together hold the image and no more.
+fn plain_strips(decoder: &mut Tiff, bits: u8, shape: (usize, usize)) -> Option<Vec<(u64, usize)>> {
+    use tiff::tags::Tag;
+    let mut is = |tag, value: u64| {
+        decoder.find_tag_unsigned::<u64>(tag).ok()?.is_none_or(|v| v == value).then_some(())
+    };
+    // Not compressed, black is 0, unsigned, no predictor; strips and not tiles.
+    is(Tag::Compression, 1)?;
+    is(Tag::PhotometricInterpretation, 1)?;
+    is(Tag::SampleFormat, 1)?;
+    is(Tag::Predictor, 1)?;
+    is(Tag::FillOrder, 1)?;
+    is(Tag::SamplesPerPixel, 1)?;
+    let offsets = decoder.get_tag_u64_vec(Tag::StripOffsets).ok()?;
+    let bytes = decoder.get_tag_u64_vec(Tag::StripByteCounts).ok()?;
+    let needed = shape.0.checked_mul(shape.1)?.checked_mul(usize::from(bits) / 8)?;
+    let strips: Vec<(u64, usize)> = offsets
+        .into_iter()
+        .zip(bytes)
+        .map(|(o, b)| Some((o, usize::try_from(b).ok()?)))
+        .collect::<Option<_>>()?;
+    let there = strips.iter().try_fold(0usize, |sum, s| sum.checked_add(s.1))?;
+    // A header may claim anything; the file holds what it holds.
+    let size = std::io::Seek::seek(decoder.inner(), std::io::SeekFrom::End(0)).ok()?;
+    let inside = strips.iter().all(|(o, b)| o.checked_add(*b as u64).is_some_and(|end| end <= size));
+    (bits < 32 && there == needed && inside).then_some(strips)
+}
+
+type Tiff = tiff::decoder::Decoder<BufReader<File>>;
+
+/// Reads strips of codes into place.
+fn read_strips(
+    decoder: &mut Tiff,
+    strips: &[(u64, usize)],
+    bits: u8,
+    shape: (usize, usize),
+    buffer: &mut Buffer,
+) -> Result<(), ImageError> {
+    let pixels = shape.0 * shape.1;
+    let big = decoder.byte_order() == tiff::tags::ByteOrder::BigEndian;
+    let Buffer { dn, bytes, .. } = buffer;
+    dn.resize(pixels, 0);
+    let target: &mut [u8] = if bits == 16 {
+        bytemuck::cast_slice_mut(dn)
+    } else {
+        bytes.resize(pixels, 0);
+        bytes
+    };
+    let file = decoder.inner().get_mut();
+    let mut rest = target;
+    for (offset, length) in strips {
+        let (strip, after) = rest.split_at_mut(*length);
+        std::io::Seek::seek(file, std::io::SeekFrom::Start(*offset))?;
+        std::io::Read::read_exact(file, strip)?;
+        rest = after;
+    }
+    if bits == 16 {
+        if big != cfg!(target_endian = "big") {
+            dn.iter_mut().for_each(|d| *d = d.swap_bytes());
+        }
+    } else {
+        dn.iter_mut().zip(bytes.iter()).for_each(|(d, b)| *d = u16::from(*b));
+    }
+    buffer.shape = shape;
+    Ok(())
 }
 
 /// A code that fits into 16 bits.
@@ -156,21 +275,32 @@ fn narrow<T: Copy + std::fmt::Display + TryInto<u16>>(code: T) -> Result<u16, Im
     code.try_into().map_err(|_| ImageError::NotGrey(format!("a TIFF of 32 bits with the value {code}")))
 }
 
-fn read_png(path: &Path) -> Result<Array2<u16>, ImageError> {
-    use ::image::DynamicImage::{ImageLuma8, ImageLuma16};
-    let mut reader = ::image::ImageReader::new(BufReader::new(File::open(path)?));
-    reader.set_format(::image::ImageFormat::Png);
-    match reader.decode()? {
-        ImageLuma8(i) => {
-            let (w, h) = i.dimensions();
-            array(w as usize, h as usize, i.into_raw().into_iter().map(u16::from).collect())
+fn read_png(file: File, buffer: &mut Buffer) -> Result<(), ImageError> {
+    use ::image::codecs::png::PngDecoder;
+    use ::image::{ColorType, ImageDecoder};
+    let size = file.metadata()?.len();
+    // A header may claim anything: deflate packs at most about a thousand to one (RFC 1951).
+    let mut limits = ::image::Limits::default();
+    limits.max_alloc = Some(size.saturating_mul(1100).saturating_add(1 << 20));
+    let decoder = PngDecoder::with_limits(BufReader::with_capacity(1 << 16, file), limits.clone())?;
+    let (width, height) = decoder.dimensions();
+    limits.reserve(decoder.total_bytes())?;
+    let pixels = width as usize * height as usize;
+    match decoder.color_type() {
+        ColorType::L16 => {
+            buffer.dn.resize(pixels, 0);
+            decoder.read_image(bytemuck::cast_slice_mut(&mut buffer.dn))?;
         }
-        ImageLuma16(i) => {
-            let (w, h) = i.dimensions();
-            array(w as usize, h as usize, i.into_raw())
+        ColorType::L8 => {
+            buffer.bytes.resize(pixels, 0);
+            decoder.read_image(&mut buffer.bytes)?;
+            buffer.dn.clear();
+            buffer.dn.extend(buffer.bytes.iter().map(|b| u16::from(*b)));
         }
-        other => Err(ImageError::NotGrey(format!("{:?}", other.color()))),
+        other => return Err(ImageError::NotGrey(format!("{other:?}"))),
     }
+    buffer.shape = (height as usize, width as usize);
+    Ok(())
 }
 
 /// Size of a FITS record, bytes, and of a card in it (FITS standard 4.0, section 3.1 and 4.1).

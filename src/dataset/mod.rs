@@ -331,6 +331,17 @@ impl Dataset {
     ///
     /// Which frame cannot be read, or has another size or larger codes than the manifest says.
     pub fn read(&self, row: &FrameRow) -> Result<Array2<u16>, DatasetError> {
+        let mut buffer = image::Buffer::default();
+        self.read_into(row, &mut buffer)?;
+        Ok(buffer.into_array())
+    }
+
+    /// The same into memory that is there: many frames one after the other cost less so.
+    ///
+    /// # Errors
+    ///
+    /// As [`read`](Self::read).
+    pub fn read_into(&self, row: &FrameRow, buffer: &mut image::Buffer) -> Result<(), DatasetError> {
         let fault = |message: String| DatasetError::Frame {
             file: row.file.clone(),
             set: row.set,
@@ -352,31 +363,28 @@ impl Dataset {
         if !inside {
             return Err(fault("the path leaves the dataset folder".into()));
         }
-        let pixels = if row.file.len() == name.len() {
-            image::read_single(&path).map_err(|e| match e {
-                image::ImageError::Stack(_) => fault(format!("{e}; a row names its page as {name}#0")),
-                e => fault(e.to_string()),
-            })
-        } else {
-            image::read(&path, page).map_err(|e| fault(e.to_string()))
-        }?;
+        let page = (row.file.len() != name.len()).then_some(page);
+        image::read_into(&path, page, buffer).map_err(|e| match e {
+            image::ImageError::Stack(_) => fault(format!("{e}; a row names its page as {name}#0")),
+            e => fault(e.to_string()),
+        })?;
         let camera = &self.manifest.camera;
-        if pixels.dim() != (camera.height, camera.width) {
-            let (h, w) = pixels.dim();
+        if buffer.shape() != (camera.height, camera.width) {
+            let (h, w) = buffer.shape();
             return Err(fault(format!(
                 "is {w} x {h} px, and dataset.toml says {} x {} px",
                 camera.width, camera.height
             )));
         }
         let full_scale = camera.full_scale_dn();
-        if pixels.iter().fold(0, |a, &b| a | b) > full_scale {
-            let largest = pixels.iter().max().copied().unwrap_or(0);
+        if buffer.dn().iter().fold(0, |a, &b| a | b) > full_scale {
+            let largest = buffer.dn().iter().max().copied().unwrap_or(0);
             return Err(fault(format!(
                 "holds {largest} DN, and bit_depth = {} in dataset.toml allows at most {full_scale} DN",
                 camera.bit_depth
             )));
         }
-        Ok(pixels)
+        Ok(())
     }
 
     /// Reads the frames of a set in the order of time.

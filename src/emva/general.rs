@@ -131,7 +131,8 @@ pub(super) fn general(points: &Points, saturated: &Saturation) -> Option<General
     let spatial = points.spatial.as_ref().map(|stacks| {
         let mut inputs = Inputs::default();
         stacks.each_ref().map(|stack| {
-            let (image, filter) = filtered(&stack.mean_image_dn(), Definitions::Release4);
+            let mean = stack.mean_image_dn();
+            let (image, filter) = filtered(&mean, Definitions::Release4);
             let whole = variances(stack, &image, filter, Definitions::Release4, &mut inputs).whole;
             (whole.value, whole.std_err())
         })

@@ -225,8 +225,8 @@ fn snr(points: &Points, value: &dyn Fn(&str) -> f64, photons: &str) -> Plot {
     let pixels = (points.shape.0 * points.shape.1) as f64;
     let of = |var: &dyn Fn(&Temporal) -> f64| -> Vec<[f64; 3]> {
         // Beyond saturation the noise is cut off, and the ratio says nothing.
-        let end = value("u_p_sat");
-        let below = |p: &&Temporal| !(p.photons > end) && p.flat.full_share < 0.01;
+        let end = Some(value("u_p_sat")).filter(|e| e.is_finite()).unwrap_or(f64::INFINITY);
+        let below = |p: &&Temporal| p.photons <= end && p.flat.full_share < 0.01;
         let lit = points.temporal.iter().filter(|p| var(p) > 0.0 && p.signal_dn() > 0.0).filter(below);
         lit.map(|p| (p.photons, p.signal_dn() / var(p).sqrt()))
             .map(|(x, y)| [x, y, y / (2.0 * pixels).sqrt()])
@@ -321,15 +321,15 @@ fn power(image: &Array2<f64>) -> Vec<f64> {
 }
 
 fn spatial(points: &Points, e: &Evaluation) -> Vec<Plot> {
-    let Some([bright, dark]) = &points.spatial else { return Vec::new() };
+    let Some([bright, dark]) = points.spatial.as_deref() else { return Vec::new() };
     let value = |name: &str| e.quantities.get(name).and_then(|q| q.as_ref()).map_or(f64::NAN, |q| q.value);
     let dark_image = dark.mean_image_dn();
     let response = bright.mean_image_dn() - &dark_image;
     let mean = response.mean().unwrap_or(f64::NAN);
     // The tool filters histograms of the PRNU only.
     let as_tool = e.definitions == Definitions::ReferenceTool;
-    let smooth = |image: &Array2<f64>| filtered(image, e.definitions).0;
-    let (dark_flat, response_flat) = (smooth(&dark_image), smooth(&response));
+    let (dark_flat, response_flat) =
+        (filtered(&dark_image, e.definitions).0, filtered(&response, e.definitions).0);
     let stack = |name: &str| value(name).sqrt();
     let mut all = Vec::new();
     for (vertical, ids, titles) in [
@@ -400,7 +400,7 @@ fn whole(image: &Array2<f64>, frames: f64) -> Vec<i64> {
 }
 
 fn histograms(points: &Points, e: &Evaluation, [dark, response]: [&Array2<f64>; 2], mean: f64) -> Vec<Plot> {
-    let Some([bright_stack, dark_stack]) = &points.spatial else { return Vec::new() };
+    let Some([bright_stack, dark_stack]) = points.spatial.as_deref() else { return Vec::new() };
     let as_tool = e.definitions == Definitions::ReferenceTool;
     let (dark_values, dark_scale) = (whole(dark, dark_stack.frames as f64), dark_stack.frames as f64);
     let (bright_values, bright_scale) = if as_tool {

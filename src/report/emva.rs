@@ -109,7 +109,7 @@ fn facts(head: &Head<'_>, points: &Points, e: &Evaluation) -> Markup {
         ("Exposures", Some(format!("{}, {} of darks", points.temporal.len(), points.darks.len()))),
         (
             "Spatial part",
-            points.spatial.as_ref().map(|[b, d]| format!("{} flats, {} darks", b.frames, d.frames)),
+            points.spatial.as_deref().map(|[b, d]| format!("{} flats, {} darks", b.frames, d.frames)),
         ),
         ("Definitions", Some(format!("EMVA 1288, {}", e.definitions))),
         ("Evaluated by", Some(format!("radcam {}", env!("CARGO_PKG_VERSION")))),

@@ -78,7 +78,7 @@ impl Scale {
 /// A number of an axis: thousands apart, no rubbish digits.
 fn linear(v: f64) -> String {
     let a = v.abs();
-    if a > 0.0 && (a < 1e-3 || a >= 1e6) {
+    if a > 0.0 && !(1e-3..1e6).contains(&a) {
         let e = a.log10().floor() as i32;
         let m = (v / 10f64.powi(e) * 1e6).round() / 1e6;
         return if m == 1.0 { power(e) } else { format!("{m}·{}", power(e)) };

@@ -57,11 +57,11 @@ impl Moments {
         if let Some(wrong) = frames.iter().find(|f| f.len() != expected) {
             return Err(SizeMismatch { expected, found: wrong.len() });
         }
-        let bit_depth = self.bit_depth;
+        let (bit_depth, first) = (self.bit_depth, self.frames == 0);
         let arch = pulp::Arch::new();
         self.sum.par_chunks_mut(CHUNK).zip(self.square.par_chunks_mut(CHUNK)).enumerate().for_each(
             |(chunk, (sum, square))| {
-                arch.dispatch(Chunk { frames, from: chunk * CHUNK, sum, square, bit_depth });
+                arch.dispatch(Chunk { frames, from: chunk * CHUNK, sum, square, bit_depth, first });
             },
         );
         self.frames += frames.len() as u64;
@@ -166,6 +166,8 @@ struct Chunk<'a> {
     sum: &'a mut [u64],
     square: &'a mut [u64],
     bit_depth: u8,
+    /// Nothing is there yet: new memory is written without being read, which would make the system hand out every page twice.
+    first: bool,
 }
 
 /// Frames between two additions to the 64-bit sums.
@@ -176,7 +178,7 @@ impl pulp::NullaryFnOnce for Chunk<'_> {
 
     #[inline(always)]
     fn call(self) {
-        let Self { frames, from, sum, square, bit_depth } = self;
+        let Self { frames, from, sum, square, bit_depth, first } = self;
         // Sums, squares and, where the squares of a batch could pass 32 bits, their upper halves by themselves.
         let (mut sums, mut squares, mut uppers) = ([0u32; TILE], [0u32; TILE], [0u32; TILE]);
         let wide = (BATCH as u64) << (2 * bit_depth) > 1 << 32;
@@ -184,7 +186,7 @@ impl pulp::NullaryFnOnce for Chunk<'_> {
             let from = from + tile * TILE;
             let n = sum.len();
             let (sums, squares, uppers) = (&mut sums[..n], &mut squares[..n], &mut uppers[..n]);
-            for batch in frames.chunks(BATCH) {
+            for (number, batch) in frames.chunks(BATCH).enumerate() {
                 sums.fill(0);
                 squares.fill(0);
                 // Four frames at once: a quarter of the trips to the sums. What is missing to four is zero.
@@ -199,9 +201,16 @@ impl pulp::NullaryFnOnce for Chunk<'_> {
                         add_narrow(sums, squares, [a, b, c, d]);
                     }
                 }
-                for i in 0..n {
-                    sum[i] += u64::from(sums[i]);
-                    square[i] += u64::from(squares[i]);
+                if first && number == 0 {
+                    for i in 0..n {
+                        sum[i] = u64::from(sums[i]);
+                        square[i] = u64::from(squares[i]);
+                    }
+                } else {
+                    for i in 0..n {
+                        sum[i] += u64::from(sums[i]);
+                        square[i] += u64::from(squares[i]);
+                    }
                 }
                 if wide {
                     for i in 0..n {

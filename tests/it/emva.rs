@@ -175,7 +175,7 @@ fn specimen(seed: u64) -> Model {
     let mut between = |a: f64, b: f64| a * (b / a).powf(rng.uniform());
     let mut model = radcam_sim::sensors::load("cmos12").unwrap();
     (model.camera.width, model.camera.height, model.base.seed) = (96, 64, seed);
-    model.camera.bit_depth = if seed % 2 == 0 { 12 } else { 10 };
+    model.camera.bit_depth = if seed.is_multiple_of(2) { 12 } else { 10 };
     let full = f64::from(model.full_scale_dn());
     let b = &mut model.base;
     b.gain_dn_per_e = full / between(3_000.0, 15_000.0);
