@@ -2,8 +2,8 @@
 //! (release candidate of 2021-03-15).
 
 use super::Definitions;
+use super::lines::{QUANTISATION_DN2, dark_lines, of_variance, signal_std};
 use super::points::{Points, Temporal};
-use super::quantities::{QUANTISATION_DN2, dark_lines, of_variance, signal_std};
 use super::saturation::Saturation;
 use super::spatial::{filtered, variances};
 use super::spline::Spline;

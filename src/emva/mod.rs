@@ -10,6 +10,7 @@
 mod filter;
 mod general;
 mod histogram;
+mod lines;
 pub mod names;
 mod plots;
 mod points;

@@ -1,10 +1,10 @@
 //! The plots of a datasheet as numbers: what the page draws and what is written as CSV.
 
 use super::histogram::{Histogram, accumulated, histogram};
-use super::points::{Points, Temporal, line_means};
-use super::quantities::{
+use super::lines::{
     UNDERFLOW, dark_lines, fitted_points, linear_range, of_variance, signal_std, transfer_lines, underflow,
 };
+use super::points::{Points, Temporal, line_means};
 use super::spatial::filtered;
 use super::{Definitions, Evaluation};
 use ndarray::Array2;

@@ -1,0 +1,201 @@
+//! The lines of the standard, with the errors of their slopes: photon transfer, response, dark current, linearity.
+
+use super::points::{Dark, Temporal};
+use super::{Definitions, EmvaError};
+use crate::fit::line::goodness;
+
+/// Variance of quantisation, DN^2 (section 2.4; q^2 / 12, eq. 27 of Healey and Kondepudy).
+pub(super) const QUANTISATION_DN2: f64 = 1.0 / 12.0;
+/// Share of dark samples at 0 DN from which they count as clipped (section 6.5: less than about 0.5 %).
+pub(super) const UNDERFLOW: f64 = 0.005;
+/// Part of saturation up to which gain and responsivity are fitted (section 6.6).
+const FIT_RANGE: f64 = 0.7;
+/// Part of saturation within which linearity is looked at (section 6.9).
+const LINEAR_RANGE: (f64, f64) = (0.05, 0.95);
+/// Chance of a chi-square below which the scatter about a line, not the noise of the points, gives its errors.
+const BY_CHANCE: f64 = 0.01;
+
+/// A line y = slope x + offset without weights, from points (x, y, standard error of y); the offset may be held at 0. Errors of slope and offset
+/// come from those of the points, or from their scatter where it is more than chance.
+pub(super) struct Fitted {
+    pub slope: f64,
+    pub offset: f64,
+    /// Abscissa and standard error of each point.
+    points: Vec<(f64, f64)>,
+    mean_x: f64,
+    xx: f64,
+    /// 1 / n, or 0 where the offset is held at 0.
+    share: f64,
+    /// How much wider the scatter is than the points' errors.
+    scale: f64,
+}
+
+impl Fitted {
+    /// Standard error of a combination of the points' ordinates.
+    fn std_of(&self, weight: impl Fn(f64) -> f64) -> f64 {
+        self.scale * self.points.iter().map(|(x, s)| (weight(*x) * s).powi(2)).sum::<f64>().sqrt()
+    }
+
+    pub fn slope_std(&self) -> f64 {
+        self.std_of(|x| (x - self.mean_x) / self.xx)
+    }
+
+    /// The line at x and its standard error.
+    pub fn at(&self, x: f64) -> (f64, f64) {
+        let std = self.std_of(|of| self.share + (x - self.mean_x) * (of - self.mean_x) / self.xx);
+        (self.offset + self.slope * x, std)
+    }
+}
+
+pub(super) fn line(points: &[(f64, f64, f64)], through_origin: bool) -> Fitted {
+    let n = points.len() as f64;
+    let mean = |of: &dyn Fn(&(f64, f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / n;
+    let (mx, my) = if through_origin { (0.0, 0.0) } else { (mean(&|p| p.0), mean(&|p| p.1)) };
+    let xx: f64 = points.iter().map(|p| (p.0 - mx).powi(2)).sum();
+    let slope = points.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum::<f64>() / xx;
+    let offset = my - slope * mx;
+    // Whether a line describes the points is told by the best one: this one leaves more than noise where points of small error lie.
+    let (chi2, dof) = best_chi2(points, through_origin);
+    let by_scatter = dof > 0.0 && chi2.is_finite() && goodness(chi2, dof) < BY_CHANCE;
+    let scale = if by_scatter { (chi2 / dof).sqrt() } else { 1.0 };
+    let share = if through_origin { 0.0 } else { 1.0 / n };
+    Fitted {
+        slope,
+        offset,
+        points: points.iter().map(|p| (p.0, p.2)).collect(),
+        mean_x: mx,
+        xx,
+        share,
+        scale,
+    }
+}
+
+/// Chi-square of the weighted line and its degrees of freedom.
+fn best_chi2(points: &[(f64, f64, f64)], through_origin: bool) -> (f64, f64) {
+    if !through_origin {
+        let line = crate::fit::line::fit(points.iter().map(|p| (p.0, p.1, p.2 * p.2)));
+        return line.map_or((0.0, 0.0), |l| (l.chi2, l.dof as f64));
+    }
+    let sum = |of: &dyn Fn(&(f64, f64, f64)) -> f64| points.iter().map(|p| of(p) / (p.2 * p.2)).sum::<f64>();
+    let slope = sum(&|p| p.0 * p.1) / sum(&|p| p.0 * p.0);
+    (sum(&|p| (p.1 - slope * p.0).powi(2)), points.len() as f64 - 1.0)
+}
+
+/// Standard error of a pair's variance, DN^2 (eq. 19).
+pub(super) fn of_variance(var_dn2: f64, pixels: f64) -> f64 {
+    var_dn2 * (2.0 / pixels).sqrt()
+}
+
+/// Standard error of a level's variance above its dark's, DN^2.
+pub(super) fn noise_std(p: &Temporal, pixels: f64) -> f64 {
+    of_variance(p.flat.var_dn2, pixels).hypot(of_variance(p.dark.var_dn2, pixels))
+}
+
+/// Standard error of a level's mean above its dark's, DN: two frames each.
+pub(super) fn signal_std(p: &Temporal, pixels: f64) -> f64 {
+    ((p.flat.var_dn2 + p.dark.var_dn2) / (2.0 * pixels)).sqrt()
+}
+
+/// The photon transfer line, of slope K, and the response line, of slope R (section 6.6).
+pub(super) fn transfer_lines(
+    used: &[Temporal],
+    pixels: f64,
+    definitions: Definitions,
+    clipped: bool,
+) -> [Fitted; 2] {
+    let noise: Vec<_> = used.iter().map(|p| (p.signal_dn(), p.noise_dn2(), noise_std(p, pixels))).collect();
+    let response: Vec<_> = used.iter().map(|p| (p.photons, p.signal_dn(), signal_std(p, pixels))).collect();
+    // Release 4.0: unknown offset (eq. 50). Before: no offset. The response has none (eq. 49), unless the darks are cut off.
+    [line(&noise, definitions != Definitions::Release4), line(&response, !clipped)]
+}
+
+/// Share of the samples of the darks at 0 DN, at most.
+pub(super) fn underflow(darks: &[Dark]) -> f64 {
+    darks.iter().map(|d| d.pair.zero_share).fold(0.0, f64::max)
+}
+
+/// The levels that gain and responsivity are fitted to: up to 70 % of saturation.
+pub(super) fn fitted_points(
+    t: &[Temporal],
+    most: f64,
+    definitions: Definitions,
+    clipped: bool,
+) -> Result<Vec<Temporal>, EmvaError> {
+    let limit = FIT_RANGE * most;
+    let within: Vec<Temporal> = if definitions == Definitions::ReferenceTool {
+        // Up to the last level of the list that lies below.
+        let last = t.iter().rposition(|p| p.signal_dn() <= limit);
+        last.map(|last| t[..=last].to_vec()).unwrap_or_default()
+    } else {
+        let below = |p: &&Temporal| p.signal_dn() <= limit && !(clipped && p.flat.zero_share > UNDERFLOW);
+        t.iter().filter(below).copied().collect()
+    };
+    let needed = if definitions == Definitions::Release4 { 3 } else { 1 };
+    if within.len() < needed {
+        return Err(EmvaError::Missing(format!(
+            "{} of the {} exposures lie below 70 % of saturation (a signal of {limit:.0} DN), and the gain needs {needed} or more; take shorter \
+             exposures or less light",
+            within.len(),
+            t.len()
+        )));
+    }
+    Ok(within)
+}
+
+pub(super) fn distinct(darks: &[Dark]) -> usize {
+    let mut exposures: Vec<f64> = darks.iter().map(|d| d.exposure_s).collect();
+    exposures.dedup_by(|a, b| (*a / *b - 1.0).abs() < 1e-9);
+    exposures.len()
+}
+
+/// Darks whose exposure has a flat: the reference tool knows no others.
+pub(super) fn with_flats(darks: &[Dark]) -> Vec<Dark> {
+    darks.iter().filter(|d| d.with_flat).copied().collect()
+}
+
+/// Lines of the darks' means and variances against the exposure; none for fewer than three exposures.
+pub(super) fn dark_lines(darks: &[Dark], pixels: f64) -> Option<[Fitted; 2]> {
+    let means: Vec<_> = darks
+        .iter()
+        .map(|d| (d.exposure_s, d.pair.mean_dn, (d.pair.var_dn2 / (2.0 * pixels)).sqrt()))
+        .collect();
+    let variances: Vec<_> =
+        darks.iter().map(|d| (d.exposure_s, d.pair.var_dn2, of_variance(d.pair.var_dn2, pixels))).collect();
+    (distinct(darks) > 2).then(|| [line(&means, false), line(&variances, false)])
+}
+
+/// The line of the linearity error (eq. 59 to 61): offset and slope with weights 1 / y^2, and the places of the first and last level of its range.
+pub(super) struct Linearity {
+    pub offset: f64,
+    pub slope: f64,
+    pub levels: Vec<Temporal>,
+}
+
+impl Linearity {
+    /// Relative deviation of a level, per cent (eq. 62).
+    pub fn deviation(&self, p: &Temporal) -> f64 {
+        let fitted = self.offset + self.slope * p.photons;
+        100.0 * (p.signal_dn() - fitted) / fitted
+    }
+}
+
+/// Fits levels between 5 and 95 % of a signal; none for fewer than three.
+pub(super) fn linear_range(t: &[Temporal], most: f64, definitions: Definitions) -> Option<Linearity> {
+    let (low, high) = (LINEAR_RANGE.0 * most, LINEAR_RANGE.1 * most);
+    let levels: Vec<Temporal> = if definitions == Definitions::ReferenceTool {
+        let first = t.iter().position(|p| p.signal_dn() >= low)?;
+        let last = t.iter().rposition(|p| p.signal_dn() <= high)?;
+        t.get(first..=last)?.to_vec()
+    } else {
+        t.iter().filter(|p| (low..=high).contains(&p.signal_dn())).copied().collect()
+    };
+    if levels.len() < 3 {
+        return None;
+    }
+    let sum = |f: &dyn Fn(f64, f64) -> f64| levels.iter().map(|p| f(p.photons, p.signal_dn())).sum::<f64>();
+    let (xy, xy2, x2y2) = (sum(&|x, y| x / y), sum(&|x, y| x / (y * y)), sum(&|x, y| (x / y).powi(2)));
+    let (y1, y2) = (sum(&|_, y| 1.0 / y), sum(&|_, y| 1.0 / (y * y)));
+    let offset = (xy * xy2 - x2y2 * y1) / (xy2 * xy2 - x2y2 * y2);
+    let slope = (xy - offset * xy2) / x2y2;
+    Some(Linearity { offset, slope, levels })
+}
