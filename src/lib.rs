@@ -78,6 +78,7 @@ pub mod number;
 pub mod observables;
 pub mod pixel_format;
 pub mod plan;
+pub mod plot;
 pub mod report;
 pub mod reproduce;
 pub mod scene_variation;
@@ -85,6 +86,7 @@ pub mod scene_variation;
 pub mod serve;
 pub mod source;
 pub mod statistics;
+pub mod study;
 pub mod surfaces;
 
 pub use ndarray;

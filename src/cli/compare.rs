@@ -4,11 +4,9 @@ use super::Outcome;
 use super::common::can_be_written;
 use super::model::read_effects;
 use super::observe::{names, observe};
-use crate::dataset::write_whole;
 use crate::diagnosis::{searched, signatures};
 use crate::inference::{compare, fit, start};
 use crate::number::chance;
-use crate::report;
 use anyhow::Result;
 use std::path::PathBuf;
 
@@ -33,10 +31,10 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     can_be_written(&arguments.report)?;
     let effects = read_effects(arguments.model.as_deref())?;
     let all = observe(&arguments.datasets)?;
-    let c = compare(&all, &fit(&all, &start(&all), &searched(&all, &effects)));
+    let fitted = fit(&all, &start(&all), &searched(&all, &effects));
+    let c = compare(&all, &fitted);
     if let Some(path) = &arguments.report {
-        let subtitle = names(&arguments.datasets);
-        write_whole(path, report::compare::html("Model against measurement", &subtitle, &c).as_bytes())?;
+        super::report::of_comparison(path, &arguments.datasets, &all, (&c, &fitted))?;
     }
     let outcome = if c.consistent { Outcome::Agreement } else { Outcome::Disagreement };
     if arguments.json {

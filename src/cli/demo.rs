@@ -112,8 +112,8 @@ fn the_story(
         super::diagnose::print(&title, &d);
     }
     let path = arguments.output.join("report.html");
-    let page = crate::report::compare::diagnosis("What the model lacks", &title, &d);
-    write_whole(&path, page.as_bytes())?;
+    let all = super::observe::observe(std::slice::from_ref(&dataset))?;
+    super::report::of_diagnosis(&path, std::slice::from_ref(&dataset), &all, &d)?;
     let first = d.missing.first();
     let place = d.missing.iter().position(|m| m.effect == effect.id());
     // The first name, or what this campaign cannot tell from it.

@@ -40,9 +40,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let all = observe(&arguments.datasets)?;
     let diagnosis = diagnose(&all, None, searched(&all, &effects), &mut |text| tracing::info!("{text}"));
     if let Some(path) = &arguments.report {
-        let subtitle = names(&arguments.datasets);
-        let page = report::compare::diagnosis("What the model lacks", &subtitle, &diagnosis);
-        write_whole(path, page.as_bytes())?;
+        super::report::of_diagnosis(path, &arguments.datasets, &all, &diagnosis)?;
     }
     if let (Some(path), Some(fitted)) = (&arguments.output, &diagnosis.fitted) {
         let model = fitted_model(&all, fitted, arguments.model.as_deref(), &arguments.datasets)?;
@@ -67,7 +65,7 @@ pub fn print(title: &str, d: &Diagnosis) {
     println!("{title}\n");
     println!("{}\n", super::common::wrapped(d.verdict.sentence(), 2));
     for m in &d.missing {
-        println!("  {} ({})", m.effect, report::compare::heading(m));
+        println!("  {} ({})", m.effect, report::heading(m));
         for (name, q) in m.parameters.iter().filter(|(_, q)| q.unit != "choice") {
             println!("      {name} = {}", q);
         }

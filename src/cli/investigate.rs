@@ -12,7 +12,6 @@ use crate::dataset::write_whole;
 use crate::inference::Given;
 use crate::investigate::{Event, Found, InvestigateError, STATE_FILE, investigate};
 use crate::plan::Plan;
-use crate::report;
 use anyhow::{Result, bail};
 use std::path::{Path, PathBuf};
 
@@ -61,10 +60,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let dataset = root.join("dataset");
     let (report_path, model_path) = (root.join("report.html"), root.join("model.toml"));
     let d = &found.diagnosis;
-    let page = report::compare::diagnosis("What the model lacks", &dataset.display().to_string(), d);
-    write_whole(&report_path, page.as_bytes())?;
+    let all = super::observe::observe(std::slice::from_ref(&dataset))?;
+    super::report::of_diagnosis(&report_path, std::slice::from_ref(&dataset), &all, d)?;
     if let Some(fitted) = &d.fitted {
-        let all = super::observe::observe(std::slice::from_ref(&dataset))?;
         let model = fitted_model(&all, fitted, arguments.model.as_deref(), std::slice::from_ref(&dataset))?;
         write_whole(&model_path, model.to_toml()?.as_bytes())?;
     }

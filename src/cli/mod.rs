@@ -75,6 +75,7 @@ verbs! {
     budget Budget "Parts of a region's variance against intensity (Fig. 4)"
     reproduce Reproduce "Run the paper's experiments again and compare its numbers with ours (Section VII)"
     compare Compare "Compare a model with a campaign: where it fails, and by how much"
+    report Report "Write everything about a campaign as one page: verdict, evidence, curves, images, numbers"
     diagnose Diagnose "Name the physical effect that a campaign shows and the model lacks"
     model Model "Make, show, change and fit model files"
     effects Effects "What each effect is, how it shows, and what to do about it"

@@ -1,6 +1,7 @@
 //! Residuals in words: which statistics deviate, how they scale, along which axis and in which frames.
 
 use crate::inference::Residual;
+use crate::number::pretty;
 
 /// What one statistic does.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,7 +49,7 @@ fn describe(name: &str, of: &[&Residual]) -> String {
     let off = if worst.predicted.abs() > 5.0 * worst.std_err {
         format!("{:+.2} % from the prediction", 100.0 * (worst.measured / worst.predicted - 1.0))
     } else {
-        let unit = if worst.unit.is_empty() { String::new() } else { format!(" {}", worst.unit) };
+        let unit = if worst.unit.is_empty() { String::new() } else { format!(" {}", pretty(&worst.unit)) };
         format!("{:+.3}{unit} from the prediction", worst.measured - worst.predicted)
     };
     let place = match worst.set {

@@ -21,7 +21,8 @@ mod spline;
 mod value;
 
 pub use general::General;
-pub use plots::{Axis, Plot, Series, Shape, plots};
+pub use plots::plots;
+pub(crate) use plots::power;
 pub use points::{Dark, Pair, Points, Spatial, Temporal, of_dataset};
 pub use quantities::{Evaluation, GainByNoise, Limit, evaluate};
 

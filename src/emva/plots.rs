@@ -1,4 +1,4 @@
-//! The plots of a datasheet as numbers: what the page draws and what is written as CSV.
+//! The plots of a datasheet.
 
 use super::histogram::{Histogram, accumulated, histogram};
 use super::lines::{
@@ -7,96 +7,12 @@ use super::lines::{
 use super::points::{Points, Temporal, line_means};
 use super::spatial::filtered;
 use super::{Definitions, Evaluation};
+use crate::plot::{Plot, Shape, axis, level, log, series};
 use ndarray::Array2;
 use rayon::prelude::*;
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
-
-/// One axis.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Axis {
-    /// Title with unit.
-    pub title: String,
-    /// Logarithmic.
-    pub log: bool,
-}
-
-/// How a series is drawn.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum Shape {
-    /// Points with error bars.
-    Points,
-    /// A curve with the band of its standard errors.
-    Line,
-    /// A dashed curve.
-    Dashed,
-    /// Steps, as of a histogram.
-    Steps,
-}
-
-/// A series of a plot.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Series {
-    /// What the legend says.
-    pub label: String,
-    /// How it is drawn.
-    pub shape: Shape,
-    /// x, y, standard error of y (NaN where there is none).
-    pub points: Vec<[f64; 3]>,
-}
-
-/// A plot.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Plot {
-    /// Name of its CSV file.
-    pub id: &'static str,
-    /// Title.
-    pub title: &'static str,
-    /// Horizontal axis.
-    pub x: Axis,
-    /// Vertical axis.
-    pub y: Axis,
-    /// What is drawn.
-    pub series: Vec<Series>,
-    /// Range of y that the standard asks for.
-    pub y_range: Option<(f64, f64)>,
-}
-
-impl Plot {
-    /// The numbers: columns series, x, y and std_err, empty where there is none.
-    pub fn csv(&self) -> String {
-        let mut out = format!("series,{},{},std_err\n", quoted(&self.x.title), quoted(&self.y.title));
-        for s in &self.series {
-            for [x, y, e] in &s.points {
-                let error = if e.is_finite() { e.to_string() } else { String::new() };
-                out += &format!("{},{x},{y},{error}\n", quoted(&s.label));
-            }
-        }
-        out
-    }
-}
-
-/// A field of CSV.
-fn quoted(text: &str) -> String {
-    if text.contains([',', '"']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.into() }
-}
-
-fn axis(title: impl Into<String>) -> Axis {
-    Axis { title: title.into(), log: false }
-}
-
-fn log(title: impl Into<String>) -> Axis {
-    Axis { title: title.into(), log: true }
-}
-
-fn series(label: impl Into<String>, shape: Shape, points: Vec<[f64; 3]>) -> Series {
-    Series { label: label.into(), shape, points }
-}
-
-fn level(label: impl Into<String>, y: f64, end: f64) -> Series {
-    series(label, Shape::Dashed, vec![[0.0, y, f64::NAN], [end, y, f64::NAN]])
-}
+use std::borrow::Cow;
 
 /// So many numbers from a to b, in equal steps or equal ratios.
 fn between(a: f64, b: f64, n: u32, ratios: bool) -> impl Iterator<Item = f64> {
@@ -142,8 +58,8 @@ fn temporal(points: &Points, e: &Evaluation) -> Vec<Plot> {
     let signal = |p: &Temporal| [p.photons, p.signal_dn(), signal_std(p, pixels)];
     let mut all = vec![
         Plot {
-            id: "photon-transfer",
-            title: "Photon transfer",
+            id: "photon-transfer".into(),
+            title: "Photon transfer".into(),
             x: axis(SIGNAL),
             y: axis("variance σ²_y − σ²_y.dark (DN²)"),
             series: vec![
@@ -155,8 +71,8 @@ fn temporal(points: &Points, e: &Evaluation) -> Vec<Plot> {
         },
         snr(points, &value, photons),
         Plot {
-            id: "sensitivity",
-            title: "Sensitivity",
+            id: "sensitivity".into(),
+            title: "Sensitivity".into(),
             x: axis(photons),
             y: axis(SIGNAL),
             series: vec![
@@ -170,8 +86,8 @@ fn temporal(points: &Points, e: &Evaluation) -> Vec<Plot> {
     all.extend(dark_plots(points, pixels));
     if let Some(fit) = linear_range(t, most, e.definitions) {
         all.push(Plot {
-            id: "linearity",
-            title: "Linearity",
+            id: "linearity".into(),
+            title: "Linearity".into(),
             x: axis(photons),
             y: axis(SIGNAL),
             series: vec![
@@ -189,8 +105,8 @@ fn temporal(points: &Points, e: &Evaluation) -> Vec<Plot> {
             |p: &Temporal| [p.photons, fit.deviation(p), 100.0 * signal_std(p, pixels) / p.signal_dn()];
         let ends = fit.levels.iter().map(|p| p.photons).fold(0.0, f64::max);
         all.push(Plot {
-            id: "deviation-from-linearity",
-            title: "Deviation from linearity",
+            id: "deviation-from-linearity".into(),
+            title: "Deviation from linearity".into(),
             x: axis(photons),
             y: axis("deviation δ_y (%)"),
             series: vec![
@@ -207,8 +123,8 @@ fn temporal(points: &Points, e: &Evaluation) -> Vec<Plot> {
     let difference =
         |p: &Temporal| [p.signal_dn(), p.flat.difference_dn, (2.0 * p.flat.var_dn2 / pixels).sqrt()];
     all.push(Plot {
-        id: "stability",
-        title: "Stability",
+        id: "stability".into(),
+        title: "Stability".into(),
         x: axis(SIGNAL),
         y: axis("difference of the means, noise (DN)"),
         series: vec![
@@ -255,8 +171,8 @@ fn snr(points: &Points, value: &dyn Fn(&str) -> f64, photons: &str) -> Plot {
         all.push(series("shot-noise limit", Shape::Dashed, curve(&f64::sqrt)));
     }
     Plot {
-        id: "snr",
-        title: "Signal-to-noise ratio",
+        id: "snr".into(),
+        title: "Signal-to-noise ratio".into(),
         x: log(photons),
         y: log("SNR"),
         series: all,
@@ -283,7 +199,14 @@ fn dark_plots(points: &Points, pixels: f64) -> Vec<Plot> {
             let line = between(0.0, end, 60, false).map(|x| (x, lines[k].at(x))).map(|(x, (y, s))| [x, y, s]);
             all.push(series("fit", Shape::Line, line.collect()));
         }
-        Plot { id, title, x: axis("exposure time (s)"), y: axis(unit), series: all, y_range: None }
+        Plot {
+            id: Cow::Borrowed(id),
+            title: Cow::Borrowed(title),
+            x: axis("exposure time (s)"),
+            y: axis(unit),
+            series: all,
+            y_range: None,
+        }
     };
     vec![
         of("dark-mean", "Dark signal", "dark mean μ_y.dark (DN)", means, 0),
@@ -292,7 +215,7 @@ fn dark_plots(points: &Points, pixels: f64) -> Vec<Plot> {
 }
 
 /// Mean power spectrum of the rows (eq. 70 and 71), from 0 to half a cycle per pixel.
-fn power(image: &Array2<f64>) -> Vec<f64> {
+pub(crate) fn power(image: &Array2<f64>) -> Vec<f64> {
     let (rows, columns) = image.dim();
     let mean = image.mean().unwrap_or(0.0);
     let fft = FftPlanner::new().plan_fft_forward(columns);
@@ -365,8 +288,8 @@ fn spatial(points: &Points, e: &Evaluation) -> Vec<Plot> {
         // The tool divides the power, not its root, by the mean.
         let scale = if as_tool { 1.0 / mean.sqrt() } else { 100.0 / mean };
         all.push(Plot {
-            id: ids[0],
-            title: titles[0],
+            id: ids[0].into(),
+            title: titles[0].into(),
             x: axis(frequency),
             y: log("standard deviation (%)"),
             series: vec![
@@ -377,8 +300,8 @@ fn spatial(points: &Points, e: &Evaluation) -> Vec<Plot> {
             y_range: None,
         });
         all.push(Plot {
-            id: ids[1],
-            title: titles[1],
+            id: ids[1].into(),
+            title: titles[1].into(),
             x: axis(frequency),
             y: log("standard deviation (DN)"),
             series: vec![
@@ -454,8 +377,8 @@ fn histograms(points: &Points, e: &Evaluation, [dark, response]: [&Array2<f64>; 
         let by = if as_tool && ids[0] == "histogram-prnu" { 0.0 } else { centre };
         let h = histogram(values, scale, e.definitions);
         all.push(Plot {
-            id: ids[0],
-            title: titles[0],
+            id: ids[0].into(),
+            title: titles[0].into(),
             x: axis(format!("deviation from the mean ({unit})")),
             y: log("pixels per bin"),
             series: vec![
@@ -468,8 +391,8 @@ fn histograms(points: &Points, e: &Evaluation, [dark, response]: [&Array2<f64>; 
         let n = values.len() as f64;
         let shares = a.bins.iter().zip(&a.counts).map(|(x, y)| [x * factor, *y, (100.0 * y / n).sqrt()]);
         all.push(Plot {
-            id: ids[1],
-            title: titles[1],
+            id: ids[1].into(),
+            title: titles[1].into(),
             x: axis(format!("deviation from the mean, at least ({unit})")),
             y: log("pixels (%)"),
             series: vec![series("measured", Shape::Steps, shares.collect())],
@@ -505,8 +428,8 @@ fn profiles(response: &Array2<f64>, dark: &Array2<f64>) -> Vec<Plot> {
             (0.9 * average(&means), 1.1 * average(&means))
         };
         all.push(Plot {
-            id,
-            title,
+            id: Cow::Borrowed(id),
+            title: Cow::Borrowed(title),
             x: axis(if vertical { "row" } else { "column" }),
             y: axis("signal (DN)"),
             series: vec![

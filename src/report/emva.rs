@@ -3,8 +3,9 @@
 use super::plot::{figure, in_html};
 use crate::dataset::CameraInfo;
 use crate::emva::names::{GROUPS, Name};
-use crate::emva::{Evaluation, Limit, Plot, Points};
+use crate::emva::{Evaluation, Limit, Points};
 use crate::number::Quantity;
+use crate::plot::Plot;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 /// What stands at the head.
@@ -159,7 +160,7 @@ pub fn html(head: &Head<'_>, points: &Points, e: &Evaluation, plots: &[Plot]) ->
     } else {
         format!("EMVA 1288 datasheet: {}", camera.trim())
     };
-    let first: Vec<&Plot> = plots.iter().filter(|p| ["photon-transfer", "snr"].contains(&p.id)).collect();
+    let first: Vec<&Plot> = plots.iter().filter(|p| ["photon-transfer", "snr"].contains(&&*p.id)).collect();
     html! {
         (DOCTYPE)
         html lang="en" {

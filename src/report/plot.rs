@@ -1,7 +1,8 @@
 //! Plots of series as SVG: linear and logarithmic axes, points with error bars, curves with bands, steps, a legend below.
 
-use crate::emva::{Axis, Plot, Series, Shape};
+use crate::plot::{Axis, Plot, Series, Shape};
 use maud::{Markup, html};
+use serde_json::json;
 
 /// Width and height of a plot, user units, and its margins: left, top, right, bottom.
 const SIZE: (f64, f64) = (440.0, 262.0);
@@ -208,8 +209,44 @@ fn ends(s: &Series) -> impl Iterator<Item = f64> {
     })
 }
 
-/// A figure: title, plot, legend.
+/// What the script needs beside the numbers, which it takes from the CSV.
+fn description(plot: &Plot) -> String {
+    let axis = |a: &Axis| json!({ "title": a.title, "log": a.log });
+    let shape = |s: Shape| match s {
+        Shape::Points => "points",
+        Shape::Line => "line",
+        Shape::Dashed => "dashed",
+        Shape::Steps => "steps",
+    };
+    let series: Vec<_> =
+        plot.series.iter().map(|s| json!({ "label": s.label, "shape": shape(s.shape) })).collect();
+    let range = plot.y_range.map(|(a, b)| [a, b]);
+    json!({ "x": axis(&plot.x), "y": axis(&plot.y), "range": range, "series": series }).to_string()
+}
+
+/// Text as part of a `data:` address.
+fn in_address(text: &str) -> String {
+    let mut out = String::with_capacity(text.len() + text.len() / 8);
+    for byte in text.bytes() {
+        match byte {
+            b'0'..=b'9' | b'a'..=b'z' | b'A'..=b'Z' | b'.' | b',' | b'-' | b'_' => out.push(char::from(byte)),
+            byte => out += &format!("%{byte:02X}"),
+        }
+    }
+    out
+}
+
+/// A figure: title, plot, legend, its numbers as CSV.
 pub fn figure(plot: &Plot) -> Markup {
+    figure_of(plot, "")
+}
+
+/// A figure as wide as the page.
+pub fn wide(plot: &Plot) -> Markup {
+    figure_of(plot, "wide")
+}
+
+fn figure_of(plot: &Plot, class: &str) -> Markup {
     let (width, height) = SIZE;
     let [left, top, right, bottom] = MARGIN;
     let all = || plot.series.iter().flat_map(|s| &s.points);
@@ -222,8 +259,8 @@ pub fn figure(plot: &Plot) -> Markup {
     };
     let (low, high) = (height - bottom, top);
     html! {
-        figure {
-            h3 { (plot.title) }
+        figure class=(class) data-plot=(description(plot)) {
+            h3 { (in_html(&plot.title)) }
             svg viewBox={ "0 0 " (width) " " (height) } role="img" aria-label=(plot.title) {
                 @for (v, label) in y.ticks(5.0) {
                     line x1=(left) x2=(width - right) y1=(fine(y.px(v))) y2=(fine(y.px(v))) stroke="var(--line)" {}
@@ -253,6 +290,8 @@ pub fn figure(plot: &Plot) -> Markup {
                     }
                 }
             }
+            @let name = format!("{}.csv", plot.id);
+            figcaption { a.csv download=(name) href={ "data:text/csv," (in_address(&plot.csv())) } { "CSV" span.hidden { " of " (plot.title) } } }
         }
     }
 }

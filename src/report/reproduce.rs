@@ -83,7 +83,10 @@ fn surfaces(figures: &Figures) -> Markup {
         "scene variance against the mean for four surfaces, with parabolas",
         html! {
             (panel.axes("mean μ_D (DN)", "σ_D² − σ_CN² (DN²)", true))
-            @for (surface, colour) in figures.surfaces.iter().zip(COLOURS) {
+            @for (k, (surface, colour)) in figures.surfaces.iter().zip(COLOURS).enumerate() {
+                @let y = 34.0 + 22.0 * k as f64;
+                line x1="96" x2="120" y1=(y) y2=(y) stroke=(colour) stroke-width="3" {}
+                text x="128" y=(y + 4.0) { (surface.name) ", V" tspan dy="3" font-size="9" { "s" } tspan dy="-3" { (format!(" = {:.2e}", surface.scene_variation)) } }
                 @let last = surface.points.last().map_or(0.0, |p| p.0);
                 @let curve: Vec<_> = (0..=60)
                     .map(|i| f64::from(i) / 60.0 * last)
@@ -94,9 +97,6 @@ fn surfaces(figures: &Figures) -> Markup {
                     x, y, error, out: false, title: format!("{}: {x:.1} DN, {y:.2} DN²", surface.name),
                 }).collect();
                 (panel.coloured(&marks, colour))
-                @if let Some(&(x, y)) = curve.last() {
-                    (panel.label((x, y), &format!("{} V = {:.2e}", surface.name, surface.scene_variation)))
-                }
             }
         },
     )

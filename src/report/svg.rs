@@ -112,11 +112,6 @@ impl Panel {
         html! { polyline points=(path.join(" ")) fill="none" stroke=(colour) stroke-width="1.8" {} }
     }
 
-    /// A word left of and above a point.
-    pub fn label(&self, at: (f64, f64), text: &str) -> Markup {
-        html! { text x=(self.px(at.0) - 10.0) y=(self.py(at.1) - 8.0) text-anchor="end" { (text) } }
-    }
-
     /// A horizontal band.
     pub fn band(&self, low: f64, high: f64) -> Markup {
         let [left, _, width, _] = self.frame;

@@ -17,6 +17,7 @@ mod noise;
 mod outside;
 mod program;
 mod real;
+mod report;
 mod support;
 
 #[cfg(feature = "aravis")]

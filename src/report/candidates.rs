@@ -1,0 +1,65 @@
+//! What is missing: each effect with what it is, how large, what shows it, and what to do.
+
+use crate::diagnosis::Missing;
+use crate::number::percent;
+use maud::{Markup, html};
+use radcam_sim::effects::find;
+
+/// What stands beside a name.
+pub fn heading(m: &Missing) -> String {
+    let mut parts = Vec::new();
+    if m.effect == "unknown" {
+        if !m.nearest.is_empty() {
+            parts.push(format!("nearest: {}", m.nearest.join(", ")));
+        }
+    } else {
+        parts.push(format!("probability among the candidates: {}", percent(m.confidence)));
+    }
+    parts.extend(m.form.clone());
+    if let Some(other) = &m.tied_with {
+        parts.push(format!("tied with {other}"));
+    }
+    if m.partial {
+        parts.push("explains part of it only".into());
+    }
+    parts.join("; ")
+}
+
+/// One candidate.
+pub fn candidate(m: &Missing) -> Markup {
+    let page = find(&m.effect).map(|e| e.page());
+    let meaning = |name: &str| {
+        let effect = find(&m.effect)?;
+        effect.parameters().iter().find(|p| p.name == name).map(|p| p.meaning)
+    };
+    html! {
+        section.effect {
+            h3 { (m.effect) " " span.note { (heading(m)) } }
+            @if let Some(p) = &page { p { (p.what) } }
+            @if !m.parameters.is_empty() {
+                table.stack {
+                    thead { tr { th { "parameter" } th.text { "value ± standard error" } th.text { "meaning" } } }
+                    @for (name, q) in &m.parameters {
+                        tr {
+                            th scope="row" { code { (name) } }
+                            td.text.number { data value=(q.value) { (q.to_string()) } }
+                            td.text.small { (meaning(name).unwrap_or("a combination that the campaign tells better than its parts")) }
+                        }
+                    }
+                }
+            }
+            dl {
+                @if !m.evidence.is_empty() {
+                    dt { "Evidence" }
+                    dd { ul { @for text in &m.evidence { li { (text) } } } }
+                }
+                @if let Some(p) = &page {
+                    dt { "What to do" } dd { (p.remedy) }
+                    dt { "What looks like it" } dd { (p.look_alikes) }
+                    dt { "Equation" } dd { code { (p.equation) } }
+                    dt { "Source" } dd { (p.source) }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! What a model says of every statistic against what was measured, as curves over the level.
+
+use super::Judgement;
+use crate::dataset::Kind;
+use crate::diagnosis::signatures;
+use crate::inference::{Comparison, Residual};
+use crate::number::pretty;
+use crate::observables::{Observations, covariance, variance};
+use crate::plot::{Plot, Shape, axis, level, series};
+use crate::statistics::covariance::LAGS;
+
+/// One statistic in one set: both halves of its frames together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Level {
+    /// Number of the set.
+    pub set: u32,
+    /// Mean above the black level, DN.
+    pub level_dn: f64,
+    /// What was measured.
+    pub measured: f64,
+    /// What the model expects.
+    pub predicted: f64,
+    /// Standard error of the difference.
+    pub std_err: f64,
+}
+
+/// Names of the statistics of a comparison in their order.
+pub fn statistics(c: &Comparison) -> Vec<&str> {
+    let mut names: Vec<&str> = Vec::new();
+    for r in &c.residuals {
+        if !names.contains(&&*r.observable) {
+            names.push(&r.observable);
+        }
+    }
+    names
+}
+
+/// A statistic in every set, the halves weighted alike, by the level.
+pub fn of_statistic(c: &Comparison, name: &str) -> Vec<Level> {
+    let mut out: Vec<(Level, f64)> = Vec::new();
+    for r in c.residuals.iter().filter(|r| r.observable == name) {
+        let Some(set) = r.set else { continue };
+        match out.iter_mut().find(|(l, _)| l.set == set) {
+            Some((l, n)) => {
+                l.measured += r.measured;
+                l.predicted += r.predicted;
+                l.std_err = l.std_err.hypot(r.std_err);
+                *n += 1.0;
+            }
+            None => out.push((
+                Level {
+                    set,
+                    level_dn: r.level_dn,
+                    measured: r.measured,
+                    predicted: r.predicted,
+                    std_err: r.std_err,
+                },
+                1.0,
+            )),
+        }
+    }
+    let mut all: Vec<Level> = out
+        .into_iter()
+        .map(|(l, n)| Level {
+            measured: l.measured / n,
+            predicted: l.predicted / n,
+            std_err: l.std_err / n,
+            ..l
+        })
+        .collect();
+    all.sort_by(|a, b| a.level_dn.total_cmp(&b.level_dn));
+    all
+}
+
+/// Sets below which a curve over the level says nothing.
+const CURVE: usize = 3;
+
+/// The statistic that decided: of those that deviate most without what was found, the first that is mended with it.
+fn deciding(j: &Judgement) -> Option<String> {
+    let (first, last) = (j.comparisons.first()?, j.comparisons.last()?);
+    let left = signatures(&last.residuals);
+    let mended = |name: &str, excess: f64| left.iter().all(|l| l.name != name || l.excess < 0.5 * excess);
+    let all = signatures(&first.residuals);
+    let mut curves = all.iter().filter(|s| of_statistic(first, &s.name).len() >= CURVE);
+    let alone = j.comparisons.len() < 2;
+    let best = curves.clone().find(|s| alone || mended(&s.name, s.excess)).or_else(|| curves.next())?;
+    Some(best.name.clone())
+}
+
+/// The deciding statistic as a curve: what was measured, and what the models expect, before and after.
+pub fn decisive(j: &Judgement) -> Option<Plot> {
+    plot_of(j, &deciding(j)?)
+}
+
+/// One statistic as a curve: measured and expected with all that was found, both less what the model as given expects.
+pub fn plot_of(j: &Judgement, name: &str) -> Option<Plot> {
+    let (first, last) = (j.comparisons.first()?, j.comparisons.last()?);
+    let before = of_statistic(first, name);
+    let unit = unit_of(&first.residuals, name);
+    let end = before.last()?.level_dn;
+    let measured = before.iter().map(|l| [l.level_dn, l.measured - l.predicted, l.std_err]).collect();
+    let mut all =
+        vec![series("measured", Shape::Points, measured), level("the model as given", 0.0, end.max(0.0))];
+    if j.comparisons.len() > 1 {
+        let after = of_statistic(last, name);
+        let expected = after
+            .iter()
+            .filter_map(|l| {
+                let b = before.iter().find(|b| b.set == l.set)?;
+                Some([l.level_dn, l.predicted - b.predicted, f64::NAN])
+            })
+            .collect();
+        let added: Vec<&str> = j.ladder.iter().filter_map(|r| r.added.as_deref()).collect();
+        let label = if added.is_empty() {
+            "the model with what was found".into()
+        } else {
+            format!("with {}", added.join(", "))
+        };
+        all.push(series(label, Shape::Line, expected));
+    }
+    Some(Plot {
+        id: format!("statistic-{}", slug(name)).into(),
+        title: name.to_string().into(),
+        x: axis("level (DN above the black level)"),
+        y: axis(format!("{name}, less the model as given{unit}")),
+        series: all,
+        y_range: None,
+    })
+}
+
+/// Every statistic that has a curve.
+pub fn every(j: &Judgement) -> Vec<Plot> {
+    let Some(first) = j.comparisons.first() else { return Vec::new() };
+    let curves = statistics(first).into_iter().filter(|n| of_statistic(first, n).len() >= CURVE);
+    curves.filter_map(|n| plot_of(j, n)).collect()
+}
+
+fn unit_of(residuals: &[Residual], name: &str) -> String {
+    let unit = residuals.iter().find(|r| r.observable == name).map_or("", |r| &*r.unit);
+    if unit.is_empty() { String::new() } else { format!(" ({})", pretty(unit)) }
+}
+
+/// A name as part of an identifier.
+pub fn slug(name: &str) -> String {
+    let mut out = String::new();
+    for c in name.chars() {
+        if c.is_ascii_alphanumeric() || c == '-' && out.is_empty() {
+            out.push(c.to_ascii_lowercase());
+        } else if !out.ends_with('-') {
+            out.push('-');
+        }
+    }
+    out.trim_end_matches('-').into()
+}
+
+/// Correlation of a pixel's noise with its neighbours': covariances over variances, mean over the flats weighted by their errors.
+pub fn neighbours(all: &Observations) -> Vec<((i32, i32), f64, f64)> {
+    let of_lag = |index: usize| {
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for o in all.of(&covariance::Covariance).filter(|o| o.index == index) {
+            let is_flat = o.set.is_some_and(|s| all.kinds[s] == Kind::Flat);
+            let same = |v: &&crate::observables::Observable| v.set == o.set && v.frames == o.frames;
+            let Some(var) = all.of(&variance::Variance).find(same).filter(|_| is_flat) else { continue };
+            let var = var.measured.value;
+            let (value, error) = (o.measured.value / var, o.measured.std_err / var);
+            if value.is_finite() && error > 0.0 {
+                sum += value / (error * error);
+                weight += 1.0 / (error * error);
+            }
+        }
+        (weight > 0.0).then(|| (LAGS[index], sum / weight, 1.0 / weight.sqrt()))
+    };
+    (0..LAGS.len()).filter_map(of_lag).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::slug;
+
+    #[test]
+    fn names_become_identifiers() {
+        assert_eq!(slug("covariance (0,1)"), "covariance-0-1");
+        assert_eq!(slug("temporal variance"), "temporal-variance");
+    }
+}

@@ -1,0 +1,165 @@
+//! The dark image and the response of every pixel, as pictures with a scale, and how their values are distributed.
+
+use crate::calibrate::file::Calibration;
+use crate::dataset::image::Buffer;
+use crate::dataset::{Dataset, Kind, Set};
+use crate::observables::ObserveError;
+use crate::statistics::median::median;
+use ndarray::{Array2, ArrayView2};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// An image with what it is.
+#[derive(Debug, Clone)]
+pub struct Map {
+    /// Title.
+    pub title: String,
+    /// Which frames it is made of.
+    pub of: String,
+    /// Unit of its values; empty for ratios.
+    pub unit: &'static str,
+    /// (rows, columns).
+    pub values: Array2<f32>,
+    /// Standard deviation over the pixels, from the quartiles: a few outliers do not move it.
+    pub spread: f64,
+    /// What the noise of the frames' mean gives of that.
+    pub noise: f64,
+    /// Pixels further than [`OUTLIER`] spreads from the median.
+    pub outliers: usize,
+}
+
+/// Spreads from the median beyond which a pixel is counted as an outlier: of normal pixels one in 5e8.
+pub const OUTLIER: f64 = 6.0;
+
+/// What was made of the frames.
+#[derive(Debug, Clone, Default)]
+pub struct Images {
+    /// Dark image, DN.
+    pub dark: Option<Map>,
+    /// Response, mean 1.
+    pub response: Option<Map>,
+    /// Difference of two successive darks over root 2: one frame's temporal noise, DN.
+    pub dark_noise: Option<Array2<f64>>,
+    /// How often each code occurs in the first frame of every set.
+    pub codes: Vec<u64>,
+}
+
+impl Map {
+    fn new(title: &str, of: String, unit: &'static str, values: Array2<f32>, noise: f64) -> Self {
+        let middle = median(values.iter().map(|v| f64::from(*v)));
+        // Of normal values the median of the distances is 0.6745 deviations.
+        let spread = median(values.iter().map(|v| (f64::from(*v) - middle).abs())) / 0.674_490;
+        let far = |v: &&f32| (f64::from(**v) - middle).abs() > OUTLIER * spread;
+        let outliers = if spread > 0.0 { values.iter().filter(far).count() } else { 0 };
+        Self { title: title.into(), of, unit, values, spread, noise, outliers }
+    }
+
+    /// What the pixels differ by beyond the noise of the mean, and its standard error: the relative error of a deviation of n pixels is
+    /// 1 / sqrt(2 n), by quartiles 1.65 times that (efficiency 0.37: Huber and Ronchetti 2009, table 1.1).
+    pub fn nonuniformity(&self) -> (f64, f64) {
+        let n = self.values.len() as f64;
+        let square = (self.spread.powi(2) - self.noise.powi(2)).max(0.0);
+        let error = self.spread.powi(2) * 1.65 * (2.0 / n).sqrt();
+        let value = square.sqrt();
+        (value, if value > 0.0 { error / (2.0 * value) } else { error.sqrt() })
+    }
+}
+
+/// Reads the frames that the maps are made of.
+///
+/// # Errors
+///
+/// A frame that cannot be read, or that it was stopped.
+pub fn of(
+    dataset: &Dataset,
+    calibration: Option<&Calibration>,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(usize, usize),
+) -> Result<Images, ObserveError> {
+    let top = f64::from(dataset.manifest().camera.full_scale_dn());
+    let mut out = Images { codes: vec![0; top as usize + 1], ..Images::default() };
+    let mut buffer = Buffer::default();
+    let sets = dataset.sets();
+    let mut levels = vec![0.0; sets.len()];
+    for (k, set) in sets.iter().enumerate() {
+        if stop.load(Ordering::Relaxed) {
+            return Err(ObserveError::Interrupted);
+        }
+        dataset.read_into(&dataset.rows()[set.rows[0]], &mut buffer)?;
+        for v in buffer.dn() {
+            out.codes[usize::from(*v)] += 1;
+        }
+        levels[k] = buffer.dn().iter().map(|v| f64::from(*v)).sum::<f64>() / buffer.dn().len() as f64;
+        progress(k + 1, sets.len());
+    }
+    let kind = |set: &Set| dataset.settings(set).kind;
+    // Of the darks the shortest, of those with most frames; of the flats the brightest below three quarters of the range.
+    let darks = sets.iter().filter(|s| kind(s) == Kind::Dark);
+    let exposure = |s: &Set| dataset.settings(s).exposure_s;
+    let dark = darks.min_by(|a, b| exposure(a).total_cmp(&exposure(b)).then(b.rows.len().cmp(&a.rows.len())));
+    let flats = sets.iter().zip(&levels).filter(|(s, l)| kind(s) == Kind::Flat && **l < 0.75 * top);
+    let flat = flats.max_by(|a, b| a.1.total_cmp(b.1)).map(|(s, _)| s);
+    let of = |set: &Set, what: &str| {
+        format!("mean of {} {what} frames of set {}, {} s", set.rows.len(), set.number, exposure(set))
+    };
+    let dark_mean = dark.map(|set| mean(dataset, set)).transpose()?;
+    if let (Some(set), Some(m)) = (dark, &dark_mean) {
+        out.dark_noise = m.difference.clone();
+        out.dark = Some(Map::new("Dark image", of(set, "dark"), "DN", m.mean.clone(), m.noise));
+    }
+    if let Some(set) = flat {
+        let m = mean(dataset, set)?;
+        let dark = dark_mean.as_ref().map(|d| &d.mean);
+        let signal = dark.map_or_else(|| m.mean.clone(), |d| &m.mean - d);
+        let level = f64::from(signal.mean().unwrap_or(1.0));
+        let noise = m.noise.hypot(dark_mean.as_ref().map_or(0.0, |d| d.noise)) / level.abs().max(1e-9);
+        out.response = Some(Map::new(
+            "Flat image over its mean: response and light together",
+            of(set, "flat"),
+            "",
+            signal.mapv(|v| (f64::from(v) / level) as f32),
+            noise,
+        ));
+    }
+    if let Some(cal) = calibration {
+        let d = &cal.description;
+        let of = format!("page 0 of the calibration, at {} s", cal.dark.exposure_s);
+        out.dark = Some(Map::new("Dark reference", of, "DN", cal.dark.level_dn.clone(), cal.dark.std_err_dn));
+        let of = format!("page 1 of the calibration: {} configurations of {} frames", d.n1, d.n2);
+        let noise = median(cal.k_std_err.iter().map(|v| f64::from(*v)));
+        out.response = Some(Map::new("Fixed pattern K", of, "", cal.k.clone(), noise));
+    }
+    Ok(out)
+}
+
+/// Mean of a set's frames with the noise that is left in it, DN.
+struct Mean {
+    mean: Array2<f32>,
+    noise: f64,
+    difference: Option<Array2<f64>>,
+}
+
+fn mean(dataset: &Dataset, set: &Set) -> Result<Mean, ObserveError> {
+    let mut buffer = Buffer::default();
+    let mut first: Option<Array2<f64>> = None;
+    let mut difference = None;
+    let mut sum: Option<Array2<f64>> = None;
+    for (k, &row) in set.rows.iter().enumerate() {
+        dataset.read_into(&dataset.rows()[row], &mut buffer)?;
+        let shape = buffer.shape();
+        let view =
+            ArrayView2::from_shape(shape, buffer.dn()).map_err(|e| ObserveError::Nothing(e.to_string()))?;
+        match &mut sum {
+            Some(sum) => sum.zip_mut_with(&view, |s, v| *s += f64::from(*v)),
+            None => sum = Some(view.mapv(f64::from)),
+        }
+        match (&first, k) {
+            (None, _) => first = Some(view.mapv(f64::from)),
+            (Some(first), 1) => difference = Some((view.mapv(f64::from) - first) / std::f64::consts::SQRT_2),
+            _ => {}
+        }
+    }
+    let n = set.rows.len() as f64;
+    let sum = sum.ok_or_else(|| ObserveError::Nothing("a set without frames".into()))?;
+    let noise = difference.as_ref().map_or(0.0, |d: &Array2<f64>| d.std(1.0) / n.sqrt());
+    Ok(Mean { mean: sum.mapv(|s| (s / n) as f32), noise, difference })
+}

@@ -1,0 +1,213 @@
+//! Everything that a report says of a campaign, as data: the report and the workbench only draw it, `radcam report --json` prints it.
+
+mod curves;
+mod evidence;
+mod images;
+mod provenance;
+mod quantities;
+
+pub use evidence::{Level, of_statistic, statistics};
+pub use images::{Images, Map};
+pub use provenance::Provenance;
+pub use quantities::Reported;
+
+use crate::calibrate::file::Calibration;
+use crate::dataset::CameraInfo;
+use crate::diagnosis::{Diagnosis, Missing, Rung, Verdict};
+use crate::inference::{Comparison, Fitted};
+use crate::noise::NoiseReport;
+use crate::observables::{Observations, ObserveError};
+use crate::plot::Plot;
+use crate::source::Source;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::sync::atomic::AtomicBool;
+
+/// How a model stands against a campaign: a comparison alone, or with what was found missing.
+#[derive(Debug, Clone)]
+pub struct Judgement {
+    /// In one plain sentence or two.
+    pub sentence: String,
+    /// Whether the model as given describes the campaign.
+    pub consistent: bool,
+    /// What is missing, strongest first; none where nothing was looked for.
+    pub missing: Vec<Missing>,
+    /// The ladder of errors, the model as given first.
+    pub ladder: Vec<Rung>,
+    /// The comparison of the model as given, and of the one with what was found, where there is one.
+    pub comparisons: Vec<Comparison>,
+    /// The last model.
+    pub fitted: Option<Fitted>,
+    /// The measurement that would tell candidates apart.
+    pub next_measurement: Option<String>,
+    /// What could not be looked at, and what is left over.
+    pub notes: Vec<String>,
+    /// Whether effects were looked for.
+    pub searched: bool,
+}
+
+impl Judgement {
+    /// Of a comparison alone.
+    pub fn of_comparison(comparison: &Comparison, fitted: &Fitted) -> Self {
+        Self {
+            sentence: format!(
+                "{} Nothing was searched for: `radcam diagnose` names what is missing.",
+                sentence_of(comparison)
+            ),
+            consistent: comparison.consistent,
+            missing: Vec::new(),
+            ladder: vec![Rung { added: None, error: comparison.error, p_value: comparison.p_value }],
+            comparisons: vec![comparison.clone()],
+            fitted: Some(fitted.clone()),
+            next_measurement: None,
+            notes: comparison.not_looked_at.clone(),
+            searched: false,
+        }
+    }
+
+    /// Of a diagnosis.
+    pub fn of_diagnosis(d: &Diagnosis) -> Self {
+        Self {
+            sentence: d.verdict.sentence().into(),
+            consistent: d.consistent,
+            missing: d.missing.clone(),
+            ladder: d.ladder.clone(),
+            comparisons: d.comparisons.clone(),
+            fitted: d.fitted.clone(),
+            next_measurement: d.next_measurement.clone(),
+            notes: d.notes.clone(),
+            searched: true,
+        }
+    }
+
+    /// What the page is headed.
+    pub fn heading(&self, verdict: Option<&Verdict>) -> String {
+        match verdict {
+            Some(Verdict::Named { effect, .. }) => format!("The camera shows {effect}"),
+            Some(Verdict::Unknown { .. }) => "The camera shows an effect without a name".into(),
+            _ if self.consistent => "The model describes the camera".into(),
+            _ => "The model does not describe the camera".into(),
+        }
+    }
+}
+
+/// A comparison in a sentence.
+fn sentence_of(c: &Comparison) -> String {
+    let words = c.agreement.words();
+    let mut letters = words.chars();
+    let capital: String = letters.next().map(|l| l.to_uppercase().collect()).unwrap_or_default();
+    format!("{capital}{}: error {:.2} over {} statistics.", letters.as_str(), c.error, c.residuals.len())
+}
+
+/// Everything that a report says.
+#[derive(Debug, Clone)]
+pub struct Study {
+    /// Title of the page.
+    pub heading: String,
+    /// The camera and its settings; none of a table.
+    pub camera: Option<CameraInfo>,
+    /// Where the numbers come from.
+    pub provenance: Provenance,
+    /// What the model is, in equations.
+    pub model: Vec<String>,
+    /// How it stands.
+    pub judgement: Judgement,
+    /// Gain and constant noise, level by level, or why there are none.
+    pub noise: Result<NoiseReport, String>,
+    /// Every quantity by its name.
+    pub quantities: BTreeMap<&'static str, Reported>,
+    /// Parameters of the effects that were found or given.
+    pub parameters: Vec<(String, Vec<(String, crate::number::Quantity)>)>,
+    /// Plots of the camera: photon transfer, linearity, and so on.
+    pub plots: Vec<Plot>,
+    /// The statistic that decided, before and after.
+    pub decisive: Option<Plot>,
+    /// Every statistic against the level.
+    pub statistics: Vec<Plot>,
+    /// Correlations of the noise with neighbours: (rows, columns) apart, value and standard error, mean over the flats.
+    pub neighbours: Vec<((i32, i32), f64, f64)>,
+    /// Dark image and response.
+    pub images: Images,
+}
+
+/// What `radcam report --json` prints, and what the page holds as data.
+#[derive(Debug, Serialize)]
+pub struct Numbers<'a> {
+    sentence: &'a str,
+    consistent: bool,
+    error_before: f64,
+    error_after: f64,
+    quantities: &'a BTreeMap<&'static str, Reported>,
+    missing: &'a [Missing],
+    ladder: &'a [Rung],
+    next_measurement: Option<&'a str>,
+    provenance: &'a Provenance,
+    notes: &'a [String],
+}
+
+impl Study {
+    /// Of what was observed and judged; reads the frames again for images and for the line of gain and noise. `stop` ends it, `progress` is
+    /// told (pieces done, pieces).
+    ///
+    /// # Errors
+    ///
+    /// Where a frame cannot be read, or it was stopped.
+    pub fn of(
+        source: &Source,
+        all: &Observations,
+        judged: (&Judgement, Option<&Verdict>),
+        calibration: Option<&Calibration>,
+        provenance: Provenance,
+        stop: &AtomicBool,
+        progress: &mut dyn FnMut(usize, usize),
+    ) -> Result<Self, ObserveError> {
+        let (judgement, verdict) = judged;
+        let noise = match source.noise_with(stop, progress) {
+            Err(crate::noise::NoiseError::Interrupted) => return Err(ObserveError::Interrupted),
+            other => other.map_err(|e| e.to_string()),
+        };
+        let images = match source {
+            Source::Frames(dataset) => images::of(dataset, calibration, stop, progress)?,
+            Source::Table(_) => Images::default(),
+        };
+        let camera = match source {
+            Source::Frames(dataset) => Some(dataset.manifest().camera.clone()),
+            Source::Table(_) => None,
+        };
+        let line = noise.as_ref().ok();
+        let plots = curves::plots(all, judgement, line, &images, calibration);
+        Ok(Self {
+            heading: judgement.heading(verdict),
+            camera,
+            provenance,
+            model: quantities::model(judgement.fitted.as_ref()),
+            quantities: quantities::all(all, judgement, line, &images, calibration),
+            parameters: quantities::parameters(judgement),
+            decisive: evidence::decisive(judgement),
+            statistics: evidence::every(judgement),
+            neighbours: evidence::neighbours(all),
+            plots,
+            images,
+            judgement: judgement.clone(),
+            noise,
+        })
+    }
+
+    /// The numbers of the page.
+    pub fn numbers(&self) -> Numbers<'_> {
+        let j = &self.judgement;
+        let error = |c: Option<&Comparison>| c.map_or(f64::NAN, |c| c.error);
+        Numbers {
+            sentence: &j.sentence,
+            consistent: j.consistent,
+            error_before: error(j.comparisons.first()),
+            error_after: error(j.comparisons.last()),
+            quantities: &self.quantities,
+            missing: &j.missing,
+            ladder: &j.ladder,
+            next_measurement: j.next_measurement.as_deref(),
+            provenance: &self.provenance,
+            notes: &j.notes,
+        }
+    }
+}
