@@ -53,13 +53,22 @@ pub trait Illuminator {
 /// # Ok::<(), radcam::camera::CameraError>(())
 /// ```
 pub fn of(camera: &mut dyn Camera, plan: &Plan) -> Box<dyn Illuminator> {
+    of_or(camera, plan, || Box::new(ManualBench::new(std::io::stdin().lock(), std::io::stderr())))
+}
+
+/// The same with another operator than the one at the terminal.
+pub fn of_or(
+    camera: &mut dyn Camera,
+    plan: &Plan,
+    operator: impl FnOnce() -> Box<dyn Illuminator>,
+) -> Box<dyn Illuminator> {
     if let Some(bench) = camera.shared_bench() {
         return Box::new(bench);
     }
     match &plan.bench {
         Some(features) => Box::new(features.clone()),
         None if camera.has_feature("BenchIllumination") => Box::new(GenicamBench::served()),
-        None => Box::new(ManualBench::new(std::io::stdin().lock(), std::io::stderr())),
+        None => operator(),
     }
 }
 

@@ -73,6 +73,7 @@ pub mod import;
 pub mod inference;
 pub mod investigate;
 pub mod light;
+pub mod model;
 pub mod noise;
 pub mod number;
 pub mod observables;
@@ -88,6 +89,8 @@ pub mod source;
 pub mod statistics;
 pub mod study;
 pub mod surfaces;
+#[cfg(feature = "cli")]
+pub mod workbench;
 
 pub use ndarray;
 pub use radcam_sim as sim;

@@ -6,6 +6,7 @@ mod set;
 use crate::bench::{BenchError, Illuminator};
 use crate::camera::{Automatic, Camera, CameraError, StreamCounts, StreamOptions, Value};
 use crate::dataset::{CameraInfo, Dataset, DatasetError, Manifest, Writer};
+use crate::frame::Frame;
 use crate::light::Light;
 use crate::pixel_format::PixelFormat;
 use crate::plan::{Plan, PlanError};
@@ -105,6 +106,8 @@ pub struct Capture<'a> {
     pub stop: &'a AtomicBool,
     /// Told after each frame.
     pub progress: Option<&'a mut dyn FnMut(Progress)>,
+    /// Shown each frame that is kept.
+    pub shown: Option<&'a mut dyn FnMut(&Frame)>,
 }
 
 /// Name of the log inside a dataset: one line a run, with the buffer statistics.
@@ -157,7 +160,7 @@ static NEVER: AtomicBool = AtomicBool::new(false);
 impl<'a> Capture<'a> {
     /// With the usual stream options, uninterrupted and without a word.
     pub fn new(camera: &'a mut dyn Camera, bench: &'a mut dyn Illuminator) -> Self {
-        Self { camera, bench, options: StreamOptions::default(), stop: &NEVER, progress: None }
+        Self { camera, bench, options: StreamOptions::default(), stop: &NEVER, progress: None, shown: None }
     }
 
     /// Captures a plan into a new folder.

@@ -66,7 +66,8 @@ impl Capture<'_> {
             whole,
         };
         let mut tell = |p| self.progress.iter_mut().for_each(|progress| progress(p));
-        let outcome = take(&mut *stream, &job, run, &mut tell);
+        let mut show = |f: &Frame| self.shown.iter_mut().for_each(|shown| shown(f));
+        let outcome = take(&mut *stream, &job, run, Tell { progress: &mut tell, shown: &mut show });
         let counted = stream.counts();
         tracing::debug!(set = number, ?counted, "set done");
         run.counts.add(counted);
@@ -88,12 +89,18 @@ struct TakeSet<'a> {
     whole: bool,
 }
 
+/// Who is told of what is taken.
+struct Tell<'a> {
+    progress: &'a mut dyn FnMut(Progress),
+    shown: &'a mut dyn FnMut(&Frame),
+}
+
 /// `false`, and nothing written, where that is asked for and cannot be had.
 fn take(
     stream: &mut dyn FrameStream,
     job: &TakeSet<'_>,
     run: &mut Run,
-    progress: &mut dyn FnMut(Progress),
+    tell: Tell<'_>,
 ) -> Result<bool, CaptureError> {
     let TakeSet { number, set, plan, exposure_s, illumination, settings, stop, whole } = *job;
     let have = run.have(number);
@@ -163,8 +170,9 @@ fn take(
             timestamp_s,
         };
         writer.append(row, &frame.pixels)?;
+        (tell.shown)(&frame);
         index += 1;
-        progress(Progress {
+        (tell.progress)(Progress {
             frames: writer.written().len() as u64,
             of: plan.frames(),
             frame_bytes: 2 * frame.pixels.len() as u64,

@@ -108,7 +108,8 @@ pub fn capture(
 ) -> Result<Summary> {
     let mut show = Show::new("capture");
     let mut progress = |p: Progress| show.frames(p);
-    let mut capture = Capture { camera, bench, options, stop: &STOP, progress: Some(&mut progress) };
+    let mut capture =
+        Capture { camera, bench, options, stop: &STOP, progress: Some(&mut progress), shown: None };
     Ok(if resume { capture.resume(root)? } else { capture.run(plan, root)? })
 }
 

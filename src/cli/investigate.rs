@@ -95,7 +95,8 @@ pub fn carry_out(
     let by_hand = !bench.moves_itself();
     let mut show = Show::new("capture");
     let mut progress = |p: Progress| show.frames(p);
-    let mut capture = Capture { camera, bench, options, stop: &STOP, progress: Some(&mut progress) };
+    let mut capture =
+        Capture { camera, bench, options, stop: &STOP, progress: Some(&mut progress), shown: None };
     let mut tell = |event: Event<'_>| match event {
         Event::Begins { about, frames, sets, seconds, full_exposure_s } => {
             let full = full_exposure_s.map_or(String::new(), |s| format!(", full exposure {s:.6} s"));

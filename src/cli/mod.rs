@@ -76,6 +76,7 @@ verbs! {
     reproduce Reproduce "Run the paper's experiments again and compare its numbers with ours (Section VII)"
     compare Compare "Compare a model with a campaign: where it fails, and by how much"
     report Report "Write everything about a campaign as one page: verdict, evidence, curves, images, numbers"
+    workbench Workbench "Open a campaign or a camera in the browser: look, compare, add what is missing, save"
     diagnose Diagnose "Name the physical effect that a campaign shows and the model lacks"
     model Model "Make, show, change and fit model files"
     effects Effects "What each effect is, how it shows, and what to do about it"

@@ -87,11 +87,7 @@ pub fn read_effects(path: Option<&Path>) -> Result<Vec<Given>> {
     let Some(path) = path else { return Ok(Vec::new()) };
     // A sensor's name stands for its model, as it does elsewhere.
     let model = load_model(&path.to_string_lossy(), None)?;
-    let of = |e: &EffectValues| {
-        let effect = e.effect()?;
-        Ok((effect, e.given(effect)))
-    };
-    model.effects.iter().map(of).collect()
+    Ok(crate::model::given(&model.effects)?)
 }
 
 /// The effects of a model as a fit takes them: what an earlier fit has found, and has an error therefore, is searched for anew, choices
@@ -120,42 +116,13 @@ pub fn fitted_model(
         Some(path) => load_model(&path.to_string_lossy(), None)?,
         None => load_model("cmos12", None)?,
     };
-    if let Some(Ok(dataset)) = datasets.first().map(|path| Dataset::open(path)) {
-        let camera = &dataset.manifest().camera;
-        (model.camera.width, model.camera.height) = (camera.width as u32, camera.height as u32);
-        model.camera.bit_depth = camera.bit_depth.max(2);
-        if given.is_none() {
-            (model.camera.vendor, model.camera.model) = (camera.vendor.clone(), camera.model.clone());
-        }
+    let dataset = datasets.first().and_then(|path| Dataset::open(path).ok());
+    let camera = dataset.as_ref().map(|d| &d.manifest().camera);
+    if let (None, Some(camera)) = (given, camera) {
+        (model.camera.vendor, model.camera.model) = (camera.vendor.clone(), camera.model.clone());
     }
     model.about = format!("Fitted to {}", names(datasets));
-    let base = &fitted.base;
-    model.base.gain_dn_per_e = base.gain_dn_per_e;
-    model.base.read_noise_e = base.read_noise_e;
-    model.base.black_level_dn = base.offset_dn.max(0.0);
-    model.base.dark_current_e_per_s = base.dark_e_per_s.max(0.0);
-    let unit = all.campaign.sets.iter().filter(|s| s.light.is_some());
-    let near = unit.min_by(|a, b| (a.illumination - 1.0).abs().total_cmp(&(b.illumination - 1.0).abs()));
-    if let Some(set) = near
-        && let Some(flux) = set.light.and_then(|l| base.flux_e_per_s.get(l))
-        && model.base.quantum_efficiency > 0.0
-    {
-        model.bench.photon_flux_per_s = flux / model.base.quantum_efficiency / set.illumination.max(1e-9);
-    }
-    model.effects = fitted
-        .effects
-        .iter()
-        .zip(&fitted.std_err)
-        .map(|((e, values), errors)| {
-            let named =
-                |v: &[f64]| e.parameters().iter().zip(v).map(|(p, v)| (p.name.to_string(), *v)).collect();
-            let sound: Vec<f64> = errors.iter().map(|e| if e.is_finite() { *e } else { 0.0 }).collect();
-            let known = model.effects.iter().find(|k| k.id == e.id() || k.name.as_deref() == Some(e.id()));
-            let known = known.cloned().unwrap_or(EffectValues { id: e.id().into(), ..Default::default() });
-            EffectValues { parameters: named(values), std_err: named(&sound), ..known }
-        })
-        .collect();
-    Ok(model)
+    Ok(crate::model::with_fit(model, all, fitted, camera))
 }
 
 fn show(path: &Path, model: &Model, json: bool) -> Result<()> {

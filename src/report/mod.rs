@@ -1,13 +1,13 @@
 //! Reports as single HTML files that open offline: figures are drawn in the page, and a script that is in the page makes them interactive.
 
 pub mod budget;
-mod candidates;
+pub(crate) mod candidates;
 pub mod emva;
-mod heat;
+pub(crate) mod heat;
 mod images;
-mod ladder;
+pub(crate) mod ladder;
 pub mod noise;
-mod plot;
+pub(crate) mod plot;
 pub mod reproduce;
 pub mod study;
 pub mod svg;
@@ -17,9 +17,10 @@ pub use candidates::heading;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 /// Colours and measures of every page; the system's dark mode is followed, and paper is white.
-const STYLE: &str = concat!(include_str!("assets/uplot/uPlot.min.css"), include_str!("assets/style.css"));
+pub(crate) const STYLE: &str =
+    concat!(include_str!("assets/uplot/uPlot.min.css"), include_str!("assets/style.css"));
 /// What makes figures answer to the pointer (uPlot 1.6.32, MIT).
-const SCRIPTS: [&str; 2] =
+pub(crate) const SCRIPTS: [&str; 2] =
     [include_str!("assets/uplot/uPlot.iife.min.js"), include_str!("assets/figures.js")];
 /// Nothing is fetched: a page that tried would be stopped by the browser.
 const POLICY: &str =

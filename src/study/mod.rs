@@ -6,7 +6,7 @@ mod images;
 mod provenance;
 mod quantities;
 
-pub use evidence::{Level, of_statistic, statistics};
+pub use evidence::{Level, decisive, of_statistic, plot_of, statistics};
 pub use images::{Images, Map};
 pub use provenance::Provenance;
 pub use quantities::Reported;

@@ -26,7 +26,8 @@ fn run(
     let stop = AtomicBool::new(false);
     let mut progress = |p: radcam::capture::Progress| stop.store(p.frames >= stop_after, Ordering::Relaxed);
     let options = StreamOptions::default();
-    let mut capture = Capture { camera, bench, options, stop: &stop, progress: Some(&mut progress) };
+    let mut capture =
+        Capture { camera, bench, options, stop: &stop, progress: Some(&mut progress), shown: None };
     let summary = if resume { capture.resume(root) } else { capture.run(plan, root) };
     summary.map(|s| s.frames)
 }

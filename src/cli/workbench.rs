@@ -1,0 +1,70 @@
+//! `radcam workbench`
+
+use super::Outcome;
+use super::common::{STOP, load_model};
+use crate::camera;
+use crate::camera::StreamOptions;
+use crate::workbench::{Options, Workbench};
+use anyhow::{Result, bail};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// A dataset folder, an EMVA 1288 descriptor or a table; with --camera the folder that is captured into. More datasets stand beside the
+    /// first
+    #[arg(value_name = "DATASET")]
+    datasets: Vec<PathBuf>,
+    /// A camera for the live picture and for captures
+    #[arg(long, value_name = "CAMERA")]
+    camera: Option<String>,
+    /// Effects that the model begins with
+    #[arg(long, value_name = "M.toml|SENSOR")]
+    model: Option<PathBuf>,
+    /// Port of the page; a free one where not given
+    #[arg(long, default_value_t = 0)]
+    port: u16,
+    /// Open the page in the browser
+    #[arg(long)]
+    open: bool,
+    /// Serve the page on another interface than this machine's own
+    #[arg(long, value_name = "ADDRESS")]
+    listen: Option<IpAddr>,
+}
+
+pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    if arguments.datasets.is_empty() && arguments.camera.is_none() {
+        bail!("name a dataset, or a camera with --camera");
+    }
+    let address = arguments.listen.unwrap_or(Ipv4Addr::LOCALHOST.into());
+    if !address.is_loopback() {
+        tracing::warn!(
+            "{address} is not this machine's own: whoever reads the network sees the page and its token, since nothing is encrypted"
+        );
+    }
+    let effects = match &arguments.model {
+        Some(path) => load_model(&path.to_string_lossy(), None)?.effects,
+        None => Vec::new(),
+    };
+    let camera = arguments.camera.as_deref().map(camera::open).transpose()?;
+    let mut datasets = arguments.datasets.iter().cloned();
+    let options = Options {
+        dataset: datasets.next(),
+        others: datasets.collect(),
+        camera,
+        stream: StreamOptions::default(),
+        effects,
+        address: SocketAddr::new(address, arguments.port),
+    };
+    let workbench = Workbench::open(options).map_err(anyhow::Error::msg)?;
+    let url = workbench.url();
+    println!("{url}\nThe page is there until Ctrl-C.");
+    if arguments.open {
+        let opened = std::process::Command::new("xdg-open").arg(&url).spawn();
+        if let Err(e) = opened {
+            tracing::warn!("the browser could not be opened (xdg-open: {e}); open the address by hand");
+        }
+    }
+    workbench.serve(&STOP).map_err(anyhow::Error::msg)?;
+    Ok(Outcome::Agreement)
+}

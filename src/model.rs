@@ -1,0 +1,55 @@
+//! Model files as a comparison uses them: which effects one gives, and one with fitted values.
+
+use crate::dataset::CameraInfo;
+use crate::inference::{Fitted, Given};
+use crate::observables::Observations;
+use radcam_sim::ModelError;
+use radcam_sim::{EffectValues, Model};
+
+/// The effects of a list, with what it gives of their values.
+///
+/// # Errors
+///
+/// An effect that is not known, or a formula that cannot be understood.
+pub fn given<'e>(effects: impl IntoIterator<Item = &'e EffectValues>) -> Result<Vec<Given>, ModelError> {
+    let of = |e: &EffectValues| {
+        let effect = e.effect()?;
+        Ok((effect, e.given(effect)))
+    };
+    effects.into_iter().map(of).collect()
+}
+
+/// A model with the values of a fit. `camera`: whose size and bits it is given.
+pub fn with_fit(mut model: Model, all: &Observations, fitted: &Fitted, camera: Option<&CameraInfo>) -> Model {
+    if let Some(camera) = camera {
+        (model.camera.width, model.camera.height) = (camera.width as u32, camera.height as u32);
+        model.camera.bit_depth = camera.bit_depth.max(2);
+    }
+    let base = &fitted.base;
+    model.base.gain_dn_per_e = base.gain_dn_per_e;
+    model.base.read_noise_e = base.read_noise_e;
+    model.base.black_level_dn = base.offset_dn.max(0.0);
+    model.base.dark_current_e_per_s = base.dark_e_per_s.max(0.0);
+    let unit = all.campaign.sets.iter().filter(|s| s.light.is_some());
+    let near = unit.min_by(|a, b| (a.illumination - 1.0).abs().total_cmp(&(b.illumination - 1.0).abs()));
+    if let Some(set) = near
+        && let Some(flux) = set.light.and_then(|l| base.flux_e_per_s.get(l))
+        && model.base.quantum_efficiency > 0.0
+    {
+        model.bench.photon_flux_per_s = flux / model.base.quantum_efficiency / set.illumination.max(1e-9);
+    }
+    model.effects = fitted
+        .effects
+        .iter()
+        .zip(&fitted.std_err)
+        .map(|((e, values), errors)| {
+            let named =
+                |v: &[f64]| e.parameters().iter().zip(v).map(|(p, v)| (p.name.to_string(), *v)).collect();
+            let sound: Vec<f64> = errors.iter().map(|e| if e.is_finite() { *e } else { 0.0 }).collect();
+            let known = model.effects.iter().find(|k| k.id == e.id() || k.name.as_deref() == Some(e.id()));
+            let known = known.cloned().unwrap_or(EffectValues { id: e.id().into(), ..Default::default() });
+            EffectValues { parameters: named(values), std_err: named(&sound), ..known }
+        })
+        .collect();
+    model
+}

@@ -1,0 +1,560 @@
+//! What the pages can do. Each has a verb that does the same.
+
+use super::desk::{Found, Judged, entry_of, judge, read};
+use super::live::{Order, lock};
+use super::pages::{model, shell};
+use super::steps::{Entry, folder_of, own};
+use super::{Job, Shared, aside};
+use crate::calibrate::{Estimator, of_dataset};
+use crate::capture::PLAN_FILE;
+use crate::diagnosis::{Diagnosis, diagnose, searched};
+use crate::frame::Region;
+use crate::model::given;
+use crate::plan::Plan;
+use crate::study::{Judgement, Provenance, Study};
+use axum::extract::{Form, Query, State};
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use maud::{Markup, html};
+use serde::Deserialize;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+type Desktop = State<Arc<Shared>>;
+
+/// Another campaign beside the one on the desk.
+pub struct Run {
+    /// Where it lies.
+    pub path: PathBuf,
+    /// What it says, or why it says nothing.
+    pub said: Result<(Diagnosis, f64, f64), String>,
+}
+
+/// Starts long work, where none runs; its failure becomes the page's message.
+fn start(
+    shared: &Arc<Shared>,
+    what: impl Into<String>,
+    work: impl FnOnce(&Arc<Shared>, &Job) -> Result<(), String> + Send + 'static,
+) -> Result<(), String> {
+    let job = Job::new(what);
+    {
+        let mut running = lock(&shared.job);
+        if let Some(other) = &*running {
+            return Err(format!("{} still runs; wait, or cancel it", other.what));
+        }
+        *running = Some(job.clone());
+    }
+    shared.desk().error = None;
+    let shared = shared.clone();
+    std::thread::spawn(move || {
+        shared.status_changed();
+        let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| work(&shared, &job)));
+        let done = done.unwrap_or_else(|_| Err(format!("{} failed", job.what)));
+        *lock(&shared.job) = None;
+        match done {
+            Err(_) if job.is_stopped() => shared.desk().error = Some(format!("{} was cancelled", job.what)),
+            Err(e) => shared.desk().error = Some(e),
+            Ok(()) => {}
+        }
+        shared.model_changed();
+    });
+    Ok(())
+}
+
+/// Reads the campaign of the desk, then looks for what its model lacks.
+pub fn read_campaign(shared: &Arc<Shared>) {
+    let Some(path) = shared.dataset.clone() else { return };
+    if shared.live().is_some() && !path.exists() {
+        shared.desk().data = super::Data::None;
+        return;
+    }
+    let begun = start(shared, "reading the campaign", move |shared, job| {
+        shared.desk().data = super::Data::Reading;
+        let campaign = read(&path, &job.stop, &mut |done, of| job.step(done, of));
+        let effects = shared.effects.clone();
+        let laid = campaign.and_then(|campaign| shared.desk().lay(campaign, &effects));
+        if let Err(e) = laid {
+            let why = if job.is_stopped() { "reading was cancelled".to_string() } else { e };
+            let mut desk = shared.desk();
+            if desk.campaign().is_none() {
+                desk.data = super::Data::Failed(why);
+                return Ok(());
+            }
+            return Err(why);
+        }
+        shared.model_changed();
+        look(shared, job)
+    });
+    if let Err(e) = begun {
+        shared.desk().error = Some(e);
+    }
+}
+
+/// Looks for what the model on the desk lacks.
+fn look(shared: &Arc<Shared>, job: &Job) -> Result<(), String> {
+    let (campaign, on, revision) = {
+        let mut desk = shared.desk();
+        let campaign = desk.campaign().ok_or("there is no campaign yet")?;
+        desk.found = Found::Searching;
+        let on: Vec<_> = desk.entries().into_iter().filter(|e| e.on).map(|e| e.effect).collect();
+        (campaign, on, desk.revision)
+    };
+    shared.model_changed();
+    let known = given(&on).map_err(|e| e.to_string())?;
+    let all = &campaign.all;
+    let d = diagnose(all, None, searched(all, &known), &mut |_| shared.status_changed());
+    let mut desk = shared.desk();
+    // A model that was changed meanwhile has another answer.
+    desk.found = match (desk.revision == revision, job.is_stopped()) {
+        (true, false) => Found::Done(Arc::new(d)),
+        _ => Found::None,
+    };
+    if job.is_stopped() { Err("cancelled".into()) } else { Ok(()) }
+}
+
+/// Changes the model, and answers with the page as it then is. A search runs on beside it.
+async fn change(
+    shared: Arc<Shared>,
+    work: impl FnOnce(&mut super::Desk) -> Result<(), String> + Send + 'static,
+) -> Response {
+    let busy = shared.clone();
+    let done = aside(move || {
+        let mut desk = busy.desk();
+        desk.error = None;
+        let done = work(&mut desk);
+        if let Err(e) = &done {
+            desk.error = Some(e.clone());
+        }
+        done.is_ok()
+    })
+    .await;
+    if done == Ok(true) {
+        let _ = start(&shared, "looking for what is missing", look);
+    }
+    shared.model_changed();
+    model::main(&shared).into_response()
+}
+
+/// Names one effect.
+#[derive(Deserialize)]
+pub struct Named {
+    effect: String,
+}
+
+/// Puts an effect that the search found into the model.
+pub async fn add(State(shared): Desktop, Form(named): Form<Named>) -> Response {
+    change(shared, move |desk| {
+        let found = match &desk.found {
+            Found::Done(d) => entry_of(d, &named.effect),
+            _ => None,
+        };
+        let entry = match found {
+            Some(entry) => entry,
+            None => searched_for(desk, &named.effect)?,
+        };
+        let mut entries = desk.entries();
+        entries.retain(|e| e.name() != named.effect);
+        entries.push(entry);
+        desk.take(format!("+ {}", named.effect), entries)
+    })
+    .await
+}
+
+/// An effect of the catalogue whose values are searched for beside the model on the desk.
+fn searched_for(desk: &super::Desk, id: &str) -> Result<Entry, String> {
+    let campaign = desk.campaign().ok_or("there is no campaign yet")?;
+    let effect = radcam_sim::EffectValues { id: id.into(), ..Default::default() };
+    let mut on: Vec<_> = desk.entries().into_iter().filter(|e| e.on).map(|e| e.effect).collect();
+    on.push(effect);
+    let known = given(&on).map_err(|e| e.to_string())?;
+    let found = searched(&campaign.all, &known);
+    let (effect, values) = found.last().ok_or("nothing was found")?;
+    let named = effect.parameters().iter().zip(values).map(|(p, v)| (p.name.to_string(), *v)).collect();
+    let effect = radcam_sim::EffectValues { id: id.into(), parameters: named, ..Default::default() };
+    Ok(Entry { on: true, effect })
+}
+
+/// Switches an effect of the model on or off.
+pub async fn switch(State(shared): Desktop, Form(named): Form<Named>) -> Response {
+    change(shared, move |desk| {
+        let mut entries = desk.entries();
+        let entry = entries.iter_mut().find(|e| e.name() == named.effect);
+        let entry = entry.ok_or_else(|| format!("the model has no {}", named.effect))?;
+        entry.on = !entry.on;
+        let sign = if entry.on { "+" } else { "−" };
+        desk.take(format!("{sign} {}", named.effect), entries)
+    })
+    .await
+}
+
+/// Takes an effect out of the model.
+pub async fn remove(State(shared): Desktop, Form(named): Form<Named>) -> Response {
+    change(shared, move |desk| {
+        let mut entries = desk.entries();
+        entries.retain(|e| e.name() != named.effect);
+        desk.take(format!("− {}", named.effect), entries)
+    })
+    .await
+}
+
+/// Takes the last step back.
+pub async fn undo(State(shared): Desktop) -> Response {
+    change(shared, super::Desk::undo).await
+}
+
+/// Looks again for what is missing.
+pub async fn search(State(shared): Desktop) -> Response {
+    if let Err(e) = start(&shared, "looking for what is missing", look) {
+        shared.desk().error = Some(e);
+    }
+    model::main(&shared).into_response()
+}
+
+/// One's own effect, as typed.
+#[derive(Deserialize)]
+pub struct Own {
+    name: String,
+    target: String,
+    formula: String,
+    #[serde(default)]
+    parameters: String,
+}
+
+/// What one's own effect would do to the fit.
+pub async fn try_own(State(shared): Desktop, Form(typed): Form<Own>) -> Markup {
+    let tried = aside(move || -> Result<(f64, Judged), String> {
+        let effect =
+            own(&typed.name, &typed.target, &typed.formula, &typed.parameters).map_err(|e| e.to_string())?;
+        let (campaign, mut on, before) = {
+            let desk = shared.desk();
+            let on: Vec<_> = desk.entries().into_iter().filter(|e| e.on).map(|e| e.effect).collect();
+            let before = desk.steps.now().map_or(f64::NAN, |s| s.error);
+            (desk.campaign().ok_or("there is no campaign yet")?, on, before)
+        };
+        on.push(effect);
+        Ok((before, judge(&campaign.all, &on)?))
+    })
+    .await
+    .and_then(|r| r);
+    match tried {
+        Ok((before, judged)) => model::tried(before, &judged),
+        Err(e) => shell::alert(&e),
+    }
+}
+
+/// Puts one's own effect into the model, with the values of its fit.
+pub async fn add_own(State(shared): Desktop, Form(typed): Form<Own>) -> Response {
+    change(shared, move |desk| {
+        let effect =
+            own(&typed.name, &typed.target, &typed.formula, &typed.parameters).map_err(|e| e.to_string())?;
+        let mut entries = desk.entries();
+        entries.retain(|e| e.name() != typed.name.trim());
+        entries.push(Entry { on: true, effect });
+        desk.take(format!("+ {}", typed.name.trim()), entries)
+    })
+    .await
+}
+
+/// Ends the work that runs.
+pub async fn cancel(State(shared): Desktop) -> Markup {
+    if let Some(job) = &*lock(&shared.job) {
+        job.stop.store(true, Ordering::Relaxed);
+    }
+    if let Some(live) = shared.live() {
+        live.operator.answer(false);
+    }
+    shared.status_changed();
+    shell::status(&shared)
+}
+
+/// What was seen last.
+#[derive(Deserialize)]
+pub struct Seen {
+    #[serde(default)]
+    seen: u64,
+}
+
+/// Waits until something changes: the model's number, the number of everything, and whether work runs, whose progress is worth another look.
+pub async fn events(State(shared): Desktop, Query(q): Query<Seen>) -> String {
+    let mut changed = shared.changed.subscribe();
+    let newer = changed.wait_for(|c| c.1 > q.seen);
+    let busy = || u8::from(lock(&shared.job).is_some());
+    let patience = if busy() == 1 { 250 } else { 20_000 };
+    let _ = tokio::time::timeout(std::time::Duration::from_millis(patience), newer).await;
+    let (model, all) = *shared.changed.borrow();
+    format!("{model},{all},{}", busy())
+}
+
+/// The answer of whoever moves the bench.
+#[derive(Deserialize)]
+pub struct Answer {
+    done: bool,
+}
+
+/// The bench was moved, or its operator gives up.
+pub async fn operator(State(shared): Desktop, Form(answer): Form<Answer>) -> Markup {
+    if let Some(live) = shared.live() {
+        live.operator.answer(answer.done);
+    }
+    shell::status(&shared)
+}
+
+/// Settings of the camera, as typed; empty ones stay.
+#[derive(Deserialize)]
+pub struct Settings {
+    #[serde(default)]
+    exposure_ms: String,
+    #[serde(default)]
+    gain_db: String,
+    #[serde(default)]
+    light_percent: String,
+    #[serde(default)]
+    region: String,
+}
+
+/// Changes settings of the camera.
+pub async fn set_camera(State(shared): Desktop, Form(s): Form<Settings>) -> Markup {
+    let said = aside(move || -> Result<Vec<String>, String> {
+        let live = shared.live().ok_or("there is no camera")?;
+        let number = |what: &str, text: &str| -> Result<Option<f64>, String> {
+            let text = text.trim();
+            if text.is_empty() {
+                return Ok(None);
+            }
+            text.parse().map(Some).map_err(|_| format!("{what}: \"{text}\" is not a number"))
+        };
+        let mut said = Vec::new();
+        if let Some(ms) = number("exposure", &s.exposure_ms)? {
+            said.push(live.order(Order::Exposure(ms / 1e3))?);
+        }
+        if let Some(db) = number("gain", &s.gain_db)? {
+            said.push(live.order(Order::Gain(db))?);
+        }
+        if let Some(percent) = number("light", &s.light_percent)? {
+            said.push(live.order(Order::Light(percent / 100.0))?);
+        }
+        if !s.region.trim().is_empty() {
+            let parts: Vec<u32> = s.region.split(',').filter_map(|p| p.trim().parse().ok()).collect();
+            let [x, y, width, height] = parts[..] else {
+                return Err(format!("region: write column,row,width,height in pixels, not \"{}\"", s.region));
+            };
+            said.push(live.order(Order::Region(Region { x, y, width, height }))?);
+        }
+        Ok(said)
+    })
+    .await
+    .and_then(|r| r);
+    match said {
+        Ok(said) if said.is_empty() => html! { p role="status" { "Nothing to change." } },
+        Ok(said) => html! { p role="status" { "The camera reports " (said.join(", ")) "." } },
+        Err(e) => shell::alert(&e),
+    }
+}
+
+/// What is to be captured.
+#[derive(Deserialize)]
+pub struct Captured {
+    plan: String,
+    #[serde(default)]
+    frames: String,
+    #[serde(default)]
+    region: String,
+}
+
+/// Captures a plan, reads it and looks for what is missing.
+pub async fn capture(State(shared): Desktop, Form(c): Form<Captured>) -> Markup {
+    let begun = (|| {
+        let mut plan = Plan::named(&c.plan).ok_or_else(|| format!("there is no plan \"{}\"", c.plan))?;
+        if !c.frames.trim().is_empty() {
+            let frames: u32 =
+                c.frames.trim().parse().map_err(|_| format!("frames: \"{}\" is not a number", c.frames))?;
+            plan.sets.iter_mut().for_each(|s| s.frames = frames.max(2));
+        }
+        if !c.region.trim().is_empty() {
+            let parts: Vec<u32> = c.region.split(',').filter_map(|p| p.trim().parse().ok()).collect();
+            let region = <[u32; 4]>::try_from(parts);
+            plan.camera.region = Some(region.map_err(|_| "region: write column,row,width,height in pixels")?);
+        }
+        let folder = shared
+            .dataset
+            .clone()
+            .ok_or("name a folder for captures: radcam workbench FOLDER --camera ID")?;
+        if shared.desk().campaign().is_some() {
+            return Err(format!("{} holds a campaign already; name a new folder", folder.display()));
+        }
+        begin_capture(&shared, plan, folder, false)
+    })();
+    match begun {
+        Ok(()) => shell::status(&shared),
+        Err(e) => {
+            shared.desk().error = Some(e);
+            shell::status(&shared)
+        }
+    }
+}
+
+fn begin_capture(shared: &Arc<Shared>, plan: Plan, folder: PathBuf, extend: bool) -> Result<(), String> {
+    if shared.live().is_none() {
+        return Err("there is no camera".into());
+    }
+    start(shared, "capturing", move |shared, job| {
+        let live = shared.live().ok_or("there is no camera")?;
+        let handle = lock(&shared.job).clone().ok_or("the work is gone")?;
+        live.order(Order::Capture { plan: Box::new(plan), folder: folder.clone(), extend, job: handle })?;
+        let campaign = read(&folder, &job.stop, &mut |done, of| job.step(done, of))?;
+        let effects = shared.effects.clone();
+        shared.desk().lay(campaign, &effects)?;
+        shared.model_changed();
+        look(shared, job)
+    })
+}
+
+/// Takes the measurement that tells the closest candidates apart.
+pub async fn take_next(State(shared): Desktop) -> Markup {
+    let begun = (|| {
+        let plan = match &shared.desk().found {
+            Found::Done(d) => d.next_plan.clone(),
+            _ => None,
+        };
+        let plan = plan.ok_or("there is nothing left to be told apart")?;
+        let folder = shared.dataset.clone().ok_or("there is no folder")?;
+        if !folder.join(PLAN_FILE).exists() {
+            return Err(format!(
+                "{} was not captured by radcam: a measurement cannot be added to it",
+                folder.display()
+            ));
+        }
+        begin_capture(&shared, plan, folder, true)
+    })();
+    if let Err(e) = begun {
+        shared.desk().error = Some(e);
+    }
+    shell::status(&shared)
+}
+
+/// Reads the campaigns beside the one on the desk.
+pub async fn read_runs(State(shared): Desktop) -> Markup {
+    let begun = start(&shared, "reading the other campaigns", |shared, job| {
+        lock(&shared.runs).clear();
+        for path in shared.others.clone() {
+            let said = read(&path, &job.stop, &mut |done, of| job.step(done, of)).map(|c| {
+                let known = given(&shared.effects).unwrap_or_default();
+                let d = diagnose(&c.all, None, searched(&c.all, &known), &mut |_| {});
+                let base = d.fitted.as_ref().map(|f| (f.base.gain_dn_per_e, f.base.read_noise_e));
+                let (gain, noise) = base.unwrap_or((f64::NAN, f64::NAN));
+                (d, gain, noise)
+            });
+            if job.is_stopped() {
+                return Err("cancelled".into());
+            }
+            lock(&shared.runs).push(Run { path, said });
+            shared.model_changed();
+        }
+        Ok(())
+    });
+    if let Err(e) = begun {
+        shared.desk().error = Some(e);
+    }
+    shell::status(&shared)
+}
+
+/// Makes a calibration file beside the steps.
+pub async fn calibrate(State(shared): Desktop) -> Markup {
+    let begun = start(&shared, "calibrating", |shared, job| {
+        let campaign = shared.desk().campaign().ok_or("there is no campaign yet")?;
+        let dataset = campaign.dataset().ok_or("a table has no frames to calibrate with")?;
+        let noise = crate::noise::of_dataset(dataset, &job.stop, &mut |_, _| {}).ok();
+        let provenance = format!("radcam {} from {}", env!("CARGO_PKG_VERSION"), campaign.path.display());
+        let made =
+            of_dataset(dataset, Estimator::Joint, noise.as_ref(), &provenance).map_err(|e| e.to_string())?;
+        let folder = folder_of(&campaign.path);
+        std::fs::create_dir_all(&folder).map_err(|e| format!("{}: {e}", folder.display()))?;
+        made.calibration.write(&folder.join("cal.tiff")).map_err(|e| e.to_string())
+    });
+    if let Err(e) = begun {
+        shared.desk().error = Some(e);
+    }
+    shell::status(&shared)
+}
+
+fn failed(e: &str) -> Response {
+    (StatusCode::CONFLICT, [(header::CONTENT_TYPE, "text/plain; charset=utf-8")], format!("{e}\n"))
+        .into_response()
+}
+
+/// The report of the model as it stands.
+pub async fn report(State(shared): Desktop) -> Response {
+    let made = aside(move || -> Result<String, String> {
+        let (campaign, judged, found) = {
+            let desk = shared.desk();
+            let [judged, _] = desk.judged.clone().ok_or("there is no model yet")?;
+            let found = match &desk.found {
+                Found::Done(d) => Some(d.clone()),
+                _ => None,
+            };
+            (desk.campaign().ok_or("there is no campaign yet")?, judged, found)
+        };
+        let (judgement, verdict) = match &found {
+            Some(d) => (Judgement::of_diagnosis(d), Some(d.verdict.clone())),
+            None => (Judgement::of_comparison(&judged.comparison, &judged.fitted), None),
+        };
+        let folder = folder_of(&campaign.path);
+        let command = format!(
+            "radcam report {} --model {}",
+            campaign.path.display(),
+            folder.join("model.toml").display()
+        );
+        let paths = [campaign.path.clone()];
+        let provenance = Provenance::of(&paths, &campaign.source, &command).map_err(|e| e.to_string())?;
+        let never = std::sync::atomic::AtomicBool::new(false);
+        let judged = (&judgement, verdict.as_ref());
+        let study =
+            Study::of(&campaign.source, &campaign.all, judged, None, provenance, &never, &mut |_, _| {});
+        let page = crate::report::study::html(&study.map_err(|e| e.to_string())?, &campaign.kinds);
+        let path = folder.join("report.html");
+        crate::dataset::write_whole(&path, page.as_bytes()).map_err(|e| e.to_string())?;
+        Ok(page)
+    })
+    .await
+    .and_then(|r| r);
+    match made {
+        Ok(page) => {
+            let name = "attachment; filename=\"report.html\"";
+            ([(header::CONTENT_TYPE, "text/html; charset=utf-8"), (header::CONTENT_DISPOSITION, name)], page)
+                .into_response()
+        }
+        Err(e) => failed(&e),
+    }
+}
+
+fn toml_file(name: &str, text: Result<String, String>) -> Response {
+    match text {
+        Ok(text) => {
+            let name = format!("attachment; filename=\"{name}\"");
+            (
+                [(header::CONTENT_TYPE, "application/toml".to_string()), (header::CONTENT_DISPOSITION, name)],
+                text,
+            )
+                .into_response()
+        }
+        Err(e) => failed(&e),
+    }
+}
+
+/// The model file.
+pub async fn model_file(State(shared): Desktop) -> Response {
+    let desk = shared.desk();
+    let text = desk.campaign().and_then(|c| desk.model(&c)).ok_or("there is no model yet".to_string());
+    toml_file("model.toml", text.and_then(|m| m.to_toml().map_err(|e| e.to_string())))
+}
+
+/// The plan of the measurement that tells the closest candidates apart.
+pub async fn next_file(State(shared): Desktop) -> Response {
+    let plan = match &shared.desk().found {
+        Found::Done(d) => d.next_plan.clone(),
+        _ => None,
+    };
+    let plan = plan.ok_or("there is nothing left to be told apart".to_string());
+    toml_file("next.toml", plan.and_then(|p| p.to_toml().map_err(|e| e.to_string())))
+}

@@ -1,0 +1,90 @@
+//! Who may ask: only the browser that was given the address, from a page of this server, under this server's own name.
+//!
+//! A web page elsewhere can make a browser send requests to 127.0.0.1, and by a name of its own that it points there (DNS rebinding) even read the
+//! answers. So the Host header must be this server's address, an Origin must be this server, and a random token must be known, which comes in the
+//! address once and is a cookie from then on.
+
+use super::Shared;
+use axum::body::Body;
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use std::sync::Arc;
+
+/// A new token: 128 bits from the system.
+///
+/// # Errors
+///
+/// Where the system has none.
+pub fn token() -> Result<String, String> {
+    let mut bytes = [0u8; 16];
+    getrandom::fill(&mut bytes).map_err(|e| format!("no random numbers: {e}"))?;
+    Ok(bytes.iter().map(|b| format!("{b:02x}")).collect())
+}
+
+/// Compares without telling by its time how much agrees.
+fn same(a: &str, b: &str) -> bool {
+    a.len() == b.len() && a.bytes().zip(b.bytes()).fold(0, |d, (a, b)| d | (a ^ b)) == 0
+}
+
+fn text(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
+    headers.get(name)?.to_str().ok()
+}
+
+fn refuse(code: StatusCode, why: &'static str) -> Response {
+    (code, [(header::CONTENT_TYPE, "text/plain; charset=utf-8")], why).into_response()
+}
+
+/// Lets a request through, or says why not.
+pub async fn guard(State(shared): State<Arc<Shared>>, request: Request<Body>, next: Next) -> Response {
+    let headers = request.headers();
+    let host = text(headers, header::HOST).unwrap_or_default().to_string();
+    if !shared.hosts.contains(&host) {
+        return refuse(
+            StatusCode::MISDIRECTED_REQUEST,
+            "This server does not answer to that name. Use the address that radcam printed.\n",
+        );
+    }
+    let foreign = text(headers, header::ORIGIN).is_some_and(|o| o != format!("http://{host}"));
+    let cross = headers.get("sec-fetch-site").is_some_and(|v| v == "cross-site" || v == "same-site");
+    if foreign || cross {
+        return refuse(StatusCode::FORBIDDEN, "This server does not answer to other pages.\n");
+    }
+    let cookie = format!("radcam-{}=", shared.port);
+    let cookies = text(headers, header::COOKIE).unwrap_or_default();
+    let known = cookies.split("; ").filter_map(|c| c.strip_prefix(&cookie)).any(|t| same(t, &shared.token));
+    if !known {
+        let given =
+            request.uri().query().unwrap_or_default().split('&').find_map(|q| q.strip_prefix("token="));
+        if !given.is_some_and(|t| same(t, &shared.token)) {
+            return refuse(
+                StatusCode::FORBIDDEN,
+                "Open the address that radcam workbench printed: it holds the token.\n",
+            );
+        }
+        // The token leaves the address, so that no history and no screenshot holds it.
+        let cookie = format!("{cookie}{}; Path=/; HttpOnly; SameSite=Strict", shared.token);
+        let mut answer =
+            (StatusCode::SEE_OTHER, [(header::LOCATION, request.uri().path().to_string())]).into_response();
+        if let Ok(value) = HeaderValue::from_str(&cookie) {
+            answer.headers_mut().insert(header::SET_COOKIE, value);
+        }
+        return answer;
+    }
+    let mut answer = next.run(request).await;
+    let headers = answer.headers_mut();
+    for (name, value) in [
+        (
+            "content-security-policy",
+            "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
+        ),
+        ("x-content-type-options", "nosniff"),
+        ("referrer-policy", "no-referrer"),
+        ("cross-origin-resource-policy", "same-origin"),
+    ] {
+        headers.insert(name, HeaderValue::from_static(value));
+    }
+    headers.entry(header::CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
+    answer
+}

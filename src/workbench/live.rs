@@ -1,0 +1,385 @@
+//! The camera of the workbench: one thread owns it, shows what it sees while somebody looks, changes its settings, and captures.
+
+use super::job::Job;
+use crate::bench::{self, Illuminator, ManualBench};
+use crate::camera::{Camera, Capabilities, Settings, StreamOptions};
+use crate::capture::{Capture, CaptureError};
+use crate::frame::{Frame, Region, Status};
+use crate::plan::{BenchState, Plan};
+use std::io::{BufRead, Read, Write};
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// A lock whose holder cannot leave rubbish behind.
+pub fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// What to do with the camera.
+pub enum Order {
+    /// Exposure, s.
+    Exposure(f64),
+    /// Gain, dB.
+    Gain(f64),
+    /// Region of interest.
+    Region(Region),
+    /// Light of the bench, relative.
+    Light(f64),
+    /// Captures a plan into a folder, or adds it to the campaign that is there.
+    Capture {
+        /// The plan.
+        plan: Box<Plan>,
+        /// The folder.
+        folder: PathBuf,
+        /// Whether it is added to what is there.
+        extend: bool,
+        /// Progress and end.
+        job: Arc<Job>,
+    },
+}
+
+/// A picture and what it says.
+#[derive(Clone)]
+pub struct Picture {
+    /// Counts pictures.
+    pub number: u64,
+    /// The frame.
+    pub frame: Arc<Frame>,
+    /// Mean, DN.
+    pub mean_dn: f64,
+    /// Temporal variance of a pixel from this frame and the one before, DN^2; NaN where their settings or sizes differ.
+    pub var_dn2: f64,
+    /// Pixels at the largest code.
+    pub saturated: usize,
+    /// Largest code, DN.
+    pub full_dn: u16,
+}
+
+/// What is asked of whoever moves the bench.
+#[derive(Default)]
+pub struct Operator {
+    state: Mutex<(Option<String>, Option<bool>)>,
+    changed: Condvar,
+}
+
+impl Operator {
+    /// What is asked now.
+    pub fn question(&self) -> Option<String> {
+        lock(&self.state).0.clone()
+    }
+
+    /// Answers: done, or given up.
+    pub fn answer(&self, done: bool) {
+        let mut state = lock(&self.state);
+        if state.0.is_some() {
+            state.1 = Some(done);
+            self.changed.notify_all();
+        }
+    }
+}
+
+/// Reads the answers and writes the questions of a bench that is moved by hand.
+struct Page(Arc<Operator>, Arc<dyn Fn() + Send + Sync>);
+
+impl Write for Page {
+    fn write(&mut self, text: &[u8]) -> std::io::Result<usize> {
+        let said = String::from_utf8_lossy(text);
+        let said = said.split(", then press Enter").next().unwrap_or_default();
+        if !said.trim().is_empty() {
+            let mut state = lock(&self.0.state);
+            let before = state.0.take().unwrap_or_default();
+            state.0 = Some(before + said);
+        }
+        (self.1)();
+        Ok(text.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Read for Page {
+    fn read(&mut self, _: &mut [u8]) -> std::io::Result<usize> {
+        Ok(0)
+    }
+}
+
+impl BufRead for Page {
+    fn fill_buf(&mut self) -> std::io::Result<&[u8]> {
+        let mut state = lock(&self.0.state);
+        while state.1.is_none() {
+            state = self.0.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+        Ok(if state.1 == Some(true) { b"\n" } else { b"q\n" })
+    }
+
+    fn consume(&mut self, _: usize) {
+        *lock(&self.0.state) = (None, None);
+        (self.1)();
+    }
+}
+
+/// What the thread and the pages share.
+pub struct Live {
+    /// Who the camera is.
+    pub identity: String,
+    /// What it can do.
+    pub capabilities: Capabilities,
+    orders: Mutex<Sender<Ordered>>,
+    state: Mutex<State>,
+    shown: tokio::sync::watch::Sender<u64>,
+    /// What is asked of whoever moves the bench.
+    pub operator: Arc<Operator>,
+}
+
+struct State {
+    picture: Option<Picture>,
+    settings: Option<Settings>,
+    light: f64,
+    /// When somebody last looked.
+    looked: Option<Instant>,
+    error: Option<String>,
+}
+
+/// Time after which nobody looks any more.
+const LOOKS: Duration = Duration::from_secs(2);
+/// Time between pictures at least: 40 a second are more than are seen.
+const BETWEEN: Duration = Duration::from_millis(25);
+
+impl Live {
+    /// Opens the camera and starts its thread. `changed` is called where a page should look again.
+    pub fn start(
+        mut camera: Box<dyn Camera>,
+        options: StreamOptions,
+        changed: Arc<dyn Fn() + Send + Sync>,
+    ) -> Arc<Self> {
+        let (orders, todo) = channel();
+        let (shown, _) = tokio::sync::watch::channel(0);
+        let settings = camera.settings().ok();
+        let live = Arc::new(Self {
+            identity: camera.identity().to_string(),
+            capabilities: camera.capabilities().clone(),
+            orders: Mutex::new(orders),
+            state: Mutex::new(State { picture: None, settings, light: 1.0, looked: None, error: None }),
+            shown,
+            operator: Arc::default(),
+        });
+        let shared = live.clone();
+        std::thread::spawn(move || Thread { camera, options, live: shared, changed, last: None }.run(&todo));
+        live
+    }
+
+    /// Gives an order and waits for its answer.
+    ///
+    /// # Errors
+    ///
+    /// What the camera or the bench refuse.
+    pub fn order(&self, order: Order) -> Result<String, String> {
+        let (answer, got) = channel();
+        let gone = || "the camera's thread has ended".to_string();
+        lock(&self.orders).send((order, answer)).map_err(|_| gone())?;
+        got.recv().map_err(|_| gone())?
+    }
+
+    /// The newest picture, once there is one after `number`.
+    pub async fn picture(&self, number: u64) -> Option<Picture> {
+        lock(&self.state).looked = Some(Instant::now());
+        let mut shown = self.shown.subscribe();
+        let newer = shown.wait_for(|n| *n > number);
+        tokio::time::timeout(Duration::from_secs(5), newer).await.ok()?.ok()?;
+        lock(&self.state).looked = Some(Instant::now());
+        lock(&self.state).picture.clone()
+    }
+
+    /// Settings as the camera reported them last, the light, and what went wrong.
+    pub fn state(&self) -> (Option<Settings>, f64, Option<String>) {
+        let state = lock(&self.state);
+        (state.settings.clone(), state.light, state.error.clone())
+    }
+
+    fn is_looked_at(&self) -> bool {
+        lock(&self.state).looked.is_some_and(|t| t.elapsed() < LOOKS)
+    }
+
+    /// Shows a frame, unless the last picture is too fresh.
+    fn show(&self, frame: &Frame, full_dn: u16, last: &mut Option<Instant>) {
+        if !self.is_looked_at() || last.is_some_and(|t| t.elapsed() < BETWEEN) {
+            return;
+        }
+        *last = Some(Instant::now());
+        let mut state = lock(&self.state);
+        let before = state.picture.take();
+        let number = before.as_ref().map_or(0, |p| p.number) + 1;
+        let var_dn2 = before.map_or(f64::NAN, |p| difference_variance(&p.frame, frame));
+        let mean_dn = frame.pixels.iter().map(|v| f64::from(*v)).sum::<f64>() / frame.pixels.len() as f64;
+        let saturated = frame.pixels.iter().filter(|v| **v >= full_dn).count();
+        state.picture =
+            Some(Picture { number, frame: Arc::new(frame.clone()), mean_dn, var_dn2, saturated, full_dn });
+        drop(state);
+        self.shown.send_replace(number);
+    }
+}
+
+/// Half the variance of the difference of two frames, DN^2: the temporal variance of a pixel (EMVA 1288 release 4.0 Linear, eq. 19).
+fn difference_variance(a: &Frame, b: &Frame) -> f64 {
+    if a.pixels.dim() != b.pixels.dim() || a.pixels.is_empty() {
+        return f64::NAN;
+    }
+    let (mut sum, mut squares) = (0i64, 0i64);
+    for (a, b) in a.pixels.iter().zip(&b.pixels) {
+        let d = i64::from(*a) - i64::from(*b);
+        (sum, squares) = (sum + d, squares + d * d);
+    }
+    let n = a.pixels.len() as f64;
+    0.5 * (squares as f64 / n - (sum as f64 / n).powi(2))
+}
+
+struct Thread {
+    camera: Box<dyn Camera>,
+    options: StreamOptions,
+    live: Arc<Live>,
+    changed: Arc<dyn Fn() + Send + Sync>,
+    last: Option<Instant>,
+}
+
+/// An order and where its answer goes.
+type Ordered = (Order, Sender<Result<String, String>>);
+type Orders = Receiver<Ordered>;
+
+impl Thread {
+    fn run(mut self, orders: &Orders) {
+        loop {
+            match orders.recv_timeout(Duration::from_millis(50)) {
+                Ok((order, answer)) => self.carry_out(order, &answer),
+                Err(RecvTimeoutError::Disconnected) => return,
+                Err(RecvTimeoutError::Timeout) => {}
+            }
+            while self.live.is_looked_at() {
+                match self.look(orders) {
+                    Ok(Some((order, answer))) => self.carry_out(order, &answer),
+                    Ok(None) => break,
+                    Err(e) => {
+                        lock(&self.live.state).error = Some(e);
+                        (self.changed)();
+                        std::thread::sleep(Duration::from_secs(1));
+                        break;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Shows frames until an order comes or nobody looks.
+    fn look(&mut self, orders: &Orders) -> Result<Option<Ordered>, String> {
+        let settings = self.camera.settings().map_err(|e| e.to_string())?;
+        let full = settings.pixel_format.full_scale_dn();
+        let wait = Duration::from_secs_f64((2.0 * settings.exposure_s + 5.0).min(3600.0));
+        let mut frame = Frame::new(settings.region.width as usize, settings.region.height as usize);
+        lock(&self.live.state).settings = Some(settings);
+        let mut stream = self.camera.stream(&self.options).map_err(|e| e.to_string())?;
+        loop {
+            if let Ok(order) = orders.try_recv() {
+                return Ok(Some(order));
+            }
+            if !self.live.is_looked_at() {
+                return Ok(None);
+            }
+            stream.next(&mut frame, wait).map_err(|e| e.to_string())?;
+            if frame.status == Status::Complete {
+                self.live.show(&frame, full, &mut self.last);
+                lock(&self.live.state).error = None;
+            }
+            // A simulated camera is as fast as this machine: the pages need some of it.
+            if let Some(rest) = self.last.and_then(|t| BETWEEN.checked_sub(t.elapsed())) {
+                std::thread::sleep(rest.min(Duration::from_millis(5)));
+            }
+        }
+    }
+
+    fn carry_out(&mut self, order: Order, answer: &Sender<Result<String, String>>) {
+        let said = match order {
+            Order::Exposure(s) => {
+                self.camera.set_exposure_s(s).map(|s| format!("exposure {s} s")).map_err(|e| e.to_string())
+            }
+            Order::Gain(db) => {
+                self.camera.set_gain_db(db).map(|db| format!("gain {db} dB")).map_err(|e| e.to_string())
+            }
+            Order::Region(region) => self
+                .camera
+                .set_region(region)
+                .map(|r| format!("region {} × {} at {}, {}", r.width, r.height, r.x, r.y))
+                .map_err(|e| e.to_string()),
+            Order::Light(light) => self.light(light),
+            Order::Capture { plan, folder, extend, job } => {
+                self.capture(&plan, &folder, extend, &job).map(|()| "captured".into())
+            }
+        };
+        let _ = answer.send(said);
+        self.refresh();
+    }
+
+    fn refresh(&mut self) {
+        if let Ok(settings) = self.camera.settings() {
+            lock(&self.live.state).settings = Some(settings);
+        }
+        (self.changed)();
+    }
+
+    fn bench(&mut self, plan: &Plan) -> Box<dyn Illuminator> {
+        let (operator, changed) = (self.live.operator.clone(), self.changed.clone());
+        let page = move || -> Box<dyn Illuminator> {
+            Box::new(ManualBench::new(Page(operator.clone(), changed.clone()), Page(operator, changed)))
+        };
+        bench::of_or(&mut *self.camera, plan, page)
+    }
+
+    fn light(&mut self, illumination: f64) -> Result<String, String> {
+        let mut bench = self.bench(&Plan::quick());
+        if !bench.moves_itself() {
+            return Err("this bench is moved by hand: set the light there".into());
+        }
+        let state = bench.apply(&BenchState { illumination, ..Default::default() }, &mut *self.camera);
+        let reached = state.map_err(|e| e.to_string())?.illumination;
+        lock(&self.live.state).light = reached;
+        Ok(format!("light {reached}"))
+    }
+
+    fn capture(
+        &mut self,
+        plan: &Plan,
+        folder: &std::path::Path,
+        extend: bool,
+        job: &Job,
+    ) -> Result<(), String> {
+        let mut bench = self.bench(plan);
+        let full = self.camera.settings().map_err(|e| e.to_string())?.pixel_format.full_scale_dn();
+        let (live, last) = (self.live.clone(), &mut self.last);
+        let mut progress = |p: crate::capture::Progress| job.step(p.frames as usize, p.of as usize);
+        let mut shown = |frame: &Frame| live.show(frame, full, last);
+        let mut capture = Capture {
+            camera: &mut *self.camera,
+            bench: &mut *bench,
+            options: self.options.clone(),
+            stop: &job.stop,
+            progress: Some(&mut progress),
+            shown: Some(&mut shown),
+        };
+        let done = if extend {
+            capture.extend(plan, folder, None)
+        } else if folder.join("dataset.toml").exists() {
+            capture.resume(folder)
+        } else {
+            capture.run(plan, folder)
+        };
+        match done {
+            Ok(_) => Ok(()),
+            Err(CaptureError::Interrupted { frames }) => {
+                Err(format!("the capture was ended; {frames} frames are kept, capture again to go on"))
+            }
+            Err(e) => Err(e.to_string()),
+        }
+    }
+}

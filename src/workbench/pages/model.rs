@@ -1,0 +1,318 @@
+//! The loop: how far the model is off, what shows it, what is missing, add it, and the error falls.
+
+use super::shell::{self, Part, alert};
+use crate::diagnosis::{Rung, Verdict};
+use crate::inference::Residual;
+use crate::number::{Quantity, chance, pretty, with_unit};
+use crate::report::candidates::candidate;
+use crate::report::heat;
+use crate::report::ladder::ladder;
+use crate::report::plot::wide;
+use crate::study::{Judgement, decisive, plot_of};
+use crate::workbench::desk::{Data, Desk, Found, Judged};
+use crate::workbench::steps::{Entry, Step, folder_of};
+use crate::workbench::{Shared, aside};
+use axum::extract::{Query, State};
+use maud::{Markup, html};
+use radcam_sim::effects::{self, find};
+use std::sync::Arc;
+
+/// The page, or its main part.
+pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Part>) -> Markup {
+    let body = main(&shared);
+    if q.part.is_some() { body } else { shell::page(&shared, "/", body) }
+}
+
+/// What the page shows of the desk as it is.
+pub fn main(shared: &Arc<Shared>) -> Markup {
+    let desk = shared.desk();
+    let body = match &desk.data {
+        Data::None => html! {
+            h1 { "Nothing is captured yet" }
+            p { "Look at the live picture and capture a plan under " a href="/camera" { "Camera" } "; the verdict stands here then." }
+        },
+        Data::Reading => {
+            html! { h1 { "Reading the campaign" } p { "Its statistics are collected once; everything after that is quick." } }
+        }
+        Data::Failed(why) => html! { h1 { "The campaign cannot be read" } (alert(why)) },
+        Data::Ready(campaign) => ready(shared, &desk, campaign),
+    };
+    drop(desk);
+    html! { (shell::main(shared, "/", body)) }
+}
+
+fn ready(shared: &Shared, desk: &Desk, campaign: &crate::workbench::desk::Campaign) -> Markup {
+    let Some([now, first]) = &desk.judged else { return alert("The model could not be fitted.") };
+    let c = &now.comparison;
+    let model = folder_of(&campaign.path).join("model.toml");
+    let rungs: Vec<Rung> = desk.steps.step.iter().map(rung).collect();
+    html! {
+        (verdict(desk))
+        div.cards {
+            div { span { "error (1: agreement to within noise)" }
+                b #error class=(if c.consistent { "good" } else { "bad" }) { data value=(c.error) { (format!("{:.3}", c.error)) } } }
+            div { span { "p-value" } b { (chance(c.p_value)) } }
+            @for (name, q) in base(now) { div { span { (name) } b { (q.to_string()) } } }
+        }
+        div.columns {
+            section aria-labelledby="h-missing" {
+                h2 #h-missing { "What is missing" }
+                (missing(desk, shared))
+            }
+            section aria-labelledby="h-model" {
+                h2 #h-model { "The model" }
+                (entries(desk, now))
+                h3 { "Error" }
+                (ladder(&rungs, &|_| html! {}))
+                p.buttons {
+                    button hx-post="/model/undo" hx-target="#main" hx-swap="outerHTML" disabled[rungs.len() < 2] { "Undo" }
+                }
+                (shell::command(&format!("radcam compare {} --model {}", campaign.path.display(), model.display())))
+                p.note { "Fitted and judged in " (format!("{:.0}", now.milliseconds)) " ms over " (c.residuals.len()) " statistics." }
+            }
+        }
+        h2 { "Residuals" }
+        p.note { "Choose a cell to see that statistic: measured, expected by the first model, and by the model as it stands." }
+        div #cell aria-live="polite" {}
+        (heat::picture(c, "The model as it stands", &|set| campaign.kinds.get(&set).copied(), &cell_button))
+        @if rungs.len() > 1 {
+            details { summary { "Residuals of the first model: error " (format!("{:.2}", first.comparison.error)) }
+                (heat::picture(&first.comparison, "The first model", &|set| campaign.kinds.get(&set).copied(), &cell_button)) }
+        }
+        (own())
+    }
+}
+
+fn rung(s: &Step) -> Rung {
+    let given = s.what == "the model as given";
+    Rung {
+        added: (!given).then(|| s.what.strip_prefix("+ ").unwrap_or(&s.what).to_string()),
+        error: s.error,
+        p_value: s.p_value,
+    }
+}
+
+fn base(j: &Judged) -> Vec<(&'static str, Quantity)> {
+    let (b, e) = (&j.fitted.base, &j.fitted.base_std_err);
+    vec![
+        ("system gain A", Quantity::new(b.gain_dn_per_e, e[0], "DN/e")),
+        ("read noise", Quantity::new(b.read_noise_e, e[1], "e")),
+        ("dark current", Quantity::new(b.dark_e_per_s, e[3], "e/s")),
+    ]
+}
+
+/// The verdict of the last search, first thing on the page.
+fn verdict(desk: &Desk) -> Markup {
+    match &desk.found {
+        Found::Done(d) => {
+            let head = Judgement::of_diagnosis(d).heading(Some(&d.verdict));
+            html! {
+                h1 { (head) }
+                p.verdict { (d.verdict.sentence()) }
+            }
+        }
+        Found::Searching => {
+            html! { h1 { "Looking for what is missing" } p.verdict { "Every effect of the catalogue is tried beside the model." } }
+        }
+        Found::None => html! {
+            h1 { "The model is not searched" }
+            p { button hx-post="/model/search" hx-target="#main" hx-swap="outerHTML" { "Look for what is missing" } }
+        },
+    }
+}
+
+fn missing(desk: &Desk, shared: &Shared) -> Markup {
+    let Found::Done(d) = &desk.found else { return html! { p.note { "The search has no answer yet." } } };
+    html! {
+        @if matches!(d.verdict, Verdict::Describes { .. }) { p { "Nothing: the model describes the campaign." } }
+        @if !d.missing.is_empty() {
+            @if let Some(plot) = decisive(&Judgement::of_diagnosis(d)) { (wide(&plot)) }
+        }
+        @for m in &d.missing {
+            (candidate(m))
+            @if m.effect != "unknown" {
+                p.buttons {
+                    button.first hx-post="/model/add" hx-vals=(vals(&m.effect)) hx-target="#main" hx-swap="outerHTML" { "Add " (m.effect) " to the model" }
+                }
+            } @else {
+                @for near in &m.nearest {
+                    p.buttons { button hx-post="/model/add" hx-vals=(vals(near)) hx-target="#main" hx-swap="outerHTML" { "Try " (near) } }
+                }
+            }
+        }
+        @if let Some(next) = &d.next_measurement {
+            h3 { "The measurement that decides" }
+            p { (next) }
+            p.buttons {
+                @if d.next_plan.is_some() { a.button href="/save/next.toml" { "Write its plan" } }
+                @if d.next_plan.is_some() && shared.live().is_some() {
+                    " " button hx-post="/camera/next" hx-target="#status" hx-swap="outerHTML" { "Take it" }
+                }
+            }
+        }
+        form.inline hx-post="/model/add" hx-target="#main" hx-swap="outerHTML" {
+            label for="other" { "Another effect" }
+            select #other name="effect" { @for e in effects::all() { option value=(e.id()) { (e.id()) } } }
+            button { "Add" }
+        }
+    }
+}
+
+fn vals(effect: &str) -> String {
+    serde_json::json!({ "effect": effect }).to_string()
+}
+
+/// The effects of the model, each with its switch, values and page.
+fn entries(desk: &Desk, now: &Judged) -> Markup {
+    let all = desk.entries();
+    html! {
+        p.note { "The linear sensor of Healey and Kondepudy 1994: shot noise, read noise, dark current, black level" @if all.is_empty() { ", and nothing else." } @else { ", and:" } }
+        @for e in &all {
+            div.entry {
+                button.switch role="switch" aria-checked=(if e.on { "true" } else { "false" }) aria-label={ "in the model: " (e.name()) }
+                    hx-post="/model/switch" hx-vals=(vals(e.name())) hx-target="#main" hx-swap="outerHTML" { @if e.on { "on" } @else { "off" } }
+                div {
+                    b { (e.name()) }
+                    @for (name, q) in values(e, now) { br; code { (name) } " = " (q) }
+                    @for (what, formula) in &e.effect.formulas { br; (what) " + " code { (formula) } }
+                    @if let Some(p) = find(&e.effect.id).map(|e| e.page()) {
+                        details { summary { "About it" }
+                            p { (p.what) } p { "What to do: " (p.remedy) } p { "Equation: " code { (p.equation) } } p.note { (p.source) }
+                        }
+                    }
+                }
+                button.quiet hx-post="/model/remove" hx-vals=(vals(e.name())) hx-target="#main" hx-swap="outerHTML" aria-label={ "remove " (e.name()) } { "Remove" }
+            }
+        }
+    }
+}
+
+/// Values with errors from the fit; of an effect that is off, those that it had.
+fn values(e: &Entry, now: &Judged) -> Vec<(String, String)> {
+    let place = now.fitted.effects.iter().position(|(f, _)| f.id() == e.name());
+    match place.filter(|_| e.on) {
+        Some(at) => {
+            let (effect, values) = &now.fitted.effects[at];
+            let errors = &now.fitted.std_err[at];
+            let all = effect.parameters().iter().zip(values).zip(errors).enumerate();
+            let used = all.filter(|(k, _)| effect.uses(values, *k));
+            used.map(|(_, ((p, v), s))| (p.name.to_string(), with_unit(*v, *s, p.unit))).collect()
+        }
+        None => e.effect.parameters.iter().map(|(n, v)| (n.clone(), format!("{v:.5}"))).collect(),
+    }
+}
+
+fn cell_button(r: &Residual, number: &str) -> Markup {
+    let query = |q: &str| {
+        q.bytes()
+            .map(|b| if b.is_ascii_alphanumeric() { char::from(b).to_string() } else { format!("%{b:02X}") })
+            .collect::<String>()
+    };
+    let set = r.set.map_or(String::new(), |s| format!("&set={s}"));
+    let address = format!("/cell?statistic={}{set}", query(&r.observable));
+    html! { button.cell hx-get=(address) hx-target="#cell" hx-swap="innerHTML" aria-label=(heat::words(r)) { (number) } }
+}
+
+/// A cell of the picture.
+#[derive(serde::Deserialize)]
+pub struct Cell {
+    statistic: String,
+    set: Option<u32>,
+}
+
+/// One statistic: its curve before and after, and the numbers of one set.
+pub async fn cell(State(shared): State<Arc<Shared>>, Query(q): Query<Cell>) -> Markup {
+    let drawn = aside(move || {
+        let desk = shared.desk();
+        let [now, first] = desk.judged.clone()?;
+        let rungs: Vec<Rung> = desk.steps.step.iter().skip(1).map(rung).collect();
+        drop(desk);
+        Some(detail(&q, &now, &first, rungs))
+    })
+    .await;
+    drawn.ok().flatten().unwrap_or_else(|| alert("There is no model yet."))
+}
+
+fn detail(q: &Cell, now: &Judged, first: &Judged, rungs: Vec<Rung>) -> Markup {
+    let both = !rungs.is_empty();
+    let comparisons = if both {
+        vec![first.comparison.clone(), now.comparison.clone()]
+    } else {
+        vec![now.comparison.clone()]
+    };
+    let mut judgement = Judgement::of_comparison(&now.comparison, &now.fitted);
+    (judgement.comparisons, judgement.ladder) = (comparisons, rungs);
+    let of = |j: &Judged| -> Vec<Residual> {
+        let same = |r: &&Residual| r.observable == q.statistic && (q.set.is_none() || r.set == q.set);
+        j.comparison.residuals.iter().filter(same).cloned().collect()
+    };
+    let (before, after) = (of(first), of(now));
+    let Some(any) = after.first() else { return alert("There is no such statistic.") };
+    html! {
+        section.detail aria-label=(q.statistic) {
+            h3 { (q.statistic) @if let Some(set) = q.set { ", set " (set) " at " (format!("{:.0}", any.level_dn)) " DN" } }
+            p.note { "A deviation means: " (any.meaning) "." }
+            div.columns {
+                div { @if let Some(plot) = plot_of(&judgement, &q.statistic) { (wide(&plot)) } @else { p.note { "It belongs to the whole campaign: no curve over the level." } } }
+                table {
+                    thead { tr { th.text { "frames" } th { "measured" @if !any.unit.is_empty() { " (" (pretty(&any.unit)) ")" } } th { "expected" @if both { " first, now" } } th { "residual (σ)" @if both { " first, now" } } } }
+                    @for (k, (b, a)) in before.iter().zip(&after).enumerate() {
+                        tr {
+                            th scope="row" { (if before.len() == 2 { ["first half", "second half"][k] } else { "value" }) }
+                            td.number { (format!("{:.5}", a.measured)) }
+                            td.number { @if both { (format!("{:.5}, ", b.predicted)) } (format!("{:.5} ± {:.1e}", a.predicted, a.std_err)) }
+                            td.number { @if both { (format!("{:+.1}, ", b.z)) } (format!("{:+.1}", a.z)) }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// What one's own effect would do.
+pub fn tried(before: f64, judged: &Judged) -> Markup {
+    let c = &judged.comparison;
+    let values = judged.fitted.effects.last().zip(judged.fitted.std_err.last());
+    html! {
+        p role="status" {
+            "Error " (format!("{before:.3}")) " without it, " b { (format!("{:.3}", c.error)) } " with it (p " (chance(c.p_value)) "); fitted "
+            @if let Some(((effect, values), errors)) = values {
+                @for ((p, v), s) in effect.parameters().iter().zip(values).zip(errors) { code { (p.name) } " = " (with_unit(*v, *s, p.unit)) "  " }
+            }
+        }
+    }
+}
+
+fn own() -> Markup {
+    let targets = [
+        "mean",
+        "variance",
+        "cov_01",
+        "cov_10",
+        "cov_11",
+        "parity_01",
+        "parity_10",
+        "row",
+        "column",
+        "common",
+    ];
+    html! {
+        h2 { "An effect of your own" }
+        p.note {
+            "A formula gives the change of a statistic (mean in DN, the others in DN²) in terms of mu (mean above the black level, DN), exposure (s), "
+            "illumination and the parameters. The same formulas stand in model files and in simulated cameras."
+        }
+        form.own hx-post="/model/try" hx-target="#tried" hx-swap="innerHTML" {
+            label { "Name" input name="name" value="extra-variance" required; }
+            label { "It changes" select name="target" { @for t in targets { option selected[t == "variance"] { (t) } } } }
+            label.long { "by" input name="formula" value="k * mu^2" required spellcheck="false"; }
+            label { "Parameters, as they begin" input name="parameters" value="k = 1e-6" spellcheck="false"; }
+            p.buttons {
+                button { "Try" } " "
+                button type="button" hx-post="/model/own" hx-include="closest form" hx-target="#main" hx-swap="outerHTML" { "Add" }
+            }
+        }
+        div #tried aria-live="polite" {}
+    }
+}

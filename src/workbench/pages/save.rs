@@ -1,0 +1,37 @@
+//! What is kept: the model, the report, a calibration; each with the command that makes the same.
+
+use super::shell::{self, Part};
+use crate::workbench::Shared;
+use crate::workbench::steps::folder_of;
+use axum::extract::{Query, State};
+use maud::{Markup, html};
+use std::sync::Arc;
+
+/// The page, or its main part.
+pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Part>) -> Markup {
+    let main = shell::main(&shared, "/save", body(&shared));
+    if q.part.is_some() { main } else { shell::page(&shared, "/save", main) }
+}
+
+fn body(shared: &Shared) -> Markup {
+    let Some(campaign) = shared.desk().campaign() else {
+        return html! { h1 { "Save" } p { "There is nothing to save yet." } };
+    };
+    let folder = folder_of(&campaign.path);
+    let (data, model) = (campaign.path.display(), folder.join("model.toml"));
+    let cal = folder.join("cal.tiff");
+    html! {
+        h1 { "Save" }
+        p { "Every step is kept in " code { (folder.display()) } " as it is made." }
+        h2 { "Model" }
+        p { a.button href="/save/model.toml" { "model.toml" } " the effects that are on, with their values" }
+        (shell::command(&format!("radcam compare {data} --model {}", model.display())))
+        h2 { "Report" }
+        p { a.button href="/save/report.html" { "report.html" } " verdict, evidence, curves, images and numbers as one page" }
+        (shell::command(&format!("radcam report {data} --model {} -o report.html", model.display())))
+        h2 { "Calibration" }
+        p { button hx-post="/save/calibration" hx-target="#status" hx-swap="outerHTML" { "Calibrate" } " dark reference, fixed pattern and defects, for radcam correct" }
+        @if cal.exists() { p role="status" { code { (cal.display()) } " is written." } }
+        (shell::command(&format!("radcam calibrate {data} -o {}", cal.display())))
+    }
+}

@@ -1,0 +1,99 @@
+//! The frame of every page: title, rooms, what goes on, and what went wrong.
+
+use crate::workbench::Shared;
+use crate::workbench::live::lock;
+use maud::{DOCTYPE, Markup, html};
+use std::sync::Arc;
+
+/// Asked for by a page that is open already: its main part alone.
+#[derive(serde::Deserialize)]
+pub struct Part {
+    /// Anything: the main part alone.
+    pub part: Option<String>,
+}
+
+/// What went wrong, where a screen reader says it at once.
+pub fn alert(text: &str) -> Markup {
+    html! { p.error role="alert" { (text) } }
+}
+
+/// A command that does the same.
+pub fn command(text: &str) -> Markup {
+    html! { p.command { "The same by the program: " code { (text) } } }
+}
+
+fn title(shared: &Shared) -> String {
+    let name = shared.dataset.as_ref().map(|p| p.display().to_string());
+    name.or_else(|| shared.live().map(|l| l.identity.clone())).unwrap_or_default()
+}
+
+/// A whole page. `room` is its address.
+pub fn page(shared: &Arc<Shared>, room: &str, main: Markup) -> Markup {
+    let rooms = [
+        (true, "/", "Model"),
+        (shared.dataset.is_some(), "/data", "Data"),
+        (shared.live().is_some(), "/camera", "Camera"),
+        (!shared.others.is_empty(), "/runs", "Runs"),
+        (shared.dataset.is_some(), "/save", "Save"),
+    ];
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="htmx-config" content="{\"allowEval\":false,\"includeIndicatorStyles\":false,\"historyEnabled\":false}";
+                title { "radcam: " (title(shared)) }
+                link rel="stylesheet" href="/style.css";
+                link rel="icon" href="data:,";
+                @for script in ["/uPlot.js", "/htmx.js", "/figures.js", "/viewer.js", "/workbench.js"] { script src=(script) defer {} }
+            }
+            body.workbench {
+                header {
+                    p.name { b { "radcam" } " " (title(shared)) }
+                    nav aria-label="Rooms" {
+                        @for (_, address, name) in rooms.iter().filter(|r| r.0) {
+                            a href=(address) aria-current=[(*address == room).then_some("page")] { (name) }
+                        }
+                    }
+                    (status(shared))
+                }
+                (main)
+            }
+        }
+    }
+}
+
+/// What goes on: work with its progress and an end, a question of the bench, what went wrong, what changed.
+pub fn status(shared: &Arc<Shared>) -> Markup {
+    let job = lock(&shared.job).clone();
+    let question = shared.live().and_then(|l| l.operator.question());
+    let error = shared.desk().error.clone().or_else(|| shared.live().and_then(|l| l.state().2));
+    html! {
+        div #status aria-live="polite" {
+            @if let Some(job) = &job {
+                @let (done, of) = job.progress();
+                p.job {
+                    span { (job.what) @if of > 0 { ": " (done) " of " (of) } @else { " …" } }
+                    @if of > 0 { progress value=(done) max=(of) aria-label=(job.what) {} } @else { progress aria-label=(job.what) {} }
+                    @if job.is_stopped() { span { "ends soon" } }
+                    @else { button hx-post="/job/cancel" hx-target="#status" hx-swap="outerHTML" { "Cancel" } }
+                }
+            }
+            @if let Some(question) = &question {
+                p.question role="alert" {
+                    b { (question) "." } " "
+                    button hx-post="/operator" hx-vals="{\"done\": true}" hx-target="#status" hx-swap="outerHTML" { "Done" } " "
+                    button hx-post="/operator" hx-vals="{\"done\": false}" hx-target="#status" hx-swap="outerHTML" { "Give up" }
+                }
+            }
+            @if let Some(error) = &error { (alert(error)) }
+        }
+    }
+}
+
+/// The main part of a page, drawn again from `room` when the model changes.
+pub fn main(shared: &Shared, room: &str, body: Markup) -> Markup {
+    let (model, _) = *shared.changed.borrow();
+    html! { main #main data-model=(model) data-room=(room) { (body) } }
+}

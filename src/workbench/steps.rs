@@ -1,0 +1,155 @@
+//! The model on the desk and how it came to be: steps that are kept in the dataset's folder, so that a reload, a second tab or a restart loses
+//! nothing, and that can be taken back.
+
+use crate::dataset::write_whole;
+use radcam_sim::{EffectValues, Model, ModelError};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Name and major version of the file.
+const FORMAT: &str = "radcam-workbench/1";
+
+/// An effect of the model with its switch.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Entry {
+    /// Whether it is in the model.
+    pub on: bool,
+    /// The effect and its values.
+    pub effect: EffectValues,
+}
+
+impl Entry {
+    /// Its identifier, or the name of one's own effect.
+    pub fn name(&self) -> &str {
+        self.effect.name.as_deref().unwrap_or(&self.effect.id)
+    }
+}
+
+/// A state of the model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Step {
+    /// What was done.
+    pub what: String,
+    /// Error on frames that the fit did not see.
+    pub error: f64,
+    /// Chance of such residuals.
+    pub p_value: f64,
+    /// The effects.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub entries: Vec<Entry>,
+}
+
+impl Step {
+    /// Effects that are switched on.
+    pub fn on(&self) -> impl Iterator<Item = &EffectValues> {
+        self.entries.iter().filter(|e| e.on).map(|e| &e.effect)
+    }
+}
+
+/// What is kept.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Steps {
+    format: String,
+    /// The steps, the model as given first.
+    #[serde(default)]
+    pub step: Vec<Step>,
+}
+
+impl Default for Steps {
+    fn default() -> Self {
+        Self { format: FORMAT.into(), step: Vec::new() }
+    }
+}
+
+/// The folder of what the workbench keeps about a dataset: inside a folder, beside a file.
+pub fn folder_of(dataset: &Path) -> PathBuf {
+    if dataset.is_file() { dataset.with_extension("workbench") } else { dataset.join("workbench") }
+}
+
+impl Steps {
+    /// What was kept in a folder; nothing where nothing was.
+    ///
+    /// # Errors
+    ///
+    /// A file that cannot be understood, by its name.
+    pub fn read(folder: &Path) -> Result<Self, String> {
+        let path = folder.join("steps.toml");
+        let text = match std::fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Self::default()),
+            Err(e) => return Err(format!("{}: {e}", path.display())),
+        };
+        let fault = |message: String| format!("{}: {message}; move it away to begin anew", path.display());
+        let steps: Self = toml::from_str(&text).map_err(|e| fault(e.to_string().trim_end().into()))?;
+        if steps.format != FORMAT {
+            return Err(fault(format!("format \"{}\" is not {FORMAT}", steps.format)));
+        }
+        Ok(steps)
+    }
+
+    /// Keeps the steps, and the effects that are on as a model file, by which `radcam compare` gives the same error.
+    ///
+    /// # Errors
+    ///
+    /// Where the folder cannot be written.
+    pub fn write(&self, folder: &Path, model: &Model) -> Result<(), String> {
+        let fault = |e: &dyn std::fmt::Display| format!("{} cannot be kept: {e}", folder.display());
+        std::fs::create_dir_all(folder).map_err(|e| fault(&e))?;
+        let text = toml::to_string(self).map_err(|e| fault(&e))?;
+        write_whole(&folder.join("steps.toml"), text.as_bytes()).map_err(|e| e.to_string())?;
+        let text = model.to_toml().map_err(|e| fault(&e))?;
+        write_whole(&folder.join("model.toml"), text.as_bytes()).map_err(|e| e.to_string())
+    }
+
+    /// The model as it stands.
+    pub fn now(&self) -> Option<&Step> {
+        self.step.last()
+    }
+}
+
+/// One's own effect from what was typed: a name, what it changes, the formula, and its parameters as `k = 0.1, b = 2`.
+///
+/// # Errors
+///
+/// What cannot be understood.
+pub fn own(name: &str, target: &str, formula: &str, parameters: &str) -> Result<EffectValues, ModelError> {
+    let fault = |text: String| ModelError::Effect(text);
+    let mut e = EffectValues { id: "custom".into(), name: Some(name.trim().into()), ..Default::default() };
+    if name.trim().is_empty() {
+        return Err(fault("give the effect a name".into()));
+    }
+    e.formulas.insert(target.into(), formula.trim().into());
+    for part in parameters.split([',', ';']).filter(|p| !p.trim().is_empty()) {
+        let (name, value) =
+            part.split_once('=').ok_or_else(|| fault(format!("write {} as name = value", part.trim())))?;
+        let value: f64 =
+            value.trim().parse().map_err(|_| fault(format!("\"{}\" is not a number", value.trim())))?;
+        e.parameters.insert(name.trim().into(), value);
+    }
+    e.effect()?;
+    Ok(e)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_kept_is_read_again_and_rubbish_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let model = radcam_sim::sensors::load("cmos12").unwrap();
+        let mut steps = Steps::read(folder.path()).unwrap();
+        let effect = own("extra", "variance", "k * mu", "k = 0.1").unwrap();
+        let entries = vec![Entry { on: true, effect }];
+        steps.step.push(Step { what: "added extra".into(), error: 1.0 / 3.0, p_value: 0.5, entries });
+        steps.write(folder.path(), &model).unwrap();
+        assert_eq!(Steps::read(folder.path()).unwrap(), steps);
+        std::fs::write(folder.path().join("steps.toml"), "format = \"other/2\"").unwrap();
+        assert!(Steps::read(folder.path()).unwrap_err().contains("other/2"));
+        for (name, formula, parameters) in
+            [("", "k*mu", "k=1"), ("a", "k *", "k=1"), ("a", "k*mu", "k"), ("a", "k*mu", "k=x")]
+        {
+            assert!(own(name, "variance", formula, parameters).is_err(), "{name} {formula} {parameters}");
+        }
+    }
+}
