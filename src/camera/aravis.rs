@@ -92,6 +92,10 @@ impl AravisCamera {
         }
         let inner = arv::Camera::open(&address)
             .map_err(|e| absent(format!("{e}; `radcam cameras` lists what answers")))?;
+        // What a program that was killed left running would go on under settings that change.
+        if let Err(e) = inner.stop_acquisition() {
+            tracing::debug!(error = %e, "AcquisitionStop at the start");
+        }
         let (vendor, model, serial) = inner.identity().map_err(|e| absent(e.to_string()))?;
         let firmware = ["DeviceFirmwareVersion", "DeviceVersion"]
             .iter()

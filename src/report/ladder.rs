@@ -26,7 +26,7 @@ pub fn ladder(rungs: &[Rung], beside: &dyn Fn(usize) -> Markup) -> Markup {
                 @let end = x(r.error);
                 @let good = r.p_value >= crate::agreement::P_LIMIT;
                 div.rung role="row" {
-                    span.name role="cell" { (r.added.as_ref().map_or("model as given".into(), |a| format!("+ {a}"))) (beside(i)) }
+                    span.name role="cell" { (r.added.as_ref().map_or("model as given".into(), |a| if a.starts_with('−') { a.clone() } else { format!("+ {a}") })) (beside(i)) }
                     span.track role="presentation" {
                         i.one style=(format!("left: {one:.2}%")) {}
                         i.bar.good[good].bad[!good] style=(format!("left: {:.2}%; width: {:.2}%", one.min(end), (end - one).abs())) {}

@@ -31,6 +31,11 @@ fn page(title: &str, subtitle: &str, body: Markup) -> String {
     document(title, html! { h1 { (title) } p.sub { (subtitle) } (body) })
 }
 
+/// What may be wider than a phone: it scrolls by itself, by the keyboard too.
+pub(crate) fn scrolled(label: &str, body: Markup) -> Markup {
+    html! { div.scroll tabindex="0" role="region" aria-label=(label) { (body) } }
+}
+
 /// A document whose body says everything.
 fn document(title: &str, body: Markup) -> String {
     html! {

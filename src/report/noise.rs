@@ -1,7 +1,7 @@
 //! The photon-transfer page: points, line, residuals, estimators, levels.
 
-use super::page;
 use super::svg::{Mark, Panel, picture, range};
+use super::{page, scrolled};
 use crate::noise::{LevelReport, NoiseReport};
 use crate::number::Quantity;
 use crate::number::with_error;
@@ -65,8 +65,8 @@ pub fn html(title: &str, subtitle: &str, report: &NoiseReport, truth: Option<&Tr
         h2 { "Photon transfer" }
         (plot(report))
         h2 { "Estimators" }
-        table {
-            tr { th { "method" } th { "A (DN/e⁻)" } th { "σ" sub { "C" } "² (DN²)" } th { "χ²" } th { "dof" } th { "Q" } }
+        (scrolled("estimators", html! { table {
+            tr { th.text { "method" } th { "A (DN/e⁻)" } th { "σ" sub { "C" } "² (DN²)" } th { "χ²" } th { "dof" } th { "Q" } }
             @for e in &report.estimators {
                 tr {
                     td { (format!("{:?}", e.method).to_lowercase()) }
@@ -75,15 +75,15 @@ pub fn html(title: &str, subtitle: &str, report: &NoiseReport, truth: Option<&Tr
                     td { (format!("{:.2}", e.chi2)) } td { (e.dof) } td { (format!("{:.4}", e.q)) }
                 }
             }
-        }
+        } }))
         h2 { "Levels" }
         p.sub {
             (used) " of " (report.levels.len()) " levels used. Means are counted from the black level, "
             (with_error(report.offset_dn.value, report.offset_dn.std_err)) " DN (" (report.offset_source) ")."
         }
         @for note in &report.notes { p { (note) } }
-        table {
-            tr { th { "set" } th { "mean (DN)" } th { "variance (DN²)" } th { "residual (σ)" } th.text { "" } }
+        (scrolled("levels", html! { table {
+            tr { th { "set" } th { "mean (DN)" } th { "variance (DN²)" } th { "residual (σ)" } th.text { "note" } }
             @for l in &report.levels {
                 tr class=(if l.used { "" } else { "out" }) {
                     td { (l.set) " " (l.kind) }
@@ -93,7 +93,7 @@ pub fn html(title: &str, subtitle: &str, report: &NoiseReport, truth: Option<&Tr
                     td.text { (l.excluded_because.as_deref().unwrap_or("")) }
                 }
             }
-        }
+        } }))
     };
     page(title, subtitle, body)
 }

@@ -27,6 +27,8 @@ pub enum Order {
     Region(Region),
     /// Light of the bench, relative.
     Light(f64),
+    /// Ends the thread: the camera is stopped and let go.
+    End,
     /// Captures a plan into a folder, or adds it to the campaign that is there.
     Capture {
         /// The plan.
@@ -40,21 +42,34 @@ pub enum Order {
     },
 }
 
-/// A picture and what it says.
+/// A picture and the one before it.
 #[derive(Clone)]
 pub struct Picture {
     /// Counts pictures.
     pub number: u64,
     /// The frame.
     pub frame: Arc<Frame>,
-    /// Mean, DN.
-    pub mean_dn: f64,
-    /// Temporal variance of a pixel from this frame and the one before, DN^2; NaN where their settings or sizes differ.
-    pub var_dn2: f64,
-    /// Pixels at the largest code.
-    pub saturated: usize,
+    /// The frame before.
+    before: Option<Arc<Frame>>,
     /// Largest code, DN.
     pub full_dn: u16,
+}
+
+impl Picture {
+    /// Mean, DN.
+    pub fn mean_dn(&self) -> f64 {
+        self.frame.pixels.iter().map(|v| f64::from(*v)).sum::<f64>() / self.frame.pixels.len() as f64
+    }
+
+    /// Pixels at the largest code.
+    pub fn saturated(&self) -> usize {
+        self.frame.pixels.iter().filter(|v| **v >= self.full_dn).count()
+    }
+
+    /// Temporal variance of a pixel from this frame and the one before, DN^2; NaN where their sizes differ.
+    pub fn var_dn2(&self) -> f64 {
+        self.before.as_ref().map_or(f64::NAN, |before| difference_variance(before, &self.frame))
+    }
 }
 
 /// What is asked of whoever moves the bench.
@@ -131,6 +146,7 @@ pub struct Live {
     orders: Mutex<Sender<Ordered>>,
     state: Mutex<State>,
     shown: tokio::sync::watch::Sender<u64>,
+    thread: Mutex<Option<std::thread::JoinHandle<()>>>,
     /// What is asked of whoever moves the bench.
     pub operator: Arc<Operator>,
 }
@@ -165,11 +181,24 @@ impl Live {
             orders: Mutex::new(orders),
             state: Mutex::new(State { picture: None, settings, light: 1.0, looked: None, error: None }),
             shown,
+            thread: Mutex::new(None),
             operator: Arc::default(),
         });
         let shared = live.clone();
-        std::thread::spawn(move || Thread { camera, options, live: shared, changed, last: None }.run(&todo));
+        let thread = std::thread::spawn(move || {
+            Thread { camera, options, live: shared, changed, last: None }.run(&todo)
+        });
+        *lock(&live.thread) = Some(thread);
         live
+    }
+
+    /// Stops the camera and lets it go, once the work in flight has ended.
+    pub fn end(&self) {
+        self.operator.answer(false);
+        let _ = self.order(Order::End);
+        if let Some(thread) = lock(&self.thread).take() {
+            let _ = thread.join();
+        }
     }
 
     /// Gives an order and waits for its answer.
@@ -210,14 +239,12 @@ impl Live {
             return;
         }
         *last = Some(Instant::now());
+        // What it says is worked out by whoever looks: this thread may be capturing.
+        let frame = Arc::new(frame.clone());
         let mut state = lock(&self.state);
         let before = state.picture.take();
         let number = before.as_ref().map_or(0, |p| p.number) + 1;
-        let var_dn2 = before.map_or(f64::NAN, |p| difference_variance(&p.frame, frame));
-        let mean_dn = frame.pixels.iter().map(|v| f64::from(*v)).sum::<f64>() / frame.pixels.len() as f64;
-        let saturated = frame.pixels.iter().filter(|v| **v >= full_dn).count();
-        state.picture =
-            Some(Picture { number, frame: Arc::new(frame.clone()), mean_dn, var_dn2, saturated, full_dn });
+        state.picture = Some(Picture { number, frame, before: before.map(|p| p.frame), full_dn });
         drop(state);
         self.shown.send_replace(number);
     }
@@ -253,13 +280,21 @@ impl Thread {
     fn run(mut self, orders: &Orders) {
         loop {
             match orders.recv_timeout(Duration::from_millis(50)) {
-                Ok((order, answer)) => self.carry_out(order, &answer),
+                Ok((order, answer)) => {
+                    if self.carry_out(order, &answer) {
+                        return;
+                    }
+                }
                 Err(RecvTimeoutError::Disconnected) => return,
                 Err(RecvTimeoutError::Timeout) => {}
             }
             while self.live.is_looked_at() {
                 match self.look(orders) {
-                    Ok(Some((order, answer))) => self.carry_out(order, &answer),
+                    Ok(Some((order, answer))) => {
+                        if self.carry_out(order, &answer) {
+                            return;
+                        }
+                    }
                     Ok(None) => break,
                     Err(e) => {
                         lock(&self.live.state).error = Some(e);
@@ -299,8 +334,11 @@ impl Thread {
         }
     }
 
-    fn carry_out(&mut self, order: Order, answer: &Sender<Result<String, String>>) {
+    /// Whether that was the last order.
+    fn carry_out(&mut self, order: Order, answer: &Sender<Result<String, String>>) -> bool {
+        let last = matches!(order, Order::End);
         let said = match order {
+            Order::End => Ok("ended".into()),
             Order::Exposure(s) => {
                 self.camera.set_exposure_s(s).map(|s| format!("exposure {s} s")).map_err(|e| e.to_string())
             }
@@ -318,7 +356,10 @@ impl Thread {
             }
         };
         let _ = answer.send(said);
-        self.refresh();
+        if !last {
+            self.refresh();
+        }
+        last
     }
 
     fn refresh(&mut self) {

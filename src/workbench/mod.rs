@@ -153,6 +153,9 @@ impl Workbench {
         if let Some(job) = &*lock(&self.shared.job) {
             job.stop.store(true, std::sync::atomic::Ordering::Relaxed);
         }
+        if let Some(live) = self.shared.live() {
+            live.end();
+        }
         runtime.shutdown_timeout(std::time::Duration::from_secs(3));
         Ok(())
     }

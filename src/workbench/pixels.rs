@@ -150,19 +150,27 @@ pub async fn live(State(shared): State<Arc<Shared>>, Query(q): Query<After>) -> 
         let error = live.state().2.unwrap_or_else(|| "no picture within 5 s".into());
         return (StatusCode::SERVICE_UNAVAILABLE, format!("{error}\n")).into_response();
     };
-    let bytes: Vec<u8> = p.frame.pixels.iter().flat_map(|v| v.to_le_bytes()).collect();
-    let (rows, columns) = p.frame.pixels.dim();
+    let drawn = aside(move || {
+        let bytes: Vec<u8> = p.frame.pixels.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let (rows, columns) = p.frame.pixels.dim();
+        let says = [
+            ("x-width", columns.to_string()),
+            ("x-height", rows.to_string()),
+            ("x-number", p.number.to_string()),
+            ("x-frame", p.frame.id.to_string()),
+            ("x-mean", format!("{:.2}", p.mean_dn())),
+            ("x-variance", format!("{:.3}", p.var_dn2())),
+            ("x-saturated", p.saturated().to_string()),
+            ("x-full", p.full_dn.to_string()),
+        ];
+        (bytes, says)
+    });
+    let (bytes, says) = match drawn.await {
+        Ok(drawn) => drawn,
+        Err(e) => return refused(&e),
+    };
     let mut answer = ([(header::CONTENT_TYPE, "application/octet-stream")], bytes).into_response();
-    for (name, value) in [
-        ("x-width", columns.to_string()),
-        ("x-height", rows.to_string()),
-        ("x-number", p.number.to_string()),
-        ("x-frame", p.frame.id.to_string()),
-        ("x-mean", format!("{:.2}", p.mean_dn)),
-        ("x-variance", format!("{:.3}", p.var_dn2)),
-        ("x-saturated", p.saturated.to_string()),
-        ("x-full", p.full_dn.to_string()),
-    ] {
+    for (name, value) in says {
         if let Ok(value) = HeaderValue::from_str(&value) {
             answer.headers_mut().insert(HeaderName::from_static(name), value);
         }

@@ -23,3 +23,4 @@ mod support;
 #[cfg(feature = "aravis")]
 mod serve;
 mod source;
+mod workbench;

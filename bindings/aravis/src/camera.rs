@@ -170,6 +170,15 @@ impl Camera {
         self.inner.is_gv_device()
     }
 
+    /// Ends an acquisition, whoever started it.
+    ///
+    /// # Errors
+    ///
+    /// What the camera refuses.
+    pub fn stop_acquisition(&self) -> Result<(), Error> {
+        self.inner.stop_acquisition().named("AcquisitionStop")
+    }
+
     /// Every feature of the description's categories that has a value, whether it can be used now or not.
     pub fn features(&self) -> Vec<Feature> {
         let Some(description) = self.inner.device().and_then(|d| d.genicam()) else { return Vec::new() };

@@ -3,6 +3,12 @@
 (() => {
   // Figures in parts that were replaced.
   document.addEventListener("htmx:load", (e) => window.radcamFigures && window.radcamFigures(e.detail.elt));
+  // The cell that is looked at stays in view, with its new numbers.
+  let cell = "";
+  document.addEventListener("htmx:afterRequest", (e) => { const path = e.detail.pathInfo?.requestPath ?? ""; if (path.startsWith("/cell?")) cell = path; });
+  document.addEventListener("htmx:load", (e) => {
+    if (cell && e.detail.elt.id === "main" && document.querySelector("#cell")) htmx.ajax("GET", cell, { target: "#cell", swap: "innerHTML" });
+  });
   // An answer that is no page, such as a lost server, is said.
   const say = (text) => {
     let p = document.querySelector("#status .lost");

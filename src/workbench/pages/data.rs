@@ -43,8 +43,8 @@ fn body(dataset: &Dataset) -> Markup {
                 canvas #v-image tabindex="0" role="img" aria-label="The image. Arrow keys move the view, plus and minus zoom, and the pixel in the middle is read." {}
                 div.side {
                     p #v-pixel aria-live="polite" { "Point at a pixel." }
-                    h3 { "Histogram" } canvas #v-histogram width="300" height="140" role="img" aria-label="histogram of the image" {}
-                    h3 { "Row and column through the pixel" } canvas #v-profile width="300" height="160" role="img" aria-label="profiles through the pixel" {}
+                    h2 { "Histogram" } canvas #v-histogram width="300" height="140" role="img" aria-label="histogram of the image" {}
+                    h2 { "Row and column through the pixel" } canvas #v-profile width="300" height="160" role="img" aria-label="profiles through the pixel" {}
                     p #v-statistics.note {}
                 }
             }

@@ -8,6 +8,7 @@ use crate::report::candidates::candidate;
 use crate::report::heat;
 use crate::report::ladder::ladder;
 use crate::report::plot::wide;
+use crate::report::scrolled;
 use crate::study::{Judgement, decisive, plot_of};
 use crate::workbench::desk::{Data, Desk, Found, Judged};
 use crate::workbench::steps::{Entry, Step, folder_of};
@@ -210,7 +211,7 @@ fn cell_button(r: &Residual, number: &str) -> Markup {
     };
     let set = r.set.map_or(String::new(), |s| format!("&set={s}"));
     let address = format!("/cell?statistic={}{set}", query(&r.observable));
-    html! { button.cell hx-get=(address) hx-target="#cell" hx-swap="innerHTML" aria-label=(heat::words(r)) { (number) } }
+    html! { button.cell hx-get=(address) hx-target="#cell" hx-swap="innerHTML" aria-label={ (number) " " (heat::words(r)) } { (number) } }
 }
 
 /// A cell of the picture.
@@ -254,7 +255,7 @@ fn detail(q: &Cell, now: &Judged, first: &Judged, rungs: Vec<Rung>) -> Markup {
             p.note { "A deviation means: " (any.meaning) "." }
             div.columns {
                 div { @if let Some(plot) = plot_of(&judgement, &q.statistic) { (wide(&plot)) } @else { p.note { "It belongs to the whole campaign: no curve over the level." } } }
-                table {
+                (scrolled("numbers of both halves", html! { table {
                     thead { tr { th.text { "frames" } th { "measured" @if !any.unit.is_empty() { " (" (pretty(&any.unit)) ")" } } th { "expected" @if both { " first, now" } } th { "residual (σ)" @if both { " first, now" } } } }
                     @for (k, (b, a)) in before.iter().zip(&after).enumerate() {
                         tr {
@@ -264,7 +265,7 @@ fn detail(q: &Cell, now: &Judged, first: &Judged, rungs: Vec<Rung>) -> Markup {
                             td.number { @if both { (format!("{:+.1}, ", b.z)) } (format!("{:+.1}", a.z)) }
                         }
                     }
-                }
+                } }))
             }
         }
     }
@@ -303,7 +304,7 @@ fn own() -> Markup {
             "A formula gives the change of a statistic (mean in DN, the others in DN²) in terms of mu (mean above the black level, DN), exposure (s), "
             "illumination and the parameters. The same formulas stand in model files and in simulated cameras."
         }
-        form.own hx-post="/model/try" hx-target="#tried" hx-swap="innerHTML" {
+        form.own #own hx-preserve="true" hx-post="/model/try" hx-target="#tried" hx-swap="innerHTML" {
             label { "Name" input name="name" value="extra-variance" required; }
             label { "It changes" select name="target" { @for t in targets { option selected[t == "variance"] { (t) } } } }
             label.long { "by" input name="formula" value="k * mu^2" required spellcheck="false"; }
@@ -313,6 +314,6 @@ fn own() -> Markup {
                 button type="button" hx-post="/model/own" hx-include="closest form" hx-target="#main" hx-swap="outerHTML" { "Add" }
             }
         }
-        div #tried aria-live="polite" {}
+        div #tried hx-preserve="true" aria-live="polite" {}
     }
 }

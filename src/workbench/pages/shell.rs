@@ -70,14 +70,14 @@ pub fn status(shared: &Arc<Shared>) -> Markup {
     let question = shared.live().and_then(|l| l.operator.question());
     let error = shared.desk().error.clone().or_else(|| shared.live().and_then(|l| l.state().2));
     html! {
-        div #status aria-live="polite" {
+        div #status {
             @if let Some(job) = &job {
                 @let (done, of) = job.progress();
                 p.job {
                     span { (job.what) @if of > 0 { ": " (done) " of " (of) } @else { " …" } }
                     @if of > 0 { progress value=(done) max=(of) aria-label=(job.what) {} } @else { progress aria-label=(job.what) {} }
                     @if job.is_stopped() { span { "ends soon" } }
-                    @else { button hx-post="/job/cancel" hx-target="#status" hx-swap="outerHTML" { "Cancel" } }
+                    @else { button #cancel hx-post="/job/cancel" hx-target="#status" hx-swap="outerHTML" { "Cancel" } }
                 }
             }
             @if let Some(question) = &question {

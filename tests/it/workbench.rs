@@ -1,0 +1,264 @@
+//! The workbench: who it answers, and the whole story in a browser.
+
+use crate::support::{expect, program, shared};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+/// A copy of a practice dataset, since the workbench keeps its steps beside the frames.
+fn copy(name: &str, to: &Path) -> Option<PathBuf> {
+    let from = shared("practice")?.join(name);
+    let done = Command::new("cp").arg("-r").arg(from).arg(to).status().unwrap();
+    assert!(done.success());
+    Some(to.join(name))
+}
+
+/// A running workbench; ended when it is dropped.
+struct Running {
+    child: Child,
+    host: String,
+    token: String,
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Running {
+    fn start(arguments: &[&str]) -> Self {
+        let mut child = program().arg("workbench").args(arguments).stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let (host, token) = line.trim().trim_start_matches("http://").split_once("/?token=").unwrap();
+        Self { host: host.into(), token: token.into(), child }
+    }
+
+    /// Status and text of an answer; of a name in `headers` that is Host, that is the host.
+    fn ask(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> (u16, String) {
+        let mut stream = TcpStream::connect(self.host.replace("0.0.0.0", "127.0.0.1")).unwrap();
+        let host = headers.iter().find(|h| h.0 == "Host").map_or(&*self.host, |h| h.1);
+        let mut text =
+            format!("{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nContent-Length: 0\r\n");
+        for (name, value) in headers.iter().filter(|h| h.0 != "Host") {
+            text += &format!("{name}: {value}\r\n");
+        }
+        stream.write_all(format!("{text}\r\n").as_bytes()).unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        let answer = String::from_utf8_lossy(&answer).into_owned();
+        (answer.split_whitespace().nth(1).unwrap().parse().unwrap(), answer)
+    }
+
+    fn cookie(&self) -> String {
+        format!("radcam-{}={}", self.host.rsplit_once(':').unwrap().1, self.token)
+    }
+}
+
+/// Without the token, from another page, under another name or by a path that leaves the dataset it refuses; with what the browser was given it
+/// answers.
+#[test]
+fn it_answers_to_nobody_else() {
+    let dir = tempfile::tempdir().unwrap();
+    let Some(dataset) = copy("clean", dir.path()) else { return };
+    let w = Running::start(&[dataset.to_str().unwrap()]);
+    assert!(w.host.starts_with("127.0.0.1:"), "{}", w.host);
+    assert!(w.token.len() == 32 && w.token.bytes().all(|b| b.is_ascii_hexdigit()));
+    let cookie = w.cookie();
+    let me = ("Cookie", &*cookie);
+    let home = format!("http://{}", w.host);
+    // The address that was printed gives the cookie, and leaves the address.
+    let (status, text) = w.ask("GET", &format!("/?token={}", w.token), &[]);
+    assert_eq!(status, 303);
+    assert!(text.contains("HttpOnly; SameSite=Strict") && text.contains("location: /\r\n"), "{text}");
+    let (status, text) = w.ask("GET", "/", &[me]);
+    assert!(
+        status == 200 && text.contains("default-src 'none'") && text.contains("frame-ancestors 'none'"),
+        "{text}"
+    );
+    assert_eq!(w.ask("POST", "/model/undo", &[me, ("Origin", &home)]).0, 200);
+    let wrong = format!("{}0", &cookie[..cookie.len() - 1]);
+    let wrong = if wrong == cookie { format!("{}1", &cookie[..cookie.len() - 1]) } else { wrong };
+    let name = format!("radcam.example:{}", w.host.rsplit_once(':').unwrap().1);
+    let rebound = format!("http://{name}");
+    for (why, method, path, headers, expected) in [
+        ("no token", "GET", "/", vec![], 403),
+        ("wrong token", "GET", "/?token=00000000000000000000000000000000", vec![], 403),
+        ("wrong cookie", "GET", "/", vec![("Cookie", &*wrong)], 403),
+        ("no token for pixels", "GET", "/pixels?set=0", vec![], 403),
+        ("another origin", "POST", "/model/undo", vec![me, ("Origin", "http://evil.example")], 403),
+        ("a page without origin", "POST", "/model/undo", vec![me, ("Origin", "null")], 403),
+        (
+            "another site's picture",
+            "GET",
+            "/thumbnail?set=0",
+            vec![me, ("Sec-Fetch-Site", "cross-site")],
+            403,
+        ),
+        ("another name", "GET", "/", vec![me, ("Host", &*name)], 421),
+        (
+            "another name, as its own origin",
+            "POST",
+            "/model/undo",
+            vec![me, ("Host", &*name), ("Origin", &*rebound)],
+            421,
+        ),
+        ("a path", "GET", "/../../etc/passwd", vec![me], 404),
+        ("a path in disguise", "GET", "/%2e%2e/%2e%2e/etc/passwd", vec![me], 404),
+        ("a path for a set", "GET", "/pixels?set=..%2F..%2Fetc%2Fpasswd", vec![me], 400),
+        ("a set that is not there", "GET", "/pixels?set=9999", vec![me], 404),
+        ("a frame that is not there", "GET", "/pixels?set=0&index=9999", vec![me], 404),
+        ("no number", "GET", "/events?seen=x", vec![me], 400),
+    ] {
+        let (status, text) = w.ask(method, path, &headers);
+        assert_eq!(status, expected, "{why}: {text}");
+        assert!(!text.contains("root:") && !text.contains("panicked"), "{why}: {text}");
+    }
+}
+
+/// Another interface needs a flag, and a warning is printed.
+#[test]
+fn another_interface_is_warned_of() {
+    let dir = tempfile::tempdir().unwrap();
+    let Some(dataset) = copy("clean", dir.path()) else { return };
+    let mut child = program()
+        .args(["workbench", dataset.to_str().unwrap(), "--listen", "0.0.0.0"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    child.kill().unwrap();
+    let mut said = String::new();
+    child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+    child.wait().unwrap();
+    assert!(line.starts_with("http://0.0.0.0:"), "{line}");
+    assert!(said.contains("nothing is encrypted"), "{said}");
+}
+
+/// The browser's script; says so where there is no browser.
+fn browser(arguments: &[&str]) -> Option<serde_json::Value> {
+    let Some(venv) = std::env::var_os("RADCAM_TEST_BROWSER") else {
+        println!("SKIPPED: RADCAM_TEST_BROWSER names no environment with Selenium (.ci/test makes one)");
+        return None;
+    };
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/outside/workbench.py");
+    let output =
+        Command::new(Path::new(&venv).join("bin/python")).arg(script).args(arguments).output().unwrap();
+    let err = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{arguments:?}: {err}");
+    let seen: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(seen["foreign"], serde_json::json!([]), "requests that left this machine");
+    assert_eq!(seen["console"], serde_json::json!([]), "errors on the console");
+    assert_eq!(seen["wide"], serde_json::json!([]), "wider than the window");
+    for violation in seen["violations"].as_array().unwrap() {
+        assert!(!["serious", "critical"].contains(&violation[2].as_str().unwrap_or("")), "axe: {violation}");
+    }
+    Some(seen)
+}
+
+fn radcam_path() -> String {
+    program().get_program().to_string_lossy().into_owned()
+}
+
+/// Open, see the misfit, read the evidence, add, watch the error fall, switch, undo, try a formula, reload, second tab, restart; and the error on the
+/// page is the one that `radcam compare` prints of the model that was kept, to the last digit.
+#[test]
+fn the_whole_story_in_a_browser() {
+    let dir = tempfile::tempdir().unwrap();
+    let Some(dataset) = copy("interpixel-crosstalk", dir.path()) else { return };
+    let path = dataset.to_str().unwrap();
+    let Some(seen) = browser(&["story", &radcam_path(), path]) else { return };
+    let number = |name: &str| seen[name].as_f64().unwrap_or_else(|| panic!("{name} of {seen}"));
+    assert!(!seen["address"].as_str().unwrap().contains("token"), "the token stays in no history");
+    assert_eq!(seen["heading"], "The camera shows interpixel-crosstalk");
+    let sentence = seen["sentence"].as_str().unwrap();
+    assert!(
+        sentence.contains("a = 0.0117") && sentence.contains("% too low") && sentence.contains("Remedy"),
+        "{sentence}"
+    );
+    let error = |arguments: &[&str], code| -> f64 {
+        let said: serde_json::Value = serde_json::from_str(&expect(code, arguments)).unwrap();
+        said["error"].as_f64().unwrap()
+    };
+    assert_eq!(number("error_before"), error(&["compare", path, "--json"], 1));
+    let model = dataset.join("workbench/model.toml");
+    assert_eq!(
+        number("error_after"),
+        error(&["compare", path, "--model", model.to_str().unwrap(), "--json"], 0)
+    );
+    for same in ["error_reloaded", "error_second_tab", "error_restarted"] {
+        assert_eq!(number(same), number("error_after"), "{same}");
+    }
+    assert_eq!(number("error_switched_off"), number("error_before"));
+    assert_eq!(number("rungs"), 2.0);
+    let cell = seen["cell"].as_str().unwrap();
+    assert!(
+        cell.contains("covariance") && cell.contains("first half") && cell.contains("measured"),
+        "{cell}"
+    );
+    assert!(seen["refused"].as_str().unwrap().contains("nonsense"), "{}", seen["refused"]);
+    assert!(seen["tried"].as_str().unwrap().contains("without it"), "{}", seen["tried"]);
+}
+
+/// A dataset that cannot be read says why, with file and line.
+#[test]
+fn a_bad_dataset_shows_its_error() {
+    let dir = tempfile::tempdir().unwrap();
+    let Some(dataset) = copy("clean", dir.path()) else { return };
+    let rows = std::fs::read_to_string(dataset.join("frames.csv")).unwrap();
+    std::fs::write(dataset.join("frames.csv"), rows.replacen(",dark,", ",dusk,", 1)).unwrap();
+    let Some(seen) = browser(&["broken", &radcam_path(), dataset.to_str().unwrap()]) else { return };
+    let said = seen["said"].as_str().unwrap();
+    assert!(said.contains("frames.csv") && said.contains("dusk"), "{said}");
+}
+
+/// Reports fetch nothing, fit a phone and have no violation: of a diagnosis, of a table, of the datasheet.
+#[test]
+fn reports_are_sound_pages() {
+    let Some(practice) = shared("practice") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let page = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    let at = |name: &str| practice.join(name).to_str().unwrap().to_string();
+    expect(1, &["report", &at("row-noise"), "-o", &page("effect.html")]);
+    expect(0, &["report", &at("clean"), "-o", &page("clean.html")]);
+    expect(1, &["report", &at("table-two-lamps.csv"), "-o", &page("table.html")]);
+    expect(0, &["noise", &at("clean"), "--report", &page("noise.html")]);
+    browser(&["pages", &page("effect.html"), &page("clean.html"), &page("table.html"), &page("noise.html")]);
+}
+
+/// A served camera: live picture, settings, a capture that is cancelled and goes on, and its verdict.
+#[cfg(feature = "aravis")]
+#[test]
+fn serve_a_camera_to_the_workbench() {
+    if std::env::var_os("RADCAM_TEST_BROWSER").is_none() {
+        println!("SKIPPED: RADCAM_TEST_BROWSER names no environment with Selenium (.ci/test makes one)");
+        return;
+    }
+    let _port = crate::support::gige_port();
+    let dir = tempfile::tempdir().unwrap();
+    let sensor = crate::support::small_sensor(dir.path(), "cmos12", 256, 192);
+    let mut served = program()
+        .args(["serve", sensor.to_str().unwrap(), "--interface", "127.0.0.1", "--serial", "BROWSE"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    BufReader::new(served.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let folder = dir.path().join("captured");
+    let seen = browser(&["camera", &radcam_path(), "aravis:127.0.0.1", folder.to_str().unwrap()]);
+    served.kill().unwrap();
+    served.wait().unwrap();
+    let seen = seen.unwrap();
+    assert_eq!(seen["empty"], "Nothing is captured yet");
+    assert!(seen["set"].as_str().unwrap().contains("exposure 0.002 s"), "{}", seen["set"]);
+    assert!(seen["refused"].as_str().unwrap().contains("much"), "{}", seen["refused"]);
+    assert!(seen["cancelled"].as_str().unwrap().contains("cancelled"), "{}", seen["cancelled"]);
+    assert_eq!(seen["heading"], "The model describes the camera");
+    // Whatever was cancelled, the campaign is whole.
+    assert_eq!(std::fs::read_to_string(folder.join("frames.csv")).unwrap().lines().count(), 241);
+}
