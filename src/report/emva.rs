@@ -6,7 +6,7 @@ use crate::emva::names::{GROUPS, Name};
 use crate::emva::{Evaluation, Limit, Points};
 use crate::number::Quantity;
 use crate::plot::Plot;
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 
 /// What stands at the head.
 #[derive(Debug)]
@@ -34,11 +34,11 @@ th.group { text-align: left; padding-top: .8rem; color: var(--ink); }
 .facts div { display: flex; justify-content: space-between; gap: 1rem; border-bottom: 1px solid var(--line); padding: .2rem 0; }
 .facts dt { color: var(--soft); } .facts dd { margin: 0; text-align: right; overflow-wrap: anywhere; }
 .notes li { margin: .3rem 0; } code { overflow-wrap: anywhere; font-size: .85em; }
-@media (max-width: 46rem) { .summary, .plots { grid-template-columns: 1fr; } table { display: block; overflow-x: auto; } }
+@media screen and (max-width: 46rem) { .summary, .plots { grid-template-columns: 1fr; } table { display: block; overflow-x: auto; } }
 @page { size: A4; margin: 13mm 12mm; }
 @media print { :root { --ink: #000; --soft: #444; --line: #ccc; --page: #fff; --card: #fff; --c0: #0072b2; --c1: #d55e00; --c2: #009e73;
   --c3: #b58900; --c4: #6b6b6b; } body { font-size: 9pt; margin: 0; max-width: none; padding: 0; } h2 { margin: 1rem 0 .4rem; }
-  .page { break-before: page; } .summary { grid-template-columns: minmax(0, .8fr) minmax(0, 1.2fr); gap: 4mm; }
+  .summary { grid-template-columns: minmax(0, .8fr) minmax(0, 1.2fr); gap: 4mm; }
   .plots { grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 2mm 6mm; } td, th { padding: .06rem .25rem; } td.small { font-size: 7.5pt; } .facts div { padding: .05rem 0; } .legend { font-size: 7.5pt; } }
 ";
 
@@ -161,16 +161,7 @@ pub fn html(head: &Head<'_>, points: &Points, e: &Evaluation, plots: &[Plot]) ->
         format!("EMVA 1288 datasheet: {}", camera.trim())
     };
     let first: Vec<&Plot> = plots.iter().filter(|p| ["photon-transfer", "snr"].contains(&&*p.id)).collect();
-    html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                title { (title) }
-                style { (PreEscaped(super::STYLE)) (PreEscaped(STYLE)) }
-            }
-            body {
+    let body = html! {
                 h1 { (title) }
                 p.sub { (head.source) }
                 (facts(head, points, e))
@@ -215,8 +206,6 @@ pub fn html(head: &Head<'_>, points: &Points, e: &Evaluation, plots: &[Plot]) ->
                     "Standard errors are those of the measurement; bands and bars show one of them. The numbers of each plot are in plots/*.csv, all "
                     "quantities in quantities.csv and emva.json."
                 }
-            }
-        }
-    }
-    .into_string()
+    };
+    super::styled(&title, STYLE, body)
 }

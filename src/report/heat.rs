@@ -105,7 +105,7 @@ pub fn picture(c: &Comparison, title: &str, kind: &dyn Fn(u32) -> Option<Kind>, 
                         tr { td.corner {} @for (name, n) in &groups { th.group colspan=(n) { (name) } } }
                     }
                     tr.turned {
-                        th scope="row" { "level (DN)" }
+                        th.corner scope="row" { "level (DN)" }
                         @for c in &columns { th scope="col" { span { (level(c.level_dn)) } } }
                     }
                     tr { th scope="row" { "set" } @for c in &columns { th { (c.set) } } }

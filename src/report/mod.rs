@@ -38,6 +38,11 @@ pub(crate) fn scrolled(label: &str, body: Markup) -> Markup {
 
 /// A document whose body says everything.
 fn document(title: &str, body: Markup) -> String {
+    styled(title, "", body)
+}
+
+/// A document with a style of its own beside that of all.
+fn styled(title: &str, style: &str, body: Markup) -> String {
     html! {
         (DOCTYPE)
         html lang="en" {
@@ -46,7 +51,7 @@ fn document(title: &str, body: Markup) -> String {
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 meta http-equiv="Content-Security-Policy" content=(POLICY);
                 title { (title) }
-                style { (PreEscaped(STYLE)) }
+                style { (PreEscaped(STYLE)) (PreEscaped(style)) }
             }
             body {
                 main { (body) }
