@@ -37,6 +37,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         bail!("name a dataset, or a camera with --camera");
     }
     let address = arguments.listen.unwrap_or(Ipv4Addr::LOCALHOST.into());
+    if address.is_unspecified() {
+        bail!("--listen {address}: name the address of one interface, by which the browser will call");
+    }
     if !address.is_loopback() {
         tracing::warn!(
             "{address} is not this machine's own: whoever reads the network sees the page and its token, since nothing is encrypted"

@@ -133,14 +133,27 @@ fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
     let mut z = vec![0.0; unseen.layout.rows.len()];
     let mut wider_by = vec![1.0; z.len()];
     for (r, (o, e)) in unseen.layout.rows.iter().zip(&unseen.state.expected).enumerate() {
-        let Some((own_z, wider)) = unseen.judged(r, o, e).filter(|(z, _)| z.is_finite()) else { continue };
-        out.push(residual(all, o, e.value, e.std_err * wider, own_z, &levels));
+        let Some(Own { z: own_z, wider, shift }) = unseen.judged(r, o, e).filter(|own| own.z.is_finite())
+        else {
+            continue;
+        };
+        out.push(residual(all, o, e.value + shift, e.std_err * wider, own_z, &levels));
         places.push(r);
         (z[r], wider_by[r]) = (own_z, wider);
     }
     White::new(&unseen.layout, &unseen.state.expected, |r| wider_by[r]).apply(&mut z, 1);
     places.iter().zip(&mut out).for_each(|(r, residual)| residual.independent_z = z[*r]);
     out
+}
+
+/// A row of the half that was not fitted.
+struct Own {
+    /// Standardised residual.
+    z: f64,
+    /// By how much its error is wider than that of the expectation.
+    wider: f64,
+    /// What the light's setting, which the other half tells, moves the expectation by, in its unit.
+    shift: f64,
 }
 
 /// A fit to one half, and what it expects of the other.
@@ -182,9 +195,8 @@ impl<'a> Unseen<'a> {
         Self { all, fitted, layout, state, slopes, light, lights, told, scatter }
     }
 
-    /// The standardised residual of a row, and by how much its error is wider than that of the expectation; `None` of light levels that only
-    /// one half has.
-    fn judged(&self, r: usize, o: &Observable, e: &Expected) -> Option<(f64, f64)> {
+    /// The standardised residual of a row; `None` of light levels that only one half has.
+    fn judged(&self, r: usize, o: &Observable, e: &Expected) -> Option<Own> {
         let level = o.set.and_then(|s| self.all.campaign.sets[s].light);
         let sees_light = o.statistic.sees_light();
         if sees_light && level.is_some_and(|l| !self.lights[l]) {
@@ -195,14 +207,15 @@ impl<'a> Unseen<'a> {
         let factor = level.and_then(|l| self.fitted.free.light_of_level.get(l).copied().flatten());
         let by_light = row[self.light];
         let mut variance = 1.0 + self.fitted.covariance.of(row, factor.map(|k| (k, by_light))).max(0.0);
-        let mut z = e.z();
+        let (mut z, mut by_setting) = (e.z(), 0.0);
         if let Some(set) = o.set.filter(|s| sees_light && self.scatter[*s] > 0.0) {
             // A setting is told by the frames of the set that the fit saw, and else it is as nominal.
             let (shift, left) = self.told.get(&set).copied().unwrap_or((0.0, self.scatter[set]));
             z -= by_light * shift;
+            by_setting = by_light * shift * e.std_err;
             variance += by_light * by_light * left;
         }
-        Some((z / variance.sqrt(), variance.sqrt()))
+        Some(Own { z: z / variance.sqrt(), wider: variance.sqrt(), shift: by_setting })
     }
 }
 

@@ -77,6 +77,11 @@ fn worst<'r>(residuals: &'r [Residual], name: &str, set: u32) -> Option<&'r Resi
     of.max_by(|a, b| a.z.abs().total_cmp(&b.z.abs()))
 }
 
+/// A cell of a page that answers to nothing: its number, and in words for whoever does not see it.
+pub fn plain(r: &Residual, number: &str) -> Markup {
+    html! { (number) @if !number.is_empty() { span.hidden { " " (words(r)) } } }
+}
+
 /// Draws a cell where the caller wants more than a cell.
 pub type Cell<'a> = dyn Fn(&Residual, &str) -> Markup + 'a;
 

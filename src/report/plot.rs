@@ -115,7 +115,9 @@ fn path(points: impl Iterator<Item = (f64, f64)>) -> String {
 }
 
 fn drawn(s: &Series, colour: &str, x: &Scale, y: &Scale) -> Markup {
-    let seen = |p: &&[f64; 3]| x.holds(p[0]) && p[1].is_finite() && (!y.log || p[1] > 0.0);
+    let seen = |p: &&[f64; 3]| {
+        x.holds(p[0]) && p[1].is_finite() && (!y.log || p[1] > 0.0 || s.shape == Shape::Steps)
+    };
     let points: Vec<&[f64; 3]> = s.points.iter().filter(seen).collect();
     let place = |p: &[f64; 3]| (x.px(p[0]), y.px(p[1]));
     match s.shape {

@@ -15,6 +15,9 @@ use crate::study::Study;
 use maud::{Markup, PreEscaped, html};
 use std::collections::BTreeMap;
 
+/// Defects that are listed.
+const LISTED: usize = 40;
+
 /// Kinds of the sets of a campaign, by their numbers.
 pub fn kinds(all: &Observations) -> BTreeMap<u32, Kind> {
     all.set_numbers.iter().copied().zip(all.kinds.iter().copied()).collect()
@@ -24,8 +27,8 @@ pub fn kinds(all: &Observations) -> BTreeMap<u32, Kind> {
 pub fn html(s: &Study, kinds: &BTreeMap<u32, Kind>) -> String {
     let j = &s.judgement;
     let json = serde_json::to_string(&s.numbers()).unwrap_or_default();
-    // A name cannot end the element that holds it.
-    let json = json.replace("</", "<\\/");
+    // No name can end the element that holds it, or begin a comment in it.
+    let json = json.replace('<', "\\u003c");
     let body = html! {
         p.sub { (title(s)) }
         h1 { (s.heading) }
@@ -55,7 +58,7 @@ pub fn html(s: &Study, kinds: &BTreeMap<u32, Kind>) -> String {
         h2 #residuals { "Residuals" }
         @for (c, name) in j.comparisons.iter().zip(["The model as given", "The model with what was found"]).take(if j.missing.is_empty() { 1 } else { 2 }) {
             h3.picture { (name) ": error " (format!("{:.2}", c.error)) ", p " (chance(c.p_value)) }
-            (heat::picture(c, name, &|set| kinds.get(&set).copied(), &|_, number| html! { (number) }))
+            (heat::picture(c, name, &|set| kinds.get(&set).copied(), &heat::plain))
         }
         @if !s.plots.is_empty() {
             h2 #camera { "The camera" }
@@ -68,6 +71,13 @@ pub fn html(s: &Study, kinds: &BTreeMap<u32, Kind>) -> String {
         @if s.images.dark.is_some() || s.images.response.is_some() {
             h2 #images { "Images" }
             div.maps { @for m in [&s.images.dark, &s.images.response].into_iter().flatten() { (images::map(m)) } }
+        }
+        @if !s.images.defects.is_empty() {
+            h3.picture { (s.images.defects.len()) " defective pixels" }
+            p {
+                @for (x, y, what) in s.images.defects.iter().take(LISTED) { span.defect { "x " (x) ", y " (y) ": " (what) "; " } }
+                @if s.images.defects.len() > LISTED { "and " (s.images.defects.len() - LISTED) " more, on the page of defects of the calibration" }
+            }
         }
         @if !s.statistics.is_empty() {
             h2 #statistics { "Every statistic" }

@@ -7,6 +7,7 @@ use crate::emva::power;
 use crate::noise::{LevelReport, NoiseReport};
 use crate::observables::Observations;
 use crate::plot::{Axis, Plot, Series, Shape, axis, level, log, series};
+use crate::statistics::median::median;
 use ndarray::Array2;
 
 const SIGNAL: &str = "mean above the black level (DN)";
@@ -54,7 +55,7 @@ fn photon_transfer(n: &NoiseReport) -> Vec<Plot> {
     let covariance = n.estimators.iter().find(|e| e.gain_dn_per_e.value == a).map_or(0.0, |e| e.covariance);
     let (va, vc) = (n.gain_dn_per_e.std_err.powi(2), n.constant_noise_var_dn2.std_err.powi(2));
     let end = n.levels.iter().map(|l| l.mean_dn).fold(1.0, f64::max);
-    let fit = |x: f64| [x, a * x + c, (va * x * x + 2.0 * covariance * x + vc).max(0.0).sqrt()];
+    let fit = |x: f64| [x, a * x + c, (va * x * x + 2.0 * covariance * x + vc).sqrt()];
     let line: Vec<[f64; 3]> = (0..=60).map(|i| fit(end * f64::from(i) / 60.0)).collect();
     let low = n.levels.iter().map(|l| l.mean_dn).filter(|m| *m > 0.0).fold(end, f64::min).max(end * 1e-4);
     let curve: Vec<[f64; 3]> = (0..=60).map(|i| fit(low * (end / low).powf(f64::from(i) / 60.0))).collect();
@@ -134,23 +135,30 @@ fn linearity(all: &Observations, j: &Judgement) -> Vec<Plot> {
         return Vec::new();
     }
     let Some(first) = j.comparisons.first() else { return Vec::new() };
-    let light = |set: u32| {
+    // What the dark of the same exposure has above the black level is no answer to light (EMVA 1288 release 4.0 Linear, section 6.4).
+    let dark_dn_per_s = j.fitted.as_ref().map_or(0.0, |f| f.base.gain_dn_per_e * f.base.dark_e_per_s);
+    let setting = |set: u32| {
         let place = all.set_numbers.iter().position(|n| *n == set)?;
         let info = &all.campaign.sets[place];
-        (all.kinds[place] == Kind::Flat).then_some(info.exposure_s * info.illumination)
+        (all.kinds[place] == Kind::Flat)
+            .then_some((info.exposure_s * info.illumination, dark_dn_per_s * info.exposure_s))
     };
     let points: Vec<[f64; 3]> = of_statistic(first, "mean")
         .into_iter()
-        .filter_map(|l| Some([light(l.set)?, l.level_dn, l.std_err]))
+        .filter_map(|l| setting(l.set).map(|(light, dark)| [light, l.level_dn - dark, l.std_err]))
         .filter(|p| p[0] > 0.0 && p[1] > 0.0)
         .collect();
     if points.len() < 3 {
         return Vec::new();
     }
-    // Relative deviations weigh alike (release 4.0 Linear of EMVA 1288, section 6.7, fits so too); above nine tenths of the brightest level the
-    // range may end.
+    // From 5 to 95 % of the range, every relative deviation alike, as EMVA 1288 fits (release 4.0 Linear, section 6.7); where the range ends is
+    // not known here: 95 % of the brightest level.
     let top = points.iter().map(|p| p[1]).fold(0.0, f64::max);
-    let fitted: Vec<&[f64; 3]> = points.iter().filter(|p| p[1] < 0.9 * top).collect();
+    let fitted: Vec<&[f64; 3]> =
+        points.iter().filter(|p| (0.05 * top..=0.95 * top).contains(&p[1])).collect();
+    if fitted.is_empty() {
+        return Vec::new();
+    }
     let slope = fitted.iter().map(|p| p[1] / p[0]).sum::<f64>() / fitted.len() as f64;
     let end = points.iter().map(|p| p[0]).fold(0.0, f64::max);
     let off =
@@ -191,11 +199,9 @@ fn dark_current(all: &Observations, j: &Judgement) -> Option<Plot> {
     if darks.iter().all(|p| p[0] == end) {
         return None;
     }
-    let (b, e) = (&f.base, &f.base_std_err);
+    let b = &f.base;
     let rate = b.gain_dn_per_e * b.dark_e_per_s;
-    let error = b.gain_dn_per_e * e[3];
-    let line = (0..=20).map(|i| end * f64::from(i) / 20.0);
-    let line = line.map(|x| [x, b.offset_dn + rate * x, e[2].hypot(error * x)]).collect();
+    let line = vec![[0.0, b.offset_dn, f64::NAN], [end, b.offset_dn + rate * end, f64::NAN]];
     Some(plot(
         "dark-current",
         "Dark signal against exposure",
@@ -272,11 +278,7 @@ fn occupancy(codes: &[u64]) -> Vec<Plot> {
             "How often codes occur",
             axis("code (DN)"),
             log(title("first frames")),
-            vec![series(
-                "first frame of every set",
-                Shape::Steps,
-                all.into_iter().filter(|p| p[1] > 0.0).collect(),
-            )],
+            vec![series("first frame of every set", Shape::Steps, all)],
         ),
         plot(
             "codes-near",
@@ -306,6 +308,9 @@ fn budget(n: &NoiseReport, images: &Images, calibration: Option<&Calibration>) -
     ] {
         let Some(map) = map else { continue };
         let spread = map.nonuniformity().0;
+        if !spread.is_finite() {
+            continue;
+        }
         let part = |x: f64| if map.unit.is_empty() { (spread * x).powi(2) } else { spread * spread };
         total.iter_mut().for_each(|p| p[1] += part(p[0]));
         if spread > 0.0 {
@@ -322,21 +327,37 @@ fn budget(n: &NoiseReport, images: &Images, calibration: Option<&Calibration>) -
     ))
 }
 
+/// Spreads on either side of the median that a histogram shows.
+const REACH: f64 = 10.0;
 /// Bins of a histogram.
 const BINS: usize = 128;
 
 fn histogram(id: &'static str, title: &'static str, map: &Map) -> Plot {
-    let (low, high) =
-        map.values.iter().filter(|v| v.is_finite()).fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| {
-            (a.min(f64::from(*v)), b.max(f64::from(*v)))
-        });
+    let sound = || map.values.iter().map(|v| f64::from(*v)).filter(|v| v.is_finite());
+    let (least, most) = sound().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+    // A hot pixel must not press all others into one bin.
+    let middle = median(sound());
+    let reach = if map.spread > 0.0 { REACH * map.spread } else { f64::INFINITY };
+    let (low, high) = (least.max(middle - reach), most.min(middle + reach));
     let width = ((high - low) / BINS as f64).max(1e-12);
     let mut counts = vec![0.0; BINS];
-    for v in map.values.iter().filter(|v| v.is_finite()) {
-        counts[(((f64::from(*v) - low) / width) as usize).min(BINS - 1)] += 1.0;
+    let (mut below, mut above) = (0, 0);
+    for v in sound() {
+        match v {
+            v if v < low => below += 1,
+            v if v > high => above += 1,
+            v => counts[(((v - low) / width) as usize).min(BINS - 1)] += 1.0,
+        }
     }
-    let steps = counts.iter().enumerate().filter(|(_, n)| **n > 0.0);
-    let steps = steps.map(|(k, n)| [low + width * k as f64, *n, f64::NAN]).collect();
-    let x = if map.unit.is_empty() { "value".to_string() } else { format!("value ({})", map.unit) };
-    plot(id, title, axis(x), log("pixels"), vec![series("pixels", Shape::Steps, steps)])
+    let steps = counts.iter().enumerate().map(|(k, n)| [low + width * k as f64, *n, f64::NAN]).collect();
+    let unit = if map.unit.is_empty() { String::new() } else { format!(" ({})", map.unit) };
+    let beyond =
+        if below + above > 0 { format!("; {below} pixels below, {above} above") } else { String::new() };
+    plot(
+        id,
+        title,
+        axis(format!("value{unit}{beyond}")),
+        log("pixels"),
+        vec![series("pixels", Shape::Steps, steps)],
+    )
 }

@@ -122,7 +122,7 @@ pub fn plot_of(j: &Judgement, name: &str) -> Option<Plot> {
         id: format!("statistic-{}", slug(name)).into(),
         title: name.to_string().into(),
         x: axis("level (DN above the black level)"),
-        y: axis(format!("less the model as given{unit}")),
+        y: axis(format!("measured − expected as given{unit}")),
         series: all,
         y_range: None,
     })

@@ -1,5 +1,6 @@
 //! The dark image and the response of every pixel, as pictures with a scale, and how their values are distributed.
 
+use crate::calibrate::defects::{DEAD, HOT, UNSTABLE};
 use crate::calibrate::file::Calibration;
 use crate::dataset::image::Buffer;
 use crate::dataset::{Dataset, Kind, Set};
@@ -19,16 +20,16 @@ pub struct Map {
     pub unit: &'static str,
     /// (rows, columns).
     pub values: Array2<f32>,
-    /// Standard deviation over the pixels, from the quartiles: a few outliers do not move it.
+    /// Standard deviation over the pixels, from the median absolute deviation: a few outliers do not move it.
     pub spread: f64,
-    /// What the noise of the frames' mean gives of that.
+    /// What the noise of the frames' mean gives of that; NaN of a single frame, which does not tell its noise.
     pub noise: f64,
-    /// Pixels further than [`OUTLIER`] spreads from the median.
+    /// Pixels further than six spreads from the median.
     pub outliers: usize,
 }
 
 /// Spreads from the median beyond which a pixel is counted as an outlier: of normal pixels one in 5e8.
-pub const OUTLIER: f64 = 6.0;
+const OUTLIER: f64 = 6.0;
 
 /// What was made of the frames.
 #[derive(Debug, Clone, Default)]
@@ -41,6 +42,8 @@ pub struct Images {
     pub dark_noise: Option<Array2<f64>>,
     /// How often each code occurs in the first frame of every set.
     pub codes: Vec<u64>,
+    /// Defects of the calibration: column, row, and what is wrong.
+    pub defects: Vec<(usize, usize, String)>,
 }
 
 impl Map {
@@ -54,9 +57,12 @@ impl Map {
     }
 
     /// What the pixels differ by beyond the noise of the mean, and its standard error: the relative error of a deviation of n pixels is
-    /// 1 / sqrt(2 n), by quartiles 1.65 times that (efficiency 0.37: Huber and Ronchetti 2009, table 1.1).
+    /// 1 / sqrt(2 n), from the median absolute deviation 1.65 times that (efficiency 0.37: Huber and Ronchetti 2009, table 1.1).
     pub fn nonuniformity(&self) -> (f64, f64) {
         let n = self.values.len() as f64;
+        if self.noise.is_nan() {
+            return (f64::NAN, f64::NAN);
+        }
         let square = (self.spread.powi(2) - self.noise.powi(2)).max(0.0);
         let error = self.spread.powi(2) * 1.65 * (2.0 / n).sqrt();
         let value = square.sqrt();
@@ -124,11 +130,23 @@ pub fn of(
         let d = &cal.description;
         let of = format!("page 0 of the calibration, at {} s", cal.dark.exposure_s);
         out.dark = Some(Map::new("Dark reference", of, "DN", cal.dark.level_dn.clone(), cal.dark.std_err_dn));
+        out.defects = cal
+            .defects
+            .indexed_iter()
+            .filter(|(_, f)| **f != 0)
+            .map(|((y, x), f)| (x, y, kinds_of(*f)))
+            .collect();
         let of = format!("page 1 of the calibration: {} configurations of {} frames", d.n1, d.n2);
         let noise = median(cal.k_std_err.iter().map(|v| f64::from(*v)));
         out.response = Some(Map::new("Fixed pattern K", of, "", cal.k.clone(), noise));
     }
     Ok(out)
+}
+
+/// What a defect's flags say.
+fn kinds_of(flags: u8) -> String {
+    let all = [(HOT, "hot"), (DEAD, "dead"), (UNSTABLE, "unstable")];
+    all.into_iter().filter(|(f, _)| flags & f != 0).map(|(_, n)| n).collect::<Vec<_>>().join(", ")
 }
 
 /// Mean of a set's frames with the noise that is left in it, DN.
@@ -160,6 +178,6 @@ fn mean(dataset: &Dataset, set: &Set) -> Result<Mean, ObserveError> {
     }
     let n = set.rows.len() as f64;
     let sum = sum.ok_or_else(|| ObserveError::Nothing("a set without frames".into()))?;
-    let noise = difference.as_ref().map_or(0.0, |d: &Array2<f64>| d.std(1.0) / n.sqrt());
+    let noise = difference.as_ref().map_or(f64::NAN, |d: &Array2<f64>| d.std(1.0) / n.sqrt());
     Ok(Mean { mean: sum.mapv(|s| (s / n) as f32), noise, difference })
 }

@@ -115,13 +115,19 @@ pub fn all(
     }
     if let Some(map) = &images.dark {
         let (value, error) = map.nonuniformity();
-        let how = format!("spread of the dark image by quartiles, its noise taken off ({})", map.of);
+        let how = format!(
+            "spread of the dark image by the median absolute deviation, its noise taken off ({})",
+            map.of
+        );
         put("dark_nonuniformity_dn", "dark nonuniformity", Quantity::new(value, error, "DN"), how);
     }
     if let Some(map) = &images.response {
         let (value, error) = map.nonuniformity();
         let light = if calibration.is_some() { "" } else { "; the light's own nonuniformity is in it" };
-        let how = format!("spread of the response by quartiles, its noise taken off ({}){light}", map.of);
+        let how = format!(
+            "spread of the response by the median absolute deviation, its noise taken off ({}){light}",
+            map.of
+        );
         let name = "response nonuniformity";
         put("response_nonuniformity_percent", name, Quantity::new(100.0 * value, 100.0 * error, "%"), how);
     }

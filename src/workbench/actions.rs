@@ -1,7 +1,7 @@
 //! What the pages can do. Each has a verb that does the same.
 
-use super::desk::{Found, Judged, entry_of, judge, read};
-use super::live::{Order, lock};
+use super::desk::{Campaign, Found, Judged, entry_of, judge, read};
+use super::live::{Order, is_incomplete, lock};
 use super::pages::{model, shell};
 use super::steps::{Entry, folder_of, own};
 use super::{Job, Shared, aside};
@@ -16,6 +16,7 @@ use axum::extract::{Form, Query, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use maud::{Markup, html};
+use radcam_sim::EffectValues;
 use serde::Deserialize;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -51,16 +52,40 @@ fn start(
         shared.status_changed();
         let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| work(&shared, &job)));
         let done = done.unwrap_or_else(|_| Err(format!("{} failed", job.what)));
-        *lock(&shared.job) = None;
+        {
+            let mut running = lock(&shared.job);
+            // A search that was cancelled goes on unseen, and what runs now is another's.
+            if !running.as_ref().is_some_and(|now| Arc::ptr_eq(now, &job)) {
+                return;
+            }
+            *running = None;
+        }
+        let mut desk = shared.desk();
+        if matches!(desk.found, Found::Searching) {
+            desk.found = Found::None;
+        }
         match done {
-            Err(_) if job.is_stopped() => shared.desk().error = Some(format!("{} was cancelled", job.what)),
-            Err(e) => shared.desk().error = Some(e),
+            Err(e) if job.is_stopped() => {
+                desk.error = Some(format!("{} was cancelled{}", job.what, because(&e)))
+            }
+            Err(e) => desk.error = Some(e),
             Ok(()) => {}
         }
+        drop(desk);
         shared.model_changed();
     });
     Ok(())
 }
+
+/// What a cancelled piece of work says beside that.
+fn because(e: &str) -> String {
+    if e == CANCELLED { String::new() } else { format!(": {e}") }
+}
+
+/// Of work that ended because that was asked for.
+const CANCELLED: &str = "cancelled";
+/// The search, which cannot be ended: it is left alone.
+const SEARCH: &str = "looking for what is missing";
 
 /// Reads the campaign of the desk, then looks for what its model lacks.
 pub fn read_campaign(shared: &Arc<Shared>) {
@@ -91,26 +116,29 @@ pub fn read_campaign(shared: &Arc<Shared>) {
     }
 }
 
-/// Looks for what the model on the desk lacks.
+/// Looks for what the model on the desk lacks, and again where the model was changed meanwhile.
 fn look(shared: &Arc<Shared>, job: &Job) -> Result<(), String> {
-    let (campaign, on, revision) = {
+    loop {
+        let (campaign, on, revision) = {
+            let mut desk = shared.desk();
+            let campaign = desk.campaign().ok_or("there is no campaign yet")?;
+            desk.found = Found::Searching;
+            let on: Vec<_> = desk.entries().into_iter().filter(|e| e.on).map(|e| e.effect).collect();
+            (campaign, on, desk.revision)
+        };
+        shared.model_changed();
+        let known = given(&on).map_err(|e| e.to_string())?;
+        let all = &campaign.all;
+        let d = diagnose(all, None, searched(all, &known), &mut |_| {});
+        if job.is_stopped() {
+            return Err(CANCELLED.into());
+        }
         let mut desk = shared.desk();
-        let campaign = desk.campaign().ok_or("there is no campaign yet")?;
-        desk.found = Found::Searching;
-        let on: Vec<_> = desk.entries().into_iter().filter(|e| e.on).map(|e| e.effect).collect();
-        (campaign, on, desk.revision)
-    };
-    shared.model_changed();
-    let known = given(&on).map_err(|e| e.to_string())?;
-    let all = &campaign.all;
-    let d = diagnose(all, None, searched(all, &known), &mut |_| shared.status_changed());
-    let mut desk = shared.desk();
-    // A model that was changed meanwhile has another answer.
-    desk.found = match (desk.revision == revision, job.is_stopped()) {
-        (true, false) => Found::Done(Arc::new(d)),
-        _ => Found::None,
-    };
-    if job.is_stopped() { Err("cancelled".into()) } else { Ok(()) }
+        if desk.revision == revision {
+            desk.found = Found::Done(Arc::new(d));
+            return Ok(());
+        }
+    }
 }
 
 /// Changes the model, and answers with the page as it then is. A search runs on beside it.
@@ -130,7 +158,7 @@ async fn change(
     })
     .await;
     if done == Ok(true) {
-        let _ = start(&shared, "looking for what is missing", look);
+        let _ = start(&shared, SEARCH, look);
     }
     shared.model_changed();
     model::main(&shared).into_response()
@@ -144,15 +172,31 @@ pub struct Named {
 
 /// Puts an effect that the search found into the model.
 pub async fn add(State(shared): Desktop, Form(named): Form<Named>) -> Response {
+    let asked = shared.clone();
+    let id = named.effect.clone();
+    // The search takes its time: the pages go on answering.
+    let entry = aside(move || {
+        let (found, campaign, on) = {
+            let desk = asked.desk();
+            let found = match &desk.found {
+                Found::Done(d) => entry_of(d, &id),
+                _ => None,
+            };
+            let on: Vec<_> = desk.entries().into_iter().filter(|e| e.on).map(|e| e.effect).collect();
+            (found, desk.campaign(), on)
+        };
+        match found {
+            Some(entry) => Ok(entry),
+            None => {
+                let campaign = campaign.ok_or("there is no campaign yet")?;
+                searched_for(&campaign, on, &id)
+            }
+        }
+    })
+    .await
+    .and_then(|r| r);
     change(shared, move |desk| {
-        let found = match &desk.found {
-            Found::Done(d) => entry_of(d, &named.effect),
-            _ => None,
-        };
-        let entry = match found {
-            Some(entry) => entry,
-            None => searched_for(desk, &named.effect)?,
-        };
+        let entry = entry?;
         let mut entries = desk.entries();
         entries.retain(|e| e.name() != named.effect);
         entries.push(entry);
@@ -161,18 +205,15 @@ pub async fn add(State(shared): Desktop, Form(named): Form<Named>) -> Response {
     .await
 }
 
-/// An effect of the catalogue whose values are searched for beside the model on the desk.
-fn searched_for(desk: &super::Desk, id: &str) -> Result<Entry, String> {
-    let campaign = desk.campaign().ok_or("there is no campaign yet")?;
-    let effect = radcam_sim::EffectValues { id: id.into(), ..Default::default() };
-    let mut on: Vec<_> = desk.entries().into_iter().filter(|e| e.on).map(|e| e.effect).collect();
-    on.push(effect);
+/// An effect of the catalogue whose values are searched for beside a model.
+fn searched_for(campaign: &Campaign, mut on: Vec<EffectValues>, id: &str) -> Result<Entry, String> {
+    on.retain(|e| e.id != id);
+    on.push(EffectValues { id: id.into(), ..Default::default() });
     let known = given(&on).map_err(|e| e.to_string())?;
     let found = searched(&campaign.all, &known);
     let (effect, values) = found.last().ok_or("nothing was found")?;
     let named = effect.parameters().iter().zip(values).map(|(p, v)| (p.name.to_string(), *v)).collect();
-    let effect = radcam_sim::EffectValues { id: id.into(), parameters: named, ..Default::default() };
-    Ok(Entry { on: true, effect })
+    Ok(Entry { on: true, effect: EffectValues { id: id.into(), parameters: named, ..Default::default() } })
 }
 
 /// Switches an effect of the model on or off.
@@ -205,7 +246,7 @@ pub async fn undo(State(shared): Desktop) -> Response {
 
 /// Looks again for what is missing.
 pub async fn search(State(shared): Desktop) -> Response {
-    if let Err(e) = start(&shared, "looking for what is missing", look) {
+    if let Err(e) = start(&shared, SEARCH, look) {
         shared.desk().error = Some(e);
     }
     model::main(&shared).into_response()
@@ -246,10 +287,18 @@ pub async fn try_own(State(shared): Desktop, Form(typed): Form<Own>) -> Markup {
 /// Puts one's own effect into the model, with the values of its fit.
 pub async fn add_own(State(shared): Desktop, Form(typed): Form<Own>) -> Response {
     change(shared, move |desk| {
-        let effect =
+        let mut effect =
             own(&typed.name, &typed.target, &typed.formula, &typed.parameters).map_err(|e| e.to_string())?;
+        let campaign = desk.campaign().ok_or("there is no campaign yet")?;
         let mut entries = desk.entries();
         entries.retain(|e| e.name() != typed.name.trim());
+        let on: Vec<_> =
+            entries.iter().filter(|e| e.on).map(|e| e.effect.clone()).chain([effect.clone()]).collect();
+        let judged = judge(&campaign.all, &on)?;
+        if let Some((e, values)) = judged.fitted.effects.last() {
+            effect.parameters =
+                e.parameters().iter().zip(values).map(|(p, v)| (p.name.to_string(), *v)).collect();
+        }
         entries.push(Entry { on: true, effect });
         desk.take(format!("+ {}", typed.name.trim()), entries)
     })
@@ -258,13 +307,20 @@ pub async fn add_own(State(shared): Desktop, Form(typed): Form<Own>) -> Response
 
 /// Ends the work that runs.
 pub async fn cancel(State(shared): Desktop) -> Markup {
-    if let Some(job) = &*lock(&shared.job) {
-        job.stop.store(true, Ordering::Relaxed);
+    {
+        let mut running = lock(&shared.job);
+        if let Some(job) = running.clone() {
+            job.stop.store(true, Ordering::Relaxed);
+            if job.what == SEARCH {
+                *running = None;
+                shared.desk().found = Found::None;
+            }
+        }
     }
     if let Some(live) = shared.live() {
-        live.operator.answer(false);
+        live.operator.give_up();
     }
-    shared.status_changed();
+    shared.model_changed();
     shell::status(&shared)
 }
 
@@ -289,13 +345,14 @@ pub async fn events(State(shared): Desktop, Query(q): Query<Seen>) -> String {
 /// The answer of whoever moves the bench.
 #[derive(Deserialize)]
 pub struct Answer {
+    number: u64,
     done: bool,
 }
 
 /// The bench was moved, or its operator gives up.
 pub async fn operator(State(shared): Desktop, Form(answer): Form<Answer>) -> Markup {
     if let Some(live) = shared.live() {
-        live.operator.answer(answer.done);
+        live.operator.answer(answer.number, answer.done);
     }
     shell::status(&shared)
 }
@@ -324,22 +381,25 @@ pub async fn set_camera(State(shared): Desktop, Form(s): Form<Settings>) -> Mark
             }
             text.parse().map(Some).map_err(|_| format!("{what}: \"{text}\" is not a number"))
         };
-        let mut said = Vec::new();
-        if let Some(ms) = number("exposure", &s.exposure_ms)? {
-            said.push(live.order(Order::Exposure(ms / 1e3))?);
+        let (ms, db) = (number("exposure", &s.exposure_ms)?, number("gain", &s.gain_db)?);
+        let (percent, region) = (number("light", &s.light_percent)?, region_of(&s.region)?);
+        let running = lock(&shared.job).as_ref().map(|j| j.what.clone());
+        if let Some(what) = running.filter(|w| w == CAPTURE) {
+            return Err(format!("{what}: the settings stay as they are until it has ended"));
         }
-        if let Some(db) = number("gain", &s.gain_db)? {
-            said.push(live.order(Order::Gain(db))?);
-        }
-        if let Some(percent) = number("light", &s.light_percent)? {
-            said.push(live.order(Order::Light(percent / 100.0))?);
-        }
-        if !s.region.trim().is_empty() {
-            let parts: Vec<u32> = s.region.split(',').filter_map(|p| p.trim().parse().ok()).collect();
-            let [x, y, width, height] = parts[..] else {
-                return Err(format!("region: write column,row,width,height in pixels, not \"{}\"", s.region));
-            };
-            said.push(live.order(Order::Region(Region { x, y, width, height }))?);
+        let orders = [
+            ms.map(|ms| Order::Exposure(ms / 1e3)),
+            db.map(Order::Gain),
+            percent.map(|p| Order::Light(p / 100.0)),
+            region.map(|[x, y, width, height]| Order::Region(Region { x, y, width, height })),
+        ];
+        let mut said: Vec<String> = Vec::new();
+        for order in orders.into_iter().flatten() {
+            match live.order(order) {
+                Ok(text) => said.push(text),
+                Err(e) if said.is_empty() => return Err(e),
+                Err(e) => return Err(format!("{e}; before that the camera took {}", said.join(", "))),
+            }
         }
         Ok(said)
     })
@@ -352,6 +412,19 @@ pub async fn set_camera(State(shared): Desktop, Form(s): Form<Settings>) -> Mark
     }
 }
 
+/// `column,row,width,height`; nothing where nothing is written.
+fn region_of(text: &str) -> Result<Option<[u32; 4]>, String> {
+    if text.trim().is_empty() {
+        return Ok(None);
+    }
+    let parts: Result<Vec<u32>, _> = text.split(',').map(|p| p.trim().parse()).collect();
+    let region = parts.ok().and_then(|p| <[u32; 4]>::try_from(p).ok());
+    region.map(Some).ok_or_else(|| format!("region: write column,row,width,height in pixels, not \"{text}\""))
+}
+
+/// The work of a capture.
+const CAPTURE: &str = "capturing";
+
 /// What is to be captured.
 #[derive(Deserialize)]
 pub struct Captured {
@@ -360,27 +433,31 @@ pub struct Captured {
     frames: String,
     #[serde(default)]
     region: String,
+    #[serde(default)]
+    own: String,
 }
 
 /// Captures a plan, reads it and looks for what is missing.
 pub async fn capture(State(shared): Desktop, Form(c): Form<Captured>) -> Markup {
     let begun = (|| {
-        let mut plan = Plan::named(&c.plan).ok_or_else(|| format!("there is no plan \"{}\"", c.plan))?;
+        let mut plan = if c.own.trim().is_empty() {
+            Plan::named(&c.plan).ok_or_else(|| format!("there is no plan \"{}\"", c.plan))?
+        } else {
+            Plan::from_toml(&c.own).map_err(|e| format!("the plan: {e}"))?
+        };
         if !c.frames.trim().is_empty() {
             let frames: u32 =
                 c.frames.trim().parse().map_err(|_| format!("frames: \"{}\" is not a number", c.frames))?;
             plan.sets.iter_mut().for_each(|s| s.frames = frames.max(2));
         }
-        if !c.region.trim().is_empty() {
-            let parts: Vec<u32> = c.region.split(',').filter_map(|p| p.trim().parse().ok()).collect();
-            let region = <[u32; 4]>::try_from(parts);
-            plan.camera.region = Some(region.map_err(|_| "region: write column,row,width,height in pixels")?);
+        if let Some(region) = region_of(&c.region)? {
+            plan.camera.region = Some(region);
         }
         let folder = shared
             .dataset
             .clone()
             .ok_or("name a folder for captures: radcam workbench FOLDER --camera ID")?;
-        if shared.desk().campaign().is_some() {
+        if shared.desk().campaign().is_some() && !is_incomplete(&folder) {
             return Err(format!("{} holds a campaign already; name a new folder", folder.display()));
         }
         begin_capture(&shared, plan, folder, false)
@@ -398,7 +475,7 @@ fn begin_capture(shared: &Arc<Shared>, plan: Plan, folder: PathBuf, extend: bool
     if shared.live().is_none() {
         return Err("there is no camera".into());
     }
-    start(shared, "capturing", move |shared, job| {
+    start(shared, CAPTURE, move |shared, job| {
         let live = shared.live().ok_or("there is no camera")?;
         let handle = lock(&shared.job).clone().ok_or("the work is gone")?;
         live.order(Order::Capture { plan: Box::new(plan), folder: folder.clone(), extend, job: handle })?;
@@ -446,7 +523,7 @@ pub async fn read_runs(State(shared): Desktop) -> Markup {
                 (d, gain, noise)
             });
             if job.is_stopped() {
-                return Err("cancelled".into());
+                return Err(CANCELLED.into());
             }
             lock(&shared.runs).push(Run { path, said });
             shared.model_changed();
@@ -464,10 +541,16 @@ pub async fn calibrate(State(shared): Desktop) -> Markup {
     let begun = start(&shared, "calibrating", |shared, job| {
         let campaign = shared.desk().campaign().ok_or("there is no campaign yet")?;
         let dataset = campaign.dataset().ok_or("a table has no frames to calibrate with")?;
-        let noise = crate::noise::of_dataset(dataset, &job.stop, &mut |_, _| {}).ok();
+        let noise = match crate::noise::of_dataset(dataset, &job.stop, &mut |done, of| job.step(done, of)) {
+            Err(crate::noise::NoiseError::Interrupted) => return Err(CANCELLED.into()),
+            other => other.ok(),
+        };
         let provenance = format!("radcam {} from {}", env!("CARGO_PKG_VERSION"), campaign.path.display());
         let made =
             of_dataset(dataset, Estimator::Joint, noise.as_ref(), &provenance).map_err(|e| e.to_string())?;
+        if job.is_stopped() {
+            return Err(CANCELLED.into());
+        }
         let folder = folder_of(&campaign.path);
         std::fs::create_dir_all(&folder).map_err(|e| format!("{}: {e}", folder.display()))?;
         made.calibration.write(&folder.join("cal.tiff")).map_err(|e| e.to_string())

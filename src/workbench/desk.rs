@@ -128,9 +128,18 @@ impl Desk {
             let entries = effects.iter().map(|e| Entry { on: true, effect: e.clone() }).collect();
             return self.take("the model as given".into(), entries);
         }
-        let (first, last) = (&self.steps.step[0], &self.steps.step[self.steps.step.len() - 1]);
-        self.judged =
-            Some([Arc::new(judge(&campaign.all, last.on())?), Arc::new(judge(&campaign.all, first.on())?)]);
+        // The campaign may have grown since.
+        let mut judged = Vec::new();
+        for step in &mut self.steps.step {
+            let fit = Arc::new(judge(&campaign.all, step.on())?);
+            (step.error, step.p_value) = (fit.comparison.error, fit.comparison.p_value);
+            judged.push(fit);
+        }
+        self.judged = judged.first().zip(judged.last()).map(|(first, last)| [last.clone(), first.clone()]);
+        if !effects.is_empty() {
+            self.error = Some("--model was not used: the steps that were kept go on from another one".into());
+        }
+        self.keep(&campaign);
         Ok(())
     }
 
@@ -138,7 +147,7 @@ impl Desk {
     ///
     /// # Errors
     ///
-    /// An effect that cannot be understood, or a folder that cannot be written.
+    /// An effect that cannot be understood.
     pub fn take(&mut self, what: String, entries: Vec<Entry>) -> Result<(), String> {
         let campaign = self.campaign().ok_or("there is no campaign yet")?;
         let on: Vec<EffectValues> = entries.iter().filter(|e| e.on).map(|e| e.effect.clone()).collect();
@@ -149,7 +158,8 @@ impl Desk {
         self.judged = Some([judged, first]);
         self.found = Found::None;
         self.revision += 1;
-        self.keep(&campaign)
+        self.keep(&campaign);
+        Ok(())
     }
 
     /// Takes the last step back.
@@ -169,7 +179,8 @@ impl Desk {
         self.judged = Some([judged, first]);
         self.found = Found::None;
         self.revision += 1;
-        self.keep(&campaign)
+        self.keep(&campaign);
+        Ok(())
     }
 
     /// Effects of the model as it stands, switched on or off.
@@ -191,9 +202,13 @@ impl Desk {
         Some(model)
     }
 
-    fn keep(&self, campaign: &Campaign) -> Result<(), String> {
-        let model = self.model(campaign).ok_or("there is no model yet")?;
-        self.steps.write(&folder_of(&campaign.path), &model)
+    /// Keeps the steps; where the folder cannot be written the page says so, and goes on.
+    fn keep(&mut self, campaign: &Campaign) {
+        let kept = self.model(campaign).ok_or_else(|| "there is no model yet".to_string());
+        let kept = kept.and_then(|model| self.steps.write(&folder_of(&campaign.path), &model));
+        if let Err(e) = kept {
+            self.error = Some(format!("{e}; the steps last until radcam ends"));
+        }
     }
 }
 

@@ -54,9 +54,8 @@ pub async fn guard(State(shared): State<Arc<Shared>>, request: Request<Body>, ne
     let cookie = format!("radcam-{}=", shared.port);
     let cookies = text(headers, header::COOKIE).unwrap_or_default();
     let known = cookies.split("; ").filter_map(|c| c.strip_prefix(&cookie)).any(|t| same(t, &shared.token));
-    if !known {
-        let given =
-            request.uri().query().unwrap_or_default().split('&').find_map(|q| q.strip_prefix("token="));
+    let given = request.uri().query().unwrap_or_default().split('&').find_map(|q| q.strip_prefix("token="));
+    if !known || given.is_some() {
         if !given.is_some_and(|t| same(t, &shared.token)) {
             return refuse(
                 StatusCode::FORBIDDEN,

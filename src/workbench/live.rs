@@ -3,11 +3,12 @@
 use super::job::Job;
 use crate::bench::{self, Illuminator, ManualBench};
 use crate::camera::{Camera, Capabilities, Settings, StreamOptions};
-use crate::capture::{Capture, CaptureError};
+use crate::capture::{Capture, CaptureError, PLAN_FILE};
 use crate::frame::{Frame, Region, Status};
 use crate::plan::{BenchState, Plan};
 use std::io::{BufRead, Read, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -75,22 +76,38 @@ impl Picture {
 /// What is asked of whoever moves the bench.
 #[derive(Default)]
 pub struct Operator {
-    state: Mutex<(Option<String>, Option<bool>)>,
+    state: Mutex<Asked>,
     changed: Condvar,
 }
 
+#[derive(Default)]
+struct Asked {
+    /// Counts questions: an answer belongs to one of them.
+    number: u64,
+    question: Option<String>,
+    answer: Option<bool>,
+}
+
 impl Operator {
-    /// What is asked now.
-    pub fn question(&self) -> Option<String> {
-        lock(&self.state).0.clone()
+    /// What is asked now and has no answer yet, with its number.
+    pub fn question(&self) -> Option<(u64, String)> {
+        let state = lock(&self.state);
+        state.question.clone().filter(|_| state.answer.is_none()).map(|q| (state.number, q))
     }
 
-    /// Answers: done, or given up.
-    pub fn answer(&self, done: bool) {
+    /// Answers the question of this number: done, or given up. Another is not touched.
+    pub fn answer(&self, number: u64, done: bool) {
         let mut state = lock(&self.state);
-        if state.0.is_some() {
-            state.1 = Some(done);
+        if state.question.is_some() && state.number == number && state.answer.is_none() {
+            state.answer = Some(done);
             self.changed.notify_all();
+        }
+    }
+
+    /// Gives up whatever is asked.
+    pub fn give_up(&self) {
+        if let Some((number, _)) = self.question() {
+            self.answer(number, false);
         }
     }
 }
@@ -104,8 +121,11 @@ impl Write for Page {
         let said = said.split(", then press Enter").next().unwrap_or_default();
         if !said.trim().is_empty() {
             let mut state = lock(&self.0.state);
-            let before = state.0.take().unwrap_or_default();
-            state.0 = Some(before + said);
+            if state.question.is_none() {
+                state.number += 1;
+            }
+            let before = state.question.take().unwrap_or_default();
+            state.question = Some(before + said);
         }
         (self.1)();
         Ok(text.len())
@@ -125,14 +145,16 @@ impl Read for Page {
 impl BufRead for Page {
     fn fill_buf(&mut self) -> std::io::Result<&[u8]> {
         let mut state = lock(&self.0.state);
-        while state.1.is_none() {
+        while state.answer.is_none() {
             state = self.0.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
-        Ok(if state.1 == Some(true) { b"\n" } else { b"q\n" })
+        Ok(if state.answer == Some(true) { b"\n" } else { b"q\n" })
     }
 
     fn consume(&mut self, _: usize) {
-        *lock(&self.0.state) = (None, None);
+        let mut state = lock(&self.0.state);
+        (state.question, state.answer) = (None, None);
+        drop(state);
         (self.1)();
     }
 }
@@ -141,11 +163,15 @@ impl BufRead for Page {
 pub struct Live {
     /// Who the camera is.
     pub identity: String,
+    /// How it is opened again.
+    pub id: String,
     /// What it can do.
     pub capabilities: Capabilities,
     orders: Mutex<Sender<Ordered>>,
     state: Mutex<State>,
     shown: tokio::sync::watch::Sender<u64>,
+    /// Requests that wait for a picture.
+    waiting: AtomicUsize,
     thread: Mutex<Option<std::thread::JoinHandle<()>>>,
     /// What is asked of whoever moves the bench.
     pub operator: Arc<Operator>,
@@ -177,10 +203,12 @@ impl Live {
         let settings = camera.settings().ok();
         let live = Arc::new(Self {
             identity: camera.identity().to_string(),
+            id: camera.identity().id.clone(),
             capabilities: camera.capabilities().clone(),
             orders: Mutex::new(orders),
             state: Mutex::new(State { picture: None, settings, light: 1.0, looked: None, error: None }),
             shown,
+            waiting: AtomicUsize::new(0),
             thread: Mutex::new(None),
             operator: Arc::default(),
         });
@@ -194,7 +222,7 @@ impl Live {
 
     /// Stops the camera and lets it go, once the work in flight has ended.
     pub fn end(&self) {
-        self.operator.answer(false);
+        self.operator.give_up();
         let _ = self.order(Order::End);
         if let Some(thread) = lock(&self.thread).take() {
             let _ = thread.join();
@@ -215,11 +243,15 @@ impl Live {
 
     /// The newest picture, once there is one after `number`.
     pub async fn picture(&self, number: u64) -> Option<Picture> {
-        lock(&self.state).looked = Some(Instant::now());
+        // A frame takes its exposure, and the one that is under way another.
+        let exposure_s = lock(&self.state).settings.as_ref().map_or(0.0, |s| s.exposure_s);
+        let patience = Duration::from_secs_f64((2.0 * exposure_s + 5.0).min(3600.0));
         let mut shown = self.shown.subscribe();
-        let newer = shown.wait_for(|n| *n > number);
-        tokio::time::timeout(Duration::from_secs(5), newer).await.ok()?.ok()?;
+        let waits = Waits::new(&self.waiting);
+        let newer = tokio::time::timeout(patience, shown.wait_for(|n| *n > number)).await;
         lock(&self.state).looked = Some(Instant::now());
+        drop(waits);
+        newer.ok()?.ok()?;
         lock(&self.state).picture.clone()
     }
 
@@ -230,7 +262,8 @@ impl Live {
     }
 
     fn is_looked_at(&self) -> bool {
-        lock(&self.state).looked.is_some_and(|t| t.elapsed() < LOOKS)
+        self.waiting.load(Ordering::Relaxed) > 0
+            || lock(&self.state).looked.is_some_and(|t| t.elapsed() < LOOKS)
     }
 
     /// Shows a frame, unless the last picture is too fresh.
@@ -250,6 +283,22 @@ impl Live {
     }
 }
 
+/// A request that waits, however it ends.
+struct Waits<'a>(&'a AtomicUsize);
+
+impl<'a> Waits<'a> {
+    fn new(count: &'a AtomicUsize) -> Self {
+        count.fetch_add(1, Ordering::Relaxed);
+        Self(count)
+    }
+}
+
+impl Drop for Waits<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
 /// Half the variance of the difference of two frames, DN^2: the temporal variance of a pixel (EMVA 1288 release 4.0 Linear, eq. 19).
 fn difference_variance(a: &Frame, b: &Frame) -> f64 {
     if a.pixels.dim() != b.pixels.dim() || a.pixels.is_empty() {
@@ -262,6 +311,15 @@ fn difference_variance(a: &Frame, b: &Frame) -> f64 {
     }
     let n = a.pixels.len() as f64;
     0.5 * (squares as f64 / n - (sum as f64 / n).powi(2))
+}
+
+/// Whether a folder holds a capture that has not all frames of its plan.
+pub fn is_incomplete(folder: &Path) -> bool {
+    let Ok(text) = std::fs::read_to_string(folder.join(PLAN_FILE)) else { return false };
+    let Ok(plan) = Plan::from_toml(&text) else { return false };
+    let rows =
+        std::fs::read_to_string(folder.join("frames.csv")).map_or(0, |t| t.lines().count().saturating_sub(1));
+    (rows as u64) < plan.frames()
 }
 
 struct Thread {
@@ -408,10 +466,11 @@ impl Thread {
             progress: Some(&mut progress),
             shown: Some(&mut shown),
         };
-        let done = if extend {
-            capture.extend(plan, folder, None)
-        } else if folder.join("dataset.toml").exists() {
+        let done = if is_incomplete(folder) {
+            // What was begun is ended first, by its own plan: an addition too.
             capture.resume(folder)
+        } else if extend {
+            capture.extend(plan, folder, None)
         } else {
             capture.run(plan, folder)
         };
@@ -422,5 +481,40 @@ impl Thread {
             }
             Err(e) => Err(e.to_string()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::sim::{SharedBench, SimCamera};
+
+    /// Whoever moves the bench is asked on the page, and the bench waits for the answer; an answer that nobody asked for answers nothing.
+    #[test]
+    fn the_page_asks_for_what_has_to_be_moved() {
+        let operator = Arc::new(Operator::default());
+        operator.answer(1, true);
+        let page = || Page(operator.clone(), Arc::new(|| {}));
+        let mut bench = ManualBench::new(page(), page());
+        let moved = std::thread::spawn(move || {
+            let sensor = radcam_sim::Sensor::new(radcam_sim::sensors::load("cmos12").unwrap()).unwrap();
+            let mut camera = SimCamera::new("cmos12", sensor.into(), SharedBench::default());
+            let flat = BenchState { illumination: 1.0, configuration: 1, ..BenchState::default() };
+            (bench.apply(&flat, &mut camera).is_ok(), bench.apply(&BenchState::default(), &mut camera))
+        });
+        let mut asked = Vec::new();
+        while !moved.is_finished() {
+            if let Some((number, question)) = operator.question() {
+                // The answer to another question is none to this one; the last is given up.
+                operator.answer(number + 1, false);
+                operator.answer(number, !question.contains("Cover"));
+                asked.push(question);
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let (lit, dark) = moved.join().unwrap();
+        assert!(lit && dark.unwrap_err().to_string().contains("given up"));
+        assert!(asked.iter().any(|q| q.contains("Move both card and light")), "{asked:?}");
+        assert!(operator.question().is_none());
     }
 }

@@ -138,7 +138,7 @@ impl Workbench {
     /// Where the server cannot be started.
     pub fn serve(self, end: &std::sync::atomic::AtomicBool) -> Result<(), String> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
-            .worker_threads(2)
+            .worker_threads(4)
             .enable_all()
             .build()
             .map_err(|e| e.to_string())?;

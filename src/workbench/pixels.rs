@@ -21,6 +21,8 @@ pub struct Wanted {
     /// frame, difference, mean or variance.
     #[serde(default)]
     of: String,
+    /// The frame of the same set that is taken off for a difference; the one before where not given.
+    less: Option<usize>,
 }
 
 fn refused(e: &str) -> Response {
@@ -65,14 +67,8 @@ fn wanted(dataset: &Dataset, q: &Wanted) -> Result<Array2<f32>, String> {
     match &*q.of {
         "" | "frame" => Ok(frame(dataset, set, q.index)?.mapv(f32::from)),
         "difference" => {
-            let first = frame(dataset, set, q.index)?.mapv(f32::from);
-            let second = frame(dataset, set, q.index + 1).map_err(|_| {
-                format!(
-                    "frame {} is the last of set {}: there is none to take the difference to",
-                    q.index, q.set
-                )
-            })?;
-            Ok(second.mapv(f32::from) - first)
+            let less = q.less.unwrap_or_else(|| q.index.saturating_sub(1));
+            Ok(frame(dataset, set, q.index)?.mapv(f32::from) - frame(dataset, set, less)?.mapv(f32::from))
         }
         "mean" => moments(dataset, set).map(|[mean, _]| mean),
         "variance" if set.rows.len() > 1 => moments(dataset, set).map(|[_, variance]| variance),
@@ -128,10 +124,7 @@ pub async fn thumbnail(State(shared): State<Arc<Shared>>, Query(q): Query<Wanted
         Ok(png.into_inner())
     });
     match png.await.and_then(|r| r) {
-        Ok(png) => {
-            ([(header::CONTENT_TYPE, "image/png"), (header::CACHE_CONTROL, "private, max-age=600")], png)
-                .into_response()
-        }
+        Ok(png) => ([(header::CONTENT_TYPE, "image/png")], png).into_response(),
         Err(e) => refused(&e),
     }
 }

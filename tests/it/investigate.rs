@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 /// A camera that has an effect at its example's strength.
-fn with(id: &str) -> Model {
+pub fn with(id: &str) -> Model {
     let mut model = small("cmos12", 320, 256);
     let effect = radcam_sim::effects::find(id).unwrap();
     let values = radcam_sim::effects::example(id, &model).unwrap();

@@ -119,24 +119,38 @@ fn it_answers_to_nobody_else() {
     }
 }
 
-/// Another interface needs a flag, and a warning is printed.
+/// Another interface needs a flag, and a warning is printed; it answers under that interface's address. All interfaces at once have no address.
 #[test]
 fn another_interface_is_warned_of() {
     let dir = tempfile::tempdir().unwrap();
     let Some(dataset) = copy("clean", dir.path()) else { return };
+    let path = dataset.to_str().unwrap();
+    assert!(crate::support::refused(&["workbench", path, "--listen", "0.0.0.0"]).contains("one interface"));
+    // The address of this machine towards others; nothing is sent.
+    let socket = std::net::UdpSocket::bind("0.0.0.0:0").unwrap();
+    let outward = socket.connect("192.0.2.1:9").and_then(|()| socket.local_addr());
+    let Some(own) = outward.ok().map(|a| a.ip()).filter(|ip| !ip.is_loopback()) else {
+        println!("SKIPPED: this machine has no interface but its own");
+        return;
+    };
     let mut child = program()
-        .args(["workbench", dataset.to_str().unwrap(), "--listen", "0.0.0.0"])
+        .args(["workbench", path, "--listen", &own.to_string()])
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
     let mut line = String::new();
     BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let (host, token) = line.trim().trim_start_matches("http://").split_once("/?token=").unwrap();
+    let mut stream = TcpStream::connect(host).unwrap();
+    write!(stream, "GET /?token={token} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
     child.kill().unwrap();
     let mut said = String::new();
     child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
     child.wait().unwrap();
-    assert!(line.starts_with("http://0.0.0.0:"), "{line}");
+    assert!(host.starts_with(&own.to_string()) && answer.starts_with("HTTP/1.1 303"), "{line} {answer}");
     assert!(said.contains("nothing is encrypted"), "{said}");
 }
 
@@ -261,4 +275,119 @@ fn serve_a_camera_to_the_workbench() {
     assert_eq!(seen["heading"], "The model describes the camera");
     // Whatever was cancelled, the campaign is whole.
     assert_eq!(std::fs::read_to_string(folder.join("frames.csv")).unwrap().lines().count(), 241);
+}
+
+impl Running {
+    /// What a page says to the browser that was given the token.
+    fn page(&self, path: &str) -> String {
+        let (status, text) = self.ask("GET", path, &[("Cookie", &self.cookie())]);
+        assert_eq!(status, 200, "{path}: {text}");
+        text
+    }
+
+    /// Sends a form.
+    fn send(&self, path: &str, form: &str) -> String {
+        let mut stream = TcpStream::connect(&self.host).unwrap();
+        let head = format!(
+            "POST {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nCookie: {cookie}\r\nContent-Type: \
+             application/x-www-form-urlencoded\r\nContent-Length: {length}\r\n\r\n",
+            host = self.host,
+            cookie = self.cookie(),
+            length = form.len()
+        );
+        stream.write_all((head + form).as_bytes()).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        answer
+    }
+
+    /// Waits until no work runs and the page says this.
+    fn wait(&self, path: &str, says: &str) -> String {
+        for _ in 0..1200 {
+            if !self.page("/status").contains("class=\"job\"") {
+                let page = self.page(path);
+                if page.contains(says) {
+                    return page;
+                }
+            }
+            std::thread::sleep(std::time::Duration::from_millis(50));
+        }
+        panic!("{path} never says {says}: {}", self.page(path))
+    }
+}
+
+/// A camera whose first campaign leaves two names open: the measurement that decides is taken from the page, added to the campaign, and the verdict is
+/// one name. Then report, model file and a calibration that cannot be had.
+#[test]
+fn a_tie_is_broken_from_the_page() {
+    let dir = tempfile::tempdir().unwrap();
+    let model = dir.path().join("camera.toml");
+    std::fs::write(&model, crate::investigate::with("smear").to_toml().unwrap()).unwrap();
+    let folder = dir.path().join("captured");
+    let camera = format!("sim:{}", model.display());
+    let w = Running::start(&[folder.to_str().unwrap(), "--camera", &camera]);
+    assert!(w.page("/").contains("Nothing is captured yet"));
+    assert!(w.send("/camera/capture", "plan=other&frames=&region=&own=").contains("there is no plan"));
+    assert!(w.send("/camera/capture", "plan=quick&own=sets+%3D+3").contains("the plan: "));
+    w.send("/camera/capture", "plan=quick&frames=&region=&own=");
+    let page = w.wait("/", "The measurement that decides");
+    assert!(page.contains("tied with") && page.contains("Take it"), "{page}");
+    let plan = w.page("/save/next.toml");
+    let plan = radcam::plan::Plan::from_toml(plan.split_once("\r\n\r\n").unwrap().1).unwrap();
+    let before = std::fs::read_to_string(folder.join("frames.csv")).unwrap().lines().count() as u64;
+    w.send("/camera/next", "");
+    let page = w.wait("/", "The camera shows smear");
+    assert!(!page.contains("tied with"), "{page}");
+    let after = std::fs::read_to_string(folder.join("frames.csv")).unwrap().lines().count() as u64;
+    assert_eq!(after - before, plan.frames());
+    // What is saved.
+    w.send("/model/add", "effect=smear");
+    let page = w.wait("/", "The model describes the camera");
+    let error = between(&page, "id=\"error\"", "</data>");
+    let error: f64 = between(error, "value=\"", "\"").parse().unwrap();
+    let report = w.page("/save/report.html");
+    let numbers = between(&report, "id=\"radcam-report\">", "</script>");
+    let numbers: serde_json::Value = serde_json::from_str(numbers).unwrap();
+    assert_eq!(numbers["error_before"].as_f64(), Some(error));
+    let kept = folder.join("workbench/model.toml");
+    let said = expect(0, &["compare", folder.to_str().unwrap(), "--model", kept.to_str().unwrap(), "--json"]);
+    assert_eq!(serde_json::from_str::<serde_json::Value>(&said).unwrap()["error"].as_f64(), Some(error));
+    w.send("/save/calibration", "");
+    let status = w.wait("/status", "role=\"alert\"");
+    assert!(status.contains("configurations"), "{status}");
+}
+
+/// What stands between two texts.
+fn between<'t>(page: &'t str, from: &str, to: &str) -> &'t str {
+    let rest = page.split_once(from).unwrap_or_else(|| panic!("no {from} in {page}")).1;
+    rest.split_once(to).unwrap().0
+}
+
+/// Campaigns side by side; one that cannot be read says why in its row.
+#[test]
+fn campaigns_stand_side_by_side() {
+    let dir = tempfile::tempdir().unwrap();
+    let (Some(clean), Some(noisy)) = (copy("clean", dir.path()), copy("row-noise", dir.path())) else {
+        return;
+    };
+    let missing = dir.path().join("nowhere");
+    let w = Running::start(&[&clean, &noisy, &missing].map(|p| p.to_str().unwrap()));
+    w.wait("/", "The model describes the camera");
+    w.send("/runs/read", "");
+    let page = w.wait("/runs", "nowhere/dataset.toml");
+    assert!(page.contains("row-noise") && page.contains("(this one)"), "{page}");
+}
+
+/// What was kept and cannot be understood is named, and nothing is written over it.
+#[test]
+fn steps_that_are_spoilt_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let Some(dataset) = copy("clean", dir.path()) else { return };
+    let steps = dataset.join("workbench/steps.toml");
+    std::fs::create_dir(dataset.join("workbench")).unwrap();
+    std::fs::write(&steps, "format = \"radcam-workbench/7\"").unwrap();
+    let w = Running::start(&[dataset.to_str().unwrap()]);
+    let page = w.wait("/", "cannot be read");
+    assert!(page.contains("steps.toml") && page.contains("radcam-workbench/7"), "{page}");
+    assert_eq!(std::fs::read_to_string(&steps).unwrap(), "format = \"radcam-workbench/7\"");
 }

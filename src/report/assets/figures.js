@@ -34,6 +34,9 @@
     const all = rows(decodeURIComponent(url.slice(url.indexOf(",") + 1))).slice(1);
     return plot.series.map((s) => {
       const points = all.filter((r) => r[0] === s.label).map((r) => r.slice(1).map((v) => (v === "" ? NaN : +v)));
+      // Bins of a histogram that hold nothing stand at the floor of a logarithmic axis.
+      const floor = Math.min(...points.map((p) => p[1]).filter((y) => y > 0)) / 2;
+      points.forEach((p) => { if (plot.y.log && s.shape === "steps" && p[1] === 0) [p[1], p[3]] = [floor, true]; });
       const sound = points.filter(([x, y]) => isFinite(x) && isFinite(y) && (!plot.x.log || x > 0) && (!plot.y.log || y > 0));
       sound.sort((a, b) => a[0] - b[0]);
       sound.forEach((p, k) => { if (k > 0 && p[0] <= sound[k - 1][0]) p[0] = sound[k - 1][0] + Math.max(Math.abs(p[0]), 1e-9) * 1e-12; });
@@ -47,6 +50,7 @@
     if (!points.some((p) => p.length)) return;
     const data = uPlot.join(points.map((p) => [p.map((q) => q[0]), p.map((q) => q[1])]));
     const errors = points.map((p) => new Map(p.map((q) => [q[0], q[2]])));
+    const empty = points.map((p) => new Set(p.filter((q) => q[3]).map((q) => q[0])));
     const error = (k, x) => { const e = errors[k].get(x); return isFinite(e) ? e : NaN; };
     const colours = plot.series.map((_, k) => style("--c" + (k % 5)));
     const ink = style("--soft"), line = style("--line");
@@ -54,7 +58,7 @@
       label: s.label.replaceAll("_", ""), stroke: colours[k], width: s.shape === "points" ? 0 : 1.5, spanGaps: true, dash: s.shape === "dashed" ? [5, 4] : undefined,
       paths: s.shape === "points" ? () => null : s.shape === "steps" ? uPlot.paths.stepped({ align: 1 }) : uPlot.paths.linear(),
       points: { show: s.shape === "points", size: 6, fill: colours[k] },
-      value: (u, v, sidx, idx) => v == null ? "" : short(v) + (idx != null && isFinite(error(k, u.data[0][idx])) ? " ± " + short(error(k, u.data[0][idx])) : ""),
+      value: (u, v, sidx, idx) => v == null ? "" : idx != null && empty[k].has(u.data[0][idx]) ? "0" : short(v) + (idx != null && isFinite(error(k, u.data[0][idx])) ? " ± " + short(error(k, u.data[0][idx])) : ""),
     }));
     // The nearest point that a series has.
     const near = (u, sidx, at) => {
@@ -100,6 +104,15 @@
       const room = high > low ? 0.03 * (high - low) : 1;
       return [low - room, high + room];
     };
+    // With the error bars, of what is in view.
+    const tall = (u, low, high) => {
+      const { min, max } = u.scales.x;
+      points.forEach((list, k) => {
+        if (plot.series[k].shape !== "points" || !u.series[k + 1].show) return;
+        for (const [x, y, e] of list) if (isFinite(e) && x >= min && x <= max) { low = Math.min(low, y - e); high = Math.max(high, y + e); }
+      });
+      return uPlot.rangeNum(low ?? 0, high ?? 1, 0.05, true);
+    };
     const width = figure.clientWidth;
     const old = figure.querySelector(".uplot");
     if (old) old.remove();
@@ -108,7 +121,7 @@
     figure.querySelector("svg").after(room);
     const u = new uPlot({
       width, height: height(width), series: [{ label: plot.x.title.replaceAll("_", ""), value: (_, v) => short(v) }, ...series],
-      scales: { x: { time: false, distr: plot.x.log ? 3 : 1, range: ends }, y: { distr: plot.y.log ? 3 : 1, range: plot.range ?? undefined } },
+      scales: { x: { time: false, distr: plot.x.log ? 3 : 1, range: ends }, y: { distr: plot.y.log ? 3 : 1, range: plot.range ?? (plot.y.log ? undefined : tall) } },
       axes: [axis(plot.x), { ...axis(plot.y), size: 62 }],
       cursor: { dataIdx: (u, sidx, at) => (sidx === 0 ? at : near(u, sidx, at)), drag: { x: true, y: false } },
       hooks: { draw: [bars] },

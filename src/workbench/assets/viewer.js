@@ -77,13 +77,20 @@ addEventListener("DOMContentLoaded", () => {
     line(column, half, style("--c1"), "column " + kept.x);
   };
 
+  let asked = 0;
   const load = async () => {
+    const mine = ++asked;
     const q = new URLSearchParams({ set: $("set").value, index: $("index").value || 0, of: $("of").value });
+    $("other").hidden = $("of").value !== "difference";
+    if ($("of").value === "difference") q.set("less", $("less").value || 0);
     const answer = await fetch("/pixels?" + q);
+    // A slower answer to an earlier question is none to this one.
+    if (mine !== asked) return;
     $("error").textContent = answer.ok ? "" : await answer.text();
     if (!answer.ok) return;
     const before = image && image.width + "x" + image.height;
     const values = new Float32Array(await answer.arrayBuffer());
+    if (mine !== asked) return;
     let low = Infinity, high = -Infinity, sum = 0, squares = 0;
     for (const v of values) { if (v < low) low = v; if (v > high) high = v; sum += v; }
     const mean = sum / values.length;
@@ -147,7 +154,7 @@ addEventListener("DOMContentLoaded", () => {
     const middle = { x: Math.floor(view.x + canvas.width / 2 / view.zoom), y: Math.floor(view.y + canvas.height / 2 / view.zoom) };
     if (inside(middle)) { kept = middle; read(middle); draw(); profile(); }
   });
-  for (const id of ["set", "index", "of"]) $(id).addEventListener("change", load);
+  for (const id of ["set", "index", "of", "less"]) $(id).addEventListener("change", load);
   $("set").addEventListener("change", () => { $("index").max = $("set").selectedOptions[0].dataset.frames - 1; });
   for (const id of ["low", "high"]) $(id).addEventListener("input", () => { if (image) { develop(); draw(); } });
   $("fit").addEventListener("click", () => { whole(); draw(); });

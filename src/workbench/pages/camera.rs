@@ -3,7 +3,7 @@
 use super::shell::{self, Part};
 use crate::camera::Bounds;
 use crate::workbench::Shared;
-use crate::workbench::live::Live;
+use crate::workbench::live::{Live, is_incomplete};
 use axum::extract::{Query, State};
 use maud::{Markup, html};
 use std::sync::Arc;
@@ -60,15 +60,20 @@ fn body(shared: &Shared, live: &Live) -> Markup {
             }
         }
         h2 { "Capture" }
-        @if let Some(folder) = &shared.dataset {
+        @if let Some(folder) = shared.dataset.as_ref().filter(|f| is_incomplete(f)) {
+            p { (folder.display()) " holds a capture that has not all frames of its plan." }
+            p.buttons { button.first hx-post="/camera/capture" hx-vals="{\"plan\": \"quick\"}" hx-target="#status" hx-swap="outerHTML" { "Go on with it" } }
+            (shell::command(&format!("radcam capture --camera {} -o {} --resume", live.id, folder.display())))
+        } @else if let Some(folder) = &shared.dataset {
             form.own hx-post="/camera/capture" hx-target="#status" hx-swap="outerHTML" {
                 label { "Plan" select name="plan" { @for p in ["quick", "standard", "emva1288"] { option selected[p == "standard"] { (p) } } } }
                 label { "Frames in each set" input name="frames" inputmode="numeric" placeholder="as the plan has it"; }
-                label { "Region (column,row,width,height)" input name="region" placeholder="whole sensor"; }
+                label { "Region (column,row,width,height)" input name="region" placeholder="as set above"; }
+                details.long { summary { "A plan of your own" } label { "TOML, as radcam capture --plan takes it; it is captured in place of the one above" textarea name="own" rows="8" spellcheck="false" {} } }
                 p.buttons { button.first { "Capture and diagnose" } }
             }
             p.note { "Automatic functions are switched off first. What is taken is kept frame by frame; a capture that ends early goes on where it was." }
-            (shell::command(&format!("radcam capture --camera CAMERA --plan standard -o {}", folder.display())))
+            (shell::command(&format!("radcam capture --camera {} --plan standard -o {}", live.id, folder.display())))
         } @else {
             p { "Name a folder to capture into: radcam workbench FOLDER --camera ID." }
         }

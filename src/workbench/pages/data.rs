@@ -19,7 +19,9 @@ pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Part>) -> M
             html! { h1 { "Data" } p { "Nothing is read yet." } @if let crate::workbench::desk::Data::Failed(why) = &shared.desk().data { (alert(why)) } }
         }
     };
-    let main = shell::main(&shared, "", body);
+    // The viewer is not drawn again under the user's hands.
+    let room = if campaign.is_some() { "" } else { "/data" };
+    let main = shell::main(&shared, room, body);
     if q.part.is_some() { main } else { shell::page(&shared, "/data", main) }
 }
 
@@ -33,7 +35,8 @@ fn body(dataset: &Dataset) -> Markup {
                 label { "Set " select #v-set { @for s in dataset.sets() { @let r = dataset.settings(s);
                     option value=(s.number) data-frames=(s.rows.len()) { (s.number) ": " (r.kind) ", " (format!("{:.4}", 1e3 * r.exposure_s)) " ms, light " (format!("{:.3}", r.illumination)) } } } }
                 label { "Frame " input #v-index type="number" min="0" value="0"; }
-                label { "Show " select #v-of { option value="frame" { "the frame" } option value="difference" { "next frame less this" } option value="mean" { "mean of the set" } option value="variance" { "temporal variance of the set" } } }
+                label { "Show " select #v-of { option value="frame" { "the frame" } option value="difference" { "the frame less another" } option value="mean" { "mean of the set" } option value="variance" { "temporal variance of the set" } } }
+                label #v-other hidden { "less frame " input #v-less type="number" min="0" value="0"; }
                 label { "Black " input #v-low type="number" step="any"; }
                 label { "White " input #v-high type="number" step="any"; }
                 button #v-fit { "Whole image" }

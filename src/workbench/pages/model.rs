@@ -3,7 +3,7 @@
 use super::shell::{self, Part, alert};
 use crate::diagnosis::{Rung, Verdict};
 use crate::inference::Residual;
-use crate::number::{Quantity, chance, pretty, with_unit};
+use crate::number::{Quantity, chance, pretty, six_digits, with_unit};
 use crate::report::candidates::candidate;
 use crate::report::heat;
 use crate::report::ladder::ladder;
@@ -21,7 +21,8 @@ use std::sync::Arc;
 /// The page, or its main part.
 pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Part>) -> Markup {
     let body = main(&shared);
-    if q.part.is_some() { body } else { shell::page(&shared, "/", body) }
+    // One's own effect stands outside the part that is drawn again, so that what is typed stays.
+    if q.part.is_some() { body } else { shell::page(&shared, "/", html! { (body) (own()) }) }
 }
 
 /// What the page shows of the desk as it is.
@@ -66,21 +67,25 @@ fn ready(shared: &Shared, desk: &Desk, campaign: &crate::workbench::desk::Campai
                 h3 { "Error" }
                 (ladder(&rungs, &|_| html! {}))
                 p.buttons {
-                    button hx-post="/model/undo" hx-target="#main" hx-swap="outerHTML" disabled[rungs.len() < 2] { "Undo" }
+                    button #undo hx-post="/model/undo" hx-target="#main" hx-swap="outerHTML" disabled[rungs.len() < 2] { "Undo" }
                 }
                 (shell::command(&format!("radcam compare {} --model {}", campaign.path.display(), model.display())))
                 p.note { "Fitted and judged in " (format!("{:.0}", now.milliseconds)) " ms over " (c.residuals.len()) " statistics." }
             }
         }
         h2 { "Residuals" }
-        p.note { "Choose a cell to see that statistic: measured, expected by the first model, and by the model as it stands." }
+        p.note {
+            "Each row is a statistic of the frames, such as their mean, their temporal variance, or the covariance of a pixel with the next one in its row, "
+            "(0,1), or column, (1,0). The error is the root mean square of all residuals; p is the probability of deviations at least as large if the "
+            "model is right, and below 0.001 the model is rejected."
+        }
+        p.note { "Choose a cell (arrow keys move) to see that statistic: measured, expected by the first model, and by the model as it stands." }
         div #cell aria-live="polite" {}
         (heat::picture(c, "The model as it stands", &|set| campaign.kinds.get(&set).copied(), &cell_button))
         @if rungs.len() > 1 {
             details { summary { "Residuals of the first model: error " (format!("{:.2}", first.comparison.error)) }
                 (heat::picture(&first.comparison, "The first model", &|set| campaign.kinds.get(&set).copied(), &cell_button)) }
         }
-        (own())
     }
 }
 
@@ -116,7 +121,7 @@ fn verdict(desk: &Desk) -> Markup {
             html! { h1 { "Looking for what is missing" } p.verdict { "Every effect of the catalogue is tried beside the model." } }
         }
         Found::None => html! {
-            h1 { "The model is not searched" }
+            h1 { "Nothing was searched for yet" }
             p { button hx-post="/model/search" hx-target="#main" hx-swap="outerHTML" { "Look for what is missing" } }
         },
     }
@@ -133,7 +138,7 @@ fn missing(desk: &Desk, shared: &Shared) -> Markup {
             (candidate(m))
             @if m.effect != "unknown" {
                 p.buttons {
-                    button.first hx-post="/model/add" hx-vals=(vals(&m.effect)) hx-target="#main" hx-swap="outerHTML" { "Add " (m.effect) " to the model" }
+                    button.first id={ "add-" (m.effect) } hx-post="/model/add" hx-vals=(vals(&m.effect)) hx-target="#main" hx-swap="outerHTML" { "Add " (m.effect) " to the model" }
                 }
             } @else {
                 @for near in &m.nearest {
@@ -151,6 +156,7 @@ fn missing(desk: &Desk, shared: &Shared) -> Markup {
                 }
             }
         }
+        (shell::command(&format!("radcam diagnose {}", shared.dataset.as_ref().map_or(String::new(), |p| p.display().to_string()))))
         form.inline hx-post="/model/add" hx-target="#main" hx-swap="outerHTML" {
             label for="other" { "Another effect" }
             select #other name="effect" { @for e in effects::all() { option value=(e.id()) { (e.id()) } } }
@@ -170,7 +176,7 @@ fn entries(desk: &Desk, now: &Judged) -> Markup {
         p.note { "The linear sensor of Healey and Kondepudy 1994: shot noise, read noise, dark current, black level" @if all.is_empty() { ", and nothing else." } @else { ", and:" } }
         @for e in &all {
             div.entry {
-                button.switch role="switch" aria-checked=(if e.on { "true" } else { "false" }) aria-label={ "in the model: " (e.name()) }
+                button.switch id={ "switch-" (e.name()) } role="switch" aria-checked=(if e.on { "true" } else { "false" }) aria-label={ "in the model: " (e.name()) }
                     hx-post="/model/switch" hx-vals=(vals(e.name())) hx-target="#main" hx-swap="outerHTML" { @if e.on { "on" } @else { "off" } }
                 div {
                     b { (e.name()) }
@@ -182,10 +188,15 @@ fn entries(desk: &Desk, now: &Judged) -> Markup {
                         }
                     }
                 }
-                button.quiet hx-post="/model/remove" hx-vals=(vals(e.name())) hx-target="#main" hx-swap="outerHTML" aria-label={ "remove " (e.name()) } { "Remove" }
+                button.quiet id={ "remove-" (e.name()) } hx-post="/model/remove" hx-vals=(vals(e.name())) hx-target="#main" hx-swap="outerHTML" aria-label={ "remove " (e.name()) } { "Remove" }
             }
         }
     }
+}
+
+/// A value without its error, to four digits.
+fn small(v: f64) -> String {
+    if v == 0.0 || (1e-3..1e6).contains(&v.abs()) { six_digits(v) } else { format!("{v:.3e}") }
 }
 
 /// Values with errors from the fit; of an effect that is off, those that it had.
@@ -199,7 +210,7 @@ fn values(e: &Entry, now: &Judged) -> Vec<(String, String)> {
             let used = all.filter(|(k, _)| effect.uses(values, *k));
             used.map(|(_, ((p, v), s))| (p.name.to_string(), with_unit(*v, *s, p.unit))).collect()
         }
-        None => e.effect.parameters.iter().map(|(n, v)| (n.clone(), format!("{v:.5}"))).collect(),
+        None => e.effect.parameters.iter().map(|(n, v)| (n.clone(), small(*v))).collect(),
     }
 }
 
@@ -226,16 +237,20 @@ pub async fn cell(State(shared): State<Arc<Shared>>, Query(q): Query<Cell>) -> M
     let drawn = aside(move || {
         let desk = shared.desk();
         let [now, first] = desk.judged.clone()?;
-        let rungs: Vec<Rung> = desk.steps.step.iter().skip(1).map(rung).collect();
+        // The names of what is in the model now.
+        let names = desk.entries().into_iter().filter(|e| e.on);
+        let names = names
+            .map(|e| Rung { added: Some(e.name().into()), error: f64::NAN, p_value: f64::NAN })
+            .collect();
+        let both = desk.steps.step.len() > 1;
         drop(desk);
-        Some(detail(&q, &now, &first, rungs))
+        Some(detail(&q, &now, &first, names, both))
     })
     .await;
     drawn.ok().flatten().unwrap_or_else(|| alert("There is no model yet."))
 }
 
-fn detail(q: &Cell, now: &Judged, first: &Judged, rungs: Vec<Rung>) -> Markup {
-    let both = !rungs.is_empty();
+fn detail(q: &Cell, now: &Judged, first: &Judged, rungs: Vec<Rung>, both: bool) -> Markup {
     let comparisons = if both {
         vec![first.comparison.clone(), now.comparison.clone()]
     } else {
@@ -298,13 +313,15 @@ fn own() -> Markup {
         "column",
         "common",
     ];
-    html! {
+    html! { section.own-room aria-label="An effect of your own" {
         h2 { "An effect of your own" }
         p.note {
             "A formula gives the change of a statistic (mean in DN, the others in DN²) in terms of mu (mean above the black level, DN), exposure (s), "
-            "illumination and the parameters. The same formulas stand in model files and in simulated cameras."
+            "illumination and the parameters. cov_01 is the covariance with the next pixel of the row, cov_10 of the column, cov_11 across the corner; "
+            "row, column and common are variances that a row, a column or a frame shares; parity_01 and parity_10 are what odd columns or rows have "
+            "more than even ones. The same formulas stand in model files and in simulated cameras."
         }
-        form.own #own hx-preserve="true" hx-post="/model/try" hx-target="#tried" hx-swap="innerHTML" {
+        form.own hx-post="/model/try" hx-target="#tried" hx-swap="innerHTML" {
             label { "Name" input name="name" value="extra-variance" required; }
             label { "It changes" select name="target" { @for t in targets { option selected[t == "variance"] { (t) } } } }
             label.long { "by" input name="formula" value="k * mu^2" required spellcheck="false"; }
@@ -314,6 +331,6 @@ fn own() -> Markup {
                 button type="button" hx-post="/model/own" hx-include="closest form" hx-target="#main" hx-swap="outerHTML" { "Add" }
             }
         }
-        div #tried hx-preserve="true" aria-live="polite" {}
-    }
+        div #tried aria-live="polite" {}
+    } }
 }

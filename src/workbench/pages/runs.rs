@@ -21,14 +21,14 @@ fn body(shared: &Shared) -> Markup {
     let runs = lock(&shared.runs);
     html! {
         h1 { "Campaigns side by side" }
-        p { button hx-post="/runs/read" hx-target="#status" hx-swap="outerHTML" { "Read the " (shared.others.len()) " others" } }
+        p { button hx-post="/runs/read" hx-target="#status" hx-swap="outerHTML" { "Read the others" } }
         div.scroll tabindex="0" role="region" aria-label="campaigns" {
             table {
                 thead { tr { th { "campaign" } th { "error as given" } th { "error after" } th { "gain (DN/e⁻)" } th { "read noise (e⁻)" } th.text { "missing" } } }
                 @if let (Some(path), Some([now, first])) = (&shared.dataset, &desk.judged) {
                     @let (b, e) = (&now.fitted.base, &now.fitted.base_std_err);
                     tr {
-                        th scope="row" { b { (path.display()) } " (on the desk)" }
+                        th scope="row" { b { (path.display()) } " (this one)" }
                         td.number { (format!("{:.3}", first.comparison.error)) } td.number { (format!("{:.3}", now.comparison.error)) }
                         td.number { (with_error(b.gain_dn_per_e, e[0])) } td.number { (with_error(b.read_noise_e, e[1])) }
                         td.text { @if let Found::Done(d) = &desk.found { @for m in &d.missing { (m.effect) " " span.note { (heading(m)) } br; } } }

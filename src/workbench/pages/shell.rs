@@ -19,7 +19,7 @@ pub fn alert(text: &str) -> Markup {
 
 /// A command that does the same.
 pub fn command(text: &str) -> Markup {
-    html! { p.command { "The same by the program: " code { (text) } } }
+    html! { p.command { "Command: " code { (text) } } }
 }
 
 fn title(shared: &Shared) -> String {
@@ -49,14 +49,17 @@ pub fn page(shared: &Arc<Shared>, room: &str, main: Markup) -> Markup {
                 @for script in ["/uPlot.js", "/htmx.js", "/figures.js", "/viewer.js", "/workbench.js"] { script src=(script) defer {} }
             }
             body.workbench {
+                a.skip href="#main" { "To the content" }
                 header {
                     p.name { b { "radcam" } " " (title(shared)) }
-                    nav aria-label="Rooms" {
+                    nav aria-label="Pages" {
                         @for (_, address, name) in rooms.iter().filter(|r| r.0) {
                             a href=(address) aria-current=[(*address == room).then_some("page")] { (name) }
                         }
                     }
                     (status(shared))
+                    p #said role="alert" {}
+                    p #heard.hidden aria-live="polite" {}
                 }
                 (main)
             }
@@ -64,27 +67,33 @@ pub fn page(shared: &Arc<Shared>, room: &str, main: Markup) -> Markup {
     }
 }
 
-/// What goes on: work with its progress and an end, a question of the bench, what went wrong, what changed.
+/// What goes on: work with its progress and an end, a question of the bench, what went wrong. Two with the same key differ by progress only.
 pub fn status(shared: &Arc<Shared>) -> Markup {
     let job = lock(&shared.job).clone();
     let question = shared.live().and_then(|l| l.operator.question());
     let error = shared.desk().error.clone().or_else(|| shared.live().and_then(|l| l.state().2));
+    let key = format!(
+        "{:?} {:?} {error:?}",
+        job.as_ref().map(|j| (&j.what, j.is_stopped(), j.progress().1)),
+        question.as_ref().map(|q| q.0)
+    );
+    let answer = |number: u64, done: bool| serde_json::json!({ "number": number, "done": done }).to_string();
     html! {
-        div #status {
+        div #status data-key=(key) {
             @if let Some(job) = &job {
                 @let (done, of) = job.progress();
                 p.job {
-                    span { (job.what) @if of > 0 { ": " (done) " of " (of) } @else { " …" } }
+                    span.what { (job.what) @if of > 0 { ": " (done) " of " (of) } @else { " …" } }
                     @if of > 0 { progress value=(done) max=(of) aria-label=(job.what) {} } @else { progress aria-label=(job.what) {} }
-                    @if job.is_stopped() { span { "ends soon" } }
+                    @if job.is_stopped() { span { "is being cancelled" } }
                     @else { button #cancel hx-post="/job/cancel" hx-target="#status" hx-swap="outerHTML" { "Cancel" } }
                 }
             }
-            @if let Some(question) = &question {
+            @if let Some((number, question)) = &question {
                 p.question role="alert" {
                     b { (question) "." } " "
-                    button hx-post="/operator" hx-vals="{\"done\": true}" hx-target="#status" hx-swap="outerHTML" { "Done" } " "
-                    button hx-post="/operator" hx-vals="{\"done\": false}" hx-target="#status" hx-swap="outerHTML" { "Give up" }
+                    button #done hx-post="/operator" hx-vals=(answer(*number, true)) hx-target="#status" hx-swap="outerHTML" { "Done" } " "
+                    button #give-up hx-post="/operator" hx-vals=(answer(*number, false)) hx-target="#status" hx-swap="outerHTML" { "Give up" }
                 }
             }
             @if let Some(error) = &error { (alert(error)) }
