@@ -60,6 +60,17 @@ fn lock(root: &Path) -> Result<File, DatasetError> {
     Ok(rows)
 }
 
+/// Removes what a killed program left; nobody else writes here while the folder is locked.
+fn remove_leftovers(root: &Path) -> Result<(), DatasetError> {
+    for folder in [root, &root.join("frames")] {
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+        for left in entries.filter(|e| e.file_name().to_string_lossy().starts_with(ASIDE)) {
+            fs::remove_file(left.path()).map_err(DatasetError::io(&left.path()))?;
+        }
+    }
+    Ok(())
+}
+
 /// Whether a folder holds nothing but the beginnings of a campaign that never got its manifest.
 fn unfinished_start(root: &Path, beside: &[(&str, &str)]) -> std::io::Result<bool> {
     for entry in fs::read_dir(root)? {
@@ -102,12 +113,9 @@ impl Writer {
         })?;
         write_whole(&root.join("frames.csv"), format!("{}\n", COLUMNS.join(",")).as_bytes())?;
         write_whole(&root.join("dataset.toml"), text.as_bytes())?;
-        Ok(Self {
-            root: root.into(),
-            rows: lock(root)?,
-            camera: manifest.camera.clone(),
-            written: Vec::new(),
-        })
+        let rows = lock(root)?;
+        remove_leftovers(root)?;
+        Ok(Self { root: root.into(), rows, camera: manifest.camera.clone(), written: Vec::new() })
     }
 
     /// Continues a campaign. A last row that a crash cut short is taken off; every whole row is kept.
@@ -125,13 +133,7 @@ impl Writer {
             tracing::warn!(file = %path.display(), bytes = text.len() - whole, "cut off an unfinished row");
             rows.set_len(whole as u64).and_then(|()| rows.sync_all()).map_err(DatasetError::io(&path))?;
         }
-        // What a killed program left: nobody else writes here while the folder is locked.
-        for folder in [root, &root.join("frames")] {
-            let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-            for left in entries.filter(|e| e.file_name().to_string_lossy().starts_with(ASIDE)) {
-                fs::remove_file(left.path()).map_err(DatasetError::io(&left.path()))?;
-            }
-        }
+        remove_leftovers(root)?;
         let dataset = Dataset::open(root)?;
         for row in dataset.rows() {
             dataset.read(row)?;
@@ -153,12 +155,7 @@ impl Writer {
     ///
     /// Where the frame cannot be written; the campaign stays as it was.
     pub fn append(&mut self, mut row: FrameRow, pixels: &Array2<u16>) -> Result<(), DatasetError> {
-        // A frame whose row a crash has cut off keeps its name.
-        let mut number = self.written.len();
-        while self.root.join(name(number)).exists() {
-            number += 1;
-        }
-        row.file = name(number);
+        row.file = name(self.written.len());
         let fault = |message: String| DatasetError::Frame {
             file: row.file.clone(),
             set: row.set,
@@ -173,7 +170,25 @@ impl Writer {
             image::described_bytes::<Gray16>(pixels, &text)
         }
         .map_err(|e| fault(e.to_string()))?;
-        write_whole(&self.root.join(&row.file), &bytes)?;
+        // A frame whose row a crash has cut off keeps its name; where it is this very frame, drawn again, it is the one.
+        let mut number = self.written.len();
+        let there = loop {
+            match fs::read(self.root.join(name(number))) {
+                Err(_) => break false,
+                Ok(found) if found == bytes => break true,
+                Ok(_) => number += 1,
+            }
+        };
+        row.file = name(number);
+        if !there {
+            write_whole(&self.root.join(&row.file), &bytes)?;
+        }
+        let fault = |message: String| DatasetError::Frame {
+            file: row.file.clone(),
+            set: row.set,
+            index: row.index,
+            message,
+        };
         let mut line = csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new());
         line.serialize(&row).map_err(|e| fault(e.to_string()))?;
         let line = line.into_inner().map_err(|e| fault(e.to_string()))?;

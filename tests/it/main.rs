@@ -12,6 +12,7 @@ mod effects;
 mod emva;
 mod import;
 mod investigate;
+mod killed;
 mod models;
 mod noise;
 mod outside;
