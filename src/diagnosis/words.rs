@@ -53,7 +53,7 @@ fn describe(name: &str, of: &[&Residual]) -> String {
         format!("{:+.3}{unit} from the prediction", worst.measured - worst.predicted)
     };
     let place = match worst.set {
-        Some(set) => format!(" in set {set} (signal {:.0} DN)", worst.level_dn),
+        Some(set) => format!(" in set {set} (signal {:.0} DN)", worst.level_dn.round() + 0.0),
         None => String::new(),
     };
     let grows = match power(of) {

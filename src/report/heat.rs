@@ -29,7 +29,7 @@ fn number(z: f64) -> String {
 
 /// A residual in words.
 pub fn words(r: &Residual) -> String {
-    let place = r.set.map_or("whole campaign".into(), |set| format!("set {set} at {:.0} DN", r.level_dn));
+    let place = r.set.map_or("whole campaign".into(), |set| format!("set {set} at {} DN", level(r.level_dn)));
     let unit = pretty(&r.unit);
     let sign = if r.z < 0.0 { "−" } else { "+" };
     format!(
@@ -134,7 +134,8 @@ pub fn picture(c: &Comparison, title: &str, kind: &dyn Fn(u32) -> Option<Kind>, 
     }
 }
 
-fn level(dn: f64) -> String {
+/// A level, without a sign where it is nothing.
+pub fn level(dn: f64) -> String {
     if dn.abs() < 0.5 { "0".into() } else { format!("{dn:.0}") }
 }
 

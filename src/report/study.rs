@@ -4,7 +4,7 @@
 use super::candidates::candidate;
 use super::document;
 use super::ladder::ladder;
-use super::plot::{figure, wide};
+use super::plot::figure;
 use super::{heat, images};
 use crate::dataset::Kind;
 use crate::diagnosis::signatures;
@@ -38,9 +38,9 @@ pub fn html(s: &Study, kinds: &BTreeMap<u32, Kind>) -> String {
         nav.rooms aria-label="Sections" {
             @for (id, name) in sections(s) { a href={ "#" (id) } { (name) } }
         }
-        @if let Some(plot) = &s.decisive {
+        @if !s.decisive.is_empty() {
             h2 #decided { @if j.comparisons.len() > 1 { "What decided" } @else { "What deviates most" } }
-            (wide(plot))
+            div.plots { @for plot in &s.decisive { (figure(plot)) } }
             (deviations(&j.comparisons[0]))
         }
         h2 #ladder { "Error" }
@@ -105,7 +105,7 @@ fn title(s: &Study) -> String {
 fn sections(s: &Study) -> Vec<(&'static str, &'static str)> {
     let j = &s.judgement;
     let all = [
-        (s.decisive.is_some(), "decided", "Evidence"),
+        (!s.decisive.is_empty(), "decided", "Evidence"),
         (true, "ladder", "Error"),
         (!j.missing.is_empty(), "missing", "What the model lacks"),
         (j.next_measurement.is_some(), "next", "Next measurement"),

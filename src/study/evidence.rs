@@ -88,8 +88,28 @@ fn deciding(j: &Judgement) -> Option<String> {
 }
 
 /// The deciding statistic as a curve: what was measured, and what the models expect, before and after.
-pub fn decisive(j: &Judgement) -> Option<Plot> {
-    plot_of(j, &deciding(j)?)
+///
+/// Twice: in its unit, which shows how it grows, and in standard errors, which show where it is seen.
+pub fn decisive(j: &Judgement) -> Vec<Plot> {
+    let Some(name) = deciding(j) else { return Vec::new() };
+    plot_of(j, &name).into_iter().chain(in_errors(j, &name)).collect()
+}
+
+/// The same as [`plot_of`] over the standard errors.
+fn in_errors(j: &Judgement, name: &str) -> Option<Plot> {
+    let before = of_statistic(j.comparisons.first()?, name);
+    let mut plot = plot_of(j, name)?;
+    for s in &mut plot.series {
+        for p in &mut s.points {
+            // Sets of one level have errors of one size.
+            let std_err = before.iter().find(|l| l.level_dn == p[0]).map_or(1.0, |l| l.std_err);
+            (p[1], p[2]) = (p[1] / std_err, p[2] / std_err);
+        }
+    }
+    plot.id = format!("{}-in-errors", plot.id).into();
+    plot.title = format!("{name}, in standard errors").into();
+    plot.y = axis("(measured − expected) / standard error");
+    Some(plot)
 }
 
 /// One statistic as a curve: measured and expected with all that was found, both less what the model as given expects.
@@ -107,7 +127,7 @@ pub fn plot_of(j: &Judgement, name: &str) -> Option<Plot> {
             .iter()
             .filter_map(|l| {
                 let b = before.iter().find(|b| b.set == l.set)?;
-                Some([l.level_dn, l.predicted - b.predicted, f64::NAN])
+                Some([b.level_dn, l.predicted - b.predicted, f64::NAN])
             })
             .collect();
         let added: Vec<&str> = j.ladder.iter().filter_map(|r| r.added.as_deref()).collect();
@@ -122,7 +142,7 @@ pub fn plot_of(j: &Judgement, name: &str) -> Option<Plot> {
         id: format!("statistic-{}", slug(name)).into(),
         title: name.to_string().into(),
         x: axis("level (DN above the black level)"),
-        y: axis(format!("measured − expected as given{unit}")),
+        y: axis(format!("measured − expected{unit}")),
         series: all,
         y_range: None,
     })

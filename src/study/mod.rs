@@ -121,7 +121,7 @@ pub struct Study {
     /// Plots of the camera: photon transfer, linearity, and so on.
     pub plots: Vec<Plot>,
     /// The statistic that decided, before and after.
-    pub decisive: Option<Plot>,
+    pub decisive: Vec<Plot>,
     /// Every statistic against the level.
     pub statistics: Vec<Plot>,
     /// Correlations of the noise with neighbours: (rows, columns) apart, value and standard error, mean over the flats.

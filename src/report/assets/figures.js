@@ -109,7 +109,7 @@
       const { min, max } = u.scales.x;
       points.forEach((list, k) => {
         if (plot.series[k].shape !== "points" || !u.series[k + 1].show) return;
-        for (const [x, y, e] of list) if (isFinite(e) && x >= min && x <= max) { low = Math.min(low, y - e); high = Math.max(high, y + e); }
+        for (const [x, y, e] of list) if (isFinite(e) && (min == null || (x >= min && x <= max))) { low = Math.min(low, y - e); high = Math.max(high, y + e); }
       });
       return uPlot.rangeNum(low ?? 0, high ?? 1, 0.05, true);
     };

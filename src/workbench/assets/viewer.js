@@ -107,13 +107,14 @@ addEventListener("DOMContentLoaded", () => {
     draw();
     histogram();
     profile();
+    if (kept) read(kept);
   };
   const at = (e) => {
     const box = canvas.getBoundingClientRect();
     return { x: Math.floor(view.x + ((e.clientX - box.left) * canvas.width) / box.width / view.zoom), y: Math.floor(view.y + ((e.clientY - box.top) * canvas.height) / box.height / view.zoom) };
   };
   const inside = (p) => image && p.x >= 0 && p.y >= 0 && p.x < image.width && p.y < image.height;
-  const read = (p) => { if (inside(p)) $("pixel").textContent = `x ${p.x}, y ${p.y}: ${short(image.values[p.y * image.width + p.x])}`; };
+  const read = (p) => { if (inside(p)) $("pixel").textContent = `x ${p.x}, y ${p.y}: ${short(image.values[p.y * image.width + p.x])} ${$("of").value === "variance" ? "DN²" : "DN"}`; };
   const zoom = (by, cx, cy) => {
     const [x, y] = [view.x + cx / view.zoom, view.y + cy / view.zoom];
     view.zoom = Math.min(64, Math.max(0.02, view.zoom * by));

@@ -3,6 +3,11 @@
 (() => {
   // Figures in parts that were replaced.
   document.addEventListener("htmx:load", (e) => window.radcamFigures && window.radcamFigures(e.detail.elt));
+  // What was added is judged at the top of the page.
+  document.addEventListener("htmx:afterSettle", (e) => {
+    const path = e.detail.pathInfo?.requestPath ?? "";
+    if (path === "/model/add" || path === "/model/own") document.querySelector("#main").scrollIntoView();
+  });
   // The cell that is looked at stays in view, with its new numbers.
   let cell = "";
   document.addEventListener("htmx:afterRequest", (e) => { const path = e.detail.pathInfo?.requestPath ?? ""; if (path.startsWith("/cell?")) cell = path; });

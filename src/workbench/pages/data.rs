@@ -36,7 +36,7 @@ fn body(dataset: &Dataset) -> Markup {
                     option value=(s.number) data-frames=(s.rows.len()) { (s.number) ": " (r.kind) ", " (format!("{:.4}", 1e3 * r.exposure_s)) " ms, light " (format!("{:.3}", r.illumination)) } } } }
                 label { "Frame " input #v-index type="number" min="0" value="0"; }
                 label { "Show " select #v-of { option value="frame" { "the frame" } option value="difference" { "the frame less another" } option value="mean" { "mean of the set" } option value="variance" { "temporal variance of the set" } } }
-                label #v-other hidden { "less frame " input #v-less type="number" min="0" value="0"; }
+                label #v-other hidden { "less frame " input #v-less type="number" min="0" value="1"; }
                 label { "Black " input #v-low type="number" step="any"; }
                 label { "White " input #v-high type="number" step="any"; }
                 button #v-fit { "Whole image" }

@@ -132,7 +132,7 @@ fn missing(desk: &Desk, shared: &Shared) -> Markup {
     html! {
         @if matches!(d.verdict, Verdict::Describes { .. }) { p { "Nothing: the model describes the campaign." } }
         @if !d.missing.is_empty() {
-            @if let Some(plot) = decisive(&Judgement::of_diagnosis(d)) { (wide(&plot)) }
+            @for plot in decisive(&Judgement::of_diagnosis(d)) { (wide(&plot)) }
         }
         @for m in &d.missing {
             (candidate(m))
@@ -266,7 +266,7 @@ fn detail(q: &Cell, now: &Judged, first: &Judged, rungs: Vec<Rung>, both: bool) 
     let Some(any) = after.first() else { return alert("There is no such statistic.") };
     html! {
         section.detail aria-label=(q.statistic) {
-            h3 { (q.statistic) @if let Some(set) = q.set { ", set " (set) " at " (format!("{:.0}", any.level_dn)) " DN" } }
+            h3 { (q.statistic) @if let Some(set) = q.set { ", set " (set) " at " (heat::level(any.level_dn)) " DN" } }
             p.note { "A deviation means: " (any.meaning) "." }
             div.columns {
                 div { @if let Some(plot) = plot_of(&judgement, &q.statistic) { (wide(&plot)) } @else { p.note { "It belongs to the whole campaign: no curve over the level." } } }

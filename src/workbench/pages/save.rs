@@ -24,10 +24,10 @@ fn body(shared: &Shared) -> Markup {
         h1 { "Save" }
         p { "Every step is kept in " code { (folder.display()) } " as it is made." }
         h2 { "Model" }
-        p { a.button href="/save/model.toml" { "model.toml" } " the effects that are on, with their values" }
+        p { a.button href="/save/model.toml" { "Download model.toml" } " the effects that are on, with their values" }
         (shell::command(&format!("radcam compare {data} --model {}", model.display())))
         h2 { "Report" }
-        p { a.button href="/save/report.html" { "report.html" } " verdict, evidence, curves, images and numbers as one page" }
+        p { a.button href="/save/report.html" { "Download report.html" } " verdict, evidence, curves, images and numbers as one page" }
         (shell::command(&format!("radcam report {data} --model {} -o report.html", model.display())))
         h2 { "Calibration" }
         p { button hx-post="/save/calibration" hx-target="#status" hx-swap="outerHTML" { "Calibrate" } " dark reference, fixed pattern and defects, for radcam correct" }
