@@ -3,11 +3,14 @@
 use crate::calibrate::dark::DarkError;
 use crate::calibrate::defects::replacements;
 use crate::calibrate::file::Calibration;
+use crate::pixel_format::{PixelFormat, WrongLength};
 use ndarray::Array2;
 use rayon::prelude::*;
 
 /// Pixels that one thread takes at a time.
 const CHUNK: usize = 65_536;
+/// Pixels that are unpacked at a time: their codes stay in the nearest cache. Whole bytes and whole groups of every packed format.
+const BLOCK: usize = 4096;
 
 /// A calibration made ready for one exposure.
 ///
@@ -76,6 +79,41 @@ pub enum CorrectError {
     /// The dark reference does not reach to this exposure.
     #[error(transparent)]
     Dark(#[from] DarkError),
+    /// The bytes are not those of a frame of that size and format.
+    #[error(transparent)]
+    Bytes(#[from] WrongLength),
+}
+
+/// What was seen of a raw frame while it was corrected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Seen {
+    /// Sum of all codes, DN.
+    pub sum_dn: u64,
+    /// Pixels at full scale.
+    pub saturated: u64,
+    /// Pixels.
+    pub pixels: u64,
+}
+
+impl Seen {
+    fn of(dn: &[u16], full_scale_dn: u16) -> Self {
+        let sum_dn = dn.chunks(BLOCK).map(|c| u64::from(c.iter().map(|&d| u32::from(d)).sum::<u32>())).sum();
+        let saturated = dn.chunks(BLOCK).map(|c| c.iter().map(|&d| u64::from(d >= full_scale_dn)).sum::<u64>());
+        Self { sum_dn, saturated: saturated.sum(), pixels: dn.len() as u64 }
+    }
+
+    fn and(self, other: Self) -> Self {
+        Self {
+            sum_dn: self.sum_dn + other.sum_dn,
+            saturated: self.saturated + other.saturated,
+            pixels: self.pixels + other.pixels,
+        }
+    }
+
+    /// Mean of the raw frame, DN.
+    pub fn mean_dn(&self) -> f64 {
+        self.sum_dn as f64 / self.pixels.max(1) as f64
+    }
 }
 
 impl Corrector {
@@ -110,6 +148,11 @@ impl Corrector {
         self.shape
     }
 
+    /// Median of the dark reference, DN.
+    pub fn dark_dn(&self) -> f32 {
+        self.dark_dn.middle
+    }
+
     fn check(&self, lengths: [usize; 2]) -> Result<(), CorrectError> {
         let expected = self.gain.off.len();
         match lengths.into_iter().find(|&found| found != expected) {
@@ -137,13 +180,55 @@ impl Corrector {
     ///
     /// Where frame, output and calibration differ in size.
     pub fn to_u16(&self, frame: &[u16], codes: Codes, out: &mut [u16]) -> Result<(), CorrectError> {
-        self.each(frame, out, codes)?;
+        self.each(frame, out, (codes, u16::MAX))?;
+        self.replace_u16(out);
+        Ok(())
+    }
+
+    /// Corrects a frame from its bytes as they came over the wire to 16-bit codes, in one pass: what is unpacked stays in the nearest cache.
+    /// Codes are those of [`to_u16`](Self::to_u16), bit for bit, but none is above `limit`.
+    ///
+    /// # Errors
+    ///
+    /// Where bytes, output and calibration differ in size.
+    pub fn arrived_to_u16(
+        &self,
+        format: PixelFormat,
+        bytes: &[u8],
+        codes: Codes,
+        limit: u16,
+        out: &mut [u16],
+    ) -> Result<Seen, CorrectError> {
+        self.check([out.len(), out.len()])?;
+        format.check(bytes.len(), out.len())?;
+        let arch = pulp::Arch::new();
+        let middle = (self.dark_dn.middle, self.gain.middle);
+        let maps = self.dark_dn.off.par_chunks(CHUNK).zip(self.gain.off.par_chunks(CHUNK));
+        let pieces = out.par_chunks_mut(CHUNK).zip(bytes.par_chunks(format.payload(CHUNK))).zip(maps);
+        let seen = pieces.map(|((out, bytes), (dark, gain))| {
+            let mut memory = [0; BLOCK];
+            let mut seen = Seen::default();
+            let maps = dark.chunks(BLOCK).zip(gain.chunks(BLOCK));
+            let blocks = out.chunks_mut(BLOCK).zip(bytes.chunks(format.payload(BLOCK))).zip(maps);
+            for ((out, bytes), (dark, gain)) in blocks {
+                let frame = &mut memory[..out.len()];
+                format.unpack_checked(bytes, frame);
+                arch.dispatch(Piece { frame, dark, gain, middle, form: (codes, limit), out });
+                seen = seen.and(arch.dispatch(|| Seen::of(frame, format.full_scale_dn())));
+            }
+            seen
+        });
+        let seen = seen.reduce(Seen::default, Seen::and);
+        self.replace_u16(out);
+        Ok(seen)
+    }
+
+    fn replace_u16(&self, out: &mut [u16]) {
         for (at, from) in &self.replace {
             let sum: u64 = from.iter().map(|&i| u64::from(out[i])).sum();
             let n = from.len() as u64;
             out[*at] = ((sum + n / 2) / n) as u16;
         }
-        Ok(())
     }
 
     /// Every pixel of a frame, on all cores.
@@ -205,16 +290,17 @@ impl pulp::NullaryFnOnce for Piece<'_, f32, ()> {
     }
 }
 
-impl pulp::NullaryFnOnce for Piece<'_, u16, Codes> {
+impl pulp::NullaryFnOnce for Piece<'_, u16, (Codes, u16)> {
     type Output = ();
 
     #[inline(always)]
     fn call(self) {
-        let Codes { scale, offset } = self.form;
+        let (Codes { scale, offset }, limit) = self.form;
+        let most = ZERO + i32::from(limit);
         // Adding 1.5 * 2^23 rounds to a whole number and leaves it in the low bits; the bits order as the numbers do.
         self.corrected(|v| {
             let bits = (v * scale + offset + 12_582_912.0).to_bits() as i32;
-            bits.clamp(ZERO, ZERO + 65_535) as u16
+            bits.max(ZERO).min(most) as u16
         });
     }
 }
@@ -308,6 +394,40 @@ mod tests {
     fn halves_are_widened_exactly() {
         for bits in (0..=u16::MAX).filter(|b| b & 0x7c00 != 0x7c00) {
             assert_eq!(widen(bits).to_bits(), half::f16::from_bits(bits).to_f32().to_bits(), "{bits:x}");
+        }
+    }
+
+    /// Every format, at a size that is no multiple of anything, with a replaced pixel: as unpacked and then corrected, and what is seen is
+    /// what is there.
+    #[test]
+    fn a_frame_is_corrected_as_it_came() {
+        let n = 2 * CHUNK + 3 * BLOCK + 4 * 7;
+        let map = |at: f32, by: f32| Halves::new((0..n).map(move |i| at + by * ((i * 31 % 997) as f32 / 997.0)));
+        let corrector = Corrector {
+            shape: (1, n),
+            dark_dn: map(3.0, 2.0),
+            gain: map(0.9, 0.2),
+            replace: vec![(5, vec![4, 6]), (CHUNK, vec![CHUNK + 1])],
+        };
+        let codes = Codes { scale: 4.0, offset: 16.0 };
+        for format in PixelFormat::all() {
+            let full = format.full_scale_dn();
+            let dn: Vec<u16> = (0..n).map(|i| (i * 7919 % (usize::from(full) + 1)) as u16).collect();
+            let mut bytes = vec![0; format.payload(n)];
+            format.pack(&dn, &mut bytes).unwrap();
+            let (mut one, mut two) = (vec![0; n], vec![0; n]);
+            corrector.to_u16(&dn, codes, &mut one).unwrap();
+            let seen = corrector.arrived_to_u16(format, &bytes, codes, u16::MAX, &mut two).unwrap();
+            assert_eq!(one, two, "{format}");
+            let sum_dn = dn.iter().map(|&d| u64::from(d)).sum();
+            let saturated = dn.iter().filter(|&&d| d == full).count() as u64;
+            assert_eq!(seen, Seen { sum_dn, saturated, pixels: n as u64 }, "{format}");
+            corrector.arrived_to_u16(format, &bytes, codes, 99, &mut two).unwrap();
+            let limited = two.iter().zip(&one).enumerate();
+            // A replaced pixel is the mean of limited ones.
+            assert!(limited.into_iter().all(|(i, (t, o))| t == o.min(&99) || [5, CHUNK].contains(&i)), "{format}");
+            let short = corrector.arrived_to_u16(format, &bytes[1..], codes, u16::MAX, &mut two);
+            assert!(matches!(short, Err(CorrectError::Bytes(_))), "{format}");
         }
     }
 

@@ -87,6 +87,7 @@ pub mod scene_variation;
 pub mod serve;
 pub mod source;
 pub mod statistics;
+pub mod stream;
 pub mod study;
 pub mod surfaces;
 #[cfg(feature = "cli")]

@@ -43,10 +43,34 @@ const TABLE: &[Row] = &[
     row("BayerRG8", 0x0108_0009, 8, unpack_8, pack_8),
     row("BayerGB8", 0x0108_000A, 8, unpack_8, pack_8),
     row("BayerBG8", 0x0108_000B, 8, unpack_8, pack_8),
+    row("BayerGR10", 0x0110_000C, 10, unpack_16, pack_16),
+    row("BayerRG10", 0x0110_000D, 10, unpack_16, pack_16),
+    row("BayerGB10", 0x0110_000E, 10, unpack_16, pack_16),
+    row("BayerBG10", 0x0110_000F, 10, unpack_16, pack_16),
+    row("BayerGR12", 0x0110_0010, 12, unpack_16, pack_16),
+    row("BayerRG12", 0x0110_0011, 12, unpack_16, pack_16),
+    row("BayerGB12", 0x0110_0012, 12, unpack_16, pack_16),
+    row("BayerBG12", 0x0110_0013, 12, unpack_16, pack_16),
     row("BayerGR16", 0x0110_002E, 16, unpack_16, pack_16),
     row("BayerRG16", 0x0110_002F, 16, unpack_16, pack_16),
     row("BayerGB16", 0x0110_0030, 16, unpack_16, pack_16),
     row("BayerBG16", 0x0110_0031, 16, unpack_16, pack_16),
+    row("BayerGR10p", 0x010A_0056, 10, unpack_10p, pack_10p),
+    row("BayerRG10p", 0x010A_0058, 10, unpack_10p, pack_10p),
+    row("BayerGB10p", 0x010A_0054, 10, unpack_10p, pack_10p),
+    row("BayerBG10p", 0x010A_0052, 10, unpack_10p, pack_10p),
+    row("BayerGR12p", 0x010C_0057, 12, unpack_12p, pack_12p),
+    row("BayerRG12p", 0x010C_0059, 12, unpack_12p, pack_12p),
+    row("BayerGB12p", 0x010C_0055, 12, unpack_12p, pack_12p),
+    row("BayerBG12p", 0x010C_0053, 12, unpack_12p, pack_12p),
+    row("BayerGR10Packed", 0x010C_0026, 10, unpack_10_packed, pack_10_packed),
+    row("BayerRG10Packed", 0x010C_0027, 10, unpack_10_packed, pack_10_packed),
+    row("BayerGB10Packed", 0x010C_0028, 10, unpack_10_packed, pack_10_packed),
+    row("BayerBG10Packed", 0x010C_0029, 10, unpack_10_packed, pack_10_packed),
+    row("BayerGR12Packed", 0x010C_002A, 12, unpack_12_packed, pack_12_packed),
+    row("BayerRG12Packed", 0x010C_002B, 12, unpack_12_packed, pack_12_packed),
+    row("BayerGB12Packed", 0x010C_002C, 12, unpack_12_packed, pack_12_packed),
+    row("BayerBG12Packed", 0x010C_002D, 12, unpack_12_packed, pack_12_packed),
 ];
 
 /// A name or a code that is not in the table.
@@ -65,6 +89,9 @@ pub struct WrongLength {
 }
 
 impl PixelFormat {
+    /// Mono16, the form of frames that radcam itself hands on.
+    pub const MONO16: Self = Self(4);
+
     /// Every format.
     pub fn all() -> impl Iterator<Item = Self> {
         (0..TABLE.len()).map(Self)
@@ -103,6 +130,18 @@ impl PixelFormat {
     /// Where radcam cannot unpack a format of this code.
     pub fn from_code(code: u32) -> Result<Self, UnknownFormat> {
         Self::all().find(|f| f.code() == code).ok_or_else(|| UnknownFormat(format!("{code:#010x}")))
+    }
+
+    /// The format of the same pixels in which each takes whole bytes.
+    pub fn unpacked(self) -> Self {
+        let name = self.name();
+        let plain = name.trim_end_matches("Packed").trim_end_matches('p');
+        Self::from_name(plain).unwrap_or(self)
+    }
+
+    /// Whether it is a colour mosaic of two by two pixels.
+    pub fn is_mosaic(self) -> bool {
+        self.name().starts_with("Bayer")
     }
 
     /// PFNC name.
@@ -157,7 +196,12 @@ impl PixelFormat {
         Ok(())
     }
 
-    fn check(self, found: usize, pixels: usize) -> Result<(), WrongLength> {
+    /// As [`unpack`](Self::unpack), of lengths that were checked.
+    pub(crate) fn unpack_checked(self, bytes: &[u8], dn: &mut [u16]) {
+        (self.row().unpack)(bytes, dn);
+    }
+
+    pub(crate) fn check(self, found: usize, pixels: usize) -> Result<(), WrongLength> {
         let expected = self.payload(pixels);
         if found == expected { Ok(()) } else { Err(WrongLength { format: self, pixels, expected, found }) }
     }

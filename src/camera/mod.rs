@@ -241,6 +241,9 @@ pub struct Automatic {
 pub struct StreamOptions {
     /// Frames held ready for the camera to fill.
     pub buffers: usize,
+    /// Whole frames that may wait to be taken: one more, and the oldest is dropped and counted. `None`: all wait, and a frame that finds no
+    /// free buffer is an underrun. Keep it below `buffers`, so that one is always free.
+    pub waiting: Option<usize>,
     /// GigE Vision: bytes of a packet; `None` negotiates the largest that passes.
     pub packet_size: Option<u32>,
     /// GigE Vision: whether lost packets are asked for again.
@@ -259,6 +262,7 @@ impl Default for StreamOptions {
     fn default() -> Self {
         Self {
             buffers: 8,
+            waiting: None,
             packet_size: None,
             packet_resend: true,
             packet_timeout: Duration::from_millis(40),
@@ -278,16 +282,25 @@ pub struct StreamCounts {
     pub failures: u64,
     /// Frames for which no buffer was free.
     pub underruns: u64,
-    /// Frames that the numbers say were sent and that never arrived.
+    /// Whole frames that waited too long and made room for newer ones ([`StreamOptions::waiting`]).
+    #[serde(default)]
+    pub dropped: u64,
+    /// Frames that the camera's numbers say were sent and of which nothing else is known.
     pub missing: u64,
 }
 
 impl StreamCounts {
+    /// Frames that did not come through: damaged, dropped, without a buffer, or never seen.
+    pub fn lost(&self) -> u64 {
+        self.failures + self.underruns + self.dropped + self.missing
+    }
+
     /// Adds another stream's counts.
     pub fn add(&mut self, other: StreamCounts) {
         self.completed += other.completed;
         self.failures += other.failures;
         self.underruns += other.underruns;
+        self.dropped += other.dropped;
         self.missing += other.missing;
     }
 }
@@ -370,6 +383,23 @@ pub enum CameraError {
     },
 }
 
+/// A frame as it came, before it is unpacked.
+#[derive(Debug, Clone, Copy)]
+pub struct Arrived<'a> {
+    /// Its pixels row by row, as they came over the wire.
+    pub bytes: &'a [u8],
+    /// What the bytes mean.
+    pub format: PixelFormat,
+    /// Columns and rows.
+    pub size: (usize, usize),
+    /// As [`Frame::id`].
+    pub id: u64,
+    /// As [`Frame::timestamp_ns`].
+    pub timestamp_ns: Option<u64>,
+    /// Time since its first packet came, where that is known.
+    pub age: Option<Duration>,
+}
+
 /// A running acquisition. Dropping it stops the camera.
 pub trait FrameStream {
     /// Waits for the next frame and fills `frame` with it, without a new allocation where the size fits.
@@ -380,6 +410,38 @@ pub trait FrameStream {
     ///
     /// [`CameraError::Timeout`] where no frame came in time, [`CameraError::Lost`] where the camera is gone.
     fn next(&mut self, frame: &mut Frame, timeout: Duration) -> Result<(), CameraError>;
+
+    /// Waits for the next frame and shows its bytes to `take` where they are, without a copy. A damaged frame is counted and comes as its
+    /// reason. A backend whose frames do not come as bytes uses `memory`.
+    ///
+    /// # Errors
+    ///
+    /// As [`next`](Self::next).
+    fn next_arrived(
+        &mut self,
+        memory: &mut Frame,
+        timeout: Duration,
+        take: &mut dyn FnMut(Result<Arrived<'_>, &str>),
+    ) -> Result<(), CameraError> {
+        self.next(memory, timeout)?;
+        if let crate::frame::Status::Damaged(why) = &memory.status {
+            take(Err(why));
+            return Ok(());
+        }
+        let (height, width) = memory.pixels.dim();
+        let codes = memory.pixels.as_slice_mut().unwrap_or_default();
+        #[cfg(target_endian = "big")]
+        codes.iter_mut().for_each(|c| *c = c.to_le());
+        take(Ok(Arrived {
+            bytes: bytemuck::cast_slice(codes),
+            format: PixelFormat::MONO16,
+            size: (width, height),
+            id: memory.id,
+            timestamp_ns: memory.timestamp_ns,
+            age: None,
+        }));
+        Ok(())
+    }
 
     /// Asks for one frame, with [`Trigger::Software`].
     ///

@@ -3,6 +3,7 @@
 use crate::bench::{self, Illuminator};
 use crate::camera::{Camera, sim};
 use crate::capture::PLAN_FILE;
+use crate::correct::Codes;
 use crate::plan::{Plan, SetPlan};
 use anyhow::{Context, Result, bail};
 use radcam_sim::Model;
@@ -162,5 +163,17 @@ pub fn duration(seconds: f64) -> String {
         s @ 0..=99 => format!("{s} s"),
         s @ 100..=5999 => format!("{} min", (s + 30) / 60),
         s => format!("{} h {} min", s / 3600, s % 3600 / 60),
+    }
+}
+
+/// `scale,offset`.
+pub fn codes(text: &str) -> Result<Codes, String> {
+    let numbers: Vec<f32> = text
+        .split(',')
+        .map(|n| n.trim().parse().map_err(|_| format!("\"{n}\" is not a number")))
+        .collect::<Result<_, String>>()?;
+    match numbers[..] {
+        [scale, offset] if scale > 0.0 && offset.is_finite() => Ok(Codes { scale, offset }),
+        _ => Err("write scale,offset with a scale above 0".into()),
     }
 }

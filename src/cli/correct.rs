@@ -1,7 +1,7 @@
 //! `radcam correct`
 
 use super::Outcome;
-use super::common::above_0;
+use super::common::{above_0, codes};
 use crate::calibrate::file::Calibration;
 use crate::correct::{Codes, CorrectError, Corrector};
 use crate::dataset::tag::FrameTag;
@@ -43,18 +43,6 @@ pub struct Arguments {
     /// Print JSON
     #[arg(long)]
     json: bool,
-}
-
-/// `scale,offset`.
-fn codes(text: &str) -> Result<Codes, String> {
-    let numbers: Vec<f32> = text
-        .split(',')
-        .map(|n| n.trim().parse().map_err(|_| format!("\"{n}\" is not a number")))
-        .collect::<Result<_, String>>()?;
-    match numbers[..] {
-        [scale, offset] if scale > 0.0 && offset.is_finite() => Ok(Codes { scale, offset }),
-        _ => Err("write scale,offset with a scale above 0".into()),
-    }
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
@@ -269,7 +257,7 @@ impl Plain {
 }
 
 /// What a corrected image says of itself.
-fn description(calibration: &Path, codes: Option<Codes>, corrector: &Corrector) -> String {
+pub(super) fn description(calibration: &Path, codes: Option<Codes>, corrector: &Corrector) -> String {
     serde_json::json!({
         "format": "radcam-corrected/1",
         "calibration": calibration.display().to_string(),

@@ -70,6 +70,7 @@ verbs! {
     plan_calibration PlanCalibration "Plan a calibration: how many configurations, frames and darks it needs"
     calibrate Calibrate "Make a calibration file: dark reference, fixed pattern K, defects (Section V)"
     correct Correct "Correct frames by a calibration (eq. 51)"
+    stream Stream "Correct a camera's frames as they come; write them, or offer them as a camera"
     scene Scene "Scene variation of a region: a property of the surface, independent of the light (Section VI)"
     surface Surface "Learn surfaces and identify them by their scene variation"
     budget Budget "Parts of a region's variance against intensity (Fig. 4)"

@@ -6,6 +6,7 @@
 use super::processing::{BINNINGS, FEATURES, PATTERNS};
 use super::{EXPOSURE_BASE_US, GAIN_STEP_DB, Names, Options, SCENES, SIZE_STEP, register, size};
 use crate::camera::sim::formats_of;
+use crate::pixel_format::PixelFormat;
 use quick_xml::Writer;
 use quick_xml::events::{BytesDecl, BytesText, Event};
 use radcam_aravis::address;
@@ -283,17 +284,114 @@ impl Description {
     }
 }
 
+impl Description {
+    /// A description that says who the camera is.
+    fn of_device() -> Self {
+        let mut d = Self { categories: Vec::new(), nodes: Writer::new_with_indent(Vec::new(), b' ', 1) };
+        d.text("DeviceControl", "DeviceVendorName", address::VENDOR, 32);
+        d.text("DeviceControl", "DeviceModelName", address::MODEL, 32);
+        d.text("DeviceControl", "DeviceVersion", address::VERSION, 32);
+        d.text("DeviceControl", "DeviceID", 0xd8, 16);
+        d.text("DeviceControl", "DeviceSerialNumber", 0xd8, 16);
+        d
+    }
+
+    /// Start and stop.
+    fn acquisition(&mut self) {
+        let modes = [("Continuous", 1), ("SingleFrame", 2), ("MultiFrame", 3)];
+        self.enumeration("AcquisitionControl", "AcquisitionMode", 0x12c, &modes, "RW");
+        self.register("AcquisitionReg", address::ACQUISITION, "WO");
+        self.command("AcquisitionControl", "AcquisitionStart", "AcquisitionReg", 1);
+        self.command("AcquisitionControl", "AcquisitionStop", "AcquisitionReg", 0);
+    }
+
+    /// Bytes of a frame.
+    fn transport(&mut self) {
+        self.list("TransportLayerControl", "PayloadSize");
+        self.node(
+            "IntSwissKnife",
+            "PayloadSize",
+            &[
+                ("pVariable:W", "Width"),
+                ("pVariable:H", "Height"),
+                ("pVariable:P", "PixelFormat"),
+                ("Formula", "W * H * ((P >> 16) & 0xFF) / 8"),
+            ],
+        );
+        self.node(
+            "Integer",
+            "TLParamsLocked",
+            &[("Visibility", "Invisible"), ("Value", "0"), ("Min", "0"), ("Max", "1")],
+        );
+        self.node("Port", "Device", &[]);
+    }
+
+    /// The file, with its features in their categories.
+    fn finish(self, vendor: &str, model: &str, about: &str) -> String {
+        let d = self;
+        let mut xml = Writer::new_with_indent(Vec::new(), b' ', 1);
+        xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("utf-8"), None))).expect(MEMORY);
+        let root = xml.create_element("RegisterDescription").with_attributes([
+            ("ModelName", model),
+            ("VendorName", vendor),
+            ("ToolTip", about),
+            ("StandardNameSpace", "GEV"),
+            ("SchemaMajorVersion", "1"),
+            ("SchemaMinorVersion", "0"),
+            ("SchemaSubMinorVersion", "1"),
+            ("MajorVersion", "1"),
+            ("MinorVersion", "0"),
+            ("SubMinorVersion", "0"),
+            ("ProductGuid", "0"),
+            ("VersionGuid", "0"),
+            ("xmlns", "http://www.genicam.org/GenApi/Version_1_0"),
+        ]);
+        let nodes = String::from_utf8(d.nodes.into_inner()).expect(MEMORY);
+        let features = |w: &mut Writer<Vec<u8>>, category: &str, names: &[&str]| {
+            let list = |w: &mut Writer<Vec<u8>>| {
+                names.iter().try_for_each(|name| {
+                    w.create_element("pFeature").write_text_content(BytesText::new(name)).map(drop)
+                })
+            };
+            let element = w.create_element("Category").with_attributes(attributes("Category", category));
+            element.write_inner_content(list).map(drop)
+        };
+        let inner = |w: &mut Writer<Vec<u8>>| {
+            let categories: Vec<&str> = d.categories.iter().map(|(category, _)| *category).collect();
+            features(w, "Root", &categories)?;
+            for (category, names) in &d.categories {
+                features(w, category, &names.iter().map(String::as_str).collect::<Vec<_>>())?;
+            }
+            w.write_event(Event::Text(BytesText::from_escaped(nodes.as_str())))
+        };
+        root.write_inner_content(inner).expect(MEMORY);
+        String::from_utf8(xml.into_inner()).expect(MEMORY)
+    }
+}
+
+/// The description of a camera whose frames are those of another: nothing can be set.
+pub fn of_relay(vendor: &str, model: &str, about: &str, format: PixelFormat) -> String {
+    let mut d = Description::of_device();
+    d.constant("ImageFormatControl", "SensorWidth", address::SENSOR_WIDTH);
+    d.constant("ImageFormatControl", "SensorHeight", address::SENSOR_HEIGHT);
+    d.constant("ImageFormatControl", "Width", address::WIDTH);
+    d.constant("ImageFormatControl", "Height", address::HEIGHT);
+    d.constant("ImageFormatControl", "OffsetX", address::OFFSET_X);
+    d.constant("ImageFormatControl", "OffsetY", address::OFFSET_Y);
+    let entry = [(format.name(), format.code())];
+    d.enumeration("ImageFormatControl", "PixelFormat", address::PIXEL_FORMAT, &entry, "RO");
+    d.acquisition();
+    let exposure = (0.0, 1e12, None);
+    d.float("AcquisitionControl", "ExposureTime", register::EXPOSURE_US, exposure, ["us", "RO"]);
+    d.transport();
+    d.finish(vendor, model, about)
+}
+
 /// The GenICam description of a sensor (GenApi 1.0 schema, names of the Standard Features Naming Convention).
 pub fn of(model: &Model, options: &Options) -> String {
     let body = &model.camera;
     let (w, h) = (size(body.width), size(body.height));
-    let mut d = Description { categories: Vec::new(), nodes: Writer::new_with_indent(Vec::new(), b' ', 1) };
-
-    d.text("DeviceControl", "DeviceVendorName", address::VENDOR, 32);
-    d.text("DeviceControl", "DeviceModelName", address::MODEL, 32);
-    d.text("DeviceControl", "DeviceVersion", address::VERSION, 32);
-    d.text("DeviceControl", "DeviceID", 0xd8, 16);
-    d.text("DeviceControl", "DeviceSerialNumber", 0xd8, 16);
+    let mut d = Description::of_device();
     d.float(
         "DeviceControl",
         "DeviceTemperature",
@@ -324,11 +422,7 @@ pub fn of(model: &Model, options: &Options) -> String {
     d.enumeration("ImageFormatControl", "PixelFormat", address::PIXEL_FORMAT, &formats, "RW");
     d.processing(options);
 
-    let modes = [("Continuous", 1), ("SingleFrame", 2), ("MultiFrame", 3)];
-    d.enumeration("AcquisitionControl", "AcquisitionMode", 0x12c, &modes, "RW");
-    d.register("AcquisitionReg", 0x124, "WO");
-    d.command("AcquisitionControl", "AcquisitionStart", "AcquisitionReg", 1);
-    d.command("AcquisitionControl", "AcquisitionStop", "AcquisitionReg", 0);
+    d.acquisition();
     d.list("AcquisitionControl", "AcquisitionFrameRate");
     let hz = [("pValue", "FrameRateConverter"), ("Min", "0.1"), ("Max", "1000"), ("Unit", "Hz")];
     d.node("Float", "AcquisitionFrameRate", &hz);
@@ -346,10 +440,10 @@ pub fn of(model: &Model, options: &Options) -> String {
     d.settings(model, options.names);
     d.list("AcquisitionControl", "TriggerSelector");
     d.entries("TriggerSelector", &[("FrameStart", 0)], ("Value", "0"));
-    d.enumeration("AcquisitionControl", "TriggerMode", 0x300, &[("Off", 0), ("On", 1)], "RW");
-    d.enumeration("AcquisitionControl", "TriggerSource", 0x304, &[("Line0", 0), ("Software", 1)], "RW");
+    d.enumeration("AcquisitionControl", "TriggerMode", address::TRIGGER_MODE, &[("Off", 0), ("On", 1)], "RW");
+    d.enumeration("AcquisitionControl", "TriggerSource", address::TRIGGER_SOURCE, &[("Line0", 0), ("Software", 1)], "RW");
     d.enumeration("AcquisitionControl", "TriggerActivation", 0x308, &[("RisingEdge", 0)], "RW");
-    d.register("TriggerSoftwareReg", 0x30c, "WO");
+    d.register("TriggerSoftwareReg", address::TRIGGER_SOFTWARE, "WO");
     d.command("AcquisitionControl", "TriggerSoftware", "TriggerSoftwareReg", 1);
 
     d.float(
@@ -371,59 +465,6 @@ pub fn of(model: &Model, options: &Options) -> String {
     d.integer("BenchControl", "BenchConfiguration", register::CONFIGURATION, (0, "BenchConfigurationMax", 1));
     d.enumeration("BenchControl", "BenchScene", register::SCENE, &SCENES.map(|(name, n, _)| (name, n)), "RW");
 
-    d.list("TransportLayerControl", "PayloadSize");
-    d.node(
-        "IntSwissKnife",
-        "PayloadSize",
-        &[
-            ("pVariable:W", "Width"),
-            ("pVariable:H", "Height"),
-            ("pVariable:P", "PixelFormat"),
-            ("Formula", "W * H * ((P >> 16) & 0xFF) / 8"),
-        ],
-    );
-    d.node(
-        "Integer",
-        "TLParamsLocked",
-        &[("Visibility", "Invisible"), ("Value", "0"), ("Min", "0"), ("Max", "1")],
-    );
-    d.node("Port", "Device", &[]);
-
-    let mut xml = Writer::new_with_indent(Vec::new(), b' ', 1);
-    xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("utf-8"), None))).expect(MEMORY);
-    let root = xml.create_element("RegisterDescription").with_attributes([
-        ("ModelName", &*body.model),
-        ("VendorName", &body.vendor),
-        ("ToolTip", &model.about),
-        ("StandardNameSpace", "GEV"),
-        ("SchemaMajorVersion", "1"),
-        ("SchemaMinorVersion", "0"),
-        ("SchemaSubMinorVersion", "1"),
-        ("MajorVersion", "1"),
-        ("MinorVersion", "0"),
-        ("SubMinorVersion", "0"),
-        ("ProductGuid", "0"),
-        ("VersionGuid", "0"),
-        ("xmlns", "http://www.genicam.org/GenApi/Version_1_0"),
-    ]);
-    let nodes = String::from_utf8(d.nodes.into_inner()).expect(MEMORY);
-    let features = |w: &mut Writer<Vec<u8>>, category: &str, names: &[&str]| {
-        let list = |w: &mut Writer<Vec<u8>>| {
-            names.iter().try_for_each(|name| {
-                w.create_element("pFeature").write_text_content(BytesText::new(name)).map(drop)
-            })
-        };
-        let element = w.create_element("Category").with_attributes(attributes("Category", category));
-        element.write_inner_content(list).map(drop)
-    };
-    let inner = |w: &mut Writer<Vec<u8>>| {
-        let categories: Vec<&str> = d.categories.iter().map(|(category, _)| *category).collect();
-        features(w, "Root", &categories)?;
-        for (category, names) in &d.categories {
-            features(w, category, &names.iter().map(String::as_str).collect::<Vec<_>>())?;
-        }
-        w.write_event(Event::Text(BytesText::from_escaped(nodes.as_str())))
-    };
-    root.write_inner_content(inner).expect(MEMORY);
-    String::from_utf8(xml.into_inner()).expect(MEMORY)
+    d.transport();
+    d.finish(&body.vendor, &body.model, &model.about)
 }

@@ -11,6 +11,7 @@
 
 mod description;
 pub mod processing;
+pub mod relay;
 
 use crate::bench::BenchState;
 use crate::camera::sim::{formats_of, narrow};

@@ -30,6 +30,14 @@ pub mod address {
     pub const OFFSET_Y: u32 = 0x134;
     /// Period of the frames, microseconds.
     pub const FRAME_PERIOD_US: u32 = 0x138;
+    /// 1 while an acquisition runs.
+    pub const ACQUISITION: u32 = 0x124;
+    /// 1 where frames wait for a trigger.
+    pub const TRIGGER_MODE: u32 = 0x300;
+    /// 1 where the trigger is software's.
+    pub const TRIGGER_SOURCE: u32 = 0x304;
+    /// Writing 1 asks for a frame.
+    pub const TRIGGER_SOFTWARE: u32 = 0x30c;
     /// Maker, 32 bytes of text (GigE Vision bootstrap registers).
     pub const VENDOR: u32 = 0x48;
     /// Model, 32 bytes of text.
@@ -274,6 +282,38 @@ impl VirtualCamera {
             aravis_sys::arv_fake_camera_set_fill_pattern(pointer, Some(fill), context.cast());
         }
         Ok(Self { server: Some(server), camera, context })
+    }
+
+    /// Asks for one frame, where [`address::TRIGGER_MODE`] and [`address::TRIGGER_SOURCE`] are 1.
+    pub fn trigger(&self) {
+        let pointer: *mut ArvFakeCamera = self.camera.to_glib_none().0;
+        let bytes = 1u32.to_be_bytes();
+        // SAFETY: the camera is alive by our reference, and libaravis copies four aligned bytes. Its own thread does the same to this register
+        // and has no lock: either value that a race leaves is one that was written.
+        unsafe {
+            aravis_sys::arv_fake_camera_write_memory(
+                pointer,
+                address::TRIGGER_SOFTWARE,
+                4,
+                bytes.as_ptr().cast_mut().cast(),
+            );
+        }
+    }
+
+    /// Whether a client has started an acquisition and not ended it.
+    pub fn is_acquiring(&self) -> bool {
+        let pointer: *mut ArvFakeCamera = self.camera.to_glib_none().0;
+        let mut bytes = [0; 4];
+        // SAFETY: as in `trigger`, and libaravis copies to our four bytes.
+        unsafe {
+            aravis_sys::arv_fake_camera_read_memory(
+                pointer,
+                address::ACQUISITION,
+                4,
+                bytes.as_mut_ptr().cast(),
+            );
+        }
+        u32::from_be_bytes(bytes) != 0
     }
 
     /// Makes the camera lose this share of its packets, 0 to 1: a bad cable.

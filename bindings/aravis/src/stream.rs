@@ -8,14 +8,17 @@ use aravis::{
     GvStreamSocketBuffer,
 };
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// How a stream is set up.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StreamSetup {
     /// Buffers for the camera to fill.
     pub buffers: usize,
+    /// Frames that may wait to be taken. One more, and the oldest goes back to the camera, counted in [`StreamCounts::dropped`].
+    /// `None`: all wait, and frames that find no free buffer are lost.
+    pub waiting: Option<usize>,
     /// GigE Vision: bytes of a packet; `None` lets Aravis find the largest that passes.
     pub packet_size: Option<u32>,
     /// GigE Vision: whether lost packets are asked for again.
@@ -45,6 +48,8 @@ pub enum Received<'a> {
         frame_id: u64,
         /// Device clock, ns; 0 where the camera tells no time.
         timestamp_ns: u64,
+        /// Time since its first packet came; `None` where the computer's clock was set since.
+        age: Option<Duration>,
     },
     /// Something is missing; numbers in such a buffer are those of an older frame.
     Damaged(String),
@@ -59,6 +64,10 @@ pub struct StreamCounts {
     pub failures: u64,
     /// Frames for which no buffer was free.
     pub underruns: u64,
+    /// Whole frames that waited too long and made room for newer ones.
+    pub dropped: u64,
+    /// Damaged frames that made room for newer ones.
+    pub dropped_damaged: u64,
 }
 
 /// Why no frame came.
@@ -75,6 +84,31 @@ pub struct Stream<'a> {
     stream: aravis::Stream,
     lost: Arc<AtomicBool>,
     payload: usize,
+    dropped: Arc<Dropped>,
+}
+
+/// Frames that made room for newer ones.
+#[derive(Debug, Default)]
+struct Dropped {
+    whole: AtomicU64,
+    damaged: AtomicU64,
+}
+
+/// Keeps no more than so many frames waiting. Runs on the thread that receives, so that a slow reader never costs the newest frame.
+fn drop_oldest(stream: &aravis::Stream, waiting: usize) -> Arc<Dropped> {
+    let dropped = Arc::new(Dropped::default());
+    let counts = Arc::clone(&dropped);
+    stream.connect_new_buffer(move |stream| {
+        while usize::try_from(stream.n_buffers().1).is_ok_and(|ready| ready > waiting) {
+            let Some(oldest) = stream.try_pop_buffer() else { break };
+            let count =
+                if oldest.status() == BufferStatus::Success { &counts.whole } else { &counts.damaged };
+            count.fetch_add(1, Ordering::Relaxed);
+            stream.push_buffer(oldest);
+        }
+    });
+    stream.set_emit_signals(true);
+    dropped
 }
 
 impl<'a> Stream<'a> {
@@ -107,8 +141,9 @@ impl<'a> Stream<'a> {
         for _ in 0..setup.buffers.max(2) {
             stream.push_buffer(Buffer::new_allocate(payload));
         }
+        let dropped = setup.waiting.map(|n| drop_oldest(&stream, n)).unwrap_or_default();
         camera.start_acquisition().named("AcquisitionStart")?;
-        Ok(Self { camera, stream, lost, payload })
+        Ok(Self { camera, stream, lost, payload, dropped })
     }
 
     /// Bytes of a frame.
@@ -188,14 +223,26 @@ impl<'a> Stream<'a> {
             region: [x, y, width, height],
             frame_id: buffer.frame_id(),
             timestamp_ns: buffer.timestamp(),
+            age: age(buffer.system_timestamp()),
         }
     }
 
     /// What Aravis counted.
     pub fn counts(&self) -> StreamCounts {
         let (completed, failures, underruns) = self.stream.statistics();
-        StreamCounts { completed, failures, underruns }
+        let dropped = self.dropped.whole.load(Ordering::Relaxed);
+        let dropped_damaged = self.dropped.damaged.load(Ordering::Relaxed);
+        StreamCounts { completed, failures, underruns, dropped, dropped_damaged }
     }
+}
+
+/// An age above this is a clock that was set: no frame waits so long among a bounded number.
+const OLDEST: Duration = Duration::from_secs(60);
+
+/// Time since a wall-clock time, ns.
+fn age(system_timestamp_ns: u64) -> Option<Duration> {
+    let then = UNIX_EPOCH + Duration::from_nanos(system_timestamp_ns);
+    SystemTime::now().duration_since(then).ok().filter(|age| *age < OLDEST)
 }
 
 /// A time as libaravis takes it; the longest, 71 minutes, in place of a longer one.
@@ -205,6 +252,7 @@ fn microseconds(time: Duration) -> u32 {
 
 impl Drop for Stream<'_> {
     fn drop(&mut self) {
+        self.stream.set_emit_signals(false);
         if self.lost.load(Ordering::Acquire) {
             return; // the camera is gone; asking it to stop would wait for an answer
         }

@@ -1,15 +1,17 @@
 //! Real cameras (GigE Vision, USB3 Vision) through libaravis.
 
+mod report;
+mod stream;
+
 use super::{
-    Automatic, Backend, Bounds, Camera, CameraError, Capabilities, FrameCounter, FrameStream, Identity,
+    Arrived, Automatic, Backend, Bounds, Camera, CameraError, Capabilities, FrameCounter, FrameStream, Identity,
     Listed, Settings, StreamCounts, StreamOptions, Trigger, Value, check_bounds,
 };
 use crate::features::{Kind, Neutral, Role, is_disabled, known, neutral_value, role, suspicious};
-use crate::frame::{Frame, Region, Status};
+use crate::frame::Region;
 use crate::pixel_format::PixelFormat;
-use radcam_aravis::{self as arv, DeviceInfo, Feature, FeatureKind, Received, StreamSetup};
+use radcam_aravis::{self as arv, DeviceInfo, Feature, FeatureKind, StreamSetup};
 use std::collections::BTreeMap;
-use std::time::{Duration, Instant};
 
 /// A camera that speaks GenICam.
 #[derive(Debug)]
@@ -35,11 +37,6 @@ enum ExposureFeature {
     /// `ExposureTimeRaw` in steps of so many microseconds.
     Raw { step_us: f64 },
 }
-
-/// Bootstrap registers (GigE Vision 2.0, chapter 28): identity and addresses, the places of the description, control, stream channel 0.
-const BOOTSTRAP: [(u64, u32); 4] = [(0, 0x200), (0x200, 0x200), (0x900, 0x60), (0xd00, 0x40)];
-/// Frames of a report's look at losses.
-const REPORT_FRAMES: u64 = 30;
 
 /// Largest GVSP packet that the loopback's MTU of 65536 bytes passes whole.
 const LOOPBACK_PACKET: u32 = 65_000;
@@ -205,109 +202,6 @@ impl AravisCamera {
             self.tree.iter().filter(|f| f.kind == FeatureKind::Enumeration && f.name != name);
         let found = enumerations.clone().find(says).or_else(|| enumerations.find(named));
         found.map(|f| f.name.as_str()).filter(|selector| self.inner.has(selector))
-    }
-
-    /// Everything that someone needs to help with this camera who does not have it, as JSON: identity, settings, features with their
-    /// bounds and what a capture would do with each, bootstrap registers, a stream's losses, the description. Nothing but the packet size is changed.
-    pub fn report(&mut self) -> serde_json::Value {
-        let features: Vec<_> = self.tree.iter().map(|f| self.feature_report(f)).collect();
-        let words = |e: CameraError| serde_json::json!({ "error": e.to_string() });
-        let settings = self.settings().map_or_else(words, |s| {
-            serde_json::json!({
-                "exposure_s": s.exposure_s, "gain_db": s.gain_db, "black_level_dn": s.black_level_dn,
-                "frame_rate_hz": s.frame_rate_hz, "pixel_format": s.pixel_format.name(),
-                "region": [s.region.x, s.region.y, s.region.width, s.region.height], "temperature_c": s.temperature_c,
-            })
-        });
-        let exposure_s = self.capabilities.exposure_s.map(|b| [b.min, b.max, b.increment.unwrap_or(0.0)]);
-        let gain_db = self.capabilities.gain_db.map(|b| [b.min, b.max]);
-        let hex = |(at, bytes): (u64, u32)| {
-            let text = self.inner.memory(at, bytes).map_or_else(
-                |e| e.to_string(),
-                |bytes| bytes.iter().map(|b| format!("{b:02x}")).collect::<String>(),
-            );
-            (format!("{at:#x}"), text)
-        };
-        let bootstrap: BTreeMap<String, String> = BOOTSTRAP.into_iter().map(hex).collect();
-        let stream = self.stream_report();
-        let id = &self.identity;
-        serde_json::json!({
-            "format": "radcam-camera-report/1",
-            "radcam": env!("CARGO_PKG_VERSION"),
-            "libaravis": arv::version().map(|n| n.to_string()).join("."),
-            "system": format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
-            "camera": {
-                "id": id.id, "vendor": id.vendor, "model": id.model, "serial": id.serial, "firmware": id.firmware,
-                "gige_vision": self.inner.is_gigevision(),
-            },
-            "settings": settings,
-            "bounds": { "exposure_s": exposure_s, "gain_db": gain_db },
-            "unlisted_features": self.unlisted_features(),
-            "features": features,
-            "stream": stream,
-            "bootstrap_registers": bootstrap,
-            "description": self.inner.description(),
-        })
-    }
-
-    fn feature_report(&self, feature: &Feature) -> serde_json::Value {
-        let name = &feature.name;
-        let available = self.inner.has(name);
-        let value = available.then(|| self.read(name, feature.kind)).flatten();
-        let bounds = match feature.kind {
-            FeatureKind::Integer => self.inner.integer_bounds(name).ok().map(|(a, b)| [a as f64, b as f64]),
-            FeatureKind::Float => self.inner.float_bounds(name).ok().map(|(a, b)| [a, b]),
-            _ => None,
-        };
-        let entries =
-            (feature.kind == FeatureKind::Enumeration).then(|| self.inner.entries(name).ok()).flatten();
-        let does = match role(name) {
-            Some(Role::Distorts(neutral, _)) => match (self.neutral(feature, neutral), &value) {
-                (Some(to), Some(now)) if to != *now => format!("a capture sets it to {to}"),
-                (Some(to), Some(_)) => format!("left at {to}, where it does nothing"),
-                (None, Some(_)) => "recorded: it has no value that switches it off".into(),
-                (_, None) => "switched off where it can be used".into(),
-            },
-            Some(Role::Setting) => "recorded: a setting".into(),
-            Some(Role::Geometry) => "recorded: geometry".into(),
-            Some(Role::Harmless(why)) => format!("left alone: {why}"),
-            None if suspicious(name) => "not known to radcam: recorded and warned of".into(),
-            None => "left alone".into(),
-        };
-        serde_json::json!({
-            "name": name, "kind": format!("{:?}", feature.kind), "available": available,
-            "value": value.map(|v| v.to_string()), "bounds": bounds, "unit": self.inner.unit(name), "entries": entries,
-            "selects": feature.selected, "radcam": does,
-        })
-    }
-
-    /// Some frames as the camera stands, and what was lost of them.
-    fn stream_report(&mut self) -> serde_json::Value {
-        let timeout = Duration::from_secs_f64(self.exposure_s().map_or(2.0, |s| (3.0 * s + 2.0).min(60.0)));
-        let mut taken = 0;
-        let mut fault = None;
-        let begun = Instant::now();
-        let counts = match self.stream(&StreamOptions::default()) {
-            Ok(mut stream) => {
-                let mut frame = Frame::new(0, 0);
-                while taken < REPORT_FRAMES && fault.is_none() {
-                    match stream.next(&mut frame, timeout) {
-                        Ok(()) => taken += 1,
-                        Err(e) => fault = Some(e.to_string()),
-                    }
-                }
-                stream.counts()
-            }
-            Err(e) => {
-                fault = Some(e.to_string());
-                StreamCounts::default()
-            }
-        };
-        serde_json::json!({
-            "asked": REPORT_FRAMES, "complete": counts.completed, "damaged": counts.failures,
-            "missing": counts.missing, "underruns": counts.underruns, "seconds": begun.elapsed().as_secs_f64(),
-            "packet_size": self.inner.packet_size(), "error": fault,
-        })
     }
 
     fn exposure_s(&self) -> Result<f64, CameraError> {
@@ -639,6 +533,7 @@ impl Camera for AravisCamera {
         let id = self.identity.id.clone();
         let setup = StreamSetup {
             buffers: options.buffers,
+            waiting: options.waiting,
             packet_size: options.packet_size.or(self.loopback.then_some(LOOPBACK_PACKET)),
             packet_resend: options.packet_resend,
             packet_timeout: options.packet_timeout,
@@ -655,7 +550,7 @@ impl Camera for AravisCamera {
                 CameraError::Backend { camera: id.clone(), feature: e.what, message: e.message }
             }
         })?;
-        Ok(Box::new(AravisStream {
+        Ok(Box::new(stream::AravisStream {
             stream,
             id,
             settings,
@@ -671,92 +566,3 @@ fn arv_lost() -> arv::Error {
     arv::Error { what: "control".into(), message: "the camera no longer answers".into() }
 }
 
-struct AravisStream<'a> {
-    stream: arv::Stream<'a>,
-    id: String,
-    settings: Settings,
-    trigger: Trigger,
-    gigevision: bool,
-    counter: FrameCounter,
-    counts: StreamCounts,
-}
-
-impl FrameStream for AravisStream<'_> {
-    fn next(&mut self, frame: &mut Frame, timeout: Duration) -> Result<(), CameraError> {
-        let Self { stream, settings, counter, counts, gigevision, .. } = self;
-        let begun = Instant::now();
-        let got =
-            stream.next(timeout, |received| take(received, settings, *gigevision, counter, counts, frame));
-        match got {
-            Ok(Some(())) => Ok(()),
-            Ok(None) => {
-                let counted = self.counts();
-                Err(CameraError::Timeout {
-                    camera: self.id.clone(),
-                    seconds: begun.elapsed().as_secs_f64(),
-                    counts: format!(
-                        "completed {}, failures {}, underruns {}; check the trigger, the packet size against \
-                         the network's MTU, and the firewall",
-                        counted.completed, counted.failures, counted.underruns
-                    ),
-                })
-            }
-            Err(e) => Err(CameraError::Lost { camera: self.id.clone(), message: e.message }),
-        }
-    }
-
-    fn trigger(&mut self) -> Result<(), CameraError> {
-        if self.trigger != Trigger::Software {
-            let feature = "TriggerSoftware in free run".into();
-            return Err(CameraError::NotAvailable { camera: self.id.clone(), feature });
-        }
-        self.stream.trigger().map_err(|e| CameraError::Backend {
-            camera: self.id.clone(),
-            feature: e.what,
-            message: e.message,
-        })
-    }
-
-    fn counts(&self) -> StreamCounts {
-        StreamCounts { underruns: self.stream.counts().underruns, ..self.counts }
-    }
-}
-
-/// Unpacks a frame that is whole and what was asked for; counts every other.
-fn take(
-    received: Received<'_>,
-    settings: &Settings,
-    gigevision: bool,
-    counter: &mut FrameCounter,
-    counts: &mut StreamCounts,
-    frame: &mut Frame,
-) {
-    let damaged = |why: String, frame: &mut Frame, counts: &mut StreamCounts| {
-        frame.status = Status::Damaged(why);
-        counts.failures += 1;
-    };
-    let (bytes, code, region, id, timestamp_ns) = match received {
-        Received::Complete { bytes, format, region, frame_id, timestamp_ns } => {
-            (bytes, format, region, frame_id, timestamp_ns)
-        }
-        Received::Damaged(why) => return damaged(why, frame, counts),
-    };
-    let wanted = settings.region;
-    let [x, y, w, h] = region.map(|v| v.max(0) as u32);
-    if (Region { x, y, width: w, height: h }) != wanted || code != settings.pixel_format.code() {
-        let why = format!("{w} x {h} px at {x}, {y} in format {code:#010x}, not what was commanded");
-        return damaged(why, frame, counts);
-    }
-    // Before the pixels: a frame that cannot be unpacked was sent all the same.
-    let (id, missing) = counter.take(id, gigevision);
-    counts.missing += missing;
-    let dn = frame.pixels_mut(w as usize, h as usize);
-    if let Err(e) = settings.pixel_format.unpack(bytes, dn) {
-        return damaged(e.to_string(), frame, counts);
-    }
-    frame.status = Status::Complete;
-    frame.id = id;
-    frame.timestamp_ns = (timestamp_ns != 0).then_some(timestamp_ns);
-    frame.temperature_c = settings.temperature_c;
-    counts.completed += 1;
-}

@@ -1,0 +1,146 @@
+//! Corrected frames offered again as a GigE Vision camera, so that any GenICam software receives them.
+
+use super::{ServeError, description, register};
+use crate::camera::{Identity, Settings};
+use crate::pixel_format::PixelFormat;
+use crate::stream::{Corrected, Sink, SinkCounts, StreamError};
+use radcam_aravis::{Initial, Painter, Registers, Request, VirtualCamera, address};
+use std::collections::VecDeque;
+use std::net::IpAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Frames that may wait for the client.
+const WAITING: usize = 8;
+/// A client that has taken nothing for so long is gone: of what waits only the newest frame is kept.
+const IDLE: Duration = Duration::from_secs(1);
+
+#[derive(Default)]
+struct Inside {
+    waiting: VecDeque<Arc<Corrected>>,
+    sent: u64,
+    dropped: u64,
+    /// Frames that came while no client was there.
+    unasked: u64,
+    last: Option<Instant>,
+}
+
+/// What the stream and the server share. Under this lock the trigger's register is 1 where, and only where, a frame waits.
+#[derive(Clone, Default)]
+struct Shared(Arc<Mutex<Inside>>);
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Inside> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A camera that sends each corrected frame once, when it is there.
+pub struct Relay {
+    camera: VirtualCamera,
+    shared: Shared,
+}
+
+struct Hand {
+    shared: Shared,
+    format: PixelFormat,
+}
+
+impl Painter for Hand {
+    fn paint(&mut self, registers: &Registers, _request: Request, frame: &mut [u8]) -> u64 {
+        let mut inside = self.shared.lock();
+        let next = inside.waiting.pop_front();
+        registers.set_u32(address::TRIGGER_SOFTWARE, u32::from(!inside.waiting.is_empty()));
+        inside.last = Some(Instant::now());
+        let Some(next) = next else { return 0 };
+        inside.sent += 1;
+        drop(inside);
+        if let Err(e) = self.format.pack(&next.pixels, frame) {
+            tracing::error!(error = %e, "a client changed the size of the image; a black frame goes out");
+        }
+        next.timestamp_ns.unwrap_or(0)
+    }
+}
+
+impl Relay {
+    /// Answers on an interface, named by its IPv4 address, as a camera of this serial number whose frames have this size, format and exposure.
+    ///
+    /// # Errors
+    ///
+    /// Where the interface cannot be bound.
+    pub fn start(
+        interface: IpAddr,
+        serial: &str,
+        identity: &Identity,
+        settings: &Settings,
+        format: PixelFormat,
+    ) -> Result<Self, ServeError> {
+        let about = format!("frames of {identity}, corrected by radcam");
+        let xml = description::of_relay(&identity.vendor, &identity.model, &about, format);
+        let mut r = Initial::default();
+        r.set_text(address::VENDOR, 32, &identity.vendor);
+        r.set_text(address::MODEL, 32, &identity.model);
+        r.set_text(address::VERSION, 32, env!("CARGO_PKG_VERSION"));
+        let region = settings.region;
+        for (at, value) in [
+            (address::SENSOR_WIDTH, region.width),
+            (address::SENSOR_HEIGHT, region.height),
+            (address::WIDTH, region.width),
+            (address::HEIGHT, region.height),
+            (address::PIXEL_FORMAT, format.code()),
+            (address::TRIGGER_MODE, 1),
+            (address::TRIGGER_SOURCE, 1),
+        ] {
+            r.set_u32(at, value);
+        }
+        r.set_f64(register::EXPOSURE_US, 1e6 * settings.exposure_s);
+        let shared = Shared::default();
+        let hand = Hand { shared: shared.clone(), format };
+        let camera = VirtualCamera::start(interface, serial, &xml, Box::new(hand), &r)?;
+        Ok(Self { camera, shared })
+    }
+
+    /// Frames that came while no client was there; they are neither sent nor dropped.
+    pub fn unasked(&self) -> u64 {
+        self.shared.lock().unasked
+    }
+}
+
+impl Sink for Relay {
+    fn name(&self) -> &'static str {
+        "served"
+    }
+
+    fn take(&mut self, frame: &Arc<Corrected>) -> Result<(), StreamError> {
+        let mut inside = self.shared.lock();
+        // A client that was killed leaves its acquisition running.
+        let idle = !self.camera.is_acquiring() || inside.last.is_some_and(|last| last.elapsed() > IDLE);
+        if idle {
+            inside.unasked += inside.waiting.len() as u64;
+            inside.waiting.clear();
+        } else if inside.waiting.len() >= WAITING {
+            inside.waiting.pop_front();
+            inside.dropped += 1;
+        }
+        inside.waiting.push_back(Arc::clone(frame));
+        self.camera.trigger();
+        Ok(())
+    }
+
+    fn counts(&self) -> SinkCounts {
+        let inside = self.shared.lock();
+        SinkCounts { taken: inside.sent, dropped: inside.dropped }
+    }
+
+    /// What waits still goes out where a client takes it.
+    fn finish(&mut self) -> Result<(), StreamError> {
+        let begun = Instant::now();
+        let waits = |i: &Inside| !i.waiting.is_empty() && i.last.is_some_and(|last| last.elapsed() < IDLE);
+        while begun.elapsed() < IDLE && waits(&self.shared.lock()) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        // The last packet is on its way.
+        std::thread::sleep(Duration::from_millis(50));
+        Ok(())
+    }
+}
