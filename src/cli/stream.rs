@@ -45,6 +45,9 @@ pub struct Arguments {
     /// Packet size, bytes [default: the largest that passes]
     #[arg(long, value_name = "BYTES")]
     packet_size: Option<u32>,
+    /// Receive by the packet socket where the system allows it: faster, but it takes packets whose checksum is wrong
+    #[arg(long)]
+    packet_socket: bool,
     /// End after so many frames
     #[arg(long)]
     frames: Option<u64>,
@@ -71,6 +74,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         ..Options::default()
     };
     options.stream.packet_size = arguments.packet_size;
+    options.stream.packet_socket = arguments.packet_socket;
     // Who it is and at what exposure it stands, before frames are promised to anybody.
     let (identity, settings) = {
         let mut camera = camera::open(&arguments.camera)?;

@@ -17,7 +17,7 @@ use crate::bench::BenchState;
 use crate::camera::sim::{formats_of, narrow};
 use crate::frame::Region;
 use crate::pixel_format::PixelFormat;
-use processing::Processing;
+use processing::{Pattern, Processing};
 use radcam_aravis::{Initial, Painter, Registers, Request, VirtualCamera, address};
 use radcam_sim::{Conditions, Model, Scene, Sensor};
 use std::net::IpAddr;
@@ -253,6 +253,12 @@ fn draw(sensor: &Sensor, job: &Job, dn: &mut Vec<u16>) {
     let Region { x, y, width, height } = job.region;
     let (across, down) = job.processing.binning;
     let whole = Region { x: x * across, y: y * down, width: width * across, height: height * down };
+    if job.processing.pattern == Pattern::Number {
+        dn.resize(width as usize * height as usize, 0);
+        // It wraps as the frames of a camera do that runs for years.
+        processing::numbered(job.number as u32, sensor.model().full_scale_dn(), dn);
+        return;
+    }
     dn.resize(whole.width as usize * whole.height as usize, 0);
     sensor.draw(job.number, &job.conditions, whole, dn);
     job.processing.apply(dn, whole.width as usize, sensor.model().full_scale_dn());

@@ -17,7 +17,7 @@ pub(super) const FEATURES: [(&str, u32); 7] = [
 ];
 
 /// Entries of `TestPattern`.
-pub(super) const PATTERNS: [(&str, u32); 2] = [("Off", 0), ("GreyHorizontalRamp", 1)];
+pub(super) const PATTERNS: [(&str, u32); 3] = [("Off", 0), ("GreyHorizontalRamp", 1), ("FrameNumber", 2)];
 /// Values of the binning features.
 pub(super) const BINNINGS: [u32; 3] = [1, 2, 4];
 
@@ -39,13 +39,74 @@ pub struct Processing {
     pub sharpening: bool,
     /// Pixels that stand out become the mean of their neighbours.
     pub defects: bool,
-    /// A ramp in place of the image.
-    pub pattern: bool,
+    /// What stands in place of the image.
+    pub pattern: Pattern,
+}
+
+/// What stands in place of the image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Pattern {
+    /// The image.
+    #[default]
+    Off,
+    /// Each row from 0 to the full scale.
+    Ramp,
+    /// The frame's number, and pixels that all follow from it: see [`numbered`].
+    Number,
+}
+
+impl Pattern {
+    fn from_register(value: u32) -> Self {
+        match value {
+            0 => Self::Off,
+            2 => Self::Number,
+            _ => Self::Ramp,
+        }
+    }
+}
+
+/// Pixels of a numbered frame that hold the number, four bits each, the lowest first.
+const NUMBER_PIXELS: usize = 8;
+
+/// The pixels of a numbered frame: the first eight hold the number, every other a code that follows from number and place, so that no pixel of
+/// another frame, no shift and no other change goes unseen. For tests of streams.
+///
+/// ```
+/// use radcam::serve::processing::{number_of, numbered};
+/// let mut dn = [0; 32];
+/// numbered(70_000, 0xFFF, &mut dn);
+/// assert_eq!(number_of(&dn, 0xFFF), Some(70_000));
+/// dn[20] ^= 1;
+/// assert_eq!(number_of(&dn, 0xFFF), None);
+/// ```
+pub fn numbered(number: u32, full_scale_dn: u16, dn: &mut [u16]) {
+    let key = number.wrapping_mul(0x85EB_CA6B);
+    for (i, d) in (0u32..).zip(dn.iter_mut()) {
+        *d = code(i, key) & full_scale_dn;
+    }
+    for (i, d) in dn.iter_mut().take(NUMBER_PIXELS).enumerate() {
+        *d = (number >> (4 * i) & 0xF) as u16;
+    }
+}
+
+/// The middle bits of a product that mixes them (multiplicative hashing, Knuth, vol. 3, 6.4).
+#[inline(always)]
+fn code(place: u32, key: u32) -> u16 {
+    ((place.wrapping_mul(0x9E37_79B1) ^ key).wrapping_mul(0xC2B2_AE35) >> 16) as u16
+}
+
+/// The number of a numbered frame; `None` where any pixel is not as it was made.
+pub fn number_of(dn: &[u16], full_scale_dn: u16) -> Option<u32> {
+    let (head, rest) = dn.split_at_checked(NUMBER_PIXELS)?;
+    let number = head.iter().rev().try_fold(0u32, |n, &d| (d < 16).then(|| n << 4 | u32::from(d)))?;
+    let key = number.wrapping_mul(0x85EB_CA6B);
+    let sound = |(i, &d): (u32, &u16)| d == code(i, key) & full_scale_dn;
+    (NUMBER_PIXELS as u32..).zip(rest).all(sound).then_some(number)
 }
 
 impl Default for Processing {
     fn default() -> Self {
-        Self { binning: (1, 1), gamma: 1.0, lut: false, sharpening: false, defects: false, pattern: false }
+        Self { binning: (1, 1), gamma: 1.0, lut: false, sharpening: false, defects: false, pattern: Pattern::Off }
     }
 }
 
@@ -74,7 +135,9 @@ impl Processing {
             "DefectCorrectStaticEnable" => self.defects = truth()?,
             "TestPattern" => {
                 let entry = PATTERNS.iter().find(|(entry, _)| *entry == value);
-                self.pattern = entry.ok_or_else(|| fault("write Off or GreyHorizontalRamp"))?.1 != 0;
+                let names = PATTERNS.map(|(entry, _)| entry).join(" or ");
+                let entry = entry.ok_or_else(|| fault(&format!("write {names}")))?;
+                self.pattern = Pattern::from_register(entry.1);
             }
             _ => {
                 let names = FEATURES.map(|(name, _)| name).join(", ");
@@ -92,7 +155,7 @@ impl Processing {
         r.set_u32(register::LUT, self.lut.into());
         r.set_u32(register::SHARPENING, self.sharpening.into());
         r.set_u32(register::DEFECTS, self.defects.into());
-        r.set_u32(register::PATTERN, self.pattern.into());
+        r.set_u32(register::PATTERN, self.pattern as u32);
     }
 
     /// What the registers ask for.
@@ -105,7 +168,7 @@ impl Processing {
             lut: r.u32(register::LUT) != 0,
             sharpening: r.u32(register::SHARPENING) != 0,
             defects: r.u32(register::DEFECTS) != 0,
-            pattern: r.u32(register::PATTERN) != 0,
+            pattern: Pattern::from_register(r.u32(register::PATTERN)),
         }
     }
 
@@ -161,7 +224,7 @@ impl Processing {
                 .collect();
             dn.iter_mut().for_each(|d| *d = table[usize::from((*d).min(full_scale_dn))]);
         }
-        if self.pattern {
+        if self.pattern == Pattern::Ramp {
             for row in dn.chunks_mut(width) {
                 let most = row.len().max(2) - 1;
                 for (x, d) in row.iter_mut().enumerate() {

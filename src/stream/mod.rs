@@ -52,7 +52,13 @@ impl Default for Options {
             codes: None,
             replace_defects: false,
             exposure_s: None,
-            stream: StreamOptions { buffers: 16, waiting: Some(8), ..StreamOptions::default() },
+            // Frames that wait for lost packets hold their buffers: 100 ms at 160 frames a second.
+            stream: StreamOptions {
+                buffers: 24,
+                waiting: Some(8),
+                frame_retention: Duration::from_millis(100),
+                ..StreamOptions::default()
+            },
             frames: None,
             duration: None,
             patience: Duration::MAX,
@@ -263,6 +269,8 @@ struct Tally {
     /// Nanoseconds, to three digits.
     latency: Histogram<u64>,
     begun: Instant,
+    /// The last whole frame.
+    last: Instant,
     /// Of streams that have ended.
     before: StreamCounts,
 }
@@ -271,7 +279,8 @@ impl Tally {
     fn new(camera: &str) -> Self {
         let latency = Histogram::new(3).unwrap_or_else(|_| unreachable!("three digits are allowed"));
         let summary = Summary { camera: camera.into(), ..Summary::default() };
-        Self { summary, latency, begun: Instant::now(), before: StreamCounts::default() }
+        let now = Instant::now();
+        Self { summary, latency, begun: now, last: now, before: StreamCounts::default() }
     }
 
     fn refresh(&mut self, now: StreamCounts, pixels: usize, sinks: &[Box<dyn Sink + '_>]) {
@@ -335,7 +344,6 @@ pub fn run(
             Err(StreamError::Camera(e @ (CameraError::Lost { .. } | CameraError::Timeout { .. }))) => {
                 tracing::warn!(error = %e, "the stream is begun anew");
                 drop(camera);
-                let away = Instant::now();
                 match find(&mut reopen, options, stop, &e)? {
                     Some(found) if found.identity().serial == identity.serial => camera = found,
                     Some(other) => {
@@ -345,7 +353,7 @@ pub fn run(
                     None => break,
                 }
                 tally.summary.reconnections += 1;
-                tally.summary.away_s += away.elapsed().as_secs_f64();
+                tally.summary.away_s += tally.last.elapsed().as_secs_f64();
             }
             Err(e) => return Err(e),
         }
@@ -426,7 +434,7 @@ impl Job<'_> {
         let (mut pool, mut memory) = (Pool::default(), Frame::new(0, 0));
         let mut told = Instant::now();
         let timeout = Duration::from_secs_f64(2.0 * self.exposure_s + 5.0);
-        let mut silent_since = Instant::now();
+        tally.last = Instant::now();
         let pixels = self.corrector.shape().0 * self.corrector.shape().1;
         let outcome = loop {
             if done(self.options, tally, self.stop) {
@@ -451,11 +459,21 @@ impl Job<'_> {
                     into.seen = seen.clone().unwrap_or_default();
                     taken = Some(seen.map(|_| (frame, a.age.map(|age| age + handed.elapsed()))));
                 }
-                Err(why) => tracing::warn!(why, "damaged frame discarded"),
+                Err(why) => tracing::info!(why, "damaged frame discarded"),
             });
             match got {
-                Ok(()) => silent_since = Instant::now(),
-                Err(CameraError::Timeout { .. }) if silent_since.elapsed() < timeout => continue,
+                Ok(()) | Err(CameraError::Timeout { .. }) if taken.is_none() && tally.last.elapsed() < timeout => {
+                    continue;
+                }
+                Ok(()) if taken.is_none() => {
+                    let counts = format!(
+                        "{} damaged; check the packet size against the network's MTU, cable and switch",
+                        stream.counts().failures
+                    );
+                    let (camera, seconds) = (tally.summary.camera.clone(), tally.last.elapsed().as_secs_f64());
+                    break Err(CameraError::Timeout { camera, seconds, counts }.into());
+                }
+                Ok(()) => tally.last = Instant::now(),
                 Err(e) => break Err(e.into()),
             }
             let Some(corrected) = taken else { continue };

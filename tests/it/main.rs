@@ -10,6 +10,8 @@ mod dataset;
 mod docs;
 mod effects;
 mod emva;
+#[cfg(feature = "aravis")]
+mod faults;
 mod import;
 mod investigate;
 mod killed;

@@ -153,6 +153,12 @@ impl Camera {
         self.lost.load(Ordering::Acquire)
     }
 
+    /// Whether this process may write to the camera. GigE Vision gives control to one client at a time; others may look.
+    pub fn has_control(&self) -> bool {
+        let device = self.inner.device().and_then(|d| d.downcast::<aravis::GvDevice>().ok());
+        device.is_none_or(|d| d.is_controller())
+    }
+
     /// (vendor, model, serial number).
     ///
     /// # Errors

@@ -261,3 +261,19 @@ impl Drop for Stream<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A clock that was set while a frame waited makes its age unknown, and nothing else.
+    #[test]
+    fn a_step_of_the_clock_leaves_the_age_unknown() {
+        let ns = |t: SystemTime| u64::try_from(t.duration_since(UNIX_EPOCH).unwrap().as_nanos()).unwrap();
+        let now = SystemTime::now();
+        let hour = Duration::from_secs(3600);
+        assert_eq!((age(ns(now + hour)), age(ns(now - hour)), age(0)), (None, None, None));
+        let young = age(ns(now - Duration::from_millis(5))).unwrap();
+        assert!(young >= Duration::from_millis(5) && young < OLDEST);
+    }
+}

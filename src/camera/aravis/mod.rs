@@ -89,6 +89,11 @@ impl AravisCamera {
         }
         let inner = arv::Camera::open(&address)
             .map_err(|e| absent(format!("{e}; `radcam cameras` lists what answers")))?;
+        if !inner.has_control() {
+            let message = "another program has control of it: end that program; of one that was killed the camera lets go \
+                           within some seconds";
+            return Err(absent(message.into()));
+        }
         // What a program that was killed left running would go on under settings that change.
         if let Err(e) = inner.stop_acquisition() {
             tracing::debug!(error = %e, "AcquisitionStop at the start");
@@ -539,9 +544,12 @@ impl Camera for AravisCamera {
             packet_timeout: options.packet_timeout,
             frame_retention: options.frame_retention,
             socket_buffer: options.socket_buffer,
-            packet_socket: options.packet_socket,
+            packet_socket: options.packet_socket || self.loopback,
         };
         let gigevision = self.inner.is_gigevision();
+        if gigevision && !setup.packet_socket {
+            warn_of_small_buffers(options.socket_buffer);
+        }
         let lost = self.inner.is_lost();
         let stream = self.inner.stream(&setup).map_err(|e| {
             if lost {
@@ -559,6 +567,21 @@ impl Camera for AravisCamera {
             counter: FrameCounter::default(),
             counts: StreamCounts::default(),
         }))
+    }
+}
+
+/// Says once where the system grants a smaller socket buffer than asked for: packets are then lost whenever the receiver is late.
+fn warn_of_small_buffers(wanted_bytes: usize) {
+    static SAID: std::sync::Once = std::sync::Once::new();
+    let limit = std::fs::read_to_string("/proc/sys/net/core/rmem_max").ok();
+    let limit: Option<usize> = limit.and_then(|text| text.trim().parse().ok());
+    if let Some(limit_bytes) = limit.filter(|limit| *limit < wanted_bytes) {
+        SAID.call_once(|| {
+            tracing::warn!(
+                limit_bytes,
+                "packets may be lost: let sockets have larger buffers by `sysctl -w net.core.rmem_max={wanted_bytes}`"
+            );
+        });
     }
 }
 

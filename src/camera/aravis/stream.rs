@@ -99,11 +99,12 @@ impl FrameStream for AravisStream<'_> {
 
     fn counts(&self) -> StreamCounts {
         let aravis = self.stream.counts();
-        let (underruns, dropped) = (aravis.underruns, aravis.dropped);
+        let dropped = aravis.dropped;
         let failures = self.counts.failures + aravis.dropped_damaged;
-        // A frame that is damaged, dropped or without a buffer leaves a gap in the numbers too.
-        let missing = self.counts.missing.saturating_sub(failures + underruns + dropped);
-        StreamCounts { underruns, dropped, failures, missing, completed: self.counts.completed }
+        // Every lost frame leaves a gap in the numbers, whatever became of it. Aravis counts an underrun for each packet that finds no buffer.
+        let left = self.counts.missing.saturating_sub(failures + dropped);
+        let underruns = aravis.underruns.min(left);
+        StreamCounts { underruns, dropped, failures, missing: left - underruns, completed: self.counts.completed }
     }
 }
 
