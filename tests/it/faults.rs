@@ -305,7 +305,8 @@ fn two_clients_and_a_wrong_packet_size() {
 
     let large = dir.path().join("large");
     fs::create_dir(&large).unwrap();
-    let more = ["--seconds", "9", "--packet-size", "9000", "--patience", "1"];
+    // The ordinary socket puts fragments together; the packet socket takes the first for the whole.
+    let more = ["--seconds", "9", "--packet-size", "9000", "--patience", "1", "--packet-socket"];
     let (code, summary, log, _) = Running::start(network.radcam(1), &large, CAMERA, &more).ends();
     assert!(code != 0 && summary.is_none_or(|s| s.corrected == 0), "{log}");
     assert!(log.contains("packet size"), "{log}");
