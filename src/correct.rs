@@ -211,8 +211,14 @@ impl Corrector {
             let maps = dark.chunks(BLOCK).zip(gain.chunks(BLOCK));
             let blocks = out.chunks_mut(BLOCK).zip(bytes.chunks(format.payload(BLOCK))).zip(maps);
             for ((out, bytes), (dark, gain)) in blocks {
-                let frame = &mut memory[..out.len()];
-                format.unpack_checked(bytes, frame);
+                let frame = match in_place(format, bytes) {
+                    Some(codes) => codes,
+                    None => {
+                        let memory = &mut memory[..out.len()];
+                        format.unpack_checked(bytes, memory);
+                        &*memory
+                    }
+                };
                 arch.dispatch(Piece { frame, dark, gain, middle, form: (codes, limit), out });
                 seen = seen.and(arch.dispatch(|| Seen::of(frame, format.full_scale_dn())));
             }
@@ -257,6 +263,12 @@ impl Corrector {
         self.to_f32(frame.as_slice().unwrap_or_default(), out.as_slice_mut().unwrap_or_default())?;
         Ok(out)
     }
+}
+
+/// The bytes of a frame as codes, where they are that already.
+fn in_place(format: PixelFormat, bytes: &[u8]) -> Option<&[u16]> {
+    let plain = format.bits_per_pixel() == 16 && cfg!(target_endian = "little");
+    plain.then(|| bytemuck::try_cast_slice(bytes).ok()).flatten()
 }
 
 /// Pixels that one thread takes, their maps, and the form in which they are wanted.

@@ -80,28 +80,42 @@ const NUMBER_PIXELS: usize = 8;
 /// assert_eq!(number_of(&dn, 0xFFF), None);
 /// ```
 pub fn numbered(number: u32, full_scale_dn: u16, dn: &mut [u16]) {
-    let key = number.wrapping_mul(0x85EB_CA6B);
-    for (i, d) in (0u32..).zip(dn.iter_mut()) {
-        *d = code(i, key) & full_scale_dn;
-    }
-    for (i, d) in dn.iter_mut().take(NUMBER_PIXELS).enumerate() {
-        *d = (number >> (4 * i) & 0xF) as u16;
+    for (block, dn) in (0..).zip(dn.chunks_mut(BLOCK)) {
+        paint_block(number, block, full_scale_dn, dn);
     }
 }
 
-/// The middle bits of a product that mixes them (multiplicative hashing, Knuth, vol. 3, 6.4).
-#[inline(always)]
-fn code(place: u32, key: u32) -> u16 {
-    ((place.wrapping_mul(0x9E37_79B1) ^ key).wrapping_mul(0xC2B2_AE35) >> 16) as u16
+/// Pixels whose codes follow from the same two keys.
+const BLOCK: usize = 4096;
+
+/// One block of a numbered frame. Two keys of each frame and block: a pixel is the upper bits of a product, so that no other frame and no shift
+/// gives the same run of codes but by a chance of one in 2^28. In 16-bit steps, which every processor does many at a time.
+fn paint_block(number: u32, block: u32, full_scale_dn: u16, dn: &mut [u16]) {
+    // Multiplicative hashing: Knuth, The Art of Computer Programming, vol. 3, 6.4.
+    let mixed = (number ^ block.wrapping_mul(0x9E37_79B1)).wrapping_mul(0x85EB_CA6B);
+    let mixed = (mixed ^ mixed >> 15).wrapping_mul(0xC2B2_AE35);
+    let (flip, add) = (mixed as u16, (mixed >> 16) as u16);
+    for (i, d) in (0u16..).zip(dn.iter_mut()) {
+        *d = (i ^ flip).wrapping_mul(0x9E37).wrapping_add(add) >> 4 & full_scale_dn;
+    }
+    if block == 0 {
+        for (i, d) in dn.iter_mut().take(NUMBER_PIXELS).enumerate() {
+            *d = (number >> (4 * i) & 0xF) as u16;
+        }
+    }
 }
 
 /// The number of a numbered frame; `None` where any pixel is not as it was made.
 pub fn number_of(dn: &[u16], full_scale_dn: u16) -> Option<u32> {
-    let (head, rest) = dn.split_at_checked(NUMBER_PIXELS)?;
+    let head = dn.get(..NUMBER_PIXELS)?;
     let number = head.iter().rev().try_fold(0u32, |n, &d| (d < 16).then(|| n << 4 | u32::from(d)))?;
-    let key = number.wrapping_mul(0x85EB_CA6B);
-    let sound = |(i, &d): (u32, &u16)| d == code(i, key) & full_scale_dn;
-    (NUMBER_PIXELS as u32..).zip(rest).all(sound).then_some(number)
+    let mut made = [0; BLOCK];
+    let sound = |(block, dn): (u32, &[u16])| {
+        let made = &mut made[..dn.len()];
+        paint_block(number, block, full_scale_dn, made);
+        made == dn
+    };
+    (0..).zip(dn.chunks(BLOCK)).all(sound).then_some(number)
 }
 
 impl Default for Processing {

@@ -1,7 +1,12 @@
 //! Helpers: the program, small cameras, fixtures, the one GigE Vision port.
 
 use radcam::bench::SharedBench;
+use radcam::calibrate::dark::DarkReference;
+use radcam::calibrate::file::{Calibration, Description};
+use radcam::calibrate::pattern::FixedPattern;
 use radcam::camera::sim::SimCamera;
+use radcam::dataset::CameraInfo;
+use radcam::ndarray::Array2;
 use radcam_sim::{Model, Sensor, sensors};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -76,4 +81,40 @@ pub fn small_sensor(folder: &Path, sensor: &str, width: u32, height: u32) -> Pat
     let path = folder.join(format!("{sensor}.toml"));
     std::fs::write(&path, model.to_toml().unwrap()).unwrap();
     path
+}
+
+/// A calibration of a 12-bit camera of which dark reference, DN, and K of every pixel are given by its place.
+pub fn calibration(
+    model: &str,
+    serial: &str,
+    shape: (usize, usize),
+    maps: impl Fn(usize) -> (f32, f32),
+) -> Calibration {
+    let plane = |value: &dyn Fn(usize) -> f32| Array2::from_shape_fn(shape, |(y, x)| value(y * shape.1 + x));
+    let dark = DarkReference {
+        exposure_s: 0.01,
+        level_dn: plane(&|i| maps(i).0),
+        current_dn_per_s: Some(plane(&|_| 0.0)),
+        std_err_dn: 0.1,
+        var_dn2: 1.0,
+    };
+    let pattern = FixedPattern {
+        k: plane(&|i| maps(i).1),
+        std_err: plane(&|_| 0.001),
+        kept: Array2::from_elem(shape, 9),
+        pooled_sd: 0.003,
+        mean_before: 1.0,
+        level_dn: 900.0,
+    };
+    let camera = CameraInfo {
+        vendor: "radcam".into(),
+        model: model.into(),
+        serial: serial.into(),
+        width: shape.1,
+        height: shape.0,
+        bit_depth: 12,
+        pixel_format: "Mono12".into(),
+        ..Default::default()
+    };
+    Calibration::new(Description::of(camera), dark, pattern, &[])
 }

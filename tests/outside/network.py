@@ -67,7 +67,7 @@ def forward(devices):
     done = dict.fromkeys(share, 0)
     print("ready", flush=True)
     while True:
-        ready, _, _ = select.select([commands, *devices], [], [], 0.02)
+        ready, _, _ = select.select([commands, *devices], [], [], 0.002)
         if commands in ready:
             text = os.read(commands, 4096).decode()
             if not text:

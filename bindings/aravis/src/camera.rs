@@ -153,6 +153,14 @@ impl Camera {
         self.lost.load(Ordering::Acquire)
     }
 
+    /// Whether a GigE Vision camera sends lost packets again when it is asked to (GVCP capability register, GigE Vision 2.0, 28.4).
+    pub fn resends(&self) -> bool {
+        const GVCP_CAPABILITY: u64 = 0x934;
+        const PACKET_RESEND: u8 = 1 << 2;
+        self.is_gigevision()
+            && self.memory(GVCP_CAPABILITY, 4).is_ok_and(|b| b.last().is_some_and(|b| b & PACKET_RESEND != 0))
+    }
+
     /// Whether this process may write to the camera. GigE Vision gives control to one client at a time; others may look.
     pub fn has_control(&self) -> bool {
         let device = self.inner.device().and_then(|d| d.downcast::<aravis::GvDevice>().ok());

@@ -540,7 +540,8 @@ impl Camera for AravisCamera {
             buffers: options.buffers,
             waiting: options.waiting,
             packet_size: options.packet_size.or(self.loopback.then_some(LOOPBACK_PACKET)),
-            packet_resend: options.packet_resend,
+            // Of a camera that does not send again there is nothing to wait for: whole frames would queue behind a damaged one.
+            packet_resend: options.packet_resend && self.inner.resends(),
             packet_timeout: options.packet_timeout,
             frame_retention: options.frame_retention,
             socket_buffer: options.socket_buffer,
