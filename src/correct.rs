@@ -98,7 +98,8 @@ pub struct Seen {
 impl Seen {
     fn of(dn: &[u16], full_scale_dn: u16) -> Self {
         let sum_dn = dn.chunks(BLOCK).map(|c| u64::from(c.iter().map(|&d| u32::from(d)).sum::<u32>())).sum();
-        let saturated = dn.chunks(BLOCK).map(|c| c.iter().map(|&d| u64::from(d >= full_scale_dn)).sum::<u64>());
+        let saturated =
+            dn.chunks(BLOCK).map(|c| c.iter().map(|&d| u64::from(d >= full_scale_dn)).sum::<u64>());
         Self { sum_dn, saturated: saturated.sum(), pixels: dn.len() as u64 }
     }
 
@@ -414,7 +415,8 @@ mod tests {
     #[test]
     fn a_frame_is_corrected_as_it_came() {
         let n = 2 * CHUNK + 3 * BLOCK + 4 * 7;
-        let map = |at: f32, by: f32| Halves::new((0..n).map(move |i| at + by * ((i * 31 % 997) as f32 / 997.0)));
+        let map =
+            |at: f32, by: f32| Halves::new((0..n).map(move |i| at + by * ((i * 31 % 997) as f32 / 997.0)));
         let corrector = Corrector {
             shape: (1, n),
             dark_dn: map(3.0, 2.0),
@@ -437,7 +439,10 @@ mod tests {
             corrector.arrived_to_u16(format, &bytes, codes, 99, &mut two).unwrap();
             let limited = two.iter().zip(&one).enumerate();
             // A replaced pixel is the mean of limited ones.
-            assert!(limited.into_iter().all(|(i, (t, o))| t == o.min(&99) || [5, CHUNK].contains(&i)), "{format}");
+            assert!(
+                limited.into_iter().all(|(i, (t, o))| t == o.min(&99) || [5, CHUNK].contains(&i)),
+                "{format}"
+            );
             let short = corrector.arrived_to_u16(format, &bytes[1..], codes, u16::MAX, &mut two);
             assert!(matches!(short, Err(CorrectError::Bytes(_))), "{format}");
         }

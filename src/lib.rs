@@ -74,6 +74,7 @@ pub mod inference;
 pub mod investigate;
 pub mod light;
 pub mod model;
+pub mod monitor;
 pub mod noise;
 pub mod number;
 pub mod observables;

@@ -139,12 +139,7 @@ fn relay(
 }
 
 #[cfg(not(feature = "aravis"))]
-fn relay(
-    _: &Arguments,
-    _: &str,
-    _: &camera::Identity,
-    _: &camera::Settings,
-) -> Result<Box<dyn Sink>> {
+fn relay(_: &Arguments, _: &str, _: &camera::Identity, _: &camera::Settings) -> Result<Box<dyn Sink>> {
     anyhow::bail!("--serve-as: {}", camera::NO_ARAVIS)
 }
 
@@ -192,7 +187,10 @@ fn print(s: &Summary) {
         r.completed, r.failures, r.dropped, r.underruns, r.missing
     );
     if s.reconnections > 0 {
-        println!("  camera       lost and found again {} times, {:.1} s without it", s.reconnections, s.away_s);
+        println!(
+            "  camera       lost and found again {} times, {:.1} s without it",
+            s.reconnections, s.away_s
+        );
     }
     if let Some(l) = s.latency {
         println!(

@@ -441,7 +441,13 @@ pub fn of(model: &Model, options: &Options) -> String {
     d.list("AcquisitionControl", "TriggerSelector");
     d.entries("TriggerSelector", &[("FrameStart", 0)], ("Value", "0"));
     d.enumeration("AcquisitionControl", "TriggerMode", address::TRIGGER_MODE, &[("Off", 0), ("On", 1)], "RW");
-    d.enumeration("AcquisitionControl", "TriggerSource", address::TRIGGER_SOURCE, &[("Line0", 0), ("Software", 1)], "RW");
+    d.enumeration(
+        "AcquisitionControl",
+        "TriggerSource",
+        address::TRIGGER_SOURCE,
+        &[("Line0", 0), ("Software", 1)],
+        "RW",
+    );
     d.enumeration("AcquisitionControl", "TriggerActivation", 0x308, &[("RisingEdge", 0)], "RW");
     d.register("TriggerSoftwareReg", address::TRIGGER_SOFTWARE, "WO");
     d.command("AcquisitionControl", "TriggerSoftware", "TriggerSoftwareReg", 1);

@@ -120,7 +120,14 @@ pub fn number_of(dn: &[u16], full_scale_dn: u16) -> Option<u32> {
 
 impl Default for Processing {
     fn default() -> Self {
-        Self { binning: (1, 1), gamma: 1.0, lut: false, sharpening: false, defects: false, pattern: Pattern::Off }
+        Self {
+            binning: (1, 1),
+            gamma: 1.0,
+            lut: false,
+            sharpening: false,
+            defects: false,
+            pattern: Pattern::Off,
+        }
     }
 }
 

@@ -36,7 +36,8 @@ impl Job {
     fn write(&mut self, number: u64, frame: &Corrected) -> Result<(), StreamError> {
         let name = format!("frames/{number:08}.tiff");
         let path = self.root.join(&name);
-        let fault = |e: &dyn std::fmt::Display| StreamError::Files { path: path.clone(), message: e.to_string() };
+        let fault =
+            |e: &dyn std::fmt::Display| StreamError::Files { path: path.clone(), message: e.to_string() };
         let (width, height) = frame.size;
         let pixels = ArrayView2::from_shape((height, width), &frame.pixels).map_err(|e| fault(&e))?;
         let bytes =

@@ -454,7 +454,8 @@ impl Job<'_> {
                     let mut frame = pool.free(a.size);
                     let Some(into) = Arc::get_mut(&mut frame) else { return };
                     let (codes, limit) = (self.codes, self.limit);
-                    let seen = self.corrector.arrived_to_u16(a.format, a.bytes, codes, limit, &mut into.pixels);
+                    let seen =
+                        self.corrector.arrived_to_u16(a.format, a.bytes, codes, limit, &mut into.pixels);
                     (into.id, into.timestamp_ns) = (a.id, a.timestamp_ns);
                     into.seen = seen.clone().unwrap_or_default();
                     taken = Some(seen.map(|_| (frame, a.age.map(|age| age + handed.elapsed()))));
@@ -462,7 +463,9 @@ impl Job<'_> {
                 Err(why) => tracing::info!(why, "damaged frame discarded"),
             });
             match got {
-                Ok(()) | Err(CameraError::Timeout { .. }) if taken.is_none() && tally.last.elapsed() < timeout => {
+                Ok(()) | Err(CameraError::Timeout { .. })
+                    if taken.is_none() && tally.last.elapsed() < timeout =>
+                {
                     continue;
                 }
                 Ok(()) if taken.is_none() => {
@@ -470,7 +473,8 @@ impl Job<'_> {
                         "{} damaged; check the packet size against the network's MTU, cable and switch",
                         stream.counts().failures
                     );
-                    let (camera, seconds) = (tally.summary.camera.clone(), tally.last.elapsed().as_secs_f64());
+                    let (camera, seconds) =
+                        (tally.summary.camera.clone(), tally.last.elapsed().as_secs_f64());
                     break Err(CameraError::Timeout { camera, seconds, counts }.into());
                 }
                 Ok(()) => tally.last = Instant::now(),
@@ -479,7 +483,9 @@ impl Job<'_> {
             let Some(corrected) = taken else { continue };
             let (frame, age) = match corrected {
                 Ok(frame) => frame,
-                Err(source) => break Err(StreamError::Correct { camera: tally.summary.camera.clone(), source }),
+                Err(source) => {
+                    break Err(StreamError::Correct { camera: tally.summary.camera.clone(), source });
+                }
             };
             if let Some(age) = age {
                 // It grows with what is put in.

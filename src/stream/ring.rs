@@ -83,7 +83,10 @@ mod tests {
         let ring = Ring::new(3);
         (0..10).for_each(|n| ring.push(n));
         let now = Duration::ZERO;
-        assert_eq!((ring.pop(now), ring.pop(now), ring.pop(now), ring.pop(now)), (Some(7), Some(8), Some(9), None));
+        assert_eq!(
+            (ring.pop(now), ring.pop(now), ring.pop(now), ring.pop(now)),
+            (Some(7), Some(8), Some(9), None)
+        );
         assert_eq!(ring.dropped(), 7);
     }
 

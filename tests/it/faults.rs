@@ -38,7 +38,7 @@ impl Network {
         let ip = |arguments: &[&str]| Command::new("ip").args(arguments).stderr(Stdio::null()).status();
         let may = ip(&["netns", "add", &probe]).is_ok_and(|s| s.success());
         if !may || !Path::new("/dev/net/tun").exists() {
-            eprintln!("skipped: network namespaces and /dev/net/tun need root and iproute2");
+            println!("SKIPPED: network namespaces and /dev/net/tun need root and iproute2");
             return None;
         }
         ip(&["netns", "del", &probe]).unwrap();
@@ -190,7 +190,8 @@ fn packets_are_lost_doubled_reordered_and_changed() {
         let folder = dir.path().join(damage);
         fs::create_dir(&folder).unwrap();
         assert_eq!(network.tell(&format!("{damage} {share}")), "ok");
-        let stream = Running::start(network.radcam(1), &folder, CAMERA, &["--frames", "80", "--packet-size", "1400"]);
+        let stream =
+            Running::start(network.radcam(1), &folder, CAMERA, &["--frames", "80", "--packet-size", "1400"]);
         let (code, summary, log, to) = stream.ends();
         assert_eq!(network.tell(&format!("{damage} 0")), "ok");
         let summary = summary.unwrap_or_else(|| panic!("{damage}: {log}"));
@@ -202,7 +203,10 @@ fn packets_are_lost_doubled_reordered_and_changed() {
         assert_eq!(summary.received.lost() > 3, costs, "{damage}: {summary:?}");
     }
     let done = network.tell("done");
-    assert!(["lose=", "double=", "reorder=", "change="].iter().all(|d| !done.contains(&format!("{d}0"))), "{done}");
+    assert!(
+        ["lose=", "double=", "reorder=", "change="].iter().all(|d| !done.contains(&format!("{d}0"))),
+        "{done}"
+    );
 }
 
 /// The cable is pulled for longer than the heartbeat lasts, the interface goes down and up, the camera loses power and comes back with other
@@ -256,14 +260,16 @@ fn two_clients_and_a_wrong_packet_size() {
     let Some(network) = Network::new() else { return };
     let dir = tempfile::tempdir().unwrap();
     let _camera = Camera::start(network.radcam(0), dir.path(), &["--interface", CAMERA]);
-    let mut stream = Running::start(network.radcam(1), dir.path(), CAMERA, &["--frames", "700", "--packet-size", "1400"]);
+    let mut stream =
+        Running::start(network.radcam(1), dir.path(), CAMERA, &["--frames", "700", "--packet-size", "1400"]);
     stream.reaches(20);
     let second = dir.path().join("second");
     fs::create_dir(&second).unwrap();
     let (code, _, log, _) = Running::start(network.radcam(1), &second, CAMERA, &["--frames", "5"]).ends();
     assert_eq!(code, 2, "{log}");
     assert!(log.contains("another program has control"), "{log}");
-    let seen = network.client("arv-tool-0.8").args([&format!("--address={CAMERA}"), "control", "Width"]).output();
+    let seen =
+        network.client("arv-tool-0.8").args([&format!("--address={CAMERA}"), "control", "Width"]).output();
     assert!(seen.is_ok());
     let (code, summary, log, to) = stream.ends();
     let summary = summary.unwrap_or_else(|| panic!("{log}"));
@@ -312,7 +318,8 @@ fn slow_and_full_disks_and_a_kill() {
     // A disk that takes 10 ms to synchronise, and the simulator, which takes one for a frame.
     let (source, library) = (dir.path().join("slow.c"), dir.path().join("slow.so"));
     fs::write(&source, "#include <unistd.h>\nint fsync(int f) { (void)f; return usleep(10000); }\n").unwrap();
-    let built = Command::new("gcc").args(["-shared", "-fPIC", "-o"]).args([&library, &source]).status().unwrap();
+    let built =
+        Command::new("gcc").args(["-shared", "-fPIC", "-o"]).args([&library, &source]).status().unwrap();
     assert!(built.success());
     let slow = dir.path().join("slow");
     let out = start(&slow, Some(&library), &["--frames", "800"]).wait_with_output().unwrap();
@@ -335,10 +342,11 @@ fn slow_and_full_disks_and_a_kill() {
     let first = format!("mount -t tmpfs -o size=4m none {0}", full.display());
     let probe = Command::new("unshare").args(["-m", "true"]).status();
     if !probe.is_ok_and(|s| s.success()) {
-        eprintln!("skipped in part: a full disk needs the privilege to mount");
+        println!("SKIPPED in part: a full disk needs the privilege to mount");
         return;
     }
-    let script = format!("{first} && (\"$@\"; code=$?; cp -r {} {}; exit $code)", full.display(), kept.display());
+    let script =
+        format!("{first} && (\"$@\"; code=$?; cp -r {} {}; exit $code)", full.display(), kept.display());
     let mut command = Command::new("unshare");
     command.args(["-m", "sh", "-c", &script, "sh"]).arg(program().get_program());
     command.arg("stream").arg("--camera").arg(format!("sim:{}", model.display())).arg("--cal").arg(&cal);
@@ -354,10 +362,11 @@ fn slow_and_full_disks_and_a_kill() {
 
 /// Whether the loopback interface has a second address, for a second camera.
 fn second_loopback() -> bool {
-    let ip = Command::new("ip").args(["addr", "add", "127.0.0.2/8", "dev", "lo"]).stderr(Stdio::null()).status();
+    let ip =
+        Command::new("ip").args(["addr", "add", "127.0.0.2/8", "dev", "lo"]).stderr(Stdio::null()).status();
     let there = ip.is_ok() && std::net::UdpSocket::bind(("127.0.0.2", 0)).is_ok();
     if !there {
-        eprintln!("skipped: a second address of the loopback interface needs root and iproute2");
+        println!("SKIPPED: a second address of the loopback interface needs root and iproute2");
     }
     there
 }
@@ -384,17 +393,23 @@ fn corrected_frames_are_served_again() {
     let corrector = Corrector::new(&made, 0.01).unwrap();
     let _camera = Camera::start(program(), dir.path(), &[]);
     let mut command = program();
-    command.args(["stream", "--camera", "aravis:127.0.0.1", "--cal"]).arg(&cal).args(["--codes", "8,512", "--json"]);
+    command
+        .args(["stream", "--camera", "aravis:127.0.0.1", "--cal"])
+        .arg(&cal)
+        .args(["--codes", "8,512", "--json"]);
     command.args(["--serve-as", "AGAIN", "--interface", "127.0.0.2", "--exposure-s", "0.01"]);
     let mut stream = Camera(command.stdout(Stdio::piped()).spawn().unwrap());
     std::thread::sleep(Duration::from_secs(3));
     if std::env::var_os("RADCAM_TEST_TOOLS").is_some() {
         // A busy machine may cost the receiver a packet: one run of three must be whole.
         let whole = || {
-            let tool = ["-s", "INT", "3", "arv-camera-test-0.8", "--name", "127.0.0.2", "--gv-packet-size", "8000"];
-            let text = String::from_utf8(Command::new("timeout").args(tool).output().unwrap().stdout).unwrap();
+            let tool =
+                ["-s", "INT", "3", "arv-camera-test-0.8", "--name", "127.0.0.2", "--gv-packet-size", "8000"];
+            let text =
+                String::from_utf8(Command::new("timeout").args(tool).output().unwrap().stdout).unwrap();
             let count = |name: &str| {
-                let line = text.lines().find(|l| l.starts_with(name)).unwrap_or_else(|| panic!("{name}: {text}"));
+                let line =
+                    text.lines().find(|l| l.starts_with(name)).unwrap_or_else(|| panic!("{name}: {text}"));
                 line.rsplit(' ').next().unwrap().parse::<u64>().unwrap()
             };
             println!("{text}");
@@ -468,7 +483,14 @@ fn two_cameras_for_ten_minutes() {
         .iter()
         .map(|a| {
             let mut command = program();
-            command.arg("serve").arg(&model).args(["--serial", "UP", "--while-stdin", "--json", "--interface", a]);
+            command.arg("serve").arg(&model).args([
+                "--serial",
+                "UP",
+                "--while-stdin",
+                "--json",
+                "--interface",
+                a,
+            ]);
             command.args(["--stuck", "TestPattern=FrameNumber"]);
             let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
             BufReader::new(child.stdout.take().unwrap()).read_line(&mut String::new()).unwrap();
@@ -487,18 +509,28 @@ fn two_cameras_for_ten_minutes() {
             .iter()
             .map(|a| {
                 let s = seconds.to_string();
-                let arguments = ["-s", "INT", &s, "arv-camera-test-0.8", "--name", a, "--gv-packet-size", &packet];
-                Command::new("timeout").args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap()
+                let arguments =
+                    ["-s", "INT", &s, "arv-camera-test-0.8", "--name", a, "--gv-packet-size", &packet];
+                Command::new("timeout")
+                    .args(arguments)
+                    .stdout(Stdio::piped())
+                    .stderr(Stdio::null())
+                    .spawn()
+                    .unwrap()
             })
             .collect();
         let whole = |child: Child| {
             let text = String::from_utf8(child.wait_with_output().unwrap().stdout).unwrap();
-            println!("{}", text.lines().filter(|l| l.starts_with("n_") && !l.ends_with("= 0")).collect::<Vec<_>>().join("; "));
+            println!(
+                "{}",
+                text.lines()
+                    .filter(|l| l.starts_with("n_") && !l.ends_with("= 0"))
+                    .collect::<Vec<_>>()
+                    .join("; ")
+            );
             // Whole seconds in between: it takes some to begin and to end.
-            let per_s: Vec<f64> = text
-                .lines()
-                .filter_map(|l| l.split_once(" frames/s")?.0.trim().parse().ok())
-                .collect();
+            let per_s: Vec<f64> =
+                text.lines().filter_map(|l| l.split_once(" frames/s")?.0.trim().parse().ok()).collect();
             let middle = &per_s[1..];
             middle.iter().sum::<f64>() / middle.len() as f64
         };
@@ -538,8 +570,10 @@ fn two_cameras_for_ten_minutes() {
             .map(|a| {
                 let (made, stop, packet) = (&made, &stop, &packet);
                 scope.spawn(move || {
-                    let mut options =
-                        Options { duration: Some(Duration::from_secs_f64(60.0 * minutes)), ..Options::default() };
+                    let mut options = Options {
+                        duration: Some(Duration::from_secs_f64(60.0 * minutes)),
+                        ..Options::default()
+                    };
                     options.stream.packet_size = packet.parse().ok();
                     let mut check = Check { numbers: 0, first: None, last: 0 };
                     let summary = {

@@ -16,6 +16,7 @@ mod import;
 mod investigate;
 mod killed;
 mod models;
+mod monitor;
 mod noise;
 mod outside;
 mod program;

@@ -1,0 +1,197 @@
+//! `radcam monitor`
+
+use super::Outcome;
+use super::common::{STOP, above_0};
+use crate::bench;
+use crate::calibrate::file::Calibration;
+use crate::camera::{self, Camera, CameraError, StreamOptions};
+use crate::monitor::metrics::{Metrics, serve};
+use crate::monitor::store::Store;
+use crate::monitor::{Alarm, Check, Limits, Monitor, Plan, TakeError, take};
+use crate::number::six_digits;
+use crate::stream::prepare;
+use anyhow::{Context, Result, bail};
+use sha2::{Digest, Sha256};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// aravis:ID or sim:SENSOR; `radcam cameras` lists them
+    #[arg(long, value_name = "ID")]
+    camera: String,
+    /// The calibration file
+    #[arg(long, value_name = "CAL.tiff")]
+    cal: PathBuf,
+    /// History: a SQLite file, or postgres://USER:PASSWORD@HOST/DATABASE; nothing is kept where not given
+    #[arg(long, value_name = "URL")]
+    store: Option<String>,
+    /// A plan whose [bench] names the features that move the light
+    #[arg(long, value_name = "PLAN.toml")]
+    plan: Option<String>,
+    /// Seconds from the start of one check to that of the next
+    #[arg(long, value_parser = above_0, default_value = "60")]
+    every: f64,
+    /// End after so many checks
+    #[arg(long)]
+    checks: Option<u64>,
+    /// Frames of each kind in a check: short darks, long darks, reference flat
+    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u64).range(2..=10_000))]
+    frames: u64,
+    /// Exposure of the reference flat, s [default: that of the calibration's dark reference]
+    #[arg(long, value_parser = above_0)]
+    exposure_s: Option<f64>,
+    /// Light of the reference flat
+    #[arg(long, value_parser = above_0, default_value = "1")]
+    illumination: f64,
+    /// Change of the gain that matters, relative
+    #[arg(long, value_parser = above_0, default_value = "0.01")]
+    gain_limit: f64,
+    /// Change of the black level that matters, DN
+    #[arg(long, value_parser = above_0, default_value = "0.5")]
+    black_limit_dn: f64,
+    /// Change of the light that matters, relative
+    #[arg(long, value_parser = above_0, default_value = "0.02")]
+    light_limit: f64,
+    /// Answer Prometheus at this address, such as 127.0.0.1:9464, path /metrics
+    #[arg(long, value_name = "ADDRESS")]
+    metrics: Option<SocketAddr>,
+    /// Print a JSON object for each check
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    let bytes = std::fs::read(&arguments.cal).with_context(|| arguments.cal.display().to_string())?;
+    let calibration = Calibration::read(&arguments.cal)?;
+    let hash: String = Sha256::digest(&bytes).iter().take(8).map(|b| format!("{b:02x}")).collect();
+    let limits = Limits {
+        gain: arguments.gain_limit,
+        black_level_dn: arguments.black_limit_dn,
+        signal: arguments.light_limit,
+        ..Limits::default()
+    };
+    let serial = &calibration.description.camera.serial;
+    let name = if serial.is_empty() { arguments.camera.clone() } else { serial.clone() };
+    let store = arguments.store.as_deref().map(Store::open).transpose()?;
+    let mut monitor = match &store {
+        Some(store) => store.monitor(&name, &hash, limits)?,
+        None => Monitor::new(limits),
+    };
+    let metrics = Arc::new(Mutex::new(Metrics::default()));
+    if let Some(address) = arguments.metrics {
+        let bound = serve(address, Arc::clone(&metrics)).with_context(|| format!("--metrics {address}"))?;
+        if !arguments.json {
+            println!("metrics at http://{bound}/metrics");
+        }
+    }
+    let (mut taken, mut alarms) = (0, 0);
+    let mut job = Job { arguments, calibration: &calibration, camera: None };
+    if !arguments.json {
+        let known = monitor.history().len();
+        println!(
+            "{name}: a check every {} s, {known} in the history; Ctrl-C ends",
+            six_digits(arguments.every)
+        );
+    }
+    while !STOP.load(Ordering::Relaxed) && arguments.checks.is_none_or(|n| taken < n) {
+        let begun = Instant::now();
+        let check = match job.take() {
+            Ok(check) => check,
+            // A camera that is away now may be back at the next check.
+            Err(TakeError::Camera(
+                e @ (CameraError::Lost { .. } | CameraError::Timeout { .. } | CameraError::Absent { .. }),
+            )) if taken > 0 => {
+                tracing::warn!(error = %e, "no check");
+                job.camera = None;
+                wait(begun, arguments.every);
+                continue;
+            }
+            Err(e) => return Err(e.into()),
+        };
+        taken += 1;
+        let found = monitor.add(check.clone());
+        alarms += found.len();
+        if let Some(store) = &store {
+            store.keep(&name, &hash, &check, &found)?;
+        }
+        metrics.lock().unwrap_or_else(PoisonError::into_inner).take(&name, &check, &found);
+        tell(arguments.json, &name, &check, &found, &monitor)?;
+        if arguments.checks.is_none_or(|n| taken < n) {
+            wait(begun, arguments.every);
+        }
+    }
+    Ok(if alarms == 0 { Outcome::Agreement } else { Outcome::Disagreement })
+}
+
+fn wait(begun: Instant, every_s: f64) {
+    while begun.elapsed().as_secs_f64() < every_s && !STOP.load(Ordering::Relaxed) {
+        std::thread::sleep(Duration::from_millis(20).min(Duration::from_secs_f64(every_s)));
+    }
+}
+
+struct Job<'a> {
+    arguments: &'a Arguments,
+    calibration: &'a Calibration,
+    camera: Option<Box<dyn Camera>>,
+}
+
+impl Job<'_> {
+    fn take(&mut self) -> Result<Check, TakeError> {
+        let a = self.arguments;
+        if self.camera.is_none() {
+            let mut camera = camera::open(&a.camera)?;
+            prepare(&mut *camera, self.calibration, None).map_err(|e| CameraError::Backend {
+                camera: a.camera.clone(),
+                feature: "calibration".into(),
+                message: e.to_string(),
+            })?;
+            self.camera = Some(camera);
+        }
+        let Some(camera) = &mut self.camera else { unreachable!("it was opened above") };
+        let mut plan = crate::plan::Plan::quick();
+        if let Some(name) = &a.plan {
+            let text = std::fs::read_to_string(name)
+                .map_err(|e| bench::BenchError::Operator(format!("{name}: {e}")))?;
+            plan = crate::plan::Plan::from_toml(&text)
+                .map_err(|e| bench::BenchError::Operator(format!("{name}: {e}")))?;
+        }
+        let mut bench = bench::of(&mut **camera, &plan);
+        if !bench.moves_itself() {
+            let message = "a check needs a light that can be switched by a feature of the camera: name it under [bench] in a plan, \
+                           and give that with --plan";
+            return Err(bench::BenchError::Operator(message.into()).into());
+        }
+        let exposure_s = a.exposure_s;
+        let plan = Plan { exposure_s, frames: a.frames, illumination: a.illumination, ..Plan::default() };
+        take(&mut **camera, &mut *bench, self.calibration, &plan, &StreamOptions::default())
+    }
+}
+
+fn tell(json: bool, name: &str, check: &Check, alarms: &[Alarm], monitor: &Monitor) -> Result<()> {
+    if json {
+        let learning = monitor.learning();
+        let needed = monitor.checks_needed();
+        let answer = serde_json::json!({
+            "camera": name, "check": check, "alarms": alarms, "learning": learning, "checks_needed": needed,
+        });
+        println!("{answer}");
+        return Ok(());
+    }
+    for alarm in alarms {
+        println!("ALARM {name}: {}", alarm.sentence);
+    }
+    if alarms.is_empty() {
+        let learning = monitor.learning().len();
+        let state =
+            if learning > 0 { format!("learning {learning} of its usual values") } else { "as usual".into() };
+        println!("{} check {}: {state}", crate::monitor::clock(check.time_s), monitor.history().len());
+    }
+    if monitor.history().len() == 1 && check.readings.is_empty() {
+        bail!("the check read nothing: no light, and no dark");
+    }
+    Ok(())
+}

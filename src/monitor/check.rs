@@ -1,0 +1,251 @@
+//! A check: some darks and some frames of a reference flat, and what they say of the camera.
+
+use crate::calibrate::file::Calibration;
+use crate::statistics::moments::{Moments, SizeMismatch};
+use ndarray::Array2;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// A pixel of darks is taken for hot where it lies so many standard deviations above its reference.
+const HOT_SIGMA: f64 = 6.0;
+/// A pixel of the flat is taken for dead where its corrected value lies beyond this factor from the mean ([`crate::calibrate::defects`]).
+const DEAD: f64 = 0.5;
+/// Pixels of a list: more are a camera that is broken otherwise.
+const LISTED: usize = 1000;
+
+/// What a check follows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Followed {
+    /// Mean of short darks without their dark current, DN.
+    BlackLevel,
+    /// Mean growth of darks with the exposure, DN/s.
+    DarkCurrent,
+    /// Overall system gain from temporal variances, DN/e.
+    Gain,
+    /// Mean of the reference flat above the dark level, DN.
+    Signal,
+    /// Temporal variance of darks, DN^2.
+    DarkNoise,
+    /// Variance of what K leaves of the pattern between neighbours, relative to the signal.
+    Pattern,
+    /// Variance of the frame means of the flat, relative to the signal.
+    Flicker,
+    /// Frames lost on the way.
+    LostFrames,
+}
+
+/// A reading and its standard error.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Reading {
+    /// Value.
+    pub value: f64,
+    /// Standard error.
+    pub std_err: f64,
+}
+
+/// What a check says.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Check {
+    /// When it was taken, seconds since 1970.
+    pub time_s: f64,
+    /// Exposure of flats and short darks, s.
+    pub exposure_s: f64,
+    /// Sensor temperature, degrees Celsius.
+    pub temperature_c: Option<f64>,
+    /// Frames of the flat: degrees of freedom of the flicker are one less.
+    pub flats: u64,
+    /// Frames that came.
+    pub frames: u64,
+    /// What it read.
+    pub readings: BTreeMap<Followed, Reading>,
+    /// Pixels (column, row) that are hot and were not when the camera was calibrated.
+    pub hot: Vec<(u32, u32)>,
+    /// Pixels (column, row) that are dead and were not when the camera was calibrated.
+    pub dead: Vec<(u32, u32)>,
+}
+
+/// Frames of one kind, as they come.
+#[derive(Debug, Clone)]
+pub struct Stack {
+    moments: Moments,
+    means_dn: Vec<f64>,
+}
+
+impl Stack {
+    /// For frames of (rows, columns) with codes of so many bits.
+    pub fn new(shape: (usize, usize), bit_depth: u8) -> Self {
+        Self { moments: Moments::new(shape, bit_depth), means_dn: Vec::new() }
+    }
+
+    /// Adds a frame, row by row, DN.
+    ///
+    /// # Errors
+    ///
+    /// Where its size is another.
+    pub fn add(&mut self, dn: &[u16]) -> Result<(), SizeMismatch> {
+        self.moments.add(&[dn])?;
+        let sum: u64 = dn.iter().map(|&d| u64::from(d)).sum();
+        self.means_dn.push(sum as f64 / dn.len().max(1) as f64);
+        Ok(())
+    }
+
+    /// Frames.
+    pub fn frames(&self) -> u64 {
+        self.moments.frames()
+    }
+
+    fn mean_dn(&self) -> f64 {
+        self.means_dn.iter().sum::<f64>() / self.means_dn.len().max(1) as f64
+    }
+
+    /// Variance of the frame means, DN^2.
+    fn scatter_dn2(&self) -> f64 {
+        let (mean, n) = (self.mean_dn(), self.means_dn.len() as f64);
+        self.means_dn.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0)
+    }
+
+    /// Temporal variance of a pixel on average, DN^2, without what all pixels of a frame share, and its standard error: of n (F - 1) degrees of
+    /// freedom 2 v^2 / dof, of normal noise.
+    fn noise_dn2(&self) -> Reading {
+        let pixels = self.moments.sums().len() as f64;
+        let variance = self.moments.variance_dn2().mean().unwrap_or(f64::NAN);
+        // The scatter of means holds v / n of the pixels' own noise.
+        let value = (variance - self.scatter_dn2()) / (1.0 - 1.0 / pixels);
+        let dof = pixels * (self.frames() as f64 - 1.0).max(1.0);
+        Reading { value, std_err: value * (2.0 / dof).sqrt() }
+    }
+}
+
+/// The frames of a check.
+#[derive(Debug, Clone)]
+pub struct Taken {
+    /// Seconds since 1970.
+    pub time_s: f64,
+    /// Exposure of flats and short darks, s.
+    pub exposure_s: f64,
+    /// Exposure of long darks, s.
+    pub long_s: f64,
+    /// Degrees Celsius.
+    pub temperature_c: Option<f64>,
+    /// Darks at the exposure of the flats.
+    pub short: Stack,
+    /// Darks at the long one.
+    pub long: Stack,
+    /// The reference flat.
+    pub flat: Stack,
+    /// Frames lost meanwhile.
+    pub lost: u64,
+}
+
+impl Taken {
+    /// What the frames say, held against the calibration.
+    pub fn check(&self, calibration: &Calibration) -> Check {
+        let pixels = self.short.moments.sums().len() as f64;
+        let (short, long, flat) = (&self.short, &self.long, &self.flat);
+        let (dark_noise, flat_noise) = (short.noise_dn2(), flat.noise_dn2());
+        let frames = |s: &Stack| s.frames().max(1) as f64;
+        // A mean's error: the pixels' own noise, and what frames share.
+        let error2 = |s: &Stack, noise: f64| (noise / pixels).max(s.scatter_dn2()) / frames(s);
+        let (short_error2, long_error2) =
+            (error2(short, dark_noise.value), error2(long, long.noise_dn2().value));
+        let reach_s = self.long_s - self.exposure_s;
+        let current = if reach_s > 0.0 { (long.mean_dn() - short.mean_dn()) / reach_s } else { 0.0 };
+        let current_error2 = (short_error2 + long_error2) / (reach_s * reach_s);
+        let signal = flat.mean_dn() - short.mean_dn();
+        let signal_error2 = flat_noise.value / pixels / frames(flat) + short_error2;
+        let flicker = (flat.scatter_dn2() - flat_noise.value / pixels).max(0.0);
+        let gain = (flat_noise.value - dark_noise.value) / signal;
+        let gain_error = flat_noise.std_err.hypot(dark_noise.std_err) / signal;
+        let mut readings = BTreeMap::new();
+        let mut put = |what, value: f64, std_err: f64| {
+            if value.is_finite() && std_err.is_finite() {
+                readings.insert(what, Reading { value, std_err });
+            }
+        };
+        let black_error2 = short_error2 + self.exposure_s.powi(2) * current_error2;
+        if reach_s > 0.0 {
+            put(Followed::BlackLevel, short.mean_dn() - current * self.exposure_s, black_error2.sqrt());
+            put(Followed::DarkCurrent, current, current_error2.sqrt());
+        } else {
+            put(Followed::BlackLevel, short.mean_dn(), short_error2.sqrt());
+        }
+        if signal > 0.0 && flat.frames() > 1 {
+            put(Followed::Gain, gain, gain_error);
+            put(Followed::Signal, signal, (signal_error2 + flicker / frames(flat)).sqrt());
+            put(Followed::Flicker, flat.scatter_dn2() / (signal * signal), 0.0);
+            let (value, std_err) = self.pattern(calibration, signal, flat_noise.value);
+            put(Followed::Pattern, value, std_err);
+        }
+        put(Followed::DarkNoise, dark_noise.value, dark_noise.std_err);
+        let came = short.frames() + long.frames() + flat.frames();
+        put(Followed::LostFrames, self.lost as f64, 0.0);
+        Check {
+            time_s: self.time_s,
+            exposure_s: self.exposure_s,
+            temperature_c: self.temperature_c,
+            flats: flat.frames(),
+            frames: came,
+            readings,
+            hot: self.hot(calibration, gain),
+            dead: self.dead(calibration),
+        }
+    }
+
+    /// The corrected flat over its mean.
+    fn corrected(&self, calibration: &Calibration) -> Array2<f64> {
+        let dark = self.short.moments.mean_dn();
+        let mut out = self.flat.moments.mean_dn() - dark;
+        ndarray::Zip::from(&mut out).and(&calibration.k).for_each(|o, &k| *o /= f64::from(k));
+        let mean = out.mean().unwrap_or(1.0);
+        out / mean
+    }
+
+    /// Variance of neighbours in the corrected flat beyond the noise of frames, relative: half the mean square of differences along the rows.
+    /// Light is alike for neighbours. The constant part, errors of K among it, is in the reference as well.
+    fn pattern(&self, calibration: &Calibration, signal: f64, noise_dn2: f64) -> (f64, f64) {
+        let image = self.corrected(calibration);
+        let (mut sum, mut squares, mut n) = (0.0, 0.0, 0.0);
+        for (row, flags) in image.rows().into_iter().zip(calibration.defects.rows()) {
+            for x in (1..row.len()).step_by(2) {
+                if flags[x] == 0 && flags[x - 1] == 0 {
+                    let half = 0.5 * (row[x] - row[x - 1]).powi(2);
+                    sum += half;
+                    squares += half * half;
+                    n += 1.0;
+                }
+            }
+        }
+        let mean: f64 = sum / f64::max(n, 1.0);
+        let error = ((squares / f64::max(n, 1.0) - mean * mean) / f64::max(n, 1.0)).sqrt();
+        let frames = self.flat.frames() as f64;
+        let dark = self.short.noise_dn2().value / self.short.frames().max(1) as f64;
+        (mean - (noise_dn2 / frames + dark) / (signal * signal), error)
+    }
+
+    fn hot(&self, calibration: &Calibration, gain: f64) -> Vec<(u32, u32)> {
+        let Ok(reference) = calibration.dark.at(self.long_s) else { return Vec::new() };
+        let mean = self.long.moments.mean_dn();
+        let shift = self.long.mean_dn() - f64::from(reference.mean().unwrap_or(0.0));
+        let usual = f64::from(reference.mean().unwrap_or(0.0));
+        let noise = self.long.noise_dn2().value;
+        let error = calibration.description.dark_std_err_dn.unwrap_or(0.0);
+        let limit2 = |r: f64| {
+            // Dark charge has shot noise of its own.
+            (noise + gain.max(0.0) * (r - usual).max(0.0)) / self.long.frames().max(1) as f64 + error * error
+        };
+        let hot = mean.indexed_iter().filter(|((y, x), m)| {
+            let r = f64::from(reference[(*y, *x)]);
+            calibration.defects[(*y, *x)] == 0 && **m - r - shift > HOT_SIGMA * limit2(r).sqrt()
+        });
+        hot.map(|((y, x), _)| (x as u32, y as u32)).take(LISTED).collect()
+    }
+
+    fn dead(&self, calibration: &Calibration) -> Vec<(u32, u32)> {
+        let image = self.corrected(calibration);
+        let dead = image
+            .indexed_iter()
+            .filter(|((y, x), v)| calibration.defects[(*y, *x)] == 0 && !(DEAD..=1.0 / DEAD).contains(*v));
+        dead.map(|((y, x), _)| (x as u32, y as u32)).take(LISTED).collect()
+    }
+}

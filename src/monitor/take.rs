@@ -1,0 +1,88 @@
+//! Takes the frames of a check with a camera and its bench.
+
+use super::{Check, Stack, Taken};
+use crate::bench::{BenchError, Illuminator};
+use crate::calibrate::file::Calibration;
+use crate::camera::{Camera, CameraError, StreamOptions};
+use crate::frame::{Frame, Status};
+use crate::plan::BenchState;
+use radcam_sim::Scene;
+use serde::{Deserialize, Serialize};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// What a check takes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Plan {
+    /// Exposure of flats and short darks, s; `None`: that of the calibration's dark reference.
+    pub exposure_s: Option<f64>,
+    /// Exposure of long darks, in short ones.
+    pub long: f64,
+    /// Frames of each kind.
+    pub frames: u64,
+    /// The reference flat's light, relative.
+    pub illumination: f64,
+}
+
+impl Default for Plan {
+    fn default() -> Self {
+        Self { exposure_s: None, long: 10.0, frames: 8, illumination: 1.0 }
+    }
+}
+
+/// Why a check could not be taken.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TakeError {
+    /// The camera.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    /// The bench.
+    #[error(transparent)]
+    Bench(#[from] BenchError),
+    /// A frame of another size than the calibration.
+    #[error("check: {0}")]
+    Size(#[from] crate::statistics::moments::SizeMismatch),
+}
+
+/// Takes short darks, long darks and the reference flat; the bench is left as for the flat.
+///
+/// # Errors
+///
+/// What camera or bench refuse.
+pub fn take(
+    camera: &mut dyn Camera,
+    bench: &mut dyn Illuminator,
+    calibration: &Calibration,
+    plan: &Plan,
+    options: &StreamOptions,
+) -> Result<Check, TakeError> {
+    let exposure_s = plan.exposure_s.unwrap_or(calibration.description.dark_exposure_s);
+    let longest = camera.capabilities().exposure_s.map_or(f64::INFINITY, |b| b.max);
+    let known = calibration.dark.current_dn_per_s.is_some();
+    let long_s = if known { (plan.long * exposure_s).min(longest) } else { exposure_s };
+    let shape = calibration.k.dim();
+    let bits = calibration.description.camera.bit_depth;
+    let [mut short, mut long, mut flat] = [(); 3].map(|()| Stack::new(shape, bits));
+    let dark = BenchState { illumination: 0.0, configuration: 0, scene: Scene::Card };
+    let lit = BenchState { illumination: plan.illumination, ..dark };
+    let mut lost = 0;
+    let mut exposures = [exposure_s, long_s];
+    for (stack, state, at) in [(&mut short, dark, 0), (&mut long, dark, 1), (&mut flat, lit, 0)] {
+        bench.apply(&state, camera)?;
+        exposures[at] = camera.set_exposure_s(exposures[at])?;
+        let timeout = Duration::from_secs_f64(2.0 * exposures[at] + 5.0);
+        let mut stream = camera.stream(options)?;
+        let mut frame = Frame::new(0, 0);
+        while stack.frames() < plan.frames {
+            stream.next(&mut frame, timeout)?;
+            if frame.status == Status::Complete {
+                stack.add(frame.pixels.as_slice().unwrap_or_default())?;
+            }
+        }
+        lost += stream.counts().lost();
+    }
+    let temperature_c = camera.settings()?.temperature_c;
+    let time_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |t| t.as_secs_f64());
+    let [exposure_s, long_s] = exposures;
+    Ok(Taken { time_s, exposure_s, long_s, temperature_c, short, long, flat, lost }.check(calibration))
+}

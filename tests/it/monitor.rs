@@ -1,0 +1,400 @@
+//! A calibrated camera that changes: each change is found when theory says and named as what it is, and nothing is found where nothing changed.
+
+use crate::support::{calibration, expect, radcam, small};
+use radcam::calibrate::file::Calibration;
+use radcam::monitor::store::Store;
+use radcam::monitor::{Alarm, Changed, Check, Followed, Limits, Monitor, Stack, Taken};
+use radcam::statistics::moments::Moments;
+use radcam_sim::{Conditions, Model, Sensor};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+const EXPOSURE_S: f64 = 0.02;
+const LONG_S: f64 = 0.2;
+const FRAMES: u64 = 8;
+
+/// A camera whose light is even, so that its K is the mean flat.
+fn model(width: u32, height: u32) -> Model {
+    let mut model = small("cmos12", width, height);
+    (model.bench.shading, model.bench.gradient) = (0.0, 0.0);
+    model
+}
+
+/// The camera as it is at a check.
+#[derive(Clone)]
+struct Camera {
+    sensor: std::sync::Arc<Sensor>,
+    illumination: f64,
+    black_level_dn: f64,
+    /// Pixels that have become hot.
+    hot: Vec<usize>,
+    number: u64,
+}
+
+impl Camera {
+    fn new(model: Model) -> Self {
+        let black_level_dn = model.base.black_level_dn;
+        let sensor = Sensor::new(model).unwrap().into();
+        Self { sensor, illumination: 0.8, black_level_dn, hot: Vec::new(), number: 0 }
+    }
+
+    fn frame(&mut self, exposure_s: f64, lit: bool) -> Vec<u16> {
+        let region = self.sensor.region();
+        let mut dn = vec![0; region.width as usize * region.height as usize];
+        let illumination = if lit { self.illumination } else { 0.0 };
+        let black_level_dn = self.black_level_dn;
+        let conditions = Conditions { illumination, black_level_dn, ..self.sensor.conditions(exposure_s) };
+        self.sensor.draw(self.number, &conditions, region, &mut dn);
+        self.number += 1;
+        for &at in &self.hot {
+            dn[at] += (300.0 * exposure_s) as u16;
+        }
+        dn
+    }
+
+    fn calibration(&mut self) -> Calibration {
+        let region = self.sensor.region();
+        let shape = (region.height as usize, region.width as usize);
+        let mut mean = |exposure_s, lit| {
+            let mut moments = Moments::new(shape, 12);
+            for _ in 0..200 {
+                moments.add(&[&self.frame(exposure_s, lit)]).unwrap();
+            }
+            moments.mean_dn()
+        };
+        let (short, long, flat) = (mean(EXPOSURE_S, false), mean(LONG_S, false), mean(EXPOSURE_S, true));
+        let light = &flat - &short;
+        let level = light.mean().unwrap();
+        let at = |i: usize| (i / shape.1, i % shape.1);
+        let mut made =
+            calibration("cmos12", "SIM12", shape, |i| (short[at(i)] as f32, (light[at(i)] / level) as f32));
+        let current = (&long - &short) / (LONG_S - EXPOSURE_S);
+        made.dark.exposure_s = EXPOSURE_S;
+        made.description.dark_exposure_s = EXPOSURE_S;
+        made.dark.current_dn_per_s = Some(current.mapv(|c| c as f32));
+        made
+    }
+
+    fn check(&mut self, calibration: &Calibration) -> Check {
+        let stack = || Stack::new(calibration.k.dim(), 12);
+        let (mut short, mut long, mut flat) = (stack(), stack(), stack());
+        for _ in 0..FRAMES {
+            short.add(&self.frame(EXPOSURE_S, false)).unwrap();
+            long.add(&self.frame(LONG_S, false)).unwrap();
+            flat.add(&self.frame(EXPOSURE_S, true)).unwrap();
+        }
+        let time_s = 60.0 * self.number as f64;
+        let taken = Taken {
+            time_s,
+            exposure_s: EXPOSURE_S,
+            long_s: LONG_S,
+            temperature_c: None,
+            short,
+            long,
+            flat,
+            lost: 0,
+        };
+        taken.check(calibration)
+    }
+}
+
+/// A monitor that has learned what is usual.
+fn learned(camera: &mut Camera, calibration: &Calibration) -> Monitor {
+    let mut monitor = Monitor::new(Limits::default());
+    while monitor.history().len() < 40 || !monitor.learning().is_empty() {
+        let alarms = monitor.add(camera.check(calibration));
+        assert!(alarms.is_empty(), "{alarms:?}");
+        assert!(monitor.history().len() < 400, "{:?}", monitor.learning());
+    }
+    monitor
+}
+
+/// Checks until something is found.
+fn found(monitor: &mut Monitor, camera: &mut Camera, calibration: &Calibration) -> (usize, Vec<Alarm>) {
+    for n in 1..=60 {
+        let alarms = monitor.add(camera.check(calibration));
+        if !alarms.is_empty() {
+            return (n, alarms);
+        }
+    }
+    panic!("nothing was found in 60 checks");
+}
+
+/// A percent of gain, half a DN of black level, two percent of lamp, ten hot pixels: each is named as what it is, after no more than twice the
+/// mean number of checks that theory gives and two (a sum's delay has an exponential tail: of 10 trials none is later).
+#[test]
+fn changes_are_found_in_time_and_named() {
+    let start = model(160, 120);
+    let mut camera = Camera::new(start.clone());
+    let calibration = camera.calibration();
+    let monitor = learned(&mut camera, &calibration);
+    let needed = monitor.checks_needed();
+    let allowed = |what| 2.0 * needed[&what] + 2.0;
+    // 19 200 pixels of 8 frames know the gain to 0.4 %.
+    assert!((2.0..20.0).contains(&needed[&Followed::Gain]), "{needed:?}");
+    assert!(needed[&Followed::BlackLevel] < 2.0 && needed[&Followed::Signal] < 2.0, "{needed:?}");
+    for trial in 0..10u64 {
+        let begin = |change: &dyn Fn(&mut Camera)| {
+            let mut changed = camera.clone();
+            changed.number += 1_000_000 * (trial + 1);
+            change(&mut changed);
+            (monitor.clone(), changed)
+        };
+        let mut brighter = start.clone();
+        brighter.base.gain_dn_per_e *= 1.01;
+        let sensor: std::sync::Arc<Sensor> = Sensor::new(brighter).unwrap().into();
+        let (mut m, mut c) = begin(&|c| c.sensor = sensor.clone());
+        let (checks, alarms) = found(&mut m, &mut c, &calibration);
+        // It may first be known that something is brighter, and then what.
+        let (checks, alarm) = match &alarms[..] {
+            [a] if a.what == Changed::LightOrGain => {
+                let (more, alarms) = found(&mut m, &mut c, &calibration);
+                (checks + more, alarms[0].clone())
+            }
+            [a] => (checks, a.clone()),
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(alarm.what, Changed::Gain, "{alarm:?}");
+        assert!((alarm.change.value - 0.01).abs() < 5.0 * alarm.change.std_err, "{alarm:?}");
+        assert!((checks as f64) < allowed(Followed::Gain), "gain after {checks}: {needed:?}");
+
+        let (mut m, mut c) = begin(&|c| c.black_level_dn += 0.5);
+        let (checks, alarms) = found(&mut m, &mut c, &calibration);
+        assert_eq!(alarms.iter().map(|a| a.what).collect::<Vec<_>>(), [Changed::BlackLevel], "{alarms:?}");
+        assert!((checks as f64) < allowed(Followed::BlackLevel), "black level after {checks}");
+        assert!((alarms[0].change.value - 0.5).abs() < 5.0 * alarms[0].change.std_err, "{alarms:?}");
+
+        let (mut m, mut c) = begin(&|c| c.illumination *= 1.02);
+        let (checks, alarms) = found(&mut m, &mut c, &calibration);
+        let (checks, alarm) = match &alarms[..] {
+            [a] if a.what == Changed::LightOrGain => {
+                assert!((checks as f64) < allowed(Followed::Signal));
+                let (more, alarms) = found(&mut m, &mut c, &calibration);
+                (checks + more, alarms[0].clone())
+            }
+            [a] => (checks, a.clone()),
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(alarm.what, Changed::Light, "{alarm:?}");
+        assert!((alarm.change.value - 0.02).abs() < 5.0 * alarm.change.std_err, "{alarm:?}");
+        assert!(
+            (checks as f64) < allowed(Followed::Signal) + allowed(Followed::Gain),
+            "light after {checks}"
+        );
+
+        let (mut m, mut c) = begin(&|c| c.hot = (0..10).map(|i| 777 + 1801 * i).collect());
+        let (checks, alarms) = found(&mut m, &mut c, &calibration);
+        assert_eq!(
+            (checks, alarms[0].what, alarms[0].change.value),
+            (2, Changed::HotPixels, 10.0),
+            "{alarms:?}"
+        );
+        assert!(alarms[0].sentence.contains("(x 18 y 16, x 22 y 61"), "{}", alarms[0].sentence);
+    }
+}
+
+/// Checks of a camera to which nothing happens.
+fn quiet(checks: usize) -> usize {
+    let mut camera = Camera::new(model(64, 48));
+    let calibration = camera.calibration();
+    let mut monitor = Monitor::new(Limits::default());
+    let mut alarms = 0;
+    for _ in 0..checks {
+        for alarm in monitor.add(camera.check(&calibration)) {
+            println!("{alarm:?}");
+            alarms += 1;
+        }
+    }
+    assert!(monitor.learning().is_empty(), "{:?}", monitor.learning());
+    alarms
+}
+
+#[test]
+fn ten_thousand_quiet_checks_raise_at_most_one_alarm() {
+    assert!(quiet(10_000) <= 1);
+}
+
+/// What a store keeps it gives back, and a monitor goes on where it was; the same for every database.
+fn storage(url: &str) {
+    let mut camera = Camera::new(model(64, 48));
+    let calibration = camera.calibration();
+    let checks: Vec<Check> = (0..30).map(|_| camera.check(&calibration)).collect();
+    let mut monitor = Monitor::new(Limits::default());
+    {
+        let store = Store::open(url).unwrap();
+        for (i, check) in checks.iter().enumerate() {
+            let mut found = monitor.add(check.clone());
+            if i == 20 {
+                found.push(Alarm {
+                    what: Changed::Gain,
+                    time_s: check.time_s,
+                    since_s: check.time_s - 60.0,
+                    checks: 1,
+                    change: radcam::monitor::Reading { value: 0.01, std_err: 0.001 },
+                    sentence: "Gain is 1 % higher; it's \"so\" ± 0.1 %.".into(),
+                });
+            }
+            store.keep("SIM12", "abc", check, &found).unwrap();
+        }
+        assert!(store.keep("SIM12", "abc", &checks[3], &[]).is_err(), "a check is kept once");
+        store.keep("OTHER", "abc", &checks[3], &[]).unwrap();
+    }
+    // Opened again: the tables are there, and so is every check.
+    let store = Store::open(url).unwrap();
+    assert_eq!(store.checks("SIM12", "abc").unwrap(), checks);
+    assert!(store.checks("SIM12", "another calibration").unwrap().is_empty());
+    let alarms = store.alarms("SIM12").unwrap();
+    assert_eq!(alarms.len(), 1);
+    assert_eq!((&*alarms[0].0, &*alarms[0].2), ("gain", "Gain is 1 % higher; it's \"so\" ± 0.1 %."));
+    let again = store.monitor("SIM12", "abc", Limits::default()).unwrap();
+    assert_eq!((again.history(), again.learning()), (monitor.history(), monitor.learning()));
+}
+
+#[test]
+fn sqlite_keeps_the_history() {
+    let dir = tempfile::tempdir().unwrap();
+    storage(&format!("sqlite:{}", dir.path().join("history.db").display()));
+    storage(dir.path().join("plain path.db").to_str().unwrap());
+    let text = Store::open(dir.path().join("no/such/folder.db").to_str().unwrap()).unwrap_err().to_string();
+    assert!(text.contains("folder.db"), "{text}");
+}
+
+/// A server of Debian's PostgreSQL on a socket of its own, as an ordinary user.
+struct Postgres(tempfile::TempDir);
+
+impl Postgres {
+    fn start() -> Option<Self> {
+        let newest =
+            std::fs::read_dir("/usr/lib/postgresql").ok()?.filter_map(|e| Some(e.ok()?.path())).max()?;
+        let bin = newest.join("bin");
+        let dir = tempfile::tempdir().unwrap();
+        let run = |command: &str| {
+            // PostgreSQL does not run as root.
+            let root = Command::new("id").arg("-u").output().unwrap().stdout == b"0\n";
+            let mut shell = Command::new(if root { "runuser" } else { "sh" });
+            if root {
+                shell.args(["-u", "postgres", "--", "sh"]);
+            }
+            shell
+                .args(["-c", command])
+                .current_dir(dir.path())
+                .stdout(Stdio::null())
+                .status()
+                .unwrap()
+                .success()
+        };
+        let (root, bins) = (dir.path().display(), bin.display());
+        let _ = Command::new("chmod").arg("777").arg(dir.path()).status();
+        assert!(run(&format!("{bins}/initdb -D {root}/data -U radcam --auth=trust -N")));
+        let options = format!("-c listen_addresses= -c unix_socket_directories={root} -F");
+        assert!(run(&format!("{bins}/pg_ctl -D {root}/data -o '{options}' -l {root}/log -w start")));
+        Some(Self(dir))
+    }
+
+    fn url(&self) -> String {
+        let folder = self.0.path().display().to_string().replace('/', "%2F");
+        format!("postgres://radcam@{folder}/postgres")
+    }
+}
+
+impl Drop for Postgres {
+    fn drop(&mut self) {
+        let pid = std::fs::read_to_string(self.0.path().join("data/postmaster.pid")).unwrap_or_default();
+        if let Some(pid) = pid.lines().next() {
+            let _ = Command::new("kill").args(["-QUIT", pid]).status();
+        }
+        std::thread::sleep(std::time::Duration::from_millis(300));
+    }
+}
+
+#[test]
+fn postgresql_keeps_the_history() {
+    let Some(server) = Postgres::start() else {
+        assert!(std::env::var_os("RADCAM_TEST_TOOLS").is_none(), "PostgreSQL is not installed");
+        println!("SKIPPED: PostgreSQL is not installed");
+        return;
+    };
+    storage(&server.url());
+}
+
+/// The program with a simulated camera: it learns, is ended and goes on; another camera of that serial number whose gain is 3 % higher is found,
+/// in the history, on standard output, and in what Prometheus reads.
+#[test]
+fn the_program_finds_a_change_between_two_runs() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut start = model(96, 64);
+    let mut camera = Camera::new(start.clone());
+    let cal = dir.path().join("cal.tiff");
+    camera.calibration().write(&cal).unwrap();
+    let file = dir.path().join("camera.toml");
+    std::fs::write(&file, start.to_toml().unwrap()).unwrap();
+    let (sensor, store) = (format!("sim:{}", file.display()), dir.path().join("history.db"));
+    let arguments = |checks| {
+        let text = |p: &Path| p.to_str().unwrap().to_string();
+        let mut all: Vec<String> =
+            ["monitor", "--camera", &sensor, "--every", "0.001", "--checks", checks].map(Into::into).into();
+        all.extend(["--cal".into(), text(&cal), "--store".into(), text(&store)]);
+        all.extend(["--illumination".into(), "0.8".into(), "--gain-limit".into(), "0.03".into()]);
+        all
+    };
+    let run = |code, checks| {
+        let all = arguments(checks);
+        expect(code, &all.iter().map(String::as_str).collect::<Vec<_>>())
+    };
+    let text = run(0, "45");
+    assert!(text.contains("45: as usual"), "{text}");
+    start.base.gain_dn_per_e *= 1.03;
+    std::fs::write(&file, start.to_toml().unwrap()).unwrap();
+    let mut all = arguments("20");
+    all.extend(["--metrics".into(), "127.0.0.1:0".into()]);
+    let out = radcam(&all.iter().map(String::as_str).collect::<Vec<_>>());
+    let text = String::from_utf8(out.stdout).unwrap();
+    assert_eq!(out.status.code(), Some(1), "{text}");
+    let alarms: Vec<&str> = text.lines().filter(|l| l.starts_with("ALARM")).collect();
+    assert!(
+        alarms.iter().any(|a| a.contains("ALARM SIM12: Gain is") && a.contains("higher since")),
+        "{text}"
+    );
+    let kept = Store::open(store.to_str().unwrap()).unwrap().alarms("SIM12").unwrap();
+    assert_eq!(kept.len(), alarms.len());
+    let text = run(0, "1");
+    assert!(text.contains("65 in the history"), "{text}");
+}
+
+/// What Prometheus is given is read by a parser of others.
+#[test]
+fn prometheus_reads_the_metrics() {
+    use radcam::monitor::metrics::{Metrics, serve};
+    use std::io::{Read, Write};
+    use std::sync::{Arc, Mutex};
+    let mut camera = Camera::new(model(64, 48));
+    let calibration = camera.calibration();
+    let check = camera.check(&calibration);
+    let metrics = Arc::new(Mutex::new(Metrics::default()));
+    metrics.lock().unwrap().take("SIM\"12", &check, &[]);
+    let address = serve("127.0.0.1:0".parse().unwrap(), Arc::clone(&metrics)).unwrap();
+    let get = |path: &str| {
+        let mut stream = std::net::TcpStream::connect(address).unwrap();
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: x\r\n\r\n").unwrap();
+        let mut text = String::new();
+        stream.read_to_string(&mut text).unwrap();
+        text
+    };
+    assert!(get("/other").starts_with("HTTP/1.1 404"));
+    let answer = get("/metrics");
+    let body = answer.split_once("\r\n\r\n").unwrap().1;
+    let lines = body.lines().filter(|l| *l != "# EOF").map(|l| Ok(l.to_string()));
+    let scrape = prometheus_parse::Scrape::parse(lines).unwrap();
+    let value = |name: &str, what: &str| {
+        let sample = scrape.samples.iter().find(|s| s.metric == name && s.labels.get("what") == Some(what));
+        match sample.unwrap_or_else(|| panic!("{name} {what}: {body}")).value {
+            prometheus_parse::Value::Gauge(v)
+            | prometheus_parse::Value::Counter(v)
+            | prometheus_parse::Value::Untyped(v) => v,
+            ref other => panic!("{other:?}"),
+        }
+    };
+    assert_eq!(value("radcam_reading", "gain"), check.readings[&Followed::Gain].value);
+    assert_eq!(value("radcam_reading_std_err", "gain"), check.readings[&Followed::Gain].std_err);
+    assert_eq!(value("radcam_checks_total", "all"), 1.0);
+}
