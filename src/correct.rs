@@ -1,7 +1,7 @@
 //! Correction of frames, eq. (51): D_C = (D - D_D) / K. The hot path: one pass, no allocation per frame.
 
 use crate::calibrate::dark::DarkError;
-use crate::calibrate::defects::replacements;
+use crate::calibrate::defects::replacements_of;
 use crate::calibrate::file::Calibration;
 use crate::pixel_format::{PixelFormat, WrongLength};
 use ndarray::Array2;
@@ -135,7 +135,9 @@ impl Corrector {
 
     /// Also replaces the flagged pixels of the calibration by the mean of the nearest sound ones.
     pub fn replacing_defects(mut self, calibration: &Calibration) -> Self {
-        self.replace = replacements(&calibration.defects);
+        let format = PixelFormat::from_name(&calibration.description.camera.pixel_format);
+        let step = if format.is_ok_and(PixelFormat::is_mosaic) { 2 } else { 1 };
+        self.replace = replacements_of(&calibration.defects, step);
         self
     }
 

@@ -98,11 +98,17 @@ pub fn find(darks: &[DarkMean], k: &Array2<f32>, gain_dn_per_e: Option<f64>) -> 
 /// For each flagged pixel the nearest sound ones that replace it: places in the frame, row by row. A pixel without any
 /// within three rows and columns stays as it is.
 pub fn replacements(flags: &Array2<u8>) -> Vec<(usize, Vec<usize>)> {
+    replacements_of(flags, 1)
+}
+
+/// The same where pixels of one colour are `step` apart: only those of the pixel's own colour replace it.
+pub fn replacements_of(flags: &Array2<u8>, step: usize) -> Vec<(usize, Vec<usize>)> {
     let (rows, columns) = flags.dim();
     let around = |y: usize, x: usize, reach: usize| -> Vec<usize> {
-        let of_rows = y.saturating_sub(reach)..(y + reach + 1).min(rows);
-        of_rows
-            .flat_map(|b| (x.saturating_sub(reach)..(x + reach + 1).min(columns)).map(move |a| (b, a)))
+        let near = |at: usize, end: usize| (at.saturating_sub(reach * step)..(at + reach * step + 1).min(end))
+            .filter(move |b| b.abs_diff(at) % step == 0);
+        near(y, rows)
+            .flat_map(|b| near(x, columns).map(move |a| (b, a)))
             .filter(|&at| flags[at] == 0)
             .map(|(b, a)| b * columns + a)
             .collect()

@@ -1,5 +1,6 @@
 //! Section V: what a camera adds to an even light, and how to take it off again.
 
+mod colour;
 pub mod dark;
 pub mod defects;
 pub mod file;
@@ -11,12 +12,13 @@ pub mod window;
 
 use crate::dataset::{Dataset, DatasetError, Kind, Set};
 use crate::noise::{Method, NoiseReport};
+use crate::pixel_format::PixelFormat;
 use crate::statistics::moments::Moments;
 use dark::{DarkError, DarkMean, DarkReference};
 use defects::Defect;
 use file::{Calibration, Description};
 use ndarray::Array2;
-use pattern::{Options, PatternError};
+use pattern::{FixedPattern, Options, PatternError};
 use std::collections::BTreeMap;
 
 /// How K is estimated from a dataset.
@@ -185,18 +187,35 @@ pub fn of_dataset(
     let level = dark.at(exposure_s)?;
 
     let (images, fewest) = images(dataset, &configurations, &level)?;
-    let (pattern, name) = match estimator {
-        Estimator::Joint => (joint::joint(&images)?, "joint".to_string()),
-        Estimator::Paper(o) => {
-            let name = format!("paper: window {}, p {}, start {:?}", o.window, o.p, o.start);
-            (pattern::paper(&images, o)?, name)
-        }
-        Estimator::Smooth => {
-            let name = "smooth: one configuration; K contains the card and the lamp's fine structure";
-            let noise = noise.map(|n| (n.gain_dn_per_e.value, n.constant_noise_var_dn2.value));
-            (joint::smooth(&images, noise, fewest)?, name.to_string())
-        }
+    let mosaic = PixelFormat::from_name(&dataset.manifest().camera.pixel_format).is_ok_and(PixelFormat::is_mosaic);
+    let mut name = String::new();
+    let mut estimate = |images: &[Array2<f32>]| -> Result<FixedPattern, CalibrateError> {
+        let (pattern, text) = match estimator {
+            Estimator::Joint => (joint::joint(images)?, "joint".to_string()),
+            Estimator::Paper(o) => {
+                let name = format!("paper: window {}, p {}, start {:?}", o.window, o.p, o.start);
+                (pattern::paper(images, o)?, name)
+            }
+            Estimator::Smooth => {
+                let name = "smooth: one configuration; K contains the card and the lamp's fine structure";
+                let noise = noise.map(|n| (n.gain_dn_per_e.value, n.constant_noise_var_dn2.value));
+                (joint::smooth(images, noise, fewest)?, name.to_string())
+            }
+        };
+        name = text;
+        Ok(pattern)
     };
+    let pattern = if mosaic {
+        // A colour's light is smooth; that of a mosaic is not, and the filters' transmissions are no part of K.
+        let planes = colour::planes(&images);
+        let patterns = planes.iter().map(|p| estimate(p)).collect::<Result<Vec<_>, _>>()?;
+        colour::joined(&patterns, level.dim())
+    } else {
+        estimate(&images)?
+    };
+    if mosaic {
+        name += "; each plane of the colour mosaic by itself";
+    }
     let description = Description {
         gain_dn_per_e: noise.map(|n| n.gain_dn_per_e.value),
         constant_noise_var_dn2: noise.map(|n| n.constant_noise_var_dn2.value),

@@ -1,19 +1,21 @@
 //! `radcam monitor`
 
 use super::Outcome;
-use super::common::{STOP, above_0};
+use super::common::{STOP, above_0, load_plan};
 use crate::bench;
 use crate::calibrate::file::Calibration;
+use crate::capture::Capture;
 use crate::camera::{self, Camera, CameraError, StreamOptions};
 use crate::monitor::metrics::{Metrics, serve};
 use crate::monitor::store::Store;
 use crate::monitor::{Alarm, Check, Limits, Monitor, Plan, TakeError, take};
 use crate::number::six_digits;
+use crate::source::Source;
 use crate::stream::prepare;
 use anyhow::{Context, Result, bail};
 use sha2::{Digest, Sha256};
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -56,6 +58,12 @@ pub struct Arguments {
     /// Change of the light that matters, relative
     #[arg(long, value_parser = above_0, default_value = "0.02")]
     light_limit: f64,
+    /// After an alarm capture the standard plan into a folder of its own in here, and name what the model lacks
+    #[arg(long, value_name = "DIR")]
+    diagnose: Option<PathBuf>,
+    /// The model that the camera had; otherwise the linear sensor
+    #[arg(long, value_name = "M.toml", requires = "diagnose")]
+    model: Option<PathBuf>,
     /// Answer Prometheus at this address, such as 127.0.0.1:9464, path /metrics
     #[arg(long, value_name = "ADDRESS")]
     metrics: Option<SocketAddr>,
@@ -89,7 +97,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         }
     }
     let (mut taken, mut alarms) = (0, 0);
-    let mut job = Job { arguments, calibration: &calibration, camera: None };
+    let plan = load_plan(Some(arguments.plan.as_deref().unwrap_or("standard")), false, Path::new("."))?;
+    let mut job = Job { arguments, calibration: &calibration, camera: None, plan };
     if !arguments.json {
         let known = monitor.history().len();
         println!(
@@ -119,7 +128,11 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             store.keep(&name, &hash, &check, &found)?;
         }
         metrics.lock().unwrap_or_else(PoisonError::into_inner).take(&name, &check, &found);
-        tell(arguments.json, &name, &check, &found, &monitor)?;
+        let verdict = match &arguments.diagnose {
+            Some(root) if !found.is_empty() => Some(job.diagnose(root, check.time_s)),
+            _ => None,
+        };
+        tell(arguments.json, &name, &check, &found, verdict.as_deref(), &monitor)?;
         if arguments.checks.is_none_or(|n| taken < n) {
             wait(begun, arguments.every);
         }
@@ -137,6 +150,8 @@ struct Job<'a> {
     arguments: &'a Arguments,
     calibration: &'a Calibration,
     camera: Option<Box<dyn Camera>>,
+    /// Whose bench moves the light.
+    plan: crate::plan::Plan,
 }
 
 impl Job<'_> {
@@ -152,14 +167,7 @@ impl Job<'_> {
             self.camera = Some(camera);
         }
         let Some(camera) = &mut self.camera else { unreachable!("it was opened above") };
-        let mut plan = crate::plan::Plan::quick();
-        if let Some(name) = &a.plan {
-            let text = std::fs::read_to_string(name)
-                .map_err(|e| bench::BenchError::Operator(format!("{name}: {e}")))?;
-            plan = crate::plan::Plan::from_toml(&text)
-                .map_err(|e| bench::BenchError::Operator(format!("{name}: {e}")))?;
-        }
-        let mut bench = bench::of(&mut **camera, &plan);
+        let mut bench = bench::of(&mut **camera, &self.plan);
         if !bench.moves_itself() {
             let message = "a check needs a light that can be switched by a feature of the camera: name it under [bench] in a plan, \
                            and give that with --plan";
@@ -169,20 +177,47 @@ impl Job<'_> {
         let plan = Plan { exposure_s, frames: a.frames, illumination: a.illumination, ..Plan::default() };
         take(&mut **camera, &mut *bench, self.calibration, &plan, &StreamOptions::default())
     }
+
+    /// Captures a campaign and says what it shows; where that cannot be, why.
+    fn diagnose(&mut self, root: &Path, time_s: f64) -> String {
+        let root = root.join(format!("{time_s:.0}"));
+        let mut work = || -> Result<String> {
+            let known = super::model::read_effects(self.arguments.model.as_deref())?;
+            let Some(camera) = &mut self.camera else { return Ok(String::new()) };
+            let mut bench = bench::of(&mut **camera, &self.plan);
+            let plan = crate::plan::Plan { bench: self.plan.bench.clone(), ..crate::plan::Plan::standard() };
+            Capture { stop: &STOP, ..Capture::new(&mut **camera, &mut *bench) }.run(&plan, &root)?;
+            let found = Source::open(&root)?.diagnose(&known)?;
+            Ok(found.verdict.sentence().to_string())
+        };
+        let said = work().unwrap_or_else(|e| format!("no diagnosis: {e:#}"));
+        format!("{} ({})", said, root.display())
+    }
 }
 
-fn tell(json: bool, name: &str, check: &Check, alarms: &[Alarm], monitor: &Monitor) -> Result<()> {
+fn tell(
+    json: bool,
+    name: &str,
+    check: &Check,
+    alarms: &[Alarm],
+    verdict: Option<&str>,
+    monitor: &Monitor,
+) -> Result<()> {
     if json {
         let learning = monitor.learning();
         let needed = monitor.checks_needed();
         let answer = serde_json::json!({
-            "camera": name, "check": check, "alarms": alarms, "learning": learning, "checks_needed": needed,
+            "camera": name, "check": check, "alarms": alarms, "verdict": verdict, "learning": learning,
+            "checks_needed": needed,
         });
         println!("{answer}");
         return Ok(());
     }
     for alarm in alarms {
         println!("ALARM {name}: {}", alarm.sentence);
+    }
+    if let Some(verdict) = verdict {
+        println!("  {}", super::common::wrapped(verdict, 2).trim_start());
     }
     if alarms.is_empty() {
         let learning = monitor.learning().len();

@@ -12,6 +12,7 @@ mod effects;
 mod emva;
 #[cfg(feature = "aravis")]
 mod faults;
+mod fuzz;
 mod import;
 mod investigate;
 mod killed;

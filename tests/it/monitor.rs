@@ -346,7 +346,8 @@ fn the_program_finds_a_change_between_two_runs() {
     start.base.gain_dn_per_e *= 1.03;
     std::fs::write(&file, start.to_toml().unwrap()).unwrap();
     let mut all = arguments("20");
-    all.extend(["--metrics".into(), "127.0.0.1:0".into()]);
+    let campaigns = dir.path().join("campaigns");
+    all.extend(["--metrics".into(), "127.0.0.1:0".into(), "--diagnose".into(), campaigns.to_str().unwrap().into()]);
     let out = radcam(&all.iter().map(String::as_str).collect::<Vec<_>>());
     let text = String::from_utf8(out.stdout).unwrap();
     assert_eq!(out.status.code(), Some(1), "{text}");
@@ -355,6 +356,10 @@ fn the_program_finds_a_change_between_two_runs() {
         alarms.iter().any(|a| a.contains("ALARM SIM12: Gain is") && a.contains("higher since")),
         "{text}"
     );
+    // Its own gain is what a diagnosis fits: nothing is missing from the model, and the campaign is there to be calibrated from.
+    let campaign = std::fs::read_dir(&campaigns).unwrap().next().unwrap().unwrap().path();
+    assert!(text.contains(campaign.to_str().unwrap()) && !text.contains("no diagnosis"), "{text}");
+    assert_eq!(radcam::dataset::Dataset::open(&campaign).unwrap().rows().len(), 240);
     let kept = Store::open(store.to_str().unwrap()).unwrap().alarms("SIM12").unwrap();
     assert_eq!(kept.len(), alarms.len());
     let text = run(0, "1");

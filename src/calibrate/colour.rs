@@ -1,0 +1,35 @@
+//! The four planes of a colour mosaic of two by two pixels.
+
+use super::pattern::FixedPattern;
+use ndarray::{Array2, s};
+
+/// First row and column of each plane.
+const PLACES: [(usize, usize); 4] = [(0, 0), (0, 1), (1, 0), (1, 1)];
+
+/// The images of each plane, at half the size.
+pub(super) fn planes(images: &[Array2<f32>]) -> [Vec<Array2<f32>>; 4] {
+    PLACES.map(|(y, x)| images.iter().map(|image| image.slice(s![y..;2, x..;2]).to_owned()).collect())
+}
+
+/// One pattern of the patterns of the planes, in that order: K has mean 1 in each.
+pub(super) fn joined(patterns: &[FixedPattern], shape: (usize, usize)) -> FixedPattern {
+    let mut out = FixedPattern {
+        k: Array2::ones(shape),
+        std_err: Array2::zeros(shape),
+        kept: Array2::zeros(shape),
+        pooled_sd: 0.0,
+        mean_before: 0.0,
+        level_dn: 0.0,
+    };
+    let n = patterns.len().max(1) as f64;
+    for ((y, x), p) in PLACES.into_iter().zip(patterns) {
+        out.k.slice_mut(s![y..;2, x..;2]).assign(&p.k);
+        out.std_err.slice_mut(s![y..;2, x..;2]).assign(&p.std_err);
+        out.kept.slice_mut(s![y..;2, x..;2]).assign(&p.kept);
+        out.pooled_sd += p.pooled_sd / n;
+        out.mean_before += p.mean_before / n;
+        // The error of darks weighs most where least light passes: the darkest plane's level bounds it.
+        out.level_dn = if out.level_dn == 0.0 { p.level_dn } else { out.level_dn.min(p.level_dn) };
+    }
+    out
+}
