@@ -105,8 +105,10 @@ pub fn replacements(flags: &Array2<u8>) -> Vec<(usize, Vec<usize>)> {
 pub fn replacements_of(flags: &Array2<u8>, step: usize) -> Vec<(usize, Vec<usize>)> {
     let (rows, columns) = flags.dim();
     let around = |y: usize, x: usize, reach: usize| -> Vec<usize> {
-        let near = |at: usize, end: usize| (at.saturating_sub(reach * step)..(at + reach * step + 1).min(end))
-            .filter(move |b| b.abs_diff(at) % step == 0);
+        let near = |at: usize, end: usize| {
+            (at.saturating_sub(reach * step)..(at + reach * step + 1).min(end))
+                .filter(move |b| b.abs_diff(at) % step == 0)
+        };
         near(y, rows)
             .flat_map(|b| near(x, columns).map(move |a| (b, a)))
             .filter(|&at| flags[at] == 0)

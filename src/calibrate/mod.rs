@@ -187,7 +187,8 @@ pub fn of_dataset(
     let level = dark.at(exposure_s)?;
 
     let (images, fewest) = images(dataset, &configurations, &level)?;
-    let mosaic = PixelFormat::from_name(&dataset.manifest().camera.pixel_format).is_ok_and(PixelFormat::is_mosaic);
+    let mosaic =
+        PixelFormat::from_name(&dataset.manifest().camera.pixel_format).is_ok_and(PixelFormat::is_mosaic);
     let mut name = String::new();
     let mut estimate = |images: &[Array2<f32>]| -> Result<FixedPattern, CalibrateError> {
         let (pattern, text) = match estimator {

@@ -4,8 +4,8 @@ use super::Outcome;
 use super::common::{STOP, above_0, load_plan};
 use crate::bench;
 use crate::calibrate::file::Calibration;
-use crate::capture::Capture;
 use crate::camera::{self, Camera, CameraError, StreamOptions};
+use crate::capture::Capture;
 use crate::monitor::metrics::{Metrics, serve};
 use crate::monitor::store::Store;
 use crate::monitor::{Alarm, Check, Limits, Monitor, Plan, TakeError, take};
@@ -180,7 +180,7 @@ impl Job<'_> {
 
     /// Captures a campaign and says what it shows; where that cannot be, why.
     fn diagnose(&mut self, root: &Path, time_s: f64) -> String {
-        let root = root.join(format!("{time_s:.0}"));
+        let root = root.join(format!("{time_s:.3}"));
         let mut work = || -> Result<String> {
             let known = super::model::read_effects(self.arguments.model.as_deref())?;
             let Some(camera) = &mut self.camera else { return Ok(String::new()) };

@@ -3,7 +3,7 @@
 use super::{Alarm, Changed, Check, Limits, Monitor, Reading};
 use sqlx::any::{AnyPoolOptions, install_default_drivers};
 use sqlx::migrate::Migrator;
-use sqlx::{AnyPool, Row};
+use sqlx::{AnyPool, Connection, Row};
 use tokio::runtime::Runtime;
 
 static MIGRATIONS: Migrator = sqlx::migrate!("src/monitor/migrations");
@@ -63,6 +63,9 @@ impl Store {
             .map_err(|e| fault(e.to_string()))?;
         install_default_drivers();
         let pool = runtime.block_on(async {
+            // A pool would only say that time ran out.
+            let one = sqlx::AnyConnection::connect(&url).await.map_err(|e| fault(e.to_string()))?;
+            one.close().await.map_err(|e| fault(e.to_string()))?;
             let wait = std::time::Duration::from_secs(10);
             let pool = AnyPoolOptions::new().max_connections(1).acquire_timeout(wait).connect(&url).await;
             let pool = pool.map_err(|e| fault(e.to_string()))?;

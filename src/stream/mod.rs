@@ -10,9 +10,9 @@ pub use files::Files;
 pub use ring::Ring;
 
 use crate::calibrate::file::Calibration;
-use crate::camera::{Camera, CameraError, Settings, StreamCounts, StreamOptions};
+use crate::camera::{Camera, CameraError, Identity, Settings, StreamCounts, StreamOptions};
 use crate::correct::{Codes, CorrectError, Corrector, Seen};
-use crate::dataset::DatasetError;
+use crate::dataset::{CameraInfo, DatasetError};
 use crate::frame::{Frame, Region};
 use crate::pixel_format::PixelFormat;
 use hdrhistogram::Histogram;
@@ -200,6 +200,13 @@ pub fn prepare(
     exposure_s: Option<f64>,
 ) -> Result<Settings, StreamError> {
     let known = &calibration.description.camera;
+    // Who it is, before any setting is touched.
+    let Identity { vendor, model, serial, .. } = camera.identity().clone();
+    let found = known.differences(&CameraInfo { vendor, model, serial, ..CameraInfo::default() });
+    if !found.is_empty() {
+        let source = CorrectError::Settings(found.join("; "));
+        return Err(StreamError::Correct { camera: camera.identity().id.clone(), source });
+    }
     for automatic in camera.disable_automatics()? {
         if !automatic.off {
             tracing::warn!(feature = automatic.feature, now = automatic.now, "could not be switched off");

@@ -459,7 +459,8 @@ fn a_mosaic_is_calibrated_plane_by_plane() {
     model.base.hot_pixel_fraction = 0.0;
     let sensor = radcam_sim::Sensor::new(model).unwrap();
     let filters = [[0.45, 1.0], [1.0, 0.30]];
-    let camera = CameraInfo { width, height, bit_depth: 12, pixel_format: "BayerRG12".into(), ..Default::default() };
+    let camera =
+        CameraInfo { width, height, bit_depth: 12, pixel_format: "BayerRG12".into(), ..Default::default() };
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join("d");
     let mut writer = Writer::create(&root, &Manifest::new(camera), &[]).unwrap();
@@ -482,24 +483,25 @@ fn a_mosaic_is_calibrated_plane_by_plane() {
         out
     };
     let mut set = 0;
-    let mut take = |kind, configuration, exposure_s, frames: u32, frame: &mut dyn FnMut(Kind, u32, f64) -> _| {
-        for index in 0..frames {
-            let row = FrameRow {
-                file: String::new(),
-                kind,
-                set,
-                index,
-                exposure_s,
-                illumination: if kind == Kind::Dark { 0.0 } else { 0.8 },
-                configuration,
-                temperature_c: None,
-                timestamp_s: None,
-            };
-            let pixels: radcam::ndarray::Array2<u16> = frame(kind, configuration, exposure_s);
-            writer.append(row, &pixels).unwrap();
-        }
-        set += 1;
-    };
+    let mut take =
+        |kind, configuration, exposure_s, frames: u32, frame: &mut dyn FnMut(Kind, u32, f64) -> _| {
+            for index in 0..frames {
+                let row = FrameRow {
+                    file: String::new(),
+                    kind,
+                    set,
+                    index,
+                    exposure_s,
+                    illumination: if kind == Kind::Dark { 0.0 } else { 0.8 },
+                    configuration,
+                    temperature_c: None,
+                    timestamp_s: None,
+                };
+                let pixels: radcam::ndarray::Array2<u16> = frame(kind, configuration, exposure_s);
+                writer.append(row, &pixels).unwrap();
+            }
+            set += 1;
+        };
     for dark_s in [exposure_s, 10.0 * exposure_s] {
         take(Kind::Dark, 0, dark_s, 20, &mut frame);
     }
@@ -507,7 +509,8 @@ fn a_mosaic_is_calibrated_plane_by_plane() {
         take(Kind::Flat, configuration, exposure_s, 20, &mut frame);
     }
     let dataset = Dataset::open(&root).unwrap();
-    let made = radcam::calibrate::of_dataset(&dataset, radcam::calibrate::Estimator::Joint, None, "test").unwrap();
+    let made =
+        radcam::calibrate::of_dataset(&dataset, radcam::calibrate::Estimator::Joint, None, "test").unwrap();
     let mut calibration = made.calibration;
     assert!(calibration.description.estimator.contains("plane of the colour mosaic"));
     // The sensor's own K, to the stated errors: a mosaic taken as one image would be off by tens of per cent.
@@ -531,7 +534,8 @@ fn a_mosaic_is_calibrated_plane_by_plane() {
     assert!((z - 1.0).abs() < 0.25, "{z}");
     // A defect in a blue pixel is replaced by blue ones.
     calibration.defects[(11, 21)] = 1;
-    let corrector = radcam::correct::Corrector::new(&calibration, exposure_s).unwrap().replacing_defects(&calibration);
+    let corrector =
+        radcam::correct::Corrector::new(&calibration, exposure_s).unwrap().replacing_defects(&calibration);
     let corrected = corrector.image(&frame(Kind::Flat, 0, exposure_s)).unwrap();
     let blue = corrected.slice(radcam::ndarray::s![1..;2, 1..;2]).mean().unwrap();
     assert!((corrected[(11, 21)] / blue - 1.0).abs() < 0.15, "{} of {blue}", corrected[(11, 21)]);

@@ -400,7 +400,7 @@ fn corrected_frames_are_served_again() {
     command.args(["--serve-as", "AGAIN", "--interface", "127.0.0.2", "--exposure-s", "0.01"]);
     let mut stream = Camera(command.stdout(Stdio::piped()).spawn().unwrap());
     std::thread::sleep(Duration::from_secs(3));
-    if std::env::var_os("RADCAM_TEST_TOOLS").is_some() {
+    if std::env::var_os("RADCAM_TEST_TOOLS").is_some() && std::env::var_os("RADCAM_TEST_VENV").is_some() {
         // A busy machine may cost the receiver a packet: one run of three must be whole.
         let whole = || {
             let tool =
@@ -420,6 +420,9 @@ fn corrected_frames_are_served_again() {
     }
     let saved = dir.path().join("saved");
     fs::create_dir(&saved).unwrap();
+    if std::env::var_os("RADCAM_TEST_VENV").is_none() {
+        println!("SKIPPED in part: RADCAM_TEST_VENV names no Python environment with viva-genicam");
+    }
     if let Some(python) = std::env::var_os("RADCAM_TEST_VENV").map(PathBuf::from) {
         let out = Command::new(python.join("bin/viva-camctl"))
             .args(["--iface", "127.0.0.2", "stream", "--packet-size", "8000", "--duration-s", "3"])
@@ -459,7 +462,9 @@ fn corrected_frames_are_served_again() {
     stream.0.stdout.take().unwrap().read_to_string(&mut text).unwrap();
     stream.0.wait().unwrap();
     let summary: Summary = serde_json::from_str(&text).unwrap();
-    assert!(summary.sinks["served"].taken > 150 && summary.reconnections == 0, "{summary:?}");
+    let client = std::env::var_os("RADCAM_TEST_VENV").is_some();
+    assert_eq!(summary.sinks["served"].taken > 100, client, "{summary:?}");
+    assert_eq!(summary.reconnections, 0, "{summary:?}");
 }
 
 /// Two cameras of two megapixels, corrected live for RADCAM_MINUTES (ten where not given): the rates that Aravis's own program and ours sustain,

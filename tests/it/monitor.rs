@@ -347,7 +347,12 @@ fn the_program_finds_a_change_between_two_runs() {
     std::fs::write(&file, start.to_toml().unwrap()).unwrap();
     let mut all = arguments("20");
     let campaigns = dir.path().join("campaigns");
-    all.extend(["--metrics".into(), "127.0.0.1:0".into(), "--diagnose".into(), campaigns.to_str().unwrap().into()]);
+    all.extend([
+        "--metrics".into(),
+        "127.0.0.1:0".into(),
+        "--diagnose".into(),
+        campaigns.to_str().unwrap().into(),
+    ]);
     let out = radcam(&all.iter().map(String::as_str).collect::<Vec<_>>());
     let text = String::from_utf8(out.stdout).unwrap();
     assert_eq!(out.status.code(), Some(1), "{text}");

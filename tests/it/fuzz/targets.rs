@@ -11,8 +11,11 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Duration;
 
-/// Every target: its name, and what it does.
-pub const TARGETS: &[(&str, fn(&[u8]))] = &[
+/// A name, and what it does.
+pub type Target = (&'static str, fn(&[u8]));
+
+/// Every target.
+pub const TARGETS: &[Target] = &[
     ("calibration", |b| drop(Calibration::read(&file("tiff", b)))),
     ("descriptor", |b| drop(Dataset::open(&file("txt", b)))),
     ("fits", |b| picture(&file("fits", b))),
@@ -145,7 +148,8 @@ fn request(bytes: &[u8]) {
     let _ = stream.set_read_timeout(Some(Duration::from_secs(5)));
     let [method, rest @ ..] = bytes else { return };
     let method = if method % 2 == 0 { "GET" } else { "POST" };
-    let (path, body) = rest.iter().position(|b| *b == b'\n').map_or((rest, &[][..]), |at| (&rest[..at], &rest[at + 1..]));
+    let (path, body) =
+        rest.iter().position(|b| *b == b'\n').map_or((rest, &[][..]), |at| (&rest[..at], &rest[at + 1..]));
     let path: String = path.iter().map(|b| if b.is_ascii_graphic() { char::from(*b) } else { '_' }).collect();
     let port = address.rsplit(':').next().unwrap_or_default();
     let head = format!(
