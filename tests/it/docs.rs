@@ -3,8 +3,10 @@
 use crate::support::{program, small_sensor};
 use radcam::dataset::Manifest;
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
 
 fn document(name: &str) -> String {
     fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap()
@@ -15,6 +17,36 @@ fn commands(name: &str) -> Vec<String> {
     let text = document(name);
     let lines = text.lines().filter_map(|l| l.strip_prefix("    "));
     lines.filter(|l| l.starts_with("radcam ")).map(Into::into).collect()
+}
+
+/// Seconds that a command may take on a busy machine before it is ended: it hangs.
+const LIMIT_S: &str = "600";
+
+/// Runs a line of a document in this folder. What says that Ctrl-C ends it is interrupted once it has worked for a while.
+fn run(line: &str, root: &Path) -> Output {
+    let errors = root.join("stderr.txt");
+    let shell = line.replacen("radcam", &format!("exec timeout {LIMIT_S} \"$RADCAM\""), 1);
+    let mut child = Command::new("sh")
+        .args(["-c", &shell])
+        .env("RADCAM", env!("CARGO_BIN_EXE_radcam"))
+        .current_dir(root)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(fs::File::create(&errors).unwrap())
+        .spawn()
+        .unwrap();
+    let mut stdout = BufReader::new(child.stdout.take().unwrap());
+    let mut said = String::new();
+    while stdout.read_line(&mut said).unwrap() > 0 {
+        if said.ends_with("Ctrl-C ends\n") {
+            std::thread::sleep(Duration::from_secs(3));
+            let kill = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+            assert!(kill.success(), "{line}");
+        }
+    }
+    let mut out = child.wait_with_output().unwrap();
+    (out.stdout, out.stderr) = (said.into_bytes(), fs::read(errors).unwrap());
+    out
 }
 
 /// README's commands in the order of README, each as a reader types it. Only the camera is another: a simulated one of few pixels, with image lag.
@@ -51,13 +83,17 @@ fn the_commands_of_the_readme_run() {
         if line.starts_with("radcam correct") {
             fs::copy(root.join("calibration/frames/00008.tiff"), root.join("frames/one.tiff")).unwrap();
         }
-        let shell = line.replacen("radcam", "\"$RADCAM\"", 1);
-        let out = Command::new("sh")
-            .args(["-c", &shell])
-            .env("RADCAM", env!("CARGO_BIN_EXE_radcam"))
-            .current_dir(root)
-            .output()
+        if line.contains("--plan bench.toml") {
+            fs::copy(
+                Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/standard-plan.toml"),
+                root.join("bench.toml"),
+            )
             .unwrap();
+        }
+        // A camera is served through libaravis.
+        let line =
+            if cfg!(feature = "aravis") { line } else { line.replace("--serve-as LINE1", "--to live") };
+        let out = run(&line, root);
         let said = String::from_utf8_lossy(&out.stderr);
         // A verdict that something is missing is an answer.
         let answers = ["diagnose", "investigate"].iter().any(|v| line.contains(v));
@@ -69,6 +105,7 @@ fn the_commands_of_the_readme_run() {
         }
         ran.push(line.split(' ').nth(1).unwrap().to_string());
     }
+    assert!(root.join("history.db").exists());
     let verbs = [
         "import",
         "noise",
@@ -79,6 +116,8 @@ fn the_commands_of_the_readme_run() {
         "capture",
         "calibrate",
         "correct",
+        "stream",
+        "monitor",
     ];
     assert_eq!(ran, verbs);
     // Both ways in stand within the first two screens of 50 lines.
