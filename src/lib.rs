@@ -68,6 +68,7 @@ pub mod diagnosis;
 pub mod emva;
 pub mod features;
 pub mod fit;
+pub mod flat_field;
 pub mod frame;
 pub mod import;
 pub mod inference;
@@ -91,6 +92,7 @@ pub mod statistics;
 pub mod stream;
 pub mod study;
 pub mod surfaces;
+pub mod upload;
 #[cfg(feature = "cli")]
 pub mod workbench;
 

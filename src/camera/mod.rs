@@ -555,6 +555,62 @@ pub trait Camera: Send {
         Err(self.not_available(name))
     }
 
+    /// Reads a feature by its GenICam name.
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::NotAvailable`] where it has no such feature, or what it refuses.
+    fn feature(&mut self, name: &str) -> Result<Value, CameraError> {
+        Err(self.not_available(name))
+    }
+
+    /// Executes a command by its GenICam name.
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::NotAvailable`] where it has no such command, or what it refuses.
+    fn execute(&mut self, command: &str) -> Result<(), CameraError> {
+        Err(self.not_available(command))
+    }
+
+    /// Largest value of a feature that is a number.
+    fn largest(&mut self, _name: &str) -> Option<f64> {
+        None
+    }
+
+    /// Files in the camera that may be written or read (SFNC, File Access Control).
+    fn files(&mut self) -> Vec<String> {
+        Vec::new()
+    }
+
+    /// Writes a file into the camera. `go_on` hears how many bytes are done, and ends it by false: what is then in the file is the camera's own choice.
+    ///
+    /// # Errors
+    ///
+    /// [`CameraError::NotAvailable`] where it has no such file, or what it refuses.
+    fn write_file(
+        &mut self,
+        name: &str,
+        _bytes: &[u8],
+        _go_on: &mut dyn FnMut(usize) -> bool,
+    ) -> Result<(), CameraError> {
+        Err(self.not_available(name))
+    }
+
+    /// Reads a file of the camera, at most so many bytes of it.
+    ///
+    /// # Errors
+    ///
+    /// As [`write_file`](Self::write_file).
+    fn read_file(
+        &mut self,
+        name: &str,
+        _most: usize,
+        _go_on: &mut dyn FnMut(usize) -> bool,
+    ) -> Result<Vec<u8>, CameraError> {
+        Err(self.not_available(name))
+    }
+
     /// Settings worth keeping beside a capture, by GenICam name; of a feature that several entries of a selector share
     /// `Name[Entry]`.
     fn features(&mut self) -> BTreeMap<String, Value> {

@@ -71,6 +71,7 @@ verbs! {
     calibrate Calibrate "Make a calibration file: dark reference, fixed pattern K, defects (Section V)"
     correct Correct "Correct frames by a calibration (eq. 51)"
     stream Stream "Correct a camera's frames as they come; write them, or offer them as a camera"
+    upload Upload "Write a calibration into a camera's own flat-field and defect memory"
     monitor Monitor "Check from time to time whether a camera is still the one that was calibrated"
     scene Scene "Scene variation of a region: a property of the surface, independent of the light (Section VI)"
     surface Surface "Learn surfaces and identify them by their scene variation"

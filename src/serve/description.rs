@@ -3,7 +3,8 @@
 //! A virtual camera cannot refuse what is written to a register, so every number passes a converter that keeps it within its bounds and on
 //! its steps: what a client writes and reads back is what the camera does.
 
-use super::processing::{BINNINGS, FEATURES, PATTERNS};
+use super::files::{self, BUFFER, DEFECTS};
+use super::processing::{BINNINGS, FEATURES, FLAT_FIELDS, PATTERNS};
 use super::{EXPOSURE_BASE_US, GAIN_STEP_DB, Names, Options, SCENES, SIZE_STEP, register, size};
 use crate::camera::sim::formats_of;
 use crate::pixel_format::PixelFormat;
@@ -41,10 +42,11 @@ impl Description {
     fn node(&mut self, tag: &str, name: &str, elements: &[(&str, &str)]) {
         let inner = |w: &mut Writer<Vec<u8>>| {
             elements.iter().try_for_each(|(tag, text)| {
-                // `pVariable:A` is a variable of a formula by its name.
+                // `pVariable:A` is a variable of a formula by its name, `pIndex:8` an index in steps of 8 bytes.
                 let (tag, variable) = tag.split_once(':').map_or((*tag, None), |(t, v)| (t, Some(v)));
                 let element = w.create_element(tag);
-                let element = variable.into_iter().fold(element, |e, v| e.with_attribute(("Name", v)));
+                let attribute = if tag == "pIndex" { "Offset" } else { "Name" };
+                let element = variable.into_iter().fold(element, |e, v| e.with_attribute((attribute, v)));
                 element.write_text_content(BytesText::new(text)).map(drop)
             })
         };
@@ -215,6 +217,9 @@ impl Description {
             match name {
                 "Gamma" => self.float("AnalogControl", name, at, (0.25, 4.0, None), ["1", access]),
                 "TestPattern" => self.enumeration("ImageFormatControl", name, at, &PATTERNS, access),
+                "FlatFieldCorrectionMode" => {
+                    self.enumeration("ImageFormatControl", name, at, &FLAT_FIELDS, access);
+                }
                 "BinningHorizontal" | "BinningVertical" => {
                     let entries = BINNINGS.map(|n| (n.to_string(), n));
                     let entries: Vec<_> = entries.iter().map(|(text, n)| (text.as_str(), *n)).collect();
@@ -223,6 +228,62 @@ impl Description {
                 _ => self.boolean("ImageFormatControl", name, at, access),
             }
         }
+    }
+
+    /// What the user may write into the camera: files (SFNC 2.7, chapter File Access Control), and a list of defects as cameras of FLIR have it.
+    fn memory(&mut self) {
+        let category = "FileAccessControl";
+        for (name, at, entries, access) in [
+            ("FileSelector", register::FILE_SELECTOR, &files::NAMES[..], "RW"),
+            ("FileOperationSelector", register::FILE_OPERATION, &files::OPERATIONS[..], "RW"),
+            ("FileOpenMode", register::FILE_OPEN_MODE, &files::MODES[..], "RW"),
+            ("FileOperationStatus", register::FILE_STATUS, &files::STATUSES[..], "RO"),
+        ] {
+            self.enumeration(category, name, at, entries, access);
+        }
+        self.register("FileOperationExecuteReg", register::FILE_EXECUTE, "RW");
+        self.command(category, "FileOperationExecute", "FileOperationExecuteReg", 1);
+        self.constant(category, "FileOperationResult", register::FILE_RESULT);
+        self.constant(category, "FileSize", register::FILE_SIZE);
+        self.number("FileAccessOffsetMax", &u32::MAX.to_string(), &[]);
+        self.integer(category, "FileAccessOffset", register::FILE_OFFSET, (0, "FileAccessOffsetMax", 1));
+        self.number("FileAccessLengthMax", &BUFFER.to_string(), &[]);
+        self.integer(category, "FileAccessLength", register::FILE_LENGTH, (0, "FileAccessLengthMax", 1));
+        self.list(category, "FileAccessBuffer");
+        let (address, length) = (format!("{:#x}", register::FILE_BUFFER), BUFFER.to_string());
+        let buffer =
+            [("Address", &*address), ("Length", &*length), ("AccessMode", "RW"), ("pPort", "Device")];
+        self.node("Register", "FileAccessBuffer", &[&buffer[..], &[("Cachable", "NoCache")]].concat());
+
+        let category = "ImageFormatControl";
+        self.number("DefectTablePixelCountMax", &DEFECTS.to_string(), &[]);
+        self.integer(
+            category,
+            "DefectTablePixelCount",
+            register::DEFECT_COUNT,
+            (0, "DefectTablePixelCountMax", 1),
+        );
+        self.number("DefectTableIndexMax", &(DEFECTS - 1).to_string(), &[]);
+        self.integer(category, "DefectTableIndex", register::DEFECT_INDEX, (0, "DefectTableIndexMax", 1));
+        for (name, at) in [("DefectTableCoordinateX", 0), ("DefectTableCoordinateY", 4)] {
+            self.list(category, name);
+            let (address, register) = (format!("{:#x}", register::DEFECT_LIST + at), format!("{name}Reg"));
+            self.node("Integer", name, &[("pValue", &register)]);
+            let elements = [
+                ("Address", &*address),
+                ("pIndex:8", "DefectTableIndex"),
+                ("Length", "4"),
+                ("AccessMode", "RW"),
+                ("pPort", "Device"),
+                ("Cachable", "NoCache"),
+                ("Sign", "Unsigned"),
+                ("Endianess", "BigEndian"),
+            ];
+            self.node("IntReg", &register, &elements);
+        }
+        self.register("DefectTableApplyReg", register::DEFECT_APPLY, "RW");
+        self.command(category, "DefectTableApply", "DefectTableApplyReg", 1);
+        self.command(category, "DefectTableFactoryRestore", "DefectTableApplyReg", 0);
     }
 
     /// Binning is an integer; powers of two are all it takes.
@@ -421,6 +482,7 @@ pub fn of(model: &Model, options: &Options) -> String {
     let formats: Vec<_> = formats_of(body.bit_depth).iter().map(|f| (f.name(), f.code())).collect();
     d.enumeration("ImageFormatControl", "PixelFormat", address::PIXEL_FORMAT, &formats, "RW");
     d.processing(options);
+    d.memory();
 
     d.acquisition();
     d.list("AcquisitionControl", "AcquisitionFrameRate");

@@ -10,6 +10,7 @@
 //! `AcquisitionFrameRate` says. Frame n since the start shows the noise of frame number n.
 
 mod description;
+mod files;
 pub mod processing;
 pub mod relay;
 
@@ -46,6 +47,23 @@ mod register {
     pub const BLACK_RAW: u32 = 0x8068;
     pub const EXPOSURE_BASE_US: u32 = 0x8070;
     pub const PHOTON_FLUX: u32 = 0x8078;
+    pub const FLAT_FIELD: u32 = 0x8080;
+    pub const FILE_SELECTOR: u32 = 0x8084;
+    pub const FILE_OPERATION: u32 = 0x8088;
+    pub const FILE_EXECUTE: u32 = 0x808C;
+    pub const FILE_OPEN_MODE: u32 = 0x8090;
+    pub const FILE_OFFSET: u32 = 0x8094;
+    pub const FILE_LENGTH: u32 = 0x8098;
+    pub const FILE_STATUS: u32 = 0x809C;
+    pub const FILE_RESULT: u32 = 0x80A0;
+    pub const FILE_SIZE: u32 = 0x80A4;
+    pub const DEFECT_COUNT: u32 = 0x80A8;
+    pub const DEFECT_INDEX: u32 = 0x80AC;
+    /// 1 where the list is to be taken over, 2 where that was done, 0 where there is none.
+    pub const DEFECT_APPLY: u32 = 0x80B0;
+    /// Column and row of each defect, 4 bytes each.
+    pub const DEFECT_LIST: u32 = 0x9000;
+    pub const FILE_BUFFER: u32 = 0xA000;
 }
 
 /// Names of exposure, gain and black level.
@@ -95,6 +113,8 @@ pub enum ServeError {
 
 /// A camera being served; it stops when dropped.
 pub struct Served {
+    // Ends before the camera whose files it keeps.
+    _files: files::Keeper,
     camera: VirtualCamera,
 }
 
@@ -122,12 +142,15 @@ pub fn serve(
         processing.set(name, value).map_err(ServeError::Options)?;
     }
     let xml = description::of(&model, options);
-    let painter = Artist::new(sensor, options.names);
+    let files = files::Files::default();
+    let painter = Artist::new(sensor, options.names, files.clone());
     let mut initial = Initial::default();
     set_up(&model, &mut initial);
     processing.write(&mut initial);
     let camera = VirtualCamera::start(interface, serial, &xml, Box::new(painter), &initial)?;
-    Ok(Served { camera })
+    let _files =
+        files::Keeper::start(camera.memory(), files, (size(model.camera.width), size(model.camera.height)));
+    Ok(Served { _files, camera })
 }
 
 /// The format in which the camera starts: the deepest, unpacked.
@@ -208,13 +231,14 @@ fn conditions(sensor: &Sensor, names: Names, r: &Registers) -> Conditions {
 }
 
 /// What a frame shows.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 struct Job {
     number: u64,
     conditions: Conditions,
     /// In pixels as they are handed out, binned.
     region: Region,
     processing: Processing,
+    memory: files::Memory,
 }
 
 /// Paints frames; the next one is drawn ahead on a thread of its own, because `paint` runs where the control
@@ -229,10 +253,12 @@ struct Artist {
     /// Frame memory that is not on its way.
     spare: Vec<u16>,
     time_s: f64,
+    files: files::Files,
+    memory: files::Memory,
 }
 
 impl Artist {
-    fn new(sensor: Arc<Sensor>, names: Names) -> Self {
+    fn new(sensor: Arc<Sensor>, names: Names, files: files::Files) -> Self {
         let (jobs, inbox) = sync_channel::<(Job, Vec<u16>)>(1);
         let (outbox, done) = sync_channel(1);
         let painter = Arc::clone(&sensor);
@@ -245,7 +271,8 @@ impl Artist {
                 }
             }
         });
-        Self { sensor, names, jobs, done, ahead: false, spare: Vec::new(), time_s: 1.0 }
+        let (spare, memory) = (Vec::new(), files::Memory::default());
+        Self { sensor, names, jobs, done, ahead: false, spare, time_s: 1.0, files, memory }
     }
 }
 
@@ -261,7 +288,7 @@ fn draw(sensor: &Sensor, job: &Job, dn: &mut Vec<u16>) {
     }
     dn.resize(whole.width as usize * whole.height as usize, 0);
     sensor.draw(job.number, &job.conditions, whole, dn);
-    job.processing.apply(dn, whole.width as usize, sensor.model().full_scale_dn());
+    job.processing.apply(dn, whole, sensor.model().full_scale_dn(), &job.memory);
 }
 
 impl Painter for Artist {
@@ -291,7 +318,9 @@ impl Painter for Artist {
         let conditions =
             Conditions { time_s: self.time_s - 1.0, ..conditions(&self.sensor, self.names, registers) };
         let region = Region { x, y, width, height };
-        let job = Job { number: request.number, conditions, region, processing };
+        self.memory.refresh(&self.files, registers, self.sensor.region());
+        let memory = self.memory.clone();
+        let job = Job { number: request.number, conditions, region, processing, memory };
 
         let mut dn = std::mem::take(&mut self.spare);
         let mut ready = false;

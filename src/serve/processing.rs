@@ -1,12 +1,13 @@
-//! What cameras do to their pixels beside measuring, and what a calibration must not meet: gamma, a lookup table, sharpening, defect
-//! correction, a test pattern, binning.
+//! What cameras do to their pixels beside measuring, and what a calibration must not meet: flat-field and defect correction, gamma, a lookup
+//! table, sharpening, a test pattern, binning.
 
+use super::files::Memory;
 use super::register;
 use crate::frame::Region;
 use radcam_aravis::{Initial, Registers};
 
 /// Features by their GenICam names, and the registers behind them.
-pub(super) const FEATURES: [(&str, u32); 7] = [
+pub(super) const FEATURES: [(&str, u32); 8] = [
     ("BinningHorizontal", register::BINNING_HORIZONTAL),
     ("BinningVertical", register::BINNING_VERTICAL),
     ("Gamma", register::GAMMA),
@@ -14,10 +15,13 @@ pub(super) const FEATURES: [(&str, u32); 7] = [
     ("SharpeningEnable", register::SHARPENING),
     ("DefectCorrectStaticEnable", register::DEFECTS),
     ("TestPattern", register::PATTERN),
+    ("FlatFieldCorrectionMode", register::FLAT_FIELD),
 ];
 
 /// Entries of `TestPattern`.
 pub(super) const PATTERNS: [(&str, u32); 3] = [("Off", 0), ("GreyHorizontalRamp", 1), ("FrameNumber", 2)];
+/// Entries of `FlatFieldCorrectionMode`.
+pub(super) const FLAT_FIELDS: [(&str, u32); 2] = [("Off", 0), ("User", 1)];
 /// Values of the binning features.
 pub(super) const BINNINGS: [u32; 3] = [1, 2, 4];
 
@@ -37,8 +41,10 @@ pub struct Processing {
     pub lut: bool,
     /// Each pixel against its four neighbours.
     pub sharpening: bool,
-    /// Pixels that stand out become the mean of their neighbours.
+    /// Pixels that stand out become the mean of their neighbours; those of the user's list, where there is one.
     pub defects: bool,
+    /// The user's offsets and factors, where there are some.
+    pub flat_field: bool,
     /// What stands in place of the image.
     pub pattern: Pattern,
 }
@@ -126,6 +132,7 @@ impl Default for Processing {
             lut: false,
             sharpening: false,
             defects: false,
+            flat_field: false,
             pattern: Pattern::Off,
         }
     }
@@ -154,6 +161,10 @@ impl Processing {
             "LUTEnable" => self.lut = truth()?,
             "SharpeningEnable" => self.sharpening = truth()?,
             "DefectCorrectStaticEnable" => self.defects = truth()?,
+            "FlatFieldCorrectionMode" => {
+                let entry = FLAT_FIELDS.iter().find(|(entry, _)| *entry == value);
+                self.flat_field = entry.ok_or_else(|| fault("write Off or User"))?.1 != 0;
+            }
             "TestPattern" => {
                 let entry = PATTERNS.iter().find(|(entry, _)| *entry == value);
                 let names = PATTERNS.map(|(entry, _)| entry).join(" or ");
@@ -177,6 +188,7 @@ impl Processing {
         r.set_u32(register::SHARPENING, self.sharpening.into());
         r.set_u32(register::DEFECTS, self.defects.into());
         r.set_u32(register::PATTERN, self.pattern as u32);
+        r.set_u32(register::FLAT_FIELD, self.flat_field.into());
     }
 
     /// What the registers ask for.
@@ -189,6 +201,7 @@ impl Processing {
             lut: r.u32(register::LUT) != 0,
             sharpening: r.u32(register::SHARPENING) != 0,
             defects: r.u32(register::DEFECTS) != 0,
+            flat_field: r.u32(register::FLAT_FIELD) != 0,
             pattern: Pattern::from_register(r.u32(register::PATTERN)),
         }
     }
@@ -198,14 +211,19 @@ impl Processing {
         (sensor.width / self.binning.0, sensor.height / self.binning.1)
     }
 
-    /// Does it to an image of so many columns, whose pixels are not yet binned; `dn` shrinks where they are.
-    pub fn apply(&self, dn: &mut Vec<u16>, width: usize, full_scale_dn: u16) {
+    /// Does it to a region of the sensor, whose pixels are not yet binned; `dn` shrinks where they are.
+    pub(super) fn apply(&self, dn: &mut Vec<u16>, region: Region, full_scale_dn: u16, memory: &Memory) {
+        let mut width = region.width as usize;
         if *self == Self::default() || width == 0 {
             return;
         }
         let full = f64::from(full_scale_dn);
-        let mut width = width;
-        if self.defects {
+        if let Some(map) = memory.flat_field.as_ref().filter(|_| self.flat_field) {
+            map.apply(region, full_scale_dn, dn);
+        }
+        if let Some(list) = memory.defects.as_ref().filter(|_| self.defects) {
+            list.apply(region, dn);
+        } else if self.defects {
             let apart = DEFECT * full;
             around(dn, width, |pixel, four| {
                 let (low, high) = four.iter().fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
@@ -288,7 +306,7 @@ mod tests {
             || vec![100u16, 100, 100, 100, 100, 3000, 100, 100, 100, 100, 100, 100, 100, 100, 100, 100];
         let after = |p: Processing| {
             let mut dn = image();
-            p.apply(&mut dn, 4, 4095);
+            p.apply(&mut dn, Region { x: 0, y: 0, width: 4, height: 4 }, 4095, &Memory::default());
             dn
         };
         assert_eq!(after(Processing::default()), image());

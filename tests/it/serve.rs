@@ -1,7 +1,7 @@
 //! The simulator as a GigE Vision camera, over loopback through the real libaravis, and Aravis's own programs.
 
 use crate::conformance::suite;
-use crate::support::{expect, gige_port, refused, small};
+use crate::support::{calibration, expect, gige_port, refused, small};
 use radcam::bench::{BenchState, GenicamBench, Illuminator, SharedBench};
 use radcam::camera::aravis::AravisCamera;
 use radcam::camera::sim::SimCamera;
@@ -635,4 +635,83 @@ fn an_emva_campaign_over_the_wire_is_the_tools_and_the_truth() {
         let ours = serde_json::from_str(&shown).unwrap();
         assert!(crate::emva::same_as_the_tool(&ours, theirs.as_object().unwrap()) >= 47);
     }
+}
+
+/// A calibration that was written into the camera: what any client receives from then on is what the host makes of the raw frames, to one code,
+/// with the defects of the list replaced; a capture has the raw frames again.
+#[test]
+fn a_calibration_in_the_camera_corrects_as_the_host_does() {
+    use radcam::correct::{Codes, Corrector};
+    use radcam::flat_field::{DefectList, FlatField};
+    let _port = gige_port();
+    let sensor = sensor();
+    let _served = served(&sensor);
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("cal.tiff");
+    let maps = |i: usize| (60.0 + (i * 31 % 97) as f32 / 10.0, 0.9 + (i * 17 % 101) as f32 / 500.0);
+    let mut made = calibration("cmos12", "TEST1", (96, 128), maps);
+    let defects = [(5, 7), (5, 8), (95, 127), (40, 0)];
+    defects.iter().for_each(|&at| made.defects[at] = 1);
+    made.write(&path).unwrap();
+    let upload = ["upload", path.to_str().unwrap(), "--camera", "aravis:127.0.0.1", "--exposure-s", "0.01"];
+    let said = expect(0, &upload);
+    assert!(said.contains("12288 entries, read back the same") && said.contains("4 entries"), "{said}");
+
+    let mut camera = AravisCamera::open(LOOPBACK).unwrap();
+    let (flat, cut) = FlatField::of(&made, 0.01).unwrap();
+    let places: Vec<_> = defects.map(|(y, x)| (x as u32, y as u32)).into();
+    let list = DefectList::new((128, 96), &places, 1);
+    let corrector = Corrector::new(&made, 0.01).unwrap().replacing_defects(&made);
+    let codes = Codes { scale: 1.0, offset: flat.black_dn().into() };
+    let (mut apart, mut pixels) = (0, 0);
+    for region in [sensor.region(), Region { x: 4, y: 2, width: 64, height: 48 }] {
+        camera.set_region(region).unwrap();
+        let conditions = sensor.conditions(camera.settings().unwrap().exposure_s);
+        let mut stream = camera.stream(&StreamOptions::default()).unwrap();
+        let mut frame = Frame::new(0, 0);
+        stream.next(&mut frame, TIMEOUT).unwrap();
+        assert_eq!(frame.status, Status::Complete);
+        let number = (frame.id + 65_535 - 65_401) % 65_535;
+        let mut raw = vec![0; (region.width * region.height) as usize];
+        sensor.draw(number, &conditions, region, &mut raw);
+        let mut by_whole_numbers = raw.clone();
+        flat.apply(region, 4095, &mut by_whole_numbers);
+        list.apply(region, &mut by_whole_numbers);
+        assert_eq!(frame.pixels.as_slice().unwrap(), by_whole_numbers);
+        if region == sensor.region() {
+            let mut host = vec![0; raw.len()];
+            corrector.to_u16(&raw, codes, &mut host).unwrap();
+            assert!(frame.pixels.iter().zip(&host).all(|(c, h)| c.abs_diff(*h) <= 1));
+            apart += frame.pixels.iter().zip(&host).filter(|(c, h)| c != h).count();
+            pixels += host.len();
+        }
+    }
+    // Offsets are rounded by up to 1/32 DN: one code in 32 may turn, half of that on average.
+    assert!(cut == 0 && apart < pixels / 16, "{apart} of {pixels} pixels");
+    drop(camera);
+    // What distorts is off again in a capture.
+    let plan = dir.path().join("plan.toml");
+    let text = "format = \"radcam-plan/1\"\n[[set]]\nkind = \"flat\"\nexposure_s = 0.01\nillumination = 1.0\nframes = 2\n";
+    std::fs::write(&plan, text).unwrap();
+    let to = dir.path().join("c");
+    expect(
+        0,
+        &[
+            "capture",
+            "--camera",
+            "aravis:127.0.0.1",
+            "--plan",
+            plan.to_str().unwrap(),
+            "-o",
+            to.to_str().unwrap(),
+        ],
+    );
+    let manifest = std::fs::read_to_string(to.join("dataset.toml")).unwrap();
+    assert!(manifest.contains("FlatFieldCorrectionMode"), "{manifest}");
+    // Another camera's calibration, and a camera that has no such memory.
+    calibration("cmos12", "OTHER", (96, 128), maps).write(&path).unwrap();
+    assert!(refused(&upload).contains("OTHER"));
+    calibration("cmos12", "SIM12", (768, 1024), |_| (0.0, 1.0)).write(&path).unwrap();
+    let text = refused(&["upload", path.to_str().unwrap(), "--camera", "sim:cmos12"]);
+    assert!(text.contains("no memory that radcam can write"), "{text}");
 }

@@ -37,6 +37,19 @@ fn text(pointer: *const c_char) -> String {
     unsafe { CStr::from_ptr(pointer) }.to_string_lossy().into_owned()
 }
 
+/// What a call of libaravis that tells success and an error came to.
+fn done(success: i32, error: *mut aravis::glib::ffi::GError, what: &str) -> Result<(), Error> {
+    if success != 0 {
+        return Ok(());
+    }
+    if error.is_null() {
+        return Err(Error::new(what, "refused"));
+    }
+    // SAFETY: libaravis gave this error to the caller, who frees it.
+    let error: aravis::glib::Error = unsafe { from_glib_full(error) };
+    Err(Error::new(what, error.message()))
+}
+
 /// Asks every network and USB for cameras. Takes about a second.
 pub fn devices() -> Vec<DeviceInfo> {
     // The list belongs to the library: one look at it at a time.
@@ -247,15 +260,67 @@ impl Camera {
                 &mut error,
             )
         };
-        if read != 0 {
-            return Ok(bytes);
+        done(read, error, &what).map(|()| bytes)
+    }
+
+    /// Writes the camera's memory.
+    ///
+    /// # Errors
+    ///
+    /// What Aravis says where the camera does not let that memory be written.
+    pub fn set_memory(&self, address: u64, bytes: &[u8]) -> Result<(), Error> {
+        let what = format!("memory at {address:#x}");
+        let device = self.inner.device().ok_or_else(|| Error::new(&what, "no device"))?;
+        let size = u32::try_from(bytes.len()).map_err(|e| Error::new(&what, e))?;
+        let mut error = std::ptr::null_mut();
+        // SAFETY: the device is alive by our reference, libaravis copies `size` bytes from `bytes` and does not write to them, and the error is
+        // null or ours to free.
+        let written = unsafe {
+            aravis_sys::arv_device_write_memory(
+                device.to_glib_none().0,
+                address,
+                size,
+                bytes.as_ptr().cast_mut().cast(),
+                &mut error,
+            )
+        };
+        done(written, error, &what)
+    }
+
+    /// Address and length in bytes of a feature that is a register.
+    ///
+    /// # Errors
+    ///
+    /// Where there is no such feature, or it is no register.
+    pub fn register(&self, feature: &str) -> Result<(u64, u64), Error> {
+        let node = self.inner.device().and_then(|d| d.feature(feature));
+        let node = node.ok_or_else(|| Error::new(feature, "not found"))?;
+        let register = node
+            .dynamic_cast_ref::<aravis::GcRegister>()
+            .ok_or_else(|| Error::new(feature, "no register"))?;
+        Ok((register.address().named(feature)?, register.length().named(feature)?))
+    }
+
+    /// Whether a command that was executed is done: its register no longer holds what was written (GenApi, IsDone). One whose register cannot be
+    /// read counts as done.
+    pub fn is_done(&self, command: &str) -> bool {
+        let node = self.inner.device().and_then(|d| d.feature(command));
+        let mut child = node.and_then(|n| n.first_child());
+        let (mut written, mut now) = (1, None);
+        while let Some(node) = child {
+            if let Some(property) = node.downcast_ref::<aravis::GcPropertyNode>() {
+                match aravis::prelude::GcPropertyNodeExt::node_type(property) {
+                    aravis::GcPropertyNodeType::CommandValue => {
+                        written = property.int64().unwrap_or(written);
+                    }
+                    // Its number is that of the register behind it.
+                    aravis::GcPropertyNodeType::PValue => now = property.int64().ok(),
+                    _ => {}
+                }
+            }
+            child = node.next_sibling();
         }
-        if error.is_null() {
-            return Err(Error::new(&what, "not readable"));
-        }
-        // SAFETY: libaravis gave this error to the caller, who frees it.
-        let error: aravis::glib::Error = unsafe { from_glib_full(error) };
-        Err(Error::new(&what, error.message()))
+        now.is_none_or(|now| now != written)
     }
 
     /// Whether there is such a feature and it can be used now.

@@ -10,7 +10,7 @@ mod server;
 mod stream;
 
 pub use camera::{Camera, DeviceInfo, Feature, FeatureKind, devices};
-pub use server::{Initial, Painter, Registers, Request, VirtualCamera, address};
+pub use server::{Initial, Memory, Painter, Registers, Request, VirtualCamera, address};
 pub use stream::{Received, Stream, StreamCounts, StreamSetup};
 
 unsafe extern "C" {

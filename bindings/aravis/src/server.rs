@@ -95,6 +95,63 @@ impl Registers {
     }
 }
 
+/// The register space of a camera that answers, for a thread that does what a client's command asks for.
+///
+/// Aravis's thread reads and writes the same bytes without a lock. So only what a protocol hands over in turn may be touched: a client writes its
+/// parameters, then the command's register, and waits until that register is cleared.
+pub struct Memory(aravis::FakeCamera);
+
+// SAFETY: the object is reference-counted atomically, and its memory lives as long as this reference.
+unsafe impl Send for Memory {}
+
+impl Memory {
+    /// Reads bytes; zeros beyond the register space.
+    pub fn read(&self, address: u32, bytes: &mut [u8]) {
+        bytes.fill(0);
+        let pointer: *mut ArvFakeCamera = self.0.to_glib_none().0;
+        if let Some(size) = within(address, bytes.len()) {
+            // SAFETY: the camera is alive by our reference, `size` bytes at `bytes` are ours, and the range lies within the register space.
+            unsafe {
+                aravis_sys::arv_fake_camera_read_memory(pointer, address, size, bytes.as_mut_ptr().cast());
+            }
+        }
+    }
+
+    /// Writes bytes; nothing beyond the register space.
+    pub fn write(&self, address: u32, bytes: &[u8]) {
+        let pointer: *mut ArvFakeCamera = self.0.to_glib_none().0;
+        if let Some(size) = within(address, bytes.len()) {
+            // SAFETY: as in `read`; libaravis copies from `bytes` and does not write to it.
+            unsafe {
+                aravis_sys::arv_fake_camera_write_memory(
+                    pointer,
+                    address,
+                    size,
+                    bytes.as_ptr().cast_mut().cast(),
+                );
+            }
+        }
+    }
+
+    /// Reads a 32-bit register.
+    pub fn u32(&self, address: u32) -> u32 {
+        let mut bytes = [0; 4];
+        self.read(address, &mut bytes);
+        u32::from_be_bytes(bytes)
+    }
+
+    /// Writes a 32-bit register.
+    pub fn set_u32(&self, address: u32, value: u32) {
+        self.write(address, &value.to_be_bytes());
+    }
+}
+
+/// The size of a range of the register space; `None` where it leaves that, or is empty.
+fn within(address: u32, bytes: usize) -> Option<u32> {
+    let size = u32::try_from(bytes).ok().filter(|size| *size > 0)?;
+    (address.checked_add(size)? as usize <= REGISTER_SPACE).then_some(size)
+}
+
 /// The size of what is read, checked while compiling.
 const fn size_of_read<const N: usize>() -> u32 {
     assert!(N <= 8);
@@ -286,34 +343,18 @@ impl VirtualCamera {
 
     /// Asks for one frame, where [`address::TRIGGER_MODE`] and [`address::TRIGGER_SOURCE`] are 1.
     pub fn trigger(&self) {
-        let pointer: *mut ArvFakeCamera = self.camera.to_glib_none().0;
-        let bytes = 1u32.to_be_bytes();
-        // SAFETY: the camera is alive by our reference, and libaravis copies four aligned bytes. Its own thread does the same to this register
-        // and has no lock: either value that a race leaves is one that was written.
-        unsafe {
-            aravis_sys::arv_fake_camera_write_memory(
-                pointer,
-                address::TRIGGER_SOFTWARE,
-                4,
-                bytes.as_ptr().cast_mut().cast(),
-            );
-        }
+        // Four aligned bytes: either value that a race with Aravis's thread leaves is one that was written.
+        self.memory().set_u32(address::TRIGGER_SOFTWARE, 1);
+    }
+
+    /// Its register space.
+    pub fn memory(&self) -> Memory {
+        Memory(self.camera.clone())
     }
 
     /// Whether a client has started an acquisition and not ended it.
     pub fn is_acquiring(&self) -> bool {
-        let pointer: *mut ArvFakeCamera = self.camera.to_glib_none().0;
-        let mut bytes = [0; 4];
-        // SAFETY: as in `trigger`, and libaravis copies to our four bytes.
-        unsafe {
-            aravis_sys::arv_fake_camera_read_memory(
-                pointer,
-                address::ACQUISITION,
-                4,
-                bytes.as_mut_ptr().cast(),
-            );
-        }
-        u32::from_be_bytes(bytes) != 0
+        self.memory().u32(address::ACQUISITION) != 0
     }
 
     /// Makes the camera lose this share of its packets, 0 to 1: a bad cable.

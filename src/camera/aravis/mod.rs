@@ -1,5 +1,6 @@
 //! Real cameras (GigE Vision, USB3 Vision) through libaravis.
 
+mod files;
 mod report;
 mod stream;
 
@@ -492,6 +493,46 @@ impl Camera for AravisCamera {
         }
         let (asked, got) = (value.to_string(), now.to_string());
         Err(CameraError::ReadBack { camera: self.identity.id.clone(), feature: name.into(), asked, got })
+    }
+
+    fn feature(&mut self, name: &str) -> Result<Value, CameraError> {
+        let kind = self.inner.feature(name).filter(|_| self.inner.has(name)).map(|f| f.kind);
+        let value = kind.and_then(|kind| self.read(name, kind));
+        value.ok_or_else(|| if self.inner.is_lost() { self.refused(arv_lost()) } else { self.not_available(name) })
+    }
+
+    fn execute(&mut self, command: &str) -> Result<(), CameraError> {
+        if !self.inner.has(command) && !self.inner.is_lost() {
+            return Err(self.not_available(command));
+        }
+        self.inner.execute(command).map_err(|e| self.refused(e))
+    }
+
+    fn largest(&mut self, name: &str) -> Option<f64> {
+        let float = || self.inner.float_bounds(name).ok().map(|b| b.1);
+        self.inner.integer_bounds(name).ok().map(|b| b.1 as f64).or_else(float)
+    }
+
+    fn files(&mut self) -> Vec<String> {
+        files::names(&self.inner)
+    }
+
+    fn write_file(
+        &mut self,
+        name: &str,
+        bytes: &[u8],
+        go_on: &mut dyn FnMut(usize) -> bool,
+    ) -> Result<(), CameraError> {
+        files::write(&self.inner, name, bytes, go_on).map_err(|e| self.refused(e))
+    }
+
+    fn read_file(
+        &mut self,
+        name: &str,
+        most: usize,
+        go_on: &mut dyn FnMut(usize) -> bool,
+    ) -> Result<Vec<u8>, CameraError> {
+        files::read(&self.inner, name, most, go_on).map_err(|e| self.refused(e))
     }
 
     fn photon_flux_per_s(&mut self) -> Option<f64> {
