@@ -4,6 +4,7 @@ use super::Outcome;
 use super::common::{STOP, load_model};
 use crate::camera;
 use crate::camera::StreamOptions;
+use crate::monitor::store::Store;
 use crate::workbench::{Options, Workbench};
 use anyhow::{Result, bail};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -18,6 +19,9 @@ pub struct Arguments {
     /// A camera for the live picture and for captures
     #[arg(long, value_name = "CAMERA")]
     camera: Option<String>,
+    /// The history that `radcam monitor --store` keeps, as a page
+    #[arg(long, value_name = "URL")]
+    history: Option<String>,
     /// Effects that the model begins with
     #[arg(long, value_name = "M.toml|SENSOR")]
     model: Option<PathBuf>,
@@ -33,8 +37,16 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
-    if arguments.datasets.is_empty() && arguments.camera.is_none() {
-        bail!("name a dataset, or a camera with --camera");
+    if arguments.datasets.is_empty() && arguments.camera.is_none() && arguments.history.is_none() {
+        bail!("name a dataset, a camera with --camera, or a history with --history");
+    }
+    if let Some(url) = &arguments.history {
+        // Opened once here: what is wrong is said at once, and a name that was mistyped makes no new file.
+        let file = url.strip_prefix("sqlite:").unwrap_or(url);
+        if !file.contains("://") && !std::path::Path::new(file).exists() {
+            bail!("{file}: there is no such history; `radcam monitor --store {file}` begins one");
+        }
+        Store::open(url)?;
     }
     let address = arguments.listen.unwrap_or(Ipv4Addr::LOCALHOST.into());
     if address.is_unspecified() {
@@ -54,6 +66,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let options = Options {
         dataset: datasets.next(),
         others: datasets.collect(),
+        history: arguments.history.clone(),
         camera,
         stream: StreamOptions::default(),
         effects,

@@ -35,6 +35,22 @@ pub enum Followed {
     LostFrames,
 }
 
+impl Followed {
+    /// Name with unit, for an axis.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::BlackLevel => "Black level (DN)",
+            Self::DarkCurrent => "Dark current (DN/s)",
+            Self::Gain => "System gain (DN/e⁻)",
+            Self::Signal => "Reference flat (DN)",
+            Self::DarkNoise => "Dark noise, temporal variance (DN²)",
+            Self::Pattern => "Pattern left by K, variance (relative)",
+            Self::Flicker => "Flicker, variance of frame means (relative)",
+            Self::LostFrames => "Lost frames",
+        }
+    }
+}
+
 /// A reading and its standard error.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Reading {

@@ -143,6 +143,21 @@ impl Store {
                 .bind(camera)
                 .bind(calibration);
         let rows = self.runtime.block_on(query.fetch_all(&self.pool)).map_err(|e| self.fault(e))?;
+        self.read(camera, &rows)
+    }
+
+    /// The checks of a camera under all calibrations, the oldest first.
+    ///
+    /// # Errors
+    ///
+    /// As [`checks`](Self::checks).
+    pub fn history(&self, camera: &str) -> Result<Vec<Check>, StoreError> {
+        let query = sqlx::query("SELECT body FROM checks WHERE camera = $1 ORDER BY time_ns").bind(camera);
+        let rows = self.runtime.block_on(query.fetch_all(&self.pool)).map_err(|e| self.fault(e))?;
+        self.read(camera, &rows)
+    }
+
+    fn read(&self, camera: &str, rows: &[sqlx::any::AnyRow]) -> Result<Vec<Check>, StoreError> {
         rows.iter()
             .map(|row| {
                 let body: String = row.try_get(0).map_err(|e| self.fault(e))?;
@@ -150,6 +165,17 @@ impl Store {
                     .map_err(|e| self.fault(format!("a check of {camera} was changed: {e}")))
             })
             .collect()
+    }
+
+    /// Every camera that was checked.
+    ///
+    /// # Errors
+    ///
+    /// What the database says.
+    pub fn cameras(&self) -> Result<Vec<String>, StoreError> {
+        let query = sqlx::query("SELECT DISTINCT camera FROM checks ORDER BY camera");
+        let rows = self.runtime.block_on(query.fetch_all(&self.pool)).map_err(|e| self.fault(e))?;
+        rows.iter().map(|row| row.try_get(0).map_err(|e| self.fault(e))).collect()
     }
 
     /// Every alarm of a camera: name, time and sentence, the oldest first.

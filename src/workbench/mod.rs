@@ -35,6 +35,8 @@ pub struct Options {
     pub dataset: Option<PathBuf>,
     /// Other campaigns to stand beside it.
     pub others: Vec<PathBuf>,
+    /// A history of `radcam monitor`, as its `--store`.
+    pub history: Option<String>,
     /// The camera.
     pub camera: Option<Box<dyn Camera>>,
     /// How its stream is set up.
@@ -53,6 +55,7 @@ pub struct Shared {
     hosts: Vec<String>,
     dataset: Option<PathBuf>,
     others: Vec<PathBuf>,
+    history: Option<String>,
     effects: Vec<EffectValues>,
     desk: Mutex<Desk>,
     job: Mutex<Option<Arc<Job>>>,
@@ -110,6 +113,7 @@ impl Workbench {
             hosts,
             dataset: options.dataset,
             others: options.others,
+            history: options.history,
             effects: options.effects,
             desk: Mutex::new(Desk::new(data)),
             job: Mutex::new(None),
@@ -173,6 +177,7 @@ fn router(shared: Arc<Shared>) -> Router {
         .route("/data", get(pages::data::page))
         .route("/camera", get(pages::camera::page))
         .route("/runs", get(pages::runs::page))
+        .route("/history", get(pages::history::page))
         .route("/save", get(pages::save::page))
         .route("/status", get(pages::status))
         .route("/cell", get(pages::model::cell))

@@ -645,3 +645,62 @@ fn two_cameras_at_once() {
     }
     drop(cameras);
 }
+
+/// Bytes of memory that this process holds.
+fn resident() -> u64 {
+    let pages = fs::read_to_string("/proc/self/statm").unwrap();
+    4096 * pages.split(' ').nth(1).unwrap().parse::<u64>().unwrap()
+}
+
+/// Served and received in this process, each frame looked at in place: memory after the first tenth is memory at the end. So many cameras opened,
+/// used and closed leave nothing behind either.
+fn no_growth(frames: u64, openings: u32) {
+    use radcam::camera::{self, StreamOptions, Value};
+    use radcam::frame::Frame;
+    use radcam::serve::{Options, serve};
+    let _port = gige_port();
+    let sensor = radcam_sim::Sensor::new(small("cmos12", 64, 48)).unwrap();
+    let options = Options { stuck: vec![("TestPattern".into(), "FrameNumber".into())], ..Options::default() };
+    let _served = serve(sensor.into(), [127, 0, 0, 1].into(), "GROW", &options).unwrap();
+    let mut memory = Frame::new(0, 0);
+    let mut stream_for = |frames: u64, warm: u64| {
+        let mut camera = camera::open("aravis:127.0.0.1").unwrap();
+        camera.set_feature("AcquisitionFrameRate", &Value::Float(1000.0)).unwrap();
+        let mut stream = camera.stream(&StreamOptions::default()).unwrap();
+        let (mut bytes, mut before) = (0, 0);
+        for number in 0..frames {
+            stream
+                .next_arrived(&mut memory, Duration::from_secs(10), &mut |a| {
+                    bytes += a.map_or(0, |a| a.bytes.len())
+                })
+                .unwrap();
+            if number == warm {
+                before = resident();
+            }
+        }
+        assert!(bytes > 0);
+        resident().saturating_sub(before)
+    };
+    let grown = stream_for(frames, frames / 10);
+    println!("{frames} frames: {grown} bytes more at the end than after a tenth of them");
+    assert!(grown < 1 << 20, "{grown} bytes");
+    let mut open = |times: u32| (0..times).map(|_| stream_for(5, 0)).max();
+    open(5);
+    let before = resident();
+    open(openings);
+    let each = resident().saturating_sub(before) / u64::from(openings);
+    println!("{openings} openings: {each} bytes each");
+    // A description alone has 30 kB, a buffer of a frame 6 kB.
+    assert!(each < 4096, "{each} bytes");
+}
+
+#[test]
+fn frames_and_openings_leave_no_memory_behind() {
+    no_growth(4000, 20);
+}
+
+#[test]
+#[ignore = "two minutes: cargo test --release --test it -- --ignored faults::a_hundred_thousand --nocapture"]
+fn a_hundred_thousand_frames_leave_no_memory_behind() {
+    no_growth(100_000, 200);
+}

@@ -378,6 +378,38 @@ fn campaigns_stand_side_by_side() {
     assert!(page.contains("row-noise") && page.contains("(this one)"), "{page}");
 }
 
+/// The history of a monitor: what changed, the newest first, and a figure of each reading; a history that is not there is refused and not made.
+#[test]
+fn a_history_of_checks_is_shown() {
+    use radcam::monitor::store::Store;
+    use radcam::monitor::{Check, Followed, Limits, Monitor, Reading};
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("history.db");
+    let name = file.to_str().unwrap();
+    let refused = crate::support::refused(&["workbench", "--history", name]);
+    assert!(refused.contains("there is no such history") && !file.exists(), "{refused}");
+    {
+        let store = Store::open(name).unwrap();
+        let mut monitor = Monitor::new(Limits::default());
+        let mut alarms = 0;
+        for number in 0..60u32 {
+            // The black level steps by 2 DN, of which one check knows 0.05.
+            let wobble = f64::from(number * 37 % 11) / 11.0 - 0.5;
+            let value = 64.0 + 0.1 * wobble + if number < 50 { 0.0 } else { 2.0 };
+            let readings = [(Followed::BlackLevel, Reading { value, std_err: 0.05 })].into();
+            let check = Check { time_s: 1.7e9 + 60.0 * f64::from(number), readings, ..Check::default() };
+            let found = monitor.add(check.clone());
+            alarms += found.len();
+            store.keep("LINE <1>", "c", &check, &found).unwrap();
+        }
+        assert_eq!(alarms, 1);
+    }
+    let w = Running::start(&["--history", name]);
+    let page = w.page("/history");
+    assert!(page.contains("LINE &lt;1&gt;") && page.contains("60 checks"), "{page}");
+    assert!(page.contains("Black level") && page.contains("something changed"), "{page}");
+}
+
 /// What was kept and cannot be understood is named, and nothing is written over it.
 #[test]
 fn steps_that_are_spoilt_are_named() {

@@ -2,6 +2,7 @@
 
 pub mod camera;
 pub mod data;
+pub mod history;
 pub mod model;
 pub mod runs;
 pub mod save;

@@ -24,16 +24,19 @@ pub fn command(text: &str) -> Markup {
 
 fn title(shared: &Shared) -> String {
     let name = shared.dataset.as_ref().map(|p| p.display().to_string());
-    name.or_else(|| shared.live().map(|l| l.identity.clone())).unwrap_or_default()
+    name.or_else(|| shared.live().map(|l| l.identity.clone()))
+        .or_else(|| shared.history.clone())
+        .unwrap_or_default()
 }
 
 /// A whole page. `room` is its address.
 pub fn page(shared: &Arc<Shared>, room: &str, main: Markup) -> Markup {
     let rooms = [
-        (true, "/", "Model"),
+        (shared.dataset.is_some() || shared.live().is_some(), "/", "Model"),
         (shared.dataset.is_some(), "/data", "Data"),
         (shared.live().is_some(), "/camera", "Camera"),
         (!shared.others.is_empty(), "/runs", "Runs"),
+        (shared.history.is_some(), "/history", "History"),
         (shared.dataset.is_some(), "/save", "Save"),
     ];
     html! {

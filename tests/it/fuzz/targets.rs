@@ -131,6 +131,7 @@ fn request(bytes: &[u8]) {
         let bench = Workbench::open(Options {
             dataset: None,
             others: Vec::new(),
+            history: None,
             camera: None,
             stream: Default::default(),
             effects: Vec::new(),
