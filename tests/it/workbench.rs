@@ -408,6 +408,10 @@ fn a_history_of_checks_is_shown() {
     let page = w.page("/history");
     assert!(page.contains("LINE &lt;1&gt;") && page.contains("60 checks"), "{page}");
     assert!(page.contains("Black level") && page.contains("something changed"), "{page}");
+    let mut arguments = vec!["history".to_string(), radcam_path(), name.into()];
+    // A folder for screenshots.
+    arguments.extend(std::env::var("RADCAM_TEST_PICTURES"));
+    browser(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
 }
 
 /// What was kept and cannot be understood is named, and nothing is written over it.

@@ -3,6 +3,7 @@
     workbench.py story RADCAM DATASET [PICTURES]   a campaign: open, evidence, add, error falls, undo, own effect, two tabs, restart, save
     workbench.py camera RADCAM CAMERA FOLDER [PICTURES]   a camera: live picture, settings, cancel, capture, verdict
     workbench.py broken RADCAM DATASET             what a dataset that cannot be read says
+    workbench.py history RADCAM STORE [PICTURES]   what a monitor kept
     workbench.py pages FILE.html...                reports: no request, no violation, nothing wider than the window
 
 Prints JSON of what was seen; PICTURES is a folder for screenshots at 1440, 1024 and 390 px, light and dark.
@@ -268,6 +269,17 @@ def broken(radcam, dataset):
     print(json.dumps(b.result(said=said)))
 
 
+def history(radcam, store, pictures=None):
+    b = Browser(pictures)
+    with Workbench(radcam, "workbench", "--history", store) as w:
+        b.driver.get(w.url)
+        b.driver.get(w.page("/history"))
+        b.wait("figures", lambda: b.driver.find_elements("css selector", "figure"))
+        b.look("8-history")
+        w.end(b)
+    print(json.dumps(b.result()))
+
+
 def pages(*files):
     b = Browser()
     for file in files:
@@ -278,4 +290,4 @@ def pages(*files):
 
 
 if __name__ == "__main__":
-    {"story": story, "camera": camera, "broken": broken, "pages": pages}[sys.argv[1]](*sys.argv[2:])
+    {"story": story, "camera": camera, "broken": broken, "history": history, "pages": pages}[sys.argv[1]](*sys.argv[2:])
