@@ -273,7 +273,6 @@ def history(radcam, store, pictures=None):
     b = Browser(pictures)
     with Workbench(radcam, "workbench", "--history", store) as w:
         b.driver.get(w.url)
-        b.driver.get(w.page("/history"))
         b.wait("figures", lambda: b.driver.find_elements("css selector", "figure"))
         b.look("8-history")
         w.end(b)

@@ -3,7 +3,7 @@
 use super::shell::{self, Part, alert};
 use crate::diagnosis::{Rung, Verdict};
 use crate::inference::Residual;
-use crate::number::{Quantity, chance, pretty, six_digits, with_unit};
+use crate::number::{Quantity, chance, pretty, six_digits, with_error, with_unit};
 use crate::report::candidates::candidate;
 use crate::report::heat;
 use crate::report::ladder::ladder;
@@ -20,6 +20,9 @@ use std::sync::Arc;
 
 /// The page, or its main part.
 pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Part>) -> Markup {
+    if shared.dataset.is_none() && shared.live().is_none() && shared.history.is_some() {
+        return super::history::page(State(shared), Query(q)).await;
+    }
     let body = main(&shared);
     // One's own effect stands outside the part that is drawn again, so that what is typed stays.
     if q.part.is_some() { body } else { shell::page(&shared, "/", html! { (body) (own()) }) }
@@ -275,8 +278,8 @@ fn detail(q: &Cell, now: &Judged, first: &Judged, rungs: Vec<Rung>, both: bool) 
                     @for (k, (b, a)) in before.iter().zip(&after).enumerate() {
                         tr {
                             th scope="row" { (if before.len() == 2 { ["first half", "second half"][k] } else { "value" }) }
-                            td.number { (format!("{:.5}", a.measured)) }
-                            td.number { @if both { (format!("{:.5}, ", b.predicted)) } (format!("{:.5} ± {:.1e}", a.predicted, a.std_err)) }
+                            td.number { (six_digits(a.measured)) }
+                            td.number { @if both { (six_digits(b.predicted)) ", " } (with_error(a.predicted, a.std_err)) }
                             td.number { @if both { (format!("{:+.1}, ", b.z)) } (format!("{:+.1}", a.z)) }
                         }
                     }
