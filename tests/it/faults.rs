@@ -646,6 +646,51 @@ fn two_cameras_at_once() {
     drop(cameras);
 }
 
+/// The computer's clock is set forward by an hour and back by two while frames come: each comes through, and the latency is that of frames, not of
+/// clocks.
+#[test]
+fn the_clock_is_set_while_frames_come() {
+    let _port = gige_port();
+    let dir = tempfile::tempdir().unwrap();
+    let (source, library) = (dir.path().join("clock.c"), dir.path().join("clock.so"));
+    // Steps 2 and 3 s after the first look at it.
+    let text = r"
+        #define _GNU_SOURCE
+        #include <time.h>
+        #include <unistd.h>
+        #include <sys/syscall.h>
+        int clock_gettime(clockid_t id, struct timespec *t) {
+            static long begun;
+            int done = syscall(SYS_clock_gettime, id, t);
+            if (id == CLOCK_REALTIME) {
+                struct timespec m;
+                syscall(SYS_clock_gettime, CLOCK_MONOTONIC, &m);
+                long ms = m.tv_sec * 1000 + m.tv_nsec / 1000000;
+                if (!begun) begun = ms;
+                if (ms - begun > 3000) t->tv_sec -= 3600;
+                else if (ms - begun > 2000) t->tv_sec += 3600;
+            }
+            return done;
+        }
+    ";
+    fs::write(&source, text).unwrap();
+    let built =
+        Command::new("gcc").args(["-shared", "-fPIC", "-o"]).args([&library, &source]).status().unwrap();
+    assert!(built.success());
+    let _camera = Camera::start(program(), dir.path(), &[]);
+    let mut command = program();
+    command.env("LD_PRELOAD", &library);
+    // 100 frames a second.
+    let stream = Running::start(command, dir.path(), "127.0.0.1", &["--frames", "500"]);
+    let (code, summary, log, to) = stream.ends();
+    let summary = summary.unwrap_or_else(|| panic!("{log}"));
+    accounted(&summary, &numbers(&to));
+    assert_eq!((code == 1, summary.corrected), (summary.received.lost() > 0, 500), "{summary:?} {log}");
+    assert!(summary.received.lost() < 5 && summary.reconnections == 0, "{summary:?} {log}");
+    let latency = summary.latency.unwrap();
+    assert!(latency.median_ms < 500.0 && latency.worst_ms < 60_000.0, "{latency:?}");
+}
+
 /// Bytes of memory that this process holds.
 fn resident() -> u64 {
     let pages = fs::read_to_string("/proc/self/statm").unwrap();
