@@ -77,8 +77,11 @@ def main():
         node = nodes.get_node(name)
         if isinstance(node, (genapi.ICategory, genapi.ICommand)):
             continue
-        value = node.value
         read += 1
+        if isinstance(node, genapi.IRegister):
+            assert not node.get(node.length).strip(b"\0"), f"{name} is not empty"
+            continue
+        value = node.value
         numeric = isinstance(node, (genapi.IInteger, genapi.IFloat))
         if not numeric or node.get_access_mode() != genapi.EAccessMode.RW:
             continue
