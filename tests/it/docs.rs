@@ -25,7 +25,8 @@ const LIMIT_S: &str = "600";
 /// Runs a line of a document in this folder. What says that Ctrl-C ends it is interrupted once it has worked for a while.
 fn run(line: &str, root: &Path) -> Output {
     let errors = root.join("stderr.txt");
-    let shell = line.replacen("radcam", &format!("exec timeout {LIMIT_S} \"$RADCAM\""), 1);
+    // In the foreground it hands an interrupt on once; otherwise to its group as well, and a second one ends radcam at once.
+    let shell = line.replacen("radcam", &format!("exec timeout --foreground {LIMIT_S} \"$RADCAM\""), 1);
     let mut child = Command::new("sh")
         .args(["-c", &shell])
         .env("RADCAM", env!("CARGO_BIN_EXE_radcam"))
