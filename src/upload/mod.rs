@@ -1,6 +1,6 @@
 //! A calibration in a camera's own memory: the camera then corrects its frames itself, and any software receives corrected images.
 //!
-//! A kind of memory is one file here, with its [`Memory`], and one line below. The layout of a file of coefficients is its maker's: one that
+//! A kind of memory is one file here, with its `Memory`, and one line below. The layout of a file of coefficients is its maker's: one that
 //! radcam does not know is not written.
 
 use crate::calibrate::file::Calibration;
