@@ -19,6 +19,7 @@ pub const TARGETS: &[Target] = &[
     ("calibration", |b| drop(Calibration::read(&file("tiff", b)))),
     ("descriptor", |b| drop(Dataset::open(&file("txt", b)))),
     ("fits", |b| picture(&file("fits", b))),
+    ("flat-field", |b| drop(radcam::flat_field::FlatField::from_bytes(b))),
     ("formula", formula),
     ("frames", frames),
     ("manifest", |b| drop(Manifest::from_toml(&text(b)))),
