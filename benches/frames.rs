@@ -129,6 +129,13 @@ fn correct(c: &mut Criterion) {
     let mut to_f32 = || corrector.to_f32(black_box(&frame), black_box(&mut float)).unwrap();
     group.bench_function("to_f32_one_core", |b| b.iter(|| one.install(&mut to_f32)));
     group.bench_function("to_f32", |b| b.iter(&mut to_f32));
+    let bytes: Vec<u8> = frame.iter().flat_map(|d| d.to_le_bytes()).collect();
+    let mut arrived = || {
+        let format = radcam::pixel_format::PixelFormat::from_name("Mono12").unwrap();
+        corrector.arrived_to_u16(format, black_box(&bytes), to, u16::MAX, black_box(&mut codes)).unwrap()
+    };
+    group.bench_function("arrived_one_core", |b| b.iter(|| one.install(&mut arrived)));
+    group.bench_function("arrived", |b| b.iter(&mut arrived));
     // What memory gives: four bytes read and four written for each pixel, in the same pieces.
     let source = vec![1.5f32; frame.len()];
     group.bench_function("copy_4_bytes", |b| {

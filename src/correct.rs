@@ -96,13 +96,6 @@ pub struct Seen {
 }
 
 impl Seen {
-    fn of(dn: &[u16], full_scale_dn: u16) -> Self {
-        let sum_dn = dn.chunks(BLOCK).map(|c| u64::from(c.iter().map(|&d| u32::from(d)).sum::<u32>())).sum();
-        let saturated =
-            dn.chunks(BLOCK).map(|c| c.iter().map(|&d| u64::from(d >= full_scale_dn)).sum::<u64>());
-        Self { sum_dn, saturated: saturated.sum(), pixels: dn.len() as u64 }
-    }
-
     fn and(self, other: Self) -> Self {
         Self {
             sum_dn: self.sum_dn + other.sum_dn,
@@ -214,7 +207,7 @@ impl Corrector {
             let maps = dark.chunks(BLOCK).zip(gain.chunks(BLOCK));
             let blocks = out.chunks_mut(BLOCK).zip(bytes.chunks(format.payload(BLOCK))).zip(maps);
             for ((out, bytes), (dark, gain)) in blocks {
-                let frame = match in_place(format, bytes) {
+                let frame = match as_codes(format, bytes) {
                     Some(codes) => codes,
                     None => {
                         let memory = &mut memory[..out.len()];
@@ -222,14 +215,38 @@ impl Corrector {
                         &*memory
                     }
                 };
-                arch.dispatch(Piece { frame, dark, gain, middle, form: (codes, limit), out });
-                seen = seen.and(arch.dispatch(|| Seen::of(frame, format.full_scale_dn())));
+                let form = (codes, limit);
+                let piece = Piece { frame, dark, gain, middle, form, out };
+                seen = seen.and(arch.dispatch(Watched { piece, full_scale_dn: format.full_scale_dn() }));
             }
             seen
         });
         let seen = seen.reduce(Seen::default, Seen::and);
         self.replace_u16(out);
         Ok(seen)
+    }
+
+    /// Corrects a frame (row by row, DN) to 16-bit codes where it lies, as [`to_u16`](Self::to_u16) does.
+    ///
+    /// # Errors
+    ///
+    /// Where frame and calibration differ in size.
+    pub fn in_place(&self, frame: &mut [u16], codes: Codes) -> Result<(), CorrectError> {
+        self.check([frame.len(), frame.len()])?;
+        let arch = pulp::Arch::new();
+        let middle = (self.dark_dn.middle, self.gain.middle);
+        let maps = self.dark_dn.off.par_chunks(CHUNK).zip(self.gain.off.par_chunks(CHUNK));
+        frame.par_chunks_mut(CHUNK).zip(maps).for_each(|(frame, (dark, gain))| {
+            let mut memory = [0; BLOCK];
+            let maps = dark.chunks(BLOCK).zip(gain.chunks(BLOCK));
+            for (out, (dark, gain)) in frame.chunks_mut(BLOCK).zip(maps) {
+                let frame = &mut memory[..out.len()];
+                frame.copy_from_slice(out);
+                arch.dispatch(Piece { frame, dark, gain, middle, form: (codes, u16::MAX), out });
+            }
+        });
+        self.replace_u16(frame);
+        Ok(())
     }
 
     fn replace_u16(&self, out: &mut [u16]) {
@@ -269,7 +286,7 @@ impl Corrector {
 }
 
 /// The bytes of a frame as codes, where they are that already.
-fn in_place(format: PixelFormat, bytes: &[u8]) -> Option<&[u16]> {
+fn as_codes(format: PixelFormat, bytes: &[u8]) -> Option<&[u16]> {
     let plain = format.bits_per_pixel() == 16 && cfg!(target_endian = "little");
     plain.then(|| bytemuck::try_cast_slice(bytes).ok()).flatten()
 }
@@ -285,14 +302,51 @@ struct Piece<'a, T, F> {
 }
 
 impl<T, F> Piece<'_, T, F> {
-    /// (D - D_DC) / K (eq. 51).
+    /// (D - D_DC) / K (eq. 51). `look` sees every raw code.
     #[inline(always)]
-    fn corrected(self, form: impl Fn(f32) -> T) {
+    fn corrected(self, form: impl Fn(f32) -> T, mut look: impl FnMut(u16)) {
         let (dark_dn, one) = self.middle;
         let maps = self.dark.iter().zip(self.gain);
         for ((out, &d), (&dark, &gain)) in self.out.iter_mut().zip(self.frame).zip(maps) {
             *out = form((f32::from(d) - dark_dn - widen(dark)) * (one + widen(gain)));
+            look(d);
         }
+    }
+}
+
+impl Piece<'_, u16, (Codes, u16)> {
+    #[inline(always)]
+    fn codes(self, look: impl FnMut(u16)) {
+        let (Codes { scale, offset }, limit) = self.form;
+        let most = ZERO + i32::from(limit);
+        // Adding 1.5 * 2^23 rounds to a whole number and leaves it in the low bits; the bits order as the numbers do.
+        let code = |v: f32| {
+            let bits = (v * scale + offset + 12_582_912.0).to_bits() as i32;
+            bits.max(ZERO).min(most) as u16
+        };
+        self.corrected(code, look);
+    }
+}
+
+/// A piece of at most [`BLOCK`] pixels that is looked at while it is corrected.
+struct Watched<'a> {
+    piece: Piece<'a, u16, (Codes, u16)>,
+    full_scale_dn: u16,
+}
+
+impl pulp::NullaryFnOnce for Watched<'_> {
+    type Output = Seen;
+
+    #[inline(always)]
+    fn call(self) -> Seen {
+        let pixels = self.piece.frame.len() as u64;
+        // Of a block both fit into 32 bits, as the codes are while they are converted.
+        let (mut sum, mut saturated) = (0u32, 0u32);
+        self.piece.codes(|d| {
+            sum += u32::from(d);
+            saturated += u32::from(d >= self.full_scale_dn);
+        });
+        Seen { sum_dn: sum.into(), saturated: saturated.into(), pixels }
     }
 }
 
@@ -301,7 +355,7 @@ impl pulp::NullaryFnOnce for Piece<'_, f32, ()> {
 
     #[inline(always)]
     fn call(self) {
-        self.corrected(|v| v);
+        self.corrected(|v| v, |_| {});
     }
 }
 
@@ -310,13 +364,7 @@ impl pulp::NullaryFnOnce for Piece<'_, u16, (Codes, u16)> {
 
     #[inline(always)]
     fn call(self) {
-        let (Codes { scale, offset }, limit) = self.form;
-        let most = ZERO + i32::from(limit);
-        // Adding 1.5 * 2^23 rounds to a whole number and leaves it in the low bits; the bits order as the numbers do.
-        self.corrected(|v| {
-            let bits = (v * scale + offset + 12_582_912.0).to_bits() as i32;
-            bits.max(ZERO).min(most) as u16
-        });
+        self.codes(|_| {});
     }
 }
 
@@ -433,6 +481,9 @@ mod tests {
             format.pack(&dn, &mut bytes).unwrap();
             let (mut one, mut two) = (vec![0; n], vec![0; n]);
             corrector.to_u16(&dn, codes, &mut one).unwrap();
+            two.copy_from_slice(&dn);
+            corrector.in_place(&mut two, codes).unwrap();
+            assert_eq!(one, two, "{format}");
             let seen = corrector.arrived_to_u16(format, &bytes, codes, u16::MAX, &mut two).unwrap();
             assert_eq!(one, two, "{format}");
             let sum_dn = dn.iter().map(|&d| u64::from(d)).sum();
