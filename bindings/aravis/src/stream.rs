@@ -7,8 +7,8 @@ use aravis::{
     Buffer, BufferPayloadType, BufferStatus, GvStream, GvStreamOption, GvStreamPacketResend,
     GvStreamSocketBuffer,
 };
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// How a stream is set up.
@@ -85,6 +85,8 @@ pub struct Stream<'a> {
     lost: Arc<AtomicBool>,
     payload: usize,
     dropped: Arc<Dropped>,
+    /// Where frames that wait too long are dropped: buffers that need not circulate.
+    spare: Option<Arc<Spare>>,
 }
 
 /// Frames that made room for newer ones.
@@ -94,17 +96,46 @@ struct Dropped {
     damaged: AtomicU64,
 }
 
+/// Empty buffers that Aravis holds ready where there are spare ones: as many as frames begin before the next is complete.
+const READY: usize = 6;
+
+/// Empty buffers that Aravis does not need now. It fills those that it has in turn; where frames come and go, few of them serve, and stay in the
+/// cache. Where frames wait, for lost packets or for the reader, all do.
+#[derive(Debug, Default)]
+struct Spare(Mutex<Vec<Buffer>>);
+
+impl Spare {
+    fn give_back(&self, stream: &aravis::Stream, buffer: Buffer) {
+        if usize::try_from(stream.n_buffers().0).is_ok_and(|ready| ready >= READY) {
+            self.0.lock().unwrap_or_else(PoisonError::into_inner).push(buffer);
+        } else {
+            stream.push_buffer(buffer);
+        }
+    }
+
+    fn top_up(&self, stream: &aravis::Stream) {
+        let ready = usize::try_from(stream.n_buffers().0).unwrap_or(0);
+        let mut spare = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        for _ in ready..READY {
+            // The one that was used last is in the cache.
+            let Some(buffer) = spare.pop() else { break };
+            stream.push_buffer(buffer);
+        }
+    }
+}
+
 /// Keeps no more than so many frames waiting. Runs on the thread that receives, so that a slow reader never costs the newest frame.
-fn drop_oldest(stream: &aravis::Stream, waiting: usize) -> Arc<Dropped> {
+fn drop_oldest(stream: &aravis::Stream, waiting: usize, spare: &Arc<Spare>) -> Arc<Dropped> {
     let dropped = Arc::new(Dropped::default());
-    let counts = Arc::clone(&dropped);
+    let (counts, spare) = (Arc::clone(&dropped), Arc::clone(spare));
     stream.connect_new_buffer(move |stream| {
+        spare.top_up(stream);
         while usize::try_from(stream.n_buffers().1).is_ok_and(|ready| ready > waiting) {
             let Some(oldest) = stream.try_pop_buffer() else { break };
             let count =
                 if oldest.status() == BufferStatus::Success { &counts.whole } else { &counts.damaged };
             count.fetch_add(1, Ordering::Relaxed);
-            stream.push_buffer(oldest);
+            spare.give_back(stream, oldest);
         }
     });
     stream.set_emit_signals(true);
@@ -141,9 +172,10 @@ impl<'a> Stream<'a> {
         for _ in 0..setup.buffers.max(2) {
             stream.push_buffer(Buffer::new_allocate(payload));
         }
-        let dropped = setup.waiting.map(|n| drop_oldest(&stream, n)).unwrap_or_default();
+        let spare = setup.waiting.map(|_| Arc::<Spare>::default());
+        let dropped = setup.waiting.zip(spare.as_ref()).map(|(n, spare)| drop_oldest(&stream, n, spare));
         camera.start_acquisition().named("AcquisitionStart")?;
-        Ok(Self { camera, stream, lost, payload, dropped })
+        Ok(Self { camera, stream, lost, payload, dropped: dropped.unwrap_or_default(), spare })
     }
 
     /// Bytes of a frame.
@@ -174,7 +206,10 @@ impl<'a> Stream<'a> {
             Ok(buffer) => {
                 let answer = take(self.look(&buffer));
                 // The bytes are not looked at any more: Aravis may fill them again.
-                self.stream.push_buffer(buffer);
+                match &self.spare {
+                    Some(spare) => spare.give_back(&self.stream, buffer),
+                    None => self.stream.push_buffer(buffer),
+                }
                 Ok(Some(answer))
             }
             Err(Silence::Timeout) => Ok(None),
@@ -186,6 +221,9 @@ impl<'a> Stream<'a> {
         let end = Instant::now() + timeout;
         loop {
             // Slices of a tenth of a second: a lost camera is noticed in the middle of a long wait.
+            if let Some(spare) = &self.spare {
+                spare.top_up(&self.stream);
+            }
             let left = end.saturating_duration_since(Instant::now()).min(Duration::from_millis(100));
             if let Some(buffer) = self.stream.timeout_pop_buffer(microseconds(left).into()) {
                 return Ok(buffer);
