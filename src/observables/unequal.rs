@@ -1,6 +1,7 @@
 //! Excess spread of the pixels' variances, relative: whether some pixels are noisier than the rest.
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
+use radcam_sim::predict::LineNoise;
 
 /// The spread.
 #[derive(Debug)]
@@ -40,6 +41,17 @@ impl Statistic for Unequal {
         // (covariance / s^2)^2 is missing.
         let (rows, columns) = view.all.campaign.shape;
         let alike = s.shared_squares(rows, columns) / square * 2.0 / view.dof / allowed;
+        // Where lines share noise, the sample variances scatter from line to line, and there are few lines. Of n independent sample variances of
+        // d degrees of freedom, with a = 2 / d, the spread over (1 + a) has the variance 2 a^2 / (n (1 + a)), by first order in
+        // x^2 - a - 2 a x for v = 1 + x and the moments of chi-square: E x^2 = a, E x^3 = 2 a^2, E x^4 = 3 a^2 + 6 a^3. What lines have in common
+        // enters by the square of their share of the variance.
+        let a = 2.0 / view.dof;
+        let of_lines = |noise: &LineNoise, lines: usize| {
+            let (own, of_mean) = (noise.lag(0), noise.of_mean());
+            // Lines that are alike count as fewer.
+            let independent = lines as f64 * if of_mean > own { own / of_mean } else { 1.0 };
+            (own / variance).powi(2) * a * (2.0 / (independent.max(1.0) * (1.0 + a))).sqrt()
+        };
         Expected::plain(
             o,
             (s.unequal + fourth / allowed) / square - alike,
@@ -49,6 +61,8 @@ impl Statistic for Unequal {
                 s.unsure_fourth / (view.n * allowed) / square,
                 0.002,
                 rest,
+                of_lines(&s.row, rows),
+                of_lines(&s.column, columns),
                 // How much alike depends on phases, of which there is one a frame.
                 0.3 * alike,
             ]),
