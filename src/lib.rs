@@ -82,6 +82,7 @@ pub mod observables;
 pub mod pixel_format;
 pub mod plan;
 pub mod plot;
+pub mod reduction;
 pub mod report;
 pub mod reproduce;
 pub mod scene_variation;

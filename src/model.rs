@@ -4,6 +4,7 @@ use crate::dataset::CameraInfo;
 use crate::inference::{Fitted, Given};
 use crate::observables::Observations;
 use radcam_sim::ModelError;
+use radcam_sim::effects::{Effect, find};
 use radcam_sim::{EffectValues, Model};
 
 /// The effects of a list, with what it gives of their values.
@@ -17,6 +18,39 @@ pub fn given<'e>(effects: impl IntoIterator<Item = &'e EffectValues>) -> Result<
         Ok((effect, e.given(effect)))
     };
     effects.into_iter().map(of).collect()
+}
+
+/// The effects of a model as a fit takes them: what an earlier fit has found, and has an error therefore, is searched for anew, choices
+/// included; what the user has given is kept, and so is where a formula of the user's own began.
+///
+/// # Errors
+///
+/// As [`given`].
+pub fn to_be_fitted(model: &Model) -> Result<Vec<Given>, ModelError> {
+    let of = |e: &EffectValues| {
+        let mut e = e.clone();
+        if find(&e.id).is_some() {
+            let found = &e.std_err;
+            e.parameters.retain(|name, _| !found.contains_key(name));
+        }
+        e
+    };
+    given(&model.effects.iter().map(of).collect::<Vec<_>>())
+}
+
+/// The page of an effect as JSON: what it does, how it shows, what to do about it, its parameters.
+pub fn page(e: &dyn Effect) -> serde_json::Value {
+    let page = e.page();
+    let parameters: Vec<_> = e
+        .parameters()
+        .iter()
+        .map(|p| serde_json::json!({ "name": p.name, "min": p.min, "max": p.max, "unit": p.unit }))
+        .collect();
+    serde_json::json!({
+        "id": e.id(), "stage": format!("{:?}", e.stage()), "what": page.what, "equation": page.equation,
+        "signature": page.signature, "look_alikes": page.look_alikes, "remedy": page.remedy,
+        "measure": page.measure, "source": page.source, "parameters": parameters,
+    })
 }
 
 /// A model with the values of a fit. `camera`: whose size and bits it is given.

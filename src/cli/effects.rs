@@ -2,9 +2,10 @@
 
 use super::Outcome;
 use super::common::no_effect;
+use crate::model::page;
 use crate::number::pretty;
 use anyhow::{Result, bail};
-use radcam_sim::effects::{Effect, all, find};
+use radcam_sim::effects::{all, find};
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
@@ -15,25 +16,10 @@ pub struct Arguments {
     json: bool,
 }
 
-/// A page as JSON.
-fn json(e: &dyn Effect) -> serde_json::Value {
-    let page = e.page();
-    let parameters: Vec<_> = e
-        .parameters()
-        .iter()
-        .map(|p| serde_json::json!({ "name": p.name, "min": p.min, "max": p.max, "unit": p.unit }))
-        .collect();
-    serde_json::json!({
-        "id": e.id(), "stage": format!("{:?}", e.stage()), "what": page.what, "equation": page.equation,
-        "signature": page.signature, "look_alikes": page.look_alikes, "remedy": page.remedy,
-        "measure": page.measure, "source": page.source, "parameters": parameters,
-    })
-}
-
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let Some(id) = &arguments.id else {
         if arguments.json {
-            let pages: Vec<_> = all().iter().map(|e| json(*e)).collect();
+            let pages: Vec<_> = all().iter().map(|e| page(*e)).collect();
             println!("{}", serde_json::to_string_pretty(&pages)?);
             return Ok(Outcome::Agreement);
         }
@@ -50,19 +36,19 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         bail!("{}", no_effect(id, all().iter().map(|e| e.id())));
     };
     if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&json(e))?);
+        println!("{}", serde_json::to_string_pretty(&page(e))?);
         return Ok(Outcome::Agreement);
     }
-    let page = e.page();
+    let of = e.page();
     println!("{} (acts on: {})\n", e.id(), e.stage().words());
     for (title, text) in [
-        ("what happens", page.what),
-        ("equation", page.equation),
-        ("signature", page.signature),
-        ("look-alikes", page.look_alikes),
-        ("remedy", page.remedy),
-        ("how to measure", page.measure),
-        ("source", page.source),
+        ("what happens", of.what),
+        ("equation", of.equation),
+        ("signature", of.signature),
+        ("look-alikes", of.look_alikes),
+        ("remedy", of.remedy),
+        ("how to measure", of.measure),
+        ("source", of.source),
     ] {
         // The forms of an equation each on lines of their own.
         let forms = text.split("; ").map(|form| wrap(form, 80));

@@ -12,6 +12,7 @@ mod region;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use common::{INTERRUPTED, STOP};
+use std::ffi::OsString;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 
@@ -73,6 +74,8 @@ verbs! {
     stream Stream "Correct a camera's frames as they come; write them, or offer them as a camera"
     upload Upload "Write a calibration into a camera's own flat-field and defect memory"
     monitor Monitor "Check from time to time whether a camera is still the one that was calibrated"
+    reduce Reduce "Reduce a campaign, or parts of it, to a file of statistics that noise, compare and diagnose take"
+    merge Merge "Merge the statistics of parts of a campaign to those of the whole"
     scene Scene "Scene variation of a region: a property of the surface, independent of the light (Section VI)"
     surface Surface "Learn surfaces and identify them by their scene variation"
     budget Budget "Parts of a region's variance against intensity (Fig. 4)"
@@ -127,28 +130,34 @@ fn quiet_when_nobody_reads() {
 
 /// Runs the program with the arguments of the process.
 pub fn main() -> ExitCode {
+    ExitCode::from(run(std::env::args_os()))
+}
+
+/// Runs the program with these arguments, of which the first is its name: its exit code.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    let arguments: Vec<OsString> = arguments.into_iter().collect();
     quiet_when_nobody_reads();
-    if std::env::args_os().len() == 1 {
+    if arguments.len() == 1 {
         println!("{FIRST_STEPS}");
-        return ExitCode::from(2);
+        return 2;
     }
-    let matches = command().get_matches();
+    let matches = command().get_matches_from(arguments);
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|e| e.exit());
     common::start_logging(arguments.verbose);
     common::catch_interrupts();
     match arguments.verb.run() {
-        Ok(Outcome::Agreement) => ExitCode::SUCCESS,
-        Ok(Outcome::Disagreement) => ExitCode::from(1),
+        Ok(Outcome::Agreement) => 0,
+        Ok(Outcome::Disagreement) => 1,
         Err(error) => {
             // A reader that went away (`| head`) is no fault of the run.
             if error
                 .downcast_ref::<std::io::Error>()
                 .is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
             {
-                return ExitCode::SUCCESS;
+                return 0;
             }
             eprintln!("radcam: {}", once(&error));
-            ExitCode::from(if STOP.load(Ordering::Relaxed) { INTERRUPTED } else { 2 })
+            if STOP.load(Ordering::Relaxed) { INTERRUPTED } else { 2 }
         }
     }
 }

@@ -90,21 +90,6 @@ pub fn read_effects(path: Option<&Path>) -> Result<Vec<Given>> {
     Ok(crate::model::given(&model.effects)?)
 }
 
-/// The effects of a model as a fit takes them: what an earlier fit has found, and has an error therefore, is searched for anew, choices
-/// included; what the user has given is kept, and so is where a formula of the user's own began.
-fn to_be_fitted(model: &Model) -> Result<Vec<Given>> {
-    let of = |e: &EffectValues| {
-        let mut e = e.clone();
-        if effects::find(&e.id).is_some() {
-            let found = &e.std_err;
-            e.parameters.retain(|name, _| !found.contains_key(name));
-        }
-        let effect = e.effect()?;
-        Ok((effect, e.given(effect)))
-    };
-    model.effects.iter().map(of).collect()
-}
-
 /// A model file with fitted values: the one that was given, or one of the campaign's own size.
 pub fn fitted_model(
     all: &Observations,
@@ -194,7 +179,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             show(path, &model, arguments.json)?;
         }
         Action::Fit { model: path, datasets } => {
-            let list = to_be_fitted(&read(path)?)?;
+            let list = crate::model::to_be_fitted(&read(path)?)?;
             let all = observe(datasets)?;
             let fitted = fit(&all, &start(&all), &searched(&all, &list));
             let model = fitted_model(&all, &fitted, Some(path), datasets)?;

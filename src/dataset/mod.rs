@@ -14,11 +14,13 @@ pub use emva::{DESCRIPTOR, write_descriptor};
 pub use manifest::{BenchInfo, CameraInfo, FORMAT, Manifest};
 pub use write::{Writer, write_whole};
 
+use crate::reduction::{self, Reduced};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 use std::collections::{HashMap, HashSet};
 use std::fmt;
 use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
 
 /// Header of `frames.csv`.
 pub const COLUMNS: [&str; 9] = [
@@ -150,6 +152,10 @@ pub struct Dataset {
     sets: Vec<Set>,
     /// Of several that were joined: their folders, and the first row of each. Empty otherwise.
     parts: Vec<(PathBuf, usize)>,
+    /// Folders in which rows with absolute paths may lie.
+    folders: Vec<PathBuf>,
+    /// What is known of frames without reading them.
+    reduced: Option<Arc<Reduced>>,
 }
 
 impl Dataset {
@@ -169,6 +175,9 @@ impl Dataset {
     /// Where the folder, the descriptor or a row cannot be understood: file, line and what is wrong.
     pub fn open(path: &Path) -> Result<Self, DatasetError> {
         if path.is_file() {
+            if reduction::is_statistics(path) {
+                return reduction::open(path);
+            }
             return emva::open(path);
         }
         let manifest_path = path.join("dataset.toml");
@@ -184,8 +193,19 @@ impl Dataset {
         Self::new(path.into(), manifest, parse_rows(&csv_path, &text)?, &csv_path)
     }
 
-    /// Groups checked rows into sets.
+    /// Groups rows into sets, and checks them.
     fn new(
+        root: PathBuf,
+        manifest: Manifest,
+        rows: Vec<(u64, FrameRow)>,
+        rows_path: &Path,
+    ) -> Result<Self, DatasetError> {
+        Self::within(Vec::new(), root, manifest, rows, rows_path)
+    }
+
+    /// The same where files have absolute paths in some folders.
+    fn within(
+        folders: Vec<PathBuf>,
         root: PathBuf,
         manifest: Manifest,
         rows: Vec<(u64, FrameRow)>,
@@ -197,7 +217,7 @@ impl Dataset {
         let mut set_places: HashMap<u32, usize> = HashMap::new();
         let mut sets: Vec<Set> = Vec::new();
         for (i, (line, row)) in rows.iter().enumerate() {
-            check_row(row).map_err(|message| fault(*line, message))?;
+            check_row(row, &folders).map_err(|message| fault(*line, message))?;
             if !files.insert(&row.file) {
                 return Err(fault(*line, format!("file {} stands in an earlier row too", row.file)));
             }
@@ -218,7 +238,7 @@ impl Dataset {
         for set in &mut sets {
             set.rows.sort_by_key(|&i| rows[i].index);
         }
-        Ok(Self { root, manifest, rows, sets, parts: Vec::new() })
+        Ok(Self { root, manifest, rows, sets, parts: Vec::new(), folders, reduced: None })
     }
 
     /// Several datasets of one camera under one set of settings as one: sets and times of each follow those of the one before.
@@ -278,9 +298,54 @@ impl Dataset {
                 number: renumbered(s.number),
                 rows: s.rows.into_iter().map(|i| first + i).collect(),
             }));
+            all.folders.extend(next.folders);
             all.parts.push((next.root, first));
         }
         Ok(all)
+    }
+
+    /// Rows of one campaign whose files have absolute paths in some folders.
+    pub(crate) fn of_parts(
+        root: &Path,
+        manifest: Manifest,
+        rows: Vec<FrameRow>,
+        folders: Vec<PathBuf>,
+    ) -> Result<Self, DatasetError> {
+        let rows = rows.into_iter().enumerate().map(|(i, row)| (i as u64 + 1, row)).collect();
+        Self::within(folders, root.into(), manifest, rows, root)
+    }
+
+    /// The same with absolute paths, so that its rows can go together with others.
+    pub(crate) fn absolute(mut self) -> Result<Self, DatasetError> {
+        if self.folders.is_empty() {
+            let root = self.root.canonicalize().map_err(DatasetError::io(&self.root))?;
+            for row in &mut self.rows {
+                let file = root.join(&row.file);
+                let Some(file) = file.to_str() else {
+                    let message = format!("{} is not UTF-8: rename it", file.display());
+                    return Err(DatasetError::Manifest { path: root, message });
+                };
+                row.file = file.into();
+            }
+            self.folders.push(root);
+        }
+        Ok(self)
+    }
+
+    /// With what is known of its frames.
+    pub(crate) fn with_reduced(mut self, reduced: Reduced) -> Self {
+        self.reduced = Some(Arc::new(reduced));
+        self
+    }
+
+    /// What is known of frames without reading them, of a file of statistics.
+    pub fn reduced(&self) -> Option<&Reduced> {
+        self.reduced.as_deref()
+    }
+
+    /// Folders in which rows with absolute paths may lie: none of a dataset folder.
+    pub fn folders(&self) -> &[PathBuf] {
+        &self.folders
     }
 
     /// Of joined datasets: which one a row is of, and whether it is the first of it.
@@ -350,11 +415,12 @@ impl Dataset {
         };
         let (name, page) = split_page(&row.file).map_err(fault)?;
         let mut root = &self.root;
-        if let Some((of_part, _)) = self.parts.iter().find(|(root, _)| Path::new(name).starts_with(root)) {
+        let roots = || self.parts.iter().map(|(root, _)| root).chain(&self.folders);
+        if let Some(of_part) = roots().find(|root| Path::new(name).starts_with(root)) {
             root = of_part;
         }
         // Joining a path with one that begins as it does would double it.
-        let path = if self.parts.is_empty() { root.join(name) } else { name.into() };
+        let path = if roots().next().is_none() { root.join(name) } else { name.into() };
         // A link inside the folder may point out of it.
         let inside = match (path.canonicalize(), root.canonicalize()) {
             (Ok(path), Ok(root)) => path.starts_with(root),
@@ -486,12 +552,14 @@ fn parse_rows(path: &Path, text: &str) -> Result<Vec<(u64, FrameRow)>, DatasetEr
     Ok(rows)
 }
 
-/// What must hold of one row by itself.
-fn check_row(row: &FrameRow) -> Result<(), String> {
+/// What must hold of one row by itself; `folders`: where files with absolute paths may lie, if they have these.
+fn check_row(row: &FrameRow, folders: &[PathBuf]) -> Result<(), String> {
     let (name, _) = split_page(&row.file)?;
     let path = Path::new(name);
     let plain = |c| matches!(c, Component::Normal(_) | Component::CurDir);
-    if name.is_empty() || !path.components().all(plain) {
+    let inside =
+        folders.iter().find_map(|f| path.strip_prefix(f).ok()).or(folders.is_empty().then_some(path));
+    if name.is_empty() || !inside.is_some_and(|p| p.components().all(plain)) {
         return Err(format!("file {} must be a path inside the dataset folder", row.file));
     }
     if !(row.exposure_s.is_finite() && row.exposure_s > 0.0) {

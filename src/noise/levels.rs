@@ -2,9 +2,10 @@
 
 use super::NoiseError;
 use crate::dataset::table::Table;
-use crate::dataset::{Dataset, Kind};
+use crate::dataset::{Dataset, Kind, Set};
 use crate::fit::line::fit;
 use crate::number::finite;
+use crate::reduction::Piece;
 use crate::statistics::level::{Level, LevelAccumulator};
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -76,24 +77,7 @@ pub fn measure(
     let mut accumulator: Option<LevelAccumulator> = None;
     for (done, set) in wanted.iter().enumerate() {
         let settings = dataset.settings(set);
-        if let Some(level) = &mut accumulator {
-            level.reset();
-        }
-        // Eight frames at a time: one trip through memory, and no more of it for a long set.
-        for rows in set.rows.chunks(8) {
-            if stop.load(Ordering::Relaxed) {
-                return Err(NoiseError::Interrupted);
-            }
-            let frames: Vec<_> =
-                rows.iter().map(|&i| dataset.read(&dataset.rows()[i])).collect::<Result<_, _>>()?;
-            let slices: Vec<&[u16]> = frames.iter().filter_map(|f| f.as_slice()).collect();
-            // Memory for what the frames are, not for what a damaged manifest says. Their sizes were checked by it
-            // when they were read.
-            let shape = (camera.height, camera.width);
-            let level = accumulator.get_or_insert_with(|| LevelAccumulator::new(shape, camera.bit_depth));
-            let _ = level.add(&slices);
-        }
-        if let Some(level) = accumulator.as_ref().and_then(LevelAccumulator::finish) {
+        if let Some(level) = level_of(dataset, set, &mut accumulator, stop)? {
             levels.push((set.number, settings.kind, settings.exposure_s, level));
         }
         progress(done + 1, wanted.len());
@@ -137,6 +121,44 @@ fn clipped_because(level: &Level) -> Option<String> {
     } else {
         None
     }
+}
+
+/// Mean and variance of a set of darks or flats; `None` of others. `memory` serves the next set.
+///
+/// # Errors
+///
+/// Which frame cannot be read, or that it was stopped.
+pub(crate) fn level_of(
+    dataset: &Dataset,
+    set: &Set,
+    memory: &mut Option<LevelAccumulator>,
+    stop: &AtomicBool,
+) -> Result<Option<Level>, NoiseError> {
+    if !matches!(dataset.settings(set).kind, Kind::Dark | Kind::Flat) {
+        return Ok(None);
+    }
+    if let Some(known) = dataset.reduced().and_then(|r| r.level(&Piece::first(dataset, set, usize::MAX))) {
+        return Ok(known.clone());
+    }
+    let camera = &dataset.manifest().camera;
+    if let Some(level) = memory {
+        level.reset();
+    }
+    // Eight frames at a time: one trip through memory, and no more of it for a long set.
+    for rows in set.rows.chunks(8) {
+        if stop.load(Ordering::Relaxed) {
+            return Err(NoiseError::Interrupted);
+        }
+        let frames: Vec<_> =
+            rows.iter().map(|&i| dataset.read(&dataset.rows()[i])).collect::<Result<_, _>>()?;
+        let slices: Vec<&[u16]> = frames.iter().filter_map(|f| f.as_slice()).collect();
+        // Memory for what the frames are, not for what a damaged manifest says. Their sizes were checked by it
+        // when they were read.
+        let shape = (camera.height, camera.width);
+        let level = memory.get_or_insert_with(|| LevelAccumulator::new(shape, camera.bit_depth));
+        let _ = level.add(&slices);
+    }
+    Ok(memory.as_ref().and_then(LevelAccumulator::finish))
 }
 
 /// The black level at zero exposure from the darks: their means extrapolated to no exposure.

@@ -31,7 +31,7 @@ use crate::number::Quantity;
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
 use exclude::{exclude_outliers, exclude_past_the_peak};
 use levels::{BLACK_LEVEL, NO_ZERO, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED, ONE_FRAME};
-pub(crate) use levels::{Counts, pixels_from_scatter};
+pub(crate) use levels::{Counts, level_of, pixels_from_scatter};
 use std::sync::atomic::AtomicBool;
 
 /// Why there is no answer.

@@ -43,9 +43,11 @@ use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 use crate::statistics::pass::{Extra, Summary};
 use read::Chunk;
+pub(crate) use read::{LeftOut, Look, Work, record, record_looks};
+use serde::{Deserialize, Serialize};
 
 /// Whether frames are fitted and judged in turn, or known to both.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Half {
     /// Fitted first, judged second.
     First,

@@ -3,6 +3,7 @@
 
 use crate::statistics::median::median;
 use ndarray::Array2;
+use serde::{Deserialize, Serialize};
 
 /// Cells along each side of a frame whose means are looked at.
 const CELLS: usize = 6;
@@ -31,7 +32,7 @@ fn mean_of(cells: &[f64]) -> f64 {
 }
 
 /// How far frames lie from those around them.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Apart {
     /// Deviation of each frame's mean from the median of the block's, DN.
     pub mean_dn: Vec<f64>,
@@ -122,6 +123,11 @@ impl Usual {
             flat_cell: over(false, &|a, above| scaled(cells(a), above.sqrt())),
             dark_cell_dn: over(true, &|a, _| cells(a)),
         }
+    }
+
+    /// All of it, to be told from another.
+    pub fn numbers(&self) -> [f64; 4] {
+        [self.flat_rel, self.dark_dn, self.flat_cell, self.dark_cell_dn]
     }
 
     /// Places of frames in a block that lie far from the others; `start`: place of its first frame in the set.

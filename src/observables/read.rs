@@ -2,15 +2,21 @@
 //!
 //! Memory holds some frames and their sums on each core, and of the first frames of sets as many as fit into 256 MiB, however many there are.
 
-use super::{Half, ObserveError, SUMMED, codes, outliers};
-use crate::dataset::{Dataset, Kind};
+use super::{Half, ObserveError, STATISTICS, SUMMED, codes, outliers};
+use crate::dataset::{Dataset, Kind, Set};
+use crate::reduction::{Piece as Place, Reduced};
+use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::layout::Layout;
 use crate::statistics::median::median;
 use crate::statistics::pass::{Pass, Summary};
+use crate::statistics::spectrum::Power;
 use crate::statistics::steady::Steady;
+use crate::study::hex;
 use ndarray::Array2;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
@@ -26,6 +32,7 @@ const KEPT: usize = 256 << 20;
 const CLIPPED: f64 = 1e-3;
 
 /// Successive frames of a set with their statistics.
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Chunk {
     pub set: usize,
     /// Place of the first frame within the set.
@@ -42,6 +49,7 @@ pub struct Chunk {
 }
 
 /// Mean image of the frames of a scene that belong to one half, DN.
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct SceneMean {
     pub set: usize,
     pub half: Half,
@@ -67,7 +75,8 @@ pub struct Reading {
 }
 
 /// What the first frames of a set show.
-struct Look {
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub struct Look {
     /// Clipped pixels.
     clipped: Vec<usize>,
     /// Mean of a dark set, DN.
@@ -77,13 +86,36 @@ struct Look {
     /// How far the frames lie from each other; whether they are dark.
     apart: Option<(bool, outliers::Apart)>,
     /// The frames, as long as there is room.
+    #[serde(skip)]
     frames: Vec<Array2<u16>>,
+}
+
+impl Look {
+    fn without_frames(&self) -> Self {
+        let Self { clipped, dark, pair, apart, frames: _ } = self;
+        Self {
+            clipped: clipped.clone(),
+            dark: dark.clone(),
+            pair: *pair,
+            apart: apart.clone(),
+            frames: Vec::new(),
+        }
+    }
+
+    /// Whether it can be of frames of (rows, columns).
+    pub fn fits(&self, shape: (usize, usize)) -> bool {
+        self.clipped.iter().all(|&i| i < shape.0 * shape.1)
+            && self.dark.as_ref().is_none_or(|d| d.dim() == shape)
+    }
 }
 
 fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<Look, ObserveError> {
     let set = &dataset.sets()[set];
+    if let Some(known) = dataset.reduced().and_then(|r| r.look(&Place::first(dataset, set, FIRST))) {
+        return Ok(known.clone());
+    }
     let kind = dataset.settings(set).kind;
-    let mut out = Look { clipped: Vec::new(), dark: None, pair: None, apart: None, frames: Vec::new() };
+    let mut out = Look::default();
     if !matches!(kind, Kind::Dark | Kind::Flat) {
         return Ok(out);
     }
@@ -167,6 +199,7 @@ fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64) {
 }
 
 /// A piece of work: frames `from..to` of a set.
+#[derive(Debug, Clone, Copy)]
 struct Piece {
     set: usize,
     from: usize,
@@ -223,25 +256,56 @@ fn turns(kinds: &[Kind], cut: &[bool]) -> Vec<usize> {
     (0..kinds.len()).map(|s| kinds[..s].iter().filter(|k| **k == kinds[s]).count()).collect()
 }
 
-enum Work {
+/// What the frames of a piece say.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub enum Work {
     Scene(SceneMean),
     Noise(Option<Box<Chunk>>),
     Clipped(usize, f64),
 }
 
+impl Work {
+    /// Whether it can be of frames of (rows, columns) with codes up to a full scale.
+    pub fn fits(&self, shape: (usize, usize), full_scale_dn: u16) -> bool {
+        let c = match self {
+            Self::Scene(scene) => return scene.mean_dn.dim() == shape,
+            Self::Clipped(..) | Self::Noise(None) => return true,
+            Self::Noise(Some(chunk)) => chunk,
+        };
+        let s = &c.summary;
+        s.frames > 1
+            && (s.rows_dn.len(), s.columns_dn.len()) == shape
+            && s.power.len() == Power::length(shape) / 2 + 1
+            && s.occupancy.0.len() == usize::from(full_scale_dn) + 1
+            && s.covariances.at.len() == LAGS.len()
+            && (c.var_dn2.is_empty() || c.var_dn2.len() == shape.0 * shape.1)
+    }
+}
+
 /// What a piece has that is no part of the campaign.
-#[derive(Default)]
-struct LeftOut {
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub struct LeftOut {
     /// Places in the set of frames that lie far from the others.
     frames: Vec<usize>,
     /// Pixels of struck samples, and the frames' places.
     struck: Vec<(usize, usize)>,
+    /// Whether a sample was taken for a struck one at any time: where not, the piece says the same if none may be.
+    cleaned: bool,
+}
+
+impl LeftOut {
+    /// Whether it can be of frames of so many pixels.
+    pub fn fits(&self, pixels: usize) -> bool {
+        self.struck.iter().all(|s| s.0 < pixels)
+    }
 }
 
 /// What all pieces are read with.
 struct Reader<'a, 'b> {
     dataset: &'a Dataset,
     layout: &'b Layout,
+    /// What pieces that were read elsewhere must have been read with.
+    under: String,
     pool: Mutex<Vec<Pass<'b>>>,
     stop: &'a AtomicBool,
     usual: outliers::Usual,
@@ -251,7 +315,7 @@ struct Reader<'a, 'b> {
     /// Longest exposure of flats, s.
     longest_lit_s: f64,
     /// The first frames of sets, where they were kept.
-    kept: Vec<Vec<Array2<u16>>>,
+    kept: &'b [Look],
 }
 
 impl<'b> Reader<'_, 'b> {
@@ -259,11 +323,40 @@ impl<'b> Reader<'_, 'b> {
         if self.stop.load(Ordering::Relaxed) {
             return Err(ObserveError::Interrupted);
         }
-        if let Some(frame) = self.kept.get(set).and_then(|of| of.get(place)) {
+        if let Some(frame) = self.kept.get(set).and_then(|of| of.frames.get(place)) {
             return Ok(frame.clone());
         }
         let row = self.dataset.sets()[set].rows[place];
         Ok(self.dataset.read(&self.dataset.rows()[row])?)
+    }
+
+    fn place(&self, p: &Piece, clean: bool) -> Place {
+        let set = Place::first(self.dataset, &self.dataset.sets()[p.set], usize::MAX);
+        Place { from: p.from, to: p.to, before: p.before, clean, under: self.under.clone(), ..set }
+    }
+
+    /// What was kept of a piece, where it was read under the same look and all its numbers are there.
+    fn known(&self, p: &Piece) -> Option<(Work, LeftOut)> {
+        let reduced = self.dataset.reduced()?;
+        let cleaned = reduced.piece(&self.place(p, true)).filter(|(_, l)| self.clean || !l.cleaned);
+        let (mut work, left_out) = cleaned.or_else(|| reduced.piece(&self.place(p, self.clean)))?.clone();
+        match &mut work {
+            Work::Scene(scene) => (scene.set, scene.half) = (p.set, p.half),
+            Work::Clipped(set, _) => *set = p.set,
+            Work::Noise(None) => {}
+            Work::Noise(Some(chunk)) => {
+                (chunk.set, chunk.half) = (p.set, p.half);
+                let expected = SUMMED.iter().map(|s| s.size(self.layout));
+                if !chunk.summary.extra.iter().map(Vec::len).eq(expected) {
+                    return None;
+                }
+            }
+        }
+        Some((work, left_out))
+    }
+
+    fn known_or_read(&self, p: &Piece) -> Result<(Work, LeftOut), ObserveError> {
+        self.known(p).map_or_else(|| self.piece(p), Ok)
     }
 
     fn piece(&self, p: &Piece) -> Result<(Work, LeftOut), ObserveError> {
@@ -345,12 +438,14 @@ impl<'b> Reader<'_, 'b> {
         let whole = outlier.map(|_| block.clone());
         let struck = outliers::take_struck(block);
         if let Some(whole) = whole {
+            out.cleaned |= !struck.is_empty();
             let outlier = self.outlier(set, block, start, dark);
             if outlier.is_some() {
                 *block = whole;
                 return outlier;
             }
         }
+        out.cleaned |= !struck.is_empty();
         out.struck.extend(struck.into_iter().map(|(f, pixel)| (pixel, start + f)));
         None
     }
@@ -527,6 +622,75 @@ fn first_look(
     Ok(looks)
 }
 
+/// What the first look at a campaign says: what every piece is read with.
+struct Seen {
+    layout: Layout,
+    zero_dn: f64,
+    usual: outliers::Usual,
+    /// Longest exposure of flats, s.
+    longest_lit_s: f64,
+    looks: Vec<Look>,
+}
+
+impl Seen {
+    fn new(
+        dataset: &Dataset,
+        stop: &AtomicBool,
+        progress: &mut dyn FnMut(usize),
+    ) -> Result<Self, ObserveError> {
+        let camera = &dataset.manifest().camera;
+        let (full, shape) = (camera.full_scale_dn(), (camera.height, camera.width));
+        if dataset.rows().is_empty() {
+            return Err(ObserveError::Nothing("the dataset has no frames".into()));
+        }
+        // Memory follows what is there: a frame must confirm the size that a header claims. Statistics have confirmed it when they were opened.
+        if dataset.reduced().is_none() {
+            dataset.read(&dataset.rows()[0])?;
+        }
+        let looks = first_look(dataset, stop, progress)?;
+        let (layout, zero_dn) = layout(shape, full, &looks);
+        let aparts: Vec<_> = looks.iter().filter_map(|l| l.apart.clone()).collect();
+        let lit = dataset.rows().iter().filter(|r| r.kind == Kind::Flat && r.illumination > 0.0);
+        let longest_lit_s = lit.map(|r| r.exposure_s).fold(0.0, f64::max);
+        Ok(Self { usual: outliers::Usual::of(&aparts, zero_dn), layout, zero_dn, longest_lit_s, looks })
+    }
+
+    /// Everything that the statistics of a piece depend on beside its frames and their settings.
+    fn digest(&self) -> String {
+        let mut all = Sha256::new();
+        all.update(env!("CARGO_PKG_VERSION"));
+        STATISTICS.iter().for_each(|s| all.update(s.id()));
+        let layout = &self.layout;
+        [layout.shape.0, layout.shape.1].iter().for_each(|n| all.update((*n as u64).to_le_bytes()));
+        layout.mask.iter().for_each(|m| all.update([u8::from(*m > 0.0)]));
+        layout.zero.iter().flatten().for_each(|z| all.update(z.to_le_bytes()));
+        let numbers = [layout.gain, self.zero_dn, self.longest_lit_s];
+        numbers.iter().for_each(|n| all.update(n.to_le_bytes()));
+        self.usual.numbers().iter().for_each(|n| all.update(n.to_le_bytes()));
+        hex(&all.finalize())
+    }
+
+    fn reader<'a, 'b>(
+        &'b self,
+        dataset: &'a Dataset,
+        kept: &'b [Look],
+        stop: &'a AtomicBool,
+    ) -> Reader<'a, 'b> {
+        Reader {
+            dataset,
+            layout: &self.layout,
+            under: self.digest(),
+            pool: Mutex::new(Vec::new()),
+            stop,
+            usual: self.usual,
+            zero_dn: self.zero_dn,
+            clean: true,
+            longest_lit_s: self.longest_lit_s,
+            kept,
+        }
+    }
+}
+
 /// Reads the frames of a dataset. `progress` is told (pieces done, pieces).
 pub fn read(
     dataset: &Dataset,
@@ -538,31 +702,15 @@ pub fn read(
     let sets = dataset.sets();
     let pieces = pieces(dataset);
     let of = pieces.len() + sets.len() / 4;
-    // Memory follows what is there: a frame must confirm the size that a header claims.
-    let first = dataset.rows().first();
-    dataset.read(first.ok_or_else(|| ObserveError::Nothing("the dataset has no frames".into()))?)?;
-    let mut looks = first_look(dataset, stop, &mut |seen| progress(seen / 4, of))?;
-    let (layout, zero_dn) = layout(shape, full, &looks);
-    let aparts: Vec<_> = looks.iter_mut().filter_map(|l| l.apart.take()).collect();
-    let lit = dataset.rows().iter().filter(|r| r.kind == Kind::Flat && r.illumination > 0.0);
-    let mut reader = Reader {
-        dataset,
-        layout: &layout,
-        pool: Mutex::new(Vec::new()),
-        stop,
-        usual: outliers::Usual::of(&aparts, zero_dn),
-        zero_dn,
-        clean: true,
-        longest_lit_s: lit.map(|r| r.exposure_s).fold(0.0, f64::max),
-        kept: looks.into_iter().map(|l| l.frames).collect(),
-    };
+    let seen = Seen::new(dataset, stop, &mut |seen| progress(seen / 4, of))?;
+    let mut reader = seen.reader(dataset, &seen.looks, stop);
     let samples = (shape.0 * shape.1) as f64 * dataset.rows().len() as f64;
     let mut sums = loop {
         let mut sums = Sums::new(full, shape);
         let mut seen = sets.len() / 4;
         for group in pieces.chunks(4 * rayon::current_num_threads()) {
             let work: Vec<(Work, LeftOut)> =
-                group.par_iter().map(|p| reader.piece(p)).collect::<Result<_, _>>()?;
+                group.par_iter().map(|p| reader.known_or_read(p)).collect::<Result<_, _>>()?;
             for (p, (work, left_out)) in group.iter().zip(work) {
                 sums.left_out.push((p.set, left_out));
                 sums.add(work, dataset.settings(&sets[p.set]).kind);
@@ -584,15 +732,68 @@ pub fn read(
     left_out.extend(copies(dataset, &mut sums.chunks));
     Ok(Reading {
         left_out,
-        steady_dn4: sums.steady.covariance(&layout),
-        layout,
-        zero_dn,
+        steady_dn4: sums.steady.covariance(&seen.layout),
+        zero_dn: seen.zero_dn,
+        layout: seen.layout,
         chunks: sums.chunks,
         scenes: sums.scenes,
         codes: sums.codes,
         lines: sums.lines,
         saturated: sums.saturated,
     })
+}
+
+/// The first look at the sets that are wanted, to be kept.
+pub fn record_looks(
+    dataset: &Dataset,
+    wanted: &(dyn Fn(&Set) -> bool + Sync),
+    stop: &AtomicBool,
+) -> Result<Reduced, ObserveError> {
+    let full = dataset.manifest().camera.full_scale_dn();
+    let (mut out, none) = (Reduced::default(), AtomicUsize::new(0));
+    for (set, info) in dataset.sets().iter().enumerate().filter(|(_, s)| wanted(s)) {
+        if stop.load(Ordering::Relaxed) {
+            return Err(ObserveError::Interrupted);
+        }
+        out.add_look(Place::first(dataset, info, FIRST), look(dataset, set, full, &none)?);
+    }
+    Ok(out)
+}
+
+/// The statistics of the pieces of those sets that are wanted, to be kept. `progress` is told (pieces done, pieces).
+pub fn record(
+    dataset: &Dataset,
+    wanted: &(dyn Fn(&Set) -> bool + Sync),
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(usize, usize),
+) -> Result<Reduced, ObserveError> {
+    let sets = dataset.sets();
+    let mut out = Reduced::default();
+    let pieces: Vec<Piece> = pieces(dataset).into_iter().filter(|p| wanted(&sets[p.set])).collect();
+    let seen = Seen::new(dataset, stop, &mut |_| {})?;
+    for (set, look) in sets.iter().zip(&seen.looks).filter(|(s, _)| wanted(s)) {
+        out.add_look(Place::first(dataset, set, FIRST), look.without_frames());
+    }
+    let mut reader = seen.reader(dataset, &seen.looks, stop);
+    for clean in [true, false] {
+        reader.clean = clean;
+        let mut done = 0;
+        for group in pieces.chunks(4 * rayon::current_num_threads()) {
+            // Whether samples that stand out are struck ones is for the whole campaign to say: both ways, where it matters.
+            let needed = |p: &&Piece| clean || out.piece(&reader.place(p, true)).is_none_or(|w| w.1.cleaned);
+            let group: Vec<&Piece> = group.iter().filter(needed).collect();
+            let work: Vec<(Work, LeftOut)> =
+                group.par_iter().map(|p| reader.known_or_read(p)).collect::<Result<_, _>>()?;
+            for (p, work) in group.iter().zip(work) {
+                out.add_piece(reader.place(p, clean), work);
+            }
+            done += group.len();
+            if clean {
+                progress(done, pieces.len());
+            }
+        }
+    }
+    Ok(out)
 }
 
 #[cfg(test)]

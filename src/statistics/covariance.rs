@@ -2,6 +2,7 @@
 //! columns.
 
 use super::jackknife::{BLOCKS, Blocks, Value};
+use serde::{Deserialize, Serialize};
 
 /// Lags: rows down, columns right, both diagonal signs.
 pub const LAGS: [(i32, i32); 10] =
@@ -25,7 +26,7 @@ pub struct Covariance {
 }
 
 /// What it says.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Covariances {
     /// At each of [`LAGS`], DN^2.
     pub at: Vec<Value>,

@@ -1,7 +1,9 @@
 //! Means of whole frames: their mean, their scatter, and how far the first one lies off.
 
+use serde::{Deserialize, Serialize};
+
 /// Sums over the means of frames (Welford 1962; merged after Chan, Golub and LeVeque 1979).
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct FrameMeans {
     frames: u64,
     first_dn: f64,

@@ -1,10 +1,12 @@
 //! Values with standard errors from a jackknife over blocks of the sensor (Efron and Stein 1981).
 
+use serde::{Deserialize, Serialize};
+
 /// Blocks along each side.
 pub const BLOCKS: usize = 8;
 
 /// A value with its standard error.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Value {
     /// The value.
     pub value: f64,

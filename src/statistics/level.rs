@@ -1,9 +1,10 @@
 //! A set of frames at one level of light: its mean, its temporal variance, and its pairs (Section IV).
 
 use super::moments::{Moments, SizeMismatch};
+use serde::{Deserialize, Serialize};
 
 /// One pair of frames, as the paper takes them.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pair {
     /// Mean over both frames, DN (eq. 37).
     pub mean_dn: f64,
@@ -12,7 +13,7 @@ pub struct Pair {
 }
 
 /// What a set says.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Level {
     /// Frames.
     pub frames: u64,

@@ -1,7 +1,9 @@
 //! How often each code occurs.
 
+use serde::{Deserialize, Serialize};
+
 /// Counts of codes.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Occupancy(pub Vec<u64>);
 
 impl Occupancy {

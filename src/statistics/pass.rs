@@ -18,6 +18,7 @@ use super::successive::Successive;
 use super::variance::Variance;
 use radcam_sim::predict::PLACES;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// One more statistic that is a sum of products of deviations, made from whole images of them.
 pub trait Extra: Sync + std::fmt::Debug {
@@ -93,7 +94,7 @@ impl Quadratic for Sums {
 }
 
 /// What the frames of a set say.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// Frames.
     pub frames: usize,

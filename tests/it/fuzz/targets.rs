@@ -30,10 +30,19 @@ pub const TARGETS: &[Target] = &[
     ("plan", plan),
     ("png", |b| picture(&file("png", b))),
     ("request", request),
+    ("statistics", statistics),
     ("table", |b| drop(Table::open(&file("csv", b)))),
     ("tiff", |b| picture(&file("tiff", b))),
     ("unpack", unpack),
 ];
+
+/// A file of statistics, and what is computed of it; its frames are nowhere.
+fn statistics(bytes: &[u8]) {
+    if let Ok(dataset) = radcam::reduction::from_cbor(bytes, Path::new("input.stats")) {
+        let source = radcam::source::Source::Frames(Box::new(dataset));
+        let _ = (source.noise(), source.observations());
+    }
+}
 
 fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()

@@ -1,0 +1,119 @@
+//! Calibrations, and correction of frames (eq. 51).
+
+use crate::errors::{CorrectError, Raised};
+use crate::frames::NOT_WHOLE;
+use numpy::{IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use radcam::correct::Codes;
+use std::path::PathBuf;
+
+/// A calibration file: dark reference, K, defects.
+#[pyclass(frozen, module = "radcam")]
+pub struct Calibration(radcam::calibrate::file::Calibration);
+
+#[pymethods]
+impl Calibration {
+    #[new]
+    fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let read = || radcam::calibrate::file::Calibration::read(&path);
+        Ok(Self(py.detach(read).map_err(Raised::raised)?))
+    }
+
+    /// What the file says of itself, JSON.
+    fn description(&self) -> PyResult<String> {
+        serde_json::to_string(&self.0.description).map_err(|e| PyValueError::new_err(e.to_string()))
+    }
+
+    /// K, (rows, columns), of mean 1.
+    #[getter]
+    fn k<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
+        self.0.k.clone().into_pyarray(py)
+    }
+
+    /// Standard error of K, (rows, columns).
+    #[getter]
+    fn k_std_err<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
+        self.0.k_std_err.clone().into_pyarray(py)
+    }
+
+    /// Flags of defects, (rows, columns): 0 where a pixel is sound.
+    #[getter]
+    fn defects<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<u8>> {
+        self.0.defects.clone().into_pyarray(py)
+    }
+
+    /// The dark reference at an exposure, (rows, columns), DN.
+    fn dark_dn<'py>(&self, py: Python<'py>, exposure_s: f64) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let dark = self.0.dark.at(exposure_s).map_err(|e| CorrectError::new_err(e.to_string()))?;
+        Ok(dark.into_pyarray(py))
+    }
+
+    /// Makes it ready for frames of an exposure, s.
+    #[pyo3(signature = (exposure_s, replace_defects=false))]
+    fn corrector(&self, py: Python<'_>, exposure_s: f64, replace_defects: bool) -> PyResult<Corrector> {
+        let make = || {
+            let made = radcam::correct::Corrector::new(&self.0, exposure_s)?;
+            Ok(if replace_defects { made.replacing_defects(&self.0) } else { made })
+        };
+        Ok(Corrector(py.detach(make).map_err(|e: radcam::correct::CorrectError| e.raised())?))
+    }
+}
+
+/// A calibration made ready for one exposure.
+#[pyclass(frozen, module = "radcam")]
+pub struct Corrector(radcam::correct::Corrector);
+
+fn whole<T>(slice: Result<T, numpy::AsSliceError>) -> PyResult<T> {
+    slice.map_err(|_| PyValueError::new_err(NOT_WHOLE))
+}
+
+#[pymethods]
+impl Corrector {
+    /// (rows, columns).
+    #[getter]
+    fn shape(&self) -> (usize, usize) {
+        self.0.shape()
+    }
+
+    /// A frame as DN above the dark reference, float32; `out` is written and returned where it is given.
+    #[pyo3(signature = (frame, out=None))]
+    fn correct<'py>(
+        &self,
+        py: Python<'py>,
+        frame: PyReadonlyArray2<'py, u16>,
+        out: Option<Bound<'py, PyArray2<f32>>>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let out = out.unwrap_or_else(|| PyArray2::zeros(py, self.0.shape(), false));
+        let mut into: PyReadwriteArray2<'_, f32> = out.try_readwrite()?;
+        let (from, to) = (whole(frame.as_slice())?, whole(into.as_slice_mut())?);
+        py.detach(|| self.0.to_f32(from, to)).map_err(Raised::raised)?;
+        drop(into);
+        Ok(out)
+    }
+
+    /// A frame as 16-bit codes, `scale` times DN above the dark reference plus `offset`, rounded and clipped; `out` may be the frame itself.
+    #[pyo3(signature = (frame, scale=1.0, offset=0.0, out=None))]
+    fn correct_codes<'py>(
+        &self,
+        py: Python<'py>,
+        frame: Bound<'py, PyArray2<u16>>,
+        scale: f32,
+        offset: f32,
+        out: Option<Bound<'py, PyArray2<u16>>>,
+    ) -> PyResult<Bound<'py, PyArray2<u16>>> {
+        let codes = Codes { scale, offset };
+        let out = out.unwrap_or_else(|| PyArray2::zeros(py, self.0.shape(), false));
+        let mut into: PyReadwriteArray2<'_, u16> = out.try_readwrite()?;
+        let to = whole(into.as_slice_mut())?;
+        if out.is(&frame) {
+            py.detach(|| self.0.in_place(to, codes)).map_err(Raised::raised)?;
+        } else {
+            let frame = frame.try_readonly()?;
+            let from = whole(frame.as_slice())?;
+            py.detach(|| self.0.to_u16(from, codes, to)).map_err(Raised::raised)?;
+        }
+        drop(into);
+        Ok(out)
+    }
+}

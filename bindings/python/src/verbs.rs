@@ -1,0 +1,274 @@
+//! The program's verbs on datasets. Results are the JSON of the program, number for number.
+
+use crate::errors::{ModelError, PlanError, Raised};
+use crate::work::run;
+use pyo3::prelude::*;
+use radcam::calibrate::{Estimator, of_dataset as calibration_of, pattern::Options as Paper};
+use radcam::camera;
+use radcam::capture as campaign;
+use radcam::dataset::Dataset;
+use radcam::diagnosis::{diagnose as search, searched};
+use radcam::emva::{Definitions, evaluate, of_dataset};
+use radcam::inference::{Given, compare as judge, fit, start};
+use radcam::plan::Plan;
+use radcam::reduction;
+use radcam::source::Source;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+type Progress<'py> = Option<Bound<'py, PyAny>>;
+
+fn json(value: &impl serde::Serialize) -> PyResult<String> {
+    serde_json::to_string(value).map_err(|e| crate::errors::RadcamError::new_err(e.to_string()))
+}
+
+fn model(name: &str) -> PyResult<radcam_sim::Model> {
+    camera::sim::model(name, None).map_err(ModelError::new_err)
+}
+
+fn effects(name: Option<&str>) -> PyResult<Vec<Given>> {
+    let Some(name) = name else { return Ok(Vec::new()) };
+    radcam::model::given(&model(name)?.effects).map_err(Raised::raised)
+}
+
+#[pyfunction]
+#[pyo3(signature = (paths, progress=None))]
+fn noise(py: Python<'_>, paths: Vec<PathBuf>, progress: Progress<'_>) -> PyResult<String> {
+    run(py, progress.as_ref(), move |w| {
+        let source = Source::open_all(&paths).map_err(Raised::raised)?;
+        json(&source.noise_with(&w.stop, &mut |done, of| w.step(done, of)).map_err(Raised::raised)?)
+    })
+}
+
+#[pyfunction]
+#[pyo3(signature = (paths, model=None, progress=None))]
+fn compare(
+    py: Python<'_>,
+    paths: Vec<PathBuf>,
+    model: Option<String>,
+    progress: Progress<'_>,
+) -> PyResult<String> {
+    run(py, progress.as_ref(), move |w| {
+        let effects = effects(model.as_deref())?;
+        let source = Source::open_all(&paths).map_err(Raised::raised)?;
+        let all =
+            source.observations_with(&w.stop, &mut |done, of| w.step(done, of)).map_err(Raised::raised)?;
+        json(&judge(&all, &fit(&all, &start(&all), &searched(&all, &effects))))
+    })
+}
+
+#[pyfunction]
+#[pyo3(signature = (paths, model=None, progress=None))]
+fn diagnose(
+    py: Python<'_>,
+    paths: Vec<PathBuf>,
+    model: Option<String>,
+    progress: Progress<'_>,
+) -> PyResult<(String, Option<String>)> {
+    run(py, progress.as_ref(), move |w| {
+        let effects = effects(model.as_deref())?;
+        let source = Source::open_all(&paths).map_err(Raised::raised)?;
+        let all =
+            source.observations_with(&w.stop, &mut |done, of| w.step(done, of)).map_err(Raised::raised)?;
+        let found = search(&all, None, searched(&all, &effects), &mut |_| {});
+        let next = found.next_plan.as_ref().map(Plan::to_toml).transpose().map_err(Raised::raised)?;
+        Ok((json(&found)?, next))
+    })
+}
+
+#[pyfunction]
+#[pyo3(signature = (path, release="4.0", progress=None))]
+fn emva(py: Python<'_>, path: PathBuf, release: &str, progress: Progress<'_>) -> PyResult<String> {
+    let definitions = match release {
+        "4.0" => Definitions::Release4,
+        "3.1" => Definitions::Release31,
+        "reference-tool" => Definitions::ReferenceTool,
+        other => {
+            let message = format!("release is {other:?}; there are \"4.0\", \"3.1\" and \"reference-tool\"");
+            return Err(pyo3::exceptions::PyValueError::new_err(message));
+        }
+    };
+    run(py, progress.as_ref(), move |w| {
+        let dataset = Dataset::open(&path).map_err(Raised::raised)?;
+        let points = of_dataset(&dataset, &w.stop, &|done, of| w.step(done, of)).map_err(Raised::raised)?;
+        json(&evaluate(&points, definitions).map_err(Raised::raised)?)
+    })
+}
+
+#[pyfunction]
+#[pyo3(signature = (path, output, estimator="joint", progress=None))]
+fn calibrate(
+    py: Python<'_>,
+    path: PathBuf,
+    output: PathBuf,
+    estimator: &str,
+    progress: Progress<'_>,
+) -> PyResult<String> {
+    let estimator = match estimator {
+        "joint" => Estimator::Joint,
+        "paper" => Estimator::Paper(Paper::default()),
+        "smooth" => Estimator::Smooth,
+        other => {
+            let message = format!("estimator is {other:?}; there are \"joint\", \"paper\" and \"smooth\"");
+            return Err(pyo3::exceptions::PyValueError::new_err(message));
+        }
+    };
+    run(py, progress.as_ref(), move |w| {
+        let dataset = Dataset::open(&path).map_err(Raised::raised)?;
+        let noise = radcam::noise::of_dataset(&dataset, &w.stop, &mut |done, of| w.step(done, of)).ok();
+        let from = format!("radcam {} from {}", env!("CARGO_PKG_VERSION"), path.display());
+        let made = calibration_of(&dataset, estimator, noise.as_ref(), &from).map_err(Raised::raised)?;
+        made.calibration.write(&output).map_err(Raised::raised)?;
+        json(&made.calibration.description)
+    })
+}
+
+fn plan(name: &str) -> PyResult<Plan> {
+    if let Some(plan) = Plan::named(name) {
+        return Ok(plan);
+    }
+    if !Path::new(name).exists() && !name.contains('\n') {
+        let message = format!("no plan \"{name}\": neither a file nor one of quick, standard, emva1288");
+        return Err(PlanError::new_err(message));
+    }
+    let text = if name.contains('\n') { name.into() } else { std::fs::read_to_string(name)? };
+    Plan::from_toml(&text).map_err(Raised::raised)
+}
+
+/// Captures a plan with a camera; `model` and `seed` of a simulated one.
+#[pyfunction]
+#[pyo3(signature = (camera, output, plan_name="standard", region=None, full_exposure_s=None, seed=None, progress=None))]
+#[allow(clippy::too_many_arguments)] // as many as the verb has
+fn capture(
+    py: Python<'_>,
+    camera: String,
+    output: PathBuf,
+    plan_name: &str,
+    region: Option<[u32; 4]>,
+    full_exposure_s: Option<f64>,
+    seed: Option<u64>,
+    progress: Progress<'_>,
+) -> PyResult<String> {
+    let mut plan = plan(plan_name)?;
+    plan.camera.region = region.or(plan.camera.region);
+    plan.full_exposure_s = full_exposure_s.or(plan.full_exposure_s);
+    run(py, progress.as_ref(), move |w| {
+        let mut camera: Box<dyn camera::Camera> = match camera.strip_prefix("sim:") {
+            Some(sensor) => Box::new(camera::sim::SimCamera::open(sensor, seed).map_err(Raised::raised)?),
+            None => camera::open(&camera).map_err(Raised::raised)?,
+        };
+        let mut bench = radcam::bench::of(&mut *camera, &plan);
+        let mut progress = |p: campaign::Progress| w.step(p.frames as usize, p.of as usize);
+        let mut capture = campaign::Capture::new(&mut *camera, &mut *bench);
+        capture.stop = &w.stop;
+        capture.progress = Some(&mut progress);
+        json(&capture.run(&plan, &output).map_err(Raised::raised)?)
+    })
+}
+
+/// Reduces parts to a file of statistics; (frames, sets).
+#[pyfunction]
+#[pyo3(signature = (parts, output, plan=None, look=false, progress=None))]
+fn reduce(
+    py: Python<'_>,
+    parts: Vec<PathBuf>,
+    output: PathBuf,
+    plan: Option<PathBuf>,
+    look: bool,
+    progress: Progress<'_>,
+) -> PyResult<(usize, usize)> {
+    run(py, progress.as_ref(), move |w| {
+        let open = |p: &PathBuf| Dataset::open(p).map_err(Raised::raised);
+        let options = reduction::Options { plan: plan.as_ref().map(open).transpose()?, look_only: look };
+        let parts = parts.iter().map(open).collect::<PyResult<_>>()?;
+        let reduced = reduction::reduce(parts, &options, &w.stop, &mut |done, of| w.step(done, of));
+        let reduced = reduced.map_err(Raised::raised)?;
+        reduction::write(&reduced, &output).map_err(Raised::raised)?;
+        Ok((reduced.rows().len(), reduced.sets().len()))
+    })
+}
+
+/// Fits a model's effects to datasets: the model as TOML.
+#[pyfunction]
+#[pyo3(signature = (text, paths, progress=None))]
+fn fit_model(py: Python<'_>, text: String, paths: Vec<PathBuf>, progress: Progress<'_>) -> PyResult<String> {
+    run(py, progress.as_ref(), move |w| {
+        let model = radcam_sim::Model::from_toml(&text).map_err(Raised::raised)?;
+        let source = Source::open_all(&paths).map_err(Raised::raised)?;
+        let all =
+            source.observations_with(&w.stop, &mut |done, of| w.step(done, of)).map_err(Raised::raised)?;
+        let effects = radcam::model::to_be_fitted(&model).map_err(Raised::raised)?;
+        let fitted = fit(&all, &start(&all), &searched(&all, &effects));
+        let camera = match &source {
+            Source::Frames(dataset) => Some(&dataset.manifest().camera),
+            Source::Table(_) => None,
+        };
+        radcam::model::with_fit(model, &all, &fitted, camera).to_toml().map_err(Raised::raised)
+    })
+}
+
+/// A sensor or a model file as TOML, checked.
+#[pyfunction]
+fn load_model(name: &str) -> PyResult<String> {
+    model(name)?.to_toml().map_err(Raised::raised)
+}
+
+/// TOML of a model, checked, as JSON.
+#[pyfunction]
+fn check_model(text: &str) -> PyResult<String> {
+    json(&radcam_sim::Model::from_toml(text).map_err(Raised::raised)?)
+}
+
+/// TOML of a model with one more effect, whose parameters are those that are given; a fit finds the others.
+#[pyfunction]
+fn add_to_model(text: &str, effect: &str, parameters: BTreeMap<String, f64>) -> PyResult<String> {
+    let mut model = radcam_sim::Model::from_toml(text).map_err(Raised::raised)?;
+    if model.effects.iter().any(|e| e.id == effect) {
+        return Err(ModelError::new_err(format!("the model has {effect} already")));
+    }
+    model.effects.push(radcam_sim::EffectValues { id: effect.into(), parameters, ..Default::default() });
+    model.check().map_err(Raised::raised)?;
+    model.to_toml().map_err(Raised::raised)
+}
+
+/// TOML of a model without an effect.
+#[pyfunction]
+fn remove_from_model(text: &str, effect: &str) -> PyResult<String> {
+    let mut model = radcam_sim::Model::from_toml(text).map_err(Raised::raised)?;
+    let before = model.effects.len();
+    model.effects.retain(|e| e.id != effect);
+    if model.effects.len() == before {
+        return Err(ModelError::new_err(format!("the model has no effect \"{effect}\"")));
+    }
+    model.to_toml().map_err(Raised::raised)
+}
+
+/// The catalogue of effects as JSON.
+#[pyfunction]
+fn catalogue() -> PyResult<String> {
+    json(&radcam_sim::effects::all().iter().map(|e| radcam::model::page(*e)).collect::<Vec<_>>())
+}
+
+/// Cameras that can be opened now: (name, vendor, model, serial number, protocol).
+#[pyfunction]
+fn cameras(py: Python<'_>) -> Vec<(String, String, String, String, String)> {
+    let all = py.detach(camera::list);
+    all.into_iter().map(|c| (c.camera, c.vendor, c.model, c.serial, c.protocol)).collect()
+}
+
+pub fn add(m: &Bound<'_, PyModule>) -> PyResult<()> {
+    m.add_function(wrap_pyfunction!(noise, m)?)?;
+    m.add_function(wrap_pyfunction!(compare, m)?)?;
+    m.add_function(wrap_pyfunction!(diagnose, m)?)?;
+    m.add_function(wrap_pyfunction!(emva, m)?)?;
+    m.add_function(wrap_pyfunction!(calibrate, m)?)?;
+    m.add_function(wrap_pyfunction!(capture, m)?)?;
+    m.add_function(wrap_pyfunction!(reduce, m)?)?;
+    m.add_function(wrap_pyfunction!(fit_model, m)?)?;
+    m.add_function(wrap_pyfunction!(load_model, m)?)?;
+    m.add_function(wrap_pyfunction!(check_model, m)?)?;
+    m.add_function(wrap_pyfunction!(add_to_model, m)?)?;
+    m.add_function(wrap_pyfunction!(remove_from_model, m)?)?;
+    m.add_function(wrap_pyfunction!(catalogue, m)?)?;
+    m.add_function(wrap_pyfunction!(cameras, m)?)
+}
