@@ -1,0 +1,215 @@
+"""The package as a user has it: installed, with its program."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import radcam
+
+
+def program(*arguments: str | os.PathLike[str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(["radcam", *arguments], capture_output=True, text=True)
+
+
+@pytest.mark.skipif(not radcam.HAS_ARAVIS, reason="built without libaravis")
+def test_ten_lines(served: str, tmp_path: Path) -> None:
+    os.chdir(tmp_path)
+    camera = radcam.Camera(served)
+    camera.set_exposure_s(0.004)
+    frames = list(camera.frames(4))
+    print(radcam.statistics(frames, bit_depth=12).var_dn2)
+    del camera
+    radcam.capture(served, "campaign", "quick", region=(0, 0, 128, 96))
+    print(radcam.noise("campaign").gain_dn_per_e, radcam.diagnose("campaign").verdict)
+    calibration = radcam.calibrate("campaign", "cal.tiff", "smooth")
+    corrector = calibration.corrector(exposure_s=0.004)
+    corrected = corrector.correct(np.ascontiguousarray(frames[0][:96, :128]))
+    # What the lines gave.
+    assert len(frames) == 4 and frames[0].dtype == np.uint16 and frames[0].ndim == 2
+    gain = radcam.noise("campaign").gain_dn_per_e
+    assert abs(gain.value - 0.38) < 5 * gain.std_err
+    assert radcam.diagnose("campaign").consistent
+    assert corrected.dtype == np.float32 and corrected.shape == (96, 128)
+    # Light and no black level are left: an exposure of 4 ms gives some hundred DN.
+    assert 10 < corrected.mean() < 4095
+
+
+def test_numbers_are_those_of_the_program(campaign: Path, lagging: Path) -> None:
+    for path in (campaign, lagging):
+        for verb, ours in (("noise", radcam.noise), ("diagnose", radcam.diagnose), ("compare", radcam.compare)):
+            said = program(verb, path, "--json")
+            assert said.returncode in (0, 1), said.stderr
+            assert json.loads(said.stdout) == ours(path).json(), f"{verb} {path}"
+
+
+def test_a_hidden_effect_is_named(lagging: Path) -> None:
+    found = radcam.diagnose(lagging)
+    assert found.kind == "named" and found.effects == ["row-noise"]
+    assert abs(found.missing[0].parameters["e"].value - 4.0) < 5 * found.missing[0].parameters["e"].std_err
+    assert found.error_after < 1.2 < found.error_before
+    fitted = radcam.Model.load("cmos12").add("row-noise").fit(lagging)
+    assert fitted.effects == ["row-noise"] and fitted.remove("row-noise").effects == []
+
+
+def test_results_show_themselves(campaign: Path) -> None:
+    for result in (radcam.noise(campaign), radcam.diagnose(campaign), radcam.compare(campaign)):
+        page = result._repr_html_()
+        assert "<table>" in page and "<svg" in page and "nan" not in page.lower().split("<svg")[0]
+        assert len(result.to_frame()) > 0
+    q = radcam.noise(campaign).gain_dn_per_e
+    assert str(q).endswith("DN/e") and "±" in str(q)
+
+
+def test_frames_and_statistics(campaign: Path) -> None:
+    dataset = radcam.Dataset(campaign)
+    assert dataset.shape == (64, 96) and dataset.bit_depth == 12
+    flat = max((s for s in dataset.sets if s.kind == "flat"), key=lambda s: s.exposure_s)
+    frames = list(dataset.frames(flat))
+    stack = np.stack(frames)
+    whole = radcam.moments(frames, 12)
+    # numpy's sums round, ours do not.
+    np.testing.assert_allclose(whole.mean_dn(), stack.mean(0), rtol=1e-14)
+    np.testing.assert_allclose(whole.variance_dn2(), stack.var(0, ddof=1), rtol=1e-9)
+    part = radcam.moments(frames[:1], 12)
+    part.merge(radcam.moments(iter(frames[1:]), 12))
+    assert np.array_equal(part.variance_dn2(), whole.variance_dn2()) and part.frames == len(frames)
+    found = radcam.statistics((f for f in frames), 12)
+    # The residual mean square of pixel and frame: the frames' own means taken off.
+    residual = stack - stack.mean(0) - stack.mean((1, 2), keepdims=True) + stack.mean()
+    expected = (residual**2).sum() / ((len(frames) - 1) * stack[0].size)
+    assert abs(found.var_dn2.value / expected - 1) < 1e-3
+    assert found.frames == len(frames)
+    for wrong in (stack.astype(np.float32)[0], frames[0][:10]):
+        with pytest.raises((TypeError, ValueError)):
+            whole.add(wrong)
+    with pytest.raises(ValueError, match="4000 DN"):
+        radcam.moments([np.full((4, 4), 4000, np.uint16)], 11)
+    with pytest.raises(ValueError, match="two frames"):
+        radcam.statistics(frames[:1])
+
+
+def test_correction(campaign: Path, tmp_path: Path) -> None:
+    calibration = radcam.calibrate(campaign, tmp_path / "cal.tiff", "smooth")
+    exposure_s = 0.004
+    corrector = calibration.corrector(exposure_s)
+    frame = radcam.Dataset(campaign).read(20)
+    expected = (frame - calibration.dark_dn(exposure_s)) / calibration.k
+    got = corrector.correct(frame)
+    # Maps are kept as half floats about their median: Corrector says how much that rounds.
+    np.testing.assert_allclose(got, expected, rtol=1e-4, atol=0.02)
+    out = np.empty_like(got)
+    assert corrector.correct(frame, out=out) is out and np.array_equal(out, got)
+    codes = corrector.correct_codes(frame, scale=4.0, offset=100.0)
+    assert np.abs(codes - np.clip(4.0 * got + 100.0, 0, 65535)).max() <= 0.51
+    assert corrector.correct_codes(frame, scale=4.0, offset=100.0, out=frame) is frame
+    assert np.array_equal(frame, codes)
+    with pytest.raises(radcam.CorrectError, match="pixels"):
+        corrector.correct(np.zeros((3, 3), np.uint16))
+    with pytest.raises(ValueError, match="ascontiguousarray"):
+        corrector.correct(frame[::-1])
+
+
+def test_the_simulator_draws_what_it_draws() -> None:
+    sensor = radcam.Sensor("cmos12", seed=3)
+    a, b = sensor.draw(5, 0.004), sensor.draw(5, 0.004)
+    assert np.array_equal(a, b) and a.shape == sensor.shape
+    out = np.empty(sensor.shape, np.uint16)
+    assert sensor.draw(5, 0.004, out=out) is out and np.array_equal(out, a)
+    assert not np.array_equal(sensor.draw(6, 0.004), a)
+    with pytest.raises(ValueError, match="out is not"):
+        sensor.draw(1, 0.004, out=np.empty((2, 2), np.uint16))
+    with pytest.raises(ValueError, match="exposure_s"):
+        sensor.draw(1, float("nan"))
+
+
+def test_a_simulated_camera_is_an_iterator() -> None:
+    camera = radcam.Camera("sim:cmos12")
+    x, y, width, height = camera.set_region(0, 0, 64, 48)
+    assert camera.set_exposure_s(0.002) == pytest.approx(0.002)
+    with camera.frames() as frames:
+        first = next(frames)
+        assert first.shape == (height, width) and frames.last is not None
+        with pytest.raises(radcam.CameraError, match="being read"):
+            camera.settings()
+        with pytest.raises(radcam.CameraError, match="close them"):
+            camera.frames()
+    assert camera.settings()["region"] == (x, y, width, height)
+    assert sum(1 for _ in camera.frames(7)) == 7
+    assert list(camera.frames(0)) == []
+
+
+def test_errors_are_named(tmp_path: Path) -> None:
+    with pytest.raises(radcam.DatasetError, match="nowhere"):
+        radcam.noise(tmp_path / "nowhere")
+    with pytest.raises(radcam.CameraError, match="no backend"):
+        radcam.Camera("usb:1")
+    with pytest.raises(radcam.ModelError, match="no-such-effect"):
+        radcam.Model.load("cmos12").add("no-such-effect")
+    with pytest.raises(radcam.PlanError, match="no plan"):
+        radcam.simulate("cmos12", tmp_path / "x", "no-such-plan")
+    with pytest.raises(radcam.CalibrateError):
+        (tmp_path / "cal.tiff").write_bytes(b"no TIFF")
+        radcam.Calibration(tmp_path / "cal.tiff")
+    assert issubclass(radcam.NoiseError, radcam.RadcamError)
+
+
+def test_ctrl_c_ends_long_work(tmp_path: Path) -> None:
+    threading.Timer(0.7, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+    begun = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        radcam.simulate("cmos12", tmp_path / "long", "standard")
+    # The standard plan of the whole sensor takes longer than that by far.
+    assert time.monotonic() - begun < 10
+
+
+def test_other_threads_run_meanwhile(campaign: Path) -> None:
+    counted = [0]
+    end = threading.Event()
+
+    def count() -> None:
+        while not end.is_set():
+            counted[0] += 1
+            time.sleep(0.001)
+
+    thread = threading.Thread(target=count)
+    thread.start()
+    try:
+        radcam.diagnose(campaign)
+    finally:
+        end.set()
+        thread.join()
+    assert counted[0] > 5
+
+
+def test_progress_is_told(campaign: Path) -> None:
+    told: list[tuple[int, int]] = []
+    radcam.noise(campaign, progress=lambda done, of: told.append((done, of)))
+    assert told and told[-1][0] == told[-1][1]
+    with pytest.raises(ZeroDivisionError):
+        radcam.noise(campaign, progress=lambda done, of: 1 // 0)
+
+
+def test_the_program_comes_with_it() -> None:
+    said = program("--version")
+    assert said.stdout.strip() == f"radcam {radcam.__version__}"
+    assert program("noise", "/nowhere").returncode == 2
+    again = subprocess.run([sys.executable, "-m", "radcam", "--version"], capture_output=True, text=True)
+    assert again.stdout == said.stdout
+
+
+def test_types_agree() -> None:
+    """mypy finds nothing in the package, and the stubs say what is there."""
+    checked = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--ignore-missing-imports", "--allow-untyped-calls", "-p", "radcam"], capture_output=True, text=True
+    )
+    assert checked.returncode == 0, checked.stdout
+    stubs = subprocess.run([sys.executable, "-m", "mypy.stubtest", "radcam._radcam"], capture_output=True, text=True)
+    assert stubs.returncode == 0, stubs.stdout + stubs.stderr
