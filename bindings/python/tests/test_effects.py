@@ -46,7 +46,7 @@ def registered() -> None:
 
 
 REL = 0.003
-SEEDS = range(20, 26)
+SEEDS = range(20, 23)
 
 
 @pytest.fixture(scope="module")
@@ -55,15 +55,15 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     model = radcam.Model.load("cmos12").add("row-gain-of-python", rel=REL)
     model.save(folder / "model.toml")
     for seed in SEEDS:
-        radcam.simulate(folder / "model.toml", folder / f"campaign{seed}", region=(0, 0, 128, 96), seed=seed)
+        radcam.simulate(folder / "model.toml", folder / f"campaign{seed}", region=(0, 0, 96, 64), seed=seed)
     return sorted(folder.glob("campaign*"))
 
 
 def test_drawn_is_predicted(drawn: list[Path]) -> None:
-    """Over six campaigns: residuals of the model with the effect have the size that their errors say; without it they do not."""
+    """Over three campaigns: residuals of the model with the effect have the size that their errors say; without it they do not."""
     model = drawn[0].parent / "model.toml"
     with_it = [radcam.compare(c, model) for c in drawn]
-    # The smallest of six chances lies below 1e-3 in 6 of 1000 runs.
+    # The smallest of three chances lies below 1e-3 in 3 of 1000 runs.
     assert min(c.p_value for c in with_it) > 1e-3, [c.p_value for c in with_it]
     row = [r.z for c in with_it for r in c.residuals if r.statistic == "variance of row means"]
     assert len(row) > 100

@@ -5,7 +5,14 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__: list[str]
+__all__ = [
+    "CalibrateError", "Calibration", "Camera", "CameraError", "Campaign", "CaptureError", "CorrectError", "Corrector", "Dataset",
+    "DatasetError", "Drawn", "EmvaError", "Frames", "HAS_ARAVIS", "ModelError", "Moments", "NoiseError", "ObserveError", "PlainCamera",
+    "PlanError", "Prediction", "RadcamError", "Sensor", "SetPrediction", "__version__", "add_to_model", "calibrate", "cameras", "capture",
+    "catalogue", "check_model", "compare", "diagnose", "emva", "fit_model", "load_model", "main", "noise", "reduce", "register",
+    "remove_from_model", "statistics",
+]
+
 __version__: str
 HAS_ARAVIS: bool
 
