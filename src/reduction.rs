@@ -16,7 +16,7 @@ use crate::observables::{LeftOut, Look, ObserveError, Work, record, record_looks
 use crate::statistics::level::Level;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
@@ -136,7 +136,7 @@ pub fn reduce(
 ) -> Result<Dataset, ObserveError> {
     let part = gather(parts)?;
     if options.look_only {
-        let looks = record_looks(&part, &|_| true, stop)?;
+        let looks = record_looks(&part, stop)?;
         return Ok(part.with_reduced(looks));
     }
     let Some(plan) = &options.plan else {
@@ -144,7 +144,7 @@ pub fn reduce(
         return Ok(part.with_reduced(reduced));
     };
     let (whole, own) = planned(plan, &part)?;
-    let reduced = of_sets(&whole, &|s| own.contains_key(&s.number), stop, progress)?;
+    let reduced = of_sets(&whole, &|s| own.contains(&s.number), stop, progress)?;
     Ok(part.with_reduced(reduced))
 }
 
@@ -168,7 +168,7 @@ fn of_sets(
 }
 
 /// The whole campaign of a plan with the files of a part, and the sets of which the part has every frame.
-fn planned(plan: &Dataset, part: &Dataset) -> Result<(Dataset, BTreeMap<u32, ()>), ObserveError> {
+fn planned(plan: &Dataset, part: &Dataset) -> Result<(Dataset, BTreeSet<u32>), ObserveError> {
     let differs = plan.manifest().differences(part.manifest());
     if !differs.is_empty() {
         let message = format!("the part is not of the plan's campaign: {}", differs.join("; "));
@@ -199,7 +199,7 @@ fn planned(plan: &Dataset, part: &Dataset) -> Result<(Dataset, BTreeMap<u32, ()>
     let folders = plan.folders().iter().chain(part.folders()).cloned().collect();
     let reduced = plan.reduced().cloned().unwrap_or_default();
     let whole = Dataset::of_parts(plan.root(), plan.manifest().clone(), rows, folders)?.with_reduced(reduced);
-    let complete = sets.into_iter().filter(|(_, (own, all))| own == all).map(|(set, _)| (set, ()));
+    let complete = sets.into_iter().filter(|(_, (own, all))| own == all).map(|(set, _)| set);
     Ok((whole, complete.collect()))
 }
 

@@ -743,19 +743,11 @@ pub fn read(
     })
 }
 
-/// The first look at the sets that are wanted, to be kept.
-pub fn record_looks(
-    dataset: &Dataset,
-    wanted: &(dyn Fn(&Set) -> bool + Sync),
-    stop: &AtomicBool,
-) -> Result<Reduced, ObserveError> {
-    let full = dataset.manifest().camera.full_scale_dn();
-    let (mut out, none) = (Reduced::default(), AtomicUsize::new(0));
-    for (set, info) in dataset.sets().iter().enumerate().filter(|(_, s)| wanted(s)) {
-        if stop.load(Ordering::Relaxed) {
-            return Err(ObserveError::Interrupted);
-        }
-        out.add_look(Place::first(dataset, info, FIRST), look(dataset, set, full, &none)?);
+/// The first look at every set, to be kept.
+pub fn record_looks(dataset: &Dataset, stop: &AtomicBool) -> Result<Reduced, ObserveError> {
+    let mut out = Reduced::default();
+    for (set, look) in dataset.sets().iter().zip(first_look(dataset, stop, &mut |_| {})?) {
+        out.add_look(Place::first(dataset, set, FIRST), look.without_frames());
     }
     Ok(out)
 }
