@@ -140,12 +140,28 @@ pub fn reduce(
         return Ok(part.with_reduced(looks));
     }
     let Some(plan) = &options.plan else {
-        let reduced = of_sets(&part, &|_| true, stop, progress)?;
+        let reduced = of_sets(&part, &|_| true, stop, progress).map_err(|e| read_again(&part, e))?;
         return Ok(part.with_reduced(reduced));
     };
     let (whole, own) = planned(plan, &part)?;
     let reduced = of_sets(&whole, &|s| own.contains(&s.number), stop, progress)?;
     Ok(part.with_reduced(reduced))
+}
+
+/// A frame of parts that were reduced already is read only where they did not know each other: says so where it is gone.
+fn read_again(part: &Dataset, error: ObserveError) -> ObserveError {
+    match error {
+        ObserveError::Dataset(DatasetError::Frame { file, set, index, message })
+            if part.reduced().is_some_and(|r| !r.pieces.is_empty()) =>
+        {
+            let message = format!(
+                "{message}; merge reads frames again of parts that were reduced without a plan: bring them back, or reduce the parts with the plan \
+                 of all (reduce --look, merge --look, reduce --plan)"
+            );
+            DatasetError::Frame { file, set, index, message }.into()
+        }
+        e => e,
+    }
 }
 
 fn of_sets(

@@ -226,9 +226,10 @@ pub(crate) fn power(image: &Array2<f64>) -> Vec<f64> {
         .fold(
             || vec![0.0; half],
             |mut sum, row| {
-                let mut line: Vec<Complex<f64>> = row.iter().map(|v| Complex::new(v - mean, 0.0)).collect();
+                let mut line: Vec<Complex<f32>> =
+                    row.iter().map(|v| Complex::new((v - mean) as f32, 0.0)).collect();
                 fft.process(&mut line);
-                sum.iter_mut().zip(&line).for_each(|(s, c)| *s += c.norm_sqr());
+                sum.iter_mut().zip(&line).for_each(|(s, c)| *s += f64::from(c.norm_sqr()));
                 sum
             },
         )

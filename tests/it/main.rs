@@ -22,6 +22,7 @@ mod noise;
 mod outside;
 mod program;
 mod real;
+mod reduction;
 mod report;
 mod support;
 

@@ -61,6 +61,7 @@ impl Camera {
 impl Camera {
     #[new]
     fn new(py: Python<'_>, name: &str) -> PyResult<Self> {
+        crate::logs::begin();
         let opened = py.detach(|| camera::open(name)).map_err(Raised::raised)?;
         let camera::Identity { id, vendor, model, serial, .. } = opened.identity().clone();
         Ok(Self { place: Arc::new(Mutex::new(Some(opened))), id, vendor, model, serial })

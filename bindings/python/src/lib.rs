@@ -5,6 +5,7 @@ mod camera;
 mod effect;
 mod errors;
 mod frames;
+mod logs;
 mod verbs;
 mod work;
 

@@ -32,6 +32,7 @@ pub fn run<T: Send + 'static>(
     progress: Option<&Bound<'_, PyAny>>,
     work: impl FnOnce(&Watch) -> PyResult<T> + Send + 'static,
 ) -> PyResult<T> {
+    crate::logs::begin();
     let (tell, told) = channel();
     let told = Mutex::new(told);
     let watch = Watch { stop: Arc::new(AtomicBool::new(false)), tell };

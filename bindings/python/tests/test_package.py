@@ -1,6 +1,7 @@
 """The package as a user has it: installed, with its program."""
 
 import json
+import logging
 import os
 import signal
 import subprocess
@@ -195,6 +196,12 @@ def test_progress_is_told(campaign: Path) -> None:
     assert told and told[-1][0] == told[-1][1]
     with pytest.raises(ZeroDivisionError):
         radcam.noise(campaign, progress=lambda done, of: 1 // 0)
+
+
+def test_what_is_done_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO, logger="radcam"):
+        radcam.simulate("cmos12", tmp_path / "c", "quick", region=(0, 0, 32, 32))
+    assert any(r.name.startswith("radcam.capture") and r.levelno == logging.INFO for r in caplog.records), caplog.text
 
 
 def test_the_program_comes_with_it() -> None:

@@ -2,7 +2,7 @@
 
 Frames and maps are numpy arrays of (rows, columns) in DN. Paths are dataset folders, EMVA 1288 descriptors, tables or files of statistics, as the
 program `radcam` takes them. Results are dataclasses with the numbers of the program, bit for bit. Long work leaves the interpreter to other
-threads, ends at Ctrl-C, and shows a bar where tqdm is there and `progress=True`.
+threads, ends at Ctrl-C, and shows a bar where tqdm is there and `progress=True`. Warnings and what is done go to `logging`, under "radcam".
 
 >>> import radcam
 >>> radcam.simulate("cmos12", "campaign", plan="quick", region=(0, 0, 64, 64))  # doctest: +SKIP
