@@ -29,7 +29,7 @@ const PIXELS_PER_BYTE: usize = 64;
 
 /// Frames of a set, and what they were read with.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-pub struct Piece {
+pub struct Key {
     pub(crate) set: u32,
     /// Places of the set's frames in time, as `frames.csv` numbers them.
     pub(crate) indices: Vec<u32>,
@@ -38,11 +38,11 @@ pub struct Piece {
     pub(crate) to: usize,
     pub(crate) before: bool,
     pub(crate) clean: bool,
-    /// Digest of the first look.
+    /// Of a piece the digest of the first look; of looks and levels, which nothing else decides, the version.
     pub(crate) under: String,
 }
 
-impl Piece {
+impl Key {
     /// The first frames of a set, whatever they are read with.
     pub(crate) fn first(dataset: &Dataset, set: &Set, frames: usize) -> Self {
         let indices: Vec<u32> = set.rows.iter().take(frames).map(|&r| dataset.rows()[r].index).collect();
@@ -53,7 +53,7 @@ impl Piece {
             indices,
             before: false,
             clean: true,
-            under: String::new(),
+            under: env!("CARGO_PKG_VERSION").into(),
         }
     }
 }
@@ -61,30 +61,30 @@ impl Piece {
 /// What was kept of frames.
 #[derive(Debug, Clone, Default)]
 pub struct Reduced {
-    looks: HashMap<Piece, Look>,
-    pieces: HashMap<Piece, (Work, LeftOut)>,
-    levels: HashMap<Piece, Option<Level>>,
+    looks: HashMap<Key, Look>,
+    pieces: HashMap<Key, (Work, LeftOut)>,
+    levels: HashMap<Key, Option<Level>>,
 }
 
 impl Reduced {
-    pub(crate) fn look(&self, of: &Piece) -> Option<&Look> {
+    pub(crate) fn look(&self, of: &Key) -> Option<&Look> {
         self.looks.get(of)
     }
 
-    pub(crate) fn add_look(&mut self, of: Piece, look: Look) {
+    pub(crate) fn add_look(&mut self, of: Key, look: Look) {
         self.looks.insert(of, look);
     }
 
-    pub(crate) fn piece(&self, of: &Piece) -> Option<&(Work, LeftOut)> {
+    pub(crate) fn piece(&self, of: &Key) -> Option<&(Work, LeftOut)> {
         self.pieces.get(of)
     }
 
-    pub(crate) fn add_piece(&mut self, of: Piece, work: (Work, LeftOut)) {
+    pub(crate) fn add_piece(&mut self, of: Key, work: (Work, LeftOut)) {
         self.pieces.insert(of, work);
     }
 
     /// Mean and variance of a set, as `noise` takes them.
-    pub(crate) fn level(&self, of: &Piece) -> Option<&Option<Level>> {
+    pub(crate) fn level(&self, of: &Key) -> Option<&Option<Level>> {
         self.levels.get(of)
     }
 
@@ -178,7 +178,7 @@ fn of_sets(
             NoiseError::Interrupted => ObserveError::Interrupted,
             e => ObserveError::Nothing(e.to_string()),
         })?;
-        out.levels.insert(Piece::first(dataset, set, usize::MAX), level);
+        out.levels.insert(Key::first(dataset, set, usize::MAX), level);
     }
     Ok(out)
 }
@@ -274,9 +274,9 @@ struct Stored {
     manifest: String,
     folders: Vec<PathBuf>,
     rows: Vec<FrameRow>,
-    looks: Vec<(Piece, Look)>,
-    pieces: Vec<(Piece, (Work, LeftOut))>,
-    levels: Vec<(Piece, Option<Level>)>,
+    looks: Vec<(Key, Look)>,
+    pieces: Vec<(Key, (Work, LeftOut))>,
+    levels: Vec<(Key, Option<Level>)>,
 }
 
 /// Writes what [`reduce`] gave.
@@ -285,8 +285,8 @@ struct Stored {
 ///
 /// Where the file cannot be written.
 pub fn write(reduced: &Dataset, path: &Path) -> Result<(), DatasetError> {
-    fn sorted<T: Clone>(all: &HashMap<Piece, T>) -> Vec<(Piece, T)> {
-        let mut all: Vec<(Piece, T)> = all.iter().map(|(p, v)| (p.clone(), v.clone())).collect();
+    fn sorted<T: Clone>(all: &HashMap<Key, T>) -> Vec<(Key, T)> {
+        let mut all: Vec<(Key, T)> = all.iter().map(|(p, v)| (p.clone(), v.clone())).collect();
         all.sort_by(|a, b| a.0.cmp(&b.0));
         all
     }

@@ -5,7 +5,7 @@ use crate::dataset::table::Table;
 use crate::dataset::{Dataset, Kind, Set};
 use crate::fit::line::fit;
 use crate::number::finite;
-use crate::reduction::Piece;
+use crate::reduction::Key;
 use crate::statistics::level::{Level, LevelAccumulator};
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -137,7 +137,7 @@ pub(crate) fn level_of(
     if !matches!(dataset.settings(set).kind, Kind::Dark | Kind::Flat) {
         return Ok(None);
     }
-    if let Some(known) = dataset.reduced().and_then(|r| r.level(&Piece::first(dataset, set, usize::MAX))) {
+    if let Some(known) = dataset.reduced().and_then(|r| r.level(&Key::first(dataset, set, usize::MAX))) {
         return Ok(known.clone());
     }
     let camera = &dataset.manifest().camera;

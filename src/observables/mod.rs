@@ -28,6 +28,7 @@
 mod campaign;
 mod codes;
 mod expect;
+mod look;
 pub(crate) mod outliers;
 mod read;
 mod scene;
@@ -42,8 +43,9 @@ use crate::statistics::jackknife::Value;
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 use crate::statistics::pass::{Extra, Summary};
+pub(crate) use look::{Look, record_looks};
 use read::Chunk;
-pub(crate) use read::{LeftOut, Look, Work, record, record_looks};
+pub(crate) use read::{LeftOut, Work, record};
 use serde::{Deserialize, Serialize};
 
 /// Whether frames are fitted and judged in turn, or known to both.

@@ -1,33 +1,26 @@
-//! Reads a campaign's frames: a look at the first of every set tells which pixels count, then one pass over all of them.
+//! Reads a campaign's frames: after a first look at every set, one pass over all of them.
 //!
 //! Memory holds some frames and their sums on each core, and of the first frames of sets as many as fit into 256 MiB, however many there are.
 
-use super::{Half, ObserveError, STATISTICS, SUMMED, codes, outliers};
+use super::look::{FIRST, Look, Seen};
+use super::{Half, ObserveError, SUMMED, codes, outliers};
 use crate::dataset::{Dataset, Kind, Set};
-use crate::reduction::{Piece as Place, Reduced};
+use crate::reduction::{Key, Reduced};
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::layout::Layout;
-use crate::statistics::median::median;
 use crate::statistics::pass::{Pass, Summary};
 use crate::statistics::spectrum::Power;
 use crate::statistics::steady::Steady;
-use crate::study::hex;
 use ndarray::Array2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// Frames of a set that the first look reads.
-const FIRST: usize = 8;
 /// A set is cut into pieces of about this many frames, and into at most [`PIECES`].
 const PIECE: usize = 8;
 const PIECES: usize = 8;
-/// Bytes of decoded frames that are kept from the first look for the pass over all: compressed frames take longer to decode than to look at.
-/// A named choice: a tenth of what a small machine has.
-const KEPT: usize = 256 << 20;
 /// Share of clipped samples from which a set is not looked at.
 const CLIPPED: f64 = 1e-3;
 
@@ -72,130 +65,6 @@ pub struct Reading {
     pub saturated: Vec<(usize, f64)>,
     /// Frames and samples that were left out, in words.
     pub left_out: Vec<String>,
-}
-
-/// What the first frames of a set show.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
-pub struct Look {
-    /// Clipped pixels.
-    clipped: Vec<usize>,
-    /// Mean of a dark set, DN.
-    dark: Option<Array2<f32>>,
-    /// Mean and temporal variance of the first two frames.
-    pair: Option<(f64, f64)>,
-    /// How far the frames lie from each other; whether they are dark.
-    apart: Option<(bool, outliers::Apart)>,
-    /// The frames, as long as there is room.
-    #[serde(skip)]
-    frames: Vec<Array2<u16>>,
-}
-
-impl Look {
-    fn without_frames(&self) -> Self {
-        let Self { clipped, dark, pair, apart, frames: _ } = self;
-        Self {
-            clipped: clipped.clone(),
-            dark: dark.clone(),
-            pair: *pair,
-            apart: apart.clone(),
-            frames: Vec::new(),
-        }
-    }
-
-    /// Whether it can be of frames of (rows, columns).
-    pub fn fits(&self, shape: (usize, usize)) -> bool {
-        self.clipped.iter().all(|&i| i < shape.0 * shape.1)
-            && self.dark.as_ref().is_none_or(|d| d.dim() == shape)
-    }
-}
-
-fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<Look, ObserveError> {
-    let set = &dataset.sets()[set];
-    if let Some(known) = dataset.reduced().and_then(|r| r.look(&Place::first(dataset, set, FIRST))) {
-        return Ok(known.clone());
-    }
-    let kind = dataset.settings(set).kind;
-    let mut out = Look::default();
-    if !matches!(kind, Kind::Dark | Kind::Flat) {
-        return Ok(out);
-    }
-    let mut sum = Array2::<f32>::zeros((0, 0));
-    let mut block: Vec<Array2<u16>> = Vec::new();
-    let rows = &set.rows[..set.rows.len().min(FIRST)];
-    for &r in rows {
-        let frame = dataset.read(&dataset.rows()[r])?;
-        if sum.dim() != frame.dim() {
-            sum = Array2::zeros(frame.dim());
-        }
-        if kind == Kind::Dark {
-            sum.zip_mut_with(&frame, |m, &d| *m += f32::from(d));
-        }
-        let over = frame.iter().enumerate().filter(|(_, d)| **d >= full).map(|(i, _)| i);
-        // A set that is clipped as a whole says nothing of single pixels, and takes no memory.
-        out.clipped.extend(over.take(frame.len() / 50 + 1));
-        block.push(frame);
-    }
-    if let [a, b, ..] = block.as_slice() {
-        out.pair = Some(pair(a, b, full));
-    }
-    out.apart = Some((kind == Kind::Dark, outliers::apart(&block)));
-    if out.clipped.len() * 50 >= rows.len() * sum.len() {
-        out.clipped.clear();
-    }
-    out.dark = (kind == Kind::Dark).then(|| sum / rows.len().max(1) as f32);
-    let bytes = block.iter().map(|f| size_of::<u16>() * f.len()).sum();
-    let taken = room.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |room| room.checked_sub(bytes));
-    if taken.is_ok() {
-        out.frames = block;
-    }
-    Ok(out)
-}
-
-/// Mean and temporal variance of two frames where neither is clipped.
-fn pair(a: &Array2<u16>, b: &Array2<u16>, full: u16) -> (f64, f64) {
-    let (mut n, mut sum, mut apart, mut square) = (0.0, 0.0, 0.0, 0.0);
-    for (&a, &b) in a.iter().zip(b).filter(|(a, b)| **a < full && **b < full) {
-        let (a, b) = (f64::from(a), f64::from(b));
-        (n, sum, apart, square) = (n + 1.0, sum + a + b, apart + a - b, square + (a - b) * (a - b));
-    }
-    (0.5 * sum / n, 0.5 * (square / n - (apart / n) * (apart / n)))
-}
-
-/// Growth of variance with the mean between the dimmest and the brightest pair, DN: enough to weigh pixels.
-fn rough_gain(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
-    let points: Vec<_> = pairs.filter(|p| p.0.is_finite() && p.1.is_finite()).collect();
-    let low = points.iter().min_by(|a, b| a.0.total_cmp(&b.0));
-    let high = points.iter().max_by(|a, b| a.0.total_cmp(&b.0));
-    match (low, high) {
-        (Some(low), Some(high)) if high.0 > low.0 + 1.0 => ((high.1 - low.1) / (high.0 - low.0)).max(0.0),
-        _ => 0.0,
-    }
-}
-
-/// Which pixels count, what zero is, and how variance grows with the signal.
-fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64) {
-    let mut used = Array2::from_elem(shape, true);
-    if let Some(used) = used.as_slice_mut() {
-        looks.iter().flat_map(|l| &l.clipped).for_each(|&i| used[i] = false);
-    }
-    let darks: Vec<&Array2<f32>> = looks.iter().filter_map(|l| l.dark.as_ref()).collect();
-    let level = |d: &Array2<f32>| f64::from(d.mean().unwrap_or(0.0));
-    let shortest = darks.iter().min_by(|a, b| level(a).total_cmp(&level(b)));
-    let mut highest = shortest.map(|d| (*d).clone());
-    if let Some(highest) = &mut highest {
-        darks.iter().for_each(|d| highest.zip_mut_with(d, |a, b| *a = a.max(*b)));
-        let middle = median(highest.iter().map(|&d| f64::from(d)));
-        let spread = (median(highest.iter().map(|&d| (f64::from(d) - middle).abs())) / 0.6745).max(0.5);
-        used.zip_mut_with(highest, |u, &d| *u &= (f64::from(d) - middle).abs() < 8.0 * spread);
-    }
-    // Where most fell out, the rule was wrong and not the pixels.
-    if used.iter().filter(|u| **u).count() * 2 < used.len() {
-        used.fill(true);
-    }
-    let mut layout = Layout::new(&used, full);
-    layout.zero = shortest.map(|d| d.iter().copied().collect());
-    layout.gain = rough_gain(looks.iter().filter_map(|l| l.pair));
-    (layout, shortest.map_or(0.0, |d| level(d)))
 }
 
 /// A piece of work: frames `from..to` of a set.
@@ -318,7 +187,22 @@ struct Reader<'a, 'b> {
     kept: &'b [Look],
 }
 
-impl<'b> Reader<'_, 'b> {
+impl<'a, 'b> Reader<'a, 'b> {
+    fn new(dataset: &'a Dataset, seen: &'b Seen, stop: &'a AtomicBool) -> Self {
+        Self {
+            dataset,
+            layout: &seen.layout,
+            under: seen.digest(),
+            pool: Mutex::new(Vec::new()),
+            stop,
+            usual: seen.usual,
+            zero_dn: seen.zero_dn,
+            clean: true,
+            longest_lit_s: seen.longest_lit_s,
+            kept: &seen.looks,
+        }
+    }
+
     fn frame(&self, set: usize, place: usize) -> Result<Array2<u16>, ObserveError> {
         if self.stop.load(Ordering::Relaxed) {
             return Err(ObserveError::Interrupted);
@@ -330,16 +214,16 @@ impl<'b> Reader<'_, 'b> {
         Ok(self.dataset.read(&self.dataset.rows()[row])?)
     }
 
-    fn place(&self, p: &Piece, clean: bool) -> Place {
-        let set = Place::first(self.dataset, &self.dataset.sets()[p.set], usize::MAX);
-        Place { from: p.from, to: p.to, before: p.before, clean, under: self.under.clone(), ..set }
+    fn key(&self, p: &Piece, clean: bool) -> Key {
+        let set = Key::first(self.dataset, &self.dataset.sets()[p.set], usize::MAX);
+        Key { from: p.from, to: p.to, before: p.before, clean, under: self.under.clone(), ..set }
     }
 
     /// What was kept of a piece, where it was read under the same look and all its numbers are there.
     fn known(&self, p: &Piece) -> Option<(Work, LeftOut)> {
         let reduced = self.dataset.reduced()?;
-        let cleaned = reduced.piece(&self.place(p, true)).filter(|(_, l)| self.clean || !l.cleaned);
-        let (mut work, left_out) = cleaned.or_else(|| reduced.piece(&self.place(p, self.clean)))?.clone();
+        let cleaned = reduced.piece(&self.key(p, true)).filter(|(_, l)| self.clean || !l.cleaned);
+        let (mut work, left_out) = cleaned.or_else(|| reduced.piece(&self.key(p, self.clean)))?.clone();
         match &mut work {
             Work::Scene(scene) => (scene.set, scene.half) = (p.set, p.half),
             Work::Clipped(set, _) => *set = p.set,
@@ -601,96 +485,6 @@ impl Sums {
     }
 }
 
-/// A first look at every set: levels, and frames as far as there is room for them.
-fn first_look(
-    dataset: &Dataset,
-    stop: &AtomicBool,
-    progress: &mut dyn FnMut(usize),
-) -> Result<Vec<Look>, ObserveError> {
-    let full = dataset.manifest().camera.full_scale_dn();
-    let sets: Vec<usize> = (0..dataset.sets().len()).collect();
-    let mut looks = Vec::with_capacity(sets.len());
-    let room = AtomicUsize::new(KEPT);
-    for group in sets.chunks(8) {
-        if stop.load(Ordering::Relaxed) {
-            return Err(ObserveError::Interrupted);
-        }
-        let of_set = |&set: &usize| look(dataset, set, full, &room);
-        looks.extend(group.par_iter().map(of_set).collect::<Result<Vec<_>, _>>()?);
-        progress(looks.len());
-    }
-    Ok(looks)
-}
-
-/// What the first look at a campaign says: what every piece is read with.
-struct Seen {
-    layout: Layout,
-    zero_dn: f64,
-    usual: outliers::Usual,
-    /// Longest exposure of flats, s.
-    longest_lit_s: f64,
-    looks: Vec<Look>,
-}
-
-impl Seen {
-    fn new(
-        dataset: &Dataset,
-        stop: &AtomicBool,
-        progress: &mut dyn FnMut(usize),
-    ) -> Result<Self, ObserveError> {
-        let camera = &dataset.manifest().camera;
-        let (full, shape) = (camera.full_scale_dn(), (camera.height, camera.width));
-        if dataset.rows().is_empty() {
-            return Err(ObserveError::Nothing("the dataset has no frames".into()));
-        }
-        // Memory follows what is there: a frame must confirm the size that a header claims. Statistics have confirmed it when they were opened.
-        if dataset.reduced().is_none() {
-            dataset.read(&dataset.rows()[0])?;
-        }
-        let looks = first_look(dataset, stop, progress)?;
-        let (layout, zero_dn) = layout(shape, full, &looks);
-        let aparts: Vec<_> = looks.iter().filter_map(|l| l.apart.clone()).collect();
-        let lit = dataset.rows().iter().filter(|r| r.kind == Kind::Flat && r.illumination > 0.0);
-        let longest_lit_s = lit.map(|r| r.exposure_s).fold(0.0, f64::max);
-        Ok(Self { usual: outliers::Usual::of(&aparts, zero_dn), layout, zero_dn, longest_lit_s, looks })
-    }
-
-    /// Everything that the statistics of a piece depend on beside its frames and their settings.
-    fn digest(&self) -> String {
-        let mut all = Sha256::new();
-        all.update(env!("CARGO_PKG_VERSION"));
-        STATISTICS.iter().for_each(|s| all.update(s.id()));
-        let layout = &self.layout;
-        [layout.shape.0, layout.shape.1].iter().for_each(|n| all.update((*n as u64).to_le_bytes()));
-        layout.mask.iter().for_each(|m| all.update([u8::from(*m > 0.0)]));
-        layout.zero.iter().flatten().for_each(|z| all.update(z.to_le_bytes()));
-        let numbers = [layout.gain, self.zero_dn, self.longest_lit_s];
-        numbers.iter().for_each(|n| all.update(n.to_le_bytes()));
-        self.usual.numbers().iter().for_each(|n| all.update(n.to_le_bytes()));
-        hex(&all.finalize())
-    }
-
-    fn reader<'a, 'b>(
-        &'b self,
-        dataset: &'a Dataset,
-        kept: &'b [Look],
-        stop: &'a AtomicBool,
-    ) -> Reader<'a, 'b> {
-        Reader {
-            dataset,
-            layout: &self.layout,
-            under: self.digest(),
-            pool: Mutex::new(Vec::new()),
-            stop,
-            usual: self.usual,
-            zero_dn: self.zero_dn,
-            clean: true,
-            longest_lit_s: self.longest_lit_s,
-            kept,
-        }
-    }
-}
-
 /// Reads the frames of a dataset. `progress` is told (pieces done, pieces).
 pub fn read(
     dataset: &Dataset,
@@ -703,7 +497,7 @@ pub fn read(
     let pieces = pieces(dataset);
     let of = pieces.len() + sets.len() / 4;
     let seen = Seen::new(dataset, stop, &mut |seen| progress(seen / 4, of))?;
-    let mut reader = seen.reader(dataset, &seen.looks, stop);
+    let mut reader = Reader::new(dataset, &seen, stop);
     let samples = (shape.0 * shape.1) as f64 * dataset.rows().len() as f64;
     let mut sums = loop {
         let mut sums = Sums::new(full, shape);
@@ -743,15 +537,6 @@ pub fn read(
     })
 }
 
-/// The first look at every set, to be kept.
-pub fn record_looks(dataset: &Dataset, stop: &AtomicBool) -> Result<Reduced, ObserveError> {
-    let mut out = Reduced::default();
-    for (set, look) in dataset.sets().iter().zip(first_look(dataset, stop, &mut |_| {})?) {
-        out.add_look(Place::first(dataset, set, FIRST), look.without_frames());
-    }
-    Ok(out)
-}
-
 /// The statistics of the pieces of those sets that are wanted, to be kept. `progress` is told (pieces done, pieces).
 pub fn record(
     dataset: &Dataset,
@@ -764,20 +549,20 @@ pub fn record(
     let pieces: Vec<Piece> = pieces(dataset).into_iter().filter(|p| wanted(&sets[p.set])).collect();
     let seen = Seen::new(dataset, stop, &mut |_| {})?;
     for (set, look) in sets.iter().zip(&seen.looks).filter(|(s, _)| wanted(s)) {
-        out.add_look(Place::first(dataset, set, FIRST), look.without_frames());
+        out.add_look(Key::first(dataset, set, FIRST), look.without_frames());
     }
-    let mut reader = seen.reader(dataset, &seen.looks, stop);
+    let mut reader = Reader::new(dataset, &seen, stop);
     for clean in [true, false] {
         reader.clean = clean;
         let mut done = 0;
         for group in pieces.chunks(4 * rayon::current_num_threads()) {
             // Whether samples that stand out are struck ones is for the whole campaign to say: both ways, where it matters.
-            let needed = |p: &&Piece| clean || out.piece(&reader.place(p, true)).is_none_or(|w| w.1.cleaned);
+            let needed = |p: &&Piece| clean || out.piece(&reader.key(p, true)).is_none_or(|w| w.1.cleaned);
             let group: Vec<&Piece> = group.iter().filter(needed).collect();
             let work: Vec<(Work, LeftOut)> =
                 group.par_iter().map(|p| reader.known_or_read(p)).collect::<Result<_, _>>()?;
             for (p, work) in group.iter().zip(work) {
-                out.add_piece(reader.place(p, clean), work);
+                out.add_piece(reader.key(p, clean), work);
             }
             done += group.len();
             if clean {

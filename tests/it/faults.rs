@@ -153,6 +153,12 @@ impl Running {
     }
 }
 
+/// A folder in memory, where there is one: every frame is brought to the disk, and one that is busy with others' files would take longer than the
+/// camera. What a slow disk does has a test of its own.
+fn in_memory() -> tempfile::TempDir {
+    tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
+}
+
 /// The numbers of the frames in a folder: every pixel of each is right, and the camera's numbers run as those in the pixels do.
 fn numbers(to: &Path) -> Vec<u32> {
     let rows = fs::read_to_string(to.join("frames.csv")).unwrap();
@@ -182,7 +188,7 @@ fn accounted(s: &Summary, numbers: &[u32]) {
 #[test]
 fn packets_are_lost_doubled_reordered_and_changed() {
     let Some(mut network) = Network::new() else { return };
-    let dir = tempfile::tempdir().unwrap();
+    let dir = in_memory();
     let _camera = Camera::start(network.radcam(0), dir.path(), &["--interface", CAMERA]);
     for (damage, share, costs) in
         [("lose", 0.003, true), ("double", 0.02, false), ("reorder", 0.02, false), ("change", 0.003, true)]
@@ -214,7 +220,7 @@ fn packets_are_lost_doubled_reordered_and_changed() {
 #[test]
 fn a_camera_that_was_away_is_found_again() {
     let Some(mut network) = Network::new() else { return };
-    let dir = tempfile::tempdir().unwrap();
+    let dir = in_memory();
     let mut camera = Camera::start(network.radcam(0), dir.path(), &["--interface", CAMERA]);
     let mut stream = Running::start(network.radcam(1), dir.path(), CAMERA, &["--packet-size", "1400"]);
     stream.reaches(20);
@@ -258,7 +264,7 @@ fn a_camera_that_was_away_is_found_again() {
 #[test]
 fn two_clients_and_a_wrong_packet_size() {
     let Some(network) = Network::new() else { return };
-    let dir = tempfile::tempdir().unwrap();
+    let dir = in_memory();
     let _camera = Camera::start(network.radcam(0), dir.path(), &["--interface", CAMERA]);
     let mut stream =
         Running::start(network.radcam(1), dir.path(), CAMERA, &["--frames", "700", "--packet-size", "1400"]);
@@ -379,7 +385,7 @@ fn corrected_frames_are_served_again() {
     if !second_loopback() {
         return;
     }
-    let dir = tempfile::tempdir().unwrap();
+    let dir = in_memory();
     let shape = (HEIGHT as usize, WIDTH as usize);
     // The pixels that hold the number stay as they are.
     let maps = |i: usize| match i {
@@ -480,7 +486,7 @@ fn two_cameras_for_ten_minutes() {
     // What a network for cameras carries; both programs take the same.
     let packet = std::env::var("RADCAM_PACKET").unwrap_or("8000".into());
     let (width, height) = (1936u32, 1088u32);
-    let dir = tempfile::tempdir().unwrap();
+    let dir = in_memory();
     let model = dir.path().join("two.toml");
     fs::write(&model, small("cmos12", width, height).to_toml().unwrap()).unwrap();
     let addresses = ["127.0.0.1", "127.0.0.2"];
@@ -633,7 +639,7 @@ fn two_cameras_at_once() {
         return;
     }
     let addresses = ["127.0.0.1", "127.0.0.2"];
-    let folders = addresses.map(|_| tempfile::tempdir().unwrap());
+    let folders = addresses.map(|_| in_memory());
     let cameras: Vec<Camera> = addresses
         .iter()
         .zip(&folders)
@@ -658,8 +664,8 @@ fn two_cameras_at_once() {
 #[test]
 fn the_clock_is_set_while_frames_come() {
     let _port = gige_port();
-    let dir = tempfile::tempdir().unwrap();
-    let (source, library) = (dir.path().join("clock.c"), dir.path().join("clock.so"));
+    let (dir, aside) = (in_memory(), tempfile::tempdir().unwrap());
+    let (source, library) = (aside.path().join("clock.c"), aside.path().join("clock.so"));
     // Steps 2 and 3 s after the first look at it.
     let text = r"
         #define _GNU_SOURCE

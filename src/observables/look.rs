@@ -1,0 +1,222 @@
+//! The first look at a campaign: at most eight frames of each set tell which pixels count, the level of the darks, and how frames usually scatter.
+
+use super::{ObserveError, STATISTICS, outliers};
+use crate::dataset::{Dataset, Kind};
+use crate::reduction::{Key, Reduced};
+use crate::statistics::layout::Layout;
+use crate::statistics::median::median;
+use crate::study::hex;
+use ndarray::Array2;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+/// Frames of a set that the first look reads.
+pub(super) const FIRST: usize = 8;
+/// Bytes of decoded frames that are kept from the first look for the pass over all: compressed frames take longer to decode than to look at.
+/// A named choice: a tenth of what a small machine has.
+const KEPT: usize = 256 << 20;
+
+/// What the first frames of a set show.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub struct Look {
+    /// Clipped pixels.
+    clipped: Vec<usize>,
+    /// Mean of a dark set, DN.
+    dark: Option<Array2<f32>>,
+    /// Mean and temporal variance of the first two frames.
+    pair: Option<(f64, f64)>,
+    /// How far the frames lie from each other; whether they are dark.
+    apart: Option<(bool, outliers::Apart)>,
+    /// The frames, as long as there is room.
+    #[serde(skip)]
+    pub(super) frames: Vec<Array2<u16>>,
+}
+
+impl Look {
+    pub(super) fn without_frames(&self) -> Self {
+        let Self { clipped, dark, pair, apart, frames: _ } = self;
+        Self {
+            clipped: clipped.clone(),
+            dark: dark.clone(),
+            pair: *pair,
+            apart: apart.clone(),
+            frames: Vec::new(),
+        }
+    }
+
+    /// Whether it can be of frames of (rows, columns).
+    pub fn fits(&self, shape: (usize, usize)) -> bool {
+        self.clipped.iter().all(|&i| i < shape.0 * shape.1)
+            && self.dark.as_ref().is_none_or(|d| d.dim() == shape)
+    }
+}
+
+fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<Look, ObserveError> {
+    let set = &dataset.sets()[set];
+    if let Some(known) = dataset.reduced().and_then(|r| r.look(&Key::first(dataset, set, FIRST))) {
+        return Ok(known.clone());
+    }
+    let kind = dataset.settings(set).kind;
+    let mut out = Look::default();
+    if !matches!(kind, Kind::Dark | Kind::Flat) {
+        return Ok(out);
+    }
+    let mut sum = Array2::<f32>::zeros((0, 0));
+    let mut block: Vec<Array2<u16>> = Vec::new();
+    let rows = &set.rows[..set.rows.len().min(FIRST)];
+    for &r in rows {
+        let frame = dataset.read(&dataset.rows()[r])?;
+        if sum.dim() != frame.dim() {
+            sum = Array2::zeros(frame.dim());
+        }
+        if kind == Kind::Dark {
+            sum.zip_mut_with(&frame, |m, &d| *m += f32::from(d));
+        }
+        let over = frame.iter().enumerate().filter(|(_, d)| **d >= full).map(|(i, _)| i);
+        // A set that is clipped as a whole says nothing of single pixels, and takes no memory.
+        out.clipped.extend(over.take(frame.len() / 50 + 1));
+        block.push(frame);
+    }
+    if let [a, b, ..] = block.as_slice() {
+        out.pair = Some(pair(a, b, full));
+    }
+    out.apart = Some((kind == Kind::Dark, outliers::apart(&block)));
+    if out.clipped.len() * 50 >= rows.len() * sum.len() {
+        out.clipped.clear();
+    }
+    out.dark = (kind == Kind::Dark).then(|| sum / rows.len().max(1) as f32);
+    let bytes = block.iter().map(|f| size_of::<u16>() * f.len()).sum();
+    let taken = room.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |room| room.checked_sub(bytes));
+    if taken.is_ok() {
+        out.frames = block;
+    }
+    Ok(out)
+}
+
+/// Mean and temporal variance of two frames where neither is clipped.
+fn pair(a: &Array2<u16>, b: &Array2<u16>, full: u16) -> (f64, f64) {
+    let (mut n, mut sum, mut apart, mut square) = (0.0, 0.0, 0.0, 0.0);
+    for (&a, &b) in a.iter().zip(b).filter(|(a, b)| **a < full && **b < full) {
+        let (a, b) = (f64::from(a), f64::from(b));
+        (n, sum, apart, square) = (n + 1.0, sum + a + b, apart + a - b, square + (a - b) * (a - b));
+    }
+    (0.5 * sum / n, 0.5 * (square / n - (apart / n) * (apart / n)))
+}
+
+/// Growth of variance with the mean between the dimmest and the brightest pair, DN: enough to weigh pixels.
+fn rough_gain(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
+    let points: Vec<_> = pairs.filter(|p| p.0.is_finite() && p.1.is_finite()).collect();
+    let low = points.iter().min_by(|a, b| a.0.total_cmp(&b.0));
+    let high = points.iter().max_by(|a, b| a.0.total_cmp(&b.0));
+    match (low, high) {
+        (Some(low), Some(high)) if high.0 > low.0 + 1.0 => ((high.1 - low.1) / (high.0 - low.0)).max(0.0),
+        _ => 0.0,
+    }
+}
+
+/// Which pixels count, what zero is, and how variance grows with the signal.
+fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64) {
+    let mut used = Array2::from_elem(shape, true);
+    if let Some(used) = used.as_slice_mut() {
+        looks.iter().flat_map(|l| &l.clipped).for_each(|&i| used[i] = false);
+    }
+    let darks: Vec<&Array2<f32>> = looks.iter().filter_map(|l| l.dark.as_ref()).collect();
+    let level = |d: &Array2<f32>| f64::from(d.mean().unwrap_or(0.0));
+    let shortest = darks.iter().min_by(|a, b| level(a).total_cmp(&level(b)));
+    let mut highest = shortest.map(|d| (*d).clone());
+    if let Some(highest) = &mut highest {
+        darks.iter().for_each(|d| highest.zip_mut_with(d, |a, b| *a = a.max(*b)));
+        let middle = median(highest.iter().map(|&d| f64::from(d)));
+        let spread = (median(highest.iter().map(|&d| (f64::from(d) - middle).abs())) / 0.6745).max(0.5);
+        used.zip_mut_with(highest, |u, &d| *u &= (f64::from(d) - middle).abs() < 8.0 * spread);
+    }
+    // Where most fell out, the rule was wrong and not the pixels.
+    if used.iter().filter(|u| **u).count() * 2 < used.len() {
+        used.fill(true);
+    }
+    let mut layout = Layout::new(&used, full);
+    layout.zero = shortest.map(|d| d.iter().copied().collect());
+    layout.gain = rough_gain(looks.iter().filter_map(|l| l.pair));
+    (layout, shortest.map_or(0.0, |d| level(d)))
+}
+
+/// A first look at every set: levels, and frames as far as there is room for them.
+fn first_look(
+    dataset: &Dataset,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(usize),
+) -> Result<Vec<Look>, ObserveError> {
+    let full = dataset.manifest().camera.full_scale_dn();
+    let sets: Vec<usize> = (0..dataset.sets().len()).collect();
+    let mut looks = Vec::with_capacity(sets.len());
+    let room = AtomicUsize::new(KEPT);
+    for group in sets.chunks(8) {
+        if stop.load(Ordering::Relaxed) {
+            return Err(ObserveError::Interrupted);
+        }
+        let of_set = |&set: &usize| look(dataset, set, full, &room);
+        looks.extend(group.par_iter().map(of_set).collect::<Result<Vec<_>, _>>()?);
+        progress(looks.len());
+    }
+    Ok(looks)
+}
+
+/// What the first look at a campaign says: what every piece is read with.
+pub(super) struct Seen {
+    pub(super) layout: Layout,
+    pub(super) zero_dn: f64,
+    pub(super) usual: outliers::Usual,
+    /// Longest exposure of flats, s.
+    pub(super) longest_lit_s: f64,
+    pub(super) looks: Vec<Look>,
+}
+
+impl Seen {
+    pub(super) fn new(
+        dataset: &Dataset,
+        stop: &AtomicBool,
+        progress: &mut dyn FnMut(usize),
+    ) -> Result<Self, ObserveError> {
+        let camera = &dataset.manifest().camera;
+        let (full, shape) = (camera.full_scale_dn(), (camera.height, camera.width));
+        if dataset.rows().is_empty() {
+            return Err(ObserveError::Nothing("the dataset has no frames".into()));
+        }
+        // Memory follows what is there: a frame must confirm the size that a header claims. Statistics have confirmed it when they were opened.
+        if dataset.reduced().is_none() {
+            dataset.read(&dataset.rows()[0])?;
+        }
+        let looks = first_look(dataset, stop, progress)?;
+        let (layout, zero_dn) = layout(shape, full, &looks);
+        let aparts: Vec<_> = looks.iter().filter_map(|l| l.apart.clone()).collect();
+        let lit = dataset.rows().iter().filter(|r| r.kind == Kind::Flat && r.illumination > 0.0);
+        let longest_lit_s = lit.map(|r| r.exposure_s).fold(0.0, f64::max);
+        Ok(Self { usual: outliers::Usual::of(&aparts, zero_dn), layout, zero_dn, longest_lit_s, looks })
+    }
+
+    /// Everything that the statistics of a piece depend on beside its frames and their settings.
+    pub(super) fn digest(&self) -> String {
+        let mut all = Sha256::new();
+        all.update(env!("CARGO_PKG_VERSION"));
+        STATISTICS.iter().for_each(|s| all.update(s.id()));
+        let layout = &self.layout;
+        [layout.shape.0, layout.shape.1].iter().for_each(|n| all.update((*n as u64).to_le_bytes()));
+        layout.mask.iter().for_each(|m| all.update([u8::from(*m > 0.0)]));
+        layout.zero.iter().flatten().for_each(|z| all.update(z.to_le_bytes()));
+        let numbers = [layout.gain, self.zero_dn, self.longest_lit_s];
+        numbers.iter().for_each(|n| all.update(n.to_le_bytes()));
+        self.usual.numbers().iter().for_each(|n| all.update(n.to_le_bytes()));
+        hex(&all.finalize())
+    }
+}
+
+/// The first look at every set, to be kept.
+pub fn record_looks(dataset: &Dataset, stop: &AtomicBool) -> Result<Reduced, ObserveError> {
+    let mut out = Reduced::default();
+    for (set, look) in dataset.sets().iter().zip(first_look(dataset, stop, &mut |_| {})?) {
+        out.add_look(Key::first(dataset, set, FIRST), look.without_frames());
+    }
+    Ok(out)
+}
