@@ -353,7 +353,7 @@ class Fleet:
         return pandas.DataFrame(rows, columns=["camera", "per_year", "std_err", "sigma", "campaigns"])
 
     def plot(self, column: str = "gain_dn_per_e", sigma: float = 4.0, axes: Axes | None = None) -> Axes:
-        """Every campaign's value by camera, the siblings' median and band, and the outliers by name."""
+        """Every campaign's value by camera, models side by side, each with its median, its band, and its outliers by name."""
         if axes is None:
             from matplotlib.figure import Figure
 
@@ -361,22 +361,32 @@ class Fleet:
         table = self.table().dropna(subset=[column])
         far = set(self.outliers(column, sigma)["campaign"])
         error = _ERRORS.get(column)
+        names: list[str] = []
         for model, of in table.groupby("model"):
-            cameras = {c: i for i, c in enumerate(sorted(of["camera"].unique()))}
-            x = np.array([cameras[c] for c in of["camera"]])
+            own = sorted(of["camera"].unique())
+            first, last = len(names), len(names) + len(own) - 1
+            place = {camera: first + i for i, camera in enumerate(own)}
+            names += own
+            x = np.array([place[c] for c in of["camera"]])
             is_far = of["campaign"].isin(far).to_numpy()
             values = of[column].to_numpy(float)
             bars = of[error].to_numpy(float) if error else None
             drawn = axes.errorbar(x[~is_far], values[~is_far], None if bars is None else bars[~is_far], fmt=".", label=str(model))
             color = drawn[0].get_color()
             axes.errorbar(x[is_far], values[is_far], None if bars is None else bars[is_far], fmt="x", color="red")
-            for i in np.flatnonzero(is_far):
-                axes.annotate(f" {of['camera'].iloc[i]}", (x[i], values[i]), color="red", fontsize="small")
+            for camera in sorted({of["camera"].iloc[i] for i in np.flatnonzero(is_far)}):
+                top = values[is_far & (of["camera"] == camera).to_numpy()].max()
+                axes.annotate(camera, (place[camera], top), (6, 0), textcoords="offset points", color="red", fontsize="small")
             middle = np.median(values)
             scatter = np.median(np.abs(values - middle)) / 0.6745
-            axes.axhspan(middle - sigma * scatter, middle + sigma * scatter, alpha=0.1, color=color)
-        axes.set(xlabel="camera", ylabel=column, xticks=[])
-        axes.legend()
+            axes.fill_between([first - 0.5, last + 0.5], middle - sigma * scatter, middle + sigma * scatter, alpha=0.15, color=color, lw=0)
+            axes.plot([first - 0.5, last + 0.5], [middle, middle], color=color, lw=0.5)
+        axes.set(xlabel="camera", ylabel=f"{column}: {SCHEMA[column][1]}")
+        # More names than these cannot be read.
+        axes.set_xticks(range(len(names)) if len(names) <= 60 else [])
+        if len(names) <= 60:
+            axes.set_xticklabels(names, rotation=90, fontsize="x-small")
+        axes.legend(title=f"model; band: {sigma:g} sigma of the siblings", fontsize="small", title_fontsize="small")
         return axes
 
     def _repr_html_(self) -> str:
