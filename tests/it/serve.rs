@@ -1,7 +1,7 @@
 //! The simulator as a GigE Vision camera, over loopback through the real libaravis, and Aravis's own programs.
 
 use crate::conformance::suite;
-use crate::support::{calibration, expect, gige_port, refused, small};
+use crate::support::{calibration, expect, gige_port, radcam, refused, small};
 use radcam::bench::{BenchState, GenicamBench, Illuminator, SharedBench};
 use radcam::camera::aravis::AravisCamera;
 use radcam::camera::sim::SimCamera;
@@ -585,17 +585,25 @@ fn a_calibration_over_the_wire_gives_the_same_k() {
 #[test]
 fn what_is_captured_over_the_wire_is_judged_right() {
     let _port = gige_port();
-    for (sensor, hide) in
-        [("cmos12", "none"), ("xc77", "none"), ("cmos12", "image-lag"), ("ccd16", "temporal-filter")]
-    {
-        let dir = tempfile::tempdir().unwrap();
-        let folder = dir.path().join("demo");
-        let said = expect(
-            0,
-            &["demo", "--sensor", sensor, "--hide", hide, "--seed", "4", "-o", folder.to_str().unwrap()],
+    let dir = tempfile::tempdir().unwrap();
+    let demo = |sensor: &str, hide: &str, seed: &str| {
+        let folder = dir.path().join(format!("{sensor}-{hide}-{seed}"));
+        radcam(&["demo", "--sensor", sensor, "--hide", hide, "--seed", seed, "-o", folder.to_str().unwrap()])
+    };
+    for sensor in ["cmos12", "xc77"] {
+        // A busy machine loses a frame now and then, and the noise is then another than the seed's. Three values within 3 sigma and Q of 0.001
+        // turn down a sound camera once in 110: two in a row, once in 12,000.
+        let first = demo(sensor, "none", "4");
+        assert!(
+            first.status.success() || demo(sensor, "none", "5").status.success(),
+            "{sensor}, seeds 4 and 5: {first:?}"
         );
+    }
+    for (sensor, hide) in [("cmos12", "image-lag"), ("ccd16", "temporal-filter")] {
+        let output = demo(sensor, hide, "4");
+        let said = String::from_utf8_lossy(&output.stdout);
         let last = said.lines().last().unwrap_or_default();
-        assert!(hide == "none" || last.contains("named first"), "{sensor} {hide}: {said}");
+        assert!(output.status.success() && last.contains("named first"), "{sensor} {hide}: {output:?}");
     }
 }
 
