@@ -280,7 +280,7 @@ fn write(
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
     let bytes = match codes {
-        None => image::described_bytes::<Gray32Float>(&corrector.image(frame)?, description)?,
+        None => image::described_bytes::<Gray32Float>(corrector.image(frame)?.view(), description)?,
         Some(codes) => {
             let mut out = Array2::zeros(corrector.shape());
             let frame = frame.as_standard_layout();
@@ -289,7 +289,7 @@ fn write(
                 codes,
                 out.as_slice_mut().unwrap_or_default(),
             )?;
-            image::described_bytes::<Gray16>(&out, description)?
+            image::described_bytes::<Gray16>(out.view(), description)?
         }
     };
     Ok(write_whole(path, &bytes)?)

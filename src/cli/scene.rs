@@ -36,7 +36,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     if let (Some(side), Some(path)) = (arguments.map, &arguments.map_output) {
         let (value, _) = map(&seen.corrected, seen.frames, &seen.dark_dn, &seen.calibration, side)?;
         let description = format!("scene variation V_s over windows of {side} x {side} px");
-        write_whole(path, &image::described_bytes::<Gray32Float>(&value, &description)?)?;
+        write_whole(path, &image::described_bytes::<Gray32Float>(value.view(), &description)?)?;
     }
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&v)?);

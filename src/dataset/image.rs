@@ -1,6 +1,6 @@
 //! Grey images of 8 or 16 bits: TIFF (any page), PNG and FITS in; TIFF out.
 
-use ndarray::Array2;
+use ndarray::{Array2, ArrayView2};
 use std::fs::File;
 use std::io::{BufReader, Cursor, Seek, Write};
 use std::path::Path;
@@ -429,7 +429,7 @@ pub(crate) fn ascii(text: &str) -> String {
 ///
 /// Where the output cannot be written.
 pub fn described_bytes<C: colortype::ColorType>(
-    pixels: &Array2<C::Inner>,
+    pixels: ArrayView2<'_, C::Inner>,
     description: &str,
 ) -> Result<Vec<u8>, ImageError>
 where

@@ -12,6 +12,7 @@ mod write;
 
 pub use emva::{DESCRIPTOR, write_descriptor};
 pub use manifest::{BenchInfo, CameraInfo, FORMAT, Manifest};
+pub(crate) use write::{Aside, synchronise};
 pub use write::{Writer, write_whole};
 
 use crate::reduction::{self, Reduced};

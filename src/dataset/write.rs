@@ -29,20 +29,48 @@ const ASIDE: &str = ".radcam-";
 ///
 /// Where the file cannot be written; nothing of it is left then.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), DatasetError> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let write = || {
-        // Removed again where anything fails. Readable as any new file is, not by its owner alone.
-        let mut aside = tempfile::Builder::new();
-        aside.prefix(ASIDE);
-        #[cfg(unix)]
-        aside.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        let mut aside = aside.tempfile_in(folder)?;
-        aside.write_all(bytes)?;
-        aside.as_file().sync_all()?;
-        aside.persist(path)?;
-        File::open(folder)?.sync_all()
-    };
-    write().map_err(DatasetError::io(path))
+    Aside::write(path, bytes)?.put_in_place()?;
+    synchronise(folder(path))
+}
+
+/// A file that is written aside, and perhaps not on the disk yet. It is removed where it is dropped.
+#[derive(Debug)]
+pub(crate) struct Aside {
+    file: tempfile::NamedTempFile,
+    path: PathBuf,
+}
+
+impl Aside {
+    /// Writes a file that is to lie at `path`.
+    pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<Self, DatasetError> {
+        let write = || {
+            // Readable as any new file is, not by its owner alone.
+            let mut aside = tempfile::Builder::new();
+            aside.prefix(ASIDE);
+            #[cfg(unix)]
+            aside.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+            let mut file = aside.tempfile_in(folder(path))?;
+            file.write_all(bytes)?;
+            Ok(Self { file, path: path.into() })
+        };
+        write().map_err(DatasetError::io(path))
+    }
+
+    /// Synchronises it and gives it its name; what the folder holds is on the disk after [`synchronise`].
+    pub(crate) fn put_in_place(self) -> Result<(), DatasetError> {
+        let Self { file, path } = self;
+        let placed = file.as_file().sync_all().and_then(|()| Ok(file.persist(&path)?));
+        placed.map(drop).map_err(DatasetError::io(&path))
+    }
+}
+
+/// Brings the names in a folder to the disk.
+pub(crate) fn synchronise(folder: &Path) -> Result<(), DatasetError> {
+    File::open(folder).and_then(|f| f.sync_all()).map_err(DatasetError::io(folder))
+}
+
+fn folder(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 fn name(number: usize) -> String {
@@ -165,9 +193,9 @@ impl Writer {
         let tag = FrameTag::of(&row, &self.camera);
         let text = serde_json::to_string(&tag).map_err(|e| fault(e.to_string()))?;
         let bytes = if self.camera.bit_depth <= 8 {
-            image::described_bytes::<Gray8>(&pixels.mapv(|dn| dn as u8), &text)
+            image::described_bytes::<Gray8>(pixels.mapv(|dn| dn as u8).view(), &text)
         } else {
-            image::described_bytes::<Gray16>(pixels, &text)
+            image::described_bytes::<Gray16>(pixels.view(), &text)
         }
         .map_err(|e| fault(e.to_string()))?;
         // A frame whose row a crash has cut off keeps its name; where it is this very frame, drawn again, it is the one.

@@ -1,7 +1,7 @@
 //! Corrected frames as files.
 
 use super::{Corrected, Ring, Sink, SinkCounts, StreamError};
-use crate::dataset::{image, write_whole};
+use crate::dataset::{Aside, DatasetError, image, synchronise};
 use ndarray::ArrayView2;
 use std::fs::{self, File};
 use std::io::Write;
@@ -17,7 +17,8 @@ const COLUMNS: &str = "file,id,timestamp_s,mean_dn,saturated_pixels";
 
 /// A folder of corrected frames: `frames/00000001.tiff` and so on, a row for each in `frames.csv` once it is on the disk whole.
 ///
-/// It writes on a thread of its own. A slow disk holds nothing up: the oldest frame that waits is dropped, and counted.
+/// It writes on a thread of its own. A slow disk holds nothing up: the oldest frame that waits is dropped, and counted. Frames that have come while
+/// the disk was busy are brought to it together, up to [`GROUP`]: it takes little more time than for one.
 #[derive(Debug)]
 pub struct Files {
     ring: Arc<Ring<Arc<Corrected>>>,
@@ -26,28 +27,65 @@ pub struct Files {
     thread: Option<JoinHandle<()>>,
 }
 
+/// Frames that are brought to the disk together. They wait for each other: more than half of what waits for the disk would fill its queue.
+const GROUP: usize = 8;
+
 struct Job {
     root: PathBuf,
     rows: File,
     description: String,
+    /// Frames of earlier groups.
+    written: u64,
 }
 
 impl Job {
-    fn write(&mut self, number: u64, frame: &Corrected) -> Result<(), StreamError> {
+    /// Writes a frame aside; its row, with it.
+    fn aside(&self, number: u64, frame: &Corrected) -> Result<(Aside, String), StreamError> {
         let name = format!("frames/{number:08}.tiff");
         let path = self.root.join(&name);
         let fault =
             |e: &dyn std::fmt::Display| StreamError::Files { path: path.clone(), message: e.to_string() };
         let (width, height) = frame.size;
         let pixels = ArrayView2::from_shape((height, width), &frame.pixels).map_err(|e| fault(&e))?;
-        let bytes =
-            image::described_bytes::<Gray16>(&pixels.to_owned(), &self.description).map_err(|e| fault(&e))?;
-        write_whole(&path, &bytes).map_err(|e| StreamError::Dataset(Box::new(e)))?;
+        let bytes = image::described_bytes::<Gray16>(pixels, &self.description).map_err(|e| fault(&e))?;
+        let aside = Aside::write(&path, &bytes).map_err(disk)?;
         let time = frame.timestamp_ns.map(|t| format!("{:.9}", t as f64 * 1e-9)).unwrap_or_default();
         let seen = frame.seen;
-        writeln!(self.rows, "{name},{},{time},{:.4},{}", frame.id, seen.mean_dn(), seen.saturated)
-            .map_err(|e| fault(&e))
+        Ok((aside, format!("{name},{},{time},{:.4},{}\n", frame.id, seen.mean_dn(), seen.saturated)))
     }
+
+    /// Brings frames to the disk, then their rows. What is whole where one fails stays, with its row.
+    fn write(&mut self, frames: &[Arc<Corrected>]) -> Result<(), StreamError> {
+        let (mut outcome, mut aside) = (Ok(()), Vec::new());
+        for (number, frame) in (self.written + 1..).zip(frames) {
+            match self.aside(number, frame) {
+                Ok(made) => aside.push(made),
+                Err(e) => {
+                    outcome = Err(e);
+                    break;
+                }
+            }
+        }
+        let (mut rows, mut placed) = (String::new(), 0);
+        for (file, row) in aside {
+            if let Err(e) = file.put_in_place() {
+                outcome = Err(disk(e));
+                break;
+            }
+            rows += &row;
+            placed += 1;
+        }
+        synchronise(&self.root.join("frames")).map_err(disk)?;
+        self.rows
+            .write_all(rows.as_bytes())
+            .map_err(|e| disk(DatasetError::io(&self.root.join("frames.csv"))(e)))?;
+        self.written += placed;
+        outcome
+    }
+}
+
+fn disk(e: DatasetError) -> StreamError {
+    StreamError::Dataset(Box::new(e))
 }
 
 impl Files {
@@ -65,18 +103,23 @@ impl Files {
         fs::create_dir_all(root.join("frames")).map_err(io)?;
         let mut rows = File::create_new(root.join("frames.csv")).map_err(io)?;
         writeln!(rows, "{COLUMNS}").map_err(io)?;
-        let mut job = Job { root: root.into(), rows, description: description.into() };
+        let mut job = Job { root: root.into(), rows, description: description.into(), written: 0 };
         let ring = Arc::new(Ring::<Arc<Corrected>>::new(waiting));
         let (written, failed) = (Arc::new(AtomicU64::new(0)), Arc::new(Mutex::new(None)));
         let (inbox, count, slot) = (Arc::clone(&ring), Arc::clone(&written), Arc::clone(&failed));
         let thread = std::thread::spawn(move || {
+            let mut group = Vec::with_capacity(GROUP);
             while !inbox.is_finished() {
                 let Some(frame) = inbox.pop(Duration::from_secs(1)) else { continue };
-                if let Err(e) = job.write(count.load(Ordering::Relaxed) + 1, &frame) {
+                group.push(frame);
+                group.extend(std::iter::from_fn(|| inbox.pop(Duration::ZERO)).take(GROUP - 1));
+                let outcome = job.write(&group);
+                group.clear();
+                count.store(job.written, Ordering::Relaxed);
+                if let Err(e) = outcome {
                     *slot.lock().unwrap_or_else(PoisonError::into_inner) = Some(e);
                     break;
                 }
-                count.fetch_add(1, Ordering::Relaxed);
             }
         });
         Ok(Self { ring, written, fault: failed, thread: Some(thread) })

@@ -453,7 +453,8 @@ fn corrected_frames_are_served_again() {
                 // What the verb makes of the same frame.
                 let (one, out) = (dir.path().join("one.tiff"), dir.path().join("corrected.tiff"));
                 let raw = radcam::ndarray::Array2::from_shape_vec(shape, raw).unwrap();
-                let bytes = image::described_bytes::<tiff::encoder::colortype::Gray16>(&raw, "raw").unwrap();
+                let bytes =
+                    image::described_bytes::<tiff::encoder::colortype::Gray16>(raw.view(), "raw").unwrap();
                 fs::write(&one, bytes).unwrap();
                 let [cal, one, out] = [&cal, &one, &out].map(|p| p.to_str().unwrap());
                 expect(0, &["correct", cal, one, "-o", out, "--codes", "8,512", "--exposure-s", "0.01"]);
