@@ -1,7 +1,7 @@
 //! Calibrations, and correction of frames (eq. 51).
 
 use crate::errors::{CorrectError, Raised};
-use crate::frames::NOT_WHOLE;
+use crate::frames::in_rows;
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -64,8 +64,18 @@ impl Calibration {
 #[pyclass(frozen, module = "radcam")]
 pub struct Corrector(radcam::correct::Corrector);
 
-fn whole<T>(slice: Result<T, numpy::AsSliceError>) -> PyResult<T> {
-    slice.map_err(|_| PyValueError::new_err(NOT_WHOLE))
+impl Corrector {
+    fn fits<T: numpy::Element>(&self, array: &Bound<'_, PyArray2<T>>) -> PyResult<()> {
+        let (found, shape) = (array.dims(), self.0.shape());
+        if (found[0], found[1]) != shape {
+            let message = format!(
+                "the array has {} x {} pixels, and the calibration {} x {}",
+                found[1], found[0], shape.1, shape.0
+            );
+            return Err(CorrectError::new_err(message));
+        }
+        in_rows(array)
+    }
 }
 
 #[pymethods]
@@ -85,8 +95,10 @@ impl Corrector {
         out: Option<Bound<'py, PyArray2<f32>>>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let out = out.unwrap_or_else(|| PyArray2::zeros(py, self.0.shape(), false));
+        self.fits(&frame)?;
+        self.fits(&out)?;
         let mut into: PyReadwriteArray2<'_, f32> = out.try_readwrite()?;
-        let (from, to) = (whole(frame.as_slice())?, whole(into.as_slice_mut())?);
+        let (from, to) = (frame.as_slice()?, into.as_slice_mut()?);
         py.detach(|| self.0.to_f32(from, to)).map_err(Raised::raised)?;
         drop(into);
         Ok(out)
@@ -104,13 +116,15 @@ impl Corrector {
     ) -> PyResult<Bound<'py, PyArray2<u16>>> {
         let codes = Codes { scale, offset };
         let out = out.unwrap_or_else(|| PyArray2::zeros(py, self.0.shape(), false));
+        self.fits(&frame)?;
+        self.fits(&out)?;
         let mut into: PyReadwriteArray2<'_, u16> = out.try_readwrite()?;
-        let to = whole(into.as_slice_mut())?;
+        let to = into.as_slice_mut()?;
         if out.is(&frame) {
             py.detach(|| self.0.in_place(to, codes)).map_err(Raised::raised)?;
         } else {
             let frame = frame.try_readonly()?;
-            let from = whole(frame.as_slice())?;
+            let from = frame.as_slice()?;
             py.detach(|| self.0.to_u16(from, codes, to)).map_err(Raised::raised)?;
         }
         drop(into);

@@ -359,12 +359,13 @@ impl Sensor {
             let image = ndarray::Array2::from_shape_vec(self.shape(), image);
             return Ok(image.map_err(|e| PyValueError::new_err(e.to_string()))?.into_pyarray(py));
         };
-        let mut into = out.try_readwrite()?;
-        if into.as_array().dim() != self.shape() {
+        if (out.dims()[0], out.dims()[1]) != self.shape() {
             let (rows, columns) = self.shape();
             return Err(PyValueError::new_err(format!("out is not of ({rows}, {columns})")));
         }
-        let to = into.as_slice_mut().map_err(|_| PyValueError::new_err(crate::frames::NOT_WHOLE))?;
+        crate::frames::in_rows(&out)?;
+        let mut into = out.try_readwrite()?;
+        let to = into.as_slice_mut()?;
         py.detach(|| self.0.draw(frame, &conditions, region, to));
         drop(into);
         crate::effect::raised()?;

@@ -1,7 +1,7 @@
 //! Frames of datasets, and statistics of frames that come as arrays.
 
 use crate::errors::{DatasetError, Raised};
-use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2};
+use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 use radcam::statistics::layout::Layout;
@@ -10,7 +10,12 @@ use radcam::statistics::pass::Pass;
 use std::path::PathBuf;
 
 /// Where arrays of the user's are not what they should be.
-pub const NOT_WHOLE: &str = "the array is not contiguous: numpy.ascontiguousarray makes it so";
+const NOT_WHOLE: &str = "the array is not contiguous row by row: numpy.ascontiguousarray makes it so";
+
+/// Refuses what does not lie row by row without gaps. An array in Fortran's order would be taken for its transpose: numpy's slices take both.
+pub fn in_rows<T: numpy::Element>(array: &Bound<'_, PyArray2<T>>) -> PyResult<()> {
+    if array.is_c_contiguous() { Ok(()) } else { Err(PyValueError::new_err(NOT_WHOLE)) }
+}
 
 /// A campaign on disk: a dataset folder, an EMVA 1288 descriptor or a file of statistics.
 #[pyclass(frozen, module = "radcam")]
@@ -128,7 +133,8 @@ fn codes<'a>(
             format!("a frame is {} x {} px, and the first {} x {} px", found.1, found.0, shape.1, shape.0);
         return Err(PyValueError::new_err(message));
     }
-    let dn = frame.as_slice().map_err(|_| PyValueError::new_err(NOT_WHOLE))?;
+    in_rows(frame)?;
+    let dn = frame.as_slice()?;
     let full = ((1u32 << bit_depth) - 1) as u16;
     if dn.iter().fold(0, |a, b| a | b) > full {
         let largest = dn.iter().max().copied().unwrap_or(0);

@@ -116,6 +116,15 @@ def test_correction(campaign: Path, tmp_path: Path) -> None:
         corrector.correct(np.zeros((3, 3), np.uint16))
     with pytest.raises(ValueError, match="ascontiguousarray"):
         corrector.correct(frame[::-1])
+    # In Fortran's order the bytes are those of the transpose.
+    with pytest.raises(ValueError, match="ascontiguousarray"):
+        corrector.correct(np.asfortranarray(frame))
+    with pytest.raises(ValueError, match="ascontiguousarray"):
+        corrector.correct_codes(frame, out=np.asfortranarray(frame))
+    with pytest.raises(ValueError, match="ascontiguousarray"):
+        radcam.statistics([np.asfortranarray(frame)] * 2)
+    with pytest.raises(radcam.CorrectError, match="pixels"):
+        corrector.correct(np.zeros(frame.shape[::-1], np.uint16))
 
 
 def test_the_simulator_draws_what_it_draws() -> None:
