@@ -18,7 +18,7 @@ const COLUMNS: &str = "file,id,timestamp_s,mean_dn,saturated_pixels";
 /// A folder of corrected frames: `frames/00000001.tiff` and so on, a row for each in `frames.csv` once it is on the disk whole.
 ///
 /// It writes on a thread of its own. A slow disk holds nothing up: the oldest frame that waits is dropped, and counted. Frames that have come while
-/// the disk was busy are brought to it together, up to [`GROUP`]: it takes little more time than for one.
+/// the disk was busy are brought to it together, up to eight: that takes less time than one after the other.
 #[derive(Debug)]
 pub struct Files {
     ring: Arc<Ring<Arc<Corrected>>>,
@@ -27,7 +27,7 @@ pub struct Files {
     thread: Option<JoinHandle<()>>,
 }
 
-/// Frames that are brought to the disk together. They wait for each other: more than half of what waits for the disk would fill its queue.
+/// Frames that are brought to the disk together, at most. A group has left the queue while it is written; what comes meanwhile must fit there.
 const GROUP: usize = 8;
 
 struct Job {
@@ -39,7 +39,7 @@ struct Job {
 }
 
 impl Job {
-    /// Writes a frame aside; its row, with it.
+    /// Writes a frame aside, and says what its row will be.
     fn aside(&self, number: u64, frame: &Corrected) -> Result<(Aside, String), StreamError> {
         let name = format!("frames/{number:08}.tiff");
         let path = self.root.join(&name);

@@ -9,12 +9,12 @@ use radcam::statistics::moments::Moments as Sums;
 use radcam::statistics::pass::Pass;
 use std::path::PathBuf;
 
-/// Where arrays of the user's are not what they should be.
-const NOT_WHOLE: &str = "the array is not contiguous row by row: numpy.ascontiguousarray makes it so";
-
 /// Refuses what does not lie row by row without gaps. An array in Fortran's order would be taken for its transpose: numpy's slices take both.
 pub fn in_rows<T: numpy::Element>(array: &Bound<'_, PyArray2<T>>) -> PyResult<()> {
-    if array.is_c_contiguous() { Ok(()) } else { Err(PyValueError::new_err(NOT_WHOLE)) }
+    if array.is_c_contiguous() {
+        return Ok(());
+    }
+    Err(PyValueError::new_err("the array is not contiguous row by row: numpy.ascontiguousarray makes it so"))
 }
 
 /// A campaign on disk: a dataset folder, an EMVA 1288 descriptor or a file of statistics.

@@ -136,6 +136,8 @@ def test_the_simulator_draws_what_it_draws() -> None:
     assert not np.array_equal(sensor.draw(6, 0.004), a)
     with pytest.raises(ValueError, match="out is not"):
         sensor.draw(1, 0.004, out=np.empty((2, 2), np.uint16))
+    with pytest.raises(ValueError, match="ascontiguousarray"):
+        sensor.draw(1, 0.004, out=np.empty(sensor.shape, np.uint16, order="F"))
     with pytest.raises(ValueError, match="exposure_s"):
         sensor.draw(1, float("nan"))
 
