@@ -110,6 +110,7 @@ fn correct(c: &mut Criterion) {
             level_dn: plane(60.0, 70.0),
             current_dn_per_s: None,
             std_err_dn: 0.1,
+            current_std_err_dn_per_s: f64::NAN,
             var_dn2: 1.0,
         },
         k: plane(0.95, 1.05),

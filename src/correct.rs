@@ -21,6 +21,8 @@ pub struct Corrector {
     shape: (usize, usize),
     dark_dn: Halves,
     gain: Halves,
+    /// Largest code of the camera, DN: frames may come in a wider format.
+    full_scale_dn: u16,
     /// Pixels to replace, and the sound ones whose mean replaces them.
     replace: Vec<(usize, Vec<usize>)>,
 }
@@ -47,10 +49,12 @@ impl Halves {
         let middle =
             if sorted.is_empty() { 0.0 } else { *sorted.select_nth_unstable_by(half, f32::total_cmp).1 };
         // Times the power of two that brings the largest close to the largest half float: the small ones then have all their digits.
-        let largest = values.iter().map(|v| (v - middle).abs()).filter(|d| d.is_finite()).fold(0.0, f32::max);
-        let power = if largest > 0.0 { (32_768.0 / largest).log2().floor().clamp(0.0, 60.0) } else { 0.0 };
+        // No code lies 2^30 away: what does is a dark current that saturates.
+        let off = |v: f32| (v - middle).clamp(-1.073_741_8e9, 1.073_741_8e9);
+        let largest = values.iter().map(|v| off(*v).abs()).fold(0.0, f32::max);
+        let power = if largest > 0.0 { (32_768.0 / largest).log2().floor().clamp(-15.0, 60.0) } else { 0.0 };
         let scale = power.exp2();
-        let off = values.iter().map(|v| half::f16::from_f32((v - middle) * scale).to_bits()).collect();
+        let off = values.iter().map(|v| half::f16::from_f32(off(*v) * scale).to_bits()).collect();
         Self { about: About { middle, unit: f32::from_bits(BIAS) / scale }, off }
     }
 }
@@ -89,6 +93,9 @@ pub enum CorrectError {
     /// The calibration was made under other settings.
     #[error("the calibration does not hold here: {0}")]
     Settings(String),
+    /// No exposure.
+    #[error("an exposure of {0} s; write a number of seconds that is not below 0")]
+    Exposure(f64),
     /// The dark reference does not reach to this exposure.
     #[error(transparent)]
     Dark(#[from] DarkError),
@@ -128,13 +135,20 @@ impl Corrector {
     ///
     /// # Errors
     ///
-    /// Where the dark reference does not reach to this exposure.
+    /// Where this is no exposure, or the dark reference does not reach to it.
     pub fn new(calibration: &Calibration, exposure_s: f64) -> Result<Self, CorrectError> {
+        if !(exposure_s.is_finite() && exposure_s >= 0.0) {
+            return Err(CorrectError::Exposure(exposure_s));
+        }
         let dark = calibration.dark.at(exposure_s)?;
         Ok(Self {
             shape: dark.dim(),
             dark_dn: Halves::new(dark.iter().copied()),
             gain: Halves::new(calibration.k.iter().map(|&k| 1.0 / k)),
+            full_scale_dn: match calibration.description.camera.full_scale_dn() {
+                0 => u16::MAX,
+                full => full,
+            },
             replace: Vec::new(),
         })
     }
@@ -212,6 +226,7 @@ impl Corrector {
         format.check(bytes.len(), out.len())?;
         let arch = pulp::Arch::new();
         let about = (self.dark_dn.about, self.gain.about);
+        let full_scale_dn = format.full_scale_dn().min(self.full_scale_dn);
         let maps = self.dark_dn.off.par_chunks(CHUNK).zip(self.gain.off.par_chunks(CHUNK));
         let pieces = out.par_chunks_mut(CHUNK).zip(bytes.par_chunks(format.payload(CHUNK))).zip(maps);
         let seen = pieces.map(|((out, bytes), (dark, gain))| {
@@ -230,7 +245,7 @@ impl Corrector {
                 };
                 let form = (codes, limit);
                 let piece = Piece { frame, dark, gain, about, form, out };
-                seen = seen.and(arch.dispatch(Watched { piece, full_scale_dn: format.full_scale_dn() }));
+                seen = seen.and(arch.dispatch(Watched { piece, full_scale_dn }));
             }
             seen
         });
@@ -511,6 +526,7 @@ mod tests {
             shape: (1, n),
             dark_dn: map(3.0, 2.0),
             gain: map(0.9, 0.2),
+            full_scale_dn: 4095,
             replace: vec![(5, vec![4, 6]), (CHUNK, vec![CHUNK + 1])],
         };
         let codes = Codes { scale: 4.0, offset: 16.0 };
@@ -527,7 +543,7 @@ mod tests {
             let seen = corrector.arrived_to_u16(format, &bytes, codes, u16::MAX, &mut two).unwrap();
             assert_eq!(one, two, "{format}");
             let sum_dn = dn.iter().map(|&d| u64::from(d)).sum();
-            let saturated = dn.iter().filter(|&&d| d == full).count() as u64;
+            let saturated = dn.iter().filter(|&&d| d >= full.min(4095)).count() as u64;
             assert_eq!(seen, Seen { sum_dn, saturated, pixels: n as u64 }, "{format}");
             corrector.arrived_to_u16(format, &bytes, codes, 99, &mut two).unwrap();
             let limited = two.iter().zip(&one).enumerate();
@@ -547,6 +563,7 @@ mod tests {
             shape: (1, 4),
             dark_dn: Halves::new([10.0f32; 4].into_iter()),
             gain: Halves::new([2.0f32, 1.0, 1.0, 1.0].into_iter()),
+            full_scale_dn: u16::MAX,
             replace: vec![],
         };
         let mut out = [0u16; 4];

@@ -29,6 +29,17 @@ impl fmt::Display for Value {
     }
 }
 
+impl From<Value> for toml::Value {
+    fn from(value: Value) -> Self {
+        match value {
+            Value::Bool(v) => v.into(),
+            Value::Int(v) => v.into(),
+            Value::Float(v) => v.into(),
+            Value::Text(v) => v.into(),
+        }
+    }
+}
+
 /// The value at which a feature leaves the image alone.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Neutral {

@@ -194,6 +194,7 @@ mod tests {
             level_dn: map(&|i| 60.0 + (i * 31 % 97) as f32 / 10.0),
             current_dn_per_s: None,
             std_err_dn: 0.1,
+            current_std_err_dn_per_s: f64::NAN,
             var_dn2: 1.0,
         };
         let pattern = FixedPattern {

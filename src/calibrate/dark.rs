@@ -26,6 +26,8 @@ pub struct DarkReference {
     pub current_dn_per_s: Option<Array2<f32>>,
     /// Standard error of `level_dn`, pooled over pixels, DN.
     pub std_err_dn: f64,
+    /// Standard error of `current_dn_per_s`, pooled over pixels, DN per second; NaN where it is not known.
+    pub current_std_err_dn_per_s: f64,
     /// Temporal variance at the exposure nearest to `exposure_s`, pooled over pixels, DN^2.
     pub var_dn2: f64,
 }
@@ -90,6 +92,7 @@ impl DarkReference {
                 level_dn: mean.mapv(|m| m as f32),
                 current_dn_per_s: None,
                 std_err_dn: sum.sqrt().recip(),
+                current_std_err_dn_per_s: f64::NAN,
                 var_dn2,
             });
         }
@@ -104,8 +107,18 @@ impl DarkReference {
             level_dn,
             current_dn_per_s: Some(current.mapv(|c| c as f32)),
             std_err_dn: (1.0 / sum + reach * reach / spread).sqrt(),
+            current_std_err_dn_per_s: spread.sqrt().recip(),
             var_dn2,
         })
+    }
+
+    /// Standard error of D_D at an exposure, DN: no larger than this, since level and current are not independent. Where the error of the current
+    /// is not known it is taken for that of a level at `exposure_s` over `exposure_s`.
+    pub fn std_err_at(&self, exposure_s: f64) -> f64 {
+        let level = if self.std_err_dn.is_finite() { self.std_err_dn } else { 0.0 };
+        let known = Some(self.current_std_err_dn_per_s).filter(|e| e.is_finite());
+        let current = known.unwrap_or_else(|| level / self.exposure_s.max(f64::MIN_POSITIVE));
+        level + current * (exposure_s - self.exposure_s).abs()
     }
 
     /// D_D at an exposure, (rows, columns), DN.

@@ -8,6 +8,7 @@ use crate::calibrate::defects::Defect;
 use crate::calibrate::pattern::FixedPattern;
 use crate::dataset::image::ascii;
 use crate::dataset::{CameraInfo, write_whole};
+use crate::pixel_format::PixelFormat;
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 use std::io::Cursor;
@@ -42,6 +43,9 @@ pub struct Description {
     /// Standard error of the dark reference, DN.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dark_std_err_dn: Option<f64>,
+    /// Standard error of the dark current, DN per second.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dark_current_std_err_dn_per_s: Option<f64>,
     /// Mean above the dark reference at which K was measured, DN: there the dark reference's error is in K, with the other sign.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub k_level_dn: Option<f64>,
@@ -108,6 +112,7 @@ impl Description {
             offset_dn: None,
             noise_covariance: None,
             dark_std_err_dn: None,
+            dark_current_std_err_dn_per_s: None,
             k_level_dn: None,
             defects: 0,
             n1: 0,
@@ -128,6 +133,8 @@ impl Calibration {
     ) -> Self {
         description.format = FORMAT.into();
         description.dark_std_err_dn = Some(dark.std_err_dn).filter(|e| e.is_finite());
+        description.dark_current_std_err_dn_per_s =
+            Some(dark.current_std_err_dn_per_s).filter(|e| e.is_finite());
         let mut defects = Array2::zeros(pattern.k.dim());
         for d in found {
             defects[(d.y, d.x)] = d.flags;
@@ -148,6 +155,12 @@ impl Calibration {
             k_std_err: pattern.std_err.mapv(|e| e.hypot(shared)),
             defects,
         }
+    }
+
+    /// Pixels after which a colour comes again in a row and in a column: 2 in a mosaic, otherwise 1.
+    pub fn period(&self) -> usize {
+        let format = PixelFormat::from_name(&self.description.camera.pixel_format);
+        if format.is_ok_and(PixelFormat::is_mosaic) { 2 } else { 1 }
     }
 
     /// Writes the file whole or not at all.
@@ -245,6 +258,7 @@ impl Calibration {
             level_dn,
             current_dn_per_s: take(CURRENT).ok(),
             std_err_dn: description.dark_std_err_dn.unwrap_or(f64::NAN),
+            current_std_err_dn_per_s: description.dark_current_std_err_dn_per_s.unwrap_or(f64::NAN),
             var_dn2: f64::NAN,
         };
         let defects = match take(DEFECTS) {
@@ -266,6 +280,7 @@ mod tests {
             level_dn: plane(64.0),
             current_dn_per_s: current.then(|| plane(2.0)),
             std_err_dn: 0.1,
+            current_std_err_dn_per_s: f64::NAN,
             var_dn2: 1.0,
         };
         let pattern = FixedPattern {

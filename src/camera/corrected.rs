@@ -2,12 +2,11 @@
 
 use super::{
     Automatic, Camera, CameraError, Capabilities, FrameStream, Identity, Settings, StreamCounts,
-    StreamOptions, Trigger, Value,
+    StreamOptions, Trigger, Value, info,
 };
 use crate::calibrate::file::Calibration;
 use crate::correct::{Codes, CorrectError, Corrector};
-use crate::dataset::CameraInfo;
-use crate::frame::{Frame, Region};
+use crate::frame::{Frame, Region, Status};
 use crate::pixel_format::PixelFormat;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -39,13 +38,6 @@ fn fault(camera: &impl Camera, error: CorrectError) -> CameraError {
         feature: "correction".into(),
         message: error.to_string(),
     }
-}
-
-/// What a camera is now, in the terms of a calibration.
-fn info(camera: &mut impl Camera) -> Result<CameraInfo, CameraError> {
-    let settings = camera.settings()?;
-    let identity = camera.identity();
-    Ok(settings.info(identity))
 }
 
 impl<C: Camera> Corrected<C> {
@@ -176,7 +168,9 @@ impl<C: Camera> Camera for Corrected<C> {
     }
 
     fn set_feature(&mut self, name: &str, value: &Value) -> Result<Value, CameraError> {
-        self.camera.set_feature(name, value)
+        let before = self.camera.feature(name)?;
+        let set = |c: &mut C| c.set_feature(name, value);
+        self.keep(set, |c, _| c.set_feature(name, &before).map(drop))
     }
 
     fn features(&mut self) -> BTreeMap<String, Value> {
@@ -216,18 +210,22 @@ impl FrameStream for CorrectedStream<'_> {
     fn next(&mut self, frame: &mut Frame, timeout: Duration) -> Result<(), CameraError> {
         self.stream.next(&mut self.raw, timeout)?;
         let (height, width) = self.raw.pixels.dim();
+        frame.status = self.raw.status.clone();
+        frame.id = self.raw.id;
+        frame.timestamp_ns = self.raw.timestamp_ns;
+        frame.temperature_c = self.raw.temperature_c;
+        let whole = frame.status == Status::Complete;
         let out = frame.pixels_mut(width, height);
+        if !whole {
+            out.fill(0);
+            return Ok(());
+        }
         let raw = self.raw.pixels.as_slice().unwrap_or_default();
         self.corrector.to_u16(raw, self.codes, out).map_err(|e| CameraError::Backend {
             camera: self.id.clone(),
             feature: "correction".into(),
             message: e.to_string(),
-        })?;
-        frame.status = self.raw.status.clone();
-        frame.id = self.raw.id;
-        frame.timestamp_ns = self.raw.timestamp_ns;
-        frame.temperature_c = self.raw.temperature_c;
-        Ok(())
+        })
     }
 
     fn trigger(&mut self) -> Result<(), CameraError> {

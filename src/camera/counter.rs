@@ -14,13 +14,14 @@ impl FrameCounter {
             return (id, 0);
         };
         const PERIOD: u64 = 65_535; // 0 is never used
+        const LATE: u64 = 4096; // no stream has so many buffers
         let id = if bits16 && id <= PERIOD {
             let mut long = last - last % PERIOD + id % PERIOD;
             if long <= last {
                 long += PERIOD;
             }
-            // A step of more than half the period is a frame that came late.
-            if long - last > PERIOD / 2 { long - PERIOD } else { long }
+            // A step of almost the period is a frame that came late.
+            if long - last > PERIOD - LATE { long.saturating_sub(PERIOD) } else { long }
         } else {
             id
         };
@@ -49,6 +50,11 @@ mod tests {
             let id = (4 + lap) % 65_535 + 1;
             assert_eq!(counter.take(id, true), (65_540 + lap, 0));
         }
+        // A long gap right at the start, and a late frame there.
+        let mut gap = FrameCounter::default();
+        assert_eq!(gap.take(3, true), (3, 0));
+        assert_eq!(gap.take(65_534, true), (0, 0));
+        assert_eq!(gap.take(50_003, true), (50_003, 49_999));
         let mut long = FrameCounter::default();
         long.take(65_535, false);
         assert_eq!(long.take(65_540, false), (65_540, 4));

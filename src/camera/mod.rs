@@ -213,6 +213,22 @@ impl Settings {
     }
 }
 
+/// What a camera is now, in the terms of a dataset and of a calibration: identity, settings and features.
+///
+/// # Errors
+///
+/// What the camera refuses to tell.
+pub fn info(camera: &mut dyn Camera) -> Result<CameraInfo, CameraError> {
+    let settings = camera.settings()?;
+    let features = camera.features().into_iter().map(|(name, value)| (name, value.into())).collect();
+    Ok(CameraInfo { features, ..settings.info(camera.identity()) })
+}
+
+/// How long a frame is waited for: twice the exposure, since one may be under way, and time for the camera to answer; a day at most.
+pub fn patience(exposure_s: f64) -> Duration {
+    Duration::from_secs_f64((2.0 * exposure_s.max(0.0) + 5.0).min(86_400.0))
+}
+
 /// When the camera exposes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Trigger {

@@ -1,6 +1,5 @@
 //! The exposures of a plan in seconds: the one that brings the light close to full scale is searched for.
 
-use super::set::timeout;
 use super::{Capture, CaptureError};
 use crate::camera::StreamCounts;
 use crate::dataset::Kind;
@@ -164,7 +163,7 @@ impl Capture<'_> {
     fn pilot(&mut self, exposure_s: f64, counts: &mut StreamCounts) -> Result<(f64, f64), CaptureError> {
         self.camera.set_exposure_s(exposure_s)?;
         let full_scale = self.camera.settings()?.pixel_format.full_scale_dn();
-        let timeout = timeout(exposure_s);
+        let timeout = crate::camera::patience(exposure_s);
         let mut stream = self.camera.stream(&self.options)?;
         let mut frame = Frame::new(0, 0);
         let mut good = 0;

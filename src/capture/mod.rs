@@ -379,18 +379,7 @@ impl<'a> Capture<'a> {
         let mut manifest = Manifest::new(CameraInfo {
             unlisted_features,
             still_automatic: automatics.iter().filter(|a| !a.off).map(|a| a.feature.clone()).collect(),
-            features: features
-                .into_iter()
-                .map(|(name, value)| {
-                    let value = match value {
-                        Value::Bool(v) => v.into(),
-                        Value::Int(v) => v.into(),
-                        Value::Float(v) => v.into(),
-                        Value::Text(v) => v.into(),
-                    };
-                    (name, value)
-                })
-                .collect(),
+            features: features.into_iter().map(|(name, value)| (name, value.into())).collect(),
             ..settings.info(identity)
         });
         manifest.bench = self.bench.info();

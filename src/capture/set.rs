@@ -6,7 +6,6 @@ use crate::dataset::FrameRow;
 use crate::frame::{Frame, Status};
 use crate::plan::{Plan, SetPlan};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
 
 /// A set whose first frame was lost is begun again so often: another set's light and exposure first, since the frame that was lost took with
 /// it what that carries over.
@@ -113,7 +112,7 @@ fn take(
         if stop.load(Ordering::Relaxed) {
             return Err(CaptureError::Interrupted { frames: writer.written().len() as u64 });
         }
-        stream.next(&mut frame, timeout(exposure_s))?;
+        stream.next(&mut frame, crate::camera::patience(exposure_s))?;
         if let Status::Damaged(why) = &frame.status {
             damaged += 1;
             if whole && index == 0 {
@@ -181,11 +180,6 @@ fn take(
         });
     }
     Ok(true)
-}
-
-/// How long to wait for a frame: the exposure, and time for the camera to answer.
-pub(super) fn timeout(exposure_s: f64) -> Duration {
-    Duration::from_secs_f64((2.0 * exposure_s + 5.0).min(86_400.0))
 }
 
 /// Turns device time into seconds from the start of the campaign.

@@ -9,6 +9,7 @@ use anyhow::{Context, Result, bail};
 use radcam_sim::Model;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 /// Set by Ctrl-C; the second one ends the program at once.
 pub static STOP: AtomicBool = AtomicBool::new(false);
@@ -121,6 +122,15 @@ pub fn above_0(text: &str) -> Result<f64, String> {
     }
 }
 
+/// A time in seconds above 0.
+pub fn seconds(text: &str) -> Result<Duration, String> {
+    let known = above_0(text).ok().and_then(|s| Duration::try_from_secs_f64(s).ok());
+    // Clocks are added to it.
+    known
+        .filter(|d| *d <= Duration::from_secs(1_000_000_000))
+        .ok_or("write a number of seconds above 0, no more than 1e9".into())
+}
+
 /// What to say of a name that none of the effects has.
 pub fn no_effect<'a>(id: &str, known: impl Iterator<Item = &'a str>) -> String {
     let plain = |text: &str| text.to_lowercase().replace(['_', ' '], "-");
@@ -173,7 +183,9 @@ pub fn codes(text: &str) -> Result<Codes, String> {
         .map(|n| n.trim().parse().map_err(|_| format!("\"{n}\" is not a number")))
         .collect::<Result<_, String>>()?;
     match numbers[..] {
-        [scale, offset] if scale > 0.0 && offset.is_finite() => Ok(Codes { scale, offset }),
+        [scale, offset] if scale > 0.0 && scale.is_finite() && offset.is_finite() => {
+            Ok(Codes { scale, offset })
+        }
         _ => Err("write scale,offset with a scale above 0".into()),
     }
 }

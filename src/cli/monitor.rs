@@ -1,7 +1,7 @@
 //! `radcam monitor`
 
 use super::Outcome;
-use super::common::{STOP, above_0, load_plan};
+use super::common::{STOP, above_0, load_plan, seconds};
 use crate::bench;
 use crate::calibrate::file::Calibration;
 use crate::camera::{self, Camera, CameraError, StreamOptions};
@@ -35,8 +35,8 @@ pub struct Arguments {
     #[arg(long, value_name = "PLAN.toml")]
     plan: Option<String>,
     /// Seconds from the start of one check to that of the next
-    #[arg(long, value_parser = above_0, default_value = "60")]
-    every: f64,
+    #[arg(long, value_parser = seconds, default_value = "60")]
+    every: Duration,
     /// End after so many checks
     #[arg(long)]
     checks: Option<u64>,
@@ -75,7 +75,10 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let bytes = std::fs::read(&arguments.cal).with_context(|| arguments.cal.display().to_string())?;
     let calibration = Calibration::read(&arguments.cal)?;
-    let hash: String = Sha256::digest(&bytes).iter().take(8).map(|b| format!("{b:02x}")).collect();
+    // Checks are held against those under the same calibration, exposure and light.
+    let mut digest = Sha256::new_with_prefix(&bytes);
+    digest.update(format!("{:?} {}", arguments.exposure_s, arguments.illumination));
+    let hash: String = digest.finalize().iter().take(8).map(|b| format!("{b:02x}")).collect();
     let limits = Limits {
         gain: arguments.gain_limit,
         black_level_dn: arguments.black_limit_dn,
@@ -103,7 +106,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         let known = monitor.history().len();
         println!(
             "{name}: a check every {} s, {known} in the history; Ctrl-C ends",
-            six_digits(arguments.every)
+            six_digits(arguments.every.as_secs_f64())
         );
     }
     while !STOP.load(Ordering::Relaxed) && arguments.checks.is_none_or(|n| taken < n) {
@@ -111,9 +114,13 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         let check = match job.take() {
             Ok(check) => check,
             // A camera that is away now may be back at the next check.
-            Err(TakeError::Camera(
-                e @ (CameraError::Lost { .. } | CameraError::Timeout { .. } | CameraError::Absent { .. }),
-            )) if taken > 0 => {
+            Err(TakeError::Stopped) => break,
+            Err(
+                e @ (TakeError::Damaged { .. }
+                | TakeError::Camera(
+                    CameraError::Lost { .. } | CameraError::Timeout { .. } | CameraError::Absent { .. },
+                )),
+            ) if taken > 0 => {
                 tracing::warn!(error = %e, "no check");
                 job.camera = None;
                 wait(begun, arguments.every);
@@ -140,9 +147,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     Ok(if alarms == 0 { Outcome::Agreement } else { Outcome::Disagreement })
 }
 
-fn wait(begun: Instant, every_s: f64) {
-    while begun.elapsed().as_secs_f64() < every_s && !STOP.load(Ordering::Relaxed) {
-        std::thread::sleep(Duration::from_millis(20).min(Duration::from_secs_f64(every_s)));
+fn wait(begun: Instant, every: Duration) {
+    while begun.elapsed() < every && !STOP.load(Ordering::Relaxed) {
+        std::thread::sleep(Duration::from_millis(20).min(every));
     }
 }
 
@@ -159,11 +166,7 @@ impl Job<'_> {
         let a = self.arguments;
         if self.camera.is_none() {
             let mut camera = camera::open(&a.camera)?;
-            prepare(&mut *camera, self.calibration, None).map_err(|e| CameraError::Backend {
-                camera: a.camera.clone(),
-                feature: "calibration".into(),
-                message: e.to_string(),
-            })?;
+            prepare(&mut *camera, self.calibration, None)?;
             self.camera = Some(camera);
         }
         let Some(camera) = &mut self.camera else { unreachable!("it was opened above") };
@@ -175,7 +178,7 @@ impl Job<'_> {
         }
         let exposure_s = a.exposure_s;
         let plan = Plan { exposure_s, frames: a.frames, illumination: a.illumination, ..Plan::default() };
-        take(&mut **camera, &mut *bench, self.calibration, &plan, &StreamOptions::default())
+        take(&mut **camera, &mut *bench, self.calibration, &plan, &StreamOptions::default(), &STOP)
     }
 
     /// Captures a campaign and says what it shows; where that cannot be, why.

@@ -1,7 +1,7 @@
 //! `radcam stream`
 
 use super::Outcome;
-use super::common::{STOP, above_0, codes};
+use super::common::{STOP, above_0, codes, seconds};
 use crate::calibrate::file::Calibration;
 use crate::camera;
 use crate::correct::{Codes, Corrector};
@@ -52,11 +52,11 @@ pub struct Arguments {
     #[arg(long)]
     frames: Option<u64>,
     /// End after so many seconds
-    #[arg(long, value_parser = above_0)]
-    seconds: Option<f64>,
+    #[arg(long, value_parser = seconds)]
+    seconds: Option<Duration>,
     /// Give a lost camera up after so many seconds [default: never]
-    #[arg(long, value_parser = above_0, value_name = "SECONDS")]
-    patience: Option<f64>,
+    #[arg(long, value_parser = seconds, value_name = "SECONDS")]
+    patience: Option<Duration>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -69,8 +69,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         replace_defects: arguments.replace_defects,
         exposure_s: arguments.exposure_s,
         frames: arguments.frames,
-        duration: arguments.seconds.map(Duration::from_secs_f64),
-        patience: arguments.patience.map_or(Duration::MAX, Duration::from_secs_f64),
+        duration: arguments.seconds,
+        patience: arguments.patience.unwrap_or(Duration::MAX),
         ..Options::default()
     };
     options.stream.packet_size = arguments.packet_size;

@@ -2,7 +2,7 @@
 
 use crate::calibrate::file::Calibration;
 use crate::statistics::moments::{Moments, SizeMismatch};
-use ndarray::Array2;
+use ndarray::{Array2, s};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -10,6 +10,8 @@ use std::collections::BTreeMap;
 const HOT_SIGMA: f64 = 6.0;
 /// A pixel of the flat is taken for dead where its corrected value lies beyond this factor from the mean ([`crate::calibrate::defects`]).
 const DEAD: f64 = 0.5;
+/// Standard errors below which the reference flat is too faint to divide by.
+const FAINT: f64 = 10.0;
 /// Pixels of a list: more are a camera that is broken otherwise.
 const LISTED: usize = 1000;
 
@@ -179,16 +181,20 @@ impl Taken {
                 readings.insert(what, Reading { value, std_err });
             }
         };
-        let black_error2 = short_error2 + self.exposure_s.powi(2) * current_error2;
         if reach_s > 0.0 {
+            // short - (long - short) e / reach: short's error weighs 1 + e / reach.
+            let share = self.exposure_s / reach_s;
+            let black_error2 = (1.0 + share).powi(2) * short_error2 + share * share * long_error2;
             put(Followed::BlackLevel, short.mean_dn() - current * self.exposure_s, black_error2.sqrt());
             put(Followed::DarkCurrent, current, current_error2.sqrt());
         } else {
             put(Followed::BlackLevel, short.mean_dn(), short_error2.sqrt());
         }
-        if signal > 0.0 && flat.frames() > 1 {
+        let signal_error = (signal_error2 + flicker / frames(flat)).sqrt();
+        let lit = signal > FAINT * signal_error && flat.frames() > 1;
+        put(Followed::Signal, signal, signal_error);
+        if lit {
             put(Followed::Gain, gain, gain_error);
-            put(Followed::Signal, signal, (signal_error2 + flicker / frames(flat)).sqrt());
             put(Followed::Flicker, flat.scatter_dn2() / (signal * signal), 0.0);
             let (value, std_err) = self.pattern(calibration, signal, flat_noise.value);
             put(Followed::Pattern, value, std_err);
@@ -203,29 +209,36 @@ impl Taken {
             flats: flat.frames(),
             frames: came,
             readings,
-            hot: self.hot(calibration, gain),
-            dead: self.dead(calibration),
+            hot: self.hot(calibration, if lit { gain } else { 0.0 }),
+            dead: if lit { self.dead(calibration) } else { Vec::new() },
         }
     }
 
-    /// The corrected flat over its mean.
+    /// The corrected flat over its mean; of a colour mosaic each plane over its own.
     fn corrected(&self, calibration: &Calibration) -> Array2<f64> {
         let dark = self.short.moments.mean_dn();
         let mut out = self.flat.moments.mean_dn() - dark;
         ndarray::Zip::from(&mut out).and(&calibration.k).for_each(|o, &k| *o /= f64::from(k));
-        let mean = out.mean().unwrap_or(1.0);
-        out / mean
+        let period = calibration.period();
+        for (y, x) in (0..period).flat_map(|y| (0..period).map(move |x| (y, x))) {
+            let mut plane = out.slice_mut(s![y..;period, x..;period]);
+            let mean = plane.mean().unwrap_or(1.0);
+            plane /= mean;
+        }
+        out
     }
 
-    /// Variance of neighbours in the corrected flat beyond the noise of frames, relative: half the mean square of differences along the rows.
-    /// Light is alike for neighbours. The constant part, errors of K among it, is in the reference as well.
+    /// Variance of neighbours in the corrected flat beyond the noise of frames, relative: half the mean square of differences along the rows,
+    /// within a colour. Light is alike for neighbours. The constant part, errors of K among it, is in the reference as well.
     fn pattern(&self, calibration: &Calibration, signal: f64, noise_dn2: f64) -> (f64, f64) {
         let image = self.corrected(calibration);
+        let period = calibration.period();
         let (mut sum, mut squares, mut n) = (0.0, 0.0, 0.0);
         for (row, flags) in image.rows().into_iter().zip(calibration.defects.rows()) {
-            for x in (1..row.len()).step_by(2) {
-                if flags[x] == 0 && flags[x - 1] == 0 {
-                    let half = 0.5 * (row[x] - row[x - 1]).powi(2);
+            // Pairs do not overlap.
+            for x in (period..row.len()).filter(|x| x / period % 2 == 1) {
+                if flags[x] == 0 && flags[x - period] == 0 {
+                    let half = 0.5 * (row[x] - row[x - period]).powi(2);
                     sum += half;
                     squares += half * half;
                     n += 1.0;
@@ -245,7 +258,7 @@ impl Taken {
         let shift = self.long.mean_dn() - f64::from(reference.mean().unwrap_or(0.0));
         let usual = f64::from(reference.mean().unwrap_or(0.0));
         let noise = self.long.noise_dn2().value;
-        let error = calibration.description.dark_std_err_dn.unwrap_or(0.0);
+        let error = calibration.dark.std_err_at(self.long_s);
         let limit2 = |r: f64| {
             // Dark charge has shot noise of its own.
             (noise + gain.max(0.0) * (r - usual).max(0.0)) / self.long.frames().max(1) as f64 + error * error

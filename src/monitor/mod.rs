@@ -1,11 +1,12 @@
 //! Whether a calibrated camera is still the camera that was calibrated.
 //!
-//! From time to time a [`Check`] takes some darks and some frames of a reference flat. Sequential tests ([`cusum`]) follow what they say, and an
+//! From time to time a [`Check`] takes some darks and some frames of a reference flat. Sequential tests ([`chart`], [`cusum`]) follow what they say, and an
 //! [`Alarm`] says what changed, since when, by how much, and what that costs. All tests together raise at most one false alarm in
 //! [`FALSE_ALARM_EVERY`] checks.
 //!
 //! The state is a function of the history: it is made anew from the checks that a store kept.
 
+pub mod chart;
 pub mod check;
 pub mod cusum;
 #[cfg(feature = "cli")]
@@ -17,6 +18,7 @@ mod take;
 pub use check::{Check, Followed, Reading, Stack, Taken};
 pub use take::{Plan, TakeError, take};
 
+use chart::{Chart, Split};
 use cusum::Cusum;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -25,10 +27,8 @@ use std::collections::{BTreeMap, BTreeSet};
 pub const FALSE_ALARM_EVERY: f64 = 1e4;
 /// Sums that run at once: two for each of six readings, one each for flicker and lost frames.
 const SUMS: usize = 14;
-/// Fewest checks from which the usual value is taken.
-const LEARN: usize = 8;
-/// The usual value must be known to this share of the change that is looked for: its error adds to every later reading alike.
-const KNOWN: f64 = 1.0 / 6.0;
+/// Checks from which the usual flicker is taken: 40 of 7 degrees of freedom know a variance to 8 %, which a ratio of 4 bears.
+const LEARN_FLICKER: usize = 40;
 /// Standard errors that exclude an explanation.
 const EXCLUDED: f64 = 3.0;
 /// By this factor the variance of frame means is larger where the light flickers.
@@ -69,15 +69,15 @@ impl Default for Limits {
 
 impl Limits {
     /// The change that matters of a reading whose usual value this is.
-    fn of(&self, what: Followed, usual: f64) -> Option<f64> {
+    fn of(&self, what: Followed, usual: f64) -> f64 {
         match what {
-            Followed::Gain => Some(self.gain * usual),
-            Followed::BlackLevel => Some(self.black_level_dn),
-            Followed::Signal => Some(self.signal * usual),
-            Followed::DarkCurrent => Some(self.dark_current * usual.abs()),
-            Followed::DarkNoise => Some(((1.0 + self.dark_noise).powi(2) - 1.0) * usual),
-            Followed::Pattern => Some(self.pattern * self.pattern),
-            Followed::Flicker | Followed::LostFrames => None,
+            Followed::Gain => self.gain * usual,
+            Followed::BlackLevel => self.black_level_dn,
+            Followed::Signal => self.signal * usual,
+            Followed::DarkCurrent => self.dark_current * usual.abs(),
+            Followed::DarkNoise => ((1.0 + self.dark_noise).powi(2) - 1.0) * usual,
+            Followed::Pattern => self.pattern * self.pattern,
+            Followed::Flicker | Followed::LostFrames => f64::INFINITY,
         }
     }
 }
@@ -127,88 +127,39 @@ pub struct Alarm {
     pub sentence: String,
 }
 
-/// A followed reading: its usual value, and the sums.
+/// A reading that does not scatter as a normal one does: its usual value, and the sum.
 #[derive(Debug, Clone, Default)]
-struct Chart {
-    /// Readings from which the usual value is taken.
-    learned: Vec<Reading>,
-    usual: Option<Usual>,
-    up: Cusum,
-    down: Cusum,
+struct Rate {
+    learned: Chart,
+    sum: Cusum,
+    /// Which check each reading in the sum is of.
+    checks: Vec<usize>,
 }
 
-#[derive(Debug, Clone, Copy)]
-struct Usual {
-    value: f64,
-    /// Of one reading.
-    std_err: f64,
-    /// The change that matters.
-    step: f64,
-}
-
-impl Chart {
-    /// Learns the usual value, and then follows it. `true`: a sum passed the limit.
-    fn follow(
-        &mut self,
-        what: Followed,
-        reading: Reading,
-        check: &Check,
-        limits: &Limits,
-        limit: f64,
-    ) -> bool {
-        match what {
-            Followed::LostFrames => {
-                let usual = LOST.0 * check.frames as f64;
-                self.up.add(cusum::of_count(reading.value, usual, LOST.1 / LOST.0));
-                return self.up.sum > limit;
+impl Rate {
+    /// `true`: the sum passed the limit.
+    fn add(&mut self, at: usize, what: Followed, reading: Reading, check: &Check, limit: f64) -> bool {
+        let ratio = if what == Followed::LostFrames {
+            let usual = LOST.0 * check.frames as f64;
+            cusum::of_count(reading.value, usual, LOST.1 / LOST.0)
+        } else {
+            if self.learned.len() < LEARN_FLICKER {
+                self.learned.add(at, reading);
+                return false;
             }
-            Followed::Flicker => {
-                let Some(usual) = self.usual else {
-                    self.learned.push(reading);
-                    // 40 checks of 7 degrees of freedom know a variance to 8 %, which a ratio of 4 bears.
-                    if self.learned.len() >= 5 * LEARN {
-                        let n = self.learned.len() as f64;
-                        let value = self.learned.iter().map(|r| r.value).sum::<f64>() / n;
-                        self.usual = Some(Usual { value, std_err: 0.0, step: 0.0 });
-                    }
-                    return false;
-                };
-                let dof = check.flats.saturating_sub(1) as f64;
-                self.up.add(cusum::of_variance(reading.value / usual.value, dof, FLICKER_RATIO));
-                return self.up.sum > limit;
-            }
-            _ => {}
-        }
-        let Some(usual) = self.usual else {
-            self.learned.push(reading);
-            self.usual = self.learn(what, limits);
-            return false;
+            let usual = self.learned.mean().unwrap_or(f64::NAN);
+            let dof = check.flats.saturating_sub(1) as f64;
+            cusum::of_variance(reading.value / usual, dof, FLICKER_RATIO)
         };
-        let z = (reading.value - usual.value) / usual.std_err;
-        let shift = usual.step / usual.std_err;
-        self.up.add(cusum::of_shift(z, shift));
-        self.down.add(cusum::of_shift(-z, shift));
-        self.up.sum > limit || self.down.sum > limit
+        self.sum.add(ratio);
+        self.checks.push(at);
+        // Only those since the sum was 0 are asked for.
+        self.checks.drain(..self.checks.len() - self.sum.age.min(self.checks.len() as u64) as usize);
+        self.sum.sum > limit
     }
 
-    /// The usual value, once it is known well enough.
-    fn learn(&self, what: Followed, limits: &Limits) -> Option<Usual> {
-        let n = self.learned.len() as f64;
-        if self.learned.len() < LEARN {
-            return None;
-        }
-        let value = self.learned.iter().map(|r| r.value).sum::<f64>() / n;
-        let scatter = self.learned.iter().map(|r| (r.value - value).powi(2)).sum::<f64>() / (n - 1.0);
-        let stated = self.learned.iter().map(|r| r.std_err.powi(2)).sum::<f64>() / n;
-        // What checks scatter beyond their stated errors is the camera's and the room's.
-        let std_err = scatter.max(stated).sqrt().max(f64::MIN_POSITIVE);
-        let step = limits.of(what, value)?.max(1e-12);
-        (std_err / n.sqrt() <= KNOWN * step).then_some(Usual { value, std_err, step })
-    }
-
-    /// Readings since the change, by the sum that passed.
-    fn age(&self) -> u64 {
-        if self.up.sum >= self.down.sum { self.up.age } else { self.down.age }
+    fn since(&self) -> Option<usize> {
+        self.checks.first().copied()
     }
 }
 
@@ -218,12 +169,15 @@ pub struct Monitor {
     limits: Limits,
     limit: f64,
     charts: BTreeMap<Followed, Chart>,
+    rates: BTreeMap<Followed, Rate>,
     history: Vec<Check>,
     /// Hot and dead pixels of the last check, and those that were told.
     suspects: [BTreeSet<(u32, u32)>; 2],
     told: [BTreeSet<(u32, u32)>; 2],
     /// A change of the reference flat that is not told apart yet, since this check.
     open: Option<usize>,
+    /// There is too little light to read the gain by, which was told.
+    dark: bool,
 }
 
 impl Monitor {
@@ -233,10 +187,12 @@ impl Monitor {
             limits,
             limit: cusum::limit(SUMS, FALSE_ALARM_EVERY),
             charts: BTreeMap::new(),
+            rates: BTreeMap::new(),
             history: Vec::new(),
             suspects: Default::default(),
             told: Default::default(),
             open: None,
+            dark: false,
         }
     }
 
@@ -245,122 +201,141 @@ impl Monitor {
         &self.history
     }
 
-    /// The readings whose usual value is not known well enough yet.
+    /// The readings whose usual value is not known well enough yet: to find the change that matters would take over a quarter more checks, and one,
+    /// than once it is known.
     pub fn learning(&self) -> Vec<Followed> {
-        let learning = self.charts.iter().filter(|(w, c)| **w != Followed::LostFrames && c.usual.is_none());
-        learning.map(|(what, _)| *what).collect()
+        let slow = self.charts.iter().filter(|(what, chart)| {
+            let (known, now) = chart.needed(|usual| self.limits.of(**what, usual), self.limit);
+            now > 1.25 * known + 1.0
+        });
+        let young =
+            self.rates.iter().filter(|(w, r)| **w == Followed::Flicker && r.learned.len() < LEARN_FLICKER);
+        slow.map(|(what, _)| *what).chain(young.map(|(what, _)| *what)).collect()
     }
 
     /// Checks after which the change that matters is found, on average: of each reading whose usual value is known.
     pub fn checks_needed(&self) -> BTreeMap<Followed, f64> {
-        let needed = |chart: &Chart| {
-            let usual = chart.usual.filter(|u| u.step > 0.0)?;
-            Some(cusum::readings_needed(self.limit, usual.step / usual.std_err))
+        let needed = |(what, chart): (&Followed, &Chart)| {
+            let (_, now) = chart.needed(|usual| self.limits.of(*what, usual), self.limit);
+            now.is_finite().then_some((*what, now))
         };
-        self.charts.iter().filter_map(|(what, chart)| Some((*what, needed(chart)?))).collect()
+        self.charts.iter().filter_map(needed).collect()
     }
 
     /// Takes a check and says what it finds. What was told is not told again: what a reading now is becomes its usual value.
     pub fn add(&mut self, check: Check) -> Vec<Alarm> {
-        let passed: Vec<Followed> = check
-            .readings
-            .iter()
-            .filter(|(what, reading)| {
-                let chart = self.charts.entry(**what).or_default();
-                chart.follow(**what, **reading, &check, &self.limits, self.limit)
-            })
-            .map(|(what, _)| *what)
-            .collect();
+        let at = self.history.len();
+        let mut changed: BTreeMap<Followed, usize> = BTreeMap::new();
+        // Signal without gain: too little light. It is told once, and the usual value is kept for when there is light again.
+        let lit = check.readings.contains_key(&Followed::Gain);
+        let failed = !lit && self.charts.get(&Followed::Gain).is_some_and(|c| !c.is_empty());
+        for (what, reading) in &check.readings {
+            if failed && *what == Followed::Signal {
+                continue;
+            }
+            if matches!(what, Followed::Flicker | Followed::LostFrames) {
+                let rate = self.rates.entry(*what).or_default();
+                if rate.add(at, *what, *reading, &check, self.limit) {
+                    changed.insert(*what, rate.since().unwrap_or(at));
+                }
+            } else {
+                let chart = self.charts.entry(*what).or_default();
+                chart.add(at, *reading);
+                let since = chart.changed(|usual| self.limits.of(*what, usual), self.limit);
+                changed.extend(since.map(|since| (*what, since)));
+            }
+        }
+        let signal = check.readings.get(&Followed::Signal).copied();
         self.history.push(check);
         let mut alarms = self.pixels();
-        if let Some(since) = self.open {
-            alarms.extend(self.light_or_gain(since, false));
+        if failed && !self.dark {
+            let usual = self.charts.get(&Followed::Signal).and_then(Chart::mean);
+            let change = signal
+                .zip(usual)
+                .map(|(now, usual)| Reading { value: now.value / usual - 1.0, std_err: now.std_err / usual });
+            alarms.extend(change.map(|change| self.alarm(Changed::Light, at, change)));
         }
-        let of_flat = |w: &Followed| [Followed::Gain, Followed::Signal].contains(w);
-        if self.open.is_none() && passed.iter().any(of_flat) {
-            let ages = passed.iter().filter(|w| of_flat(w)).filter_map(|w| Some(self.charts.get(w)?.age()));
-            let since = self.history.len().saturating_sub(ages.max().unwrap_or(1) as usize);
-            alarms.extend(self.light_or_gain(since, true));
+        self.dark = failed;
+        let of_flat = [Followed::Gain, Followed::Signal].iter().filter_map(|w| changed.remove(w)).min();
+        match (self.open, of_flat) {
+            (Some(since), _) => alarms.extend(self.light_or_gain(since, false)),
+            (None, Some(since)) => alarms.extend(self.light_or_gain(since, true)),
+            (None, None) => {}
         }
-        for what in passed.into_iter().filter(|w| !of_flat(w)) {
-            alarms.extend(self.alone(what));
+        for (what, since) in changed {
+            // What the flat's change brought with it is told with that.
+            if what != Followed::Flicker || of_flat.is_none() {
+                alarms.extend(self.alone(what, since));
+            }
         }
         alarms
     }
 
-    /// Mean of a reading since a check, and its error; with the usual value.
-    fn since(&self, what: Followed, since: usize) -> Option<(Reading, Usual)> {
-        let usual = self.charts.get(&what)?.usual?;
-        let values: Vec<f64> =
-            self.history[since..].iter().filter_map(|c| Some(c.readings.get(&what)?.value)).collect();
-        let n = values.len().max(1) as f64;
-        let value = values.iter().sum::<f64>() / n;
-        Some((Reading { value, std_err: usual.std_err / n.sqrt() }, usual))
-    }
-
-    /// Relative change since a check, with the error of the usual value in it.
-    fn relative(&self, what: Followed, since: usize) -> Option<Reading> {
-        let (now, usual) = self.since(what, since)?;
-        let learned = usual.std_err / (self.charts[&what].learned.len() as f64).sqrt();
-        let value = now.value / usual.value - 1.0;
-        Some(Reading { value, std_err: now.std_err.hypot(learned) / usual.value })
+    fn split(&self, what: Followed, since: usize) -> Option<Split> {
+        self.charts.get(&what)?.since(since)
     }
 
     /// A change of the reference flat or of the gain: by light, where the gain is what it was; by gain, where it changed as the flat did; else it
     /// is not known yet, which is said once.
-    fn light_or_gain(&mut self, since: usize, first: bool) -> Option<Alarm> {
-        let gain = self.relative(Followed::Gain, since);
-        let signal = self.relative(Followed::Signal, since)?;
-        let (mut by_light, mut by_gain) = (true, true);
-        if let Some(gain) = gain {
-            by_light = gain.value.abs() < EXCLUDED * gain.std_err;
-            by_gain = (gain.value - signal.value).abs() < EXCLUDED * gain.std_err.hypot(signal.std_err);
-        }
-        let gain = gain.unwrap_or(Reading { value: f64::NAN, std_err: f64::NAN });
-        let (what, change) = match (by_light, by_gain) {
-            (true, false) => (Changed::Light, signal),
-            (false, true) => (Changed::Gain, gain),
-            // Both: the gain changed, and the light beside it.
-            (false, false) => (Changed::Gain, gain),
-            (true, true) if first => {
-                self.open = Some(since);
-                return Some(self.alarm(Changed::LightOrGain, since, signal));
-            }
-            (true, true) => return None,
+    fn light_or_gain(&mut self, since: usize, first: bool) -> Vec<Alarm> {
+        let Some(signal) = self.split(Followed::Signal, since).map(|s| s.relative()) else {
+            return Vec::new();
         };
-        let alarm = self.alarm(what, since, change);
+        let gain = self.split(Followed::Gain, since).map(|s| s.relative());
+        let far = |r: Reading| r.value.abs() >= EXCLUDED * r.std_err;
+        let less = |a: Reading, b: Reading| Reading {
+            value: (1.0 + a.value) / (1.0 + b.value) - 1.0,
+            std_err: a.std_err.hypot(b.std_err),
+        };
+        let alarms = match gain {
+            Some(gain) if far(gain) && far(less(signal, gain)) => vec![
+                self.alarm(Changed::Gain, since, gain),
+                self.alarm(Changed::Light, since, less(signal, gain)),
+            ],
+            Some(gain) if far(gain) => vec![self.alarm(Changed::Gain, since, gain)],
+            Some(gain) if far(less(signal, gain)) => vec![self.alarm(Changed::Light, since, signal)],
+            _ if first => {
+                self.open = Some(since);
+                return vec![self.alarm(Changed::LightOrGain, since, signal)];
+            }
+            // It is as it was again.
+            _ if !far(signal) => Vec::new(),
+            _ => return Vec::new(),
+        };
         self.open = None;
         self.anew(&[Followed::Gain, Followed::Signal, Followed::Flicker], since);
-        Some(alarm)
+        alarms
     }
 
-    fn alone(&mut self, what: Followed) -> Option<Alarm> {
-        let chart = self.charts.get(&what)?;
-        let since = self.history.len().saturating_sub(chart.age().max(1) as usize);
+    fn alone(&mut self, what: Followed, since: usize) -> Option<Alarm> {
         let (changed, change) = match what {
-            Followed::BlackLevel => (Changed::BlackLevel, self.difference(what, since)?),
-            Followed::DarkCurrent => (Changed::DarkCurrent, self.relative(what, since)?),
+            Followed::BlackLevel => (Changed::BlackLevel, self.split(what, since)?.difference()),
+            Followed::DarkCurrent => (Changed::DarkCurrent, self.split(what, since)?.relative()),
             Followed::DarkNoise => {
                 // Of a variance half is the standard deviation's.
-                let r = self.relative(what, since)?;
+                let r = self.split(what, since)?.relative();
                 let value = (1.0 + r.value).max(0.0).sqrt() - 1.0;
                 (Changed::DarkNoise, Reading { value, std_err: 0.5 * r.std_err })
             }
             Followed::Pattern => {
-                let d = self.difference(what, since)?;
-                let value = d.value.abs().sqrt();
-                (Changed::Pattern, Reading { value, std_err: 0.5 * d.std_err / value.max(1e-12) })
+                let d = self.split(what, since)?.difference();
+                let size = d.value.abs().sqrt();
+                let change =
+                    Reading { value: size.copysign(d.value), std_err: 0.5 * d.std_err / size.max(1e-12) };
+                (Changed::Pattern, change)
             }
             Followed::Flicker => {
                 let checks = &self.history[since..];
-                let n = checks.len().max(1) as f64;
-                let now = checks.iter().map(|c| c.readings[&what].value).sum::<f64>() / n;
-                let dof = n * checks.first().map_or(1.0, |c| c.flats.saturating_sub(1).max(1) as f64);
-                let value = now.sqrt();
-                (Changed::Flicker, Reading { value, std_err: value / (2.0 * dof).sqrt() })
+                let values = checks.iter().filter_map(|c| Some((c.readings.get(&what)?.value, c.flats)));
+                let (sum, dof, n) = values.fold((0.0, 0.0, 0.0), |(sum, dof, n), (value, flats)| {
+                    (sum + value, dof + flats.saturating_sub(1).max(1) as f64, n + 1.0)
+                });
+                let value = (sum / f64::max(n, 1.0)).sqrt();
+                (Changed::Flicker, Reading { value, std_err: value / (2.0 * f64::max(dof, 1.0)).sqrt() })
             }
             Followed::LostFrames => {
-                let lost: f64 = self.history[since..].iter().map(|c| c.readings[&what].value).sum();
+                let checks = self.history[since..].iter();
+                let lost: f64 = checks.filter_map(|c| Some(c.readings.get(&what)?.value)).sum();
                 (Changed::LostFrames, Reading { value: lost, std_err: lost.sqrt() })
             }
             Followed::Gain | Followed::Signal => return None,
@@ -370,20 +345,24 @@ impl Monitor {
         Some(alarm)
     }
 
-    fn difference(&self, what: Followed, since: usize) -> Option<Reading> {
-        let (now, usual) = self.since(what, since)?;
-        let learned = usual.std_err / (self.charts[&what].learned.len() as f64).sqrt();
-        Some(Reading { value: now.value - usual.value, std_err: now.std_err.hypot(learned) })
-    }
-
     /// What a reading is since a check becomes its usual value.
     fn anew(&mut self, readings: &[Followed], since: usize) {
         for what in readings {
-            let learned: Vec<Reading> =
-                self.history[since..].iter().filter_map(|c| c.readings.get(what).copied()).collect();
-            let mut chart = Chart { learned, ..Chart::default() };
-            chart.usual = chart.learn(*what, &self.limits);
-            self.charts.insert(*what, chart);
+            let now = self.history.iter().enumerate().skip(since);
+            let now = now.filter_map(|(at, check)| Some((at, *check.readings.get(what)?)));
+            match what {
+                Followed::LostFrames => drop(self.rates.remove(what)),
+                Followed::Flicker => {
+                    let rate = self.rates.entry(*what).or_default();
+                    *rate = Rate::default();
+                    now.for_each(|(at, reading)| rate.learned.add(at, reading));
+                }
+                _ => {
+                    let chart = self.charts.entry(*what).or_default();
+                    *chart = Chart::default();
+                    now.for_each(|(at, reading)| chart.add(at, reading));
+                }
+            }
         }
     }
 
@@ -466,9 +445,12 @@ fn sentence(what: Changed, change: Reading, since_s: f64) -> String {
                 "Noise of dark frames is {percent} {higher} {since}. Look at supply, grounding and cable."
             )
         }
+        Changed::Pattern if value > 0.0 => format!(
+            "The calibration leaves a new pattern of {percent} of the signal between neighbours {since}. Look for dust; calibrate again."
+        ),
         Changed::Pattern => format!(
-            "The calibration leaves {} pattern of {percent} of the signal between neighbours {since}. Look for dust; calibrate again.",
-            if value > 0.0 { "a new" } else { "another" }
+            "A pattern of {percent} of the signal between neighbours, which the calibration left, is gone {since}: dust that moved, or another \
+             exposure. Calibrate again."
         ),
         Changed::HotPixels => {
             format!("{value:.0} new hot pixels {since} (PIXELS). Take new darks with `radcam calibrate`.")

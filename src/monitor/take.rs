@@ -3,12 +3,17 @@
 use super::{Check, Stack, Taken};
 use crate::bench::{BenchError, Illuminator};
 use crate::calibrate::file::Calibration;
-use crate::camera::{Camera, CameraError, StreamOptions};
+use crate::camera::{self, Camera, CameraError, StreamOptions};
 use crate::frame::{Frame, Status};
 use crate::plan::BenchState;
+use crate::stream::StreamError;
 use radcam_sim::Scene;
 use serde::{Deserialize, Serialize};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// Damaged frames beyond as many as whole ones, after which a check is given up.
+const DAMAGED: u64 = 20;
 
 /// What a check takes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -39,22 +44,50 @@ pub enum TakeError {
     /// The bench.
     #[error(transparent)]
     Bench(#[from] BenchError),
+    /// The camera is not the one that was calibrated, or cannot be brought to its settings.
+    #[error(transparent)]
+    Prepare(StreamError),
+    /// Frames come, and none is whole.
+    #[error(
+        "camera {camera}: {damaged} damaged frames, and {whole} whole ones; look at packet size, cable and switch"
+    )]
+    Damaged {
+        /// Which camera.
+        camera: String,
+        /// Damaged frames.
+        damaged: u64,
+        /// Whole frames of the same kind.
+        whole: u64,
+    },
+    /// It was asked to stop.
+    #[error("stopped")]
+    Stopped,
     /// A frame of another size than the calibration.
     #[error("check: {0}")]
     Size(#[from] crate::statistics::moments::SizeMismatch),
+}
+
+impl From<StreamError> for TakeError {
+    fn from(error: StreamError) -> Self {
+        match error {
+            StreamError::Camera(e) => Self::Camera(e),
+            other => Self::Prepare(other),
+        }
+    }
 }
 
 /// Takes short darks, long darks and the reference flat; the bench is left as for the flat.
 ///
 /// # Errors
 ///
-/// What camera or bench refuse.
+/// What camera or bench refuse; where more frames come damaged than whole; where it is stopped.
 pub fn take(
     camera: &mut dyn Camera,
     bench: &mut dyn Illuminator,
     calibration: &Calibration,
     plan: &Plan,
     options: &StreamOptions,
+    stop: &AtomicBool,
 ) -> Result<Check, TakeError> {
     let exposure_s = plan.exposure_s.unwrap_or(calibration.description.dark_exposure_s);
     let longest = camera.capabilities().exposure_s.map_or(f64::INFINITY, |b| b.max);
@@ -65,18 +98,29 @@ pub fn take(
     let [mut short, mut long, mut flat] = [(); 3].map(|()| Stack::new(shape, bits));
     let dark = BenchState { illumination: 0.0, configuration: 0, scene: Scene::Card };
     let lit = BenchState { illumination: plan.illumination, ..dark };
+    let id = camera.identity().id.clone();
     let mut lost = 0;
     let mut exposures = [exposure_s, long_s];
     for (stack, state, at) in [(&mut short, dark, 0), (&mut long, dark, 1), (&mut flat, lit, 0)] {
         bench.apply(&state, camera)?;
         exposures[at] = camera.set_exposure_s(exposures[at])?;
-        let timeout = Duration::from_secs_f64(2.0 * exposures[at] + 5.0);
+        let timeout = camera::patience(exposures[at]);
         let mut stream = camera.stream(options)?;
         let mut frame = Frame::new(0, 0);
+        let mut damaged = 0;
         while stack.frames() < plan.frames {
+            if stop.load(Ordering::Relaxed) {
+                return Err(TakeError::Stopped);
+            }
             stream.next(&mut frame, timeout)?;
             if frame.status == Status::Complete {
                 stack.add(frame.pixels.as_slice().unwrap_or_default())?;
+                continue;
+            }
+            damaged += 1;
+            let whole = stack.frames();
+            if damaged > DAMAGED + whole {
+                return Err(TakeError::Damaged { camera: id, damaged, whole });
             }
         }
         lost += stream.counts().lost();

@@ -10,7 +10,7 @@ pub use files::Files;
 pub use ring::Ring;
 
 use crate::calibrate::file::Calibration;
-use crate::camera::{Camera, CameraError, Identity, Settings, StreamCounts, StreamOptions};
+use crate::camera::{self, Camera, CameraError, Identity, Settings, StreamCounts, StreamOptions};
 use crate::correct::{Codes, CorrectError, Corrector, Seen};
 use crate::dataset::{CameraInfo, DatasetError};
 use crate::frame::{Frame, Region};
@@ -241,7 +241,7 @@ pub fn prepare(
         camera.set_exposure_s(exposure_s)?;
     }
     let settings = camera.settings()?;
-    let found = known.differences(&settings.info(camera.identity()));
+    let found = known.differences(&camera::info(camera)?);
     if found.is_empty() {
         return Ok(settings);
     }
@@ -440,7 +440,7 @@ impl Job<'_> {
         let mut stream = camera.stream(&self.options.stream)?;
         let (mut pool, mut memory) = (Pool::default(), Frame::new(0, 0));
         let mut told = Instant::now();
-        let timeout = Duration::from_secs_f64(2.0 * self.exposure_s + 5.0);
+        let timeout = camera::patience(self.exposure_s);
         tally.last = Instant::now();
         let pixels = self.corrector.shape().0 * self.corrector.shape().1;
         let outcome = loop {

@@ -334,6 +334,7 @@ mod tests {
             level_dn: Array2::from_shape_fn(shape, |(_, x)| 100.0 + 8.0 * x as f32),
             current_dn_per_s: None,
             std_err_dn: 0.1,
+            current_std_err_dn_per_s: f64::NAN,
             var_dn2: 1.0,
         };
         let pattern = FixedPattern {

@@ -243,9 +243,8 @@ impl Live {
 
     /// The newest picture, once there is one after `number`.
     pub async fn picture(&self, number: u64) -> Option<Picture> {
-        // A frame takes its exposure, and the one that is under way another.
         let exposure_s = lock(&self.state).settings.as_ref().map_or(0.0, |s| s.exposure_s);
-        let patience = Duration::from_secs_f64((2.0 * exposure_s + 5.0).min(3600.0));
+        let patience = crate::camera::patience(exposure_s);
         let mut shown = self.shown.subscribe();
         let waits = Waits::new(&self.waiting);
         let newer = tokio::time::timeout(patience, shown.wait_for(|n| *n > number)).await;
@@ -369,7 +368,7 @@ impl Thread {
     fn look(&mut self, orders: &Orders) -> Result<Option<Ordered>, String> {
         let settings = self.camera.settings().map_err(|e| e.to_string())?;
         let full = settings.pixel_format.full_scale_dn();
-        let wait = Duration::from_secs_f64((2.0 * settings.exposure_s + 5.0).min(3600.0));
+        let wait = crate::camera::patience(settings.exposure_s);
         let mut frame = Frame::new(settings.region.width as usize, settings.region.height as usize);
         lock(&self.live.state).settings = Some(settings);
         let mut stream = self.camera.stream(&self.options).map_err(|e| e.to_string())?;

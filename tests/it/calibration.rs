@@ -140,6 +140,7 @@ impl Chart {
                 level_dn: dark.mapv(|d| d as f32),
                 current_dn_per_s: None,
                 std_err_dn: 0.0,
+                current_std_err_dn_per_s: f64::NAN,
                 var_dn2: 1.0,
             },
             k: sensor.maps().uniformity.clone(),

@@ -10,6 +10,7 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 const WIDTH: u32 = 320;
@@ -34,7 +35,10 @@ struct Network {
 impl Network {
     /// `None`, with the reason printed, where namespaces cannot be made.
     fn new() -> Option<Self> {
-        let probe = format!("radcam-probe-{}", std::process::id());
+        // Tests run at once in one process.
+        static MADE: AtomicU32 = AtomicU32::new(0);
+        let own = format!("{}-{}", std::process::id(), MADE.fetch_add(1, Ordering::Relaxed));
+        let probe = format!("radcam-probe-{own}");
         let ip = |arguments: &[&str]| Command::new("ip").args(arguments).stderr(Stdio::null()).status();
         let may = ip(&["netns", "add", &probe]).is_ok_and(|s| s.success());
         if !may || !Path::new("/dev/net/tun").exists() {
@@ -42,7 +46,7 @@ impl Network {
             return None;
         }
         ip(&["netns", "del", &probe]).unwrap();
-        let names = ["a", "b"].map(|end| format!("radcam-{}-{end}", std::process::id()));
+        let names = ["a", "b"].map(|end| format!("radcam-{own}-{end}"));
         let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/outside/network.py");
         let mut child = Command::new("python3")
             .arg(script)

@@ -350,6 +350,27 @@ fn gamma_that_is_stuck_is_the_first_suspect() {
     assert!(sentence.starts_with("The camera's own Gamma = 0.6 was on"), "{sentence}");
 }
 
+/// A calibration made without binning is refused by a camera that bins, though frames of its size can be had.
+#[test]
+fn a_calibration_without_binning_does_not_hold_for_a_camera_that_bins() {
+    let _port = gige_port();
+    let prepared = |options: &Options| {
+        let _served = serve(sensor(), Ipv4Addr::LOCALHOST.into(), "TEST1", options).unwrap();
+        let mut camera = AravisCamera::open(LOOPBACK).unwrap();
+        let mut calibration = calibration("xc77", "TEST1", (8, 16), |_| (64.0, 1.0));
+        let now = radcam::camera::info(&mut camera).unwrap();
+        calibration.description.camera = radcam::dataset::CameraInfo { width: 16, height: 8, ..now };
+        if !options.stuck.is_empty() {
+            calibration.description.camera.features.insert("BinningHorizontal".into(), 1.into());
+        }
+        radcam::stream::prepare(&mut camera, &calibration, None)
+    };
+    prepared(&Options::default()).unwrap();
+    let stuck = vec![("BinningHorizontal".to_string(), "2".to_string())];
+    let text = prepared(&Options { stuck, ..Options::default() }).unwrap_err().to_string();
+    assert!(text.contains("BinningHorizontal is 2, and was 1"), "{text}");
+}
+
 /// Two cameras on one machine, each at its own address; a demo that cannot have its port leaves nothing behind.
 #[test]
 fn several_cameras_are_served_and_a_taken_port_leaves_no_trace() {

@@ -96,6 +96,7 @@ pub fn calibration(
         level_dn: plane(&|i| maps(i).0),
         current_dn_per_s: Some(plane(&|_| 0.0)),
         std_err_dn: 0.1,
+        current_std_err_dn_per_s: f64::NAN,
         var_dn2: 1.0,
     };
     let pattern = FixedPattern {
