@@ -1,8 +1,9 @@
 //! Calibrations, and correction of frames (eq. 51).
 
 use crate::errors::{CorrectError, Raised};
-use crate::frames::in_rows;
-use numpy::{IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray2};
+use crate::frames::{codes_of, in_rows};
+use crate::work::own_threads;
+use numpy::{IntoPyArray, PyArray2, PyArrayMethods, PyReadwriteArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use radcam::correct::Codes;
@@ -45,6 +46,9 @@ impl Calibration {
 
     /// The dark reference at an exposure, (rows, columns), DN.
     fn dark_dn<'py>(&self, py: Python<'py>, exposure_s: f64) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        if !(exposure_s.is_finite() && exposure_s >= 0.0) {
+            return Err(radcam::correct::CorrectError::Exposure(exposure_s).raised());
+        }
         let dark = self.0.dark.at(exposure_s).map_err(|e| CorrectError::new_err(e.to_string()))?;
         Ok(dark.into_pyarray(py))
     }
@@ -78,6 +82,19 @@ impl Corrector {
     }
 }
 
+/// Refuses an output that shares memory with the frame.
+fn apart<A, B>(from: &[A], to: &[B]) -> PyResult<()> {
+    let (a, b) = (from.as_ptr_range(), to.as_ptr_range());
+    let overlap = (a.start as usize) < b.end as usize && (b.start as usize) < a.end as usize;
+    if overlap { Err(shared()) } else { Ok(()) }
+}
+
+fn shared() -> PyErr {
+    PyValueError::new_err(
+        "out shares memory with the frame, or is in use: give the frame itself, or memory of its own",
+    )
+}
+
 #[pymethods]
 impl Corrector {
     /// (rows, columns).
@@ -91,14 +108,17 @@ impl Corrector {
     fn correct<'py>(
         &self,
         py: Python<'py>,
-        frame: PyReadonlyArray2<'py, u16>,
+        frame: &Bound<'py, PyAny>,
         out: Option<Bound<'py, PyArray2<f32>>>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        own_threads()?;
+        let frame = codes_of(frame)?.try_readonly()?;
         let out = out.unwrap_or_else(|| PyArray2::zeros(py, self.0.shape(), false));
         self.fits(&frame)?;
         self.fits(&out)?;
-        let mut into: PyReadwriteArray2<'_, f32> = out.try_readwrite()?;
+        let mut into: PyReadwriteArray2<'_, f32> = out.try_readwrite().map_err(|_| shared())?;
         let (from, to) = (frame.as_slice()?, into.as_slice_mut()?);
+        apart(from, to)?;
         py.detach(|| self.0.to_f32(from, to)).map_err(Raised::raised)?;
         drop(into);
         Ok(out)
@@ -109,22 +129,30 @@ impl Corrector {
     fn correct_codes<'py>(
         &self,
         py: Python<'py>,
-        frame: Bound<'py, PyArray2<u16>>,
+        frame: &Bound<'py, PyAny>,
         scale: f32,
         offset: f32,
         out: Option<Bound<'py, PyArray2<u16>>>,
     ) -> PyResult<Bound<'py, PyArray2<u16>>> {
+        own_threads()?;
+        if !(scale > 0.0 && scale.is_finite() && offset.is_finite()) {
+            let message = format!("scale is {scale} and offset {offset}: write numbers, the scale above 0");
+            return Err(PyValueError::new_err(message));
+        }
+        let in_place = out.as_ref().is_some_and(|out| out.is(frame));
+        let frame = codes_of(frame)?;
         let codes = Codes { scale, offset };
         let out = out.unwrap_or_else(|| PyArray2::zeros(py, self.0.shape(), false));
         self.fits(&frame)?;
         self.fits(&out)?;
-        let mut into: PyReadwriteArray2<'_, u16> = out.try_readwrite()?;
+        let mut into: PyReadwriteArray2<'_, u16> = out.try_readwrite().map_err(|_| shared())?;
         let to = into.as_slice_mut()?;
-        if out.is(&frame) {
+        if in_place {
             py.detach(|| self.0.in_place(to, codes)).map_err(Raised::raised)?;
         } else {
-            let frame = frame.try_readonly()?;
+            let frame = frame.try_readonly().map_err(|_| shared())?;
             let from = frame.as_slice()?;
+            apart(from, to)?;
             py.detach(|| self.0.to_u16(from, codes, to)).map_err(Raised::raised)?;
         }
         drop(into);

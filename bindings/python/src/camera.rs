@@ -1,12 +1,14 @@
 //! Cameras as iterators of arrays, and the simulated sensor by itself.
 
-use crate::errors::{CameraError, ModelError, Raised};
+use crate::errors::{CameraError, Raised};
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods};
 use pyo3::exceptions::{PyStopIteration, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use radcam::camera::{self, StreamCounts, StreamOptions, Value};
 use radcam::frame::{Frame, Region, Status};
+use radcam::plan::BenchState;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -60,9 +62,10 @@ impl Camera {
 #[pymethods]
 impl Camera {
     #[new]
-    fn new(py: Python<'_>, name: &str) -> PyResult<Self> {
+    fn new(py: Python<'_>, name: PathBuf) -> PyResult<Self> {
         crate::logs::begin();
-        let opened = py.detach(|| camera::open(name)).map_err(Raised::raised)?;
+        let name = name.to_string_lossy();
+        let opened = py.detach(|| camera::open(&name)).map_err(Raised::raised)?;
         let camera::Identity { id, vendor, model, serial, .. } = opened.identity().clone();
         Ok(Self { place: Arc::new(Mutex::new(Some(opened))), id, vendor, model, serial })
     }
@@ -125,6 +128,30 @@ impl Camera {
         self.with(py, |c| c.set_feature(name, &value)).map(drop)
     }
 
+    /// Sets the light before a simulated camera of this process, relative to its bench's unit, and which part of the card it sees.
+    #[pyo3(signature = (illumination, configuration=0))]
+    fn set_light(&self, py: Python<'_>, illumination: f64, configuration: u32) -> PyResult<()> {
+        if !(illumination.is_finite() && illumination >= 0.0) {
+            let message = format!("illumination is {illumination}: write a number that is not below 0");
+            return Err(PyValueError::new_err(message));
+        }
+        let bench = self.with(py, |c| Ok(c.shared_bench()))?;
+        let Some(bench) = bench else {
+            let message = format!(
+                "camera {}: its light is not radcam's to move; a feature of the camera may be, by set_feature",
+                self.id
+            );
+            return Err(CameraError::new_err(message));
+        };
+        bench.set(BenchState { illumination, configuration, ..bench.get() });
+        Ok(())
+    }
+
+    /// Frames without end.
+    fn __iter__(&self, py: Python<'_>) -> PyResult<Frames> {
+        self.frames(py, None, 5.0, None)
+    }
+
     /// Switches off what changes pixels by itself; what could not be switched off, as (feature, value).
     fn disable_automatics(&self, py: Python<'_>) -> PyResult<Vec<(String, String)>> {
         let all = self.with(py, |c| c.disable_automatics())?;
@@ -133,12 +160,19 @@ impl Camera {
 
     /// Frames as they come; `count` of them, or without end.
     #[pyo3(signature = (count=None, timeout_s=5.0, packet_size=None))]
-    fn frames(&self, count: Option<u64>, timeout_s: f64, packet_size: Option<u32>) -> PyResult<Frames> {
-        if !(timeout_s.is_finite() && timeout_s > 0.0) {
-            return Err(PyValueError::new_err(format!("timeout_s is {timeout_s}: write seconds above 0")));
+    fn frames(
+        &self,
+        py: Python<'_>,
+        count: Option<u64>,
+        timeout_s: f64,
+        packet_size: Option<u32>,
+    ) -> PyResult<Frames> {
+        if !(timeout_s > 0.0 && timeout_s <= 1e9) {
+            let message = format!("timeout_s is {timeout_s}: write seconds above 0, no more than 1e9");
+            return Err(PyValueError::new_err(message));
         }
-        let mut place = self.place.lock().unwrap_or_else(PoisonError::into_inner);
-        let Some(camera) = place.take() else {
+        let taken = py.detach(|| self.place.lock().unwrap_or_else(PoisonError::into_inner).take());
+        let Some(camera) = taken else {
             return Err(CameraError::new_err(format!(
                 "camera {}: its frames are being read already; close them first",
                 self.id
@@ -234,7 +268,10 @@ impl Frames {
 
 impl Drop for Frames {
     fn drop(&mut self) {
-        self.end();
+        // The thread may need the interpreter's lock to end: an effect or a log of Python's.
+        if Python::try_attach(|py| py.detach(|| self.end())).is_none() {
+            self.shared.stop.store(true, Ordering::SeqCst);
+        }
     }
 }
 
@@ -310,9 +347,9 @@ pub struct Sensor(radcam_sim::Sensor);
 impl Sensor {
     #[new]
     #[pyo3(signature = (model, seed=None))]
-    fn new(py: Python<'_>, model: &str, seed: Option<u64>) -> PyResult<Self> {
+    fn new(py: Python<'_>, model: crate::verbs::Named, seed: Option<u64>) -> PyResult<Self> {
         let make = || {
-            let model = camera::sim::model(model, seed).map_err(ModelError::new_err)?;
+            let model = model.load(seed)?;
             radcam_sim::Sensor::new(model).map_err(Raised::raised)
         };
         Ok(Self(py.detach(make)?))
@@ -349,6 +386,7 @@ impl Sensor {
             );
             return Err(PyValueError::new_err(message));
         }
+        crate::work::own_threads()?;
         let conditions =
             radcam_sim::Conditions { illumination, configuration, time_s, ..self.0.conditions(exposure_s) };
         let region = self.0.region();

@@ -3,6 +3,7 @@
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::PyType;
 use radcam_sim::effects::{Drawing, Effect, Page, Parameter, Plain, Stage, Take, register as known, takes};
 use radcam_sim::predict as expected;
 use std::sync::{Mutex, PoisonError};
@@ -260,10 +261,32 @@ impl Effect for Own {
                     self.id
                 )));
             }
-            out.frame_signal.clone_from(&prediction.frame_signal);
-            for (to, from) in out.sets.iter_mut().zip(&prediction.sets) {
-                to.clone_from(&from.borrow(py).0);
+            let mut frames = prediction.frame_signal.clone();
+            let same = frames == out.frame_signal;
+            for (number, (to, from)) in out.sets.iter_mut().zip(&prediction.sets).enumerate() {
+                let now = &from.borrow(py).0;
+                let said =
+                    [now.signal, now.common, now.unequal, now.fourth, now.shot.lag(0, 0), now.read.lag(0, 0)];
+                if !said.iter().all(|v| v.is_finite()) {
+                    let message = format!(
+                        "{}: predict left set {number} with a number that is none: {said:?}",
+                        self.id
+                    );
+                    return Err(PyValueError::new_err(message));
+                }
+                // Whoever moves the signal of a set alone means its frames.
+                let by = now.signal - to.signal;
+                if same && by != 0.0 {
+                    let of_set = campaign.frames.iter().zip(&mut frames).filter(|(f, _)| f.set == number);
+                    of_set.for_each(|(_, signal)| *signal += by);
+                }
+                to.clone_from(now);
             }
+            if let Some(at) = frames.iter().position(|v| !v.is_finite()) {
+                let message = format!("{}: predict left frame {at} with a signal of {}", self.id, frames[at]);
+                return Err(PyValueError::new_err(message));
+            }
+            out.frame_signal = frames;
             Ok(())
         }));
     }
@@ -296,7 +319,11 @@ impl Effect for Own {
                 Ok(drawn.to_owned_array())
             });
             let (next, raised) = match back {
-                Ok(next) if next.dim() == shape => (next, Ok(())),
+                Ok(next) if next.dim() == shape && next.iter().all(|v| v.is_finite()) => (next, Ok(())),
+                Ok(next) if next.dim() == shape => {
+                    let message = format!("{}: draw left pixels that are no numbers", self.id);
+                    (ndarray::Array2::zeros(shape), Err(PyValueError::new_err(message)))
+                }
                 Ok(next) => {
                     let message =
                         format!("{}: draw returned {:?}, and the image has {shape:?}", self.id, next.dim());
@@ -359,13 +386,22 @@ fn register(
     if !is_id {
         return Err(PyValueError::new_err(format!("id is {id:?}: write small letters, digits and \"-\"")));
     }
+    if Python::attach(|py| object.bind(py).is_instance_of::<PyType>()) {
+        return Err(PyTypeError::new_err(format!("{id}: register an object of the class, not the class")));
+    }
+    let mut names: Vec<&String> = parameters.iter().map(|p| &p.0).collect();
+    names.sort();
+    if let Some(twice) = names.windows(2).find(|w| w[0] == w[1]) {
+        return Err(PyValueError::new_err(format!("parameter {} is there twice", twice[0])));
+    }
     let parameters: Vec<Parameter> = parameters
         .into_iter()
         .map(|(name, meaning, unit, min, max, starts)| {
-            let sound = min < max && starts.iter().all(|s| (min..=max).contains(s));
+            let sound = min < max && !starts.is_empty() && starts.iter().all(|s| (min..=max).contains(s));
             if !sound {
-                let message =
-                    format!("parameter {name}: min must lie below max, and every start between them");
+                let message = format!(
+                    "parameter {name}: min must lie below max, and one start at least between them, and every other"
+                );
                 return Err(PyValueError::new_err(message));
             }
             Ok(Parameter {
@@ -398,11 +434,21 @@ fn register(
     known(Box::leak(Box::new(own))).map_err(PyValueError::new_err)
 }
 
+/// Takes an effect of one's own out again.
+#[pyfunction]
+fn unregister(id: &str) -> PyResult<()> {
+    if radcam_sim::effects::unregister(id) {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!("no effect {id:?} was registered in this process")))
+}
+
 pub fn add(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<SetPrediction>()?;
     m.add_class::<Prediction>()?;
     m.add_class::<Campaign>()?;
     m.add_class::<Drawn>()?;
     m.add_class::<PlainCamera>()?;
-    m.add_function(wrap_pyfunction!(register, m)?)
+    m.add_function(wrap_pyfunction!(register, m)?)?;
+    m.add_function(wrap_pyfunction!(unregister, m)?)
 }

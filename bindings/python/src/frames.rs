@@ -1,8 +1,8 @@
 //! Frames of datasets, and statistics of frames that come as arrays.
 
 use crate::errors::{DatasetError, Raised};
-use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2, PyUntypedArrayMethods};
-use pyo3::exceptions::{PyIndexError, PyValueError};
+use numpy::{IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
+use pyo3::exceptions::{PyIndexError, PyMemoryError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use radcam::statistics::layout::Layout;
 use radcam::statistics::moments::Moments as Sums;
@@ -15,6 +15,34 @@ pub fn in_rows<T: numpy::Element>(array: &Bound<'_, PyArray2<T>>) -> PyResult<()
         return Ok(());
     }
     Err(PyValueError::new_err("the array is not contiguous row by row: numpy.ascontiguousarray makes it so"))
+}
+
+/// A frame as codes of 16 bits, row by row: the array itself where it is that, and otherwise a copy of an array of unsigned codes of up to 16 bits.
+pub fn codes_of<'py>(frame: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<u16>>> {
+    let py = frame.py();
+    if frame.hasattr("mask")? {
+        let message = "masked arrays: radcam has no use for a mask; give frame.data, or a part of the frame";
+        return Err(PyTypeError::new_err(message));
+    }
+    if let Ok(codes) = frame.cast::<PyArray2<u16>>()
+        && codes.is_c_contiguous()
+    {
+        return Ok(codes.clone());
+    }
+    let numpy = py.import("numpy")?;
+    let array = numpy.call_method1("asarray", (frame,))?;
+    let kind = array.getattr("dtype")?;
+    let unsigned = kind.getattr("kind")?.extract::<String>()? == "u"
+        && kind.getattr("itemsize")?.extract::<usize>()? <= 2;
+    let dimensions: usize = array.getattr("ndim")?.extract()?;
+    if !unsigned || dimensions != 2 {
+        let message = format!(
+            "a frame is an array of (rows, columns) of uint8 or uint16 codes; this is of {kind} with {dimensions} dimensions"
+        );
+        return Err(PyTypeError::new_err(message));
+    }
+    let to = numpy.call_method1("ascontiguousarray", (array, numpy.getattr("uint16")?))?;
+    Ok(to.cast_into()?)
 }
 
 /// A campaign on disk: a dataset folder, an EMVA 1288 descriptor or a file of statistics.
@@ -76,6 +104,11 @@ impl Moments {
                 "bit_depth is {bit_depth}, and must lie within 1 to 16"
             )));
         }
+        let pixels = pixels(shape)?;
+        // Refused before memory is taken: 16 bytes a pixel.
+        if Vec::<u128>::new().try_reserve_exact(pixels).is_err() || pixels > 1 << 32 {
+            return Err(PyMemoryError::new_err(format!("sums of {} x {} px do not fit", shape.1, shape.0)));
+        }
         Ok(Self { sums: Sums::new(shape, bit_depth), shape, bit_depth })
     }
 }
@@ -95,13 +128,22 @@ impl Moments {
     }
 
     /// Adds a frame, (rows, columns), DN.
-    fn add(&mut self, py: Python<'_>, frame: PyReadonlyArray2<'_, u16>) -> PyResult<()> {
+    fn add(&mut self, py: Python<'_>, frame: &Bound<'_, PyAny>) -> PyResult<()> {
+        crate::work::own_threads()?;
+        let frame = codes_of(frame)?.try_readonly()?;
         let dn = codes(&frame, self.shape, self.bit_depth)?;
         py.detach(|| self.sums.add(&[dn])).map_err(|e| PyValueError::new_err(e.to_string()))
     }
 
     /// Adds what another saw.
     fn merge(&mut self, other: PyRef<'_, Self>) -> PyResult<()> {
+        if self.bit_depth != other.bit_depth {
+            let message = format!(
+                "frames of {} bits and of {} bits have no common mean",
+                self.bit_depth, other.bit_depth
+            );
+            return Err(PyValueError::new_err(message));
+        }
         self.sums.merge(&other.sums).map_err(|e| PyValueError::new_err(e.to_string()))
     }
 
@@ -119,6 +161,13 @@ impl Moments {
     fn variance_dn2<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
         py.detach(|| self.sums.variance_dn2()).into_pyarray(py)
     }
+}
+
+/// Pixels of a frame of (rows, columns).
+fn pixels(shape: (usize, usize)) -> PyResult<usize> {
+    shape.0.checked_mul(shape.1).filter(|n| *n > 0).ok_or_else(|| {
+        PyValueError::new_err(format!("a frame of {} x {} px makes no image", shape.1, shape.0))
+    })
 }
 
 /// The codes of a frame of this shape, none above full scale.
@@ -151,19 +200,21 @@ fn statistics(py: Python<'_>, frames: &Bound<'_, PyAny>, bit_depth: u8) -> PyRes
     if !(1..=16).contains(&bit_depth) {
         return Err(PyValueError::new_err(format!("bit_depth is {bit_depth}, and must lie within 1 to 16")));
     }
+    crate::work::own_threads()?;
     let mut frames = frames.try_iter()?;
     let Some(first) = frames.next() else { return Ok(None) };
-    let first: PyReadonlyArray2<'_, u16> = first?.extract()?;
-    let shape = first.as_array().dim();
+    let first = codes_of(&first?)?;
+    let shape = (first.dims()[0], first.dims()[1]);
+    pixels(shape)?;
     let layout = Layout::new(&ndarray::Array2::from_elem(shape, true), ((1u32 << bit_depth) - 1) as u16);
     let mut pass = Pass::new(&layout);
     let mut add = |frame: PyReadonlyArray2<'_, u16>| {
         let dn = codes(&frame, shape, bit_depth)?;
         py.detach(|| pass.add(dn)).map_err(|e| PyValueError::new_err(e.to_string()))
     };
-    add(first)?;
+    add(first.try_readonly()?)?;
     for frame in frames {
-        add(frame?.extract()?)?;
+        add(codes_of(&frame?)?.try_readonly()?)?;
         py.check_signals()?;
     }
     let text = |s| serde_json::to_string(&s).map_err(|e| PyValueError::new_err(e.to_string()));

@@ -22,13 +22,49 @@ fn json(value: &impl serde::Serialize) -> PyResult<String> {
     serde_json::to_string(value).map_err(|e| crate::errors::RadcamError::new_err(e.to_string()))
 }
 
-fn model(name: &str) -> PyResult<radcam_sim::Model> {
-    camera::sim::model(name, None).map_err(ModelError::new_err)
+/// A model: a sensor's name, a file, or a `Model`.
+pub enum Named {
+    Name(String),
+    Text(String),
 }
 
-fn effects(name: Option<&str>) -> PyResult<Vec<Given>> {
-    let Some(name) = name else { return Ok(Vec::new()) };
-    radcam::model::given(&model(name)?.effects).map_err(Raised::raised)
+impl<'py> FromPyObject<'_, 'py> for Named {
+    type Error = PyErr;
+
+    fn extract(object: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        if let Ok(text) = object.getattr("text") {
+            return Ok(Self::Text(text.extract()?));
+        }
+        let path: PathBuf = object.extract()?;
+        Ok(Self::Name(path.to_string_lossy().into_owned()))
+    }
+}
+
+impl Named {
+    pub fn load(&self, seed: Option<u64>) -> PyResult<radcam_sim::Model> {
+        match self {
+            Self::Name(name) => camera::sim::model(name, seed).map_err(ModelError::new_err),
+            Self::Text(text) => {
+                let mut model = radcam_sim::Model::from_toml(text).map_err(Raised::raised)?;
+                model.base.seed = seed.unwrap_or(model.base.seed);
+                Ok(model)
+            }
+        }
+    }
+}
+
+fn effects(model: Option<&Named>) -> PyResult<Vec<Given>> {
+    let Some(model) = model else { return Ok(Vec::new()) };
+    radcam::model::given(&model.load(None)?.effects).map_err(Raised::raised)
+}
+
+/// Refuses to write over a file unless that is asked for.
+fn free(output: &Path, overwrite: bool) -> PyResult<()> {
+    if output.exists() && !overwrite {
+        let message = format!("{} is there already; overwrite=True writes over it", output.display());
+        return Err(pyo3::exceptions::PyFileExistsError::new_err(message));
+    }
+    Ok(())
 }
 
 #[pyfunction]
@@ -45,11 +81,11 @@ fn noise(py: Python<'_>, paths: Vec<PathBuf>, progress: Progress<'_>) -> PyResul
 fn compare(
     py: Python<'_>,
     paths: Vec<PathBuf>,
-    model: Option<String>,
+    model: Option<Named>,
     progress: Progress<'_>,
 ) -> PyResult<String> {
     run(py, progress.as_ref(), move |w| {
-        let effects = effects(model.as_deref())?;
+        let effects = effects(model.as_ref())?;
         let source = Source::open_all(&paths).map_err(Raised::raised)?;
         let all =
             source.observations_with(&w.stop, &mut |done, of| w.step(done, of)).map_err(Raised::raised)?;
@@ -62,11 +98,11 @@ fn compare(
 fn diagnose(
     py: Python<'_>,
     paths: Vec<PathBuf>,
-    model: Option<String>,
+    model: Option<Named>,
     progress: Progress<'_>,
 ) -> PyResult<(String, Option<String>)> {
     run(py, progress.as_ref(), move |w| {
-        let effects = effects(model.as_deref())?;
+        let effects = effects(model.as_ref())?;
         let source = Source::open_all(&paths).map_err(Raised::raised)?;
         let all =
             source.observations_with(&w.stop, &mut |done, of| w.step(done, of)).map_err(Raised::raised)?;
@@ -96,14 +132,16 @@ fn emva(py: Python<'_>, path: PathBuf, release: &str, progress: Progress<'_>) ->
 }
 
 #[pyfunction]
-#[pyo3(signature = (path, output, estimator="joint", progress=None))]
+#[pyo3(signature = (path, output, estimator="joint", overwrite=false, progress=None))]
 fn calibrate(
     py: Python<'_>,
     path: PathBuf,
     output: PathBuf,
     estimator: &str,
+    overwrite: bool,
     progress: Progress<'_>,
 ) -> PyResult<String> {
+    free(&output, overwrite)?;
     let estimator = match estimator {
         "joint" => Estimator::Joint,
         "paper" => Estimator::Paper(Paper::default()),
@@ -135,9 +173,9 @@ fn plan(name: &str) -> PyResult<Plan> {
     Plan::from_toml(&text).map_err(Raised::raised)
 }
 
-/// Captures a plan with a camera; `model` and `seed` of a simulated one.
+/// Captures a plan with a camera or, where `model` is given, a simulated one of it with `seed`; `resume` goes on with one that was ended.
 #[pyfunction]
-#[pyo3(signature = (camera, output, plan_name="standard", region=None, full_exposure_s=None, seed=None, progress=None))]
+#[pyo3(signature = (camera, output, plan_name="standard", region=None, full_exposure_s=None, model=None, seed=None, resume=false, progress=None))]
 #[allow(clippy::too_many_arguments)] // as many as the verb has
 fn capture(
     py: Python<'_>,
@@ -146,15 +184,29 @@ fn capture(
     plan_name: &str,
     region: Option<[u32; 4]>,
     full_exposure_s: Option<f64>,
+    model: Option<Named>,
     seed: Option<u64>,
+    resume: bool,
     progress: Progress<'_>,
 ) -> PyResult<String> {
-    let mut plan = plan(plan_name)?;
+    if let Some(s) = full_exposure_s.filter(|s| !(s.is_finite() && *s > 0.0)) {
+        let message = format!("full_exposure_s is {s}: write seconds above 0");
+        return Err(pyo3::exceptions::PyValueError::new_err(message));
+    }
+    let stored = output.join(campaign::PLAN_FILE);
+    let mut plan = if resume { plan(&stored.to_string_lossy())? } else { plan(plan_name)? };
     plan.camera.region = region.or(plan.camera.region);
     plan.full_exposure_s = full_exposure_s.or(plan.full_exposure_s);
     run(py, progress.as_ref(), move |w| {
-        let mut camera: Box<dyn camera::Camera> = match camera.strip_prefix("sim:") {
-            Some(sensor) => Box::new(camera::sim::SimCamera::open(sensor, seed).map_err(Raised::raised)?),
+        let mut camera: Box<dyn camera::Camera> = match model {
+            Some(model) => {
+                let sensor = radcam_sim::Sensor::new(model.load(seed)?).map_err(Raised::raised)?;
+                Box::new(camera::sim::SimCamera::new(
+                    camera.trim_start_matches("sim:"),
+                    sensor.into(),
+                    Default::default(),
+                ))
+            }
             None => camera::open(&camera).map_err(Raised::raised)?,
         };
         let mut bench = radcam::bench::of(&mut *camera, &plan);
@@ -162,21 +214,24 @@ fn capture(
         let mut capture = campaign::Capture::new(&mut *camera, &mut *bench);
         capture.stop = &w.stop;
         capture.progress = Some(&mut progress);
-        json(&capture.run(&plan, &output).map_err(Raised::raised)?)
+        let done = if resume { capture.resume(&output) } else { capture.run(&plan, &output) };
+        json(&done.map_err(Raised::raised)?)
     })
 }
 
 /// Reduces parts to a file of statistics; (frames, sets).
 #[pyfunction]
-#[pyo3(signature = (parts, output, plan=None, look=false, progress=None))]
+#[pyo3(signature = (parts, output, plan=None, look=false, overwrite=false, progress=None))]
 fn reduce(
     py: Python<'_>,
     parts: Vec<PathBuf>,
     output: PathBuf,
     plan: Option<PathBuf>,
     look: bool,
+    overwrite: bool,
     progress: Progress<'_>,
 ) -> PyResult<(usize, usize)> {
+    free(&output, overwrite)?;
     run(py, progress.as_ref(), move |w| {
         let open = |p: &PathBuf| Dataset::open(p).map_err(Raised::raised);
         let options = reduction::Options { plan: plan.as_ref().map(open).transpose()?, look_only: look };
@@ -210,7 +265,7 @@ fn fit_model(py: Python<'_>, text: String, paths: Vec<PathBuf>, progress: Progre
 /// A sensor or a model file as TOML, checked.
 #[pyfunction]
 fn load_model(name: &str) -> PyResult<String> {
-    model(name)?.to_toml().map_err(Raised::raised)
+    Named::Name(name.into()).load(None)?.to_toml().map_err(Raised::raised)
 }
 
 /// TOML of a model, checked, as JSON.

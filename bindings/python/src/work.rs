@@ -1,7 +1,7 @@
 //! Long work: without the interpreter's lock, ended by Ctrl-C, with progress.
 
 use pyo3::prelude::*;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -26,12 +26,28 @@ impl Watch {
     }
 }
 
+/// The process whose threads work here; 0 where there are none yet.
+static PROCESS: AtomicU32 = AtomicU32::new(0);
+
+/// Refuses work after a fork: threads do not come with the new process, and what waits for them waits for ever.
+pub fn own_threads() -> PyResult<()> {
+    let now = std::process::id();
+    match PROCESS.compare_exchange(0, now, Ordering::Relaxed, Ordering::Relaxed) {
+        Err(of) if of != now => Err(crate::errors::RadcamError::new_err(
+            "this process was forked from one that used radcam, whose threads it does not have: start it with \
+             multiprocessing.get_context(\"spawn\")",
+        )),
+        _ => Ok(()),
+    }
+}
+
 /// Does work on a thread of its own and waits for it. `progress` is called with (done, of).
 pub fn run<T: Send + 'static>(
     py: Python<'_>,
     progress: Option<&Bound<'_, PyAny>>,
     work: impl FnOnce(&Watch) -> PyResult<T> + Send + 'static,
 ) -> PyResult<T> {
+    own_threads()?;
     crate::logs::begin();
     let (tell, told) = channel();
     let told = Mutex::new(told);

@@ -122,3 +122,52 @@ for verb, act in (
     else:
         raise AssertionError(verb)
 """
+
+
+class Unfinished(RowGain):
+    id = "unfinished"
+
+    def predict(self, p: Sequence[float], campaign: Campaign, out: Prediction) -> None:
+        out.sets[0].signal = float("nan")
+
+
+class Brighter(RowGain):
+    """Moves the signal of sets, and of no frame."""
+
+    id = "brighter-of-python"
+    stage = "charge"
+
+    def predict(self, p: Sequence[float], campaign: Campaign, out: Prediction) -> None:
+        for of_set in out.sets:
+            of_set.signal += p[0] * of_set.signal**2 / 1e4
+
+    def draw(self, p: Sequence[float], image: NDArray[np.float64], frame: Drawn) -> None:
+        image += p[0] * image**2 / 1e4
+
+
+def test_what_an_effect_does_wrong_is_told_and_it_can_be_taken_out(drawn: list[Path]) -> None:
+    with pytest.raises(TypeError, match="not the class"):
+        radcam.register(Unfinished)  # type: ignore[arg-type]
+    bare = Unfinished()
+    bare.parameters = (Parameter("rel", "nothing", "1", 0.0, 0.1, ()),)
+    with pytest.raises(ValueError, match="one start"):
+        radcam.register(bare)
+    radcam.register(Unfinished())
+    model = radcam.Model.load("cmos12").add("unfinished", rel=0.01)
+    with pytest.raises(ValueError, match="unfinished: predict left set 0"):
+        radcam.compare(drawn[0], model)
+    radcam.unregister("unfinished")
+    with pytest.raises(ValueError, match="no effect"):
+        radcam.unregister("unfinished")
+    assert "unfinished" not in {e["id"] for e in radcam.effects_known()}
+
+
+def test_a_signal_that_is_moved_moves_its_frames(drawn: list[Path]) -> None:
+    radcam.register(Brighter())
+    try:
+        without = radcam.compare(drawn[0])
+        with_it = radcam.compare(drawn[0], radcam.Model.load("cmos12").add("brighter-of-python", rel=0.05))
+        mean = [r.z for r in without.residuals if r.statistic == "mean"]
+        assert mean != [r.z for r in with_it.residuals if r.statistic == "mean"]
+    finally:
+        radcam.unregister("brighter-of-python")

@@ -97,7 +97,7 @@ def test_outliers(tmp_path: Path) -> None:
             "campaign": f"/c/{i}", "camera": f"S{i:03}", "date": "2026-02-01", "model": "M" if i % 2 else "N", "gain_dn_per_e": gain,
             "gain_std_err": 0.0005, "verdict": "describes",
         }  # fmt: skip
-        fleet._write(tmp_path, row)
+        fleet._write(tmp_path, row, {})
     found = fleet.Fleet(tmp_path)
     far = found.outliers("gain_dn_per_e")
     assert list(far["camera"]) == ["S017"] and far["sigma"].iloc[0] > 4
@@ -108,3 +108,15 @@ def test_outliers(tmp_path: Path) -> None:
     figure.savefig(tmp_path / "fleet.png")
     with pytest.raises(ValueError, match="no column"):
         found.outliers("gain; drop table x")
+    for wrong in (lambda: found.plot("verdict"), lambda: found.drifts("date")):
+        with pytest.raises(ValueError, match="no column of numbers"):
+            wrong()
+    with pytest.raises(FileNotFoundError, match="no results"):
+        fleet.Fleet(tmp_path / "empty").outliers()
+    with pytest.raises(ValueError, match="YYYY-MM-DD"):
+        fleet.Campaign("c", date="24.11.2026")
+    # A name that is no path comes back as it was.
+    odd = "Linie 3/€ 100%"
+    fleet._write(tmp_path, row | {"camera": odd, "campaign": "/c/odd"}, {})
+    assert odd in set(found.table()["camera"])
+    assert odd in {r[0] for r in duckdb.sql(f"SELECT camera FROM ({found.outliers_sql(sigma=0.0)})").fetchall()}

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -114,15 +115,12 @@ def test_correction(campaign: Path, tmp_path: Path) -> None:
     assert np.array_equal(frame, codes)
     with pytest.raises(radcam.CorrectError, match="pixels"):
         corrector.correct(np.zeros((3, 3), np.uint16))
-    with pytest.raises(ValueError, match="ascontiguousarray"):
-        corrector.correct(frame[::-1])
-    # In Fortran's order the bytes are those of the transpose.
-    with pytest.raises(ValueError, match="ascontiguousarray"):
-        corrector.correct(np.asfortranarray(frame))
+    # In Fortran's order the bytes are those of the transpose: read as what they are, and refused to be written.
+    fortran = corrector.correct(np.asfortranarray(frame))
+    assert np.array_equal(fortran, corrector.correct(frame))
+    assert np.array_equal(corrector.correct(frame[::-1][::-1]), fortran)
     with pytest.raises(ValueError, match="ascontiguousarray"):
         corrector.correct_codes(frame, out=np.asfortranarray(frame))
-    with pytest.raises(ValueError, match="ascontiguousarray"):
-        radcam.statistics([np.asfortranarray(frame)] * 2)
     with pytest.raises(radcam.CorrectError, match="pixels"):
         corrector.correct(np.zeros(frame.shape[::-1], np.uint16))
 
@@ -231,3 +229,72 @@ def test_types_agree() -> None:
     assert checked.returncode == 0, checked.stdout
     stubs = subprocess.run([sys.executable, "-m", "mypy.stubtest", "radcam._radcam"], capture_output=True, text=True)
     assert stubs.returncode == 0, stubs.stdout + stubs.stderr
+
+
+def test_what_users_hand_over(campaign: Path, tmp_path: Path) -> None:
+    """Views, other byte orders and 8-bit codes are taken as what they are; what cannot be meant is refused by name, and nothing is overwritten."""
+    dn = np.random.default_rng(5).integers(0, 200, (8, 6, 10), dtype=np.uint16)
+    mean = dn.mean(axis=0)
+    for frames in (dn, dn.astype(np.uint8), dn.astype(">u2"), np.ascontiguousarray(dn[:, :, ::-1])[:, :, ::-1], np.asfortranarray(dn)):
+        assert np.array_equal(radcam.moments(frames, 8).mean_dn(), mean)
+        assert radcam.statistics(frames, 8).json() == radcam.statistics(dn, 8).json()
+    refused: list[tuple[type[BaseException], str, Any]] = [
+        (TypeError, "uint8 or uint16", lambda: radcam.moments(dn.astype(float))),
+        (TypeError, "masked", lambda: radcam.statistics(np.ma.masked_greater(dn, 100))),
+        (TypeError, "dimensions", lambda: radcam.moments(dn[0])),
+        (ValueError, "makes no image", lambda: radcam.statistics(np.zeros((3, 0, 4), np.uint16))),
+        (MemoryError, "do not fit", lambda: radcam.Moments((10**9, 10**9))),
+        (ValueError, "no common mean", lambda: radcam.Moments((2, 2), 8).merge(radcam.Moments((2, 2), 12))),
+        (ValueError, "timeout_s", lambda: radcam.Camera("sim:cmos12").frames(1, timeout_s=1e300)),
+        (FileExistsError, "overwrite=True", lambda: radcam.reduce(campaign, campaign / "frames.csv")),
+        (FileExistsError, "overwrite=True", lambda: radcam.Model.load("cmos12").save(campaign / "frames.csv")),
+        (ValueError, "full_exposure_s", lambda: radcam.capture("sim:cmos12", tmp_path / "c", full_exposure_s=float("nan"))),
+    ]
+    for kind, text, call in refused:
+        with pytest.raises(kind, match=text):
+            call()
+    corrector = radcam.calibrate(campaign, tmp_path / "cal.tiff", "smooth").corrector(0.001)
+    with pytest.raises(FileExistsError):
+        radcam.calibrate(campaign, tmp_path / "cal.tiff", "smooth")
+    frame = radcam.Dataset(campaign).read(0)
+    memory = np.zeros(2 * frame.size, np.float32)
+    view = memory.view(np.uint16)[: frame.size].reshape(frame.shape)
+    with pytest.raises(ValueError, match="shares memory"):
+        corrector.correct(view, memory[: frame.size].reshape(frame.shape))
+    for bad in (float("nan"), -1.0):
+        with pytest.raises(radcam.CorrectError, match="exposure"):
+            radcam.Calibration(tmp_path / "cal.tiff").corrector(bad)
+    with pytest.raises(ValueError, match="scale"):
+        corrector.correct_codes(frame, scale=float("nan"))
+
+
+def test_a_camera_is_an_iterator_and_has_light(tmp_path: Path) -> None:
+    camera = radcam.Camera("sim:cmos12")
+    camera.set_region(0, 0, 64, 48)
+    camera.set_exposure_s(0.01)
+    dark = next(iter(camera)).mean()
+    camera.set_light(1.0)
+    assert next(iter(camera)).mean() > dark + 50
+    model = radcam.Model.load("cmos12").add("row-noise", e=4.0)
+    assert radcam.Sensor(model, seed=3).draw(1, 0.01).shape == radcam.Sensor("cmos12").shape
+    radcam.simulate(model, tmp_path / "c", "quick", region=(0, 0, 64, 48), seed=3)
+    assert not radcam.compare(tmp_path / "c").consistent
+    assert radcam.compare(tmp_path / "c", model).consistent
+    # A whole capture is resumed: nothing is left to do.
+    assert radcam.capture("sim:cmos12", tmp_path / "d", "quick", region=(0, 0, 64, 48))["frames"] > 0
+    radcam.capture("sim:cmos12", tmp_path / "d", resume=True)
+
+
+def test_a_fork_is_told(campaign: Path) -> None:
+    """Threads do not come with a fork: what would wait for ever is an error."""
+    script = (
+        "import multiprocessing as m, sys, radcam\n"
+        "def work(path): return radcam.noise(path).gain_dn_per_e.value\n"
+        "work(sys.argv[1])\n"
+        "if __name__ == '__main__':\n"
+        "    with m.get_context('fork').Pool(1) as pool:\n"
+        "        try: pool.map_async(work, [sys.argv[1]]).get(30)\n"
+        "        except radcam.RadcamError as e: print(e)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script, str(campaign)], capture_output=True, text=True, timeout=120)
+    assert "spawn" in done.stdout, done

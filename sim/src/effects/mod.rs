@@ -501,6 +501,14 @@ pub fn register(effect: &'static dyn Effect) -> Result<(), String> {
     Ok(())
 }
 
+/// Takes an effect of the user's own out again. `false`: there was none of this identifier.
+pub fn unregister(id: &str) -> bool {
+    let mut own = OWN.write().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let before = own.len();
+    own.retain(|e| e.id() != id);
+    own.len() < before
+}
+
 /// Every effect, registered ones last.
 pub fn all() -> Vec<&'static dyn Effect> {
     let own = OWN.read().unwrap_or_else(std::sync::PoisonError::into_inner);

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike, fspath
+from os.path import exists
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,7 @@ from radcam._radcam import (
     Sensor,
     __version__,
 )
-from radcam.effects import Effect, Page, Parameter, register
+from radcam.effects import Effect, Page, Parameter, register, unregister
 from radcam.results import (
     Comparison,
     Diagnosis,
@@ -63,10 +64,12 @@ __all__ = [
     "DatasetError", "Diagnosis", "Effect", "EmvaError", "Evaluation", "Frames", "FrameStatistics", "Missing", "Model", "ModelError", "Moments",
     "NoiseError", "NoiseLevel", "NoiseReport", "ObserveError", "Page", "Parameter", "PlanError", "Quantity", "RadcamError", "Residual", "Rung",
     "Sensor", "Set", "__version__", "calibrate", "cameras", "capture", "compare", "diagnose", "effects_known", "emva", "merge", "moments",
-    "noise", "reduce", "register", "simulate", "statistics",
+    "noise", "reduce", "register", "simulate", "statistics", "unregister",
 ]  # fmt: skip
 
 Path = str | PathLike[str]
+#: A frame, (rows, columns): codes, DN.
+Codes = NDArray[np.uint16] | NDArray[np.uint8]
 #: True: a bar of tqdm where that is there. A function: called with (done, of).
 Progress = bool | Callable[[int, int], object]
 
@@ -77,6 +80,11 @@ def _paths(paths: Path | Sequence[Path]) -> list[str]:
 
 def _name(path: Path | None) -> str | None:
     return None if path is None else fspath(path)
+
+
+def _free(path: Path, overwrite: bool) -> None:
+    if not overwrite and exists(path):
+        raise FileExistsError(f"{fspath(path)} is there already; overwrite=True writes over it")
 
 
 @contextmanager
@@ -112,16 +120,16 @@ def noise(paths: Path | Sequence[Path], *, progress: Progress = False) -> NoiseR
         return NoiseReport.of_text(_radcam.noise(_paths(paths), tell))
 
 
-def compare(paths: Path | Sequence[Path], model: Path | None = None, *, progress: Progress = False) -> Comparison:
-    """A model (a file or a sensor's name; None: the paper's) against a campaign, on frames that its fit did not use."""
+def compare(paths: Path | Sequence[Path], model: Path | Model | None = None, *, progress: Progress = False) -> Comparison:
+    """A model (a `Model`, a file or a sensor's name; None: the paper's) against a campaign, on frames that its fit did not use."""
     with _told(progress, "reading") as tell:
-        return Comparison.of_text(_radcam.compare(_paths(paths), _name(model), tell))
+        return Comparison.of_text(_radcam.compare(_paths(paths), model, tell))
 
 
-def diagnose(paths: Path | Sequence[Path], model: Path | None = None, *, progress: Progress = False) -> Diagnosis:
+def diagnose(paths: Path | Sequence[Path], model: Path | Model | None = None, *, progress: Progress = False) -> Diagnosis:
     """The physical effects that a campaign shows and the model lacks, each with its size, its evidence and how far the error falls."""
     with _told(progress, "reading") as tell:
-        text, plan = _radcam.diagnose(_paths(paths), _name(model), tell)
+        text, plan = _radcam.diagnose(_paths(paths), model, tell)
     found = _json.loads(text)
     return Diagnosis.of(found).with_plan(plan)
 
@@ -135,48 +143,55 @@ def emva(path: Path, release: str = "4.0", *, progress: Progress = False) -> Eva
         return Evaluation.of_text(_radcam.emva(fspath(path), release, tell))
 
 
-def calibrate(path: Path, output: Path, estimator: str = "joint", *, progress: Progress = False) -> Calibration:
+def calibrate(
+    path: Path, output: Path, estimator: str = "joint", *, overwrite: bool = False, progress: Progress = False
+) -> Calibration:
     """Makes a calibration file of a campaign: dark reference, fixed pattern K, defects (Section V).
 
     `estimator`: "joint" (each light a smooth surface), "paper" (each light the mean over a window) or "smooth" (one configuration is enough, and K
     then contains the card).
     """
     with _told(progress, "reading") as tell:
-        _radcam.calibrate(fspath(path), fspath(output), estimator, tell)
+        _radcam.calibrate(fspath(path), fspath(output), estimator, overwrite, tell)
     return Calibration(fspath(output))
 
 
 def capture(
-    camera: str,
+    camera: Path,
     output: Path,
-    plan: str = "standard",
+    plan: Path = "standard",
     *,
     region: tuple[int, int, int, int] | None = None,
     full_exposure_s: float | None = None,
+    resume: bool = False,
     progress: Progress = False,
 ) -> dict[str, Any]:
     """Captures a plan with a camera into a new dataset folder.
 
     `plan`: "quick", "standard", "emva1288", a plan file, or the text of one. `region`: first column, first row, width, height. Without
-    `full_exposure_s` the exposure that brings the card close to full scale is searched for.
+    `full_exposure_s` the exposure that brings the card close to full scale is searched for. `resume`: goes on, by its own plan, with a capture that
+    was ended.
     """
     with _told(progress, "capture") as tell:
-        return dict(_json.loads(_radcam.capture(camera, fspath(output), plan, region, full_exposure_s, None, tell)))
+        return dict(_json.loads(_radcam.capture(
+                    fspath(camera), fspath(output), fspath(plan), region, full_exposure_s, None, None, resume, tell
+                )))
 
 
 def simulate(
-    sensor: Path,
+    sensor: Path | Model,
     output: Path,
-    plan: str = "standard",
+    plan: Path = "standard",
     *,
     region: tuple[int, int, int, int] | None = None,
     seed: int | None = None,
     progress: Progress = False,
 ) -> dict[str, Any]:
-    """Captures a plan with a simulated camera: a sensor's name or a model file. `seed`: another specimen of it."""
+    """Captures a plan with a simulated camera: a sensor's name, a model file or a `Model`. `seed`: another specimen of it."""
     with _told(progress, "simulate") as tell:
-        camera = "sim:" + fspath(sensor)
-        return dict(_json.loads(_radcam.capture(camera, fspath(output), plan, region, None, seed, tell)))
+        camera = "sim:" + ("model" if isinstance(sensor, Model) else fspath(sensor))
+        made = _radcam.capture(camera, fspath(output), fspath(plan), region, None, sensor, seed, False, tell)
+        return dict(_json.loads(made))
 
 
 def reduce(
@@ -185,6 +200,7 @@ def reduce(
     *,
     plan: Path | None = None,
     look: bool = False,
+    overwrite: bool = False,
     progress: Progress = False,
 ) -> tuple[int, int]:
     """Reduces a campaign, or parts of it, to a file of statistics that `noise`, `compare` and `diagnose` take: (frames, sets).
@@ -194,19 +210,24 @@ def reduce(
     look=True)`, then `plan=` with what that gave.
     """
     with _told(progress, "reducing") as tell:
-        return _radcam.reduce(_paths(parts), fspath(output), _name(plan), look, tell)
+        return _radcam.reduce(_paths(parts), fspath(output), _name(plan), look, overwrite, tell)
 
 
 def merge(
-    statistics: Sequence[Path], output: Path, *, look: bool = False, progress: Progress = False
+    statistics: Sequence[Path],
+    output: Path,
+    *,
+    look: bool = False,
+    overwrite: bool = False,
+    progress: Progress = False,
 ) -> tuple[int, int]:
     """Merges the statistics of parts of a campaign to those of the whole: (frames, sets)."""
     with _told(progress, "merging") as tell:
-        return _radcam.reduce(_paths(statistics), fspath(output), None, look, tell)
+        return _radcam.reduce(_paths(statistics), fspath(output), None, look, overwrite, tell)
 
 
-def statistics(frames: Iterable[NDArray[np.uint16]], bit_depth: int = 16) -> FrameStatistics:
-    """The noise of frames of one level, (rows, columns) uint16 each, from any iterable: variance, covariances, rows, columns.
+def statistics(frames: Iterable[Codes], bit_depth: int = 16) -> FrameStatistics:
+    """The noise of frames of one level, (rows, columns) uint16 or uint8 each, from any iterable: variance, covariances, rows, columns.
 
     Memory does not grow with the number of frames. Raises ValueError with fewer than two.
     """
@@ -216,11 +237,13 @@ def statistics(frames: Iterable[NDArray[np.uint16]], bit_depth: int = 16) -> Fra
     return FrameStatistics.of_text(text)
 
 
-def moments(frames: Iterable[NDArray[np.uint16]], bit_depth: int = 16) -> Moments:
+def moments(frames: Iterable[Codes], bit_depth: int = 16) -> Moments:
     """Mean and variance of every pixel over frames from any iterable; the sums are whole numbers, so that parts merge exactly."""
     found: Moments | None = None
     for frame in frames:
         if found is None:
+            if np.ndim(frame) != 2:
+                raise TypeError(f"a frame is an array of (rows, columns), and this has {np.ndim(frame)} dimensions")
             rows, columns = frame.shape
             found = Moments((rows, columns), bit_depth)
         found.add(frame)
@@ -340,8 +363,9 @@ class Model:
         """Names of its effects."""
         return [e["id"] for e in self._content.get("effect", [])]
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path, *, overwrite: bool = False) -> None:
         """Writes it as TOML."""
+        _free(path, overwrite)
         with open(path, "w", encoding="utf-8") as file:
             file.write(self.text)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from radcam import _radcam
 from radcam._radcam import Campaign, Drawn, PlainCamera, Prediction, SetPrediction
 
-__all__ = ["Campaign", "Drawn", "Effect", "Page", "Parameter", "PlainCamera", "Prediction", "SetPrediction", "register"]
+__all__ = ["Campaign", "Drawn", "Effect", "Page", "Parameter", "PlainCamera", "Prediction", "SetPrediction", "register", "unregister"]
 
 
 @dataclass(frozen=True)
@@ -81,3 +81,8 @@ def register(effect: Effect) -> None:
     texts = (page.what, page.equation, page.signature, page.look_alikes, page.remedy, page.measure, page.source)
     parameters = [(p.name, p.meaning, p.unit, p.min, p.max, list(p.starts)) for p in effect.parameters]
     _radcam.register(effect, effect.id, effect.stage, parameters, texts, page.sets)
+
+
+def unregister(effect: Effect | str) -> None:
+    """Takes an effect of one's own out again, by itself or by its `id`. Raises ValueError where there is none."""
+    _radcam.unregister(effect if isinstance(effect, str) else effect.id)

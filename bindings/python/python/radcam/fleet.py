@@ -18,6 +18,7 @@ import os
 import pathlib
 import sys
 import tempfile
+import urllib.parse
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -71,6 +72,15 @@ class Campaign:
     path: str
     camera: str | None = None
     date: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.date is not None:
+            try:
+                day = datetime.date.fromisoformat(self.date).isoformat()
+            except ValueError:
+                day = None
+            if day != self.date:
+                raise ValueError(f"{self.path}: date is {self.date!r}; write YYYY-MM-DD")
 
 
 def _files(path: pathlib.Path) -> list[pathlib.Path]:
@@ -129,10 +139,10 @@ def measure(campaign: Campaign, model: str | None = None) -> dict[str, Any]:
         if found.missing:
             row.update(effect=found.missing[0].effect, confidence=found.missing[0].confidence)
         row.update(_k(dataset, campaign.path))
-    except radcam.RadcamError as e:
-        row["error"] = f"{type(e).__name__}: {e}"
     except OSError as e:
         row["error"] = str(e)
+    except Exception as e:
+        row["error"] = f"{type(e).__name__}: {e}"
     row["seconds"] = time.perf_counter() - begun
     return row
 
@@ -163,12 +173,12 @@ def schema() -> pyarrow.Schema:
 
 
 def _safe(text: str) -> str:
-    """A name of a folder: what a path or a partition cannot hold is written as %XX."""
-    return "".join(c if c.isalnum() or c in "-_." else f"%{ord(c):02X}" for c in text) or "unknown"
+    """A name of a folder: what a path or a partition cannot hold is written as %XX, as in an address."""
+    return urllib.parse.quote(text, safe="") or "unknown"
 
 
-def _write(to: pathlib.Path, row: dict[str, Any]) -> None:
-    """Writes a row aside and puts it in place; an earlier one of the same campaign goes."""
+def _write(to: pathlib.Path, row: dict[str, Any], there: dict[str, list[pathlib.Path]]) -> None:
+    """Writes a row aside and puts it in place; earlier ones of the same campaign (`there`, by name of the file) go."""
     import pyarrow
     import pyarrow.parquet
 
@@ -182,9 +192,9 @@ def _write(to: pathlib.Path, row: dict[str, Any]) -> None:
     aside = folder / f".{name}.{os.getpid()}"
     pyarrow.parquet.write_table(table, aside)
     os.replace(aside, folder / name)
-    for other in to.glob(f"camera=*/date=*/{name}"):
+    for other in there.pop(name, []):
         if other != folder / name:
-            other.unlink()
+            other.unlink(missing_ok=True)
 
 
 def run(
@@ -208,7 +218,10 @@ def run(
     to = pathlib.Path(to)
     to.mkdir(parents=True, exist_ok=True)
     all_of = [c if isinstance(c, Campaign) else Campaign(os.fspath(c)) for c in campaigns]
-    known = {} if not any(to.glob("camera=*/date=*/*.parquet")) else _known(Fleet(to).table(), retry_failed)
+    there: dict[str, list[pathlib.Path]] = {}
+    for file in to.glob("camera=*/date=*/*.parquet"):
+        there.setdefault(file.name, []).append(file)
+    known = _known(Fleet(to).table(), retry_failed) if there else {}
     todo = [c for c in all_of if known.get(str(pathlib.Path(c.path).absolute())) != _key(c, model)]
     if not todo:
         return Fleet(to)
@@ -235,7 +248,8 @@ def run(
                 row = future.result()
             else:
                 row = {**_head(campaign), "error": f"{type(future.exception()).__name__}: {future.exception()}"}
-            _write(to, row)
+                row["key"] = _key(campaign, model)
+            _write(to, row, there)
             # The scheduler forgets it.
             future.release()
             if bar is not None:
@@ -289,21 +303,36 @@ _ERRORS = {
 }
 
 
+def _number(column: str) -> None:
+    numbers = [name for name, (kind, _) in SCHEMA.items() if kind != "string"]
+    if column not in numbers:
+        raise ValueError(f"no column of numbers {column!r}; there are {', '.join(numbers)}")
+
+
 class Fleet:
     """What was found, below a folder."""
 
     def __init__(self, folder: str | os.PathLike[str]):
         self.folder = pathlib.Path(folder)
 
+    def _there(self) -> list[str]:
+        found = sorted(str(p) for p in self.folder.glob("camera=*/date=*/*.parquet"))
+        if not found:
+            raise FileNotFoundError(f"{self.folder} holds no results; `run` makes them")
+        return found
+
     def table(self) -> pandas.DataFrame:
         """All campaigns, by camera and date."""
         import pyarrow
         import pyarrow.dataset
 
+        files = self._there()
         partition = pyarrow.dataset.partitioning(
             pyarrow.schema([("camera", pyarrow.string()), ("date", pyarrow.string())]), flavor="hive"
         )
-        found = pyarrow.dataset.dataset(self.folder, schema=schema(), partitioning=partition, format="parquet")
+        found = pyarrow.dataset.dataset(
+            files, schema=schema(), partitioning=partition, partition_base_dir=str(self.folder), format="parquet"
+        )
         table: pandas.DataFrame = found.to_table().to_pandas()
         return table.sort_values(["camera", "date", "campaign"], ignore_index=True)
 
@@ -314,8 +343,7 @@ class Fleet:
 
     def outliers_sql(self, column: str = "gain_dn_per_e", sigma: float = 4.0) -> str:
         """The query of `outliers`, for DuckDB."""
-        if column not in SCHEMA:
-            raise ValueError(f"no column {column!r}; there are {', '.join(SCHEMA)}")
+        _number(column)
         folder = str(self.folder).replace("'", "''")
         return OUTLIERS.format(folder=folder, column=column, error=_ERRORS.get(column, "0.0"), sigma=float(sigma))
 
@@ -323,6 +351,7 @@ class Fleet:
         """Campaigns whose value is `sigma` standard deviations or more from the median of the cameras of their model."""
         import duckdb
 
+        self._there()
         found: pandas.DataFrame = duckdb.connect().execute(self.outliers_sql(column, sigma)).df()
         return found
 
@@ -333,7 +362,9 @@ class Fleet:
         """
         import pandas
 
+        _number(column)
         table = self.table().dropna(subset=[column])
+        table = table[table["date"] != "unknown"]
         error = _ERRORS.get(column)
         rows = []
         for camera, of in table.groupby("camera"):
@@ -354,6 +385,7 @@ class Fleet:
 
     def plot(self, column: str = "gain_dn_per_e", sigma: float = 4.0, axes: Axes | None = None) -> Axes:
         """Every campaign's value by camera, models side by side, each with its median, its band, and its outliers by name."""
+        _number(column)
         if axes is None:
             from matplotlib.figure import Figure
 

@@ -1,0 +1,234 @@
+//! A reading over time, and whether it changed.
+//!
+//! Neither the usual value of a reading nor its scatter is known beforehand: both are estimated from the same history in which a change is looked
+//! for. For every check since which the change may be, the mean m1 of the n1 readings since then is held against the mean m0 of the n0 readings
+//! before. With v = 1/n0 + 1/n1 and a known scatter sigma, (m1 - m0) / sigma is normal of variance v, and the logarithm of the ratio of its
+//! likelihoods with a change by d sigma and without one is
+//!
+//! ```text
+//! d (m1 - m0) / (sigma v) - d^2 / (2 v)
+//! ```
+//!
+//! This is the likelihood ratio of what does not depend on the unknown usual value (the maximal invariant under shifts; Lehmann and Romano 2005,
+//! Testing Statistical Hypotheses, section 6.3). Without a change such a ratio has mean 1 at every check, whatever n0: the largest of those that
+//! begin at each check passes e^h on average not before e^h checks (Lorden 1971, Procedures for reacting to a change in distribution, Annals of
+//! Mathematical Statistics 42; the sum over beginnings less their number is a martingale). The scatter is estimated as well: the t of n0 + n1 - 2
+//! degrees of freedom is brought to the normal scale (Wallace 1959, Bounds on normal approximations to Student's and the chi-square
+//! distributions, Annals of Mathematical Statistics 30).
+
+use super::check::Reading;
+use super::cusum;
+
+/// Fewest readings before a change.
+const BEFORE: usize = 8;
+/// A change that matters may be many standard errors. A smaller one, of sqrt(2 h) by a single reading, is then as surely there; it must still be
+/// half of what matters.
+fn designed(shift: f64, limit: f64) -> f64 {
+    shift.min((2.0 * limit).sqrt())
+}
+
+/// Readings of the past, for means and scatter of any stretch of them.
+#[derive(Debug, Clone, Default)]
+pub struct Chart {
+    /// Which check each reading is of.
+    checks: Vec<usize>,
+    first: f64,
+    /// Sums over all readings up to each: the value less the first, its square, and the square of the stated error.
+    sums: Vec<[f64; 3]>,
+}
+
+/// Readings before and since.
+#[derive(Debug, Clone, Copy)]
+pub struct Split {
+    /// Mean of the readings before.
+    pub before: f64,
+    /// Mean of the readings since.
+    pub since: f64,
+    /// Scatter of a reading.
+    pub std_err: f64,
+    /// How many there are of each.
+    pub counts: (usize, usize),
+}
+
+impl Split {
+    /// 1 / n0 + 1 / n1.
+    fn variance(&self) -> f64 {
+        1.0 / self.counts.0 as f64 + 1.0 / self.counts.1 as f64
+    }
+
+    /// Difference with its error.
+    pub fn difference(&self) -> Reading {
+        Reading { value: self.since - self.before, std_err: self.std_err * self.variance().sqrt() }
+    }
+
+    /// Difference over the value before.
+    pub fn relative(&self) -> Reading {
+        let Reading { value, std_err } = self.difference();
+        Reading { value: value / self.before, std_err: std_err / self.before.abs() }
+    }
+
+    /// Logarithm of the ratio of likelihoods with a change by `step` and without; `None` where the change does not matter.
+    fn score(&self, step: f64, limit: f64) -> Option<f64> {
+        let difference = self.difference();
+        if !(step > 0.0 && difference.value.abs() >= 0.5 * step) {
+            return None;
+        }
+        let dof = (self.counts.0 + self.counts.1 - 2) as f64;
+        let t = difference.value.abs() / difference.std_err;
+        let z = (dof * (t * t / dof).ln_1p()).sqrt() * (8.0 * dof + 1.0) / (8.0 * dof + 3.0);
+        let shift = designed(step / self.std_err, limit) / self.variance().sqrt();
+        Some(cusum::of_shift(z, shift))
+    }
+}
+
+impl Chart {
+    /// Readings so far.
+    pub fn len(&self) -> usize {
+        self.checks.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.checks.is_empty()
+    }
+
+    /// Adds the reading of a check.
+    pub fn add(&mut self, check: usize, reading: Reading) {
+        if self.is_empty() {
+            self.first = reading.value;
+            self.sums.push([0.0; 3]);
+        }
+        let d = reading.value - self.first;
+        let last = self.sums[self.len()];
+        self.checks.push(check);
+        self.sums.push([last[0] + d, last[1] + d * d, last[2] + reading.std_err.powi(2)]);
+    }
+
+    /// The mean of all readings.
+    pub fn mean(&self) -> Option<f64> {
+        let n = self.len();
+        (n > 0).then(|| self.first + self.sums[n][0] / n as f64)
+    }
+
+    /// Which check the last reading but `n - 1` is of.
+    pub fn check(&self, n: usize) -> usize {
+        self.checks.get(self.len().saturating_sub(n.max(1))).copied().unwrap_or(0)
+    }
+
+    /// Before and since a check; `None` where either is empty.
+    pub fn since(&self, check: usize) -> Option<Split> {
+        self.split(self.checks.partition_point(|c| *c < check))
+    }
+
+    fn split(&self, n0: usize) -> Option<Split> {
+        let n = self.len();
+        if n0 == 0 || n0 >= n {
+            return None;
+        }
+        let (a, b) = (self.sums[n0], self.sums[n]);
+        let (n0f, n1f) = (n0 as f64, (n - n0) as f64);
+        let (s0, s1) = (a[0], b[0] - a[0]);
+        let within = (b[1] - s0 * s0 / n0f - s1 * s1 / n1f) / (n as f64 - 2.0).max(1.0);
+        // What checks scatter beyond their stated errors is the camera's and the room's.
+        let std_err = within.max(b[2] / n as f64).sqrt().max(f64::MIN_POSITIVE);
+        let (before, since) = (self.first + s0 / n0f, self.first + s1 / n1f);
+        Some(Split { before, since, std_err, counts: (n0, n - n0) })
+    }
+
+    /// The check since which the reading most likely is another, where that is surely so; `step` is the change that matters of a usual value.
+    ///
+    /// The number of readings since then is tried from 1 on, in steps of a sixteenth of it.
+    pub fn changed(&self, step: impl Fn(f64) -> f64, limit: f64) -> Option<usize> {
+        let mut best: Option<(f64, usize)> = None;
+        let mut since = 1;
+        while since + BEFORE <= self.len() {
+            let score = self.split(self.len() - since).and_then(|s| s.score(step(s.before), limit));
+            if let Some(score) = score
+                && score > limit
+                && best.is_none_or(|(most, _)| score > most)
+            {
+                best = Some((score, self.check(since)));
+            }
+            since += 1 + since / 16;
+        }
+        best.map(|(_, check)| check)
+    }
+
+    /// Readings in which the change that matters will be found on average: with the usual value known, and as it is known now. Infinite: not yet.
+    pub fn needed(&self, step: impl Fn(f64) -> f64, limit: f64) -> (f64, f64) {
+        let n = self.len();
+        let Some(split) = self.split(n.saturating_sub(1)).filter(|_| n >= BEFORE) else {
+            return (f64::INFINITY, f64::INFINITY);
+        };
+        let shift = designed(step(split.before) / split.std_err, limit);
+        // d^2 / (2 v) = h.
+        let known = 0.5 * shift * shift / limit;
+        let now = known - 1.0 / n as f64;
+        (1.0 / known + 1.0, if now > 0.0 { 1.0 / now + 1.0 } else { f64::INFINITY })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    fn normal(series: u32, n: u64) -> f64 {
+        PixelRng::new(78, Stream::Frame, n, series, 0).normal()
+    }
+
+    fn reading(value: f64) -> Reading {
+        Reading { value, std_err: 1e-9 }
+    }
+
+    /// 400 cameras that do not change, 1000 checks each, mean and scatter unknown, with a limit at which a sum may raise one alarm in 500: with
+    /// changes that matter of a fifth to eight standard errors no more do.
+    #[test]
+    fn false_alarms_are_as_rare_as_stated() {
+        let limit = cusum::limit(1, 500.0);
+        for step in [0.2, 0.5, 1.0, 2.0, 8.0] {
+            let mut alarms = 0;
+            for series in 0..400 {
+                let mut chart = Chart::default();
+                for n in 0..1000 {
+                    chart.add(n, reading(7.0 + normal(series, n as u64)));
+                    if chart.changed(|_| step, limit).is_some() {
+                        alarms += 1;
+                        chart = Chart::default();
+                    }
+                }
+            }
+            println!("step {step}: {alarms}");
+            // 400 000 / 500 = 800.
+            assert!(alarms <= 800, "step {step}: {alarms}");
+        }
+    }
+
+    /// A change by what matters is found after the number of readings that theory gives, and since when is right to within it.
+    #[test]
+    fn changes_are_found_when_theory_says() {
+        let limit = cusum::limit(14, 1e4);
+        for (step, before) in [(0.5, 1000), (1.0, 200), (1.0, 120), (3.0, 60), (20.0, 30)] {
+            let (mut sum, mut theory) = (0.0, 0.0);
+            for series in 0..200 {
+                let mut chart = Chart::default();
+                for n in 0..before {
+                    chart.add(n, reading(normal(1000 + series, n as u64)));
+                }
+                theory += chart.needed(|_| step, limit).1 / 200.0;
+                let mut n = before;
+                loop {
+                    chart.add(n, reading(step + normal(1000 + series, n as u64)));
+                    n += 1;
+                    let Some(since) = chart.changed(|_| step, limit) else { continue };
+                    assert!(since + 2 * n > 3 * before - 40, "since {since} of {before}, found at {n}");
+                    break;
+                }
+                sum += (n - before) as f64;
+            }
+            let mean = sum / 200.0;
+            println!("step {step} after {before}: {mean} for {theory}");
+            assert!(mean < 1.25 * theory + 0.5, "step {step} after {before}: {mean} for {theory}");
+        }
+    }
+}
