@@ -209,6 +209,11 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
         dark_noise_dn: base.read_noise_e * base.gain_dn_per_e,
         line_cycles_per_px: all.campaign.line_cycles_per_px,
         steady_dn4: all.steady_dn4.map(|v| (v.value, v.std_err)),
+        darkest_dn: all.darkest_dn.map(|code| code - base.offset_dn),
+        together_dn4: all.together_dn4.and_then(|of| {
+            let of = of.map(|v| (v.value, v.std_err)).into_iter().filter(|v| v.1 > 0.0);
+            of.max_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)))
+        }),
         code_step_dn: share.filter(|s| *s > 0.0).map(f64::recip),
     }
 }

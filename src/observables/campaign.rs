@@ -47,6 +47,10 @@ pub struct Observations {
     pub dark_spread_dn2: Vec<f64>,
     /// Covariance of the pixels' variances between short darks, DN^4: what stays with its pixels.
     pub steady_dn4: Option<Value>,
+    /// The same of pixels two columns and two rows apart, DN^4: whether noisy pixels are parts of the sensor.
+    pub together_dn4: Option<[Value; 2]>,
+    /// Code below which one in two hundred samples of the darks lies.
+    pub darkest_dn: Option<f64>,
 }
 
 impl Observations {
@@ -178,8 +182,19 @@ pub fn of_dataset(
     let sets = dataset.sets();
     let settings: Vec<_> = sets.iter().map(|s| dataset.settings(s).clone()).collect();
     let (mut infos, frames) = campaign(dataset, &settings);
-    let Reading { layout, zero_dn, chunks, scenes, codes, lines, steady_dn4, saturated, left_out } =
-        read(dataset, stop, progress)?;
+    let Reading {
+        layout,
+        zero_dn,
+        chunks,
+        scenes,
+        codes,
+        lines,
+        steady_dn4,
+        together_dn4,
+        darkest_dn,
+        saturated,
+        left_out,
+    } = read(dataset, stop, progress)?;
     let mut missing = left_out;
     if !saturated.is_empty() {
         let numbers: Vec<String> = saturated.iter().map(|s| sets[s.0].number.to_string()).collect();
@@ -282,6 +297,8 @@ pub fn of_dataset(
         light_rel_std: dataset.manifest().bench.as_ref().and_then(|b| b.illumination_rel_std),
         dark_spread_dn2,
         steady_dn4,
+        together_dn4,
+        darkest_dn,
     };
     if !all.tells_dark_current(None) {
         all.missing.push(

@@ -1,6 +1,6 @@
 //! The first look at a campaign: at most eight frames of each set tell which pixels count, the level of the darks, and how frames usually scatter.
 
-use super::{ObserveError, STATISTICS, outliers};
+use super::{ObserveError, STATISTICS, filled, outliers};
 use crate::dataset::{Dataset, Kind};
 use crate::reduction::{Key, Reduced};
 use crate::statistics::layout::Layout;
@@ -27,6 +27,12 @@ pub struct Look {
     dark: Option<Array2<f32>>,
     /// Mean and temporal variance of the first two frames.
     pair: Option<(f64, f64)>,
+    /// Pixels that seem to be filled in from their neighbours, where that was looked for.
+    #[serde(default)]
+    filled: Option<Vec<usize>>,
+    /// Of a dark set: the code below which one in two hundred samples of its first frame lies.
+    #[serde(default)]
+    darkest: Option<u16>,
     /// How far the frames lie from each other; whether they are dark.
     apart: Option<(bool, outliers::Apart)>,
     /// The frames, as long as there is room.
@@ -36,11 +42,13 @@ pub struct Look {
 
 impl Look {
     pub(super) fn without_frames(&self) -> Self {
-        let Self { clipped, dark, pair, apart, frames: _ } = self;
+        let Self { clipped, dark, pair, filled, darkest, apart, frames: _ } = self;
         Self {
             clipped: clipped.clone(),
             dark: dark.clone(),
             pair: *pair,
+            filled: filled.clone(),
+            darkest: *darkest,
             apart: apart.clone(),
             frames: Vec::new(),
         }
@@ -48,7 +56,7 @@ impl Look {
 
     /// Whether it can be of frames of (rows, columns).
     pub fn fits(&self, shape: (usize, usize)) -> bool {
-        self.clipped.iter().all(|&i| i < shape.0 * shape.1)
+        self.clipped.iter().chain(self.filled.iter().flatten()).all(|&i| i < shape.0 * shape.1)
             && self.dark.as_ref().is_none_or(|d| d.dim() == shape)
     }
 }
@@ -81,6 +89,17 @@ fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<
     }
     if let [a, b, ..] = block.as_slice() {
         out.pair = Some(pair(a, b, full));
+    }
+    out.darkest = block.first().filter(|f| kind == Kind::Dark && !f.is_empty()).map(|frame| {
+        let mut codes: Vec<u16> = frame.iter().copied().collect();
+        let place = codes.len() / 200;
+        *codes.select_nth_unstable(place).1
+    });
+    let bright = out.pair.is_some_and(|(mean, var)| {
+        var >= filled::LEAST_VAR_DN2 && mean >= filled::LEAST_LEVEL * f64::from(full)
+    });
+    if kind == Kind::Flat && bright && block.len() >= filled::SETS.1 {
+        out.filled = Some(filled::candidates(&block));
     }
     out.apart = Some((kind == Kind::Dark, outliers::apart(&block)));
     if out.clipped.len() * 50 >= rows.len() * sum.len() {
@@ -117,8 +136,11 @@ fn rough_gain(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
 }
 
 /// Which pixels count, what zero is, and how variance grows with the signal.
-fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64) {
+fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64, usize) {
     let mut used = Array2::from_elem(shape, true);
+    let filled: Vec<&[usize]> =
+        looks.iter().filter_map(|l| l.filled.as_deref()).take(filled::SETS.0).collect();
+    let filled = filled::of_sets(&filled, used.len());
     if let Some(used) = used.as_slice_mut() {
         looks.iter().flat_map(|l| &l.clipped).for_each(|&i| used[i] = false);
     }
@@ -136,10 +158,13 @@ fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64) {
     if used.iter().filter(|u| **u).count() * 2 < used.len() {
         used.fill(true);
     }
+    if let Some(used) = used.as_slice_mut() {
+        filled.iter().for_each(|&i| used[i] = false);
+    }
     let mut layout = Layout::new(&used, full);
     layout.zero = shortest.map(|d| d.iter().copied().collect());
     layout.gain = rough_gain(looks.iter().filter_map(|l| l.pair));
-    (layout, shortest.map_or(0.0, |d| level(d)))
+    (layout, shortest.map_or(0.0, |d| level(d)), filled.len())
 }
 
 /// A first look at every set: levels, and frames as far as there is room for them.
@@ -171,6 +196,10 @@ pub(super) struct Seen {
     /// Longest exposure of flats, s.
     pub(super) longest_lit_s: f64,
     pub(super) looks: Vec<Look>,
+    /// Pixels that the camera fills in from their neighbours.
+    pub(super) filled: usize,
+    /// Code below which one in two hundred samples of the darks lies.
+    pub(super) darkest_dn: Option<f64>,
 }
 
 impl Seen {
@@ -189,11 +218,20 @@ impl Seen {
             dataset.read(&dataset.rows()[0])?;
         }
         let looks = first_look(dataset, stop, progress)?;
-        let (layout, zero_dn) = layout(shape, full, &looks);
+        let (layout, zero_dn, filled) = layout(shape, full, &looks);
         let aparts: Vec<_> = looks.iter().filter_map(|l| l.apart.clone()).collect();
+        let darkest_dn = looks.iter().filter_map(|l| l.darkest).min().map(f64::from);
         let lit = dataset.rows().iter().filter(|r| r.kind == Kind::Flat && r.illumination > 0.0);
         let longest_lit_s = lit.map(|r| r.exposure_s).fold(0.0, f64::max);
-        Ok(Self { usual: outliers::Usual::of(&aparts, zero_dn), layout, zero_dn, longest_lit_s, looks })
+        Ok(Self {
+            usual: outliers::Usual::of(&aparts, zero_dn),
+            layout,
+            zero_dn,
+            longest_lit_s,
+            looks,
+            filled,
+            darkest_dn,
+        })
     }
 
     /// Everything that the statistics of a piece depend on beside its frames and their settings.

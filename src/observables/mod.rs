@@ -28,6 +28,7 @@
 mod campaign;
 mod codes;
 mod expect;
+mod filled;
 mod look;
 pub(crate) mod outliers;
 mod read;

@@ -61,6 +61,10 @@ pub struct Reading {
     pub lines: [codes::LineSearch; 2],
     /// Covariance of the pixels' variances between short darks, DN^4.
     pub steady_dn4: Option<Value>,
+    /// The same of pixels two columns and two rows apart, DN^4.
+    pub together_dn4: Option<[Value; 2]>,
+    /// Code below which one in two hundred samples of the darks lies.
+    pub darkest_dn: Option<f64>,
     /// Sets that are clipped, with their means, DN.
     pub saturated: Vec<(usize, f64)>,
     /// Frames and samples that were left out, in words.
@@ -523,10 +527,18 @@ pub fn read(
     sums.saturated.dedup_by_key(|s| s.0);
     sums.chunks.retain(|c| sums.saturated.iter().all(|s| s.0 != c.set));
     let mut left_out = words(dataset, &sums.left_out);
+    if seen.filled > 0 {
+        left_out.push(format!(
+            "{} pixels are filled in from their neighbours by the camera (its correction of defects) and are left out",
+            seen.filled
+        ));
+    }
     left_out.extend(copies(dataset, &mut sums.chunks));
     Ok(Reading {
         left_out,
         steady_dn4: sums.steady.covariance(&seen.layout),
+        darkest_dn: seen.darkest_dn,
+        together_dn4: sums.steady.of_neighbours(&seen.layout),
         zero_dn: seen.zero_dn,
         layout: seen.layout,
         chunks: sums.chunks,

@@ -113,6 +113,8 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         largest_spread: 0.0,
         dark_spread_dn2: dark_spreads(&sets, &kinds),
         steady_dn4: None,
+        together_dn4: None,
+        darkest_dn: None,
         campaign: Campaign {
             frames,
             sets,

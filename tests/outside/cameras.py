@@ -559,6 +559,14 @@ def cosmic(c, q, f):
     return q
 
 
+@kind("less noise than a code", CLEAN, (0.12, 0.4), "DN", "constants")
+def little_noise(c, x, f):
+    """Read noise of s DN, gain of 0.02-0.05 DN/e."""
+    c.gain = c.r.uniform(0.02, 0.05)
+    c.read = c.s / c.gain
+    c.peak = 0.9 * (FULL - c.black) / c.gain
+
+
 @kind("one flash", CLEAN, (0.05, 0.5), "1", "light")
 def flash(c, x, f):
     """One frame of one flat set below 0.65 of the peak, not its first: light times 1 + s."""
@@ -645,6 +653,26 @@ def lag_full(c, q, f):
     return q - h + before
 
 
+@kind("coupling along the rows", "interpixel-crosstalk", (0.002, 0.02), "1", "stored")
+def coupling_rows(c, q, f):
+    """(1 - 2 s) q + s (left + right), after the shot noise."""
+    return (1 - 2 * c.s) * q + c.s * (np.roll(q, 1, 1) + np.roll(q, -1, 1))
+
+
+@kind("coupling down the columns", "interpixel-crosstalk", (0.002, 0.02), "1", "stored")
+def coupling_columns(c, q, f):
+    """(1 - 2 s) q + s (up + down), after the shot noise."""
+    return (1 - 2 * c.s) * q + c.s * (np.roll(q, 1, 0) + np.roll(q, -1, 0))
+
+
+@kind("lag of some electrons", OUTSIDE, (2, 20), "e", "stored", "image-lag offset-drift")
+def lag_electrons(c, q, f):
+    """Every pixel keeps s (1 - exp(-q / 50 s)) for the next frame."""
+    held = c.memory.get("held", 0)
+    c.memory["held"] = c.s * (1 - np.exp(-q / (50 * c.s)))
+    return q + held - c.memory["held"]
+
+
 @kind("diagonal coupling", OUTSIDE, (0.003, 0.03), "1", "stored", "interpixel-crosstalk")
 def diagonal(c, q, f):
     """(1 - s) q + s (neighbour up and left)."""
@@ -688,6 +716,19 @@ def heavy(c, noise, f):
 def two_apart(c, noise, f):
     """(n(x) + s n(x - 2)) / sqrt(1 + s^2): only pixels two apart along the row are correlated."""
     return (noise + c.s * np.roll(noise, 2, 1)) / np.sqrt(1 + c.s**2)
+
+
+def part(c, shape):
+    """One of: right half, lower half, odd columns, odd rows, blocks of 16 x 16 as on a chessboard."""
+    y, x = np.indices(shape)
+    parts = (x >= shape[1] // 2, y >= shape[0] // 2, x % 2 == 1, y % 2 == 1, (x // 16 + y // 16) % 2 == 1)
+    return parts[c.once("part", lambda r: r.integers(len(parts)))]
+
+
+@kind("read noise of parts", OUTSIDE, (0.05, 0.5), "1", "noise")
+def noise_of_parts(c, q, f):
+    """The read noise of one part of the image times 1 + s, see `part`."""
+    return q * (1 + c.s * part(c, q.shape))
 
 
 @kind("noise of odd frames", OUTSIDE, (0.05, 0.5), "1", "noise")
@@ -761,6 +802,19 @@ def column_bend(c, v, f):
     return v * (1 - c.s * c.once("bend", lambda r: r.standard_normal((1, c.n))) * v / FULL)
 
 
+@kind("toe near black", "nonlinearity", (0.4, 4), "DN", "amplifier")
+def toe(c, v, f):
+    """v - s (1 - exp(-v / t)) above 0, t = 10-60 DN."""
+    t = c.once("toe", lambda r: r.uniform(10, 60))
+    return v - c.s * (1 - np.exp(-np.maximum(v, 0) / t))
+
+
+@kind("sensor that warms up", "dark-current-drift", (0.02, 0.2), "1", "charge")
+def warms_up(c, x, f):
+    """Dark charge times 1 + s (1 - exp(-t / 10 s))."""
+    return x + c.dark * f.exposure * c.s * (1 - np.exp(-max(f.t, 0) / 10))
+
+
 @kind("threshold on small signals", OUTSIDE, (0.2, 3), "DN", "amplifier", "nonlinearity black-clipping")
 def soft_threshold(c, v, f):
     """sign(v) max(|v| - s, 0): coring around black."""
@@ -785,6 +839,13 @@ def droop(c, v, f):
 def black_setting(c, v, f):
     """v + s N, one N for all frames of a set."""
     return v + c.s * c.once(("set", f.set), lambda r: r.standard_normal())
+
+
+@kind("black level that wanders", OUTSIDE, (0.05, 0.5), "DN", "black", "offset-drift")
+def black_wanders(c, v, f):
+    """v + s w, w a first-order autoregression over the frames with 0.98 from one to the next."""
+    w = c.memory["w"] = 0.98 * c.memory.get("w", 0.0) + np.sqrt(1 - 0.98**2) * c.r.standard_normal()
+    return v + c.s * w
 
 
 @kind("black level that beats", OUTSIDE, (0.06, 0.6), "DN", "black", "offset-drift")
@@ -837,6 +898,20 @@ def defects(c, code, f):
 def digital_gain(c, code, f):
     """floor((1 + s) code): one code in 1 / s never occurs."""
     return np.floor((1 + c.s) * code)
+
+
+@kind("defects filled in", CLEAN, (0.003, 0.03), "1", "digital")
+def filled_in(c, code, f):
+    """A share s of the pixels, the same in every frame, is the mean of left and right neighbours."""
+    dead = c.once("dead", lambda r: r.random(code.shape) < c.s)
+    return np.where(dead, 0.5 * (np.roll(code, 1, 1) + np.roll(code, -1, 1)), code)
+
+
+@kind("converter with a sawtooth", OUTSIDE, (0.2, 2), "DN", "adc", "adc-nonlinearity")
+def sawtooth(c, v, f):
+    """Codes of v + s (frac(v / p) - 1/2), p = 50-400 DN."""
+    p = c.once("period", lambda r: r.uniform(50, 400))
+    return np.round(v + c.s * (np.mod(v / p, 1) - 0.5))
 
 
 @kind("sparkle codes", OUTSIDE, (3e-6, 1e-4), "1", "digital", "adc-nonlinearity random-telegraph-noise")

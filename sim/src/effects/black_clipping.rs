@@ -34,6 +34,12 @@ impl Effect for BlackClipping {
             .to_vec()
     }
 
+    fn contradicted(&self, p: &[f64], seen: &Seen) -> Option<&'static str> {
+        // To within rounding and what the black level is known to.
+        (seen.darkest_dn? < p[0] - 1.0)
+            .then_some("darks go on below the level at which they would be cut off")
+    }
+
     /// Code 0 clips in any case.
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
         Some(vec![if plain.black_dn < 1.0 { 1.0 } else { -0.5 }])

@@ -100,6 +100,10 @@ pub struct Seen {
     pub code_step_dn: Option<f64>,
     /// Covariance of the pixels' variances between short darks and its error, DN^4: what stays with its pixels.
     pub steady_dn4: Option<(f64, f64)>,
+    /// The same of pixels two columns or two rows apart, DN^4, whichever is surer: noisy pixels that are parts of the sensor.
+    pub together_dn4: Option<(f64, f64)>,
+    /// Code below which one in two hundred samples of the darks lies, from the black level, DN.
+    pub darkest_dn: Option<f64>,
 }
 
 impl Seen {

@@ -13,6 +13,8 @@ const EXPONENT: usize = 4;
 const KNEE: usize = 5;
 const ASYMPTOTE: usize = 7;
 const FIRST_KNOT: usize = 8;
+const TOE: usize = FIRST_KNOT + KNOTS;
+const PLACES: usize = TOE + 2;
 
 const fn size(name: &'static str, meaning: &'static str, start: f64) -> Parameter {
     let max = 0.45;
@@ -41,7 +43,7 @@ fn bent(p: &[f64], full_scale_dn: f64) -> impl Fn(f64) -> f64 {
     let shape = p[0].round() as i32;
     let p: Vec<f64> = p.to_vec();
     let mut values = [0.0; KNOTS + 1];
-    values[1..].copy_from_slice(&p[FIRST_KNOT..]);
+    values[1..].copy_from_slice(&p[FIRST_KNOT..TOE]);
     let second = second_derivatives(&values);
     move |v| {
         // Below zero it goes on as a straight line would, but for the power law: noise there is small.
@@ -58,6 +60,7 @@ fn bent(p: &[f64], full_scale_dn: f64) -> impl Fn(f64) -> f64 {
                     v
                 }
             }
+            8 => v + p[TOE] * libm::expm1(-v.max(0.0) / p[TOE + 1]),
             _ => {
                 let at = (x * KNOTS as f64).clamp(0.0, 2.0 * KNOTS as f64);
                 let i = (at as usize).min(KNOTS - 1);
@@ -81,14 +84,14 @@ impl Effect for Nonlinearity {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        const ALL: [Parameter; FIRST_KNOT + KNOTS] = [
+        const ALL: [Parameter; PLACES] = [
             Parameter {
                 name: "shape",
-                meaning: "0 to 2: one power, 3: polynomial, 4: gamma, 5: two slopes, 6: exponential saturation, 7: free curve",
+                meaning: "0 to 2: one power, 3: polynomial, 4: gamma, 5: two slopes, 6: exponential saturation, 7: free curve, 8: toe",
                 unit: "choice",
                 min: 0.0,
-                max: 7.0,
-                starts: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0],
+                max: 8.0,
+                starts: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0],
             },
             size("rel", "shapes 0 to 3: what is missing at full scale, relative", 0.01),
             size("rel_2", "shape 3: of the second power", 0.003),
@@ -131,6 +134,22 @@ impl Effect for Nonlinearity {
             size("bend_4", "shape 7: the curve at 4/6 of full scale, relative", 0.003),
             size("bend_5", "shape 7: the curve at 5/6 of full scale, relative", 0.003),
             size("bend_6", "shape 7: the curve at 6/6 of full scale, relative", 0.003),
+            Parameter {
+                name: "toe_dn",
+                meaning: "shape 8: what is missing above the toe",
+                unit: "DN",
+                min: -1000.0,
+                max: 1000.0,
+                starts: &[1.0],
+            },
+            Parameter {
+                name: "toe_width_dn",
+                meaning: "shape 8: level at which 63 % of it is missing",
+                unit: "DN",
+                min: 1.0,
+                max: 65_535.0,
+                starts: &[],
+            },
         ];
         &ALL
     }
@@ -143,7 +162,8 @@ impl Effect for Nonlinearity {
             (4, k) => k == EXPONENT,
             (5, k) => k == KNEE || k == KNEE + 1,
             (6, k) => k == ASYMPTOTE,
-            (_, k) => k >= FIRST_KNOT,
+            (7, k) => (FIRST_KNOT..TOE).contains(&k),
+            (_, k) => k >= TOE,
         }
     }
 
@@ -156,6 +176,7 @@ impl Effect for Nonlinearity {
             4 => "a power law (a gamma)",
             5 => "two slopes with a knee between them",
             6 => "saturation towards an asymptote",
+            8 => "a toe near black",
             _ => "a free curve",
         })
     }
@@ -164,9 +185,9 @@ impl Effect for Nonlinearity {
         let full = seen.full_scale_dn;
         let peak = (seen.peak_dn).clamp(1.0, full);
         let base = |shape: f64| {
-            let mut p = vec![0.0; FIRST_KNOT + KNOTS];
-            (p[0], p[EXPONENT], p[KNEE], p[KNEE + 1], p[ASYMPTOTE]) =
-                (shape, 1.0, 0.5 * peak, 1.0, 30.0 * full);
+            let mut p = vec![0.0; PLACES];
+            (p[0], p[EXPONENT], p[KNEE], p[KNEE + 1], p[ASYMPTOTE], p[TOE + 1]) =
+                (shape, 1.0, 0.5 * peak, 1.0, 30.0 * full, 0.01 * peak);
             p
         };
         let with = |shape: f64, set: &[(usize, f64)]| {
@@ -186,6 +207,7 @@ impl Effect for Nonlinearity {
         out.extend([4.0, 30.0].map(|a| with(6.0, &[(ASYMPTOTE, a * full)])));
         let knots: Vec<(usize, f64)> = (0..KNOTS).map(|k| (FIRST_KNOT + k, 0.002 * (k + 1) as f64)).collect();
         out.push(with(7.0, &knots));
+        out.extend([0.003, 0.01, 0.03].map(|w| with(8.0, &[(TOE, 1.0), (TOE + 1, w * peak)])));
         out
     }
 
@@ -194,12 +216,18 @@ impl Effect for Nonlinearity {
     }
 
     /// Beyond a full well charge still rises by a few per cent of what light brings: pixels differ, and few are full at first.
-    fn is_another(&self, p: &[f64], _: &Seen) -> bool {
-        p[0].round() as i32 == 5 && p[KNEE + 1] < 0.1
+    /// A toe as wide as the range is a bend, of which other shapes tell.
+    fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
+        match p[0].round() as i32 {
+            5 => p[KNEE + 1] < 0.1,
+            8 => p[TOE + 1] > 0.3 * seen.peak_dn,
+            _ => false,
+        }
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
-        let mut p = vec![0.0; FIRST_KNOT + KNOTS];
+        let mut p = vec![0.0; PLACES];
+        (p[TOE], p[TOE + 1]) = (0.001 * plain.full_scale_dn, 0.01 * plain.full_scale_dn);
         (p[REL], p[EXPONENT], p[KNEE], p[KNEE + 1], p[ASYMPTOTE]) =
             (0.003, 0.99, 0.4 * plain.full_scale_dn, 0.99, 100.0 * plain.full_scale_dn);
         (p[REL + 1], p[REL + 2]) = (-0.004, 0.006);
@@ -214,6 +242,7 @@ impl Effect for Nonlinearity {
         for (k, v) in p.iter_mut().enumerate() {
             match k {
                 0 | KNEE => {}
+                k if k == TOE + 1 => {}
                 EXPONENT => *v = 1.0 + by * (*v - 1.0),
                 ASYMPTOTE => *v /= by,
                 k if k == KNEE + 1 => *v = 1.0 + by * (*v - 1.0),
@@ -229,10 +258,11 @@ impl Effect for Nonlinearity {
                    amplifier near its rail, a gamma or a knee that is switched on.",
             equation: "D = f(v), v = A q; shape 0 to 2: v (1 - rel x^n), x = v / full scale, n = 1, 2, 3; 3: v (1 - rel x - rel_2 x^2 - \
                        rel_3 x^3); 4: full scale x^exponent; 5: slope 1 up to knee_dn, ratio above; 6: a (1 - exp(-v / a)); 7: v (1 - c(x)), \
-                       c a cubic spline; noise is multiplied by the slope",
+                       c a cubic spline; 8: v - toe_dn (1 - exp(-v / toe_width_dn)); noise is multiplied by the slope",
             signature: "the mean against the exposure bends; variance over mean follows the square of the slope; neighbours stay uncorrelated",
             look_alikes: "brighter-fatter lowers the variance too, but leaves the mean alone and correlates neighbours; lamp settings scatter \
-                          the means about a straight line and leave the variance alone",
+                          the means about a straight line and leave the variance alone; an exposure offset moves the line as a narrow toe does, \
+                          but in proportion to the light",
             remedy: "switch gamma and knee off; else correct by the inverse curve, or stay where it is straight",
             measure: "an exposure sweep at fixed light: the mean tells nonlinearity from brighter-fatter",
             sets: takes::SWEEP,
@@ -256,7 +286,7 @@ mod tests {
     /// The natural spline through 0, 1, 3, 2, 3, 5, 9 at 0 to 6, from its tridiagonal system solved by numpy 2.4 (numpy.linalg.solve).
     #[test]
     fn the_spline_is_that_of_numpy() {
-        let mut p = vec![0.0; FIRST_KNOT + KNOTS];
+        let mut p = vec![0.0; PLACES];
         p[0] = 7.0;
         for (k, v) in [1.0, 3.0, 2.0, 3.0, 5.0, 9.0].into_iter().enumerate() {
             p[FIRST_KNOT + k] = 0.01 * v;

@@ -9,6 +9,12 @@ pub struct RandomTelegraphNoise;
 /// seven it is four to six tenths in sets of eight frames, and nothing of deviations that hit any pixel).
 const STAYS: f64 = 0.3;
 
+/// Of what the variances of the pixels spread by no more than so much is shared by pixels two columns or two rows apart (a named choice: of
+/// pixels that lie anywhere it is nothing, of parts of the sensor most of it, of its edges half).
+const ALONE: f64 = 0.25;
+/// Standard errors beyond which it is.
+const SURE: f64 = 3.0;
+
 /// Spread of the pixels' variances, e^4.
 fn spread(p: &[f64]) -> f64 {
     let jump = 0.25 * p[1] * p[1];
@@ -59,10 +65,18 @@ impl Effect for RandomTelegraphNoise {
         [(0.01, 3.0), (0.01, 8.0), (0.001, 20.0)].map(|(share, jump)| vec![share, jump * noise_e]).to_vec()
     }
 
-    /// Deviations that hit any pixel are none of this.
+    /// Deviations that hit any pixel are none of this, nor are parts of the sensor.
     fn contradicted(&self, p: &[f64], seen: &Seen) -> Option<&'static str> {
         let gain = seen.peak_dn / seen.peak_e.max(1e-9);
         let stays = spread(p) * gain.powi(4);
+        if let Some((found, std_err)) = seen.together_dn4
+            && found > SURE * std_err
+            && found > ALONE * stays
+        {
+            return Some(
+                "noisier pixels lie side by side or in every second line: parts of the sensor are read with more noise than others",
+            );
+        }
         let (found, std_err) = seen.steady_dn4?;
         (found + 2.0 * std_err < STAYS * stays).then_some(
             "pixels that are noisier in one dark set are not so in others: large deviations hit any pixel",
@@ -134,5 +148,10 @@ mod tests {
         assert!(stands(Some((6.0, 0.5))) && stands(Some((2.5, 0.5))) && stands(None));
         // Not known well enough, and known to be nothing.
         assert!(stands(Some((0.0, 1.0))) && !stands(Some((0.0, 0.5))));
+        let alone = |together_dn4| {
+            let all = Seen { together_dn4, ..seen(Some((6.0, 0.5))) };
+            RandomTelegraphNoise.contradicted(&[0.01, 20.0], &all).is_none()
+        };
+        assert!(alone(Some((0.5, 0.1))) && alone(Some((3.0, 1.0))) && !alone(Some((3.0, 0.5))));
     }
 }

@@ -9,6 +9,10 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen,
 /// A running average with weight 1 - alpha for the new frame.
 pub struct TemporalFilter;
 
+/// The least weight of the frames before. A named choice: cameras have it in 256ths or tenths, and one that reduces noise has much more; what is left
+/// of a level in less than that is charge.
+const LEAST: f64 = 1.0 / 256.0;
+
 /// What y_t = (1 - a) x_t + a y_(t-1) makes of independent noise: its variance, relative, and the correlations over 1, 2, ... frames
 /// (an autoregression of the first order: Box and Jenkins 1976, 3.2.3).
 pub(super) fn running_average(a: f64) -> (f64, Vec<f64>) {
@@ -247,10 +251,13 @@ impl Effect for TemporalFilter {
         ]
     }
 
-    /// In whole codes a change by less than half a code over alpha moves nothing: also from where the largest change passes that.
-    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
-        let just = 0.5 / seen.peak_dn.max(1.0);
-        vec![vec![0.05, 0.0], vec![0.05, 1.0], vec![0.05, 2.0], vec![just, 0.0], vec![just, 1.0]]
+    fn starts(&self, _: &Seen) -> Vec<Vec<f64>> {
+        [0.0, 1.0, 2.0].map(|kept| vec![0.05, kept]).to_vec()
+    }
+
+    /// Less than that is the charge that a pixel keeps.
+    fn is_another(&self, p: &[f64], _: &Seen) -> bool {
+        p[0] < LEAST
     }
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {
