@@ -22,7 +22,7 @@ const RIVALS: usize = 4;
 const NO_RIVAL: f64 = 0.03;
 /// Starts of one candidate that are fitted for a few rounds; of the most promising candidate, one of every form.
 const STARTS: usize = 3;
-const FORMS: usize = 8;
+const FORMS: usize = 9;
 /// Of the starts of a candidate so many are fitted to the end.
 const FINISHED: usize = 4;
 /// Two fits whose scores differ by less, in proportion to the mean square of their residuals, have come to the same place (a named choice).
@@ -318,8 +318,9 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
             looked_at.push(ids(&line.fitted));
             progress(&format!("with {names:?}: trying every effect"));
             let found = candidates(all, &line.fitted, far && depth == 0);
-            let longer = longer(all, &found, given);
+            let mut longer = longer(all, &found, given);
             if longer.is_empty() {
+                longer = instead(all, &found, line, given);
                 done.push(line.clone());
             }
             next.extend(longer);
@@ -353,6 +354,16 @@ fn longer(all: &Observations, found: &[Candidate], given: usize) -> Vec<Line> {
         Line { score: score(all, &fitted), fitted }
     };
     near.map(line).collect()
+}
+
+/// Lines in which a candidate that does not pay beside the others takes the place of some of them.
+fn instead(all: &Observations, found: &[Candidate], line: &Line, given: usize) -> Vec<Line> {
+    let some = found.iter().filter(|c| c.evidence > -NEAR).take(2);
+    let lines = some.map(|c| {
+        let fitted = without_idle(all, c.fitted.clone(), given);
+        Line { score: score(all, &fitted), fitted }
+    });
+    lines.filter(|l| l.fitted.effects.len() <= line.fitted.effects.len() && l.score < line.score).collect()
 }
 
 fn ids(fitted: &Fitted) -> Vec<&'static str> {

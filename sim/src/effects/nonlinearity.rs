@@ -216,11 +216,11 @@ impl Effect for Nonlinearity {
     }
 
     /// Beyond a full well charge still rises by a few per cent of what light brings: pixels differ, and few are full at first.
-    /// A toe as wide as the range is a bend, of which other shapes tell.
+    /// A toe as wide as the range is a bend, of which other shapes tell; one within the noise of darks is what darks and lit frames differ by.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         match p[0].round() as i32 {
             5 => p[KNEE + 1] < 0.1,
-            8 => p[TOE + 1] > 0.3 * seen.peak_dn,
+            8 => !(2.0 * seen.dark_noise_dn..=0.3 * seen.peak_dn).contains(&p[TOE + 1]),
             _ => false,
         }
     }
