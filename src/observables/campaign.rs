@@ -264,6 +264,18 @@ pub fn of_dataset(
     }
     missing.extend(cannot_be_told(shape, pairs.iter().any(Option::is_some), &settings));
     let kinds: Vec<Kind> = settings.iter().map(|s| s.kind).collect();
+    let darks = chunks.iter().filter(|c| kinds[c.set] == Kind::Dark).map(|c| c.summary.var.value);
+    if let Some(var) = darks.min_by(f64::total_cmp).filter(|v| *v < LEAST_DARK_VAR_DN2) {
+        missing.push(format!(
+            "darks have a temporal variance of {var:.2} DN^2, and EMVA 1288 (release 4, eq. 54) takes less than {LEAST_DARK_VAR_DN2} DN^2 for \
+             rounding: read noise is not well known; a higher gain of the camera would tell it"
+        ));
+    }
+    if darkest_dn == Some(0.0) {
+        missing.push(
+            "at least one in two hundred samples of a dark frame lies at code 0: raise the black level, which EMVA 1288 asks for".into(),
+        );
+    }
     let dark_spread_dn2 = dark_spreads(&infos, &kinds);
     let ends: Vec<f64> = frames.iter().map(|f: &FrameInfo| f.time_s + infos[f.set].exposure_s).collect();
     let frame_s = median(ends.windows(2).map(|w| w[1] - w[0]));
@@ -362,6 +374,9 @@ fn of_chunks(chunks: &[Chunk], sets: &[Set]) -> Vec<Observable> {
     }
     list
 }
+
+/// Temporal variance of darks below which EMVA 1288 does not take it for measured, DN^2 (release 4, section 6.6).
+const LEAST_DARK_VAR_DN2: f64 = 0.24;
 
 /// What a campaign without some sets, or of few pixels, leaves open.
 fn cannot_be_told(shape: (usize, usize), patch: bool, settings: &[FrameRow]) -> Vec<String> {

@@ -2,7 +2,7 @@
 
     cameras.py --radcam PATH --out DIR --seeds 1,2 [--only KIND,...] [--strength F] [--keep]   a line for every camera
     cameras.py --radcam PATH --out DIR --campaign N [--first-seed S] [--rows FILE]             N cameras, then a table
-    cameras.py --radcam PATH --out DIR --quick                                                 sixteen cameras, for CI
+    cameras.py --radcam PATH --out DIR --quick                                                 twenty-two cameras, for CI
     cameras.py --list                                                                          the kinds, as a table
     cameras.py --table FILE                                                                    the table of recorded rows
 
@@ -1071,10 +1071,12 @@ def matrix(rows):
 QUICK = (
     ("clean", 1), ("black level too low", 1), ("row-noise", 1), ("nonlinearity, square", 1), ("offset-drift", 1),
     ("noise of odd frames", 1), ("noise shared by 2x2", 1), ("gain of every second frame", 1), ("cosmic rays", 1),
-    ("telegraph noise, fast", 2), ("temporal-filter", 2),
+    ("telegraph noise, fast", 2), ("temporal-filter", 2), ("read noise of parts", 1), ("defects filled in", 1),
+    ("coupling along the rows", 1), ("toe near black", 1), ("less noise than a code", 1),
 )
 QUICK_WEAK = (("heavy tails", 151, 0.35), ("row gain noise in blocks", 142, 0.45), ("interference in bursts", 161, 0.5),
-              ("digital gain", 142, 0.5), ("hot-pixel correction", 171, 0.6315))
+              ("digital gain", 142, 0.5), ("hot-pixel correction", 171, 0.6315),
+              ("threshold on small signals", 301, 0.3))
 
 
 def main():
