@@ -66,7 +66,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         }
     }
     for note in &c.not_looked_at {
-        println!("  note: {note}");
+        println!("  note: {}", super::common::wrapped(note, 4).trim_start());
     }
     Ok(outcome)
 }

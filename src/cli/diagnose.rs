@@ -97,6 +97,6 @@ pub fn print(title: &str, d: &Diagnosis) {
         println!("\n  next measurement: {next}\n    (as a plan for `radcam capture`: --next PLAN.toml)");
     }
     for note in &d.notes {
-        println!("  note: {note}");
+        println!("  note: {}", super::common::wrapped(note, 4).trim_start());
     }
 }

@@ -90,6 +90,6 @@ fn print(path: &Path, r: &NoiseReport) {
         println!("  {:>4} {kind:<5} {:>10.2}  {variance:<22} {:>+7.2}{note}", l.set, l.mean_dn, l.z);
     }
     for note in &r.notes {
-        println!("\n  note: {note}");
+        println!("\n  note: {}", super::common::wrapped(note, 4).trim_start());
     }
 }
