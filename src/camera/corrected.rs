@@ -168,9 +168,15 @@ impl<C: Camera> Camera for Corrected<C> {
     }
 
     fn set_feature(&mut self, name: &str, value: &Value) -> Result<Value, CameraError> {
-        let before = self.camera.feature(name)?;
+        let before = self.camera.feature(name).ok();
+        let exposure_s = self.camera.settings()?.exposure_s;
         let set = |c: &mut C| c.set_feature(name, value);
-        self.keep(set, |c, _| c.set_feature(name, &before).map(drop))
+        let value = self.keep(set, |c, _| before.map_or(Ok(()), |b| c.set_feature(name, &b).map(drop)))?;
+        let now_s = self.camera.settings()?.exposure_s;
+        if now_s != exposure_s {
+            self.set_exposure_s(now_s)?;
+        }
+        Ok(value)
     }
 
     fn features(&mut self) -> BTreeMap<String, Value> {

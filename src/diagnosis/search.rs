@@ -309,6 +309,7 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
         for line in &lines {
             let names: Vec<&str> = line.fitted.effects.iter().map(|(e, _)| e.id()).collect();
             if looked_at.contains(&ids(&line.fitted)) {
+                done.push(line.clone());
                 continue;
             }
             if names.len() >= given + MOST {

@@ -20,7 +20,7 @@ use super::check::Reading;
 use super::cusum;
 
 /// Fewest readings before a change.
-const BEFORE: usize = 8;
+pub(super) const BEFORE: usize = 8;
 /// A change that matters may be many standard errors. A smaller one, of sqrt(2 h) by a single reading, is then as surely there; it must still be
 /// half of what matters.
 fn designed(shift: f64, limit: f64) -> f64 {
@@ -87,6 +87,11 @@ impl Chart {
         self.checks.len()
     }
 
+    /// Which check each is of.
+    pub fn checks(&self) -> &[usize] {
+        &self.checks
+    }
+
     /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.checks.is_empty()
@@ -115,24 +120,29 @@ impl Chart {
         self.checks.get(self.len().saturating_sub(n.max(1))).copied().unwrap_or(0)
     }
 
-    /// Before and since a check; `None` where either is empty.
-    pub fn since(&self, check: usize) -> Option<Split> {
-        self.split(self.checks.partition_point(|c| *c < check))
+    /// Before one check and since another, without those between; `None` where either is empty.
+    pub fn apart(&self, before: usize, since: usize) -> Option<Split> {
+        let place = |check: usize| self.checks.partition_point(|c| *c < check);
+        self.split(place(before), place(since))
     }
 
-    fn split(&self, n0: usize) -> Option<Split> {
+    /// The first so many readings, and those from a place on.
+    fn split(&self, n0: usize, from: usize) -> Option<Split> {
         let n = self.len();
-        if n0 == 0 || n0 >= n {
+        if n0 == 0 || from < n0 || from >= n {
             return None;
         }
-        let (a, b) = (self.sums[n0], self.sums[n]);
-        let (n0f, n1f) = (n0 as f64, (n - n0) as f64);
-        let (s0, s1) = (a[0], b[0] - a[0]);
-        let within = (b[1] - s0 * s0 / n0f - s1 * s1 / n1f) / (n as f64 - 2.0).max(1.0);
+        let (a, m, b) = (self.sums[n0], self.sums[from], self.sums[n]);
+        let n1 = n - from;
+        let (n0f, n1f) = (n0 as f64, n1 as f64);
+        let (s0, s1) = (a[0], b[0] - m[0]);
+        let squares = a[1] + b[1] - m[1];
+        let within = (squares - s0 * s0 / n0f - s1 * s1 / n1f) / (n0f + n1f - 2.0).max(1.0);
         // What checks scatter beyond their stated errors is the camera's and the room's.
-        let std_err = within.max(b[2] / n as f64).sqrt().max(f64::MIN_POSITIVE);
+        let stated = (a[2] + b[2] - m[2]) / (n0f + n1f);
+        let std_err = within.max(stated).sqrt().max(f64::MIN_POSITIVE);
         let (before, since) = (self.first + s0 / n0f, self.first + s1 / n1f);
-        Some(Split { before, since, std_err, counts: (n0, n - n0) })
+        Some(Split { before, since, std_err, counts: (n0, n1) })
     }
 
     /// The check since which the reading most likely is another, where that is surely so; `step` is the change that matters of a usual value.
@@ -142,7 +152,8 @@ impl Chart {
         let mut best: Option<(f64, usize)> = None;
         let mut since = 1;
         while since + BEFORE <= self.len() {
-            let score = self.split(self.len() - since).and_then(|s| s.score(step(s.before), limit));
+            let from = self.len() - since;
+            let score = self.split(from, from).and_then(|s| s.score(step(s.before), limit));
             if let Some(score) = score
                 && score > limit
                 && best.is_none_or(|(most, _)| score > most)
@@ -157,7 +168,8 @@ impl Chart {
     /// Readings in which the change that matters will be found on average: with the usual value known, and as it is known now. Infinite: not yet.
     pub fn needed(&self, step: impl Fn(f64) -> f64, limit: f64) -> (f64, f64) {
         let n = self.len();
-        let Some(split) = self.split(n.saturating_sub(1)).filter(|_| n >= BEFORE) else {
+        let last = n.saturating_sub(1);
+        let Some(split) = self.split(last, last).filter(|_| n >= BEFORE) else {
             return (f64::INFINITY, f64::INFINITY);
         };
         let shift = designed(step(split.before) / split.std_err, limit);

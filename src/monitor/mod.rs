@@ -82,6 +82,11 @@ impl Limits {
     }
 }
 
+/// Whether there was light enough to read the gain by.
+fn is_lit(check: &Check) -> bool {
+    check.readings.contains_key(&Followed::Gain)
+}
+
 /// What an alarm names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -90,6 +95,8 @@ pub enum Changed {
     Gain,
     /// Lamp, optics, or the sensor's sensitivity: electrons of the reference flat.
     Light,
+    /// There is hardly any light.
+    NoLight,
     /// The reference flat changed, and it cannot be said yet whether by light or by gain.
     LightOrGain,
     /// DN without light and without dark current.
@@ -174,8 +181,8 @@ pub struct Monitor {
     /// Hot and dead pixels of the last check, and those that were told.
     suspects: [BTreeSet<(u32, u32)>; 2],
     told: [BTreeSet<(u32, u32)>; 2],
-    /// A change of the reference flat that is not told apart yet, since this check.
-    open: Option<usize>,
+    /// A change of the reference flat that is not told apart yet: the check at which it left what was usual, and that since which it is what it is.
+    open: Option<(usize, usize)>,
     /// There is too little light to read the gain by, which was told.
     dark: bool,
 }
@@ -206,7 +213,7 @@ impl Monitor {
     pub fn learning(&self) -> Vec<Followed> {
         let slow = self.charts.iter().filter(|(what, chart)| {
             let (known, now) = chart.needed(|usual| self.limits.of(**what, usual), self.limit);
-            now > 1.25 * known + 1.0
+            chart.len() < chart::BEFORE || now > 1.25 * known + 1.0
         });
         let young =
             self.rates.iter().filter(|(w, r)| **w == Followed::Flicker && r.learned.len() < LEARN_FLICKER);
@@ -227,10 +234,9 @@ impl Monitor {
         let at = self.history.len();
         let mut changed: BTreeMap<Followed, usize> = BTreeMap::new();
         // Signal without gain: too little light. It is told once, and the usual value is kept for when there is light again.
-        let lit = check.readings.contains_key(&Followed::Gain);
-        let failed = !lit && self.charts.get(&Followed::Gain).is_some_and(|c| !c.is_empty());
+        let failed = !is_lit(&check) && self.charts.get(&Followed::Gain).is_some_and(|c| !c.is_empty());
         for (what, reading) in &check.readings {
-            if failed && *what == Followed::Signal {
+            if *what == Followed::Signal && !is_lit(&check) {
                 continue;
             }
             if matches!(what, Followed::Flicker | Followed::LostFrames) {
@@ -253,35 +259,58 @@ impl Monitor {
             let change = signal
                 .zip(usual)
                 .map(|(now, usual)| Reading { value: now.value / usual - 1.0, std_err: now.std_err / usual });
-            alarms.extend(change.map(|change| self.alarm(Changed::Light, at, change)));
+            alarms.extend(change.map(|change| self.alarm(Changed::NoLight, at, change)));
         }
         self.dark = failed;
-        let of_flat = [Followed::Gain, Followed::Signal].iter().filter_map(|w| changed.remove(w)).min();
-        match (self.open, of_flat) {
-            (Some(since), _) => alarms.extend(self.light_or_gain(since, false)),
-            (None, Some(since)) => alarms.extend(self.light_or_gain(since, true)),
-            (None, None) => {}
+        for (what, since) in &changed {
+            alarms.extend(self.alone(*what, *since));
         }
-        for (what, since) in changed {
-            // What the flat's change brought with it is told with that.
-            if what != Followed::Flicker || of_flat.is_none() {
-                alarms.extend(self.alone(what, since));
+        // The signal is read better than the gain: its beginning holds for both.
+        let of_flat = changed.get(&Followed::Signal).or_else(|| changed.get(&Followed::Gain));
+        match (self.open, of_flat) {
+            (Some((before, since)), _) => {
+                let newer = self.changed_again(since);
+                alarms.extend(self.light_or_gain(before, newer.unwrap_or(since), newer.is_some()));
             }
+            (None, Some(since)) => alarms.extend(self.light_or_gain(*since, *since, true)),
+            (None, None) => {}
         }
         alarms
     }
 
+    /// Since when the reference flat is another than it was since a change that is still open.
+    fn changed_again(&self, since: usize) -> Option<usize> {
+        let chart = self.chart_since(Followed::Signal, since);
+        chart.changed(|usual| self.limits.of(Followed::Signal, usual), self.limit)
+    }
+
+    /// The readings since a check.
+    fn chart_since(&self, what: Followed, since: usize) -> Chart {
+        self.chart_of(what, since..self.history.len())
+    }
+
+    /// The readings of some checks; of the signal those with light.
+    fn chart_of(&self, what: Followed, checks: impl Iterator<Item = usize>) -> Chart {
+        let mut chart = Chart::default();
+        for (at, check) in checks.filter_map(|at| Some((at, self.history.get(at)?))) {
+            let counts = what != Followed::Signal || is_lit(check);
+            if let Some(reading) = check.readings.get(&what).filter(|_| counts) {
+                chart.add(at, *reading);
+            }
+        }
+        chart
+    }
+
     fn split(&self, what: Followed, since: usize) -> Option<Split> {
-        self.charts.get(&what)?.since(since)
+        self.charts.get(&what)?.apart(since, since)
     }
 
     /// A change of the reference flat or of the gain: by light, where the gain is what it was; by gain, where it changed as the flat did; else it
     /// is not known yet, which is said once.
-    fn light_or_gain(&mut self, since: usize, first: bool) -> Vec<Alarm> {
-        let Some(signal) = self.split(Followed::Signal, since).map(|s| s.relative()) else {
-            return Vec::new();
-        };
-        let gain = self.split(Followed::Gain, since).map(|s| s.relative());
+    fn light_or_gain(&mut self, before: usize, since: usize, first: bool) -> Vec<Alarm> {
+        let relative = |what| Some(self.charts.get(&what)?.apart(before, since)?.relative());
+        let Some(signal) = relative(Followed::Signal) else { return Vec::new() };
+        let gain = relative(Followed::Gain);
         let far = |r: Reading| r.value.abs() >= EXCLUDED * r.std_err;
         let less = |a: Reading, b: Reading| Reading {
             value: (1.0 + a.value) / (1.0 + b.value) - 1.0,
@@ -294,12 +323,22 @@ impl Monitor {
             ],
             Some(gain) if far(gain) => vec![self.alarm(Changed::Gain, since, gain)],
             Some(gain) if far(less(signal, gain)) => vec![self.alarm(Changed::Light, since, signal)],
+            // It is as it was again: the usual value stands, and what was between is told and does not count.
+            _ if !far(signal) && self.open.is_some() => {
+                self.open = None;
+                for what in [Followed::Gain, Followed::Signal] {
+                    let checks: Vec<usize> =
+                        self.charts.get(&what).map_or_else(Vec::new, |c| c.checks().to_vec());
+                    let stay = checks.into_iter().filter(|at| *at < before || *at >= since);
+                    let chart = self.chart_of(what, stay);
+                    self.charts.insert(what, chart);
+                }
+                return Vec::new();
+            }
             _ if first => {
-                self.open = Some(since);
+                self.open = Some((before, since));
                 return vec![self.alarm(Changed::LightOrGain, since, signal)];
             }
-            // It is as it was again.
-            _ if !far(signal) => Vec::new(),
             _ => return Vec::new(),
         };
         self.open = None;
@@ -348,19 +387,14 @@ impl Monitor {
     /// What a reading is since a check becomes its usual value.
     fn anew(&mut self, readings: &[Followed], since: usize) {
         for what in readings {
-            let now = self.history.iter().enumerate().skip(since);
-            let now = now.filter_map(|(at, check)| Some((at, *check.readings.get(what)?)));
+            let chart = self.chart_since(*what, since);
             match what {
                 Followed::LostFrames => drop(self.rates.remove(what)),
                 Followed::Flicker => {
-                    let rate = self.rates.entry(*what).or_default();
-                    *rate = Rate::default();
-                    now.for_each(|(at, reading)| rate.learned.add(at, reading));
+                    self.rates.insert(*what, Rate { learned: chart, ..Rate::default() });
                 }
                 _ => {
-                    let chart = self.charts.entry(*what).or_default();
-                    *chart = Chart::default();
-                    now.for_each(|(at, reading)| chart.add(at, reading));
+                    self.charts.insert(*what, chart);
                 }
             }
         }
@@ -423,6 +457,10 @@ fn sentence(what: Changed, change: Reading, since_s: f64) -> String {
             "The reference flat is {percent} {} {since}, and the gain is as it was: lamp, optics or the sensor's sensitivity. Look \
              at lamp and window.",
             if value > 0.0 { "brighter" } else { "darker" }
+        ),
+        Changed::NoLight => format!(
+            "The reference flat is {:.0} % darker {since}: there is too little light to read the gain by. Look at lamp, shutter and lens cap.",
+            100.0 * value.abs()
         ),
         Changed::LightOrGain => format!(
             "The reference flat is {percent} {} {since}: by the light or by the gain, which further checks will tell apart.",

@@ -228,8 +228,8 @@ fn a_lamp_that_fails_and_two_changes_at_once_are_named() {
     let light = camera.illumination;
     camera.illumination = 0.0;
     let (checks, alarms) = found(&mut monitor, &mut camera, &calibration);
-    assert_eq!((checks, alarms.len(), alarms[0].what), (1, 1, Changed::Light), "{alarms:?}");
-    assert!(alarms[0].sentence.contains("darker"), "{alarms:?}");
+    assert_eq!((checks, alarms.len(), alarms[0].what), (1, 1, Changed::NoLight), "{alarms:?}");
+    assert!(alarms[0].sentence.contains("100 % darker"), "{alarms:?}");
     for _ in 0..40 {
         let alarms = monitor.add(camera.check(&calibration));
         assert!(alarms.is_empty(), "{alarms:?}");
@@ -283,6 +283,44 @@ fn alarms_of_a_check_are_different_ones() {
     for what in [Changed::LightOrGain, Changed::Gain, Changed::Flicker, Changed::LostFrames] {
         assert!(whats.contains(&what), "{whats:?}");
     }
+}
+
+/// A flat of 1000 DN known to 2 DN and a gain known to 4 %, or no light; what a monitor says of each check, by number.
+fn told(lights: &[f64]) -> (Vec<(usize, Changed)>, Monitor) {
+    use radcam::monitor::Reading;
+    use radcam_sim::rng::{PixelRng, Stream as Numbers};
+    let mut monitor = Monitor::new(Limits::default());
+    let mut all = Vec::new();
+    for (n, light) in lights.iter().enumerate() {
+        let z = |i: u32| PixelRng::new(6, Numbers::Frame, n as u64, i, 0).normal();
+        let mut readings = std::collections::BTreeMap::new();
+        let mut put = |what, value, std_err| readings.insert(what, Reading { value, std_err });
+        put(Followed::Signal, 1000.0 * light + 2.0 * z(0), 2.0);
+        if *light > 0.1 {
+            put(Followed::Gain, 0.4 + 0.016 * z(1), 0.016);
+        }
+        let check = Check { time_s: n as f64, frames: 24, flats: 8, readings, ..Check::default() };
+        all.extend(monitor.add(check).into_iter().map(|a| (n, a.what)));
+    }
+    (all, monitor)
+}
+
+/// A monitor that begins without light is not blind to it afterwards; a lamp that was dim for a while and is as it was is told once; one that is
+/// out in between does not hide a later change; and what is read for the first time is still being learned.
+#[test]
+fn what_the_light_did_before_hides_nothing() {
+    let lights = |parts: &[(usize, f64)]| -> Vec<f64> {
+        parts.iter().flat_map(|(n, light)| std::iter::repeat_n(*light, *n)).collect()
+    };
+    let (all, _) = told(&lights(&[(10, 0.0), (60, 1.0), (3, 0.9)]));
+    assert!(matches!(all[0], (70..=72, _)), "{all:?}");
+    let (all, _) = told(&lights(&[(60, 1.0), (9, 0.97), (300, 1.0), (30, 0.9)]));
+    assert!(matches!(all[..2], [(60..=61, Changed::LightOrGain), (369..=371, _)]), "{all:?}");
+    let (all, _) = told(&lights(&[(60, 1.0), (5, 0.97), (3, 0.0), (60, 0.97), (3, 0.9)]));
+    assert!(all.contains(&(65, Changed::NoLight)), "{all:?}");
+    assert!(all.iter().any(|(n, _)| (128..=130).contains(n)), "{all:?}");
+    let (_, monitor) = told(&[1.0; 3]);
+    assert!(monitor.learning().contains(&Followed::Signal), "{:?}", monitor.learning());
 }
 
 /// Checks of a camera to which nothing happens.

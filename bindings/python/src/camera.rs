@@ -63,6 +63,7 @@ impl Camera {
 impl Camera {
     #[new]
     fn new(py: Python<'_>, name: PathBuf) -> PyResult<Self> {
+        crate::work::own_threads()?;
         crate::logs::begin();
         let name = name.to_string_lossy();
         let opened = py.detach(|| camera::open(&name)).map_err(Raised::raised)?;
@@ -167,6 +168,7 @@ impl Camera {
         timeout_s: f64,
         packet_size: Option<u32>,
     ) -> PyResult<Frames> {
+        crate::work::own_threads()?;
         if !(timeout_s > 0.0 && timeout_s <= 1e9) {
             let message = format!("timeout_s is {timeout_s}: write seconds above 0, no more than 1e9");
             return Err(PyValueError::new_err(message));
@@ -348,6 +350,7 @@ impl Sensor {
     #[new]
     #[pyo3(signature = (model, seed=None))]
     fn new(py: Python<'_>, model: crate::verbs::Named, seed: Option<u64>) -> PyResult<Self> {
+        crate::work::own_threads()?;
         let make = || {
             let model = model.load(seed)?;
             radcam_sim::Sensor::new(model).map_err(Raised::raised)
