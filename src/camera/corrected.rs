@@ -74,6 +74,24 @@ impl<C: Camera> Corrected<C> {
         self.camera
     }
 
+    /// Takes the dark reference of another exposure; where it does not reach there the camera goes back.
+    fn follow(&mut self, before_s: f64, now_s: f64) -> Result<(), CameraError> {
+        if now_s == before_s {
+            return Ok(());
+        }
+        match Corrector::new(&self.calibration, now_s) {
+            Ok(c) => {
+                let replaces = self.corrector.replaced() > 0;
+                self.corrector = if replaces { c.replacing_defects(&self.calibration) } else { c };
+                Ok(())
+            }
+            Err(e) => {
+                self.camera.set_exposure_s(before_s)?;
+                Err(fault(&self.camera, e))
+            }
+        }
+    }
+
     /// Undoes a setting under which the calibration does not hold.
     fn keep<T>(
         &mut self,
@@ -105,19 +123,10 @@ impl<C: Camera> Camera for Corrected<C> {
     }
 
     fn set_exposure_s(&mut self, value: f64) -> Result<f64, CameraError> {
-        let before = self.camera.settings()?.exposure_s;
-        let exposure_s = self.camera.set_exposure_s(value)?;
-        let replaces = self.corrector.replaced() > 0;
-        match Corrector::new(&self.calibration, exposure_s) {
-            Ok(c) => {
-                self.corrector = if replaces { c.replacing_defects(&self.calibration) } else { c };
-                Ok(exposure_s)
-            }
-            Err(e) => {
-                self.camera.set_exposure_s(before)?;
-                Err(fault(&self.camera, e))
-            }
-        }
+        let before_s = self.camera.settings()?.exposure_s;
+        let now_s = self.camera.set_exposure_s(value)?;
+        self.follow(before_s, now_s)?;
+        Ok(now_s)
     }
 
     fn set_gain_db(&mut self, value: f64) -> Result<f64, CameraError> {
@@ -169,14 +178,16 @@ impl<C: Camera> Camera for Corrected<C> {
 
     fn set_feature(&mut self, name: &str, value: &Value) -> Result<Value, CameraError> {
         let before = self.camera.feature(name).ok();
-        let exposure_s = self.camera.settings()?.exposure_s;
+        let before_s = self.camera.settings()?.exposure_s;
         let set = |c: &mut C| c.set_feature(name, value);
         let value = self.keep(set, |c, _| before.map_or(Ok(()), |b| c.set_feature(name, &b).map(drop)))?;
         let now_s = self.camera.settings()?.exposure_s;
-        if now_s != exposure_s {
-            self.set_exposure_s(now_s)?;
-        }
+        self.follow(before_s, now_s)?;
         Ok(value)
+    }
+
+    fn feature(&mut self, name: &str) -> Result<Value, CameraError> {
+        self.camera.feature(name)
     }
 
     fn features(&mut self) -> BTreeMap<String, Value> {

@@ -529,7 +529,7 @@ pub fn read(
     let mut left_out = words(dataset, &sums.left_out);
     if seen.filled > 0 {
         left_out.push(format!(
-            "{} pixels are filled in from their neighbours by the camera (its correction of defects) and are left out",
+            "{} pixels are interpolated from their neighbours by the camera (defect pixel correction) and are left out",
             seen.filled
         ));
     }

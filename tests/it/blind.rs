@@ -153,11 +153,13 @@ fn hidden_effects_are_named_first() {
     );
 }
 
-/// Ones that once had no name or a wrong one: a well that only the brightest pixels reach, a step between taps beside a scene; two halves whose noise is below a code, pixels that pile up at a code where
+/// Ones that once had no name or a wrong one: a temporal filter of little more than 1/256, a well that only the brightest pixels reach, a step between taps beside a scene; two halves whose noise is below a code, pixels that pile up at a code where
 /// high bits toggle, tables of nearly as many codes as steps.
 #[test]
 fn weak_effects_are_named() {
-    let cases: [(&str, u64, &[f64]); 6] = [
+    let cases: [(&str, u64, &[f64]); 8] = [
+        ("temporal-filter", 1490, &[0.005, 0.0]),
+        ("temporal-filter", 1500, &[0.005, 1.0]),
         ("full-well-saturation", 3343, &[9_880.66]),
         ("tap-mismatch", 3655, &[0.003_062_232_8, 0.306_223_28, 0.0]),
         ("tap-mismatch", 3696, &[0.007_219_468_9, 0.721_946_89, 0.0]),

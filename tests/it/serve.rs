@@ -371,6 +371,27 @@ fn a_calibration_without_binning_does_not_hold_for_a_camera_that_bins() {
     assert!(text.contains("BinningHorizontal is 2, and was 1"), "{text}");
 }
 
+/// A calibrated camera whose exposure is set by its feature's name follows with its dark reference, and goes back where that does not reach.
+#[test]
+fn a_calibrated_camera_follows_its_features() {
+    let _port = gige_port();
+    let _served = serve(sensor(), Ipv4Addr::LOCALHOST.into(), "TEST1", &Options::default()).unwrap();
+    let mut camera = AravisCamera::open(LOOPBACK).unwrap();
+    camera.set_exposure_s(0.01).unwrap();
+    let now = radcam::camera::info(&mut camera).unwrap();
+    let mut calibration = calibration("xc77", "TEST1", (now.height, now.width), |_| (64.0, 1.0));
+    calibration.description.camera = now;
+    calibration.dark.current_dn_per_s = None;
+    let codes = radcam::correct::Codes { scale: 1.0, offset: 0.0 };
+    let mut corrected = radcam::camera::corrected::Corrected::new(camera, calibration, codes).unwrap();
+    let text = corrected.set_feature("ExposureTime", &Value::Float(20_000.0)).unwrap_err().to_string();
+    assert!(text.contains("the dark reference holds at 0.01 s"), "{text}");
+    assert!((corrected.settings().unwrap().exposure_s - 0.01).abs() < 1e-6);
+    let text = corrected.set_feature("BinningHorizontal", &Value::Int(2)).unwrap_err().to_string();
+    assert!(text.contains("Binning") || text.contains("size"), "{text}");
+    assert_eq!(corrected.feature("BinningHorizontal").unwrap(), Value::Int(1));
+}
+
 /// Two cameras on one machine, each at its own address; a demo that cannot have its port leaves nothing behind.
 #[test]
 fn several_cameras_are_served_and_a_taken_port_leaves_no_trace() {
