@@ -59,6 +59,11 @@ fn effects(model: Option<&Named>) -> PyResult<Vec<Given>> {
 }
 
 /// Refuses to write over a file unless that is asked for.
+#[pyfunction]
+fn may_be_written(output: PathBuf, overwrite: bool) -> PyResult<()> {
+    free(&output, overwrite)
+}
+
 fn free(output: &Path, overwrite: bool) -> PyResult<()> {
     if output.exists() && !overwrite {
         let message = format!("{} is there already; overwrite=True writes over it", output.display());
@@ -324,6 +329,7 @@ pub fn add(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(check_model, m)?)?;
     m.add_function(wrap_pyfunction!(add_to_model, m)?)?;
     m.add_function(wrap_pyfunction!(remove_from_model, m)?)?;
+    m.add_function(wrap_pyfunction!(may_be_written, m)?)?;
     m.add_function(wrap_pyfunction!(catalogue, m)?)?;
     m.add_function(wrap_pyfunction!(cameras, m)?)
 }

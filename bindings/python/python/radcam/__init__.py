@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike, fspath
-from os.path import exists
 from typing import Any
 
 import numpy as np
@@ -80,11 +79,6 @@ def _paths(paths: Path | Sequence[Path]) -> list[str]:
 
 def _name(path: Path | None) -> str | None:
     return None if path is None else fspath(path)
-
-
-def _free(path: Path, overwrite: bool) -> None:
-    if not overwrite and exists(path):
-        raise FileExistsError(f"{fspath(path)} is there already; overwrite=True writes over it")
 
 
 @contextmanager
@@ -365,7 +359,7 @@ class Model:
 
     def save(self, path: Path, *, overwrite: bool = False) -> None:
         """Writes it as TOML."""
-        _free(path, overwrite)
+        _radcam.may_be_written(path, overwrite)
         with open(path, "w", encoding="utf-8") as file:
             file.write(self.text)
 
