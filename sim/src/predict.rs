@@ -2,7 +2,7 @@
 
 use crate::clipping::Clipped;
 use crate::normal::upper;
-use crate::quantize::{NODES, reaches_zero, rounded_apart, rounded_from_zero};
+use crate::quantize::{NODES, reaches_zero, rounded_from_zero, rounded_unlike};
 
 pub use crate::normal::{NORMAL, PLACES};
 pub use crate::spectrum::{Filter, GRID, HALF, LAGS, LineNoise, Ripple, Spectrum, angle};
@@ -61,8 +61,11 @@ pub struct Campaign {
 pub struct BaseParameters {
     /// A, DN/e.
     pub gain_dn_per_e: f64,
-    /// Read noise, e.
+    /// Read noise, root mean square over the pixels, e.
     pub read_noise_e: f64,
+    /// Spread of the read noise over the pixels: variance of the pixels' read-noise variances over the square of their mean; 0 for pixels that
+    /// are alike.
+    pub read_noise_spread: f64,
     /// Black level at zero exposure, DN.
     pub offset_dn: f64,
     /// Dark current, e/s.
@@ -261,6 +264,9 @@ impl SetPrediction {
             };
         }
         self.follow(before);
+        // Each new pixel is a weighted sum of several, which are more alike and closer to normal than single ones.
+        self.unequal *= filter.of_single();
+        self.fourth *= filter.of_single();
     }
 
     /// Mixes each frame with those before it: all noise is multiplied by `less` and correlated in time by `memory`.
@@ -446,6 +452,7 @@ impl Prediction {
         let may_be_clipped = c.from_code_0 && self.base.offset_dn + self.floor_dn < 0.0;
         for (i, s) in self.sets.iter_mut().enumerate() {
             let variance = s.covariance(0, 0) / square;
+            let unlike = s.unequal.max(0.0) / (square * variance * square * variance).max(f64::MIN_POSITIVE);
             let (spread, places) = c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread_dn / step, &s.places));
             let level = (s.signal + self.base.offset_dn) / step;
             let rounded = if may_be_clipped && reaches_zero(level, spread, places, variance) {
@@ -457,7 +464,7 @@ impl Prediction {
                 s.unsure_mean = libm::hypot(s.unsure_mean, 0.02 * step * found.mean.abs());
                 found
             } else {
-                rounded_apart(level, spread, apart(s.signal) / step, variance)
+                rounded_unlike(level, spread, apart(s.signal) / step, variance, unlike)
             };
             shifts[i] = step * rounded.mean;
             s.uneven = libm::hypot(s.uneven, step * quantised_mean(variance));

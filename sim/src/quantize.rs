@@ -119,6 +119,33 @@ pub fn rounded_apart(level: f64, spread: f64, apart: f64, variance: f64) -> Roun
     }
 }
 
+/// Standard deviations of the logarithm at which variances that differ from pixel to pixel are looked at, and the shares of the pixels there
+/// (Gauss and Hermite's rule of three points; Abramowitz and Stegun 1972, table 25.10).
+const LOGNORMAL: [(f64, f64); 3] =
+    [(-1.732_050_807_568_877_2, 1.0 / 6.0), (0.0, 2.0 / 3.0), (1.732_050_807_568_877_2, 1.0 / 6.0)];
+
+/// The same where the pixels' variances spread about their mean, lognormally, by `unlike` of its square (the variance of the variances).
+pub fn rounded_unlike(level: f64, spread: f64, apart: f64, variance: f64, unlike: f64) -> Rounded {
+    if unlike <= 0.0 || variance > WIDE * WIDE {
+        return rounded_apart(level, spread, apart, variance);
+    }
+    let square = libm::log1p(unlike.min(10.0));
+    let width = libm::sqrt(square);
+    let all = LOGNORMAL.map(|(x, share)| {
+        let own = variance * libm::exp(width * x - 0.5 * square);
+        (share, rounded_apart(level, spread, apart, own))
+    });
+    let mean = |of: fn(&Rounded) -> f64| all.iter().map(|(share, r)| share * of(r)).sum::<f64>();
+    let added = mean(|r| r.variance);
+    Rounded {
+        mean: mean(|r| r.mean),
+        slope: mean(|r| r.slope),
+        variance: added,
+        unequal: mean(|r| r.unequal),
+        fourth: mean(|r| r.fourth),
+    }
+}
+
 /// Steps between parts below this, in codes, leave levels as they are to within a thousandth of a code squared.
 const NEXT_TO_NONE: f64 = 0.03;
 

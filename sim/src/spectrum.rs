@@ -186,13 +186,25 @@ impl LineNoise {
 pub struct Filter<'a> {
     power: &'a dyn Fn(f64, f64) -> f64,
     table: Vec<f64>,
+    of_single: f64,
 }
 
 impl<'a> Filter<'a> {
     /// From the square of its gain at a vertical and a horizontal angle, radians per pixel; even in both.
     pub fn new(power: &'a dyn Fn(f64, f64) -> f64) -> Self {
         let table = (0..HALF * HALF).map(|i| power(angle(i / HALF), angle(i % HALF))).collect();
-        Self { power, table }
+        Self { power, table, of_single: 1.0 }
+    }
+
+    /// The same with the weights of its kernel: independent pixels of unequal noise come out more alike, by sum w^4 / (sum w^2)^2.
+    pub fn of_weights(self, weights: impl Iterator<Item = f64>) -> Self {
+        let (second, fourth) = weights.fold((0.0, 0.0), |(a, b), w| (a + w * w, b + w * w * w * w));
+        Self { of_single: if second > 0.0 { fourth / (second * second) } else { 1.0 }, ..self }
+    }
+
+    /// What is left of the spread of the pixels' variances, and of fourth cumulants, beside what the variance says.
+    pub fn of_single(&self) -> f64 {
+        self.of_single
     }
 
     /// Acts on one kind of noise.

@@ -27,8 +27,8 @@ pub struct Fitted {
     pub mean_square: f64,
     /// Standard errors of the effects' parameters.
     pub std_err: Vec<Vec<f64>>,
-    /// Standard errors of A, read noise, offset, dark current.
-    pub base_std_err: [f64; 4],
+    /// Standard errors of A, read noise, offset, dark current, and of the spread of the read noise.
+    pub base_std_err: [f64; 5],
     /// What was free, where it came to lie, and its covariance.
     pub(super) free: Free,
     pub(super) point: Point,
@@ -176,14 +176,15 @@ impl Errors<'_> {
         (own * own - 2.0 * value_e * with + (value_e * self.of(Common::Gain)).powi(2)).max(0.0).sqrt()
     }
 
-    /// Of A, read noise, offset and dark current.
-    fn of_base(&self, base: &BaseParameters) -> [f64; 4] {
+    /// Of A, read noise, offset, dark current and the spread of the read noise.
+    fn of_base(&self, base: &BaseParameters) -> [f64; 5] {
         let no_dark = self.free.place(Common::Dark).is_some_and(|i| self.free.fixed[i]);
         [
             self.of(Common::Gain) * base.gain_dn_per_e,
             self.in_e(Common::Read, base.read_noise_e),
             self.of(Common::Offset),
             if no_dark { 0.0 } else { self.in_e(Common::Dark, base.dark_e_per_s) },
+            self.of(Common::ReadSpread),
         ]
     }
 }

@@ -1,9 +1,9 @@
 //! What is free in a fit, as one list of values over their scales, and the light factors beside it.
 
 use super::model::Effects;
-use super::start::reference_level;
+use super::start::{MOST_SPREAD, reference_level};
 use crate::dataset::Kind;
-use crate::observables::{Observations, mean};
+use crate::observables::{Observations, mean, unequal};
 use radcam_sim::effects::{Effect, Parameter};
 use radcam_sim::predict::BaseParameters;
 
@@ -21,6 +21,8 @@ pub enum Common {
     Gain,
     /// Read noise, e.
     Read,
+    /// Spread of the pixels' read-noise variances, relative.
+    ReadSpread,
     /// Black level at zero exposure, DN.
     Offset,
     /// Dark current, e/s.
@@ -113,6 +115,13 @@ fn of_base(all: &Observations, base: &BaseParameters) -> Vec<Entry> {
     let mut list = vec![
         entry(Common::Gain, 0.0, 1.0, false, (-14.0, 14.0)),
         entry(Common::Read, base.read_noise_e, 0.0, false, (0.0, f64::INFINITY)),
+        entry(
+            Common::ReadSpread,
+            base.read_noise_spread,
+            base.read_noise_spread.max(0.05),
+            !all.has(&unequal::Unequal),
+            (0.0, MOST_SPREAD),
+        ),
         entry(Common::Offset, base.offset_dn, 0.0, table, ANY),
         entry(Common::Dark, base.dark_e_per_s, 0.0, table || !all.tells_dark_current(None), ANY),
         entry(Common::Light, 0.0, 1.0, false, ANY),
@@ -229,6 +238,7 @@ impl Free {
                     in_e = (-v).exp();
                 }
                 Common::Read => base.read_noise_e = v,
+                Common::ReadSpread => base.read_noise_spread = v,
                 Common::Offset => base.offset_dn = v,
                 Common::Dark => base.dark_e_per_s = v,
                 Common::Light => base.flux_e_per_s.iter_mut().for_each(|f| *f *= v.exp()),

@@ -1,12 +1,15 @@
 //! A first guess of the paper's parameters, from the darks and the slope of the variance.
 
 use crate::dataset::Kind;
-use crate::observables::{Half, Observations, Statistic, mean, monitor, variance};
+use crate::observables::{Half, Observations, Statistic, mean, monitor, unequal, variance};
 use crate::statistics::median::median;
 use radcam_sim::predict::{BaseParameters, Monitor};
 
 /// Below this share of the brightest signal a flat tells little of light and gain: the zero and the dark variance are in it.
 const DIM: f64 = 0.02;
+
+/// Largest relative variance of the pixels' read-noise variances: one pixel in a hundred with ten times the noise of the others has 25.
+pub(super) const MOST_SPREAD: f64 = 1e3;
 
 /// A first guess of the paper's parameters.
 pub fn start(all: &Observations) -> BaseParameters {
@@ -25,12 +28,20 @@ pub fn start(all: &Observations) -> BaseParameters {
     BaseParameters {
         gain_dn_per_e,
         read_noise_e: (dark_var_dn2 - 1.0 / 12.0).max(0.01).sqrt() / gain_dn_per_e,
+        read_noise_spread: read_noise_spread(all, dark_var_dn2),
         offset_dn,
         dark_e_per_s: dark_dn_per_s / gain_dn_per_e,
         flux_e_per_s,
         past_e: None,
         monitor,
     }
+}
+
+/// Spread of the pixels' read-noise variances, relative, as the darks show it.
+fn read_noise_spread(all: &Observations, dark_var_dn2: f64) -> f64 {
+    let shown = median(values(all, &unequal::Unequal, Some(Kind::Dark)).map(|v| v.1));
+    let own = dark_var_dn2 / (dark_var_dn2 - 1.0 / 12.0).max(0.01);
+    if shown.is_finite() { (shown * own * own).clamp(0.0, MOST_SPREAD) } else { 0.0 }
 }
 
 /// Values of a statistic of sets, each with its set.

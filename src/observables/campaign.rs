@@ -3,7 +3,7 @@
 use super::read::{Chunk, Reading, read};
 use super::{
     ChunkView, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, Statistic, codes,
-    covariance, mean, successive, variance,
+    covariance, mean, successive, unequal, variance,
 };
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
 use crate::features::LeftOn;
@@ -11,6 +11,7 @@ use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
 use crate::statistics::pass::Summary;
+use crate::statistics::steady::PixelNoise;
 use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, SetInfo};
 use std::sync::atomic::AtomicBool;
 
@@ -49,6 +50,8 @@ pub struct Observations {
     pub steady_dn4: Option<Value>,
     /// The same of pixels two columns and two rows apart, DN^4: whether noisy pixels are parts of the sensor.
     pub together_dn4: Option<[Value; 2]>,
+    /// How the noise of single pixels in short darks is distributed.
+    pub pixel_noise: Option<PixelNoise>,
     /// Code below which one in two hundred samples of the darks lies.
     pub darkest_dn: Option<f64>,
 }
@@ -191,6 +194,7 @@ pub fn of_dataset(
         lines,
         steady_dn4,
         together_dn4,
+        pixel_noise,
         darkest_dn,
         saturated,
         left_out,
@@ -310,6 +314,7 @@ pub fn of_dataset(
         dark_spread_dn2,
         steady_dn4,
         together_dn4,
+        pixel_noise,
         darkest_dn,
     };
     if !all.tells_dark_current(None) {
@@ -418,7 +423,7 @@ impl Inflation {
             variance: over(&|r| r.var.std_err / variance::theory(r)),
             covariance: over(&|r| (lags(r) / LAGS.len() as f64).sqrt() / covariance::theory(r)),
             successive: over(&|r| r.successive.std_err / successive::theory(r)),
-            unequal: over(&|r| r.unequal.std_err / (8.0 / r.pixels).sqrt()),
+            unequal: over(&|r| r.unequal.std_err / unequal::theory(r)),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! What a prediction says of observables, in the space in which their noise is normal.
 
 use super::{Half, Observable, Observations};
+use crate::statistics::steady::PixelNoise;
 use radcam_sim::predict::{LAGS, Prediction, Ripple, SetPrediction};
 
 /// An expectation.
@@ -283,6 +284,15 @@ impl<'a> View<'a> {
         in_quadrature(&[rows, columns, self.ripple_error])
     }
 
+    /// Variance of the pixels' variances over the square of their mean, and raw second, third and fourth moment of the variances over their
+    /// mean.
+    pub fn unequal(&self) -> (f64, [f64; 3]) {
+        let square = (self.noise * self.noise).max(f64::MIN_POSITIVE);
+        let spread = self.set().map_or(0.0, |s| s.unequal.max(0.0) / square);
+        let shape = self.all.pixel_noise.unwrap_or_else(|| PixelNoise::usual(spread));
+        (spread, shape.moments(spread))
+    }
+
     /// By how much products of neighbours scatter more where some pixels have most of the noise and neighbours are alike, as beside the edge
     /// of what is clipped: the root of the mean square of the pixels' variances over the square of their mean.
     pub fn unlike(&self) -> f64 {
@@ -339,7 +349,9 @@ impl<'a> View<'a> {
         let value = pixels + own + across + of_lines - self.of_mean + 0.3 * self.moving;
         let dof = self.dof * (count as f64 - 1.0);
         let ripple = if rows { self.ripple_error } else { 0.0 };
-        let own = value.abs().max(1e-9) * (2.0 / dof).sqrt();
+        // Lines of unequal pixels scatter unequally.
+        let unequal = 1.0 + self.unequal().0 / width as f64;
+        let own = value.abs().max(1e-9) * (2.0 * unequal / dof).sqrt();
         let single = in_quadrature(&[self.rough.1, s.unsure_var, s.unsure_own]) / width as f64;
         Expected::plain(
             o,

@@ -73,7 +73,7 @@ impl Statistic for Kurtosis {
             view.at.map_or(0.0, |i| view.all.dark_spread_dn2[i]) * view.prediction.base.gain_dn_per_e.powi(2);
         // A sine of random phase has -3/2 of the square of its variance.
         let sine = s.ripples.iter().map(|r| r.0 * r.0).sum::<f64>();
-        let own = 3.0 * (s.unequal + uneven) + kept * (s.fourth + poisson) + pairs;
+        let own = 3.0 * (s.unequal + uneven + 0.5 * dark) + kept * (s.fourth + poisson) + pairs;
         // The mean of n fourth powers of normal numbers, over the square of their variance, has the variance 24 sum(rho^4) / n: what scatters
         // is the fourth Hermite polynomial, whose covariance is 24 rho^4 (Mehler 1866; Cramer 1946, 27.4, for independent numbers).
         let rho = |c: f64| (c / variance).powi(4);
@@ -84,13 +84,17 @@ impl Statistic for Kurtosis {
         let later: f64 = s.shot_memory.iter().chain(&s.read_memory).map(|r| 2.0 * r.powi(4)).sum();
         let alike = (neighbours + lines + waves) * (1.0 + later);
         let dof = o.pixels * view.dof;
+        // Of pixels whose variances V have mean 1 the fourth power less 6 E V^2 of the square scatters by 96 E V^4 + 72 (E V^2)^3 - 144 E V^2 E V^3:
+        // 24 where they are alike (moments of normal numbers: 105 - 9, 2 and 15 - 3).
+        let [two, three, four] = view.unequal().1;
+        let unlike = (96.0 * four + 72.0 * two.powi(3) - 144.0 * two * three - 24.0).max(0.0);
         let rest = 6.0 * (view.rough.1.hypot(view.moving) / variance);
         Expected::plain(
             o,
             3.0 * dof / (dof + 2.0) + own / square,
             in_quadrature(&[
-                (24.0 * alike.max(1.0) / dof).sqrt(),
-                3.0 * (s.unsure + dark + 0.3 * uneven + 0.1 * s.unequal.abs()) / square,
+                ((24.0 * alike.max(1.0) + unlike) / dof).sqrt(),
+                3.0 * (s.unsure + 0.5 * dark + 0.3 * uneven + 0.01 * s.unequal.abs()) / square,
                 (s.unsure_fourth + 0.3 * poisson + 0.3 * s.fourth.abs() + 1.5 * sine) / square,
                 0.01,
                 rest,

@@ -47,7 +47,8 @@ impl Statistic for LineProfile {
             }
             n += 1.0;
             value += correlated(s, USUAL_FRAMES);
-            let telegraph = s.unequal.max(0.0).sqrt() / pixels as f64;
+            // Lines whose pixels are noisier than others scatter more: over all of them the mean hardly moves.
+            let telegraph = s.unequal.max(0.0).sqrt() / pixels as f64 / (pixels as f64).sqrt();
             // A ripple whose phase moves slowly stays in the mean of a few frames.
             let ripple = if o.index == 0 { s.ripple(0.0) } else { 0.0 };
             unsure += USUAL_FRAMES * (s.uneven * s.uneven + telegraph + ripple) / noise;

@@ -11,7 +11,7 @@ use crate::statistics::jackknife::Value;
 use crate::statistics::layout::Layout;
 use crate::statistics::pass::{Pass, Summary};
 use crate::statistics::spectrum::Power;
-use crate::statistics::steady::Steady;
+use crate::statistics::steady::{PixelNoise, Steady};
 use ndarray::Array2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -63,6 +63,8 @@ pub struct Reading {
     pub steady_dn4: Option<Value>,
     /// The same of pixels two columns and two rows apart, DN^4.
     pub together_dn4: Option<[Value; 2]>,
+    /// How the pixels' noise in short darks is distributed.
+    pub pixel_noise: Option<PixelNoise>,
     /// Code below which one in two hundred samples of the darks lies.
     pub darkest_dn: Option<f64>,
     /// Sets that are clipped, with their means, DN.
@@ -475,7 +477,7 @@ impl Sums {
             self.codes[half].add(&chunk.summary);
         }
         if !chunk.var_dn2.is_empty() {
-            self.steady.add(&chunk.var_dn2, chunk.summary.var.value);
+            self.steady.add(&chunk.var_dn2, chunk.summary.var.value, chunk.summary.frames);
         }
         // They are long, and their sums are all that is needed.
         (chunk.summary.power, chunk.summary.occupancy.0) = (Vec::new(), Vec::new());
@@ -539,6 +541,7 @@ pub fn read(
         steady_dn4: sums.steady.covariance(&seen.layout),
         darkest_dn: seen.darkest_dn,
         together_dn4: sums.steady.of_neighbours(&seen.layout),
+        pixel_noise: sums.steady.distribution(&seen.layout),
         zero_dn: seen.zero_dn,
         layout: seen.layout,
         chunks: sums.chunks,

@@ -114,6 +114,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         dark_spread_dn2: dark_spreads(&sets, &kinds),
         steady_dn4: None,
         together_dn4: None,
+        pixel_noise: None,
         darkest_dn: None,
         campaign: Campaign {
             frames,

@@ -1,11 +1,30 @@
 //! Excess spread of the pixels' variances, relative: whether some pixels are noisier than the rest.
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
+use crate::statistics::pass::Summary;
 use radcam_sim::predict::LineNoise;
 
 /// The spread.
 #[derive(Debug)]
 pub struct Unequal;
+
+/// Standard error for independent normal pixels that are alike: [`scatter`] without a spread.
+pub fn theory(r: &Summary) -> f64 {
+    (scatter(r.frames as f64 - 1.0, [1.0; 3]) / r.pixels).sqrt()
+}
+
+/// Variance, times the pixels, of the spread mean(v^2) / mean(v)^2 / (1 + a) of sample variances v = V (1 + x) of d degrees of freedom, a = 2 / d,
+/// over pixels whose variances V have mean 1 and these raw moments (second, third, fourth).
+///
+/// To first order it deviates by the mean of V^2 (2 x + x^2 - a) - 2 c V x, c = (1 + a) E V^2, over 1 + a; by the moments of chi-square, E x^2 = a,
+/// E x^3 = 2 a^2, E x^4 = 3 a^2 + 6 a^3. Of pixels that are alike it is 2 a^2 / (1 + a).
+fn scatter(dof: f64, [two, three, four]: [f64; 3]) -> f64 {
+    let a = 2.0 / dof.max(1.0);
+    let c = (1.0 + a) * two;
+    let of_square = four - 2.0 * c * three + c * c * two;
+    let all = 4.0 * a * of_square + four * (2.0 * a * a + 6.0 * a.powi(3)) + 8.0 * a * a * (four - c * three);
+    all.max(0.0) / ((1.0 + a) * (1.0 + a))
+}
 
 impl Statistic for Unequal {
     fn id(&self) -> &'static str {
@@ -18,7 +37,7 @@ impl Statistic for Unequal {
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
         let r = chunk.summary();
-        put.put(0, r.unequal.value, chunk.inflation.unequal * (8.0 / r.pixels).sqrt());
+        put.put(0, r.unequal.value, chunk.inflation.unequal * theory(r));
     }
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
@@ -34,9 +53,11 @@ impl Statistic for Unequal {
         let variance = view.noise.max(1e-9);
         let rest = view.rough.1.hypot(view.moving) / variance;
         let square = variance * variance;
-        // Shot noise of unequal dark charge: only pixels that stand out are known to have more of it.
+        // Shot noise of unequal dark charge: pixels that stand out are compared with what their charge lets expect, others are not.
         let dark = view.at.map_or(0.0, |set| view.all.dark_spread_dn2[set]);
-        let charge = dark * view.prediction.base.gain_dn_per_e.powi(2);
+        let charge = 0.5 * dark * view.prediction.base.gain_dn_per_e.powi(2);
+        let scatter_of_unlike =
+            (scatter(view.dof, view.unequal().1) - scatter(view.dof, [1.0; 3])).max(0.0) / o.pixels;
         // Pixels whose noise is alike have sample variances that are alike: of the scatter 2 s^4 / dof the mean over pairs of pixels of
         // (covariance / s^2)^2 is missing.
         let (rows, columns) = view.all.campaign.shape;
@@ -49,9 +70,10 @@ impl Statistic for Unequal {
         };
         Expected::plain(
             o,
-            (s.unequal + fourth / allowed) / square - alike,
+            (s.unequal + charge + fourth / allowed) / square - alike,
             in_quadrature(&[
                 o.measured.std_err,
+                scatter_of_unlike.sqrt(),
                 (s.unsure + charge) / square,
                 s.unsure_fourth / (view.n * allowed) / square,
                 0.002,

@@ -13,16 +13,76 @@ pub struct Steady {
     sums: [Vec<f32>; 2],
     squares: Vec<f32>,
     runs: usize,
+    /// Degrees of freedom of all runs, and the sum of the runs' means, DN^2.
+    dof: f64,
+    mean_dn2: f64,
 }
+
+/// How the noise variances of single pixels are distributed, as many frames of the same kind show it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PixelNoise {
+    /// Variance over the pixels of their variances, over the square of their mean.
+    pub spread: f64,
+    /// Third and fourth central moment, over the spread to the power 3/2 and 2.
+    pub skewness: f64,
+    /// See `skewness`.
+    pub kurtosis: f64,
+    /// Median of the pixels' standard deviations over their root mean square.
+    pub median: f64,
+    /// Standard deviation of the logarithm of the ordinary pixels' standard deviations; not a number where too few frames tell.
+    pub log_spread: f64,
+    /// Share of the pixels that are noisier than the ordinary ones by more than their spread explains; as `log_spread`.
+    pub noisy: f64,
+}
+
+impl PixelNoise {
+    /// Of lognormal variances with this relative variance (Johnson, Kotz and Balakrishnan 1994, ch. 14).
+    pub fn lognormal(spread: f64) -> Self {
+        let w = 1.0 + spread.max(1e-9);
+        Self {
+            spread,
+            skewness: (w + 2.0) * (w - 1.0).sqrt(),
+            kurtosis: w.powi(4) + 2.0 * w.powi(3) + 3.0 * w * w - 3.0,
+            median: w.powf(-0.25),
+            log_spread: 0.5 * w.ln().sqrt(),
+            noisy: 0.0,
+        }
+    }
+
+    /// Of a sensor whose darks do not tell: lognormal, or one pixel in three hundred with most of the spread, whichever has more tails.
+    pub fn usual(spread: f64) -> Self {
+        let of = Self::lognormal(spread);
+        let noisy: f64 = 300.0;
+        Self { skewness: of.skewness.max(noisy.sqrt()), kurtosis: of.kurtosis.max(noisy), ..of }
+    }
+
+    /// Raw second, third and fourth moment of variances of mean 1 that spread by `spread`, in the same shape.
+    pub fn moments(&self, spread: f64) -> [f64; 3] {
+        let root = spread.max(0.0).sqrt();
+        let (two, three, four) =
+            (spread.max(0.0), self.skewness * root.powi(3), self.kurtosis.max(1.0) * root.powi(4));
+        [1.0 + two, 1.0 + 3.0 * two + three, 1.0 + 6.0 * two + 4.0 * three + four]
+    }
+}
+
+/// Quantiles of a standard normal number at one and three quarters.
+const QUARTILE: f64 = 0.674_489_750_196_081_7;
+/// A pixel is noisy from so many standard deviations of the logarithm of the ordinary pixels' variances on: chance has one in a million.
+const NOISY: f64 = 4.8;
+/// Degrees of freedom from which on single pixels are told apart, and from which on moments are taken.
+const TOLD: f64 = 6.0;
+const FEWEST: f64 = 2.0;
 
 impl Steady {
     /// For frames of so many pixels.
     pub fn new(pixels: usize) -> Self {
-        Self { sums: [vec![0.0; pixels], vec![0.0; pixels]], squares: vec![0.0; pixels], runs: 0 }
+        Self { sums: [vec![0.0; pixels], vec![0.0; pixels]], squares: vec![0.0; pixels], runs: 0, dof: 0.0, mean_dn2: 0.0 }
     }
 
-    /// Adds a run of frames: the variance of every pixel (0 where it does not count), and their mean, DN^2.
-    pub fn add(&mut self, var_dn2: &[f32], mean_dn2: f64) {
+    /// Adds a run of so many frames: the variance of every pixel (0 where it does not count), and their mean, DN^2.
+    pub fn add(&mut self, var_dn2: &[f32], mean_dn2: f64, frames: usize) {
+        self.dof += frames as f64 - 1.0;
+        self.mean_dn2 += mean_dn2;
         let sum = &mut self.sums[self.runs % 2];
         for ((sum, square), v) in sum.iter_mut().zip(&mut self.squares).zip(var_dn2) {
             let off = v - mean_dn2 as f32;
@@ -30,6 +90,54 @@ impl Steady {
             *square += off * off;
         }
         self.runs += 1;
+    }
+
+    /// How the variances of single pixels are distributed, what few frames scatter by taken off; `None` of few degrees of freedom.
+    ///
+    /// A sample variance of d degrees of freedom of normal noise has the raw moments s^2k prod(1 + 2 j / d), j < k (chi-square). The logarithm
+    /// of one scatters by the trigamma function at d / 2 (Bartlett and Kendall 1946), which is about 2 / (d - 1).
+    pub fn distribution(&self, layout: &Layout) -> Option<PixelNoise> {
+        if self.dof < FEWEST {
+            return None;
+        }
+        let usual = self.mean_dn2 / self.runs as f64;
+        let of = |i: usize| usual + f64::from(self.sums[0][i] + self.sums[1][i]) / self.runs as f64;
+        let mut all: Vec<f64> =
+            (0..layout.mask.len()).filter(|i| layout.mask[*i] > 0.0).map(|i| of(i).max(0.0)).collect();
+        let n = all.len() as f64;
+        let mean = all.iter().sum::<f64>() / n;
+        if mean <= 0.0 || n < 64.0 {
+            return None;
+        }
+        all.iter_mut().for_each(|v| *v /= mean);
+        let a = 2.0 / self.dof;
+        let raw = |k: i32| all.iter().map(|v| v.powi(k)).sum::<f64>() / n;
+        let two = raw(2) / (1.0 + a);
+        let three = raw(3) / ((1.0 + a) * (1.0 + 2.0 * a));
+        let four = raw(4) / ((1.0 + a) * (1.0 + 2.0 * a) * (1.0 + 3.0 * a));
+        let spread = two - 1.0;
+        all.sort_by(f64::total_cmp);
+        let quantile = |share: f64| all[((share * n) as usize).min(all.len() - 1)].max(1e-6);
+        // The median of chi-square over its degrees of freedom (Wilson and Hilferty 1931).
+        let median_of_few = (1.0 - a / 9.0).powi(3);
+        let width = 0.5 * (quantile(0.75) / quantile(0.25)).ln() / QUARTILE;
+        let by_chance = 2.0 / (self.dof - 1.0).max(1.0);
+        let log_variance = (width * width - by_chance).max(0.0);
+        let limit = quantile(0.5) * (NOISY * width).exp();
+        let noisy = all.iter().filter(|v| **v > limit).count() as f64 / n;
+        let told = spread > 3.0 * (2.0 * a * a / (1.0 + a) / n).sqrt();
+        let moments = |of: f64, power: f64| if told { of / spread.powf(power) } else { f64::NAN };
+        let (third, fourth) = (three - 3.0 * two + 2.0, four - 4.0 * three + 6.0 * two - 3.0);
+        let usual = PixelNoise::usual(spread.max(0.0));
+        let (skewness, kurtosis) = (moments(third, 1.5), moments(fourth, 2.0));
+        Some(PixelNoise {
+            spread,
+            skewness: if skewness.is_finite() { skewness.max(0.0) } else { usual.skewness },
+            kurtosis: if kurtosis.is_finite() { kurtosis.max(1.0) } else { usual.kurtosis },
+            median: (quantile(0.5) / median_of_few).sqrt(),
+            log_spread: if self.dof < TOLD { f64::NAN } else { 0.5 * log_variance.sqrt() },
+            noisy: if self.dof < TOLD { f64::NAN } else { noisy },
+        })
     }
 
     /// Covariance of the pixels' variances in two runs, DN^4, as the mean over all pairs of runs and all pixels; `None` of fewer than two
@@ -99,7 +207,7 @@ mod tests {
                 };
                 let var: Vec<f32> = (0..side * side).map(var).collect();
                 let mean = var.iter().map(|v| f64::from(*v)).sum::<f64>() / var.len() as f64;
-                steady.add(&var, mean);
+                steady.add(&var, mean, 5);
             }
             steady.of_neighbours(&layout).unwrap()
         };
@@ -147,7 +255,7 @@ mod tests {
                 };
                 let var: Vec<f32> = (0..side * side).map(var).collect();
                 let mean = var.iter().map(|v| f64::from(*v)).sum::<f64>() / var.len() as f64;
-                steady.add(&var, mean);
+                steady.add(&var, mean, 5);
             }
             steady.covariance(&layout).unwrap()
         };

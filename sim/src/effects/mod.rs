@@ -549,7 +549,9 @@ pub fn predict(campaign: &Campaign, base: &BaseParameters, effects: &[(&dyn Effe
     }
     run(&mut out, Stage::Charge, Stage::Transfer);
     for s in &mut out.sets {
-        s.read.add_white(base.read_noise_e * base.read_noise_e);
+        let square = base.read_noise_e * base.read_noise_e;
+        s.read.add_white(square);
+        s.unequal += base.read_noise_spread.max(0.0) * square * square;
     }
     run(&mut out, Stage::Read, Stage::Read);
     out.amplify(base.gain_dn_per_e);

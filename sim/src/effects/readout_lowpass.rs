@@ -51,7 +51,7 @@ impl Effect for ReadoutLowpass {
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
         let a = p[0];
         let pass = |_: f64, kx: f64| (1.0 - a) * (1.0 - a) / (1.0 - 2.0 * a * libm::cos(kx) + a * a);
-        let filter = Filter::new(&pass);
+        let filter = Filter::new(&pass).of_weights((0..64).map(|k| (1.0 - a) * a.powi(k)));
         out.sets.iter_mut().for_each(|s| s.filter(&filter));
     }
 

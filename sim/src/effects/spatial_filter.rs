@@ -21,6 +21,12 @@ fn fine(p: &[f64]) -> bool {
     p[2] >= 0.5
 }
 
+/// Weights of the kernel: its middle, four neighbours and four diagonal ones.
+fn weights(strength: f64, diagonal: f64) -> impl Iterator<Item = f64> {
+    let of = move |share: f64| std::iter::repeat_n(-0.25 * strength * share, 4);
+    std::iter::once(1.0 + strength).chain(of(1.0 - diagonal)).chain(of(diagonal))
+}
+
 impl Effect for SpatialFilter {
     fn id(&self) -> &'static str {
         "spatial-filter"
@@ -107,7 +113,7 @@ impl Effect for SpatialFilter {
             }
         };
         if fine(p) {
-            out.sets.iter_mut().for_each(|s| s.filter(&Filter::new(&power(strength))));
+            out.sets.iter_mut().for_each(|s| s.filter(&Filter::new(&power(strength)).of_weights(weights(strength, d))));
             return;
         }
         // The offsets' pattern, which the darkest sets have alone, is not smooth as shading is.
@@ -130,7 +136,7 @@ impl Effect for SpatialFilter {
             s.unsure_var = libm::hypot(s.unsure_var, 0.5 * by_pattern);
             let moved = (slope.abs() / (whole * strength).abs().max(1e-9)).min(1.0) * correction.narrow();
             let strength = (slope / whole).copysign(strength);
-            s.filter(&Filter::new(&power(strength)));
+            s.filter(&Filter::new(&power(strength)).of_weights(weights(strength, d)));
             s.read.add_white(noise);
             s.moved = s.moved.max(correction.moves());
             // Five places stand for the pattern of the levels: it is known to its own size only.
