@@ -74,6 +74,8 @@ pub struct BaseParameters {
     pub flux_e_per_s: Vec<f64>,
     /// Signal of the frames before the first, e, for effects with memory; `None`: nothing was exposed.
     pub past_e: Option<f64>,
+    /// Relative scatter of the light from setting to setting that is expected of it; `None`: every setting is what is stated.
+    pub setting_rel: Option<f64>,
     /// The light monitor, where there is one.
     pub monitor: Option<Monitor>,
 }
@@ -420,9 +422,14 @@ impl Prediction {
         let light_e: Vec<f64> = c.sets.iter().map(light).collect();
         let of_sets: Vec<f64> =
             c.sets.iter().zip(&light_e).map(|(s, light)| light + base.dark_e_per_s * s.exposure_s).collect();
+        let rel = base.setting_rel.unwrap_or(0.0);
+        let set = |(&signal, light): (&f64, &f64)| SetPrediction {
+            setting: (rel * light).powi(2),
+            ..SetPrediction::new(signal)
+        };
         Self {
             frame_signal: c.frames.iter().map(|f| of_sets.get(f.set).copied().unwrap_or(0.0)).collect(),
-            sets: of_sets.iter().map(|&signal| SetPrediction::new(signal)).collect(),
+            sets: of_sets.iter().zip(&light_e).map(set).collect(),
             light_e,
             base: base.clone(),
             bit_errors_dn: [0.0; BITS],

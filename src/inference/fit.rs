@@ -122,7 +122,7 @@ fn fit_for(
     effects: &Effects,
     known: Option<&Slopes>,
 ) -> Fitted {
-    let layout = Layout::new(all, &halves(half));
+    let layout = Layout::new(all, &halves(half), effects.iter().map(|(e, _)| e));
     let (mut free, start) = Free::new(all, base, effects);
     // What a half says nothing of is what the whole campaign says.
     if let Some(dark) = free.place(Common::Dark).filter(|_| !all.tells_dark_current(half)) {

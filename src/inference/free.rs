@@ -3,7 +3,7 @@
 use super::model::Effects;
 use super::start::{MOST_SPREAD, reference_level};
 use crate::dataset::Kind;
-use crate::observables::{Observations, mean, unequal};
+use crate::observables::{Half, Observations, Setting, mean, unequal};
 use radcam_sim::effects::{Effect, Parameter};
 use radcam_sim::predict::BaseParameters;
 
@@ -23,6 +23,8 @@ pub enum Common {
     Read,
     /// Spread of the pixels' read-noise variances, relative.
     ReadSpread,
+    /// Relative scatter of the light's setting, within what is stated of it.
+    SettingRel,
     /// Black level at zero exposure, DN.
     Offset,
     /// Dark current, e/s.
@@ -126,6 +128,13 @@ fn of_base(all: &Observations, base: &BaseParameters) -> Vec<Entry> {
         entry(Common::Dark, base.dark_e_per_s, 0.0, table || !all.tells_dark_current(None), ANY),
         entry(Common::Light, 0.0, 1.0, false, ANY),
     ];
+    if let Some(rel) = base.setting_rel {
+        let (fixed, most) = match all.setting {
+            Some(Setting::Below(most)) => (false, most),
+            _ => (true, rel),
+        };
+        list.push(entry(Common::SettingRel, rel, most, fixed, (0.0, most)));
+    }
     if let Some(past) = base.past_e {
         let brightest = base.flux_e_per_s.iter().copied().fold(0.0, f64::max);
         let longest = all.campaign.sets.iter().filter(|s| s.light.is_some()).map(|s| s.exposure_s);
@@ -164,10 +173,14 @@ fn lights_of(all: &Observations, levels: usize, reference: usize) -> Vec<Light> 
     let mut used = vec![false; levels];
     let with_mean = all.of(&mean::Mean).filter_map(|o| all.campaign.sets[o.set?].light);
     with_mean.for_each(|l| used[l] = true);
+    // The level of a set that is clipped says nothing of its light, whatever is stated of it.
+    let mut measured = vec![false; levels];
+    let unclipped = all.of(&mean::Mean).filter(|o| o.half != Half::Both || all.means_given);
+    unclipped.filter_map(|o| all.campaign.sets[o.set?].light).for_each(|l| measured[l] = true);
     let light = |level: usize| {
         let mut sets = all.campaign.sets.iter().zip(&all.kinds);
         let flat = sets.any(|(s, kind)| s.light == Some(level) && *kind == Kind::Flat);
-        let known = all.light_rel_std.filter(|_| flat);
+        let known = all.light_rel_std.filter(|_| flat && measured[level]);
         Light { level, known: known.map(|r| r.max(LIGHT_FLOOR) * std::f64::consts::SQRT_2) }
     };
     (0..levels).filter(|l| used[*l] && *l != reference).map(light).collect()
@@ -239,6 +252,7 @@ impl Free {
                 }
                 Common::Read => base.read_noise_e = v,
                 Common::ReadSpread => base.read_noise_spread = v,
+                Common::SettingRel => base.setting_rel = Some(v),
                 Common::Offset => base.offset_dn = v,
                 Common::Dark => base.dark_e_per_s = v,
                 Common::Light => base.flux_e_per_s.iter_mut().for_each(|f| *f *= v.exp()),

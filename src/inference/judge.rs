@@ -168,7 +168,7 @@ struct Unseen<'a> {
     light: usize,
     /// Light levels that the fit saw.
     lights: Vec<bool>,
-    /// Of sets that the fit used: the error of their light setting and its uncertainty, in units of the light.
+    /// Of light settings that the fit used: their error and its uncertainty, in units of the light.
     told: BTreeMap<usize, (f64, f64)>,
     /// Variance of a light setting that the fit did not use, in units of the light squared; by set.
     scatter: Vec<f64>,
@@ -176,7 +176,7 @@ struct Unseen<'a> {
 
 impl<'a> Unseen<'a> {
     fn new(all: &'a Observations, fitted: &'a Fitted, half: Half) -> Self {
-        let layout = Layout::new(all, &[half.other()]);
+        let layout = Layout::new(all, &[half.other()], fitted.free.effects.iter());
         let state = layout.at(&fitted.free, &fitted.point);
         // Slopes that only served the fit would not do, but where it is so far off that errors of what was fitted hardly count.
         let served = Some(&*fitted.slopes).filter(|_| fitted.mean_square > FAR_SQUARE);
@@ -210,7 +210,8 @@ impl<'a> Unseen<'a> {
         let (mut z, mut by_setting) = (e.z(), 0.0);
         if let Some(set) = o.set.filter(|s| sees_light && self.scatter[*s] > 0.0) {
             // A setting is told by the frames of the set that the fit saw, and else it is as nominal.
-            let (shift, left) = self.told.get(&set).copied().unwrap_or((0.0, self.scatter[set]));
+            let (shift, left) =
+                self.told.get(&self.layout.setting_of(set)).copied().unwrap_or((0.0, self.scatter[set]));
             z -= by_light * shift;
             by_setting = by_light * shift * e.std_err;
             variance += by_light * by_light * left;
@@ -221,11 +222,11 @@ impl<'a> Unseen<'a> {
 
 /// What the frames that a fit saw tell of the settings of their sets.
 fn settings_told(all: &Observations, fitted: &Fitted, half: Half) -> BTreeMap<usize, (f64, f64)> {
-    let own = Layout::new(all, &halves(Some(half)));
+    let own = Layout::new(all, &halves(Some(half)), fitted.free.effects.iter());
     let state = own.at(&fitted.free, &fitted.point);
     let slopes = Slopes::beside(Some(&fitted.slopes), &own, &fitted.free, &fitted.point, &state);
     let settings = System::new(&own, &fitted.free, &fitted.point, &state, &slopes).settings();
-    settings.into_iter().map(|(set, shift, left)| (set, (shift, left))).collect()
+    settings.into_iter().map(|(setting, shift, left)| (setting, (shift, left))).collect()
 }
 
 fn residual(
@@ -253,7 +254,7 @@ fn residual(
 
 /// The residuals of everything under a fit to everything.
 pub(crate) fn residuals_of(all: &Observations, fitted: &Fitted) -> Vec<Residual> {
-    let layout = Layout::new(all, &halves(None));
+    let layout = Layout::new(all, &halves(None), fitted.free.effects.iter());
     let state = layout.at(&fitted.free, &fitted.point);
     let slopes = Slopes::beside(Some(&fitted.slopes), &layout, &fitted.free, &fitted.point, &state);
     let system = System::new(&layout, &fitted.free, &fitted.point, &state, &slopes);

@@ -30,27 +30,39 @@ pub struct Layout<'a> {
     /// Their places in [`Observations::list`].
     pub(super) places: Vec<usize>,
     halves: Vec<Half>,
-    /// Set and rows of those of a set that see its light.
+    /// Rows that see the light of one setting of it, and its place.
     pub(super) blocks: Vec<(usize, Vec<usize>)>,
+    /// Place of the setting of every set's light.
+    settings: Vec<usize>,
     /// Rows of the same frames.
     pub(super) chunks: Vec<Vec<usize>>,
 }
 
 impl<'a> Layout<'a> {
-    /// Of these halves.
-    pub fn new(all: &'a Observations, halves: &[Half]) -> Self {
+    /// Of these halves, under a model with these effects.
+    pub fn new<'e>(
+        all: &'a Observations,
+        halves: &[Half],
+        mut effects: impl Iterator<Item = &'e &'static dyn effects::Effect>,
+    ) -> Self {
+        let settings = if effects.any(|e| e.sets_each()) {
+            (0..all.campaign.sets.len()).collect()
+        } else {
+            all.light_settings.clone()
+        };
         let (places, rows): (Vec<usize>, Vec<&Observable>) =
             all.list.iter().enumerate().filter(|(_, o)| halves.contains(&o.half)).unzip();
         let mut blocks: Vec<(usize, Vec<usize>)> = Vec::new();
-        let mut place = vec![None; all.campaign.sets.len()];
+        let mut place: Vec<Option<usize>> = vec![None; all.campaign.sets.len()];
         for (i, o) in rows.iter().enumerate() {
             let Some(set) =
                 o.set.filter(|s| o.statistic.sees_light() && all.campaign.sets[*s].light.is_some())
             else {
                 continue;
             };
-            let at = *place[set].get_or_insert_with(|| {
-                blocks.push((set, Vec::new()));
+            let setting = settings[set];
+            let at = *place[setting].get_or_insert_with(|| {
+                blocks.push((setting, Vec::new()));
                 blocks.len() - 1
             });
             // The mean first: it is what the light of a set moves.
@@ -61,13 +73,20 @@ impl<'a> Layout<'a> {
             chunks.entry((o.set, o.frames)).or_default().push(i);
         }
         let chunks = chunks.into_values().collect();
-        Self { all, rows, places, halves: halves.to_vec(), blocks, chunks }
+        Self { all, rows, places, halves: halves.to_vec(), blocks, chunks, settings }
+    }
+
+    /// Place of the setting of a set's light: sets that follow one another under the same light share it.
+    pub fn setting_of(&self, set: usize) -> usize {
+        self.settings[set]
     }
 
     /// What a prediction expects of them.
     pub fn state(&self, prediction: &Prediction) -> State {
         let expected = expectations(self.all, prediction, |h| self.halves.contains(&h));
-        let setting = self.blocks.iter().map(|(set, _)| prediction.sets[*set].setting).collect();
+        let of_first =
+            |rows: &[usize]| self.rows[rows[0]].set.map_or(0.0, |set| prediction.sets[set].setting);
+        let setting = self.blocks.iter().map(|(_, rows)| of_first(rows)).collect();
         State { expected, setting }
     }
 

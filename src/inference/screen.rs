@@ -64,7 +64,7 @@ pub struct Screen<'a> {
 impl<'a> Screen<'a> {
     /// At a fit. `needed`: what promises far less than this is of no use, as long as its size is not far from its start.
     pub fn new(all: &'a Observations, now: &'a Fitted, needed: f64) -> Self {
-        let layout = Layout::new(all, &halves(None));
+        let layout = Layout::new(all, &halves(None), now.effects.iter().map(|(e, _)| e));
         let (free, point) = Free::new(all, &now.base, &now.effects);
         let state = layout.at(&free, &point);
         let slopes = Slopes::new(&layout, &free, &point, &state);

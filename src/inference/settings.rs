@@ -28,7 +28,7 @@ type Score = (usize, f64);
 /// Whether settings of the same light differ as others do, the correlation of successive ones, and the largest step between two runs of
 /// them, in the order of time and in that of the signal. `levels`: mean of every set, DN.
 pub(super) fn tests(all: &Observations, model: &Fitted, levels: &[f64]) -> Vec<Test> {
-    let layout = Layout::new(all, &halves(None));
+    let layout = Layout::new(all, &halves(None), model.free.effects.iter());
     let state = layout.at(&model.free, &model.point);
     let mut scores = System::new(&layout, &model.free, &model.point, &state, &model.slopes).setting_scores();
     // The only set at a light tells nothing: its light is what it shows.

@@ -1,7 +1,7 @@
 //! A first guess of the paper's parameters, from the darks and the slope of the variance.
 
 use crate::dataset::Kind;
-use crate::observables::{Half, Observations, Statistic, mean, monitor, unequal, variance};
+use crate::observables::{Half, Observations, Setting, Statistic, mean, monitor, unequal, variance};
 use crate::statistics::median::median;
 use radcam_sim::predict::{BaseParameters, Monitor};
 
@@ -33,6 +33,10 @@ pub fn start(all: &Observations) -> BaseParameters {
         dark_e_per_s: dark_dn_per_s / gain_dn_per_e,
         flux_e_per_s,
         past_e: None,
+        setting_rel: all.setting.map(|s| match s {
+            Setting::Stated(rel) => rel,
+            Setting::Below(most) => 0.01 * most,
+        }),
         monitor,
     }
 }

@@ -36,6 +36,8 @@ pub struct System<'a> {
 /// Observables of one set that see its light, where its setting scatters.
 pub(super) struct Block {
     pub(super) rows: Vec<usize>,
+    /// Place of the setting.
+    setting: usize,
     /// Slope of each with the light over its error.
     pub(super) loads: Vec<f64>,
     /// Sum of their squares.
@@ -113,7 +115,7 @@ impl<'a> System<'a> {
         // The setting's scatter is a variance of the mean in DN^2: over the square of what the light moves the mean by.
         let unit = (loads[0] * now.expected[rows[0]].normal.2).powi(2);
         let variance = now.setting[b] / unit + 1.0 / weight;
-        Some(Block { rows, loads, weight, unit, variance })
+        Some(Block { rows, setting: self.layout.blocks[b].0, loads, weight, unit, variance })
     }
 
     /// Puts a block's common deviation into a row of its own. `scatter`: slopes of the logarithm of its error.
@@ -308,16 +310,15 @@ impl<'a> System<'a> {
     }
 
     /// What the frames tell of the light of sets whose setting scatters: its deviation, and the error that this leaves, in units of the
-    /// light; by set.
+    /// light; by setting.
     pub fn settings(&self) -> Vec<(usize, f64, f64)> {
         let first = self.layout.rows.len();
         let of = |(k, block): (usize, &Block)| {
-            let set = self.layout.rows[block.rows[0]].set?;
             let own = block.variance - 1.0 / block.weight;
             let common = self.z[first + k] * block.variance.sqrt();
             // Between what the frames say and a setting that is as nominal.
-            Some((set, common * own / block.variance, own / block.variance / block.weight))
+            (block.setting, common * own / block.variance, own / block.variance / block.weight)
         };
-        self.blocks.iter().enumerate().filter_map(of).collect()
+        self.blocks.iter().enumerate().map(of).collect()
     }
 }

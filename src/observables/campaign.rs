@@ -15,6 +15,15 @@ use crate::statistics::steady::PixelNoise;
 use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, SetInfo};
 use std::sync::atomic::AtomicBool;
 
+/// Relative scatter of the light from setting to setting.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Setting {
+    /// As stated. It is not fitted: few settings tell little of their scatter, and what bends would seem to make it less.
+    Stated(f64),
+    /// Not stated, and fitted up to this.
+    Below(f64),
+}
+
 /// Everything that was observed.
 #[derive(Debug, Clone)]
 pub struct Observations {
@@ -40,6 +49,10 @@ pub struct Observations {
     pub left_on: Vec<LeftOn>,
     /// Known relative error of the light levels.
     pub light_rel_std: Option<f64>,
+    /// How the light scatters from setting to setting by what is stated of it; `None` where it was set once, or is stated as exact.
+    pub setting: Option<Setting>,
+    /// For every set the first of those that follow one another under the same light: the light stays as it is until another level is set.
+    pub light_settings: Vec<usize>,
     /// Largest relative deviation of the signal over the pixels of a set.
     pub largest_spread: f64,
     /// Sets that follow a scene: what they carry over has its contrast.
@@ -283,7 +296,10 @@ pub fn of_dataset(
     let dark_spread_dn2 = dark_spreads(&infos, &kinds);
     let ends: Vec<f64> = frames.iter().map(|f: &FrameInfo| f.time_s + infos[f.set].exposure_s).collect();
     let frame_s = median(ends.windows(2).map(|w| w[1] - w[0]));
+    let light_rel_std = dataset.manifest().bench.as_ref().and_then(|b| b.illumination_rel_std);
     let mut all = Observations {
+        setting: setting(dataset, &settings, light_rel_std),
+        light_settings: light_settings(&settings),
         // Of flats: what a dark shows beside its charge is the offsets' pattern, which stays.
         largest_spread: infos
             .iter()
@@ -310,7 +326,7 @@ pub fn of_dataset(
         means_given: false,
         missing,
         left_on: camera.left_on(),
-        light_rel_std: dataset.manifest().bench.as_ref().and_then(|b| b.illumination_rel_std),
+        light_rel_std,
         dark_spread_dn2,
         steady_dn4,
         together_dn4,
@@ -325,6 +341,48 @@ pub fn of_dataset(
         );
     }
     Ok(all)
+}
+
+/// For every set the first of those that follow one another under the same light, darks in between left out.
+fn light_settings(settings: &[FrameRow]) -> Vec<usize> {
+    let mut last: Option<(usize, u64)> = None;
+    let of = |(i, s): (usize, &FrameRow)| {
+        if s.kind != Kind::Flat || s.illumination <= 0.0 {
+            return i;
+        }
+        let light = s.illumination.to_bits();
+        let first = last.filter(|(_, l)| *l == light).map_or(i, |(first, _)| first);
+        last = Some((first, light));
+        first
+    };
+    settings.iter().enumerate().map(of).collect()
+}
+
+/// Largest scatter of a light that is stated in photons without an error: as much as lamps have.
+const UNSTATED: f64 = 0.1;
+/// Light levels from which on their scatter tells something.
+const FEWEST_LIGHTS: usize = 3;
+
+/// How much the light may scatter from setting to setting without being a finding: what is stated of it, where it was set anew.
+fn setting(dataset: &Dataset, settings: &[FrameRow], stated: Option<f64>) -> Option<Setting> {
+    let mut lights: Vec<u64> = settings
+        .iter()
+        .filter(|s| s.kind == Kind::Flat && s.illumination > 0.0)
+        .map(|s| s.illumination.to_bits())
+        .collect();
+    let flats = lights.len();
+    lights.sort_unstable();
+    lights.dedup();
+    // Two lights in turn are set anew as often as one follows the other.
+    if lights.len() < 2 || flats < FEWEST_LIGHTS {
+        return None;
+    }
+    match stated {
+        Some(rel) => (rel > 0.0).then_some(Setting::Stated(rel)),
+        None => {
+            (dataset.light_is_nominal() && lights.len() >= FEWEST_LIGHTS).then_some(Setting::Below(UNSTATED))
+        }
+    }
 }
 
 /// Where the pixels' levels lie in every set.

@@ -76,7 +76,12 @@ fn line_mean(phase: f64, n: f64) -> f64 {
 /// function (Widrow and Kollar 2008, ch. 4 and app. B).
 fn quantised(variance: f64, spread: f64, q: f64) -> (f64, f64) {
     let noise = (variance - q * q / 12.0).max(1e-3 * q * q);
-    let ripple = 0.25 * (-2.0 * std::f64::consts::PI.powi(2) * (noise + spread * spread) / (q * q)).exp();
+    let fades = |square: f64| (-2.0 * std::f64::consts::PI.powi(2) * square / (q * q)).exp();
+    // Levels of shading end at edges: the characteristic function of even ones falls as one over their width (root 12 deviations). What a few
+    // places stand for is known to half.
+    let width = std::f64::consts::PI * 12f64.sqrt() * spread / q;
+    let shading = if width > 1.0 { 0.5 / width } else { 0.0 };
+    let ripple = fades(noise) * (0.25 * fades(spread * spread)).max(shading);
     (q / std::f64::consts::PI * ripple, (q * q / std::f64::consts::PI.powi(2) + 4.0 * noise) * ripple)
 }
 
@@ -287,10 +292,20 @@ impl<'a> View<'a> {
     /// Variance of the pixels' variances over the square of their mean, and raw second, third and fourth moment of the variances over their
     /// mean.
     pub fn unequal(&self) -> (f64, [f64; 3]) {
+        let (spread, shape) = self.pixel_noise();
+        (spread, shape.moments(spread))
+    }
+
+    fn pixel_noise(&self) -> (f64, PixelNoise) {
         let square = (self.noise * self.noise).max(f64::MIN_POSITIVE);
         let spread = self.set().map_or(0.0, |s| s.unequal.max(0.0) / square);
-        let shape = self.all.pixel_noise.unwrap_or_else(|| PixelNoise::usual(spread));
-        (spread, shape.moments(spread))
+        (spread, self.all.pixel_noise.unwrap_or_else(|| PixelNoise::usual(spread)))
+    }
+
+    /// Largest variance of a pixel over the mean of all: one pixel may decide a mean of fourth powers.
+    pub fn noisiest(&self) -> f64 {
+        let (spread, shape) = self.pixel_noise();
+        shape.largest(spread)
     }
 
     /// By how much products of neighbours scatter more where some pixels have most of the noise and neighbours are alike, as beside the edge

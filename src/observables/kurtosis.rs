@@ -4,6 +4,9 @@ use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 
+/// Square of a normal number that chance passes once in a hundred thousand.
+const RARE: f64 = 19.5;
+
 /// The fourth power of the deviations over the square of their variance, over all pixels and frames; 3 for normal noise.
 #[derive(Debug)]
 pub struct Kurtosis;
@@ -87,6 +90,9 @@ impl Statistic for Kurtosis {
         // Of pixels whose variances V have mean 1 the fourth power less 6 E V^2 of the square scatters by 96 E V^4 + 72 (E V^2)^3 - 144 E V^2 E V^3:
         // 24 where they are alike (moments of normal numbers: 105 - 9, 2 and 15 - 3).
         let [two, three, four] = view.unequal().1;
+        // A single sample of the noisiest pixel, at a chance of one in a hundred thousand, is to lie within as many standard errors.
+        let noisiest = view.noisiest();
+        let single = if noisiest > 1.5 { (noisiest * RARE).powi(2) / dof / RARE.sqrt() } else { 0.0 };
         let unlike = (96.0 * four + 72.0 * two.powi(3) - 144.0 * two * three - 24.0).max(0.0);
         let rest = 6.0 * (view.rough.1.hypot(view.moving) / variance);
         Expected::plain(
@@ -94,6 +100,7 @@ impl Statistic for Kurtosis {
             3.0 * dof / (dof + 2.0) + own / square,
             in_quadrature(&[
                 ((24.0 * alike.max(1.0) + unlike) / dof).sqrt(),
+                single,
                 3.0 * (s.unsure + 0.5 * dark + 0.3 * uneven + 0.01 * s.unequal.abs()) / square,
                 (s.unsure_fourth + 0.3 * poisson + 0.3 * s.fourth.abs() + 1.5 * sine) / square,
                 0.01,

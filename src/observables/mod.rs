@@ -35,7 +35,7 @@ mod read;
 mod scene;
 mod table;
 
-pub use campaign::{Observations, ObserveError, of_dataset};
+pub use campaign::{Observations, ObserveError, Setting, of_dataset};
 pub use expect::{Expected, View, expectations, in_quadrature};
 pub use scene::{Direction, ScenePair};
 pub use table::observations as of_table;

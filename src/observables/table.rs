@@ -136,5 +136,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         missing,
         left_on: Vec::new(),
         light_rel_std: None,
+        setting: None,
+        light_settings: (0..kept.len()).collect(),
     })
 }

@@ -74,6 +74,7 @@ impl Statistic for Unequal {
             in_quadrature(&[
                 o.measured.std_err,
                 scatter_of_unlike.sqrt(),
+                tail(view.noisiest(), view.dof, o.pixels),
                 (s.unsure + charge) / square,
                 s.unsure_fourth / (view.n * allowed) / square,
                 0.002,
@@ -85,6 +86,21 @@ impl Statistic for Unequal {
             ]),
         )
     }
+}
+
+/// Chance that chi-square of one degree of freedom passes [`RARE`]: one in a hundred thousand, some pixels in some sets of a thousand campaigns.
+const RARE: f64 = 19.5;
+
+/// What one pixel of the largest variance, over the mean of all, adds to the mean of squares of sample variances at a chance of one in a hundred
+/// thousand, over the standard errors that such a chance is to have: means of few noisy pixels are not normal.
+fn tail(largest: f64, dof: f64, pixels: f64) -> f64 {
+    if largest <= 1.5 {
+        return 0.0;
+    }
+    // That quantile of chi-square over its degrees of freedom (Wilson and Hilferty 1931).
+    let a = 2.0 / (9.0 * dof.max(1.0));
+    let quantile = (1.0 - a + RARE.sqrt() * a.sqrt()).powi(3);
+    (largest * quantile).powi(2) / pixels / RARE.sqrt()
 }
 
 /// Standard error of the spread where lines share the part `share` of the pixels' variance: the sample variances scatter from line to line, and

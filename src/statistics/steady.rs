@@ -27,6 +27,8 @@ pub struct PixelNoise {
     pub skewness: f64,
     /// See `skewness`.
     pub kurtosis: f64,
+    /// Largest variance of a pixel over the mean of all.
+    pub largest: f64,
     /// Median of the pixels' standard deviations over their root mean square.
     pub median: f64,
     /// Standard deviation of the logarithm of the ordinary pixels' standard deviations; not a number where too few frames tell.
@@ -43,6 +45,8 @@ impl PixelNoise {
             spread,
             skewness: (w + 2.0) * (w - 1.0).sqrt(),
             kurtosis: w.powi(4) + 2.0 * w.powi(3) + 3.0 * w * w - 3.0,
+            // Of some ten thousand pixels the farthest lies four standard deviations off.
+            largest: (4.0 * w.ln().sqrt()).exp(),
             median: w.powf(-0.25),
             log_spread: 0.5 * w.ln().sqrt(),
             noisy: 0.0,
@@ -53,7 +57,13 @@ impl PixelNoise {
     pub fn usual(spread: f64) -> Self {
         let of = Self::lognormal(spread);
         let noisy: f64 = 300.0;
-        Self { skewness: of.skewness.max(noisy.sqrt()), kurtosis: of.kurtosis.max(noisy), ..of }
+        let largest = of.largest.max(4.0 * (noisy * spread.max(0.0)).sqrt());
+        Self { skewness: of.skewness.max(noisy.sqrt()), kurtosis: of.kurtosis.max(noisy), largest, ..of }
+    }
+
+    /// Largest variance of a pixel, of mean 1, where they spread by `spread` in the same shape.
+    pub fn largest(&self, spread: f64) -> f64 {
+        1.0 + (self.largest - 1.0).max(0.0) * (spread.max(0.0) / self.spread.max(1e-6)).sqrt().min(1.0)
     }
 
     /// Raw second, third and fourth moment of variances of mean 1 that spread by `spread`, in the same shape.
@@ -76,7 +86,13 @@ const FEWEST: f64 = 2.0;
 impl Steady {
     /// For frames of so many pixels.
     pub fn new(pixels: usize) -> Self {
-        Self { sums: [vec![0.0; pixels], vec![0.0; pixels]], squares: vec![0.0; pixels], runs: 0, dof: 0.0, mean_dn2: 0.0 }
+        Self {
+            sums: [vec![0.0; pixels], vec![0.0; pixels]],
+            squares: vec![0.0; pixels],
+            runs: 0,
+            dof: 0.0,
+            mean_dn2: 0.0,
+        }
     }
 
     /// Adds a run of so many frames: the variance of every pixel (0 where it does not count), and their mean, DN^2.
@@ -134,6 +150,7 @@ impl Steady {
             spread,
             skewness: if skewness.is_finite() { skewness.max(0.0) } else { usual.skewness },
             kurtosis: if kurtosis.is_finite() { kurtosis.max(1.0) } else { usual.kurtosis },
+            largest: all.last().copied().unwrap_or(1.0),
             median: (quantile(0.5) / median_of_few).sqrt(),
             log_spread: if self.dof < TOLD { f64::NAN } else { 0.5 * log_variance.sqrt() },
             noisy: if self.dof < TOLD { f64::NAN } else { noisy },

@@ -29,6 +29,10 @@ impl Effect for IlluminationSetting {
         Needs::Means
     }
 
+    fn sets_each(&self) -> bool {
+        true
+    }
+
     fn example(&self, _: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.003])
     }

@@ -356,6 +356,10 @@ pub trait Effect: Sync + Send {
     fn contradicted(&self, _p: &[f64], _seen: &Seen) -> Option<&'static str> {
         None
     }
+    /// Whether it makes the light of every set another one: else the light stays as it is until another level is set.
+    fn sets_each(&self) -> bool {
+        false
+    }
     /// Statistics that tell it from what looks like it, by their names in the code: its name does not stand where they deviate with it.
     fn told_by(&self) -> &'static [&'static str] {
         &[]

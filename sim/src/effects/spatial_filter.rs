@@ -113,7 +113,9 @@ impl Effect for SpatialFilter {
             }
         };
         if fine(p) {
-            out.sets.iter_mut().for_each(|s| s.filter(&Filter::new(&power(strength)).of_weights(weights(strength, d))));
+            out.sets
+                .iter_mut()
+                .for_each(|s| s.filter(&Filter::new(&power(strength)).of_weights(weights(strength, d))));
             return;
         }
         // The offsets' pattern, which the darkest sets have alone, is not smooth as shading is.
