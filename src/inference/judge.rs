@@ -12,7 +12,7 @@ use super::slopes::Slopes;
 use super::system::System;
 use super::white::White;
 use crate::agreement::{Agreement, P_LIMIT};
-use crate::observables::{Expected, Half, Observable, Observations, Statistic, mean, settling};
+use crate::observables::{Expected, Half, Observable, Observations, Statistic, lightened, mean, settling};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use std::borrow::Cow;
@@ -216,7 +216,9 @@ impl<'a> Unseen<'a> {
             by_setting = by_light * shift * e.std_err;
             variance += by_light * by_light * left;
         }
-        Some(Own { z: z / variance.sqrt(), wider: variance.sqrt(), shift: by_setting })
+        let own = z / variance.sqrt();
+        let z = if e.heavy { lightened(own) } else { own };
+        Some(Own { z, wider: variance.sqrt(), shift: by_setting })
     }
 }
 

@@ -16,8 +16,8 @@ pub struct Normal {
     pub(super) n: usize,
     pub(super) matrix: Vec<f64>,
     pub(super) gradient: Vec<f64>,
-    /// Values that are a scatter and move no expectation: see [`System::scatter_factors`].
-    pub(super) scatter: Vec<bool>,
+    /// Values that no step moves: a scatter that moves no expectation ([`System::scatter_factors`]), and what would leave its range.
+    pub(super) held: Vec<bool>,
     pub(super) lights: Vec<LightTerm>,
 }
 
@@ -34,7 +34,7 @@ impl Solver {
         for ((l, square), gradient) in normal.lights.iter().zip(&self.squares).zip(lights) {
             b.iter_mut().zip(&l.with).for_each(|(b, w)| *b -= w * gradient / square);
         }
-        b.iter_mut().zip(&normal.scatter).filter(|(_, s)| **s).for_each(|(b, _)| *b = 0.0);
+        b.iter_mut().zip(&normal.held).filter(|(_, s)| **s).for_each(|(b, _)| *b = 0.0);
         self.factor.solve(&mut b);
         let back = |((l, square), gradient): ((&LightTerm, &f64), &f64)| {
             (gradient - l.with.iter().zip(&b).map(|(w, x)| w * x).sum::<f64>()) / square
@@ -65,7 +65,7 @@ impl Normal {
                 }
             }
         }
-        for i in (0..n).filter(|i| self.scatter[*i]) {
+        for i in (0..n).filter(|i| self.held[*i]) {
             for j in 0..n {
                 (a[i * n + j], a[j * n + i]) = (0.0, 0.0);
             }

@@ -5,7 +5,7 @@ use super::layout::{Layout, State};
 use super::normal::{LightTerm, Normal};
 use super::slopes::Slopes;
 use super::white::White;
-use crate::observables::{Expected, Observable};
+use crate::observables::{Expected, HEAVY_DOF, Observable, lightened};
 
 /// From here on the square of a residual says that the model is wrong, and not how large its scatter is.
 const LARGE: f64 = 16.0;
@@ -58,6 +58,13 @@ impl Block {
     }
 }
 
+/// Makes residuals with heavy tails cost what they do.
+fn lighten(z: &mut [f64], at: &State) {
+    for (z, _) in z.iter_mut().zip(&at.expected).filter(|(_, e)| e.heavy) {
+        *z = lightened(*z);
+    }
+}
+
 impl<'a> System<'a> {
     /// At a place, with slopes there or near.
     pub fn new(layout: &'a Layout<'a>, free: &Free, point: &Point, now: &State, known: &Slopes) -> Self {
@@ -68,6 +75,12 @@ impl<'a> System<'a> {
         white.apply(&mut slopes, n);
         let mut z: Vec<f64> = now.expected.iter().map(Expected::z).collect();
         white.apply(&mut z, 1);
+        // Student's t as weights that are found again in every round (Lange, Little and Taylor 1989).
+        for r in (0..rows).filter(|r| now.expected[*r].heavy) {
+            let weight = 1.0 / (1.0 + z[r] * z[r] / HEAVY_DOF);
+            z[r] *= weight.sqrt();
+            slopes[r * n..][..n].iter_mut().for_each(|s| *s *= weight.sqrt());
+        }
         // All light together: of a set's own observables that is the slope with its own factor.
         let all_light = free.place(Common::Light).unwrap_or(0);
         let by_light: Vec<f64> = (0..rows).map(|r| slopes[r * n + all_light]).collect();
@@ -143,7 +156,7 @@ impl<'a> System<'a> {
             n,
             matrix: vec![0.0; n * n],
             gradient: vec![0.0; n],
-            scatter: (0..n).map(|i| self.is_scatter(i)).collect(),
+            held: (0..n).map(|i| self.is_scatter(i)).collect(),
             lights: vec![LightTerm { square: 0.0, gradient: 0.0, with: vec![0.0; n] }; self.lights],
         };
         (0..self.z.len()).for_each(|r| self.add_row(&mut out, r));
@@ -235,6 +248,7 @@ impl<'a> System<'a> {
             .map(|(a, b)| (b.normal.0 - b.normal.1) / a.normal.2)
             .collect();
         self.white.apply(&mut z, 1);
+        lighten(&mut z, here);
         let mut sum = 0.0;
         for (r, _) in self.scatter.iter().filter(|(r, _)| *r < here.expected.len()) {
             let e = &there.expected[*r];
@@ -296,6 +310,7 @@ impl<'a> System<'a> {
     pub fn likelihood(&self, here: &State, lights: &[f64]) -> f64 {
         let mut z: Vec<f64> = here.expected.iter().map(Expected::z).collect();
         self.white.apply(&mut z, 1);
+        lighten(&mut z, here);
         let errors: f64 = here.expected.iter().map(|e| 2.0 * e.normal.2.ln()).sum();
         let errors = errors + self.white.log_det();
         let blocks = self.of_blocks(&mut z, here, true);

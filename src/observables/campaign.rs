@@ -51,6 +51,8 @@ pub struct Observations {
     pub light_rel_std: Option<f64>,
     /// How the light scatters from setting to setting by what is stated of it; `None` where it was set once, or is stated as exact.
     pub setting: Option<Setting>,
+    /// How many chunks of frames have the level of every set: of darks all.
+    pub alike: Vec<f64>,
     /// For every set the first of those that follow one another under the same light: the light stays as it is until another level is set.
     pub light_settings: Vec<usize>,
     /// Largest relative deviation of the signal over the pixels of a set.
@@ -300,6 +302,7 @@ pub fn of_dataset(
     let mut all = Observations {
         setting: setting(dataset, &settings, light_rel_std),
         light_settings: light_settings(&settings),
+        alike: alike(&chunks, &settings),
         // Of flats: what a dark shows beside its charge is the offsets' pattern, which stays.
         largest_spread: infos
             .iter()
@@ -341,6 +344,16 @@ pub fn of_dataset(
         );
     }
     Ok(all)
+}
+
+/// How many chunks have the level of every set.
+fn alike(chunks: &[Chunk], settings: &[FrameRow]) -> Vec<f64> {
+    let darks = chunks.iter().filter(|c| settings[c.set].kind == Kind::Dark).count();
+    let of = |(i, s): (usize, &FrameRow)| match s.kind {
+        Kind::Dark => darks.max(1) as f64,
+        _ => chunks.iter().filter(|c| c.set == i).count().max(1) as f64,
+    };
+    settings.iter().enumerate().map(of).collect()
 }
 
 /// For every set the first of those that follow one another under the same light, darks in between left out.

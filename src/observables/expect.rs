@@ -15,17 +15,33 @@ pub struct Expected {
     pub common: f64,
     /// Measured, predicted and deviation in the space in which the noise is normal.
     pub normal: (f64, f64, f64),
+    /// Whether a few pixels decide it, so that its errors have heavy tails.
+    pub heavy: bool,
+}
+
+/// Degrees of freedom of Student's t that stands for the errors of values that a few pixels decide (Lange, Little and Taylor 1989, J. Am. Stat. Assoc.
+/// 84, 881): of a chi-square of few degrees, squared, five standard errors come as often as they do there.
+pub const HEAVY_DOF: f64 = 4.0;
+
+/// A residual with heavy tails as a normal one that costs the same: by the logarithm of Student's t without its constant.
+pub fn lightened(z: f64) -> f64 {
+    (HEAVY_DOF * (z * z / HEAVY_DOF).ln_1p()).sqrt().copysign(z)
 }
 
 impl Expected {
     /// Of an observable whose noise is normal.
     pub fn plain(o: &Observable, value: f64, std_err: f64) -> Self {
-        Self { value, std_err, common: 0.0, normal: (o.measured.value, value, std_err.max(1e-12)) }
+        Self { value, std_err, common: 0.0, normal: (o.measured.value, value, std_err.max(1e-12)), heavy: false }
     }
 
     /// The same, where a part of the error is common to the observables of these frames.
     pub fn with_common(self, common: f64) -> Self {
         Self { common, ..self }
+    }
+
+    /// The same, where this part of the error comes of a few pixels.
+    pub fn with_tails(self, of_few: f64) -> Self {
+        Self { heavy: of_few * of_few > 0.3 * self.std_err * self.std_err, ..self }
     }
 
     /// Of a variance from few samples: its cube root is normal (Wilson and Hilferty 1931).
@@ -38,6 +54,7 @@ impl Expected {
             std_err: value * (2.0 / dof).sqrt(),
             common: 0.0,
             normal: (o.measured.value.max(0.0).cbrt(), (1.0 - c) * root, c.sqrt() * root),
+            heavy: false,
         }
     }
 
@@ -243,6 +260,9 @@ impl<'a> View<'a> {
         }
         let spread = o.set.and_then(|i| all.campaign.sets.get(i)).map_or(0.0, |s| s.spread_dn);
         view.rough = rough(prediction, view.noise, spread);
+        // What rounding does is the same in all chunks of a level, and does not average out.
+        let alike = o.set.and_then(|i| all.alike.get(i)).map_or(1.0, |n| n.sqrt());
+        view.rough = (alike * view.rough.0, alike * view.rough.1);
         // What the frame's mean takes with it does not scatter.
         let within = 1.0 - view.ripple_of_mean / s.ripple(0.0).max(f64::MIN_POSITIVE);
         view.ripple_error = ripple_error(s, within, shape.0 as f64, n);
@@ -298,8 +318,13 @@ impl<'a> View<'a> {
 
     fn pixel_noise(&self) -> (f64, PixelNoise) {
         let square = (self.noise * self.noise).max(f64::MIN_POSITIVE);
-        let spread = self.set().map_or(0.0, |s| s.unequal.max(0.0) / square);
-        (spread, self.all.pixel_noise.unwrap_or_else(|| PixelNoise::usual(spread)))
+        let predicted = self.set().map_or(0.0, |s| s.unequal.max(0.0) / square);
+        // Errors do not follow the fit where darks show the spread: what a fit makes small would seem known, and what it makes large unknown.
+        let Some(shown) = self.all.pixel_noise else { return (predicted, PixelNoise::usual(predicted)) };
+        let base = &self.prediction.base;
+        let read = (base.gain_dn_per_e * base.read_noise_e).powi(4);
+        let rest = (predicted - base.read_noise_spread * read / square).max(0.0);
+        (rest + shown.spread.max(0.0) * read / square, shown)
     }
 
     /// Largest variance of a pixel over the mean of all: one pixel may decide a mean of fourth powers.

@@ -107,6 +107,7 @@ impl Statistic for Kurtosis {
                 rest,
             ]),
         )
+        .with_tails(single.hypot((unlike / dof).sqrt()))
     }
 }
 

@@ -36,7 +36,7 @@ mod scene;
 mod table;
 
 pub use campaign::{Observations, ObserveError, Setting, of_dataset};
-pub use expect::{Expected, View, expectations, in_quadrature};
+pub use expect::{Expected, HEAVY_DOF, View, expectations, in_quadrature, lightened};
 pub use scene::{Direction, ScenePair};
 pub use table::observations as of_table;
 

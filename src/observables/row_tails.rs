@@ -92,6 +92,7 @@ fn kurtosis(measured: f64, n: f64, more: f64, unsure: f64) -> Expected {
         std_err: variance.sqrt().hypot(unsure),
         common: 0.0,
         normal: (z, 0.0, (1.0 + unsure * unsure / variance).sqrt()),
+        heavy: false,
     }
 }
 

@@ -138,5 +138,6 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         light_rel_std: None,
         setting: None,
         light_settings: (0..kept.len()).collect(),
+        alike: vec![1.0; kept.len()],
     })
 }

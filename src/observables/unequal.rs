@@ -68,13 +68,13 @@ impl Statistic for Unequal {
             let independent = lines as f64 * if of_mean > own { own / of_mean } else { 1.0 };
             scatter_of_lines(own / variance, view.dof, independent.max(1.0))
         };
+        let few = in_quadrature(&[scatter_of_unlike.sqrt(), tail(view.noisiest(), view.dof, o.pixels)]);
         Expected::plain(
             o,
             (s.unequal + charge + fourth / allowed) / square - alike,
             in_quadrature(&[
                 o.measured.std_err,
-                scatter_of_unlike.sqrt(),
-                tail(view.noisiest(), view.dof, o.pixels),
+                few,
                 (s.unsure + charge) / square,
                 s.unsure_fourth / (view.n * allowed) / square,
                 0.002,
@@ -85,6 +85,7 @@ impl Statistic for Unequal {
                 0.3 * alike,
             ]),
         )
+        .with_tails(few)
     }
 }
 
