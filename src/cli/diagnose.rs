@@ -6,7 +6,7 @@ use super::model::{fitted_model, read_effects};
 use super::observe::{names, observe};
 use crate::dataset::write_whole;
 use crate::diagnosis::{Diagnosis, diagnose, searched};
-use crate::number::chance;
+use crate::number::{Quantity, chance, percent, six_digits};
 use crate::report;
 use anyhow::Result;
 use std::path::PathBuf;
@@ -61,6 +61,35 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     Ok(if diagnosis.consistent { Outcome::Agreement } else { Outcome::Disagreement })
 }
 
+/// Gain, read noise and dark current with the effects in the model.
+fn sensor(d: &Diagnosis) {
+    let said = |q: &Option<Quantity>| q.as_ref().map_or("not determined by this campaign".into(), ToString::to_string);
+    let with = if d.missing.is_empty() { "" } else { " with these effects in the model" };
+    println!("\n  the linear sensor{with}:");
+    println!("      system gain   {}", said(&d.sensor.gain_dn_per_e));
+    let pixels = match (d.sensor.read_noise_median_e, d.sensor.noisy_pixel_share) {
+        (Some(median), Some(noisy)) => {
+            format!(" (RMS over the pixels; median {}, {} noisy pixels)", six_digits(round_to(median, 4)), percent(noisy))
+        }
+        _ => String::new(),
+    };
+    println!("      read noise    {}{pixels}", said(&d.sensor.read_noise_e));
+    println!("      dark current  {}", said(&d.sensor.dark_current_e_per_s));
+    if let Some(r) = &d.remainder {
+        println!("  what is left: {} of the misfit, error {:.3}, p {}", percent(r.share), r.error, chance(r.p_value));
+        for text in r.largest.iter().take(3) {
+            println!("    - {}", super::common::wrapped(text, 6).trim_start());
+        }
+    }
+}
+
+/// To so many significant digits.
+fn round_to(value: f64, digits: i32) -> f64 {
+    if value == 0.0 { return 0.0 }
+    let unit = 10f64.powi(value.abs().log10().floor() as i32 + 1 - digits);
+    (value / unit).round() * unit
+}
+
 pub fn print(title: &str, d: &Diagnosis) {
     println!("{title}\n");
     println!("{}\n", super::common::wrapped(d.verdict.sentence(), 2));
@@ -73,6 +102,7 @@ pub fn print(title: &str, d: &Diagnosis) {
             println!("    - {}", super::common::wrapped(text, 6).trim_start());
         }
     }
+    sensor(d);
     println!("\n  {:<34} {:>8}  {:>9}", "model", "error", "p");
     for r in &d.ladder {
         let bar = "#".repeat((r.error.ln().max(0.0) * 6.0).round().min(40.0) as usize);

@@ -1,10 +1,10 @@
 //! What a diagnosis comes to: one type that every verb, the demo and the reports print.
 
-use super::Missing;
+use super::{Cost, Missing, Remainder};
 use crate::agreement::Agreement;
 use crate::features::LeftOn;
 use crate::inference::{Comparison, Fitted};
-use crate::number::with_unit;
+use crate::number::{percent, with_unit};
 use radcam_sim::effects::find;
 use serde::{Deserialize, Serialize};
 
@@ -48,16 +48,15 @@ impl Verdict {
         }
     }
 
-    /// Of what was found. `given`, `whole`: the model as given and with all that was found, fitted. `left_on`: what the camera did to its
-    /// pixels by its own settings.
+    /// Of what was found. `whole`: the model with all of it. `left_on`: what the camera did to its pixels by its own settings.
     pub(super) fn of(
         missing: &[Missing],
+        remainder: Option<&Remainder>,
         first: &Comparison,
-        given: &Fitted,
         whole: &Fitted,
         left_on: &[LeftOn],
     ) -> Self {
-        let mut verdict = Self::of_campaign(missing, first, given, whole);
+        let mut verdict = Self::of_campaign(missing, remainder, first, whole);
         if !left_on.is_empty() {
             let names: Vec<String> = left_on.iter().map(ToString::to_string).collect();
             let on = format!("The camera's own {} was on while these frames were taken", names.join(", "));
@@ -72,7 +71,12 @@ impl Verdict {
         verdict
     }
 
-    fn of_campaign(missing: &[Missing], first: &Comparison, given: &Fitted, whole: &Fitted) -> Self {
+    fn of_campaign(
+        missing: &[Missing],
+        remainder: Option<&Remainder>,
+        first: &Comparison,
+        whole: &Fitted,
+    ) -> Self {
         let Some(top) = missing.first() else {
             let agreement = first.agreement;
             let sentence = match agreement {
@@ -80,10 +84,9 @@ impl Verdict {
                     "Deviations are larger than chance allows, but too small to be named.".into()
                 }
                 _ => format!(
-                    "{} {}, {}.",
-                    "The camera agrees with the model to within the noise of this campaign.",
-                    told("Gain", given.base.gain_dn_per_e, given.base_std_err[0], "DN/e"),
-                    told("read noise", given.base.read_noise_e, given.base_std_err[1], "e")
+                    "The camera agrees with the model to within the noise of this campaign. {}, {}.",
+                    told("Gain", whole.base.gain_dn_per_e, whole.base_std_err[0], "DN/e"),
+                    told("read noise", whole.base.read_noise_e, whole.base_std_err[1], "e")
                 ),
             };
             return Self::Describes { agreement, sentence };
@@ -99,10 +102,12 @@ impl Verdict {
                 (None, Some(most)) => format!(" What deviates most: {most}."),
                 (None, None) => String::new(),
             };
-            let sentence = format!(
-                "The camera shows an effect that is not in the catalogue. {near}{most} Do not rely on system gain, linearity and read noise of \
-                 this campaign until it is known."
+            let cost = cost(&top.cost, whole).map_or_else(
+                || " System gain, read noise and linearity are not affected.".into(),
+                |cost| format!(" It makes {cost}."),
             );
+            let sentence =
+                format!("The camera shows something that is not in the catalogue. {near}{most}{cost}");
             return Self::Unknown { nearest: top.nearest.clone(), sentence };
         }
         let or: Vec<String> = missing
@@ -111,7 +116,7 @@ impl Verdict {
             .take_while(|m| m.tied_with.as_deref() == Some(&top.effect))
             .map(|m| m.effect.clone())
             .collect();
-        let sentence = sentence(top, &or, missing, &cost(given, whole));
+        let sentence = sentence(top, &or, missing, remainder, whole);
         Self::Named { effect: top.effect.clone(), or, sentence }
     }
 }
@@ -125,55 +130,81 @@ fn told(name: &str, value: f64, std_err: f64, unit: &'static str) -> String {
 }
 
 /// What the camera does, how much, what it costs and what to do.
-fn sentence(top: &Missing, or: &[String], missing: &[Missing], cost: &str) -> String {
+fn sentence(
+    top: &Missing,
+    or: &[String],
+    missing: &[Missing],
+    remainder: Option<&Remainder>,
+    whole: &Fitted,
+) -> String {
     let page = find(&top.effect).map(|e| e.page());
     let what = page.map_or_else(|| format!("It has {}.", top.effect), |p| p.what.to_string());
-    let sizes: Vec<String> = top
+    let mut sizes: Vec<String> = top
         .parameters
         .iter()
         .filter(|(_, q)| q.unit != "choice")
         .map(|(name, q)| format!("{name} = {q}"))
         .collect();
-    let form = top.form.as_ref().map_or(String::new(), |f| format!("; {f}"));
+    sizes.extend(top.form.clone());
+    let size = format!("{} ({})", top.effect, sizes.join("; "));
+    let shows = if top.partial {
+        let rest = remainder.and_then(|r| r.largest.first());
+        let rest = rest.map_or(String::new(), |text| format!("; most of the rest is in {text}"));
+        format!(
+            "The camera behaves mostly like {size}, and is not quite that: it explains {} of the misfit{rest}.",
+            percent(top.share)
+        )
+    } else {
+        format!("The camera shows {size}.")
+    };
     let tie = if or.is_empty() {
         String::new()
     } else {
         format!(" This campaign cannot distinguish it from {}.", or.join(" or "))
     };
-    let also: Vec<&str> = missing
-        .iter()
-        .skip(1)
-        .filter(|m| m.tied_with.is_none() && !m.partial && m.effect != "unknown")
-        .map(|m| m.effect.as_str())
+    let others = || missing.iter().skip(1).filter(|m| m.tied_with.is_none() && m.effect != "unknown");
+    let also: Vec<String> = others()
+        .filter(|m| m.share >= WEAK)
+        .map(|m| format!("{} ({} of the misfit)", m.effect, percent(m.share)))
         .collect();
+    let weak: Vec<&str> = others().filter(|m| m.share < WEAK).map(|m| m.effect.as_str()).collect();
     let also = if also.is_empty() { String::new() } else { format!(" It also shows {}.", also.join(", ")) };
+    let weak =
+        if weak.is_empty() { String::new() } else { format!(" Less than 1 % each: {}.", weak.join(", ")) };
+    let cost = cost(&top.cost, whole).map_or_else(
+        || " It does not bias system gain, read noise or linearity.".into(),
+        |cost| format!(" Ignoring it makes {cost}."),
+    );
     let remedy = page.map_or(String::new(), |p| format!(" Remedy: {}.", p.remedy));
-    format!("The camera shows {} ({}{form}). {what}{tie}{also}{cost}{remedy}", top.effect, sizes.join(", "))
+    format!("{shows} {what}{tie}{also}{weak}{cost}{remedy}")
 }
 
-/// What a measurement that ignores it is wrong by.
-fn cost(given: &Fitted, whole: &Fitted) -> String {
-    let of = |what: &str, given: f64, whole: f64, std_err: f64, decimals: usize| {
-        let whole = whole.max(1e-9);
-        (((given - whole) / std_err).abs() > 3.0)
-            .then(|| format!("{what} {}", wrong_by(given.max(1e-9) / whole, decimals)))
+/// Share of the misfit below which an effect is listed without its share.
+const WEAK: f64 = 0.01;
+/// Costs below this share are not said: no one measures a gain to a thousandth (EMVA 1288 asks for no more than a per cent).
+const SAID: f64 = 1e-3;
+
+/// What results are wrong by, in words; `None` where nobody would notice. Of a gain and a read noise no less than their errors is said.
+fn cost(cost: &Cost, whole: &Fitted) -> Option<String> {
+    let (base, errors) = (&whole.base, &whole.base_std_err);
+    let of = |what: &str, rel: f64, std_err: f64, decimals: usize| {
+        (rel.is_finite() && rel.abs() > SAID.max(std_err))
+            .then(|| format!("{what} {}", wrong_by((1.0 + rel).max(1e-9), decimals)))
     };
-    let (g, w, errors) = (&given.base, &whole.base, &whole.base_std_err);
+    let rel =
+        |k: usize, value: f64| if value > 0.0 && errors[k].is_finite() { errors[k] / value } else { 0.0 };
+    let linearity = (cost.linearity_rel > SAID)
+        .then(|| format!("the linearity error larger by {}", percent(cost.linearity_rel)));
     let parts: Vec<String> = [
-        of("a system gain (DN/e)", g.gain_dn_per_e, w.gain_dn_per_e, errors[0], 2),
-        of("a read noise (e)", g.read_noise_e, w.read_noise_e, errors[1], 1),
+        of("the system gain (DN/e)", cost.gain_rel, rel(0, base.gain_dn_per_e), 2),
+        of("the read noise (e)", cost.read_noise_rel, rel(1, base.read_noise_e), 1),
+        linearity,
     ]
     .into_iter()
     .flatten()
     .collect();
-    if parts.is_empty() {
-        " It does not bias system gain or read noise.".into()
-    } else {
-        format!(
-            " If it is left out of the model, the fit to all statistics of these frames gives {}.",
-            parts.join(" and ")
-        )
-    }
+    let (last, first) = parts.split_last()?;
+    Some(if first.is_empty() { last.clone() } else { format!("{} and {last}", first.join(", ")) })
 }
 
 /// A ratio in words: per cent as long as they say something, then a factor.

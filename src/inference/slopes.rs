@@ -163,7 +163,8 @@ mod tests {
     use crate::observables::Expected;
 
     fn state(values: &[f64]) -> State {
-        let expected = |v: &f64| Expected { value: *v, std_err: 1.0, common: 0.0, normal: (0.0, *v, 1.0), heavy: false };
+        let expected =
+            |v: &f64| Expected { value: *v, std_err: 1.0, common: 0.0, normal: (0.0, *v, 1.0), heavy: false };
         State { expected: values.iter().map(expected).collect(), setting: Vec::new() }
     }
 

@@ -31,7 +31,13 @@ pub fn lightened(z: f64) -> f64 {
 impl Expected {
     /// Of an observable whose noise is normal.
     pub fn plain(o: &Observable, value: f64, std_err: f64) -> Self {
-        Self { value, std_err, common: 0.0, normal: (o.measured.value, value, std_err.max(1e-12)), heavy: false }
+        Self {
+            value,
+            std_err,
+            common: 0.0,
+            normal: (o.measured.value, value, std_err.max(1e-12)),
+            heavy: false,
+        }
     }
 
     /// The same, where a part of the error is common to the observables of these frames.

@@ -13,6 +13,7 @@ pub fn heading(m: &Missing) -> String {
             parts.push(format!("nearest: {}", m.nearest.join(", ")));
         }
     } else {
+        parts.push(format!("{} of the misfit", percent(m.share)));
         parts.push(format!("probability among the candidates: {}", percent(m.confidence)));
     }
     parts.extend(m.form.clone());
@@ -20,7 +21,7 @@ pub fn heading(m: &Missing) -> String {
         parts.push(format!("tied with {other}"));
     }
     if m.partial {
-        parts.push("explains part of it only".into());
+        parts.push("the camera behaves like it and is not quite that".into());
     }
     parts.join("; ")
 }

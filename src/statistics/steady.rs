@@ -151,7 +151,10 @@ impl Steady {
             skewness: if skewness.is_finite() { skewness.max(0.0) } else { usual.skewness },
             kurtosis: if kurtosis.is_finite() { kurtosis.max(1.0) } else { usual.kurtosis },
             // Few frames make one of many seem larger: by two and a half deviations of chi-square (Wilson and Hilferty 1931).
-            largest: all.last().map_or(1.0, |v| v / (1.0 - a / 9.0 + 2.5 * (a / 9.0).sqrt()).powi(3)).max(1.0),
+            largest: all
+                .last()
+                .map_or(1.0, |v| v / (1.0 - a / 9.0 + 2.5 * (a / 9.0).sqrt()).powi(3))
+                .max(1.0),
             median: (quantile(0.5) / median_of_few).sqrt(),
             log_spread: if self.dof < TOLD { f64::NAN } else { 0.5 * log_variance.sqrt() },
             noisy: if self.dof < TOLD { f64::NAN } else { noisy },
