@@ -96,6 +96,17 @@ impl BaseParameters {
     }
 }
 
+/// Pixels that jump between two levels.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct TwoLevels {
+    /// Their share.
+    pub share: f64,
+    /// Variance of the jumps, e^2, then DN^2.
+    pub variance: f64,
+    /// Correlation of a pixel's level with that of the next frame.
+    pub stays: f64,
+}
+
 /// Expected statistics of one set.
 ///
 /// What acts on the whole image acts through one operation on all parts of it: [`gain`](Self::gain), [`filter`](Self::filter),
@@ -129,6 +140,8 @@ pub struct SetPrediction {
     /// Fourth cumulants of a pixel's noise in two successive frames, DN^4: three of the later and one of the earlier, two of each, one and
     /// three; the mean over all pixels.
     pub fourth_next: [f64; 3],
+    /// Pixels that jump between two levels.
+    pub two_levels: TwoLevels,
     /// Model uncertainty of `unequal`, e^4, then DN^4.
     pub unsure: f64,
     /// Model uncertainty of variance and covariances, e^2, then DN^2.
@@ -207,6 +220,7 @@ impl SetPrediction {
             unequal: 0.0,
             fourth: 0.0,
             fourth_next: [0.0; 3],
+            two_levels: TwoLevels::default(),
             unsure: 0.0,
             unsure_var: 0.0,
             unsure_own: 0.0,
@@ -296,6 +310,7 @@ impl SetPrediction {
         self.unsure_var *= by;
         self.unsure_own *= by;
         self.unsure_moving *= by;
+        self.two_levels.variance *= by;
         let powers = [&mut self.unequal, &mut self.fourth, &mut self.unsure, &mut self.unsure_fourth];
         powers.into_iter().chain(&mut self.fourth_next).for_each(|power| *power *= by * by);
     }

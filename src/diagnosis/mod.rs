@@ -24,7 +24,7 @@ use crate::plan::Plan;
 use radcam_sim::effects::{Effect, Parameter, Seen, Take, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
-use search::{Candidate, NEEDED, is_something, rivals, score, search, without};
+use search::{Candidate, NEEDED, is_something, rivals, score, search, surely_there, without};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -204,7 +204,8 @@ pub fn diagnose(
     let found = search(all, &model, first.error > FAR, progress);
     let (mut parts, mut whole, mut last) = parts(all, &model, found.fitted, found.first, &first);
     let mut notes = all.missing.clone();
-    if first.p_value >= DOUBT && score(all, &model) - score(all, &whole) < TRACE {
+    let weak = || parts.iter().all(|p| !surely_there(all, &whole, p.effect));
+    if first.p_value >= DOUBT && (score(all, &model) - score(all, &whole) < TRACE || weak()) {
         notes.extend(parts.iter().map(trace));
         (parts, whole, last) = (Vec::new(), model.clone(), first.clone());
     }

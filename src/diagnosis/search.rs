@@ -269,6 +269,20 @@ pub fn is_something(fitted: &Fitted, at: usize, seen: &Seen) -> bool {
     sizes.is_empty() || sizes.iter().any(|&k| is_known(values[k], errors[k]))
 }
 
+/// Whether the only size of an effect, or what its parameters tell together, is as far from nothing as the evidence that a name needs beside a model
+/// that holds (Wald's test): evidence also comes of errors that become smaller.
+pub fn surely_there(all: &Observations, fitted: &Fitted, effect: &'static dyn Effect) -> bool {
+    let Some(at) = fitted.effects.iter().position(|(e, _)| e.id() == effect.id()) else { return false };
+    let ((_, values), errors) = (&fitted.effects[at], &fitted.std_err[at]);
+    let needed = NEEDED + (all.list.len() as f64).ln();
+    let far = |value: f64, error: f64| value * value >= needed * error * error;
+    if let Some(t) = effect.together(values) {
+        return far(t.value, fitted.std_err_of(at, &t));
+    }
+    let sizes: Vec<usize> = sizes(effect, values).collect();
+    sizes.len() != 1 || far(values[sizes[0]], errors[sizes[0]])
+}
+
 /// Places of the sizes that an effect uses at these values.
 fn sizes<'e>(effect: &'e dyn Effect, values: &'e [f64]) -> impl Iterator<Item = usize> + 'e {
     let is_size = |k: &usize| effect.parameters()[*k].is_size();

@@ -210,6 +210,7 @@ pub fn of_dataset(
         steady_dn4,
         together_dn4,
         pixel_noise,
+        noisy_levels,
         darkest_dn,
         saturated,
         left_out,
@@ -271,6 +272,7 @@ pub fn of_dataset(
             zero_dn,
             codes: &of_codes,
             line: line.map(|(place, _)| lines[half.place()].at(place)),
+            noisy_levels: &noisy_levels[half.place()],
             scene: pairs[half.place()].as_ref(),
         };
         for &statistic in STATISTICS {

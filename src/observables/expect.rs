@@ -407,6 +407,11 @@ impl<'a> View<'a> {
         .with_common(ripple.max(self.walk() * of_lines))
     }
 
+    /// What taking off the mean over the frames leaves of noise with these correlations.
+    pub fn left_of(&self, memory: &[f64]) -> f64 {
+        if self.n > 1.5 { left(memory, self.n) } else { 1.0 }
+    }
+
     /// Mean product of successive residuals over the variance, for noise with these correlations.
     pub fn product(&self, memory: &[f64]) -> f64 {
         let n = self.frames.len().max(2);

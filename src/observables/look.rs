@@ -18,11 +18,17 @@ pub(super) const FIRST: usize = 8;
 /// A named choice: a tenth of what a small machine has.
 const KEPT: usize = 256 << 20;
 
+/// Standard deviations of a pixel's noise within which full scale cuts it off.
+const REACH: f64 = 4.0;
+
 /// What the first frames of a set show.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Look {
-    /// Clipped pixels.
+    /// Pixels at full scale, or so near that their noise reaches it.
     clipped: Vec<usize>,
+    /// Whether so many are that the set is clipped.
+    #[serde(default)]
+    pub(super) saturated: bool,
     /// Mean of a dark set, DN.
     dark: Option<Array2<f32>>,
     /// Mean and temporal variance of the first two frames.
@@ -42,9 +48,10 @@ pub struct Look {
 
 impl Look {
     pub(super) fn without_frames(&self) -> Self {
-        let Self { clipped, dark, pair, filled, darkest, apart, frames: _ } = self;
+        let Self { clipped, saturated, dark, pair, filled, darkest, apart, frames: _ } = self;
         Self {
             clipped: clipped.clone(),
+            saturated: *saturated,
             dark: dark.clone(),
             pair: *pair,
             filled: filled.clone(),
@@ -82,13 +89,22 @@ fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<
         if kind == Kind::Dark {
             sum.zip_mut_with(&frame, |m, &d| *m += f32::from(d));
         }
-        let over = frame.iter().enumerate().filter(|(_, d)| **d >= full).map(|(i, _)| i);
-        // A set that is clipped as a whole says nothing of single pixels, and takes no memory.
-        out.clipped.extend(over.take(frame.len() / 50 + 1));
         block.push(frame);
     }
     if let [a, b, ..] = block.as_slice() {
         out.pair = Some(pair(a, b, full));
+    }
+    // Noise that reaches full scale is cut off there.
+    let reach = out.pair.map_or(0.0, |(_, var)| REACH * var.max(0.0).sqrt());
+    let near = (f64::from(full) - if reach.is_finite() { reach } else { 0.0 }).max(0.5 * f64::from(full)).ceil() as u16;
+    let mut over = vec![false; sum.len()];
+    for frame in &block {
+        over.iter_mut().zip(frame).for_each(|(over, d)| *over |= *d >= near);
+    }
+    // A set that is clipped as a whole says nothing of single pixels, and takes no memory.
+    out.saturated = over.iter().filter(|o| **o).count() * 50 >= sum.len().max(1);
+    if !out.saturated {
+        out.clipped = over.iter().enumerate().filter(|(_, o)| **o).map(|(i, _)| i).collect();
     }
     out.darkest = block.first().filter(|f| kind == Kind::Dark && !f.is_empty()).map(|frame| {
         let mut codes: Vec<u16> = frame.iter().copied().collect();
@@ -102,9 +118,6 @@ fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<
         out.filled = Some(filled::candidates(&block));
     }
     out.apart = Some((kind == Kind::Dark, outliers::apart(&block)));
-    if out.clipped.len() * 50 >= rows.len() * sum.len() {
-        out.clipped.clear();
-    }
     out.dark = (kind == Kind::Dark).then(|| sum / rows.len().max(1) as f32);
     let bytes = block.iter().map(|f| size_of::<u16>() * f.len()).sum();
     let taken = room.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |room| room.checked_sub(bytes));

@@ -44,6 +44,7 @@ use crate::statistics::jackknife::Value;
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 use crate::statistics::pass::{Extra, Summary};
+use crate::statistics::steady::Levels;
 pub(crate) use look::{Look, record_looks};
 use read::Chunk;
 pub(crate) use read::{LeftOut, Work, record};
@@ -175,6 +176,8 @@ pub struct HalfView<'a> {
     codes: &'a codes::CodeStatistics,
     /// Variance in the strongest line of the spectrum, DN^2.
     line: Option<Value>,
+    /// Excess kurtosis of noisy pixels in short darks.
+    noisy_levels: &'a [Levels],
     /// A still scene at two exposures.
     scene: Option<&'a ScenePair>,
 }
@@ -199,6 +202,11 @@ impl Put<'_> {
         if value.is_finite() {
             self.all.push(Observable { index, measured: Value { value, std_err }, ..self.template });
         }
+    }
+
+    /// One that is made of so many pixels.
+    fn put_of(&mut self, index: usize, pixels: f64, value: f64, std_err: f64) {
+        self.all.push(Observable { index, pixels, measured: Value { value, std_err }, ..self.template });
     }
 
     /// One that is made of other frames than the chunk's.
@@ -280,6 +288,7 @@ statistics! {
     covariance::Covariance
     successive::Successive
     unequal::Unequal
+    noisy_levels::NoisyLevels
     growth::Growth
     parity::Parity
     tap::Tap

@@ -11,7 +11,7 @@ use crate::statistics::jackknife::Value;
 use crate::statistics::layout::Layout;
 use crate::statistics::pass::{Pass, Summary};
 use crate::statistics::spectrum::Power;
-use crate::statistics::steady::{PixelNoise, Steady};
+use crate::statistics::steady::{Levels, PixelNoise, Steady};
 use ndarray::Array2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -39,6 +39,9 @@ pub struct Chunk {
     pub summary: Summary,
     /// Of short darks, until they are summed up: variance of every pixel, DN^2.
     var_dn2: Vec<f32>,
+    /// Of these, sum of the fourth powers of every pixel's deviations, DN^4.
+    #[serde(default)]
+    fourth_dn4: Vec<f32>,
 }
 
 /// Mean image of the frames of a scene that belong to one half, DN.
@@ -65,6 +68,8 @@ pub struct Reading {
     pub together_dn4: Option<[Value; 2]>,
     /// How the pixels' noise in short darks is distributed.
     pub pixel_noise: Option<PixelNoise>,
+    /// Excess kurtosis of noisy pixels in the short darks of both halves.
+    pub noisy_levels: [Vec<Levels>; 2],
     /// Code below which one in two hundred samples of the darks lies.
     pub darkest_dn: Option<f64>,
     /// Sets that are clipped, with their means, DN.
@@ -153,7 +158,7 @@ impl Work {
             && s.power.len() == Power::length(shape) / 2 + 1
             && s.occupancy.0.len() == usize::from(full_scale_dn) + 1
             && s.covariances.at.len() == LAGS.len()
-            && (c.var_dn2.is_empty() || c.var_dn2.len() == shape.0 * shape.1)
+            && [&c.var_dn2, &c.fourth_dn4].iter().all(|v| v.is_empty() || v.len() == shape.0 * shape.1)
     }
 }
 
@@ -263,6 +268,7 @@ impl<'a, 'b> Reader<'a, 'b> {
         // Fresh pages cost as much as the frames: passes are used again.
         let free = || self.pool.lock().unwrap_or_else(PoisonError::into_inner);
         let mut pass = free().pop().unwrap_or_else(|| Pass::with(self.layout, SUMMED));
+        pass.of_single_pixels(self.is_short_dark(p.set));
         let (mut from, mut to) = (p.from, p.to);
         let work = loop {
             let outlier = self.add(p, from..to, kind == Kind::Dark, &mut pass, &mut out)?;
@@ -366,15 +372,19 @@ impl<'a, 'b> Reader<'a, 'b> {
         outliers.first().copied().filter(|_| outliers.len() * 3 <= block.len())
     }
 
+    /// Longer darks have shot noise of dark charge, which stays with its pixels too.
+    fn is_short_dark(&self, set: usize) -> bool {
+        let set = self.dataset.settings(&self.dataset.sets()[set]);
+        set.kind == Kind::Dark && set.exposure_s <= self.longest_lit_s
+    }
+
     /// What the frames in a pass say.
     fn summarise(&self, p: &Piece, from: usize, pass: &mut Pass<'_>) -> Result<Work, ObserveError> {
-        if pass.clipped() > CLIPPED {
+        if pass.clipped() > CLIPPED || self.kept.get(p.set).is_some_and(|look| look.saturated) {
             return Ok(Work::Clipped(p.set, pass.mean_dn()));
         }
         let summary = pass.finish();
-        let set = self.dataset.settings(&self.dataset.sets()[p.set]);
-        // Longer ones have shot noise of dark charge, which stays with its pixels too.
-        let is_short_dark = set.kind == Kind::Dark && set.exposure_s <= self.longest_lit_s;
+        let is_short_dark = self.is_short_dark(p.set);
         let before = if p.before && from == p.from {
             Some(codes::mean_of(&self.frame(p.set, from - 1)?.mapv(f32::from), self.layout))
         } else {
@@ -383,7 +393,8 @@ impl<'a, 'b> Reader<'a, 'b> {
         let chunk = |summary: Summary| {
             let codes_used = codes::share_used(&summary);
             let var_dn2 = if is_short_dark { pass.variances_dn2() } else { Vec::new() };
-            Box::new(Chunk { set: p.set, from, half: p.half, before, codes_used, summary, var_dn2 })
+            let fourth_dn4 = pass.fourths_dn4();
+            Box::new(Chunk { set: p.set, from, half: p.half, before, codes_used, summary, var_dn2, fourth_dn4 })
         };
         Ok(Work::Noise(summary.map(chunk)))
     }
@@ -477,11 +488,13 @@ impl Sums {
             self.codes[half].add(&chunk.summary);
         }
         if !chunk.var_dn2.is_empty() {
-            self.steady.add(&chunk.var_dn2, chunk.summary.var.value, chunk.summary.frames);
+            let Summary { var, frames, .. } = chunk.summary;
+            self.steady.add(&chunk.var_dn2, var.value, frames);
+            self.steady.add_fourths(half, &chunk.var_dn2, &chunk.fourth_dn4, frames);
         }
         // They are long, and their sums are all that is needed.
         (chunk.summary.power, chunk.summary.occupancy.0) = (Vec::new(), Vec::new());
-        chunk.var_dn2 = Vec::new();
+        (chunk.var_dn2, chunk.fourth_dn4) = (Vec::new(), Vec::new());
         self.chunks.push(*chunk);
     }
 
@@ -542,6 +555,7 @@ pub fn read(
         darkest_dn: seen.darkest_dn,
         together_dn4: sums.steady.of_neighbours(&seen.layout),
         pixel_noise: sums.steady.distribution(&seen.layout),
+        noisy_levels: [0, 1].map(|half| sums.steady.levels(&seen.layout, half)),
         zero_dn: seen.zero_dn,
         layout: seen.layout,
         chunks: sums.chunks,

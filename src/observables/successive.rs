@@ -48,7 +48,11 @@ impl Statistic for Successive {
             variance * (view.product(memory) + left / view.n.max(2.0))
         };
         let (shot, read) = view.pixels();
-        let value = carried(shot, &s.shot_memory, view.left.0) + carried(read, &s.read_memory, view.left.1);
+        let jumps = s.two_levels;
+        let stays: Vec<f64> = if jumps.stays > 0.0 { (1..=8).map(|k| jumps.stays.powi(k)).collect() } else { Vec::new() };
+        let value = carried(shot, &s.shot_memory, view.left.0)
+            + carried(read, &s.read_memory, view.left.1)
+            + carried(jumps.share * jumps.variance, &stays, view.left_of(&stays));
         Expected::plain(
             o,
             value,

@@ -40,6 +40,8 @@ pub struct Pass<'a> {
     sums: Sums,
     successive: Successive,
     occupancy: Occupancy,
+    /// Fourth powers of every pixel's deviations, DN^4, where they are asked for.
+    fourths: Option<Vec<f32>>,
 }
 
 /// Everything that is a sum of products of deviations.
@@ -188,7 +190,13 @@ impl<'a> Pass<'a> {
             },
             successive: Successive::new(pixels),
             occupancy: Occupancy::new(layout.full_scale_dn),
+            fourths: None,
         }
+    }
+
+    /// Whether fourth powers of single pixels are summed from now on.
+    pub fn of_single_pixels(&mut self, wanted: bool) {
+        self.fourths = wanted.then(|| vec![0.0; self.mean.len()]);
     }
 
     /// Adds the next frame: (rows * columns) codes in DN, row by row.
@@ -208,10 +216,23 @@ impl<'a> Pass<'a> {
         arch.dispatch(Rows { frame, frame_mean: frame_mean as f32, pass: self });
         if self.frame_means.frames() > 0 {
             self.sums.end(&self.now, self.layout);
+            self.add_fourths();
         }
         // The mean as it was taken off, so that the two add up.
         self.frame_means.add(frame_mean);
         Ok(())
+    }
+
+    fn add_fourths(&mut self) {
+        for (sum, v) in self.fourths.iter_mut().flatten().zip(&self.now) {
+            let square = v * v;
+            *sum += square * square;
+        }
+    }
+
+    /// Sum of the fourth powers of every pixel's deviations, DN^4; empty where they were not asked for.
+    pub fn fourths_dn4(&self) -> Vec<f32> {
+        self.fourths.clone().unwrap_or_default()
     }
 
     /// Adds the frames that follow, seen elsewhere under the same layout.
@@ -234,9 +255,12 @@ impl<'a> Pass<'a> {
                 self.sums.row(y, &self.now, self.layout);
             }
             self.sums.end(&self.now, self.layout);
+            self.add_fourths();
             self.successive.merge(&later.successive);
         }
         self.sums.absorb(&later.sums);
+        let more = later.fourths.iter().flatten();
+        self.fourths.iter_mut().flatten().zip(more).for_each(|(a, b)| *a += b);
         self.occupancy.merge(&later.occupancy);
         self.frame_means.merge(&later.frame_means);
     }
@@ -265,6 +289,7 @@ impl<'a> Pass<'a> {
         self.sums.covariance.clear();
         self.sums.lines = Lines::new(self.layout.shape);
         self.sums.power.clear();
+        self.fourths.iter_mut().flatten().for_each(|v| *v = 0.0);
         self.sums.extra.iter_mut().for_each(|(_, sums)| sums.fill(0.0));
         self.successive.clear();
         self.occupancy.0.fill(0);

@@ -16,7 +16,34 @@ pub struct Steady {
     /// Degrees of freedom of all runs, and the sum of the runs' means, DN^2.
     dof: f64,
     mean_dn2: f64,
+    /// Of both halves, sums of squares and of fourth powers of every pixel's deviations, and their degrees of freedom.
+    halves: [Powers; 2],
 }
+
+/// Sums of powers of every pixel's deviations.
+#[derive(Debug, Clone, Default)]
+struct Powers {
+    squares: Vec<f64>,
+    fourths: Vec<f64>,
+    dof: f64,
+}
+
+/// Excess kurtosis of the noisiest pixels, each about its own variance: 0 of normal noise, however unequal the pixels are; of two levels it is below.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Levels {
+    /// The mean over these pixels.
+    pub excess: Value,
+    /// How many they are.
+    pub pixels: f64,
+}
+
+/// Shares of the pixels, the noisiest first, whose levels are looked at, beside those that stand out.
+const NOISIEST: f64 = 0.01;
+/// Fewest pixels and degrees of freedom of which it is taken.
+const PIXELS: usize = 4;
+const DOF: f64 = 5.0;
+/// Pixels stand out by so many standard deviations of the logarithm of the ordinary ones' variances.
+const STANDS_OUT: f64 = 3.5;
 
 /// How the noise variances of single pixels are distributed, as many frames of the same kind show it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -92,6 +119,7 @@ impl Steady {
             runs: 0,
             dof: 0.0,
             mean_dn2: 0.0,
+            halves: Default::default(),
         }
     }
 
@@ -106,6 +134,49 @@ impl Steady {
             *square += off * off;
         }
         self.runs += 1;
+    }
+
+    /// Adds the fourth powers of a run of so many frames of one half, with the variances.
+    pub fn add_fourths(&mut self, half: usize, var_dn2: &[f32], fourth_dn4: &[f32], frames: usize) {
+        if fourth_dn4.len() != var_dn2.len() {
+            return;
+        }
+        let (dof, into) = (frames as f64 - 1.0, &mut self.halves[half]);
+        into.squares.resize(var_dn2.len(), 0.0);
+        into.fourths.resize(var_dn2.len(), 0.0);
+        into.dof += dof;
+        into.squares.iter_mut().zip(var_dn2).for_each(|(sum, v)| *sum += dof * f64::from(*v));
+        into.fourths.iter_mut().zip(fourth_dn4).for_each(|(sum, v)| *sum += f64::from(*v));
+    }
+
+    /// Excess kurtosis of the pixels that stand out, and of the noisiest hundredth, in one half.
+    ///
+    /// Of n normal numbers b = n sum d^4 / (sum d^2)^2 does not depend on sum d^2 (Basu 1955), so that pixels may be chosen by their variance; its
+    /// mean is 3 n / (n + 2), and E b^2 = n (9 n^2 + 96 n) / ((n + 2) (n + 4) (n + 6)) by the moments of chi-square.
+    pub fn levels(&self, layout: &Layout, half: usize) -> Vec<Levels> {
+        let own = &self.halves[half];
+        let n = own.dof;
+        if n < DOF || own.squares.is_empty() {
+            return Vec::new();
+        }
+        let total = |i: usize| self.halves.iter().filter_map(|h| h.squares.get(i)).sum::<f64>();
+        let mut all: Vec<(f64, usize)> =
+            (0..layout.mask.len()).filter(|i| layout.mask[*i] > 0.0).map(|i| (total(i), i)).collect();
+        all.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let quantile = |share: f64| all[((share * all.len() as f64) as usize).min(all.len() - 1)].0.max(1e-12);
+        let width = 0.5 * (quantile(0.25) / quantile(0.75)).ln() / QUARTILE;
+        let limit = quantile(0.5) * (STANDS_OUT * width).exp();
+        let stand_out = all.iter().take_while(|v| v.0 > limit).count();
+        let noisiest = (NOISIEST * all.len() as f64) as usize;
+        let mean = 3.0 * n / (n + 2.0);
+        let variance = n * (9.0 * n * n + 96.0 * n) / ((n + 2.0) * (n + 4.0) * (n + 6.0)) - mean * mean;
+        let of = |count: usize| {
+            let b = |i: usize| n * own.fourths[i] / (own.squares[i] * own.squares[i]).max(1e-30);
+            let sum: f64 = all[..count].iter().filter(|v| own.squares[v.1] > 0.0).map(|v| b(v.1)).sum();
+            let pixels = count as f64;
+            Levels { excess: Value { value: sum / pixels - mean, std_err: (variance / pixels).sqrt() }, pixels }
+        };
+        [stand_out, noisiest].into_iter().filter(|count| *count >= PIXELS).map(of).collect()
     }
 
     /// How the variances of single pixels are distributed, what few frames scatter by taken off; `None` of few degrees of freedom.

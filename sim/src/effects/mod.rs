@@ -467,7 +467,9 @@ effects! {
     illumination_drift::IlluminationDrift
     light_banding::LightBanding
     gain_drift::GainDrift
+    offset_noise::OffsetNoise
     offset_drift::OffsetDrift
+    black_level_clamp::BlackLevelClamp
     dark_current_drift::DarkCurrentDrift
     row_noise::RowNoise
     column_noise::ColumnNoise

@@ -1,5 +1,7 @@
 //! Random telegraph noise: a few pixels jump between two levels.
 
+use crate::predict::TwoLevels;
+
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, Together, takes};
 
 /// A share of the pixels is up or down by half the amplitude, at random in every frame.
@@ -48,6 +50,14 @@ impl Effect for RandomTelegraphNoise {
                 max: 1e5,
                 starts: &[20.0],
             },
+            Parameter {
+                name: "stays",
+                meaning: "correlation of a pixel's level with that of the next frame",
+                unit: "1",
+                min: 0.0,
+                max: 0.95,
+                starts: &[0.0],
+            },
         ]
     }
 
@@ -55,14 +65,19 @@ impl Effect for RandomTelegraphNoise {
         // What the variances of the pixels spread by; the mean variance says nothing beside a read noise that nobody knows.
         let cube = p[1].powi(3);
         let (name, value) = ("fraction * amplitude_e^4", p[0] * p[1] * cube);
-        let slopes = vec![p[1] * cube, 4.0 * p[0] * cube];
+        let slopes = vec![p[1] * cube, 4.0 * p[0] * cube, 0.0];
         Some(Together { name, unit: "e^4", value, slopes, unsure_per_e: 0.0 })
     }
 
     /// Jumps of some dark noise.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let noise_e = (seen.dark_noise_dn * seen.peak_e / seen.peak_dn.max(1e-9)).max(1.0);
-        [(0.01, 3.0), (0.01, 8.0), (0.001, 20.0)].map(|(share, jump)| vec![share, jump * noise_e]).to_vec()
+        let all = [(0.01, 3.0, 0.0), (0.01, 8.0, 0.0), (0.001, 20.0, 0.0), (0.01, 8.0, 0.3)];
+        all.map(|(share, jump, stays)| vec![share, jump * noise_e, stays]).to_vec()
+    }
+
+    fn told_by(&self) -> &'static [&'static str] {
+        &["levels of noisy pixels"]
     }
 
     /// Deviations that hit any pixel are none of this, nor are parts of the sensor.
@@ -84,20 +99,20 @@ impl Effect for RandomTelegraphNoise {
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
-        Some(vec![0.01, 7.0 * plain.noise_e])
+        Some(vec![0.01, 7.0 * plain.noise_e, 0.0])
     }
 
     fn scaled(&self, values: &[f64], by: f64) -> Vec<f64> {
         // As many pixels, with other jumps.
-        vec![values[0], values[1] * by]
+        vec![values[0], values[1] * by, values[2]]
     }
 
     fn page(&self) -> Page {
         Page {
             what: "A trap in the source follower of a pixel catches and frees one electron: the pixel has two levels.",
             equation: "v +- amplitude / 2 in a share f of the pixels; their variance + amplitude^2 / 4",
-            signature: "variances of the pixels in darks spread more than the frames allow; bright frames hardly move",
-            look_alikes: "hot pixels have more variance too, but for their dark charge: it grows with the exposure",
+            signature: "the noisiest pixels of darks jump between two levels: each has a kurtosis below that of normal noise; bright frames hardly move",
+            look_alikes: "pixels with more read noise than others scatter normally, and are part of every CMOS sensor; hot pixels have more variance too, but for their dark charge: it grows with the exposure",
             remedy: "list the pixels and replace them; a median over frames",
             measure: "a long run of short darks: the distribution of the pixels' variances",
             sets: takes::DARKS,
@@ -116,6 +131,7 @@ impl Effect for RandomTelegraphNoise {
             let pixels = (c.shape.0 * c.shape.1) as f64;
             s.unsure = libm::hypot(s.unsure, spread * libm::sqrt(3.0 / (p[0] * pixels).max(1.0)));
             s.read.add_white(p[0] * jump);
+            s.two_levels = TwoLevels { share: p[0], variance: jump, stays: p[2] };
         }
     }
 
@@ -125,13 +141,29 @@ impl Effect for RandomTelegraphNoise {
             for x in 0..columns {
                 let i = (y * columns + x) as u32;
                 if d.random(self.id(), 0, i).uniform() < p[0] {
-                    // Which frame, and not the first: frame 0 chose the pixels.
-                    let up = d.random(self.id(), d.frame + 1, i).uniform() < 0.5;
+                    let up = level(d, self.id(), i, p[2]);
                     d.image[(y, x)] += if up { 0.5 * p[1] } else { -0.5 * p[1] };
                 }
             }
         }
     }
+}
+
+/// Frames back of which a level is followed at most.
+const BACK: u64 = 200;
+
+/// Whether a pixel is up in this frame. A level that stays with this chance is that of the last frame in which it was drawn anew: which frames these
+/// are depends on the frame's number alone, so that frames may be drawn in any order.
+fn level(d: &Drawing<'_>, id: &str, pixel: u32, stays: f64) -> bool {
+    // Not from frame 0, whose numbers chose the pixels.
+    for frame in (d.frame.saturating_sub(BACK)..=d.frame).rev() {
+        let mut random = d.random(id, frame + 1, pixel);
+        let up = random.uniform() < 0.5;
+        if stays <= 0.0 || random.uniform() >= stays {
+            return up;
+        }
+    }
+    true
 }
 
 #[cfg(test)]
@@ -143,14 +175,14 @@ mod tests {
     fn what_any_pixel_has_is_no_telegraph_noise() {
         let seen = |steady_dn4| Seen { peak_e: 2000.0, peak_dn: 1000.0, steady_dn4, ..Seen::default() };
         let stands =
-            |steady_dn4| RandomTelegraphNoise.contradicted(&[0.01, 20.0], &seen(steady_dn4)).is_none();
+            |steady_dn4| RandomTelegraphNoise.contradicted(&[0.01, 20.0, 0.0], &seen(steady_dn4)).is_none();
         assert!((spread(&[0.01, 20.0]) * 0.5f64.powi(4) - 6.1875).abs() < 1e-9);
         assert!(stands(Some((6.0, 0.5))) && stands(Some((2.5, 0.5))) && stands(None));
         // Not known well enough, and known to be nothing.
         assert!(stands(Some((0.0, 1.0))) && !stands(Some((0.0, 0.5))));
         let alone = |together_dn4| {
             let all = Seen { together_dn4, ..seen(Some((6.0, 0.5))) };
-            RandomTelegraphNoise.contradicted(&[0.01, 20.0], &all).is_none()
+            RandomTelegraphNoise.contradicted(&[0.01, 20.0, 0.0], &all).is_none()
         };
         assert!(alone(Some((0.5, 0.1))) && alone(Some((3.0, 1.0))) && !alone(Some((3.0, 0.5))));
     }

@@ -1,0 +1,78 @@
+//! Black-level clamp: the camera takes the dark charge of covered pixels off.
+
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+use crate::rng::PixelRng;
+
+/// The mean dark charge is taken off the black level, its shot noise stays.
+pub struct BlackLevelClamp;
+
+/// A Poisson number: by the product of uniform numbers (Knuth 1969, 3.4.1), and normal where there are many.
+fn poisson(mean: f64, random: &mut PixelRng) -> f64 {
+    if mean > 40.0 {
+        return (mean + mean.sqrt() * random.normal()).round().max(0.0);
+    }
+    let (limit, mut product, mut count) = (libm::exp(-mean), random.uniform(), 0.0);
+    while product > limit {
+        product *= random.uniform();
+        count += 1.0;
+    }
+    count
+}
+
+impl Effect for BlackLevelClamp {
+    fn id(&self) -> &'static str {
+        "black-level-clamp"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Charge
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &[Parameter {
+            name: "dark_e_per_s",
+            meaning: "dark charge per second that is taken off the level of every frame",
+            unit: "e/s",
+            min: 0.0,
+            max: 1e6,
+            starts: &[1.0, 100.0],
+        }]
+    }
+
+    fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
+        Some(vec![3.0 * plain.noise_e * plain.noise_e / (16.0 * plain.bright_s)])
+    }
+
+    fn page(&self) -> Page {
+        Page {
+            what: "The sensor measures covered pixels and takes their level off every frame, dark charge included: the level of darks does not grow \
+                   with the exposure, and may fall, while their noise does.",
+            equation: "q + Poisson(d T) - d T: mean unchanged, variance + d T (T the exposure, d the dark charge per second that is taken off)",
+            signature: "variance of darks grows with the exposure by more than their mean accounts for; flats of one exposure do not move",
+            look_alikes: "read noise that grows with time does so in short exposures too; a light leak moves the mean of darks",
+            remedy: "the dark current is that of the variance (EMVA 1288 release 4, section 7.1: by variance where the mean is compensated); switch the \
+                     clamp (BlackLevelAuto) off where the camera allows it",
+            measure: "darks at several exposures up to the longest: mean and variance of each",
+            sets: takes::LONG,
+            source: "EMVA 1288 release 4, section 7.1 (dark current compensation)",
+        }
+    }
+
+    fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
+        for (s, set) in out.sets.iter_mut().zip(&c.sets) {
+            s.shot.add_white(p[0] * set.exposure_s);
+        }
+    }
+
+    fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
+        let mean = p[0] * d.exposure_s;
+        let columns = d.image.ncols();
+        let frame = d.frame;
+        for y in 0..d.image.nrows() {
+            for x in 0..columns {
+                let mut random = d.random(self.id(), frame, (y * columns + x) as u32);
+                d.image[(y, x)] += poisson(mean, &mut random) - mean;
+            }
+        }
+    }
+}

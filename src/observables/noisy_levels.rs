@@ -1,0 +1,54 @@
+//! Excess kurtosis of the noisiest pixels in short darks, each about its own variance: whether they are noisy as others are, or jump between levels.
+
+use super::{Expected, HalfView, Observable, Put, Statistic, View};
+
+/// The excess: of pixels that stand out, then of the noisiest hundredth.
+#[derive(Debug)]
+pub struct NoisyLevels;
+
+/// What is expected of it is known to so much of itself: which of the pixels jump, and how few frames show their levels, is known roughly.
+const ROUGHLY: f64 = 0.4;
+/// Rounding to whole codes changes the kurtosis of noise of a code by no more (-1/120 over the square of 1/12 and the noise's variance).
+const ROUNDING: f64 = 0.02;
+/// Noise of less than a code makes two codes of a level, which look like two levels.
+const TWO_CODES: f64 = 1.5;
+
+impl Statistic for NoisyLevels {
+    fn id(&self) -> &'static str {
+        "levels of noisy pixels"
+    }
+
+    fn name(&self, index: usize) -> String {
+        let which = if index == 0 { "pixels that stand out" } else { "the noisiest hundredth of the pixels" };
+        format!("kurtosis of {which}")
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "below 0: noisy pixels jump between two levels"
+    }
+
+    fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {
+        for (index, levels) in half.noisy_levels.iter().enumerate() {
+            put.put_of(index, levels.pixels, levels.excess.value, levels.excess.std_err);
+        }
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let (rows, columns) = view.all.campaign.shape;
+        let darks = view.prediction.sets.iter().zip(&view.all.campaign.sets).filter(|(_, s)| s.light.is_none());
+        let shortest = darks.min_by(|a, b| a.1.exposure_s.total_cmp(&b.1.exposure_s));
+        let Some((s, _)) = shortest else { return Expected::plain(o, 0.0, 1.0) };
+        let jump = s.two_levels;
+        let noise = s.covariance(0, 0).max(1e-12);
+        let rest = (noise - jump.share * jump.variance).max(1e-12);
+        // Pixels that jump are among the noisiest as far as their jumps stand out of the noise.
+        let among = (jump.share * (rows * columns) as f64 / o.pixels).min(1.0);
+        let part = jump.variance / (rest + jump.variance);
+        // A sign that stays has -2 of its square; deviations from the mean of few frames keep some eight tenths.
+        let excess = -1.6 * among * part * part;
+        let own = (noise - 1.0 / 12.0).max(0.0);
+        let rounding = TWO_CODES * (-std::f64::consts::PI.powi(2) * own).exp() + ROUNDING / noise.max(0.3);
+        let unsure = ROUGHLY * excess.abs() + rounding;
+        Expected::plain(o, excess, o.measured.std_err.hypot(unsure))
+    }
+}
