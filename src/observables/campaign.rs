@@ -3,7 +3,7 @@
 use super::read::{Chunk, Reading, read};
 use super::{
     ChunkView, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, Statistic, codes,
-    covariance, mean, successive, unequal, variance,
+    covariance, frame_scatter, mean, settling, successive, unequal, variance,
 };
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
 use crate::features::LeftOn;
@@ -241,6 +241,16 @@ pub fn of_dataset(
     let still = |i: usize| !matches!(settings[i].kind, Kind::Dark | Kind::Flat);
     let after_scene: Vec<bool> = (0..sets.len()).map(|i| i > 0 && still(i - 1)).collect();
     let mut list = of_chunks(&chunks, sets);
+    let mut frames = frames;
+    if frames_between(&list, &infos, &settings) {
+        let starts: Vec<usize> = sets.iter().map(|s| s.rows[0]).collect();
+        starts.into_iter().for_each(|first| frames[first].settled = true);
+        missing.push(
+            "successive frames of a set are correlated, and first frames carry nothing of the set before: frames were exposed between the sets \
+             that are not in the dataset"
+                .into(),
+        );
+    }
     // What a scene or a clipped set shows matters for the frame that follows it: known beforehand, and judged in neither half.
     let levels = scenes.iter().map(|s| (s.set, codes::mean_of(&s.mean_dn, &layout)));
     for (i, level) in levels.chain(saturated) {
@@ -303,7 +313,7 @@ pub fn of_dataset(
     let light_rel_std = dataset.manifest().bench.as_ref().and_then(|b| b.illumination_rel_std);
     let mut all = Observations {
         setting: setting(dataset, &settings, light_rel_std),
-        light_settings: light_settings(&settings),
+        light_settings: light_settings(&infos),
         alike: alike(&chunks, &settings),
         // Of flats: what a dark shows beside its charge is the offsets' pattern, which stays.
         largest_spread: infos
@@ -358,19 +368,54 @@ fn alike(chunks: &[Chunk], settings: &[FrameRow]) -> Vec<f64> {
     settings.iter().enumerate().map(of).collect()
 }
 
-/// For every set the first of those that follow one another under the same light, darks in between left out.
-fn light_settings(settings: &[FrameRow]) -> Vec<usize> {
-    let mut last: Option<(usize, u64)> = None;
-    let of = |(i, s): (usize, &FrameRow)| {
-        if s.kind != Kind::Flat || s.illumination <= 0.0 {
-            return i;
+/// Standard errors by which successive frames must be correlated, and the share of that correlation that first frames may carry at most, where
+/// frames that are not there came between the sets.
+const CORRELATED: f64 = 5.0;
+const CARRIED: f64 = 0.3;
+
+/// Whether frames were exposed between the sets that are not in the dataset: what is carried from frame to frame within the sets is not carried from
+/// set to set.
+fn frames_between(list: &[Observable], sets: &[SetInfo], settings: &[FrameRow]) -> bool {
+    let mut levels: Vec<Option<f64>> = vec![None; sets.len()];
+    let of = |o: &Observable, statistic: &dyn Statistic| o.is(statistic).then_some(()).and(o.set);
+    for o in list {
+        if let Some(set) = of(o, &mean::Mean) {
+            levels[set] = Some(o.measured.value);
         }
-        let light = s.illumination.to_bits();
+    }
+    // Of frames: covariance over variance, weighed by its error; of sets: step of the first frame over the change of level.
+    let (mut within, mut between) = ((0.0, 0.0), (0.0, 0.0));
+    for (i, o) in list.iter().enumerate() {
+        let Some(set) = of(o, &successive::Successive).filter(|s| settings[*s].kind == Kind::Flat) else { continue };
+        let same = |v: &&Observable| v.is(&variance::Variance) && v.set == Some(set) && v.frames == o.frames;
+        let near = list[..i].iter().rev().take(60).find(same);
+        let Some(var) = near.map(|v| v.measured.value).filter(|v| *v > 0.0) else { continue };
+        let weight = (var / o.measured.std_err.max(1e-12)).powi(2);
+        within = (within.0 + weight * o.measured.value / var, within.1 + weight);
+    }
+    for o in list.iter().filter(|o| o.index == 0) {
+        let Some(set) = of(o, &settling::Settling).filter(|s| *s > 0) else { continue };
+        let (Some(level), Some(before)) = (levels[set], levels[set - 1]) else { continue };
+        let change = before - level;
+        let scatter = list.iter().filter(|v| v.is(&frame_scatter::FrameScatter) && v.set == Some(set));
+        let square = median(scatter.map(|v| v.measured.value)).max(1e-6);
+        between = (between.0 + change * o.measured.value / square, between.1 + change * change / square);
+    }
+    let (share, error) = (within.0 / within.1, within.1.sqrt().recip());
+    let (carried, uncertain) = (between.0 / between.1, between.1.sqrt().recip());
+    share > CORRELATED * error && carried.abs() < CARRIED * share && uncertain < CARRIED * share
+}
+
+/// For every set the first of those that follow one another under the same light, darks in between left out.
+fn light_settings(sets: &[SetInfo]) -> Vec<usize> {
+    let mut last: Option<(usize, (usize, u64))> = None;
+    let of = |(i, s): (usize, &SetInfo)| {
+        let Some(light) = s.light.map(|l| (l, s.illumination.to_bits())) else { return i };
         let first = last.filter(|(_, l)| *l == light).map_or(i, |(first, _)| first);
         last = Some((first, light));
         first
     };
-    settings.iter().enumerate().map(of).collect()
+    sets.iter().enumerate().map(of).collect()
 }
 
 /// Largest scatter of a light that is stated in photons without an error: as much as lamps have.

@@ -95,7 +95,7 @@ fn line_mean(phase: f64, n: f64) -> f64 {
 }
 
 /// What quantisation in steps of q may do to mean and variance beyond what is predicted for pixels of normal levels, where the noise
-/// and these levels together are narrower than about half a step, DN and DN^2: a quarter of the first terms of the characteristic
+/// and these levels together are narrower than about half a step, DN and DN^2: half of the first terms of the characteristic
 /// function (Widrow and Kollar 2008, ch. 4 and app. B).
 fn quantised(variance: f64, spread: f64, q: f64) -> (f64, f64) {
     let noise = (variance - q * q / 12.0).max(1e-3 * q * q);
@@ -104,7 +104,7 @@ fn quantised(variance: f64, spread: f64, q: f64) -> (f64, f64) {
     // places stand for is known to half.
     let width = std::f64::consts::PI * 12f64.sqrt() * spread / q;
     let shading = if width > 1.0 { 0.5 / width } else { 0.0 };
-    let ripple = fades(noise) * (0.25 * fades(spread * spread)).max(shading);
+    let ripple = fades(noise) * (0.5 * fades(spread * spread)).max(shading);
     (q / std::f64::consts::PI * ripple, (q * q / std::f64::consts::PI.powi(2) + 4.0 * noise) * ripple)
 }
 

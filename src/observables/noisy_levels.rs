@@ -45,7 +45,7 @@ impl Statistic for NoisyLevels {
         let among = (jump.share * (rows * columns) as f64 / o.pixels).min(1.0);
         let part = jump.variance / (rest + jump.variance);
         // A sign that stays has -2 of its square; deviations from the mean of few frames keep some eight tenths.
-        let excess = -1.6 * among * part * part;
+        let excess: f64 = -1.6 * among * part * part;
         let own = (noise - 1.0 / 12.0).max(0.0);
         let rounding = TWO_CODES * (-std::f64::consts::PI.powi(2) * own).exp() + ROUNDING / noise.max(0.3);
         let unsure = ROUGHLY * excess.abs() + rounding;

@@ -5,6 +5,8 @@ use super::jackknife::Value;
 
 /// Lines on each side of a step that are averaged.
 const REACH: usize = 4;
+/// Standard deviations at which the farthest of a dozen normal numbers lies: so many places of eight lines a hundred lines have.
+const FARTHEST: f64 = 2.5;
 /// Lines from which on steps are looked for.
 const FEWEST: usize = 64;
 
@@ -39,7 +41,10 @@ pub fn middle(profiles: &[(f64, &[f64])]) -> Option<[Value; 2]> {
         (2 * REACH..=lines - 2 * REACH).filter(|x| x.abs_diff(middle) > 2 * REACH).map(at).collect();
     let here = at(middle);
     let rms = |of: &dyn Fn(&(f64, f64)) -> f64| {
-        (others.iter().map(|o| of(o).powi(2)).sum::<f64>() / others.len() as f64).sqrt().max(1e-9)
+        let square = others.iter().map(|o| of(o).powi(2)).sum::<f64>() / others.len() as f64;
+        // Dust and edges of shading are rare and large: one may lie in the middle, and is no step.
+        let largest = others.iter().map(|o| of(o).abs()).fold(0.0, f64::max);
+        square.sqrt().max(largest / FARTHEST).max(1e-9)
     };
     Some([Value { value: here.0, std_err: rms(&|o| o.0) }, Value { value: here.1, std_err: rms(&|o| o.1) }])
 }
