@@ -392,7 +392,9 @@ fn not_told(part: &Part, last: &Comparison) -> Option<String> {
     let groups = by(&last.residuals, |r| &*r.statistic);
     let told = groups.iter().filter(|g| told_by.contains(&g.name.as_str()));
     let worst = told.min_by(|a, b| a.chance.total_cmp(&b.chance))?;
-    if worst.chance * told_by.len() as f64 >= HOLDS || worst.excess < MATTERS * part.evidence {
+    // A scatter excuses what it does not explain: whether frames scatter one by one is told by a statistic that knows no size.
+    let matters = worst.excess >= MATTERS * part.evidence || part.effect.shown_by().is_some();
+    if worst.chance * told_by.len() as f64 >= HOLDS || !matters {
         return None;
     }
     Some(format!(

@@ -1,10 +1,10 @@
 //! Searches over sets of effects: several lines are followed, what others take over is dropped again.
 
 use crate::inference::{
-    Effects, Fitted, Given, Scored, Screen, as_given, fit, fit_briefly, fit_near, seen, start,
+    Effects, Fitted, Given, Scored, Screen, as_given, fit, fit_briefly, fit_near, residuals_of, seen, start,
 };
 
-use crate::observables::{Observations, covariance, frame_scatter};
+use crate::observables::{Observations, Statistic, covariance, frame_scatter, succession};
 use radcam_sim::effects::{self, Effect, Needs, Seen};
 use rayon::prelude::*;
 
@@ -14,7 +14,7 @@ const MOST: usize = 8;
 /// reaches this less than once in a hundred campaigns.
 pub const NEEDED: f64 = 9.0;
 /// Candidates that are fitted, of those that promise most.
-const FITTED: usize = 9;
+const FITTED: usize = 11;
 /// The same where what stands in a model already is compared with others.
 const RIVALS: usize = 4;
 /// What promises less than this share of the evidence of what stands in a model already is not fitted as a rival of it. A named choice: on
@@ -35,6 +35,10 @@ const BEHIND: f64 = 0.3;
 const SOMETHING_ELSE: f64 = 0.5;
 /// An effect is not left out for a try where a size squared over its error's square is this multiple of what it costs (a named choice).
 const SURELY: f64 = 4.0;
+/// Lines that are followed at once.
+const LINES: usize = 3;
+/// Beside a scatter that explains most, what explains this share of as much is followed too.
+const MOST_OF: f64 = 0.5;
 /// A second line is followed where its evidence is this near the best line's.
 const NEAR: f64 = 40.0;
 
@@ -179,7 +183,7 @@ impl Look<'_> {
         tries
             .into_iter()
             .map(|fitted| Candidate { effect, evidence: self.evidence(&fitted), fitted })
-            .find(|c| stands(c, &seen))
+            .find(|c| stands(c, &seen) && is_shown(self.all, c))
     }
 
     fn evidence(&self, fitted: &Fitted) -> f64 {
@@ -251,6 +255,24 @@ fn is_at(all: &Observations, one: &Fitted, other: &Fitted) -> bool {
 /// Whether a candidate is something by itself: see [`is_something`].
 fn stands(c: &Candidate, seen: &Seen) -> bool {
     is_something(&c.fitted, c.fitted.effects.len() - 1, seen)
+}
+
+/// Mean residual of the statistic that is an effect's own scatter, in standard errors, below which that scatter is not there.
+const NOT_THERE: f64 = -1.5;
+
+/// Standard errors by which successive frames must be alike, over all sets, where what scatters from frame to frame does not scatter by itself.
+const IN_TURN: f64 = 6.0;
+
+/// Whether the scatter that an effect brings is measured, where a statistic shows it.
+fn is_shown(all: &Observations, c: &Candidate) -> bool {
+    let Some(statistic) = c.effect.shown_by() else { return true };
+    let residuals = residuals_of(all, &c.fitted);
+    let of = |name: &str| -> (f64, f64) {
+        residuals.iter().filter(|r| r.statistic == name).fold((0.0, 0.0), |(sum, n), r| (sum + r.z, n + 1.0))
+    };
+    let (sum, n) = of(statistic);
+    let (in_turn, frames) = of(succession::Succession.id());
+    (n == 0.0 || sum / n > NOT_THERE) && (frames == 0.0 || in_turn.abs() / frames.sqrt() < IN_TURN)
 }
 
 /// A parameter that is nothing within its error explains nothing, nor does one at the end of its range, nor what has become another
@@ -345,7 +367,7 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
         }
         next.sort_by(|a, b| a.score.total_cmp(&b.score));
         next.dedup_by(|a, b| ids(&a.fitted) == ids(&b.fitted));
-        next.truncate(2);
+        next.truncate(LINES);
         if next.is_empty() {
             break;
         }
@@ -363,12 +385,20 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
 fn longer(all: &Observations, found: &[Candidate], given: usize) -> Vec<Line> {
     let good: Vec<&Candidate> = found.iter().filter(|c| c.evidence > NEEDED).collect();
     let best = good.first().map_or(0.0, |c| c.evidence);
-    let near = good.iter().take(2).filter(|c| c.evidence > best - NEAR);
+    let mut near: Vec<&Candidate> =
+        good.iter().take(2).filter(|c| c.evidence > best - NEAR).copied().collect();
+    // A scatter that is fitted excuses any deviation of what scatters: what moves means is followed beside it.
+    let scatters = |c: &Candidate| c.effect.shown_by().is_some() || c.effect.sets_each();
+    if near.iter().all(|c| scatters(c)) {
+        near.extend(good.iter().find(|c| !scatters(c) && c.evidence > MOST_OF * best));
+    }
     let line = |c: &&Candidate| {
         let fitted = without_idle(all, with_others(all, c, &good, given), given);
+        // Fits of models that were far off end early: lines are compared where they have arrived.
+        let fitted = fit(all, &fitted.base, &fitted.effects);
         Line { score: score(all, &fitted), fitted }
     };
-    near.map(line).collect()
+    near.iter().map(line).collect()
 }
 
 /// Lines in which a candidate that does not pay beside the others takes the place of some of them.

@@ -217,7 +217,7 @@ pub fn of_dataset(
     } = read(dataset, stop, progress)?;
     let mut missing = left_out;
     if !saturated.is_empty() {
-        let numbers: Vec<String> = saturated.iter().map(|s| sets[s.0].number.to_string()).collect();
+        let numbers: Vec<String> = saturated.iter().map(|s| sets[s.set].number.to_string()).collect();
         missing.push(format!("sets {} are clipped at full scale and not looked at", numbers.join(", ")));
     }
     if chunks.is_empty() {
@@ -232,10 +232,10 @@ pub fn of_dataset(
     }
     spreads(&mut infos, &chunks, &settings, zero_dn);
     // A level at which the range has ended tells nothing of its light: one for itself.
-    for (i, _) in &saturated {
+    for i in saturated.iter().map(|s| s.set) {
         let levels = infos.iter().filter_map(|s| s.light).max().map_or(0, |l| l + 1);
-        if infos[*i].light.is_some() {
-            (infos[*i].light, infos[*i].light_ratio) = (Some(levels), 1.0);
+        if infos[i].light.is_some() {
+            (infos[i].light, infos[i].light_ratio) = (Some(levels), 1.0);
         }
     }
     let still = |i: usize| !matches!(settings[i].kind, Kind::Dark | Kind::Flat);
@@ -252,15 +252,15 @@ pub fn of_dataset(
         );
     }
     // What a scene or a clipped set shows matters for the frame that follows it: known beforehand, and judged in neither half.
-    let levels = scenes.iter().map(|s| (s.set, codes::mean_of(&s.mean_dn, &layout)));
-    for (i, level) in levels.chain(saturated) {
+    let levels = scenes.iter().map(|s| (s.set, codes::mean_of(&s.mean_dn, &layout), s.frames));
+    for (i, level, (from, to)) in levels.chain(saturated.iter().map(|s| (s.set, s.level_dn, s.frames))) {
         let rows = &sets[i].rows;
         list.push(Observable {
             statistic: &mean::Mean,
             index: 0,
             set: Some(i),
             half: Half::Both,
-            frames: (rows[0], rows[0] + rows.len()),
+            frames: (rows[0] + from, rows[0] + to),
             measured: Value { value: level, std_err: 0.0 },
             pixels: (shape.0 * shape.1) as f64,
         });

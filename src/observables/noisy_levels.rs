@@ -46,9 +46,13 @@ impl Statistic for NoisyLevels {
         let part = jump.variance / (rest + jump.variance);
         // A sign that stays has -2 of its square; deviations from the mean of few frames keep some eight tenths.
         let excess: f64 = -1.6 * among * part * part;
-        let own = (noise - 1.0 / 12.0).max(0.0);
-        let rounding = TWO_CODES * (-std::f64::consts::PI.powi(2) * own).exp() + ROUNDING / noise.max(0.3);
-        let unsure = ROUGHLY * excess.abs() + rounding;
+        let step = view.prediction.code_step_dn;
+        let own = (noise / (step * step) - 1.0 / 12.0).max(0.0);
+        let rounding = TWO_CODES * (-std::f64::consts::PI.powi(2) * own).exp() + (ROUNDING * step * step / noise.max(1e-6)).min(1.0);
+        // Noise that reaches code 0 is cut off there: the noisiest pixels first.
+        let reach = 4.0 * (noise * view.all.pixel_noise.map_or(4.0, |p| p.largest.clamp(1.0, 40.0))).sqrt();
+        let clipped = if view.all.campaign.from_code_0 && view.prediction.base.offset_dn < reach { 1.0 } else { 0.0 };
+        let unsure = ROUGHLY * excess.abs() + rounding + clipped;
         Expected::plain(o, excess, o.measured.std_err.hypot(unsure))
     }
 }

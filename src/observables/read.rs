@@ -49,7 +49,19 @@ pub struct Chunk {
 pub struct SceneMean {
     pub set: usize,
     pub half: Half,
+    /// Places of its frames within the set.
+    #[serde(default)]
+    pub frames: (usize, usize),
     pub mean_dn: Array2<f32>,
+}
+
+/// A set that is clipped, with the mean of its last frames.
+#[derive(Debug, Clone, Copy)]
+pub struct Saturated {
+    pub set: usize,
+    pub level_dn: f64,
+    /// Places of these frames within the set.
+    pub frames: (usize, usize),
 }
 
 /// Everything that the frames say.
@@ -72,8 +84,8 @@ pub struct Reading {
     pub noisy_levels: [Vec<Levels>; 2],
     /// Code below which one in two hundred samples of the darks lies.
     pub darkest_dn: Option<f64>,
-    /// Sets that are clipped, with their means, DN.
-    pub saturated: Vec<(usize, f64)>,
+    /// Sets that are clipped.
+    pub saturated: Vec<Saturated>,
     /// Frames and samples that were left out, in words.
     pub left_out: Vec<String>,
 }
@@ -141,7 +153,8 @@ fn turns(kinds: &[Kind], cut: &[bool]) -> Vec<usize> {
 pub enum Work {
     Scene(SceneMean),
     Noise(Option<Box<Chunk>>),
-    Clipped(usize, f64),
+    /// Set, mean, DN, and the places of the frames that it is of.
+    Clipped(usize, f64, usize, usize),
 }
 
 impl Work {
@@ -237,7 +250,7 @@ impl<'a, 'b> Reader<'a, 'b> {
         let (mut work, left_out) = cleaned.or_else(|| reduced.piece(&self.key(p, self.clean)))?.clone();
         match &mut work {
             Work::Scene(scene) => (scene.set, scene.half) = (p.set, p.half),
-            Work::Clipped(set, _) => *set = p.set,
+            Work::Clipped(set, ..) => *set = p.set,
             Work::Noise(None) => {}
             Work::Noise(Some(chunk)) => {
                 (chunk.set, chunk.half) = (p.set, p.half);
@@ -263,7 +276,7 @@ impl<'a, 'b> Reader<'a, 'b> {
                 sum.zip_mut_with(&self.frame(p.set, place)?, |m, &d| *m += f32::from(d));
             }
             let mean_dn = sum / (p.to - p.from) as f32;
-            return Ok((Work::Scene(SceneMean { set: p.set, half: p.half, mean_dn }), out));
+            return Ok((Work::Scene(SceneMean { set: p.set, half: p.half, frames: (p.from, p.to), mean_dn }), out));
         }
         // Fresh pages cost as much as the frames: passes are used again.
         let free = || self.pool.lock().unwrap_or_else(PoisonError::into_inner);
@@ -381,7 +394,7 @@ impl<'a, 'b> Reader<'a, 'b> {
     /// What the frames in a pass say.
     fn summarise(&self, p: &Piece, from: usize, pass: &mut Pass<'_>) -> Result<Work, ObserveError> {
         if pass.clipped() > CLIPPED || self.kept.get(p.set).is_some_and(|look| look.saturated) {
-            return Ok(Work::Clipped(p.set, pass.mean_dn()));
+            return Ok(Work::Clipped(p.set, pass.mean_dn(), from, p.to));
         }
         let summary = pass.finish();
         let is_short_dark = self.is_short_dark(p.set);
@@ -452,8 +465,8 @@ fn copies(dataset: &Dataset, chunks: &mut Vec<Chunk>) -> Option<String> {
 struct Sums {
     chunks: Vec<Chunk>,
     scenes: Vec<SceneMean>,
-    /// Sets that are clipped, and their levels, DN.
-    saturated: Vec<(usize, f64)>,
+    /// Sets that are clipped.
+    saturated: Vec<Saturated>,
     codes: [codes::Codes; 2],
     lines: [codes::LineSearch; 2],
     steady: Steady,
@@ -478,7 +491,11 @@ impl Sums {
     fn add(&mut self, work: Work, kind: Kind) {
         let mut chunk = match work {
             Work::Scene(scene) => return self.scenes.push(scene),
-            Work::Clipped(set, level) => return self.saturated.push((set, level)),
+            Work::Clipped(set, level_dn, from, to) => {
+                // The last frames of a set are what the next one follows.
+                self.saturated.retain(|s| s.set != set);
+                return self.saturated.push(Saturated { set, level_dn, frames: (from, to) });
+            }
             Work::Noise(None) => return,
             Work::Noise(Some(chunk)) => chunk,
         };
@@ -539,8 +556,7 @@ pub fn read(
         reader.clean = false;
     };
     drop(reader);
-    sums.saturated.dedup_by_key(|s| s.0);
-    sums.chunks.retain(|c| sums.saturated.iter().all(|s| s.0 != c.set));
+    sums.chunks.retain(|c| sums.saturated.iter().all(|s| s.set != c.set));
     let mut left_out = words(dataset, &sums.left_out);
     if seen.filled > 0 {
         left_out.push(format!(

@@ -236,6 +236,7 @@ mod tests {
             |i: usize| 0.5 * (libm::erf((i as f64 - 23.4) / 0.7) - libm::erf((i as f64 - 40.7) / 0.7));
         let light = |y: usize, x: usize| 300.0 + 0.5 * x as f64 + 2500.0 * profile(y) * profile(x);
         let image = |exposure: f64, set: usize, more: &dyn Fn(usize, usize) -> f64| SceneMean {
+            frames: (0, 1),
             set,
             half: crate::observables::Half::First,
             mean_dn: Array2::from_shape_fn((SIZE, SIZE), |(y, x)| {

@@ -1005,6 +1005,7 @@ def run(said, what, seed, place=None):
         print(f"{head} ERROR {fault}  [{row['diagnose_s']:.1f} s]", flush=True)
     else:
         row |= judge(what, answer) | {"before": answer["error_before"], "after": answer["error_after"]}
+        row["left"] = (answer.get("remainder") or {}).get("share", 0)
         row["p"] = [r["p_value"] for r in (answer["ladder"][0], answer["ladder"][-1])]
         row |= {"consistent": answer["consistent"], "sure": answer["missing"][0]["confidence"] if answer["missing"] else None}
         entries = [f"{m['effect']} {m['confidence']:.2f}{' (partial)' if m.get('partial') else ''}" for m in answer["missing"]]
@@ -1012,7 +1013,7 @@ def run(said, what, seed, place=None):
         silent = "consistent" if answer["consistent"] else "INCONSISTENT, nothing named"
         verdict = row["verdict"].upper() if row["verdict"] == "wrong" else row["verdict"]
         print(
-            f"{head} {row['before']:8.2f} -> {row['after']:6.3f}  {verdict:10} {', '.join(entries) or silent}{near}  "
+            f"{head} {row['before']:8.2f} -> {row['after']:6.3f}  {verdict:10} {', '.join(entries) or silent}{near}; left {row['left']:.2g}  "
             f"[{row['diagnose_s']:.1f} s]",
             flush=True,
         )

@@ -25,6 +25,10 @@ impl Effect for IlluminationFlicker {
         }]
     }
 
+    fn shown_by(&self) -> Option<&'static str> {
+        Some("variance of frame means")
+    }
+
     fn example(&self, _: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.003])
     }

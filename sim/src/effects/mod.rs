@@ -360,6 +360,11 @@ pub trait Effect: Sync + Send {
     fn sets_each(&self) -> bool {
         false
     }
+    /// The statistic that is its scatter itself: where less is measured than it would make it is not there, though its scatter may excuse other
+    /// deviations.
+    fn shown_by(&self) -> Option<&'static str> {
+        None
+    }
     /// Statistics that tell it from what looks like it, by their names in the code: its name does not stand where they deviate with it.
     fn told_by(&self) -> &'static [&'static str] {
         &[]

@@ -25,6 +25,15 @@ impl Effect for OffsetNoise {
         }]
     }
 
+    fn shown_by(&self) -> Option<&'static str> {
+        Some("variance of frame means")
+    }
+
+    /// A light that blinks, or a level that wanders, runs from frame to frame.
+    fn told_by(&self) -> &'static [&'static str] {
+        &["succession of frame means"]
+    }
+
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.05 * plain.noise_e * plain.gain_dn_per_e])
     }
