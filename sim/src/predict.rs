@@ -127,6 +127,8 @@ pub struct SetPrediction {
     pub ripples: Vec<(f64, Ripple)>,
     /// Variance common to the pixels of a frame.
     pub common: f64,
+    /// The part of it that follows the light of each pixel: where the field is dark it is less.
+    pub with_light: f64,
     /// Variance common to all frames of the set, against other sets.
     pub setting: f64,
     /// Correlation of the noise with that of the frame 1, 2, ... later: of shot noise, of read noise.
@@ -214,6 +216,7 @@ impl SetPrediction {
             column: LineNoise::default(),
             ripples: Vec::new(),
             common: 0.0,
+            with_light: 0.0,
             setting: 0.0,
             shot_memory: Vec::new(),
             read_memory: Vec::new(),
@@ -258,6 +261,7 @@ impl SetPrediction {
         self.row.scale(square);
         self.column.scale(square);
         self.common *= square;
+        self.with_light *= square;
         self.lines.iter_mut().for_each(|l| l.0 *= square);
         self.ripples.iter_mut().for_each(|r| r.0 *= square);
         self.parity = (self.parity.0 * square, self.parity.1 * square);
@@ -271,6 +275,7 @@ impl SetPrediction {
         filter.apply_to_rows(&mut self.row);
         filter.apply_to_columns(&mut self.column);
         self.common *= filter.of_mean();
+        self.with_light *= filter.of_mean();
         self.setting *= filter.of_mean();
         self.lines.iter_mut().for_each(|(v, px, py)| *v *= filter.at(*py, *px));
         for (v, ripple) in &mut self.ripples {
@@ -346,6 +351,7 @@ impl SetPrediction {
     pub(crate) fn cut_light(&mut self, above: f64) {
         let square = (1.0 - above) * (1.0 - above);
         self.common *= square;
+        self.with_light *= square;
         self.setting *= square;
         self.ripples.iter_mut().for_each(|r| r.0 *= square);
     }

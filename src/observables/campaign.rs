@@ -2,7 +2,7 @@
 
 use super::read::{Chunk, Reading, read};
 use super::{
-    ChunkView, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, Statistic, codes,
+    ChunkView, Field, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, Statistic, codes,
     covariance, frame_scatter, mean, settling, successive, unequal, variance,
 };
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
@@ -51,6 +51,8 @@ pub struct Observations {
     pub light_rel_std: Option<f64>,
     /// How the light scatters from setting to setting by what is stated of it; `None` where it was set once, or is stated as exact.
     pub setting: Option<Setting>,
+    /// The field of the light.
+    pub field: Field,
     /// How many chunks of frames have the level of every set: of darks all.
     pub alike: Vec<f64>,
     /// For every set the first of those that follow one another under the same light: the light stays as it is until another level is set.
@@ -263,6 +265,7 @@ pub fn of_dataset(
             frames: (rows[0] + from, rows[0] + to),
             measured: Value { value: level, std_err: 0.0 },
             pixels: (shape.0 * shape.1) as f64,
+            frame_var_dn2: 0.0,
         });
     }
     let line = lines[0].with(&lines[1]).strongest();
@@ -288,7 +291,7 @@ pub fn of_dataset(
         for &statistic in STATISTICS {
             let measured = Value { value: 0.0, std_err: 0.0 };
             let template =
-                Observable { statistic, index: 0, set: None, half, frames: (0, 0), measured, pixels: 1.0 };
+                Observable { statistic, index: 0, set: None, half, frames: (0, 0), measured, pixels: 1.0, frame_var_dn2: 0.0 };
             statistic.of_half(&view, &mut Put { all: &mut list, template });
         }
         filled[half.place()] = of_codes.filled;
@@ -315,6 +318,7 @@ pub fn of_dataset(
         setting: setting(dataset, &settings, light_rel_std),
         light_settings: light_settings(&infos),
         alike: alike(&chunks, &settings),
+        field: field(&chunks, &settings, zero_dn),
         // Of flats: what a dark shows beside its charge is the offsets' pattern, which stays.
         largest_spread: infos
             .iter()
@@ -406,6 +410,13 @@ fn frames_between(list: &[Observable], sets: &[SetInfo], settings: &[FrameRow]) 
     share > CORRELATED * error && carried.abs() < CARRIED * share && uncertain < CARRIED * share
 }
 
+/// The field that the brightest flats show.
+fn field(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Field {
+    let flats = chunks.iter().filter(|c| settings[c.set].kind == Kind::Flat);
+    let level = |c: &&Chunk| c.summary.frame_means.mean_dn();
+    flats.max_by(|a, b| level(a).total_cmp(&level(b))).map_or_else(Field::default, |c| Field::of(&c.summary, zero_dn))
+}
+
 /// For every set the first of those that follow one another under the same light, darks in between left out.
 fn light_settings(sets: &[SetInfo]) -> Vec<usize> {
     let mut last: Option<(usize, (usize, u64))> = None;
@@ -488,6 +499,7 @@ fn of_chunks(chunks: &[Chunk], sets: &[Set]) -> Vec<Observable> {
             frames: (first, first + c.summary.frames),
             measured: Value { value: 0.0, std_err: 0.0 },
             pixels: c.summary.pixels,
+            frame_var_dn2: c.summary.frame_means.variance_dn2(),
         };
         for (extra, &statistic) in STATISTICS.iter().enumerate() {
             let view = ChunkView { chunk: c, rows, inflation: &inflation, extra };

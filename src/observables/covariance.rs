@@ -1,5 +1,6 @@
 //! Covariance of pixels at small lags within a frame, DN^2.
 
+use super::expect::FIELD;
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::covariance::LAGS;
 use crate::statistics::pass::Summary;
@@ -58,6 +59,7 @@ impl Statistic for Covariance {
                 view.lines(dy, dx),
                 0.3 * view.moving,
                 view.shared(dy, dx),
+                FIELD * view.with_light * view.all.field.smooth,
             ]),
         )
         .with_common(view.common(dy, dx))

@@ -190,6 +190,9 @@ fn near(lag: i32) -> usize {
     (lag.unsigned_abs() as usize).min(LAGS - 1)
 }
 
+/// The field is known to so much of what it does (a named choice: its smooth part is told by rows and columns).
+pub(super) const FIELD: f64 = 0.05;
+
 /// A prediction as the observables of one chunk of frames see it.
 #[derive(Debug)]
 pub struct View<'a> {
@@ -224,6 +227,8 @@ pub struct View<'a> {
     pub rough: (f64, f64),
     /// How little few frames show of a light that changes down the rows, DN^2.
     pub ripple_error: f64,
+    /// Variance that these frames share in proportion to the light of each pixel, DN^2: as much as their means show.
+    pub with_light: f64,
     lags: Lags,
 }
 
@@ -255,6 +260,7 @@ impl<'a> View<'a> {
             left: (1.0, 1.0),
             rough: (0.0, 0.0),
             ripple_error: 0.0,
+            with_light: 0.0,
             lags,
         };
         let Some(s) = set else { return view };
@@ -272,6 +278,11 @@ impl<'a> View<'a> {
         // What the frame's mean takes with it does not scatter.
         let within = 1.0 - view.ripple_of_mean / s.ripple(0.0).max(f64::MIN_POSITIVE);
         view.ripple_error = ripple_error(s, within, shape.0 as f64, n);
+        // Not what is expected of the frames' scatter but what they show: it is one number for all statistics of these frames.
+        if s.with_light > 0.0 {
+            let shown = (o.frame_var_dn2 - view.of_mean - moved).max(0.0);
+            view.with_light = shown * (s.with_light / s.common.max(f64::MIN_POSITIVE)).min(1.0);
+        }
         view
     }
 
@@ -292,6 +303,7 @@ impl<'a> View<'a> {
             + of.column[x]
             + of.ripple[y]
             + of.lines(dy, dx)
+            + self.with_light * if (dy, dx) == (0, 0) { self.all.field.pixels } else { self.all.field.smooth }
             - self.of_mean
     }
 
@@ -392,7 +404,8 @@ impl<'a> View<'a> {
         } else {
             s.row.of_mean() / shape.0 as f64 + self.ripple_of_mean
         };
-        let value = pixels + own + across + of_lines - self.of_mean + 0.3 * self.moving;
+        let field = self.with_light * if rows { self.all.field.rows } else { self.all.field.columns };
+        let value = pixels + own + across + of_lines - self.of_mean + 0.3 * self.moving + field;
         let dof = self.dof * (count as f64 - 1.0);
         let ripple = if rows { self.ripple_error } else { 0.0 };
         // Lines of unequal pixels scatter unequally.
@@ -402,7 +415,7 @@ impl<'a> View<'a> {
         Expected::plain(
             o,
             value,
-            in_quadrature(&[own, self.walk() * of_lines, 0.3 * self.moving, single, ripple]),
+            in_quadrature(&[own, self.walk() * of_lines, 0.3 * self.moving, single, ripple, FIELD * field]),
         )
         .with_common(ripple.max(self.walk() * of_lines))
     }

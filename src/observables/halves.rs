@@ -65,9 +65,11 @@ impl Statistic for Halves {
             (4.0 * s.column.of_mean() / columns as f64, 0.0)
         };
         // What all frames share is brighter where the light is: halves differ by no more than pixels do.
-        let shading = view.all.largest_spread.powi(2) * (s.common + view.moved);
+        let field = view.with_light * view.all.field.halves[o.index.min(1)];
+        let rest = if s.common > 0.0 { s.common - s.with_light } else { 0.0 };
+        let shading = view.all.largest_spread.powi(2) * (rest.max(0.0) + view.moved) + 0.1 * field;
         let interference: f64 = s.lines.iter().map(|l| l.0).sum::<f64>() / (rows.min(columns) as f64);
-        Expected::of_few(o, own + lines + common, view.dof).unsure(shading + interference + common)
+        Expected::of_few(o, own + lines + common + field, view.dof).unsure(shading + interference + common)
     }
 }
 

@@ -28,6 +28,7 @@
 mod campaign;
 mod codes;
 mod expect;
+mod field;
 mod filled;
 mod look;
 pub(crate) mod outliers;
@@ -36,6 +37,7 @@ mod scene;
 mod table;
 
 pub use campaign::{Observations, ObserveError, Setting, of_dataset};
+pub use field::{Field, ROW_LAGS};
 pub use expect::{Expected, HEAVY_DOF, View, expectations, in_quadrature, lightened};
 pub use scene::{Direction, ScenePair};
 pub use table::observations as of_table;
@@ -97,6 +99,8 @@ pub struct Observable {
     pub measured: Value,
     /// Pixels.
     pub pixels: f64,
+    /// Variance of the means of its frames, DN^2; 0 of the whole campaign.
+    pub frame_var_dn2: f64,
 }
 
 impl Observable {

@@ -1,5 +1,6 @@
 //! Covariance of the means of rows some way apart, DN^2: whether rows that scatter do so one by one or in bands.
 
+use super::expect::FIELD;
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
@@ -9,7 +10,7 @@ use crate::statistics::lines::Lines;
 pub struct RowShape;
 
 /// Rows apart.
-const LAGS: [usize; 7] = [1, 2, 4, 8, 16, 32, 64];
+const LAGS: [usize; 7] = super::ROW_LAGS;
 
 /// Lags that fit into half of the rows.
 fn lags(rows: usize) -> impl Iterator<Item = (usize, usize)> {
@@ -80,6 +81,8 @@ impl Statistic for RowShape {
         let alone = own / (((rows - lag) as f64) * view.dof).sqrt();
         let single = in_quadrature(&[s.unsure_var, view.rough.1]) / columns as f64;
         let error = in_quadrature(&[alone, ripple, 0.3 * view.moving, lines / columns as f64, single]);
-        Expected::plain(o, near - flat + slow, error).with_common(view.ripple_error * common)
+        let field = view.with_light * view.all.field.row_lags[o.index.min(LAGS.len() - 1)];
+        let error = error.hypot(FIELD * view.with_light * view.all.field.rows);
+        Expected::plain(o, near - flat + slow + field, error).with_common(view.ripple_error * common)
     }
 }

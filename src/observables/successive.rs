@@ -63,7 +63,9 @@ impl Statistic for Successive {
                 .hypot(MOVING * view.unsure_moving())
                 .hypot(view.lines(0, 0))
                 .hypot(0.3 * view.moving)
-                .hypot(view.shared(1, 1)),
+                .hypot(view.shared(1, 1))
+                // Light of whole frames that happens to be alike in successive ones.
+                .hypot(view.with_light * view.all.field.pixels / view.dof.sqrt()),
         )
     }
 }

@@ -1,7 +1,7 @@
 //! Observables of a table of means and variances: many labs keep only that.
 
 use super::campaign::dark_spreads;
-use super::{Half, Observable, Observations, ObserveError, Statistic, covariance, mean, monitor, variance};
+use super::{Field, Half, Observable, Observations, ObserveError, Statistic, covariance, mean, monitor, variance};
 use crate::dataset::Kind;
 use crate::dataset::table::Table;
 use crate::noise::{Counts, pixels_from_scatter, table_points};
@@ -90,6 +90,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
                     frames: (place, place + 1),
                     measured: Value { value, std_err },
                     pixels: point.pixels,
+                    frame_var_dn2: 0.0,
                 });
             };
         // Without exposures the mean gives the light: known to both halves.
@@ -139,5 +140,6 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         setting: None,
         light_settings: (0..kept.len()).collect(),
         alike: vec![1.0; kept.len()],
+        field: Field::default(),
     })
 }

@@ -1,5 +1,6 @@
 //! Temporal variance of the pixels, DN^2.
 
+use super::expect::FIELD;
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::pass::Summary;
 
@@ -45,6 +46,7 @@ impl Statistic for Variance {
                 view.lines(0, 0),
                 0.1 * view.moving,
                 view.shared(0, 0),
+                FIELD * view.with_light * view.all.field.pixels,
             ]),
         )
         .with_common(view.common(0, 0))

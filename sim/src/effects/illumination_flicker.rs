@@ -51,6 +51,7 @@ impl Effect for IlluminationFlicker {
             let light = s.signal - out.base.dark_e_per_s * info.exposure_s;
             let light = if info.light.is_some() { light } else { 0.0 };
             s.common += (p[0] * light).powi(2);
+            s.with_light += (p[0] * light).powi(2);
         }
     }
 
