@@ -21,7 +21,7 @@ use crate::number::Quantity;
 use crate::number::{chance, percent};
 use crate::observables::{Observations, covariance};
 use crate::plan::Plan;
-use radcam_sim::effects::{Effect, Parameter, Seen, Take, takes};
+use radcam_sim::effects::{Effect, Parameter, Seen, Take, find, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
 use search::{Candidate, NEEDED, is_something, rivals, score, search, surely_there, without};
@@ -180,6 +180,8 @@ struct Part {
     effect: &'static dyn Effect,
     /// Evidence that is lost without it.
     evidence: f64,
+    /// Mean square of what the whole model leaves, 1 at least: where it leaves much, evidence counts as much less (McCullagh and Nelder 1989, 4.5).
+    dispersion: f64,
     /// Others that would explain it, most evidence first.
     others: Vec<Candidate>,
     /// The evidence that something without a name would have in its place.
@@ -323,6 +325,16 @@ fn missing(
         if let (Some(entry), Some(doubt)) = (entry, doubt) {
             entry.partial = true;
             entry.evidence.push(doubt);
+        }
+    }
+    for m in out.iter_mut().filter(|m| find(&m.effect).is_some_and(Effect::has_memory)) {
+        if all.frames_between {
+            m.partial = true;
+            m.evidence.push(
+                "first frames carry nothing of the set before: either frames were exposed between the sets that are not in the dataset, or it \
+                 is noise that successive frames share; sets without discarded frames tell"
+                    .into(),
+            );
         }
     }
     let place = place_of_unknown(parts, first_in_doubt.as_deref(), left);
@@ -487,7 +499,8 @@ fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Vec<Part> {
         let evidence = score(all, &rest) - score(all, whole);
         let without = residuals_of(all, &rest);
         let nameless = (1.0 - NEARLY_ALL) * unknown::evidence(&without, all.list.len() as f64);
-        Part { effect, evidence, others: Vec::new(), nameless, rest, without }
+        let dispersion = whole.mean_square.max(1.0);
+        Part { effect, evidence, dispersion, others: Vec::new(), nameless, rest, without }
     };
     (given..whole.effects.len()).into_par_iter().map(part).collect()
 }
@@ -517,7 +530,7 @@ fn trace(part: &Part) -> String {
 
 /// Candidates that explain as much as the part that was chosen.
 fn tied(part: &Part) -> Vec<&Candidate> {
-    part.others.iter().filter(|c| part.evidence - c.evidence < TIE).collect()
+    part.others.iter().filter(|c| part.evidence - c.evidence < TIE * part.dispersion).collect()
 }
 
 /// The ladder: the parts added one by one, the strongest first.

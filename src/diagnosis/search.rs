@@ -29,6 +29,8 @@ const FINISHED: usize = 4;
 const SAME: f64 = 0.01;
 /// A size is something from so many of its errors on: 0 is rejected at 1 in 80.
 const KNOWN: f64 = 2.5;
+/// The same of the scatter of settings, of which there may be two.
+const KNOWN_SCATTER: f64 = 1.2;
 /// A candidate whose evidence after a few rounds is below this share of the best is not fitted to the end.
 const BEHIND: f64 = 0.3;
 /// A candidate that gains this share of its evidence beside another one explains something else.
@@ -74,14 +76,15 @@ pub fn score(all: &Observations, fitted: &Fitted) -> f64 {
 
 /// What could stand in a model in place of an effect that has this evidence, fitted beside the rest; most evidence first.
 pub fn rivals(all: &Observations, rest: &Fitted, of: &dyn Effect, evidence: f64) -> Vec<Candidate> {
-    Look { all, now: rest, guess: None, most: RIVALS, not: Some(of.id()), against: evidence }.candidates()
+    Look { all, now: rest, guess: None, most: RIVALS, not: &[of.id()], against: evidence }.candidates()
 }
 
 /// Every effect that a model lacks, fitted beside what it has; most evidence first. `fresh`: from a first guess of the paper's parameters
 /// too, since a fit that is far off may have bent what is sound to please what is not.
-fn candidates(all: &Observations, now: &Fitted, fresh: bool) -> Vec<Candidate> {
+/// `not`: those that are none here.
+fn candidates(all: &Observations, now: &Fitted, fresh: bool, not: &[&str]) -> Vec<Candidate> {
     let guess = fresh.then(|| now.with_base(start(all)));
-    Look { all, now, guess, most: FITTED, not: None, against: 0.0 }.candidates()
+    Look { all, now, guess, most: FITTED, not, against: 0.0 }.candidates()
 }
 
 /// A look for what could be added to a model.
@@ -92,8 +95,8 @@ struct Look<'a> {
     guess: Option<Fitted>,
     /// So many are fitted, of those that promise most.
     most: usize,
-    /// One that is not to be among them.
-    not: Option<&'a str>,
+    /// Those that are not to be among them.
+    not: &'a [&'a str],
     /// Its evidence.
     against: f64,
 }
@@ -144,7 +147,7 @@ impl Look<'_> {
     /// Effects that the model lacks and this campaign could tell of, by what they promise, the most first.
     fn screened(&self, screen: &Screen<'_>) -> Vec<Promising> {
         let mut ids: Vec<&str> = self.now.effects.iter().map(|(e, _)| e.id()).collect();
-        ids.extend(self.not);
+        ids.extend(self.not.iter().copied());
         let there = there(self.all);
         let first_seen = self.guess.as_ref().map(|g| seen(self.all, &g.base));
         let seen = seen(self.all, &self.now.base);
@@ -282,7 +285,9 @@ pub fn is_something(fitted: &Fitted, at: usize, seen: &Seen) -> bool {
     if at_an_end(*effect, values) || effect.is_another(values, seen) {
         return false;
     }
-    let is_known = |value: f64, error: f64| value.abs() > KNOWN * error;
+    // A scatter of m settings is known to 1 / root 2 m of itself: of two settings to 0.7.
+    let known = if effect.sets_each() { KNOWN_SCATTER } else { KNOWN };
+    let is_known = |value: f64, error: f64| value.abs() > known * error;
     // Two that only their combination tells are each unknown.
     if effect.together(values).is_some_and(|t| is_known(t.value, fitted.std_err_of(at, &t))) {
         return true;
@@ -335,8 +340,37 @@ pub struct Found {
     pub first: Vec<Candidate>,
 }
 
+/// Searches again without an effect that has become none of its kind at most.
+const AGAIN: usize = 2;
+
 /// Adds effects to a model as long as the evidence pays for them. `far`: the model is so far off that its own values may be bent.
 pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn FnMut(&str)) -> Found {
+    let mut not: Vec<&str> = Vec::new();
+    for _ in 0..AGAIN {
+        let found = search_without(all, model, far, &not, progress);
+        let seen = seen(all, &found.fitted.base);
+        let added = model.effects.len()..found.fitted.effects.len();
+        // Beside others an effect may end at values at which it is another one, or at an end of its range.
+        let nothing = |i: &usize| {
+            let (effect, values) = &found.fitted.effects[*i];
+            effect.is_another(values, &seen) || at_an_end(*effect, values)
+        };
+        let before = not.len();
+        not.extend(added.filter(nothing).map(|i| found.fitted.effects[i].0.id()));
+        if not.len() == before {
+            return found;
+        }
+    }
+    search_without(all, model, far, &not, progress)
+}
+
+fn search_without(
+    all: &Observations,
+    model: &Fitted,
+    far: bool,
+    not: &[&str],
+    progress: &mut dyn FnMut(&str),
+) -> Found {
     let given = model.effects.len();
     let mut lines = vec![Line { score: score(all, model), fitted: model.clone() }];
     let (mut first, mut done, mut looked_at) = (Vec::new(), Vec::new(), Vec::new());
@@ -354,7 +388,7 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
             }
             looked_at.push(ids(&line.fitted));
             progress(&format!("with {names:?}: trying every effect"));
-            let found = candidates(all, &line.fitted, far && depth == 0);
+            let found = candidates(all, &line.fitted, far && depth == 0, not);
             let mut longer = longer(all, &found, given);
             if longer.is_empty() {
                 longer = instead(all, &found, line, given);
@@ -377,7 +411,13 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
         }
     }
     let best = done.into_iter().min_by(|a, b| a.score.total_cmp(&b.score));
-    let best = best.map(|l| fit(all, &l.fitted.base, &l.fitted.effects));
+    // A model that came a long way may have been led astray: from a first guess of the paper's parameters too.
+    let best = best.map(|l| {
+        let from = |base| fit(all, base, &l.fitted.effects);
+        let guess = start(all);
+        let (here, fresh) = rayon::join(|| from(&l.fitted.base), || from(&guess));
+        if score(all, &fresh) < score(all, &here) { fresh } else { here }
+    });
     Found { fitted: best.unwrap_or_else(|| model.clone()), first }
 }
 

@@ -1,7 +1,18 @@
 //! Which levels the line cannot be asked to describe.
 
 use super::Point;
+use crate::statistics::peak::strays;
+
 use super::estimators::{residual_variance, reweighted};
+
+/// Marks levels whose variance lies far above that of the levels around: one of them would be taken for the peak.
+pub(super) fn exclude_strays(points: &mut [Point]) {
+    let used: Vec<usize> = (0..points.len()).filter(|&i| points[i].excluded.is_none()).collect();
+    let levels: Vec<(f64, f64)> = used.iter().map(|&i| (points[i].mean_dn, points[i].var_dn2)).collect();
+    for k in strays(&levels) {
+        points[used[k]].excluded = Some("its variance lies far above that of the levels around".into());
+    }
+}
 
 /// Marks levels beyond the variance's peak: there the wells are full, and what varies is not the light.
 pub(super) fn exclude_past_the_peak(points: &mut [Point]) {

@@ -29,7 +29,7 @@ use crate::dataset::table::Table;
 use crate::dataset::{Dataset, DatasetError, Kind};
 use crate::number::Quantity;
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
-use exclude::{exclude_outliers, exclude_past_the_peak};
+use exclude::{exclude_outliers, exclude_past_the_peak, exclude_strays};
 use levels::{BLACK_LEVEL, NO_ZERO, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED, ONE_FRAME};
 pub(crate) use levels::{Counts, level_of, pixels_from_scatter};
 use std::sync::atomic::AtomicBool;
@@ -93,6 +93,7 @@ pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, Nois
         )),
         Counts::Unknown => notes.push("no pixel count, and too few rows to see their scatter: no errors".into()),
     }
+    exclude_strays(&mut points);
     exclude_past_the_peak(&mut points);
     exclude_outliers(&mut points);
     let is_lit = |p: &&Point| p.excluded.is_none() && p.kind == Kind::Flat;

@@ -51,6 +51,8 @@ pub struct Observations {
     pub light_rel_std: Option<f64>,
     /// How the light scatters from setting to setting by what is stated of it; `None` where it was set once, or is stated as exact.
     pub setting: Option<Setting>,
+    /// Whether frames were exposed between the sets that are not here.
+    pub frames_between: bool,
     /// The field of the light.
     pub field: Field,
     /// How many chunks of frames have the level of every set: of darks all.
@@ -244,7 +246,8 @@ pub fn of_dataset(
     let after_scene: Vec<bool> = (0..sets.len()).map(|i| i > 0 && still(i - 1)).collect();
     let mut list = of_chunks(&chunks, sets);
     let mut frames = frames;
-    if frames_between(&list, &infos, &settings) {
+    let between = frames_between(&list, &infos, &settings);
+    if between {
         let starts: Vec<usize> = sets.iter().map(|s| s.rows[0]).collect();
         starts.into_iter().for_each(|first| frames[first].settled = true);
         missing.push(
@@ -317,6 +320,7 @@ pub fn of_dataset(
     let mut all = Observations {
         setting: setting(dataset, &settings, light_rel_std),
         light_settings: light_settings(&infos),
+        frames_between: between,
         alike: alike(&chunks, &settings),
         field: field(&chunks, &settings, zero_dn),
         // Of flats: what a dark shows beside its charge is the offsets' pattern, which stays.

@@ -7,6 +7,7 @@ use crate::dataset::table::Table;
 use crate::noise::{Counts, pixels_from_scatter, table_points};
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
+use crate::statistics::peak::strays;
 use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, SetInfo};
 
 /// Rows up to the peak of the variance as sets of one pair each.
@@ -27,8 +28,18 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
             "no pixel count: errors are the rows' own scatter, as of {pixels:.0} pixels a row"
         ));
     }
+    let strays = strays(&table.levels.iter().map(|l| (l.mean_dn, l.var_dn2)).collect::<Vec<_>>());
+    for &i in &strays {
+        let l = &table.levels[i];
+        missing.push(format!(
+            "row {} (mean {:.0} DN) has a variance of {:.0} DN^2, far above the rows around, and is left out",
+            i + 1,
+            l.mean_dn,
+            l.var_dn2
+        ));
+    }
     // Past the variance's peak the well is full: what the rows say there is not noise.
-    let mut order: Vec<usize> = (0..table.levels.len()).collect();
+    let mut order: Vec<usize> = (0..table.levels.len()).filter(|i| !strays.contains(i)).collect();
     order.sort_by(|&a, &b| table.levels[a].mean_dn.total_cmp(&table.levels[b].mean_dn));
     let peak =
         order.iter().copied().max_by(|&a, &b| table.levels[a].var_dn2.total_cmp(&table.levels[b].var_dn2));
@@ -141,5 +152,6 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         light_settings: (0..kept.len()).collect(),
         alike: vec![1.0; kept.len()],
         field: Field::default(),
+        frames_between: false,
     })
 }

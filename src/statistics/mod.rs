@@ -12,6 +12,7 @@ pub mod median;
 pub mod moments;
 pub mod occupancy;
 pub mod pass;
+pub mod peak;
 pub mod profiles;
 pub mod quadratic;
 pub mod spectrum;

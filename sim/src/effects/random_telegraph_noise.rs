@@ -14,6 +14,8 @@ const STAYS: f64 = 0.3;
 /// Of what the variances of the pixels spread by no more than so much is shared by pixels two columns or two rows apart (a named choice: of
 /// pixels that lie anywhere it is nothing, of parts of the sensor most of it, of its edges half).
 const ALONE: f64 = 0.25;
+/// Largest share of the pixels that are a few (a named choice: sensors have some per cent at most).
+const FEW: f64 = 0.2;
 /// Standard errors beyond which it is.
 const SURE: f64 = 3.0;
 
@@ -74,6 +76,11 @@ impl Effect for RandomTelegraphNoise {
         let noise_e = (seen.dark_noise_dn * seen.peak_e / seen.peak_dn.max(1e-9)).max(1.0);
         let all = [(0.01, 3.0, 0.0), (0.01, 8.0, 0.0), (0.001, 20.0, 0.0), (0.01, 8.0, 0.3)];
         all.map(|(share, jump, stays)| vec![share, jump * noise_e, stays]).to_vec()
+    }
+
+    /// Where every fifth pixel jumps it is the noise of the sensor.
+    fn is_another(&self, p: &[f64], _: &Seen) -> bool {
+        p[0] > FEW
     }
 
     fn told_by(&self) -> &'static [&'static str] {

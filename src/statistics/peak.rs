@@ -1,0 +1,35 @@
+//! Where the variance of a photon transfer turns, and single levels that would be taken for it.
+
+/// Levels below this share of the largest mean have read noise in their variance over the mean.
+const DIM: f64 = 0.05;
+/// A level is a stray where its variance over the mean is this multiple of the median of five around it: noise of a turning well falls, and does not
+/// rise by half from one level to the next.
+const STRAY: f64 = 1.5;
+/// Levels around, itself included, whose median is taken.
+const AROUND: usize = 2;
+
+/// Places of levels, given as (mean above black, variance), whose variance lies far above that of the levels around: one of them would be taken for
+/// the peak. Nothing for fewer than five.
+///
+/// ```
+/// use radcam::statistics::peak::strays;
+/// let mut levels: Vec<(f64, f64)> = (1..20).map(|i| (1000.0 * f64::from(i), 500.0 * f64::from(i))).collect();
+/// assert!(strays(&levels).is_empty());
+/// levels[15].1 = 400_000.0;
+/// assert_eq!(strays(&levels), [15]);
+/// ```
+pub fn strays(levels: &[(f64, f64)]) -> Vec<usize> {
+    if levels.len() < 2 * AROUND + 1 {
+        return Vec::new();
+    }
+    let top = levels.iter().map(|l| l.0).fold(0.0, f64::max);
+    let mut order: Vec<usize> = (0..levels.len()).filter(|&i| levels[i].0 > DIM * top).collect();
+    order.sort_by(|&a, &b| levels[a].0.total_cmp(&levels[b].0));
+    let ratio = |k: usize| levels[order[k]].1 / levels[order[k]].0;
+    let is_stray = |k: &usize| {
+        let from = k.saturating_sub(AROUND).min(order.len().saturating_sub(2 * AROUND + 1));
+        let around = from..(from + 2 * AROUND + 1).min(order.len());
+        around.len() > 2 * AROUND && ratio(*k) > STRAY * super::median::median(around.map(ratio))
+    };
+    (0..order.len()).filter(is_stray).map(|k| order[k]).collect()
+}
