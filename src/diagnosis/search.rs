@@ -340,6 +340,9 @@ pub struct Found {
     pub first: Vec<Candidate>,
 }
 
+/// Mean square of the residuals beyond which a fit may have ended early.
+const FAR_SQUARE: f64 = 4.0;
+
 /// Searches again without an effect that has become none of its kind at most.
 const AGAIN: usize = 2;
 
@@ -415,6 +418,9 @@ fn search_without(
     let best = best.map(|l| {
         let from = |base| fit(all, base, &l.fitted.effects);
         let guess = start(all);
+        if !far {
+            return from(&l.fitted.base);
+        }
         let (here, fresh) = rayon::join(|| from(&l.fitted.base), || from(&guess));
         if score(all, &fresh) < score(all, &here) { fresh } else { here }
     });
@@ -435,7 +441,7 @@ fn longer(all: &Observations, found: &[Candidate], given: usize) -> Vec<Line> {
     let line = |c: &&Candidate| {
         let fitted = without_idle(all, with_others(all, c, &good, given), given);
         // Fits of models that were far off end early: lines are compared where they have arrived.
-        let fitted = fit(all, &fitted.base, &fitted.effects);
+        let fitted = if fitted.mean_square > FAR_SQUARE { fit(all, &fitted.base, &fitted.effects) } else { fitted };
         Line { score: score(all, &fitted), fitted }
     };
     near.iter().map(line).collect()
