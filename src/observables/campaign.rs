@@ -3,7 +3,7 @@
 use super::read::{Chunk, Reading, read};
 use super::{
     ChunkView, Field, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, Statistic, codes,
-    covariance, frame_scatter, mean, settling, successive, unequal, variance,
+    covariance, frame_scatter, mean, row_spectrum, settling, successive, unequal, variance,
 };
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
 use crate::features::LeftOn;
@@ -51,6 +51,8 @@ pub struct Observations {
     pub light_rel_std: Option<f64>,
     /// How the light scatters from setting to setting by what is stated of it; `None` where it was set once, or is stated as exact.
     pub setting: Option<Setting>,
+    /// Frequencies at which row means of flats ripple, cycles per row, the strongest first.
+    pub row_cycles: Vec<f64>,
     /// Whether frames were exposed between the sets that are not here.
     pub frames_between: bool,
     /// The field of the light.
@@ -321,6 +323,7 @@ pub fn of_dataset(
         setting: setting(dataset, &settings, light_rel_std),
         light_settings: light_settings(&infos),
         frames_between: between,
+        row_cycles: row_cycles(&chunks, &settings, zero_dn),
         alike: alike(&chunks, &settings),
         field: field(&chunks, &settings, zero_dn),
         // Of flats: what a dark shows beside its charge is the offsets' pattern, which stays.
@@ -419,6 +422,24 @@ fn field(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Field {
     let flats = chunks.iter().filter(|c| settings[c.set].kind == Kind::Flat);
     let level = |c: &&Chunk| c.summary.frame_means.mean_dn();
     flats.max_by(|a, b| level(a).total_cmp(&level(b))).map_or_else(Field::default, |c| Field::of(&c.summary, zero_dn))
+}
+
+/// Frequencies at which the row means of flats ripple, in proportion to the signal.
+fn row_cycles(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Vec<f64> {
+    let place = STATISTICS.iter().position(|s| s.id() == row_spectrum::RowSpectrum.id());
+    let mut power: Vec<f64> = Vec::new();
+    for c in chunks.iter().filter(|c| settings[c.set].kind == Kind::Flat) {
+        let Some(own) = place.and_then(|i| c.summary.extra.get(i)) else { continue };
+        // By the noise of a row: dim sets and bright ones count by what they tell.
+        let noise = c.summary.var.value.max(1e-12);
+        let signal = c.summary.frame_means.mean_dn() - zero_dn;
+        if signal > 0.0 {
+            power.resize(own.len(), 0.0);
+            power.iter_mut().zip(own).for_each(|(sum, v)| *sum += v / noise);
+        }
+    }
+    let rows = chunks.first().map_or(0, |c| c.summary.rows_dn.len());
+    if power.len() < 8 { Vec::new() } else { row_spectrum::peaks(&power, rows) }
 }
 
 /// For every set the first of those that follow one another under the same light, darks in between left out.

@@ -287,6 +287,7 @@ statistics! {
     row_variance::RowVariance
     column_variance::ColumnVariance
     row_shape::RowShape
+    row_spectrum::RowSpectrum
     row_tails::RowTails
     halves::Halves
     covariance::Covariance

@@ -153,5 +153,6 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         alike: vec![1.0; kept.len()],
         field: Field::default(),
         frames_between: false,
+        row_cycles: Vec::new(),
     })
 }

@@ -45,7 +45,7 @@ impl Effect for LightBanding {
                 meaning: "amplitude of the ripple (shape 1: its standard deviation), relative to the light",
                 unit: "1",
                 min: 0.0,
-                max: 0.2,
+                max: 1.0,
                 starts: &[0.003],
             },
             Parameter {
@@ -93,6 +93,12 @@ impl Effect for LightBanding {
             // A ripple that turns little within an exposure, and one that turns about once.
             .flat_map(|f| [0.2, 1.0].map(|turns| line(f, turns / seen.frame_s.max(1e-5))))
             .collect();
+        // Where the spectrum of the row means has its peaks.
+        let peaks = seen.row_cycles.into_iter().flatten().filter(|f| *f > 1e-4 && *f < 0.5);
+        let mut first: Vec<Vec<f64>> =
+            peaks.flat_map(|f| [0.2, 1.0].map(|turns| line(f, turns / seen.frame_s.max(1e-5)))).collect();
+        first.append(&mut all);
+        let mut all = first;
         all.extend([0.92, 0.97, 0.99].map(|next| vec![1.0, 0.003, 0.01, 0.0, next]));
         all
     }

@@ -96,6 +96,8 @@ pub struct Seen {
     pub dark_noise_dn: f64,
     /// The strongest line in the spectrum of the noise in read-out order, cycles per pixel.
     pub line_cycles_per_px: Option<f64>,
+    /// Frequencies at which row means of flats ripple, cycles per row, the strongest first.
+    pub row_cycles: [Option<f64>; 3],
     /// Codes for each one that occurs, about the levels.
     pub code_step_dn: Option<f64>,
     /// Covariance of the pixels' variances between short darks and its error, DN^4: what stays with its pixels.

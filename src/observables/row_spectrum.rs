@@ -1,0 +1,108 @@
+//! Spectrum of the row means: at which frequencies light ripples down the rows. It is no observable and gives a search its starts.
+
+use super::{Expected, Observable, Statistic, View};
+use crate::statistics::layout::Layout;
+use crate::statistics::lines::Lines;
+use rustfft::num_complex::Complex;
+use rustfft::{Fft, FftPlanner};
+use std::cell::RefCell;
+use std::sync::Arc;
+
+/// Power of the row means of the deviations at frequencies in steps of a quarter of a cycle over all rows.
+#[derive(Debug)]
+pub struct RowSpectrum;
+
+/// Rows are padded to so many times as many: a peak lies within an eighth of a cycle of a bin.
+const PADDED: usize = 4;
+/// Rows below which bands are not told from a slope.
+const FEWEST: usize = 16;
+/// Peaks that are given as starts.
+const PEAKS: usize = 3;
+/// Power of a peak over the median of all, from which on it is one: of exponentially distributed powers one in a million is 20 times the median.
+const STANDS_OUT: f64 = 5.0;
+
+type Plan = (usize, Arc<dyn Fft<f32>>, Vec<Complex<f32>>);
+
+thread_local! {
+    static PLAN: RefCell<Option<Plan>> = const { RefCell::new(None) };
+}
+
+impl Statistic for RowSpectrum {
+    fn id(&self) -> &'static str {
+        "spectrum of row means"
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "light that ripples down the rows"
+    }
+
+    fn sums(&self, layout: &Layout) -> usize {
+        if layout.shape.0 < FEWEST { 0 } else { PADDED * layout.shape.0 / 2 + 1 }
+    }
+
+    fn add(&self, _: &[f32], lines: &Lines, _: &Layout, sums: &mut [f64]) {
+        let rows = lines.row_means();
+        PLAN.with_borrow_mut(|plan| {
+            let length = PADDED * rows.len();
+            if plan.as_ref().is_none_or(|p| p.0 != length) {
+                *plan = Some((length, FftPlanner::new().plan_fft_forward(length), vec![Complex::default(); length]));
+            }
+            let Some((_, fft, buffer)) = plan else { return };
+            buffer.fill(Complex::default());
+            buffer.iter_mut().zip(rows).for_each(|(b, m)| b.re = *m);
+            fft.process(buffer);
+            sums.iter_mut().zip(buffer).for_each(|(sum, v)| *sum += f64::from(v.norm_sqr()));
+        });
+    }
+
+    fn expect(&self, o: &Observable, _: &View<'_>) -> Expected {
+        Expected::plain(o, 0.0, 1.0)
+    }
+}
+
+/// Frequencies of the strongest peaks of a spectrum, cycles per row, the strongest first. `rows`: how many there are.
+pub fn peaks(power: &[f64], rows: usize) -> Vec<f64> {
+    let usual = crate::statistics::median::median(power.iter().copied());
+    // Below half a cycle over all rows there is no peak.
+    let first = (PADDED / 2).max(1);
+    let mut found: Vec<usize> = (first..power.len().saturating_sub(1))
+        .filter(|&k| power[k] >= power[k - 1] && power[k] > power[k + 1] && power[k] > STANDS_OUT * usual)
+        .collect();
+    found.sort_by(|&a, &b| power[b].total_cmp(&power[a]));
+    // Between bins by a parabola through the logarithms.
+    let place = |k: usize| {
+        let [a, b, c] = [k - 1, k, k + 1].map(|k| power[k].max(1e-300).ln());
+        let bend = a - 2.0 * b + c;
+        k as f64 + if bend < 0.0 { 0.5 * (a - c) / bend } else { 0.0 }
+    };
+    found.into_iter().take(PEAKS).map(|k| place(k) / (PADDED * rows) as f64).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::Array2;
+
+    /// A sine of another phase in each frame: its frequency within a fiftieth of a cycle over all rows.
+    #[test]
+    fn the_frequency_of_a_ripple_is_found() {
+        let rows = 96usize;
+        let layout = Layout::new(&Array2::from_elem((rows, 16), true), 4095);
+        for cycles in [0.0121, 0.02895, 0.05, 0.12, 0.37] {
+            let mut sums = vec![0.0; RowSpectrum.sums(&layout)];
+            for f in 0..12 {
+                let mut lines = Lines::new((rows, 16));
+                let phase = 2.4 * f64::from(f);
+                let image: Vec<f32> = (0..rows * 16)
+                    .map(|i| (std::f64::consts::TAU * cycles * (i / 16) as f64 + phase).sin() as f32)
+                    .collect();
+                for y in 0..rows {
+                    crate::statistics::quadratic::Quadratic::row(&mut lines, y, &image, &layout);
+                }
+                RowSpectrum.add(&image, &lines, &layout, &mut sums);
+            }
+            let found = peaks(&sums, rows);
+            assert!((found[0] - cycles).abs() * 96.0 < 0.1, "{cycles}: {found:?}");
+        }
+    }
+}
