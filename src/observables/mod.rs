@@ -181,7 +181,7 @@ pub struct HalfView<'a> {
     /// Variance in the strongest line of the spectrum, DN^2.
     line: Option<Value>,
     /// Excess kurtosis of noisy pixels in short darks.
-    noisy_levels: &'a [Levels],
+    noisy_levels: &'a [Option<Levels>; 3],
     /// A still scene at two exposures.
     scene: Option<&'a ScenePair>,
 }

@@ -81,7 +81,7 @@ pub struct Reading {
     /// How the pixels' noise in short darks is distributed.
     pub pixel_noise: Option<PixelNoise>,
     /// Excess kurtosis of noisy pixels in the short darks of both halves.
-    pub noisy_levels: [Vec<Levels>; 2],
+    pub noisy_levels: [[Option<Levels>; 3]; 2],
     /// Code below which one in two hundred samples of the darks lies.
     pub darkest_dn: Option<f64>,
     /// Sets that are clipped.

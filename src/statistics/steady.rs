@@ -38,7 +38,7 @@ pub struct Levels {
 }
 
 /// Shares of the pixels, the noisiest first, whose levels are looked at, beside those that stand out.
-const NOISIEST: f64 = 0.01;
+const NOISIEST: [f64; 2] = [0.01, 0.05];
 /// Fewest pixels and degrees of freedom of which it is taken.
 const PIXELS: usize = 4;
 const DOF: f64 = 5.0;
@@ -149,15 +149,15 @@ impl Steady {
         into.fourths.iter_mut().zip(fourth_dn4).for_each(|(sum, v)| *sum += f64::from(*v));
     }
 
-    /// Excess kurtosis of the pixels that stand out, and of the noisiest hundredth, in one half.
+    /// Excess kurtosis of the pixels that stand out, of the noisiest hundredth and of the noisiest twentieth, in one half; `None` of too few.
     ///
     /// Of n normal numbers b = n sum d^4 / (sum d^2)^2 does not depend on sum d^2 (Basu 1955), so that pixels may be chosen by their variance; its
     /// mean is 3 n / (n + 2), and E b^2 = n (9 n^2 + 96 n) / ((n + 2) (n + 4) (n + 6)) by the moments of chi-square.
-    pub fn levels(&self, layout: &Layout, half: usize) -> Vec<Levels> {
+    pub fn levels(&self, layout: &Layout, half: usize) -> [Option<Levels>; 3] {
         let own = &self.halves[half];
         let n = own.dof;
         if n < DOF || own.squares.is_empty() {
-            return Vec::new();
+            return [None; 3];
         }
         let total = |i: usize| self.halves.iter().filter_map(|h| h.squares.get(i)).sum::<f64>();
         let mut all: Vec<(f64, usize)> =
@@ -167,7 +167,7 @@ impl Steady {
         let width = 0.5 * (quantile(0.25) / quantile(0.75)).ln() / QUARTILE;
         let limit = quantile(0.5) * (STANDS_OUT * width).exp();
         let stand_out = all.iter().take_while(|v| v.0 > limit).count();
-        let noisiest = (NOISIEST * all.len() as f64) as usize;
+        let [few, more] = NOISIEST.map(|share| (share * all.len() as f64) as usize);
         let mean = 3.0 * n / (n + 2.0);
         let variance = n * (9.0 * n * n + 96.0 * n) / ((n + 2.0) * (n + 4.0) * (n + 6.0)) - mean * mean;
         let of = |count: usize| {
@@ -176,7 +176,7 @@ impl Steady {
             let pixels = count as f64;
             Levels { excess: Value { value: sum / pixels - mean, std_err: (variance / pixels).sqrt() }, pixels }
         };
-        [stand_out, noisiest].into_iter().filter(|count| *count >= PIXELS).map(of).collect()
+        [stand_out, few, more].map(|count| (count >= PIXELS).then(|| of(count)))
     }
 
     /// How the variances of single pixels are distributed, what few frames scatter by taken off; `None` of few degrees of freedom.
