@@ -74,6 +74,38 @@ fn bent(p: &[f64], full_scale_dn: f64) -> impl Fn(f64) -> f64 {
     }
 }
 
+/// The shape that is a table of whole codes.
+const WHOLE_CODE: i32 = 9;
+
+fn is_of_whole_code(p: &[f64]) -> bool {
+    p[0].round() as i32 == WHOLE_CODE
+}
+
+/// Codes c become full scale (c / full scale)^g, the black level with them: the level of the darks is what becomes of it.
+fn of_whole_code(g: f64, c: &Campaign, out: &mut Prediction) {
+    let (full, black) = (c.full_scale_dn, out.base.offset_dn.max(1e-3));
+    let before = full * libm::pow(black / full, 1.0 / g);
+    // Table codes lie a slope apart: where that is more than one code, some do not occur.
+    let slope = |level: f64| g * libm::pow((level.max(1.0)) / full, g - 1.0);
+    for (i, s) in out.sets.iter_mut().enumerate() {
+        let spread = c.sets.get(i).map_or(0.0, |s| s.spread_dn);
+        let places = c.sets.get(i).map_or(crate::predict::NORMAL, |s| s.places);
+        let level = s.signal + before;
+        let all = places.iter().zip(crate::predict::PLACES);
+        let used: f64 = all.map(|(x, share)| share * (1.0 / slope(level + spread * x)).min(1.0)).sum();
+        s.codes_used *= used;
+        let here = slope(level);
+        if here > 1.0 {
+            // Which of the table's codes a level lies on is not followed.
+            let variance = s.covariance(0, 0);
+            s.unsure_own = libm::hypot(s.unsure_own, 0.5 * crate::predict::quantised_mean(variance));
+            s.unsure_mean = libm::hypot(s.unsure_mean, crate::predict::quantised_mean(variance));
+        }
+    }
+    out.bend(c, |v| full * libm::pow(((v + before) / full).max(0.0), g) - black);
+    out.whole = false;
+}
+
 impl Effect for Nonlinearity {
     fn id(&self) -> &'static str {
         "nonlinearity"
@@ -83,24 +115,30 @@ impl Effect for Nonlinearity {
         Stage::Amplifier
     }
 
+    /// A table of codes comes after the converter.
+    fn stage_with(&self, values: &[f64]) -> Stage {
+        if is_of_whole_code(values) { Stage::Firmware } else { Stage::Amplifier }
+    }
+
     fn parameters(&self) -> &'static [Parameter] {
         const ALL: [Parameter; PLACES] = [
             Parameter {
                 name: "shape",
-                meaning: "0 to 2: one power, 3: polynomial, 4: gamma, 5: two slopes, 6: exponential saturation, 7: free curve, 8: toe",
+                meaning: "0 to 2: one power, 3: polynomial, 4: gamma of the signal, 5: two slopes, 6: exponential saturation, 7: free curve, 8: toe, \
+                          9: gamma of the whole code",
                 unit: "choice",
                 min: 0.0,
-                max: 8.0,
-                starts: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0],
+                max: 9.0,
+                starts: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0],
             },
             size("rel", "shapes 0 to 3: what is missing at full scale, relative", 0.01),
             size("rel_2", "shape 3: of the second power", 0.003),
             size("rel_3", "shape 3: of the third power", 0.003),
             Parameter {
                 name: "exponent",
-                meaning: "shape 4: the exponent",
+                meaning: "shapes 4 and 9: the exponent (gamma)",
                 unit: "1",
-                min: 0.4,
+                min: 0.25,
                 max: 2.5,
                 starts: &[0.97, 1.03],
             },
@@ -159,7 +197,7 @@ impl Effect for Nonlinearity {
             (_, 0) => true,
             (0..=2, k) => k == REL,
             (3, k) => (REL..REL + 3).contains(&k),
-            (4, k) => k == EXPONENT,
+            (4 | WHOLE_CODE, k) => k == EXPONENT,
             (5, k) => k == KNEE || k == KNEE + 1,
             (6, k) => k == ASYMPTOTE,
             (7, k) => (FIRST_KNOT..TOE).contains(&k),
@@ -177,6 +215,7 @@ impl Effect for Nonlinearity {
             5 => "two slopes with a knee between them",
             6 => "saturation towards an asymptote",
             8 => "a toe near black",
+            WHOLE_CODE => "gamma, applied to the whole code with the black level in it",
             _ => "a free curve",
         })
     }
@@ -200,6 +239,7 @@ impl Effect for Nonlinearity {
             // The variance alone tells no more than one number of a bend.
             return out;
         }
+        out.extend([0.97, 0.85, 0.6, 0.45, 1.1].map(|e| with(f64::from(WHOLE_CODE), &[(EXPONENT, e)])));
         out.push(with(3.0, &[(REL, 0.01), (REL + 1, 0.003), (REL + 2, 0.003)]));
         out.extend([0.93, 1.07].map(|e| with(4.0, &[(EXPONENT, e)])));
         out.extend([0.3, 0.5, 0.7, 0.85].map(|k| with(5.0, &[(KNEE, k * peak), (KNEE + 1, 0.9)])));
@@ -258,7 +298,8 @@ impl Effect for Nonlinearity {
                    amplifier near its rail, a gamma or a knee that is switched on.",
             equation: "D = f(v), v = A q; shape 0 to 2: v (1 - rel x^n), x = v / full scale, n = 1, 2, 3; 3: v (1 - rel x - rel_2 x^2 - \
                        rel_3 x^3); 4: full scale x^exponent; 5: slope 1 up to knee_dn, ratio above; 6: a (1 - exp(-v / a)); 7: v (1 - c(x)), \
-                       c a cubic spline; 8: v - toe_dn (1 - exp(-v / toe_width_dn)); noise is multiplied by the slope",
+                       c a cubic spline; 8: v - toe_dn (1 - exp(-v / toe_width_dn)); 9: D' = full scale (D / full scale)^exponent of codes D, black level included; \
+                       the inverse is full scale (D' / full scale)^(1 / exponent); noise is multiplied by the slope",
             signature: "the mean against the exposure bends; variance over mean follows the square of the slope; neighbours stay uncorrelated",
             look_alikes: "brighter-fatter lowers the variance too, but leaves the mean alone and correlates neighbours; lamp settings scatter \
                           the means about a straight line and leave the variance alone; an exposure offset moves the line as a narrow toe does, \
@@ -271,10 +312,19 @@ impl Effect for Nonlinearity {
     }
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
+        if is_of_whole_code(p) {
+            of_whole_code(p[EXPONENT], c, out);
+            return;
+        }
         out.bend(c, bent(p, c.full_scale_dn));
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
+        if is_of_whole_code(p) {
+            let full = d.full_scale_dn;
+            d.image.mapv_inplace(|code| full * libm::pow((code / full).max(0.0), p[EXPONENT]));
+            return;
+        }
         d.image.mapv_inplace(bent(p, d.full_scale_dn));
     }
 }
