@@ -62,6 +62,11 @@ pub fn with_fit(mut model: Model, all: &Observations, fitted: &Fitted, camera: O
     let base = &fitted.base;
     model.base.gain_dn_per_e = base.gain_dn_per_e;
     model.base.read_noise_e = base.read_noise_e;
+    // The spread of the fit is that of all pixels, noisy ones included; of a log-normal read noise (Johnson, Kotz and Balakrishnan 1994, ch. 14).
+    let pixels = all.pixel_noise.filter(|p| p.log_spread.is_finite());
+    model.base.read_noise_log_spread =
+        pixels.map_or(0.5 * base.read_noise_spread.max(0.0).ln_1p().sqrt(), |p| p.log_spread).min(2.0);
+    (model.base.noisy_pixel_fraction, model.base.noisy_pixel_factor) = (0.0, 0.0);
     model.base.black_level_dn = base.offset_dn.max(0.0);
     model.base.dark_current_e_per_s = base.dark_e_per_s.max(0.0);
     let unit = all.campaign.sets.iter().filter(|s| s.light.is_some());

@@ -81,7 +81,12 @@ struct Row<'a> {
     dark_current: &'a [f32],
     offset_dn: &'a [f32],
     light: &'a [f32],
+    /// Read noise over its root mean square, where pixels differ in it.
+    read: Option<&'a [f32]>,
 }
+
+/// Pixels that are alike.
+const ALIKE: [f32; LANES] = [1.0; LANES];
 
 /// `width` pixels of row `y` of a map, from column `x`.
 fn span(map: &Array2<f32>, y: usize, x: usize, width: usize) -> &[f32] {
@@ -98,9 +103,11 @@ fn draw_row(s: &Scalars, row: Row<'_>, out: &mut [u16]) {
     let (offset, offset_rest) = row.offset_dn.as_chunks::<LANES>();
     let (blocks, rest) = out.as_chunks_mut::<LANES>();
     let mut first_pixel = row.first_pixel;
-    let maps = uniformity.iter().zip(light).zip(dark).zip(offset);
-    for (out, (((uniformity, light), dark), offset)) in blocks.iter_mut().zip(maps) {
-        *out = draw_block(s, first_pixel, uniformity, light, dark, offset);
+    let (read, read_rest) = row.read.unwrap_or(&[]).as_chunks::<LANES>();
+    let maps = uniformity.iter().zip(light).zip(dark).zip(offset).enumerate();
+    for (out, (i, (((uniformity, light), dark), offset))) in blocks.iter_mut().zip(maps) {
+        let read = read.get(i).unwrap_or(&ALIKE);
+        *out = draw_block(s, first_pixel, uniformity, light, dark, offset, read);
         first_pixel = first_pixel.wrapping_add(LANES as u32);
     }
     if !rest.is_empty() {
@@ -110,7 +117,8 @@ fn draw_row(s: &Scalars, row: Row<'_>, out: &mut [u16]) {
             lanes
         };
         let [k, l, d, o] = [uniformity_rest, light_rest, dark_rest, offset_rest].map(padded);
-        rest.copy_from_slice(&draw_block(s, first_pixel, &k, &l, &d, &o)[..rest.len()]);
+        let read = if row.read.is_some() { padded(read_rest) } else { ALIKE };
+        rest.copy_from_slice(&draw_block(s, first_pixel, &k, &l, &d, &o, &read)[..rest.len()]);
     }
 }
 
@@ -123,6 +131,7 @@ fn draw_block(
     light: &[f32; LANES],
     dark: &[f32; LANES],
     offset_dn: &[f32; LANES],
+    read: &[f32; LANES],
 ) -> [u16; LANES] {
     let mut mean_e = [0.0; LANES];
     for i in 0..LANES {
@@ -133,7 +142,8 @@ fn draw_block(
     let mut codes = [0u16; LANES];
     for i in 0..LANES {
         let volt_dn = charge[i] * s.gain_dn_per_e
-            + (noise.read[i] * s.read_noise_dn + (s.black_level_dn + f64::from(offset_dn[i])));
+            + (noise.read[i] * (s.read_noise_dn * f64::from(read[i]))
+                + (s.black_level_dn + f64::from(offset_dn[i])));
         // V in (n - 1/2, n + 1/2] gives n (eq. 4), so n = ceil(V - 1/2) = -floor(1/2 - V), clipped to
         // 0 .. 2^b - 1 (eq. 5).
         let rounded = -floor(0.5 - volt_dn);
@@ -172,6 +182,7 @@ impl pulp::NullaryFnOnce for Band<'_> {
                 dark_current: span(&sensor.maps.dark_current, y, x, width),
                 offset_dn: span(&sensor.maps.offset_dn, y, x, width),
                 light: span(light, y, x, width),
+                read: sensor.maps.read_noise.as_ref().map(|map| span(map, y, x, width)),
             };
             draw_row(&scalars, row, out);
         }
@@ -381,6 +392,9 @@ impl Sensor {
             },
         );
         run(&mut d, Stage::Charge, Stage::Transfer);
+        if let Some(map) = &self.maps.read_noise {
+            read.zip_mut_with(map, |v, &m| *v *= f64::from(m));
+        }
         d.image.scaled_add(self.model.base.read_noise_e, &read);
         run(&mut d, Stage::Read, Stage::Read);
         d.image *= s.gain_dn_per_e;
@@ -413,8 +427,12 @@ impl Sensor {
             .and(&maps.uniformity)
             .and(&maps.dark_current)
             .for_each(|mean, &l, &k, &d| *mean = s.light_e * f64::from(l * k) + s.dark_e * f64::from(d));
-        let constant = self.model.constant_noise_var_dn2(conditions.gain_db);
-        let var_dn2 = mean_e.mapv(|e| s.gain_dn_per_e * s.gain_dn_per_e * e + constant);
+        let rounding = 1.0 / 12.0;
+        let read = self.model.constant_noise_var_dn2(conditions.gain_db) - rounding;
+        let mut var_dn2 = mean_e.mapv(|e| s.gain_dn_per_e * s.gain_dn_per_e * e + rounding + read);
+        if let Some(map) = &maps.read_noise {
+            var_dn2.zip_mut_with(map, |v, &m| *v += read * (f64::from(m).powi(2) - 1.0));
+        }
         let mut mean_dn = mean_e;
         mean_dn.zip_mut_with(&maps.offset_dn, |m, &offset| {
             *m = *m * s.gain_dn_per_e + s.black_level_dn + f64::from(offset);

@@ -14,6 +14,8 @@ pub struct Maps {
     pub dark_current: Array2<f32>,
     /// Offset from the black level, DN.
     pub offset_dn: Array2<f32>,
+    /// Read noise over its root mean square; `None`: pixels are alike.
+    pub read_noise: Option<Array2<f32>>,
 }
 
 fn map(model: &Model, value: impl Fn(u32) -> f64 + Sync) -> Array2<f32> {
@@ -23,6 +25,26 @@ fn map(model: &Model, value: impl Fn(u32) -> f64 + Sync) -> Array2<f32> {
         pixels.par_iter_mut().enumerate().for_each(|(i, p)| *p = value(i as u32) as f32);
     }
     out
+}
+
+/// Log-normal, some pixels noisier still, with mean square 1.
+fn read_noise(model: &Model) -> Option<Array2<f32>> {
+    let base = &model.base;
+    if base.read_noise_log_spread == 0.0 && base.noisy_pixel_fraction == 0.0 {
+        return None;
+    }
+    let mut all = map(model, |p| {
+        let mut random = PixelRng::new(base.seed, Stream::ReadNoise, 0, p, 0);
+        let ordinary = libm::exp(base.read_noise_log_spread * random.normal());
+        if random.uniform() < base.noisy_pixel_fraction {
+            base.noisy_pixel_factor * ordinary
+        } else {
+            ordinary
+        }
+    });
+    let square = all.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / all.len() as f64;
+    all.mapv_inplace(|v| (f64::from(v) / square.sqrt()) as f32);
+    Some(all)
 }
 
 impl Maps {
@@ -47,6 +69,6 @@ impl Maps {
             }
         });
         let offset_dn = map(model, |p| base.offset_spread_dn * normal(Stream::Offset, p));
-        Self { uniformity, dark_current, offset_dn }
+        Self { uniformity, dark_current, offset_dn, read_noise: read_noise(model) }
     }
 }

@@ -147,8 +147,18 @@ pub struct Body {
 pub struct Base {
     /// A, DN per electron, at 0 dB. The quantisation step q is 1 DN.
     pub gain_dn_per_e: f64,
-    /// Standard deviation of N_R, electrons.
+    /// Standard deviation of N_R, electrons; of pixels that differ in it the root mean square.
     pub read_noise_e: f64,
+    /// Standard deviation of the logarithm of the pixels' read noise (log-normal), as the row of a data sheet with median and rms has it; 0: pixels
+    /// are alike.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub read_noise_log_spread: f64,
+    /// Share of pixels that are noisier still.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub noisy_pixel_fraction: f64,
+    /// How many times noisier they are.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub noisy_pixel_factor: f64,
     /// Added before conversion, DN. The paper has none.
     pub black_level_dn: f64,
     /// Spatial standard deviation of the black level, DN.
@@ -171,6 +181,11 @@ pub struct Base {
     pub hot_pixel_factor: f64,
     /// Seed of the maps and of the noise.
     pub seed: u64,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes references")]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// Card and lamp in front of the camera.
@@ -293,6 +308,9 @@ impl Model {
             ("camera.readout_s", c.readout_s, 0.0, 3600.0, "s"),
             ("base.gain_dn_per_e", b.gain_dn_per_e, 1e-9, 1e6, "DN/e"),
             ("base.read_noise_e", b.read_noise_e, 0.0, 1e6, "e"),
+            ("base.read_noise_log_spread", b.read_noise_log_spread, 0.0, 2.0, ""),
+            ("base.noisy_pixel_fraction", b.noisy_pixel_fraction, 0.0, 1.0, ""),
+            ("base.noisy_pixel_factor", b.noisy_pixel_factor, 0.0, 1e3, ""),
             ("base.black_level_dn", b.black_level_dn, 0.0, 65_535.0, "DN"),
             ("base.offset_spread_dn", b.offset_spread_dn, 0.0, 65_535.0, "DN"),
             ("base.quantum_efficiency", b.quantum_efficiency, 0.0, 1.0, "e/photon"),

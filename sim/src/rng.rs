@@ -33,6 +33,8 @@ pub enum Stream {
     Spots = 6,
     /// What effects draw for themselves.
     Effect = 7,
+    /// Which pixels are noisier than others.
+    ReadNoise = 8,
 }
 
 const M0: u64 = 0xD251_1F53;

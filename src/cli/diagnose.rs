@@ -63,20 +63,31 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
 
 /// Gain, read noise and dark current with the effects in the model.
 fn sensor(d: &Diagnosis) {
-    let said = |q: &Option<Quantity>| q.as_ref().map_or("not determined by this campaign".into(), ToString::to_string);
+    let said = |q: &Option<Quantity>| {
+        q.as_ref().map_or("not determined by this campaign".into(), ToString::to_string)
+    };
     let with = if d.missing.is_empty() { "" } else { " with these effects in the model" };
     println!("\n  the linear sensor{with}:");
     println!("      system gain   {}", said(&d.sensor.gain_dn_per_e));
     let pixels = match (d.sensor.read_noise_median_e, d.sensor.noisy_pixel_share) {
         (Some(median), Some(noisy)) => {
-            format!(" (RMS over the pixels; median {}, {} noisy pixels)", six_digits(round_to(median, 4)), percent(noisy))
+            format!(
+                " (RMS over the pixels; median {}, {} noisy pixels)",
+                six_digits(round_to(median, 4)),
+                percent(noisy)
+            )
         }
         _ => String::new(),
     };
     println!("      read noise    {}{pixels}", said(&d.sensor.read_noise_e));
     println!("      dark current  {}", said(&d.sensor.dark_current_e_per_s));
     if let Some(r) = &d.remainder {
-        println!("  what is left: {} of the misfit, error {:.3}, p {}", percent(r.share), r.error, chance(r.p_value));
+        println!(
+            "  what is left: {} of the misfit, error {:.3}, p {}",
+            percent(r.share),
+            r.error,
+            chance(r.p_value)
+        );
         for text in r.largest.iter().take(3) {
             println!("    - {}", super::common::wrapped(text, 6).trim_start());
         }
@@ -85,7 +96,9 @@ fn sensor(d: &Diagnosis) {
 
 /// To so many significant digits.
 fn round_to(value: f64, digits: i32) -> f64 {
-    if value == 0.0 { return 0.0 }
+    if value == 0.0 {
+        return 0.0;
+    }
     let unit = 10f64.powi(value.abs().log10().floor() as i32 + 1 - digits);
     (value / unit).round() * unit
 }

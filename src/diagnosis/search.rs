@@ -441,7 +441,8 @@ fn longer(all: &Observations, found: &[Candidate], given: usize) -> Vec<Line> {
     let line = |c: &&Candidate| {
         let fitted = without_idle(all, with_others(all, c, &good, given), given);
         // Fits of models that were far off end early: lines are compared where they have arrived.
-        let fitted = if fitted.mean_square > FAR_SQUARE { fit(all, &fitted.base, &fitted.effects) } else { fitted };
+        let fitted =
+            if fitted.mean_square > FAR_SQUARE { fit(all, &fitted.base, &fitted.effects) } else { fitted };
         Line { score: score(all, &fitted), fitted }
     };
     near.iter().map(line).collect()

@@ -295,8 +295,16 @@ pub fn of_dataset(
         };
         for &statistic in STATISTICS {
             let measured = Value { value: 0.0, std_err: 0.0 };
-            let template =
-                Observable { statistic, index: 0, set: None, half, frames: (0, 0), measured, pixels: 1.0, frame_var_dn2: 0.0 };
+            let template = Observable {
+                statistic,
+                index: 0,
+                set: None,
+                half,
+                frames: (0, 0),
+                measured,
+                pixels: 1.0,
+                frame_var_dn2: 0.0,
+            };
             statistic.of_half(&view, &mut Put { all: &mut list, template });
         }
         filled[half.place()] = of_codes.filled;
@@ -397,7 +405,9 @@ fn frames_between(list: &[Observable], sets: &[SetInfo], settings: &[FrameRow]) 
     // Of frames: covariance over variance, weighed by its error; of sets: step of the first frame over the change of level.
     let (mut within, mut between) = ((0.0, 0.0), (0.0, 0.0));
     for (i, o) in list.iter().enumerate() {
-        let Some(set) = of(o, &successive::Successive).filter(|s| settings[*s].kind == Kind::Flat) else { continue };
+        let Some(set) = of(o, &successive::Successive).filter(|s| settings[*s].kind == Kind::Flat) else {
+            continue;
+        };
         let same = |v: &&Observable| v.is(&variance::Variance) && v.set == Some(set) && v.frames == o.frames;
         let near = list[..i].iter().rev().take(60).find(same);
         let Some(var) = near.map(|v| v.measured.value).filter(|v| *v > 0.0) else { continue };
@@ -421,7 +431,9 @@ fn frames_between(list: &[Observable], sets: &[SetInfo], settings: &[FrameRow]) 
 fn field(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Field {
     let flats = chunks.iter().filter(|c| settings[c.set].kind == Kind::Flat);
     let level = |c: &&Chunk| c.summary.frame_means.mean_dn();
-    flats.max_by(|a, b| level(a).total_cmp(&level(b))).map_or_else(Field::default, |c| Field::of(&c.summary, zero_dn))
+    flats
+        .max_by(|a, b| level(a).total_cmp(&level(b)))
+        .map_or_else(Field::default, |c| Field::of(&c.summary, zero_dn))
 }
 
 /// Frequencies at which the row means of flats ripple, in proportion to the signal.

@@ -41,8 +41,11 @@ impl Field {
     pub fn of(s: &Summary, zero_dn: f64) -> Self {
         let signal = (s.frame_means.mean_dn() - zero_dn).max(1e-9);
         let (rows, columns) = (relative(&s.rows_dn, zero_dn), relative(&s.columns_dn, zero_dn));
-        let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>() / a.len().max(1) as f64;
-        let lag = |lag: usize| if lag < rows.len() { product(&rows[..rows.len() - lag], &rows[lag..]) } else { 0.0 };
+        let product =
+            |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>() / a.len().max(1) as f64;
+        let lag = |lag: usize| {
+            if lag < rows.len() { product(&rows[..rows.len() - lag], &rows[lag..]) } else { 0.0 }
+        };
         let (of_rows, of_columns) = (product(&rows, &rows), product(&columns, &columns));
         let pixels = s.spatial_var_dn2.max(0.0) / (signal * signal);
         Self {

@@ -96,7 +96,9 @@ fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<
     }
     // Noise that reaches full scale is cut off there.
     let reach = out.pair.map_or(0.0, |(_, var)| REACH * var.max(0.0).sqrt());
-    let near = (f64::from(full) - if reach.is_finite() { reach } else { 0.0 }).max(0.5 * f64::from(full)).ceil() as u16;
+    let near = (f64::from(full) - if reach.is_finite() { reach } else { 0.0 })
+        .max(0.5 * f64::from(full))
+        .ceil() as u16;
     let mut over = vec![false; sum.len()];
     for frame in &block {
         over.iter_mut().zip(frame).for_each(|(over, d)| *over |= *d >= near);

@@ -37,8 +37,8 @@ mod scene;
 mod table;
 
 pub use campaign::{Observations, ObserveError, Setting, of_dataset};
-pub use field::{Field, ROW_LAGS};
 pub use expect::{Expected, HEAVY_DOF, View, expectations, in_quadrature, lightened};
+pub use field::{Field, ROW_LAGS};
 pub use scene::{Direction, ScenePair};
 pub use table::observations as of_table;
 

@@ -25,7 +25,11 @@ impl Statistic for NoisyLevels {
     }
 
     fn name(&self, index: usize) -> String {
-        let which = ["pixels that stand out", "the noisiest hundredth of the pixels", "the noisiest twentieth of the pixels"];
+        let which = [
+            "pixels that stand out",
+            "the noisiest hundredth of the pixels",
+            "the noisiest twentieth of the pixels",
+        ];
         let which = which[index.min(2)];
         format!("kurtosis of {which}")
     }
@@ -43,7 +47,8 @@ impl Statistic for NoisyLevels {
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let (rows, columns) = view.all.campaign.shape;
-        let darks = view.prediction.sets.iter().zip(&view.all.campaign.sets).filter(|(_, s)| s.light.is_none());
+        let darks =
+            view.prediction.sets.iter().zip(&view.all.campaign.sets).filter(|(_, s)| s.light.is_none());
         let shortest = darks.min_by(|a, b| a.1.exposure_s.total_cmp(&b.1.exposure_s));
         let Some((s, _)) = shortest else { return Expected::plain(o, 0.0, 1.0) };
         let jump = s.two_levels;
@@ -58,10 +63,12 @@ impl Statistic for NoisyLevels {
         let excess: f64 = -1.6 * among * chosen * part * part;
         let step = view.prediction.code_step_dn;
         let own = (noise / (step * step) - 1.0 / 12.0).max(0.0);
-        let rounding = TWO_CODES * (-std::f64::consts::PI.powi(2) * own).exp() + (ROUNDING * step * step / noise.max(1e-6)).min(1.0);
+        let rounding = TWO_CODES * (-std::f64::consts::PI.powi(2) * own).exp()
+            + (ROUNDING * step * step / noise.max(1e-6)).min(1.0);
         // Noise that reaches code 0 is cut off there: the noisiest pixels first.
         let reach = 4.0 * NOISY * noise.sqrt();
-        let clipped = if view.all.campaign.from_code_0 && view.prediction.base.offset_dn < reach { 0.5 } else { 0.0 };
+        let clipped =
+            if view.all.campaign.from_code_0 && view.prediction.base.offset_dn < reach { 0.5 } else { 0.0 };
         let unsure = ROUGHLY * excess.abs() + rounding + clipped;
         // Above 0 lies what grows from set to set, as the shot noise of dark charge does: only what lies below tells of levels.
         let above = ABOVE * o.measured.value.max(0.0);

@@ -276,7 +276,10 @@ impl<'a, 'b> Reader<'a, 'b> {
                 sum.zip_mut_with(&self.frame(p.set, place)?, |m, &d| *m += f32::from(d));
             }
             let mean_dn = sum / (p.to - p.from) as f32;
-            return Ok((Work::Scene(SceneMean { set: p.set, half: p.half, frames: (p.from, p.to), mean_dn }), out));
+            return Ok((
+                Work::Scene(SceneMean { set: p.set, half: p.half, frames: (p.from, p.to), mean_dn }),
+                out,
+            ));
         }
         // Fresh pages cost as much as the frames: passes are used again.
         let free = || self.pool.lock().unwrap_or_else(PoisonError::into_inner);
@@ -407,7 +410,16 @@ impl<'a, 'b> Reader<'a, 'b> {
             let codes_used = codes::share_used(&summary);
             let var_dn2 = if is_short_dark { pass.variances_dn2() } else { Vec::new() };
             let fourth_dn4 = pass.fourths_dn4();
-            Box::new(Chunk { set: p.set, from, half: p.half, before, codes_used, summary, var_dn2, fourth_dn4 })
+            Box::new(Chunk {
+                set: p.set,
+                from,
+                half: p.half,
+                before,
+                codes_used,
+                summary,
+                var_dn2,
+                fourth_dn4,
+            })
         };
         Ok(Work::Noise(summary.map(chunk)))
     }

@@ -45,7 +45,11 @@ impl Statistic for RowSpectrum {
         PLAN.with_borrow_mut(|plan| {
             let length = PADDED * rows.len();
             if plan.as_ref().is_none_or(|p| p.0 != length) {
-                *plan = Some((length, FftPlanner::new().plan_fft_forward(length), vec![Complex::default(); length]));
+                *plan = Some((
+                    length,
+                    FftPlanner::new().plan_fft_forward(length),
+                    vec![Complex::default(); length],
+                ));
             }
             let Some((_, fft, buffer)) = plan else { return };
             buffer.fill(Complex::default());

@@ -63,7 +63,9 @@ impl Statistic for RowTails {
         let tails =
             (3.0 * s.unsure + s.unsure_fourth) / (view.noise * view.noise).max(1e-12) / columns as f64;
         // What whole frames share moves rows by their shading.
-        let shading = (view.all.largest_spread.powi(2) * (s.common + view.moved)).max(view.with_light * view.all.field.rows) / all;
+        let shading = (view.all.largest_spread.powi(2) * (s.common + view.moved))
+            .max(view.with_light * view.all.field.rows)
+            / all;
         let lines: f64 = s.lines.iter().map(|l| l.0).sum::<f64>() / columns as f64 / all;
         // What rows share is noise in one camera and hum in another, whose kurtosis is that of a sine: only bursts are no noise of rows.
         let rows_share = (s.row.lag(0) + ripple) / all;

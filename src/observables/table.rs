@@ -1,7 +1,9 @@
 //! Observables of a table of means and variances: many labs keep only that.
 
 use super::campaign::dark_spreads;
-use super::{Field, Half, Observable, Observations, ObserveError, Statistic, covariance, mean, monitor, variance};
+use super::{
+    Field, Half, Observable, Observations, ObserveError, Statistic, covariance, mean, monitor, variance,
+};
 use crate::dataset::Kind;
 use crate::dataset::table::Table;
 use crate::noise::{Counts, pixels_from_scatter, table_points};

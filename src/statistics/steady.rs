@@ -163,7 +163,8 @@ impl Steady {
         let mut all: Vec<(f64, usize)> =
             (0..layout.mask.len()).filter(|i| layout.mask[*i] > 0.0).map(|i| (total(i), i)).collect();
         all.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let quantile = |share: f64| all[((share * all.len() as f64) as usize).min(all.len() - 1)].0.max(1e-12);
+        let quantile =
+            |share: f64| all[((share * all.len() as f64) as usize).min(all.len() - 1)].0.max(1e-12);
         let width = 0.5 * (quantile(0.25) / quantile(0.75)).ln() / QUARTILE;
         let limit = quantile(0.5) * (STANDS_OUT * width).exp();
         let stand_out = all.iter().take_while(|v| v.0 > limit).count();
@@ -174,7 +175,10 @@ impl Steady {
             let b = |i: usize| n * own.fourths[i] / (own.squares[i] * own.squares[i]).max(1e-30);
             let sum: f64 = all[..count].iter().filter(|v| own.squares[v.1] > 0.0).map(|v| b(v.1)).sum();
             let pixels = count as f64;
-            Levels { excess: Value { value: sum / pixels - mean, std_err: (variance / pixels).sqrt() }, pixels }
+            Levels {
+                excess: Value { value: sum / pixels - mean, std_err: (variance / pixels).sqrt() },
+                pixels,
+            }
         };
         [stand_out, few, more].map(|count| (count >= PIXELS).then(|| of(count)))
     }
