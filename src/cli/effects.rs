@@ -5,7 +5,7 @@ use super::common::no_effect;
 use crate::model::page;
 use crate::number::pretty;
 use anyhow::{Result, bail};
-use radcam_sim::effects::{all, find};
+use radcam_sim::effects::{Effect, all, find};
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
@@ -32,7 +32,19 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         }
         return Ok(Outcome::Agreement);
     };
-    let Some(e) = find(id) else {
+    let found = named(id);
+    if found.len() > 1 {
+        println!("\"{id}\" may be one of these; `radcam effects ID` shows one:");
+        for e in &found {
+            println!("  {:<28} {}", e.id(), e.page().what);
+        }
+        return Ok(Outcome::Agreement);
+    }
+    if let (true, Some(text)) = (found.is_empty(), of_base_model(id)) {
+        println!("{text}");
+        return Ok(Outcome::Agreement);
+    }
+    let Some(e) = found.first().copied() else {
         bail!("{}", no_effect(id, all().iter().map(|e| e.id())));
     };
     if arguments.json {
@@ -71,6 +83,29 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         lines.for_each(|line| println!("    {:24} {line}", ""));
     }
     Ok(Outcome::Agreement)
+}
+
+/// The effect of this identifier, or those that people call so.
+fn named(word: &str) -> Vec<&'static dyn Effect> {
+    let lower = word.to_lowercase();
+    find(&lower).map_or_else(
+        || all().into_iter().filter(|e| e.also_called().contains(&lower.as_str())).collect(),
+        |e| vec![e],
+    )
+}
+
+/// What every camera has and is no effect, by the words that people have for it.
+fn of_base_model(word: &str) -> Option<String> {
+    let of: [(&[&str], &str); 5] = [
+        (&["vignetting", "shading", "vignette", "lens shading"], "shading is measured from the flats"),
+        (&["prnu", "dust", "pattern", "fixed pattern noise", "fpn"], "PRNU and dust are measured from the flats"),
+        (&["dsnu", "offset pattern"], "DSNU is measured from the darks"),
+        (&["hot pixels", "hot pixel", "dead pixels", "defect pixels"], "defect pixels are found and left out"),
+        (&["read noise", "noisy pixels", "shot noise", "dark current"], "noise of pixels and dark charge are fitted"),
+    ];
+    let lower = word.to_lowercase();
+    let found = of.iter().find(|(words, _)| words.contains(&lower.as_str()))?;
+    Some(format!("{word} is part of the base model, which every camera has, and no effect: {}.", found.1))
 }
 
 fn wrap(text: &str, width: usize) -> Vec<String> {

@@ -1,7 +1,8 @@
 //! Searches over sets of effects: several lines are followed, what others take over is dropped again.
 
 use crate::inference::{
-    Effects, Fitted, Given, Scored, Screen, as_given, fit, fit_briefly, fit_near, residuals_of, seen, start,
+    Effects, Fitted, Given, Scored, Screen, as_given, fit, fit_briefly, fit_near, has_flats, residuals_of,
+    seen, start,
 };
 
 use crate::observables::{Observations, Statistic, covariance, frame_scatter, succession};
@@ -160,8 +161,11 @@ impl Look<'_> {
             let starts = screen.starts(*effect, &[], &hinted);
             Some(Promising { gain: starts.first()?.gain, effect: *effect, starts })
         };
+        let lit = has_flats(self.all);
         let tells = |e: &&&'static dyn Effect| {
-            e.needs() <= there && !(self.all.means_given && e.needs() == Needs::Means)
+            e.needs() <= there
+                && !(self.all.means_given && e.needs() == Needs::Means)
+                && (lit || e.shows_in_darks())
         };
         let list: Vec<&'static dyn Effect> =
             effects::all().iter().filter(|e| !ids.contains(&e.id())).filter(tells).copied().collect();

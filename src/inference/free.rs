@@ -1,7 +1,7 @@
 //! What is free in a fit, as one list of values over their scales, and the light factors beside it.
 
 use super::model::Effects;
-use super::start::{MOST_SPREAD, reference_level};
+use super::start::{MOST_SPREAD, has_flats, of_darks, reference_level};
 use crate::dataset::Kind;
 use crate::observables::{Half, Observations, Setting, mean, unequal};
 use radcam_sim::effects::{Effect, Parameter};
@@ -114,8 +114,9 @@ fn of_base(all: &Observations, base: &BaseParameters) -> Vec<Entry> {
     let entry = |what, value, scale, fixed, bounds| Entry { what, value, scale, fixed, bounds };
     // Of a table the level without light was taken off.
     let table = all.is_table;
+    let no_gain = !has_flats(all) && of_darks(all, base.offset_dn).is_none();
     let mut list = vec![
-        entry(Common::Gain, 0.0, 1.0, false, (-14.0, 14.0)),
+        entry(Common::Gain, 0.0, 1.0, no_gain, (-14.0, 14.0)),
         entry(Common::Read, base.read_noise_e, 0.0, false, (0.0, f64::INFINITY)),
         entry(
             Common::ReadSpread,

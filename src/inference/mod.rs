@@ -24,4 +24,5 @@ pub use judge::{Comparison, OfStatistic, Residual, by_statistic, compare};
 pub(crate) use judge::{by, residuals_of};
 pub use model::{Effects, Given, as_given};
 pub use screen::{Scored, Screen};
+pub(crate) use start::has_flats;
 pub use start::{reference_level, start};

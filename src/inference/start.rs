@@ -21,7 +21,11 @@ pub fn start(all: &Observations) -> BaseParameters {
     let dark = values(all, &variance::Variance, Some(Kind::Dark)).map(|v| v.1).reduce(f64::min);
     let dark_var_dn2 = dark.unwrap_or_else(|| intercept(&points));
     let top_dn = points.last().map_or(0.0, |p| p.0);
-    let gain_dn_per_e = gain(&points, dark_var_dn2, top_dn);
+    let gain_dn_per_e = if points.is_empty() {
+        of_darks(all, offset_dn).unwrap_or(1.0)
+    } else {
+        gain(&points, dark_var_dn2, top_dn)
+    };
     let mut flux_e_per_s = flux(all, &signal_dn, gain_dn_per_e, top_dn);
     raise_clipped(all, &signal_dn, top_dn, &mut flux_e_per_s);
     let monitor = monitor_of(all, &flux_e_per_s);
@@ -65,6 +69,25 @@ fn signals(all: &Observations, offset_dn: f64) -> Vec<f64> {
     let mut sums = vec![(0.0, 0.0); all.campaign.sets.len()];
     values(all, &mean::Mean, None).for_each(|(set, v)| sums[set] = (sums[set].0 + v, sums[set].1 + 1.0));
     sums.into_iter().map(|(sum, n)| sum / n - offset_dn).collect()
+}
+
+/// Dark charge tells something of the gain where it moves the mean by this multiple of the noise of a pixel: its own noise is in the variance then.
+const BRIGHT_DARKS: f64 = 0.2;
+
+/// A, from the noise of the dark charge where there is no light, and enough of it; `None`: nothing tells the gain.
+pub fn of_darks(all: &Observations, offset_dn: f64) -> Option<f64> {
+    let variances: Vec<(usize, f64)> = values(all, &variance::Variance, Some(Kind::Dark)).collect();
+    let signal = signals(all, offset_dn);
+    let brightest = variances.iter().max_by(|a, b| signal[a.0].total_cmp(&signal[b.0]))?;
+    let least = variances.iter().map(|v| v.1).fold(f64::INFINITY, f64::min);
+    let more = brightest.1 - least;
+    let level = signal[brightest.0];
+    (level > BRIGHT_DARKS * least.max(0.0).sqrt()).then(|| more.max(0.02 * least) / level)
+}
+
+/// Whether the campaign has light.
+pub fn has_flats(all: &Observations) -> bool {
+    values(all, &variance::Variance, Some(Kind::Flat)).next().is_some() || all.is_table
 }
 
 /// A, from the slope of the variance over the signal.

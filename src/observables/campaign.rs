@@ -231,10 +231,13 @@ pub fn of_dataset(
             "no set of darks or flats has two frames that are not clipped: nothing can be compared".into(),
         ));
     }
-    if chunks.iter().all(|c| settings[c.set].kind != Kind::Flat) {
-        return Err(ObserveError::Nothing(
-            "no flats of two frames or more that are not clipped: without light there is no gain, and nothing to compare darks with".into(),
-        ));
+    let no_flats = chunks.iter().all(|c| settings[c.set].kind != Kind::Flat);
+    if no_flats {
+        missing.push(
+            "no flats: darks tell noise, offsets and dark charge, and no gain; what is said in e is in DN, unless the noise of the dark charge \
+             tells the gain"
+                .into(),
+        );
     }
     spreads(&mut infos, &chunks, &settings, zero_dn);
     // A level at which the range has ended tells nothing of its light: one for itself.
@@ -367,7 +370,7 @@ pub fn of_dataset(
         pixel_noise,
         darkest_dn,
     };
-    if !all.tells_dark_current(None) {
+    if !no_flats && !all.tells_dark_current(None) {
         all.missing.push(
             "every light has one exposure, and so have the darks: dark current cannot be told from black level and read noise, and is taken \
              as 0; darks at two exposures tell it"

@@ -12,6 +12,10 @@ impl Effect for BlackClipping {
         "black-clipping"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["crushed blacks", "clipped blacks"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Converter
     }

@@ -24,6 +24,10 @@ impl Effect for BlackLevelClamp {
         "black-level-clamp"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["black level", "clamp", "optical black"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Charge
     }
@@ -37,6 +41,10 @@ impl Effect for BlackLevelClamp {
             max: 1e6,
             starts: &[1.0, 100.0],
         }]
+    }
+
+    fn shows_in_darks(&self) -> bool {
+        true
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {

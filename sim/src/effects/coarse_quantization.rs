@@ -10,6 +10,10 @@ impl Effect for CoarseQuantization {
         "coarse-quantization"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["posterization", "posterisation", "missing codes", "8 bits"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Converter
     }

@@ -10,6 +10,10 @@ impl Effect for ColumnNoise {
         "column-noise"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["stripes", "vertical lines", "vertical stripes"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Read
     }

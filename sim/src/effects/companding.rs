@@ -33,6 +33,10 @@ impl Effect for Companding {
         "companding"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["compression", "piecewise linear", "square-root table"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Firmware
     }

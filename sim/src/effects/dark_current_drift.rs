@@ -36,6 +36,10 @@ impl Effect for DarkCurrentDrift {
         }]
     }
 
+    fn shows_in_darks(&self) -> bool {
+        true
+    }
+
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
         // Some 0.3 DN of the long darks at the end, or a tenth of the noise.
         let rel = (0.1 * plain.noise_e * plain.gain_dn_per_e).max(0.3)

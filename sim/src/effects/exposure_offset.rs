@@ -10,6 +10,10 @@ impl Effect for ExposureOffset {
         "exposure-offset"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["exposure time", "shutter delay"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Light
     }

@@ -13,6 +13,10 @@ impl Effect for FullWellSaturation {
         "full-well-saturation"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["saturation", "full well", "clipping"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Well
     }

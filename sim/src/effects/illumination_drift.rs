@@ -15,6 +15,10 @@ impl Effect for IlluminationDrift {
         "illumination-drift"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["warm-up", "lamp drift"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Light
     }

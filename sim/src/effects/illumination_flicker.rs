@@ -10,6 +10,10 @@ impl Effect for IlluminationFlicker {
         "illumination-flicker"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["flicker", "flickering", "lamp ripple"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Light
     }

@@ -85,6 +85,10 @@ impl Effect for ImageLag {
         "image-lag"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["lag", "ghosting", "persistence", "afterimage"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Transfer
     }

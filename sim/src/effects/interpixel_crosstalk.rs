@@ -21,6 +21,10 @@ impl Effect for InterpixelCrosstalk {
         "interpixel-crosstalk"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["crosstalk", "blur"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Charge
     }

@@ -26,6 +26,10 @@ impl Effect for LightBanding {
         "light-banding"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["banding", "bands", "stripes", "rolling shutter"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Light
     }

@@ -300,6 +300,10 @@ pub mod takes {
 pub trait Effect: Sync + Send {
     /// Identifier, as in `[[effect]] id = "..."`.
     fn id(&self) -> &'static str;
+    /// Other words that people have for it, in lower case.
+    fn also_called(&self) -> &'static [&'static str] {
+        &[]
+    }
     /// Its place in the chain.
     fn stage(&self) -> Stage;
     /// The same where a choice among its parameters decides.
@@ -357,6 +361,10 @@ pub trait Effect: Sync + Send {
     /// What this campaign shows that it would not do at these values, although it may come near all that is fitted: its name does not stand then.
     fn contradicted(&self, _p: &[f64], _seen: &Seen) -> Option<&'static str> {
         None
+    }
+    /// Whether darks alone tell of it.
+    fn shows_in_darks(&self) -> bool {
+        matches!(self.stage(), Stage::Read | Stage::Converter | Stage::Firmware)
     }
     /// Whether it makes the light of every set another one: else the light stays as it is until another level is set.
     fn sets_each(&self) -> bool {

@@ -111,6 +111,10 @@ impl Effect for Nonlinearity {
         "nonlinearity"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["gamma", "lut", "knee", "linearity", "contrast curve", "tone curve"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Amplifier
     }

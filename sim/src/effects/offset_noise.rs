@@ -10,6 +10,10 @@ impl Effect for OffsetNoise {
         "offset-noise"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["clamp noise", "black level noise", "dc noise"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Converter
     }

@@ -10,6 +10,10 @@ impl Effect for PeriodicInterference {
         "periodic-interference"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["hum", "interference", "moving pattern"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Converter
     }

@@ -30,6 +30,10 @@ impl Effect for RandomTelegraphNoise {
         "random-telegraph-noise"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["rtn", "rts", "telegraph noise", "blinking pixels", "popcorn noise"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Read
     }

@@ -15,6 +15,10 @@ impl Effect for RowNoise {
         "row-noise"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["stripes", "horizontal lines", "horizontal stripes", "line noise"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Read
     }

@@ -11,6 +11,10 @@ impl Effect for Smear {
         "smear"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["vertical smear", "streak"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Light
     }

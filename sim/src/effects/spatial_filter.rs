@@ -32,6 +32,10 @@ impl Effect for SpatialFilter {
         "spatial-filter"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["sharpening", "sharpness", "denoise", "noise reduction", "smoothing", "edge enhancement"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Firmware
     }

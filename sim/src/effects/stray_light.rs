@@ -10,6 +10,10 @@ impl Effect for StrayLight {
         "stray-light"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["light leak", "glare"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Light
     }

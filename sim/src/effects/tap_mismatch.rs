@@ -20,6 +20,10 @@ impl Effect for TapMismatch {
         "tap-mismatch"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["seam", "tap balance", "channel mismatch"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Amplifier
     }

@@ -221,6 +221,10 @@ impl Effect for TemporalFilter {
         "temporal-filter"
     }
 
+    fn also_called(&self) -> &'static [&'static str] {
+        &["frame averaging", "3d noise reduction", "recursive filter"]
+    }
+
     fn stage(&self) -> Stage {
         Stage::Firmware
     }

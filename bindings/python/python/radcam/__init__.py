@@ -55,13 +55,14 @@ from radcam.results import (
     NoiseReport,
     Quantity,
     Residual,
+    Remainder,
     Rung,
 )
 
 __all__ = [
     "HAS_ARAVIS", "CalibrateError", "Calibration", "Camera", "CameraError", "CaptureError", "Comparison", "CorrectError", "Corrector", "Dataset",
     "DatasetError", "Diagnosis", "Effect", "EmvaError", "Evaluation", "Frames", "FrameStatistics", "Missing", "Model", "ModelError", "Moments",
-    "NoiseError", "NoiseLevel", "NoiseReport", "ObserveError", "Page", "Parameter", "PlanError", "Quantity", "RadcamError", "Residual", "Rung",
+    "NoiseError", "NoiseLevel", "NoiseReport", "ObserveError", "Page", "Parameter", "PlanError", "Quantity", "RadcamError", "Remainder", "Residual", "Rung",
     "Sensor", "Set", "__version__", "calibrate", "cameras", "capture", "compare", "diagnose", "effects_known", "emva", "merge", "moments",
     "noise", "reduce", "register", "simulate", "statistics", "unregister",
 ]  # fmt: skip

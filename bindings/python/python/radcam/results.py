@@ -235,6 +235,10 @@ class Missing:
 
     effect: str
     confidence: float
+    #: Share of the misfit that goes with it.
+    share: float
+    #: Relative errors of gain, read noise and linearity where it is left out of account.
+    cost: dict[str, float | None]
     error_drop: float
     parameters: dict[str, Quantity]
     form: str | None
@@ -242,6 +246,17 @@ class Missing:
     nearest: list[str]
     tied_with: str | None
     evidence: list[str]
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What is left once all names are in the model."""
+
+    share: float
+    error: float
+    p_value: float
+    largest: list[str]
+    cost: dict[str, float | None]
 
 
 @dataclass(frozen=True)
@@ -266,6 +281,12 @@ class Diagnosis(Result):
     ladder: list[Rung]
     next_measurement: str | None
     notes: list[str]
+    #: None where what is left is within the noise.
+    remainder: Remainder | None = None
+    #: With all effects in the model; None where the campaign does not determine it.
+    gain_dn_per_e: Quantity | None = None
+    read_noise_e: Quantity | None = None
+    dark_current_e_per_s: Quantity | None = None
     #: The measurement that would tell the closest candidates apart, as a plan that `capture` takes.
     next_plan: str | None = None
 
@@ -273,7 +294,7 @@ class Diagnosis(Result):
     def of(cls, d: dict[str, Any]) -> Diagnosis:
         missing = [
             Missing(
-                m["effect"], m["confidence"], m["error_drop"],
+                m["effect"], m["confidence"], m["share"], m["cost"], m["error_drop"],
                 {name: Quantity.of(q) for name, q in m["parameters"].items()},
                 m.get("form"), m["partial"], m.get("nearest", []), m.get("tied_with"), m["evidence"],
             )
@@ -283,7 +304,8 @@ class Diagnosis(Result):
         verdict = d["verdict"]
         return cls(
             d, verdict["sentence"], verdict["kind"], d["consistent"], d["error_before"], d["error_after"], missing, ladder,
-            d["next_measurement"], d["notes"],
+            d["next_measurement"], d["notes"], d["remainder"] and Remainder(**d["remainder"]),
+            *(d[name] and Quantity.of(d[name]) for name in ("gain_dn_per_e", "read_noise_e", "dark_current_e_per_s")),
         )  # fmt: skip
 
     def with_plan(self, plan: str | None) -> Diagnosis:
