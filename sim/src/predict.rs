@@ -419,6 +419,9 @@ impl SetPrediction {
     }
 }
 
+/// What a few shares of the pixels tell of a curve over all of them is off by about this part (a named choice: the field of shading is no normal one).
+const OF_PLACES: f64 = 0.1;
+
 /// Deviation of a rounded mean from the level, in steps, for noise of this variance in squares of the step: the first term of the
 /// characteristic function, as a root mean square over all levels (Widrow and Kollar 2008, ch. 4).
 pub(crate) fn quantised_mean(variance: f64) -> f64 {
@@ -550,7 +553,11 @@ impl Prediction {
             let square: f64 = all.iter().map(|(share, _, square)| share * square).sum();
             let apart: f64 = all.iter().map(|(share, _, q)| share * (q - square) * (q - square)).sum();
             let own = s.pixels();
+            let level = s.signal;
             s.signal = all.iter().map(|(share, mean, _)| share * mean).sum();
+            // What the field makes of a bend is known as a few places tell it.
+            s.unsure_mean =
+                libm::hypot(s.unsure_mean, OF_PLACES * (s.signal - pixel(level, noise[set]).0).abs());
             let bent: Vec<f64> = all.iter().map(|(_, mean, _)| mean - s.signal).collect();
             s.uneven = libm::hypot(s.uneven, off_a_line(&c.sets[set].places, &bent));
             s.scale(square);

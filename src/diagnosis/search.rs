@@ -23,7 +23,7 @@ const RIVALS: usize = 4;
 const NO_RIVAL: f64 = 0.03;
 /// Starts of one candidate that are fitted for a few rounds; of the most promising candidate, one of every form.
 const STARTS: usize = 3;
-const FORMS: usize = 9;
+const FORMS: usize = 10;
 /// Of the starts of a candidate so many are fitted to the end.
 const FINISHED: usize = 4;
 /// Two fits whose scores differ by less, in proportion to the mean square of their residuals, have come to the same place (a named choice).

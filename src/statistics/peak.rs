@@ -1,5 +1,7 @@
 //! Where the variance of a photon transfer turns, and single levels that would be taken for it.
 
+use super::median::median;
+
 /// Levels below this share of the largest mean have read noise in their variance over the mean.
 const DIM: f64 = 0.05;
 /// A level is a stray where its variance over the mean is this multiple of the median of five around it: noise of a turning well falls, and does not
@@ -17,6 +19,8 @@ const AROUND: usize = 2;
 /// assert!(strays(&levels).is_empty());
 /// levels[15].1 = 400_000.0;
 /// assert_eq!(strays(&levels), [15]);
+/// let read_noise: Vec<(f64, f64)> = (1..20).map(|i| (10.0 * f64::from(i), 1.12 + 0.03 * f64::from(i))).collect();
+/// assert!(strays(&read_noise).is_empty());
 /// ```
 pub fn strays(levels: &[(f64, f64)]) -> Vec<usize> {
     if levels.len() < 2 * AROUND + 1 {
@@ -25,11 +29,16 @@ pub fn strays(levels: &[(f64, f64)]) -> Vec<usize> {
     let top = levels.iter().map(|l| l.0).fold(0.0, f64::max);
     let mut order: Vec<usize> = (0..levels.len()).filter(|&i| levels[i].0 > DIM * top).collect();
     order.sort_by(|&a, &b| levels[a].0.total_cmp(&levels[b].0));
-    let ratio = |k: usize| levels[order[k]].1 / levels[order[k]].0;
+    let var = |k: usize| levels[order[k]].1;
+    let ratio = |k: usize| var(k) / levels[order[k]].0;
+    // In the shot noise the ratio stays from level to level, in the read noise the variance does.
     let is_stray = |k: &usize| {
         let from = k.saturating_sub(AROUND).min(order.len().saturating_sub(2 * AROUND + 1));
-        let around = from..(from + 2 * AROUND + 1).min(order.len());
-        around.len() > 2 * AROUND && ratio(*k) > STRAY * super::median::median(around.map(ratio))
+        let around = || from..(from + 2 * AROUND + 1).min(order.len());
+        let far = |value: f64, usual: f64| value > STRAY * usual;
+        around().len() > 2 * AROUND
+            && far(ratio(*k), median(around().map(ratio)))
+            && far(var(*k), median(around().map(var)))
     };
     (0..order.len()).filter(is_stray).map(|k| order[k]).collect()
 }

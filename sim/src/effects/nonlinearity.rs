@@ -1,5 +1,7 @@
 //! Nonlinearity: the signal bends away from a straight line in the light.
 
+use crate::predict::quantised_mean;
+
 use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
 /// A curve after the amplifier, one of several shapes.
@@ -77,6 +79,9 @@ fn bent(p: &[f64], full_scale_dn: f64) -> impl Fn(f64) -> f64 {
 /// The shape that is a table of whole codes.
 const WHOLE_CODE: i32 = 9;
 
+/// Deviation of a rounded number from itself, in codes: root 1/12.
+const ROUNDED: f64 = 0.29;
+
 fn is_of_whole_code(p: &[f64]) -> bool {
     p[0].round() as i32 == WHOLE_CODE
 }
@@ -95,11 +100,16 @@ fn of_whole_code(g: f64, c: &Campaign, out: &mut Prediction) {
         let used: f64 = all.map(|(x, share)| share * (1.0 / slope(level + spread * x)).min(1.0)).sum();
         s.codes_used *= used;
         let here = slope(level);
+        // A table's own rounding runs through its phases by the slope less 1 from code to code, and averages out where the noise and the levels
+        // cover a turn of it (Widrow and Kollar 2008, ch. 4); where codes are a slope apart, noise must cover that.
+        let (turn, variance) = (here - 1.0, s.covariance(0, 0));
+        let square = 2.0 * std::f64::consts::PI * std::f64::consts::PI;
+        let left = libm::exp(-square * turn * turn * (variance + spread * spread));
+        s.unsure_mean = libm::hypot(s.unsure_mean, ROUNDED * left);
+        s.unsure_own = libm::hypot(s.unsure_own, 0.5 * ROUNDED * left);
         if here > 1.0 {
-            // Which of the table's codes a level lies on is not followed.
-            let variance = s.covariance(0, 0);
-            s.unsure_own = libm::hypot(s.unsure_own, 0.5 * crate::predict::quantised_mean(variance));
-            s.unsure_mean = libm::hypot(s.unsure_mean, crate::predict::quantised_mean(variance));
+            s.unsure_own = libm::hypot(s.unsure_own, 0.5 * quantised_mean(variance));
+            s.unsure_mean = libm::hypot(s.unsure_mean, quantised_mean(variance));
         }
     }
     out.bend(c, |v| full * libm::pow(((v + before) / full).max(0.0), g) - black);
