@@ -2,17 +2,22 @@
 //! they cost the user. What is left has a share of its own.
 
 mod cost;
+mod entry;
 mod search;
+mod sensor;
+mod share;
 mod unknown;
 mod verdict;
 mod words;
 
 pub use cost::Cost;
 pub use search::searched;
+pub use sensor::SensorValues;
+pub use share::Remainder;
 pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
-use crate::agreement::{DOUBT, P_LIMIT};
+use crate::agreement::DOUBT;
 use crate::features::LeftOn;
 use crate::inference::{
     Comparison, Effects, Fitted, Residual, by, compare, fit, fit_near, residuals_of, seen, start,
@@ -21,11 +26,14 @@ use crate::number::Quantity;
 use crate::number::{chance, percent};
 use crate::observables::{Observations, covariance};
 use crate::plan::Plan;
-use radcam_sim::effects::{Effect, Parameter, Seen, Take, find, takes};
+use entry::{describe, reasons};
+use radcam_sim::effects::{Effect, Seen, Take, find, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
 use search::{Candidate, NEEDED, is_something, rivals, score, search, surely_there, without};
+use sensor::sensor;
 use serde::{Deserialize, Serialize};
+use share::{MATTERS, Place, place_of_unknown, remainder, shares};
 use std::collections::BTreeMap;
 
 /// Candidates within this evidence of the best cannot be told apart.
@@ -34,11 +42,6 @@ const TIE: f64 = 6.0;
 const FAR: f64 = 3.0;
 /// Chance below which what is left over with all names is there, and is said.
 const HOLDS: f64 = 0.01;
-/// Share of the misfit below which what is left matters to nobody, and is not held against a name: with enough frames every model is rejected
-/// (of 202 cameras of an outside generator those with an effect of the catalogue leave less in 11 of 12 that significance would call unknown).
-const MATTERS: f64 = 0.01;
-/// Share of the misfit from which on the remainder is the larger part, and stands first.
-const LARGER_PART: f64 = 0.5;
 /// Share of its evidence that something without a name is not given: numbers without a meaning follow the last per cent of any statistic
 /// better than physics does.
 const NEARLY_ALL: f64 = MATTERS;
@@ -98,40 +101,6 @@ pub struct Rung {
     pub error: f64,
     /// Chance of such residuals.
     pub p_value: f64,
-}
-
-/// What is left once all names are in.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[non_exhaustive]
-pub struct Remainder {
-    /// Share of the misfit of the model as given.
-    pub share: f64,
-    /// Error with all names in the model.
-    pub error: f64,
-    /// Chance of such residuals.
-    pub p_value: f64,
-    /// The statistics that deviate most.
-    pub largest: Vec<String>,
-    /// What it costs.
-    pub cost: Cost,
-}
-
-/// The linear sensor with all effects in the model; null where the campaign does not determine a value.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[non_exhaustive]
-pub struct SensorValues {
-    /// System gain (EMVA 1288: K), DN/e.
-    pub gain_dn_per_e: Option<Quantity>,
-    /// Read noise, root mean square over the pixels, e.
-    pub read_noise_e: Option<Quantity>,
-    /// Median of the pixels' read noise, e, where single pixels are told apart.
-    pub read_noise_median_e: Option<f64>,
-    /// Standard deviation of the logarithm of the ordinary pixels' read noise.
-    pub read_noise_log_spread: Option<f64>,
-    /// Share of pixels noisier than that.
-    pub noisy_pixel_share: Option<f64>,
-    /// Dark current, e/s.
-    pub dark_current_e_per_s: Option<Quantity>,
 }
 
 /// The whole answer.
@@ -247,55 +216,6 @@ fn suspects(effect: &str, left_on: &[LeftOn]) -> Option<String> {
         .then(|| format!("{} was left on in the camera and may be all there is to it", names.join(", ")))
 }
 
-/// Error of a value, relative, from which on the campaign does not determine it.
-const NOT_DETERMINED: f64 = 0.3;
-
-/// Values of the linear sensor; where a model does not describe the campaign their errors grow with the misfit.
-fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorValues {
-    let (base, errors) = (&whole.base, &whole.base_std_err);
-    let of = |value: f64, std_err: f64, unit: &'static str| {
-        let std_err = std_err * error.max(1.0);
-        (std_err.is_finite() && std_err < NOT_DETERMINED * value.abs())
-            .then(|| Quantity::new(value, std_err, unit))
-    };
-    let pixels = all.pixel_noise.filter(|p| p.log_spread.is_finite());
-    let read_noise_e = of(base.read_noise_e, errors[1], "e");
-    SensorValues {
-        gain_dn_per_e: of(base.gain_dn_per_e, errors[0], "DN/e"),
-        read_noise_median_e: pixels.filter(|_| read_noise_e.is_some()).map(|p| p.median * base.read_noise_e),
-        read_noise_log_spread: pixels.map(|p| p.log_spread),
-        noisy_pixel_share: pixels.map(|p| p.noisy),
-        read_noise_e,
-        dark_current_e_per_s: of(base.dark_e_per_s, errors[3], "e/s"),
-    }
-}
-
-/// Misfit: the square of an error above the noise.
-fn misfit(c: &Comparison) -> f64 {
-    (c.error * c.error - 1.0).max(0.0)
-}
-
-/// What is left; `None` where that is within the noise. `nothing`: the model has no more than it was given.
-fn remainder(
-    all: &Observations,
-    whole: &Fitted,
-    [first, last]: [&Comparison; 2],
-    nothing: bool,
-) -> Option<Remainder> {
-    // A name must hold; the model as given, only not fail.
-    if last.p_value >= if nothing { P_LIMIT } else { HOLDS } {
-        return None;
-    }
-    let share = if nothing { 1.0 } else { misfit(last) / misfit(first).max(misfit(last)).max(1e-9) };
-    Some(Remainder {
-        share,
-        error: last.error,
-        p_value: last.p_value,
-        largest: signatures(&last.residuals).into_iter().take(4).map(|s| s.text).collect(),
-        cost: cost::of_remainder(all, whole),
-    })
-}
-
 /// The entries of the answer, the largest share first, each with what ties with it; `unknown` first where names are the smaller part or wrong, and
 /// last where what is left matters.
 fn missing(
@@ -355,34 +275,6 @@ fn missing(
         _ => out.push(unknown),
     }
     out
-}
-
-/// Where `unknown` stands.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Place {
-    First,
-    Last,
-    Nowhere,
-}
-
-/// `doubt`: why the strongest name is not right. `left`: share of what is left.
-fn place_of_unknown(parts: &[Part], doubt: Option<&str>, left: f64) -> Place {
-    let better = parts.first().is_some_and(|p| better(p).is_some());
-    match left {
-        _ if parts.is_empty() && left > 0.0 || doubt.is_some() || better => Place::First,
-        left if left >= LARGER_PART => Place::First,
-        left if left >= MATTERS => Place::Last,
-        _ => Place::Nowhere,
-    }
-}
-
-/// Share of each part in what all of them explain: by what the sum of squares grows without it. `fitted`: residuals with all of them.
-fn shares(parts: &[Part], fitted: &[Residual]) -> Vec<f64> {
-    let squares = |residuals: &[Residual]| residuals.iter().map(|r| r.z * r.z).sum::<f64>();
-    let with = squares(fitted);
-    let each: Vec<f64> = parts.iter().map(|p| (squares(&p.without) - with).max(1e-9)).collect();
-    let sum: f64 = each.iter().sum();
-    each.iter().map(|e| e / sum).collect()
 }
 
 /// Why a part is not what it is called, though it comes near all that is fitted.
@@ -673,59 +565,6 @@ fn what_deviates(first: &Comparison, last: &Comparison, named: bool) -> Vec<Stri
     }
     let left = of(last, 4).into_iter().map(|text| format!("remaining with all named effects: {text}"));
     left.chain(of(first, 3).into_iter().map(|text| format!("starting model: {text}"))).collect()
-}
-
-/// An effect of a model with its values. `split`: the brightest signal, e, where nothing tells the parts of a combination apart.
-fn describe(fitted: &Fitted, effect: &'static dyn Effect, confidence: f64, split: Option<f64>) -> Missing {
-    let at = fitted.effects.iter().position(|(e, _)| e.id() == effect.id()).unwrap_or(0);
-    Missing {
-        effect: effect.id().into(),
-        confidence,
-        share: 0.0,
-        cost: Cost::default(),
-        error_drop: 0.0,
-        parameters: parameters(fitted, at, split),
-        form: effect.form(&fitted.effects[at].1).map(Into::into),
-        partial: false,
-        nearest: Vec::new(),
-        tied_with: None,
-        evidence: Vec::new(),
-        doubt: None,
-    }
-}
-
-/// The parameters of an effect of a model; what only a combination tells stands as that combination.
-fn parameters(fitted: &Fitted, at: usize, split: Option<f64>) -> BTreeMap<String, Quantity> {
-    let ((effect, values), errors) = (&fitted.effects[at], &fitted.std_err[at]);
-    let used = effect.parameters().iter().enumerate().filter(|(k, _)| effect.uses(values, *k));
-    let own = |(k, p): (usize, &Parameter)| {
-        let std_err = errors[k].hypot(effect.resolution(k));
-        (p.name.to_string(), Quantity::new(values[k], std_err, p.unit))
-    };
-    let mut out: BTreeMap<String, Quantity> = used.map(own).collect();
-    let Some(t) = effect.together(values) else { return out };
-    let std_err = fitted.std_err_of(at, &t).hypot(t.unsure_per_e * split.unwrap_or(0.0));
-    let of: Vec<usize> = (0..values.len()).filter(|k| t.slopes[*k] != 0.0).collect();
-    // Each alone is known ten times worse, of its own size, than all of them together.
-    let alone = of.iter().map(|&k| errors[k] / values[k].abs().max(1e-300)).fold(f64::INFINITY, f64::min);
-    if split.is_some() || std_err / t.value.abs().max(1e-300) < 0.1 * alone {
-        of.iter().for_each(|k| {
-            out.remove(effect.parameters()[*k].name);
-        });
-        out.insert(t.name.into(), Quantity::new(t.value, std_err, t.unit));
-    }
-    out
-}
-
-/// The statistics that deviate without an effect and are mended with it, worst first, and what the effect does.
-fn reasons(without: &[Residual], with: &[Residual], effect: &dyn Effect) -> Vec<String> {
-    let deviations = signatures(without);
-    let left = signatures(with);
-    let mended = |s: &&Signature| left.iter().all(|l| l.name != s.name || l.excess < 0.5 * s.excess);
-    let mut out: Vec<String> =
-        deviations.iter().filter(mended).take(4).map(|s| format!("without it: {}", s.text)).collect();
-    out.push(format!("{}: {}", effect.id(), effect.page().signature));
-    out
 }
 
 #[cfg(test)]

@@ -30,6 +30,7 @@ mod codes;
 mod expect;
 mod field;
 mod filled;
+mod left_out;
 mod look;
 pub(crate) mod outliers;
 mod read;

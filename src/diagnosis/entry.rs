@@ -1,0 +1,65 @@
+//! An entry of the answer: an effect with its values and the statistics that show it.
+
+use super::{Cost, Missing, Signature, signatures};
+use crate::inference::{Fitted, Residual};
+use crate::number::Quantity;
+use radcam_sim::effects::{Effect, Parameter};
+use std::collections::BTreeMap;
+
+/// An effect of a model with its values. `split`: the brightest signal, e, where nothing tells the parts of a combination apart.
+pub(super) fn describe(
+    fitted: &Fitted,
+    effect: &'static dyn Effect,
+    confidence: f64,
+    split: Option<f64>,
+) -> Missing {
+    let at = fitted.effects.iter().position(|(e, _)| e.id() == effect.id()).unwrap_or(0);
+    Missing {
+        effect: effect.id().into(),
+        confidence,
+        share: 0.0,
+        cost: Cost::default(),
+        error_drop: 0.0,
+        parameters: parameters(fitted, at, split),
+        form: effect.form(&fitted.effects[at].1).map(Into::into),
+        partial: false,
+        nearest: Vec::new(),
+        tied_with: None,
+        evidence: Vec::new(),
+        doubt: None,
+    }
+}
+
+/// The parameters of an effect of a model; what only a combination tells stands as that combination.
+fn parameters(fitted: &Fitted, at: usize, split: Option<f64>) -> BTreeMap<String, Quantity> {
+    let ((effect, values), errors) = (&fitted.effects[at], &fitted.std_err[at]);
+    let used = effect.parameters().iter().enumerate().filter(|(k, _)| effect.uses(values, *k));
+    let own = |(k, p): (usize, &Parameter)| {
+        let std_err = errors[k].hypot(effect.resolution(k));
+        (p.name.to_string(), Quantity::new(values[k], std_err, p.unit))
+    };
+    let mut out: BTreeMap<String, Quantity> = used.map(own).collect();
+    let Some(t) = effect.together(values) else { return out };
+    let std_err = fitted.std_err_of(at, &t).hypot(t.unsure_per_e * split.unwrap_or(0.0));
+    let of: Vec<usize> = (0..values.len()).filter(|k| t.slopes[*k] != 0.0).collect();
+    // Each alone is known ten times worse, of its own size, than all of them together.
+    let alone = of.iter().map(|&k| errors[k] / values[k].abs().max(1e-300)).fold(f64::INFINITY, f64::min);
+    if split.is_some() || std_err / t.value.abs().max(1e-300) < 0.1 * alone {
+        of.iter().for_each(|k| {
+            out.remove(effect.parameters()[*k].name);
+        });
+        out.insert(t.name.into(), Quantity::new(t.value, std_err, t.unit));
+    }
+    out
+}
+
+/// The statistics that deviate without an effect and are mended with it, worst first, and what the effect does.
+pub(super) fn reasons(without: &[Residual], with: &[Residual], effect: &dyn Effect) -> Vec<String> {
+    let deviations = signatures(without);
+    let left = signatures(with);
+    let mended = |s: &&Signature| left.iter().all(|l| l.name != s.name || l.excess < 0.5 * s.excess);
+    let mut out: Vec<String> =
+        deviations.iter().filter(mended).take(4).map(|s| format!("without it: {}", s.text)).collect();
+    out.push(format!("{}: {}", effect.id(), effect.page().signature));
+    out
+}

@@ -1,0 +1,83 @@
+//! Shares of the misfit: of each effect, and of what is left.
+
+use super::{Cost, HOLDS, Part, better, cost, signatures};
+use crate::agreement::P_LIMIT;
+use crate::inference::{Comparison, Fitted, Residual};
+use crate::observables::Observations;
+use serde::{Deserialize, Serialize};
+
+/// Share of the misfit below which what is left matters to nobody, and is not held against a name: with enough frames every model is rejected
+/// (of 202 cameras of an outside generator those with an effect of the catalogue leave less in 11 of 12 that significance would call unknown).
+pub(super) const MATTERS: f64 = 0.01;
+/// Share of the misfit from which on the remainder is the larger part, and stands first.
+const LARGER_PART: f64 = 0.5;
+
+/// What is left once all names are in.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Remainder {
+    /// Share of the misfit of the model as given.
+    pub share: f64,
+    /// Error with all names in the model.
+    pub error: f64,
+    /// Chance of such residuals.
+    pub p_value: f64,
+    /// The statistics that deviate most.
+    pub largest: Vec<String>,
+    /// What it costs.
+    pub cost: Cost,
+}
+
+/// Misfit: the square of an error above the noise.
+fn misfit(c: &Comparison) -> f64 {
+    (c.error * c.error - 1.0).max(0.0)
+}
+
+/// What is left; `None` where that is within the noise. `nothing`: the model has no more than it was given.
+pub(super) fn remainder(
+    all: &Observations,
+    whole: &Fitted,
+    [first, last]: [&Comparison; 2],
+    nothing: bool,
+) -> Option<Remainder> {
+    // A name must hold; the model as given, only not fail.
+    if last.p_value >= if nothing { P_LIMIT } else { HOLDS } {
+        return None;
+    }
+    let share = if nothing { 1.0 } else { misfit(last) / misfit(first).max(misfit(last)).max(1e-9) };
+    Some(Remainder {
+        share,
+        error: last.error,
+        p_value: last.p_value,
+        largest: signatures(&last.residuals).into_iter().take(4).map(|s| s.text).collect(),
+        cost: cost::of_remainder(all, whole),
+    })
+}
+
+/// Where `unknown` stands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Place {
+    First,
+    Last,
+    Nowhere,
+}
+
+/// `doubt`: why the strongest name is not right. `left`: share of what is left.
+pub(super) fn place_of_unknown(parts: &[Part], doubt: Option<&str>, left: f64) -> Place {
+    let better = parts.first().is_some_and(|p| better(p).is_some());
+    match left {
+        _ if parts.is_empty() && left > 0.0 || doubt.is_some() || better => Place::First,
+        left if left >= LARGER_PART => Place::First,
+        left if left >= MATTERS => Place::Last,
+        _ => Place::Nowhere,
+    }
+}
+
+/// Share of each part in what all of them explain: by what the sum of squares grows without it. `fitted`: residuals with all of them.
+pub(super) fn shares(parts: &[Part], fitted: &[Residual]) -> Vec<f64> {
+    let squares = |residuals: &[Residual]| residuals.iter().map(|r| r.z * r.z).sum::<f64>();
+    let with = squares(fitted);
+    let each: Vec<f64> = parts.iter().map(|p| (squares(&p.without) - with).max(1e-9)).collect();
+    let sum: f64 = each.iter().sum();
+    each.iter().map(|e| e / sum).collect()
+}
