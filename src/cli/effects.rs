@@ -98,10 +98,19 @@ fn named(word: &str) -> Vec<&'static dyn Effect> {
 fn of_base_model(word: &str) -> Option<String> {
     let of: [(&[&str], &str); 5] = [
         (&["vignetting", "shading", "vignette", "lens shading"], "shading is measured from the flats"),
-        (&["prnu", "dust", "pattern", "fixed pattern noise", "fpn"], "PRNU and dust are measured from the flats"),
+        (
+            &["prnu", "dust", "pattern", "fixed pattern noise", "fpn"],
+            "PRNU and dust are measured from the flats",
+        ),
         (&["dsnu", "offset pattern"], "DSNU is measured from the darks"),
-        (&["hot pixels", "hot pixel", "dead pixels", "defect pixels"], "defect pixels are found and left out"),
-        (&["read noise", "noisy pixels", "shot noise", "dark current"], "noise of pixels and dark charge are fitted"),
+        (
+            &["hot pixels", "hot pixel", "dead pixels", "defect pixels"],
+            "defect pixels are found and left out",
+        ),
+        (
+            &["read noise", "noisy pixels", "shot noise", "dark current"],
+            "noise of pixels and dark charge are fitted",
+        ),
     ];
     let lower = word.to_lowercase();
     let found = of.iter().find(|(words, _)| words.contains(&lower.as_str()))?;

@@ -92,10 +92,18 @@ impl Effect for IlluminationDrift {
     }
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
+        let mut of_set = vec![(0.0, 0.0); c.sets.len()];
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
             let Some(info) = c.sets.get(frame.set).filter(|s| s.light.is_some()) else { continue };
             let light = *m - out.base.dark_e_per_s * info.exposure_s;
-            *m += change(p, frame.time_s) * light;
+            let more = change(p, frame.time_s) * light;
+            *m += more;
+            of_set[frame.set].0 += more;
+            of_set[frame.set].1 += 1.0;
+        }
+        // Shot noise follows the light; a gain that drifts moves it with its square.
+        for (s, (sum, n)) in out.sets.iter_mut().zip(of_set).filter(|(_, (_, n))| *n > 0.0) {
+            s.signal += sum / n;
         }
     }
 
