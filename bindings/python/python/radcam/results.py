@@ -305,7 +305,9 @@ class Diagnosis(Result):
         return cls(
             d, verdict["sentence"], verdict["kind"], d["consistent"], d["error_before"], d["error_after"], missing, ladder,
             d["next_measurement"], d["notes"], d["remainder"] and Remainder(**d["remainder"]),
-            *(d[name] and Quantity.of(d[name]) for name in ("gain_dn_per_e", "read_noise_e", "dark_current_e_per_s")),
+            d["gain_dn_per_e"] and Quantity.of(d["gain_dn_per_e"]),
+            d["read_noise_e"] and Quantity.of(d["read_noise_e"]),
+            d["dark_current_e_per_s"] and Quantity.of(d["dark_current_e_per_s"]),
         )  # fmt: skip
 
     def with_plan(self, plan: str | None) -> Diagnosis:
