@@ -54,6 +54,35 @@ pub struct Campaign {
     pub frame_s: f64,
     /// The strongest line that the noise's spectrum has in read-out order, cycles per pixel.
     pub line_cycles_per_px: Option<f64>,
+    /// Noise of the ordinary pixels in darks, where darks show it.
+    pub ordinary: Option<Ordinary>,
+}
+
+/// Dark noise of the pixels without the few that are far noisier than the others.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ordinary {
+    /// Mean of their variances over that of all pixels.
+    pub mean: f64,
+    /// Variance of their variances over the square of their mean.
+    pub spread: f64,
+}
+
+impl Ordinary {
+    /// Log-normal noise whose median is `median` of the root mean square of all pixels, with this standard deviation of its logarithm (Johnson,
+    /// Kotz and Balakrishnan 1994, ch. 14).
+    pub fn lognormal(median: f64, log_spread: f64) -> Self {
+        let square = 4.0 * log_spread * log_spread;
+        Self { mean: (median * median * libm::exp(0.5 * square)).min(1.0), spread: libm::expm1(square) }
+    }
+
+    /// Variance of their noise and its spread over the pixels, where all pixels have this variance and this part of it is read noise, in squares
+    /// of the code's step. Rounding adds 1/12 to each in the darks of which it is known (Widrow and Kollar 2008, ch. 4).
+    fn of(self, variance: f64, read: f64) -> (f64, f64) {
+        let of_rounding = 1.0 / 12.0;
+        let dark = self.mean * (read + of_rounding);
+        let own = variance - read + (dark - of_rounding).min(read).max(0.1 * read);
+        (own, self.spread * (dark / own.max(1e-12)).powi(2))
+    }
 }
 
 /// The paper's parameters as a campaign sees them.
@@ -484,6 +513,11 @@ impl Prediction {
         for (i, s) in self.sets.iter_mut().enumerate() {
             let variance = s.covariance(0, 0) / square;
             let unlike = s.unequal.max(0.0) / (square * variance * square * variance).max(f64::MIN_POSITIVE);
+            // A few noisy pixels make the spread large, and leave the rounding of the others as it is.
+            let (own, unlike) = match c.ordinary {
+                Some(ordinary) => ordinary.of(variance, (s.read.lag(0, 0) / square).min(variance).max(0.0)),
+                None => (variance, unlike),
+            };
             let (spread, places) = c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread_dn / step, &s.places));
             let level = (s.signal + self.base.offset_dn) / step;
             let rounded = if may_be_clipped && reaches_zero(level, spread, places, variance) {
@@ -495,7 +529,7 @@ impl Prediction {
                 s.unsure_mean = libm::hypot(s.unsure_mean, 0.02 * step * found.mean.abs());
                 found
             } else {
-                rounded_unlike(level, spread, apart(s.signal) / step, variance, unlike)
+                rounded_unlike(level, spread, apart(s.signal) / step, own, unlike)
             };
             shifts[i] = step * rounded.mean;
             s.uneven = libm::hypot(s.uneven, step * quantised_mean(variance));

@@ -12,7 +12,7 @@ use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
 use crate::statistics::pass::Summary;
 use crate::statistics::steady::PixelNoise;
-use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, SetInfo};
+use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, Ordinary, SetInfo};
 use std::sync::atomic::AtomicBool;
 
 /// Relative scatter of the light from setting to setting.
@@ -352,6 +352,9 @@ pub fn of_dataset(
             from_code_0: true,
             frame_s: if frame_s.is_finite() { frame_s.max(0.0) } else { 0.0 },
             line_cycles_per_px: line.map(|l| l.1),
+            ordinary: pixel_noise
+                .filter(|p| p.log_spread.is_finite())
+                .map(|p| Ordinary::lognormal(p.median, p.log_spread)),
         },
         set_numbers: sets.iter().map(|s| s.number).collect(),
         kinds,

@@ -138,6 +138,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
             from_code_0: false,
             frame_s: 0.0,
             line_cycles_per_px: None,
+            ordinary: None,
         },
         set_numbers: kept.iter().map(|&i| i as u32).collect(),
         kinds,
