@@ -62,7 +62,8 @@ pub fn with_fit(mut model: Model, all: &Observations, fitted: &Fitted, camera: O
     let base = &fitted.base;
     model.base.gain_dn_per_e = base.gain_dn_per_e;
     model.base.read_noise_e = base.read_noise_e;
-    // The spread of the fit is that of all pixels, noisy ones included; of a log-normal read noise (Johnson, Kotz and Balakrishnan 1994, ch. 14).
+    // The spread of the fit is that of all pixels, noisy ones included; of a log-normal read noise (Johnson, Kotz
+    // and Balakrishnan 1994, ch. 14).
     let pixels = all.pixel_noise.filter(|p| p.log_spread.is_finite());
     model.base.read_noise_log_spread =
         pixels.map_or(0.5 * base.read_noise_spread.max(0.0).ln_1p().sqrt(), |p| p.log_spread).min(2.0);

@@ -149,14 +149,14 @@ pub struct Base {
     pub gain_dn_per_e: f64,
     /// Standard deviation of N_R, electrons; of pixels that differ in it the root mean square.
     pub read_noise_e: f64,
-    /// Standard deviation of the logarithm of the pixels' read noise (log-normal), as the row of a data sheet with median and rms has it; 0: pixels
-    /// are alike.
+    /// Standard deviation of the logarithm of the pixels' read noise (log-normal), as the row of a data sheet
+    /// with median and rms has it; 0: pixels are alike.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub read_noise_log_spread: f64,
     /// Share of pixels that are noisier still.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub noisy_pixel_fraction: f64,
-    /// How many times noisier they are.
+    /// Read noise of the noisy pixels over that of the others.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub noisy_pixel_factor: f64,
     /// Added before conversion, DN. The paper has none.

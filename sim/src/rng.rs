@@ -33,7 +33,7 @@ pub enum Stream {
     Spots = 6,
     /// What effects draw for themselves.
     Effect = 7,
-    /// Which pixels are noisier than others.
+    /// Random numbers of the pixels' read noise.
     ReadNoise = 8,
 }
 

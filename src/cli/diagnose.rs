@@ -94,7 +94,7 @@ fn sensor(d: &Diagnosis) {
     }
 }
 
-/// To so many significant digits.
+/// Rounds to so many significant digits.
 fn round_to(value: f64, digits: i32) -> f64 {
     if value == 0.0 {
         return 0.0;

@@ -94,7 +94,7 @@ fn named(word: &str) -> Vec<&'static dyn Effect> {
     )
 }
 
-/// What every camera has and is no effect, by the words that people have for it.
+/// Properties that every camera has and that are no effect, by the words that people have for them.
 fn of_base_model(word: &str) -> Option<String> {
     let of: [(&[&str], &str); 5] = [
         (&["vignetting", "shading", "vignette", "lens shading"], "shading is measured from the flats"),

@@ -1,9 +1,10 @@
-//! What an effect costs a user who does not know of it: by how much the photon-transfer gain, the read noise and the linearity of the same frames
-//! are wrong.
+//! What an effect costs a user who does not know of it: by how much the photon-transfer gain, the read noise and
+//! the linearity of the same frames are wrong.
 //!
-//! The expected means and variances of all sets are put through the estimates that `radcam noise` and `radcam emva` make: a weighted line of the
-//! variance over the mean (Healey and Kondepudy 1994, eq. 41), and the largest relative deviation of the mean from a line over the light (EMVA 1288
-//! release 4, section 7), once with the effect and once without.
+//! The expected means and variances of all sets are put through the estimates that `radcam noise` and `radcam
+//! emva` make: a weighted line of the variance over the mean (Healey and Kondepudy 1994, eq. 41), and the largest
+//! relative deviation of the mean from a line over the light (EMVA 1288 release 4, section 7), once with the
+//! effect and once without.
 
 use crate::dataset::Kind;
 use crate::inference::{Effects, Fitted};
@@ -16,10 +17,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Cost {
-    /// Of the system gain by photon transfer.
+    /// Error of the system gain by photon transfer.
     #[serde(with = "finite")]
     pub gain_rel: f64,
-    /// Of the read noise by photon transfer.
+    /// Error of the read noise by photon transfer.
     #[serde(with = "finite")]
     pub read_noise_rel: f64,
     /// Largest deviation of the signal from a line over the light, beyond what is there without it.
@@ -27,12 +28,14 @@ pub struct Cost {
     pub linearity_rel: f64,
 }
 
-/// Levels up to this share of full scale are used (EMVA 1288 takes 70 % of saturation for the gain; a named choice).
+/// Levels up to this share of full scale are used (EMVA 1288 takes 70 % of saturation for the gain; a named
+/// choice).
 const TOP: f64 = 0.9;
-/// Levels from this share of the largest on tell the linearity (EMVA 1288 release 4, section 7: 5 to 95 % of saturation).
+/// Levels from this share of the largest on tell the linearity (EMVA 1288 release 4, section 7: 5 to 95 % of
+/// saturation).
 const DIM: f64 = 0.05;
 
-/// What the plain estimates make of means and variances.
+/// Estimates that ignore effects, from means and variances.
 #[derive(Debug, Clone, Copy)]
 struct Plain {
     gain_dn_per_e: f64,
@@ -51,7 +54,7 @@ fn line(points: impl Iterator<Item = (f64, f64, f64)> + Clone) -> Option<(f64, f
 }
 
 impl Plain {
-    /// From a value for every observable.
+    /// Built from a value for every observable.
     fn of(all: &Observations, values: impl Fn(usize) -> f64) -> Option<Self> {
         let sets = all.campaign.sets.len();
         let (mut means, mut variances) = (vec![(0.0, 0.0); sets], vec![(0.0, 0.0); sets]);
@@ -112,7 +115,7 @@ impl Plain {
         Self::of(all, |i| expected[i].value)
     }
 
-    /// What this is wrong by, where `right` is what it should be.
+    /// Errors of this estimate, where `right` is the right one.
     fn against(&self, right: &Self) -> Cost {
         let rel = |a: f64, b: f64| if b > 0.0 && a.is_finite() { a / b - 1.0 } else { 0.0 };
         Cost {
@@ -123,14 +126,15 @@ impl Plain {
     }
 }
 
-/// What leaving an effect of a model out of account costs.
+/// Cost of leaving an effect of a model out of account.
 pub(super) fn of_effect(all: &Observations, whole: &Fitted, id: &str) -> Cost {
     let rest: Effects = whole.effects.iter().filter(|(e, _)| e.id() != id).cloned().collect();
     let both = Plain::of_model(all, whole, &whole.effects).zip(Plain::of_model(all, whole, &rest));
     both.map_or_else(Cost::default, |(with, without)| with.against(&without))
 }
 
-/// What a model that still misses something costs: the measured means and variances against those that it expects.
+/// What a model that still misses something costs: the measured means and variances against those that it
+/// expects.
 pub(super) fn of_remainder(all: &Observations, whole: &Fitted) -> Cost {
     let both =
         Plain::of(all, |i| all.list[i].measured.value).zip(Plain::of_model(all, whole, &whole.effects));

@@ -6,7 +6,8 @@ use crate::number::Quantity;
 use radcam_sim::effects::{Effect, Parameter};
 use std::collections::BTreeMap;
 
-/// An effect of a model with its values. `split`: the brightest signal, e, where nothing tells the parts of a combination apart.
+/// An effect of a model with its values. `split`: the brightest signal, e, where nothing tells the parts of a
+/// combination apart.
 pub(super) fn describe(
     fitted: &Fitted,
     effect: &'static dyn Effect,

@@ -1,5 +1,5 @@
-//! Which physical effects are missing: effects are added as long as the evidence pays for them, and listed by their share of the misfit, with what
-//! they cost the user. What is left has a share of its own.
+//! Which physical effects are missing: effects are added as long as the evidence pays for them, and listed by
+//! their share of the misfit, with what they cost the user. What is left has a share of its own.
 
 mod cost;
 mod entry;
@@ -42,8 +42,8 @@ const TIE: f64 = 6.0;
 const FAR: f64 = 3.0;
 /// Chance below which what is left over with all names is there, and is said.
 const HOLDS: f64 = 0.01;
-/// Share of its evidence that something without a name is not given: numbers without a meaning follow the last per cent of any statistic
-/// better than physics does.
+/// Share of its evidence that something without a name is not given: numbers without a meaning follow the last
+/// per cent of any statistic better than physics does.
 const NEARLY_ALL: f64 = MATTERS;
 /// Evidence that names need together where the model as given holds: four standard errors, of whose 16 some 7 are the price of a parameter.
 /// A named choice: of 400 clean cameras three raise an alarm, and of those in which outsiders hid something no more are named wrongly than
@@ -67,7 +67,7 @@ pub struct Missing {
     pub confidence: f64,
     /// Share of the misfit (square of the error above the noise) that goes with it.
     pub share: f64,
-    /// What leaving it out of account does to the results of the same frames.
+    /// Errors that the results of the same frames have where it is left out of account.
     pub cost: Cost,
     /// How far the error falls on the rung of the ladder that adds it.
     pub error_drop: f64,
@@ -76,7 +76,7 @@ pub struct Missing {
     /// Which of its forms, in words.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub form: Option<String>,
-    /// Whether the camera behaves like it and is not quite that.
+    /// True where the camera behaves mostly like this effect, and is not quite that.
     pub partial: bool,
     /// Of `unknown`: the names that come nearest.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -115,7 +115,7 @@ pub struct Diagnosis {
     pub error_before: f64,
     /// Error with all that was added.
     pub error_after: f64,
-    /// What is missing, the largest share of the misfit first.
+    /// The missing effects, the largest share of the misfit first.
     pub missing: Vec<Missing>,
     /// What is left with all names; null where that is within the noise.
     pub remainder: Option<Remainder>,
@@ -149,7 +149,8 @@ struct Part {
     effect: &'static dyn Effect,
     /// Evidence that is lost without it.
     evidence: f64,
-    /// Mean square of what the whole model leaves, 1 at least: where it leaves much, evidence counts as much less (McCullagh and Nelder 1989, 4.5).
+    /// Mean square of what the whole model leaves, 1 at least: where it leaves much, evidence counts as much less
+    /// (McCullagh and Nelder 1989, 4.5).
     dispersion: f64,
     /// Others that would explain it, most evidence first.
     others: Vec<Candidate>,
@@ -216,8 +217,8 @@ fn suspects(effect: &str, left_on: &[LeftOn]) -> Option<String> {
         .then(|| format!("{} was left on in the camera and may be all there is to it", names.join(", ")))
 }
 
-/// The entries of the answer, the largest share first, each with what ties with it; `unknown` first where names are the smaller part or wrong, and
-/// last where what is left matters.
+/// The entries of the answer, the largest share first, each with what ties with it; `unknown` first where names
+/// are the smaller part or wrong, and last where what is left matters.
 fn missing(
     all: &Observations,
     parts: &[Part],
@@ -296,7 +297,8 @@ fn not_told(part: &Part, last: &Comparison) -> Option<String> {
     let groups = by(&last.residuals, |r| &*r.statistic);
     let told = groups.iter().filter(|g| told_by.contains(&g.name.as_str()));
     let worst = told.min_by(|a, b| a.chance.total_cmp(&b.chance))?;
-    // A scatter excuses what it does not explain: whether frames scatter one by one is told by a statistic that knows no size.
+    // A scatter excuses what it does not explain: whether frames scatter one by one is told by a statistic that
+    // knows no size.
     let matters = worst.excess >= MATTERS * part.evidence || part.effect.shown_by().is_some();
     if worst.chance * told_by.len() as f64 >= HOLDS || !matters {
         return None;

@@ -264,10 +264,12 @@ fn stands(c: &Candidate, seen: &Seen) -> bool {
     is_something(&c.fitted, c.fitted.effects.len() - 1, seen)
 }
 
-/// Mean residual of the statistic that is an effect's own scatter, in standard errors, below which that scatter is not there.
+/// Mean residual of the statistic that is an effect's own scatter, in standard errors, below which that scatter
+/// is not there.
 const NOT_THERE: f64 = -1.5;
 
-/// Standard errors by which successive frames must be alike, over all sets, where what scatters from frame to frame does not scatter by itself.
+/// Standard errors by which successive frames must be alike, over all sets, where what scatters from frame to
+/// frame does not scatter by itself.
 const IN_TURN: f64 = 6.0;
 
 /// Whether the scatter that an effect brings is measured, where a statistic shows it.
@@ -300,8 +302,9 @@ pub fn is_something(fitted: &Fitted, at: usize, seen: &Seen) -> bool {
     sizes.is_empty() || sizes.iter().any(|&k| is_known(values[k], errors[k]))
 }
 
-/// Whether the only size of an effect, or what its parameters tell together, is as far from nothing as the evidence that a name needs beside a model
-/// that holds (Wald's test): evidence also comes of errors that become smaller.
+/// Whether the only size of an effect, or what its parameters tell together, is as far from nothing as the
+/// evidence that a name needs beside a model that holds (Wald's test): evidence also comes of errors that become
+/// smaller.
 pub fn surely_there(all: &Observations, fitted: &Fitted, effect: &'static dyn Effect) -> bool {
     let Some(at) = fitted.effects.iter().position(|(e, _)| e.id() == effect.id()) else { return false };
     let ((_, values), errors) = (&fitted.effects[at], &fitted.std_err[at]);
@@ -357,7 +360,7 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
         let found = search_without(all, model, far, &not, progress);
         let seen = seen(all, &found.fitted.base);
         let added = model.effects.len()..found.fitted.effects.len();
-        // Beside others an effect may end at values at which it is another one, or at an end of its range.
+        // An effect fitted beside others may end at values at which it is another one, or at an end of its range.
         let nothing = |i: &usize| {
             let (effect, values) = &found.fitted.effects[*i];
             effect.is_another(values, &seen) || at_an_end(*effect, values)

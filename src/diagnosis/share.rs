@@ -6,13 +6,14 @@ use crate::inference::{Comparison, Fitted, Residual};
 use crate::observables::Observations;
 use serde::{Deserialize, Serialize};
 
-/// Share of the misfit below which what is left matters to nobody, and is not held against a name: with enough frames every model is rejected
-/// (of 202 cameras of an outside generator those with an effect of the catalogue leave less in 11 of 12 that significance would call unknown).
+/// Share of the misfit below which what is left matters to nobody, and is not held against a name: with enough
+/// frames every model is rejected (of 202 cameras of an outside generator those with an effect of the catalogue
+/// leave less in 11 of 12 that significance would call unknown).
 pub(super) const MATTERS: f64 = 0.01;
 /// Share of the misfit from which on the remainder is the larger part, and stands first.
 const LARGER_PART: f64 = 0.5;
 
-/// What is left once all names are in.
+/// The misfit that is left with all named effects in the model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Remainder {
@@ -24,7 +25,7 @@ pub struct Remainder {
     pub p_value: f64,
     /// The statistics that deviate most.
     pub largest: Vec<String>,
-    /// What it costs.
+    /// Errors of gain, read noise and linearity where the effect is ignored.
     pub cost: Cost,
 }
 
@@ -54,7 +55,7 @@ pub(super) fn remainder(
     })
 }
 
-/// Where `unknown` stands.
+/// Place of `unknown` in the list.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Place {
     First,
@@ -73,7 +74,8 @@ pub(super) fn place_of_unknown(parts: &[Part], doubt: Option<&str>, left: f64) -
     }
 }
 
-/// Share of each part in what all of them explain: by what the sum of squares grows without it. `fitted`: residuals with all of them.
+/// Share of each part in what all of them explain: by what the sum of squares grows without it. `fitted`:
+/// residuals with all of them.
 pub(super) fn shares(parts: &[Part], fitted: &[Residual]) -> Vec<f64> {
     let squares = |residuals: &[Residual]| residuals.iter().map(|r| r.z * r.z).sum::<f64>();
     let with = squares(fitted);

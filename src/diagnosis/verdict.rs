@@ -48,7 +48,8 @@ impl Verdict {
         }
     }
 
-    /// Of what was found. `whole`: the model with all of it. `left_on`: what the camera did to its pixels by its own settings.
+    /// Of what was found. `whole`: the model with all of it. `left_on`: what the camera did to its pixels by its
+    /// own settings.
     pub(super) fn of(
         missing: &[Missing],
         remainder: Option<&Remainder>,
@@ -181,10 +182,12 @@ fn sentence(
 
 /// Share of the misfit below which an effect is listed without its share.
 const WEAK: f64 = 0.01;
-/// Costs below this share are not said: no one measures a gain to a thousandth (EMVA 1288 asks for no more than a per cent).
+/// Costs below this share are not said: no one measures a gain to a thousandth (EMVA 1288 asks for no more than a
+/// per cent).
 const SAID: f64 = 1e-3;
 
-/// What results are wrong by, in words; `None` where nobody would notice. Of a gain and a read noise no less than their errors is said.
+/// What results are wrong by, in words; `None` where nobody would notice. Of a gain and a read noise no less than
+/// their errors is said.
 fn cost(cost: &Cost, whole: &Fitted) -> Option<String> {
     let (base, errors) = (&whole.base, &whole.base_std_err);
     let of = |what: &str, rel: f64, std_err: f64, decimals: usize| {

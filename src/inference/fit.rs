@@ -176,7 +176,7 @@ impl Errors<'_> {
         (own * own - 2.0 * value_e * with + (value_e * self.of(Common::Gain)).powi(2)).max(0.0).sqrt()
     }
 
-    /// Of A, read noise, offset, dark current and the spread of the read noise.
+    /// Indexes of A, read noise, offset, dark current and the spread of the read noise.
     fn of_base(&self, base: &BaseParameters) -> [f64; 5] {
         let no_dark = self.free.place(Common::Dark).is_some_and(|i| self.free.fixed[i]);
         [

@@ -125,7 +125,8 @@ impl<'a> Iteration<'a> {
     /// One step down, damped as much as it takes.
     fn step(&mut self, before: f64) -> Step {
         let mut normal = self.system.normal();
-        // What lies at an end of its range and would leave it stays there: else a step that is cut off there gains nothing for the others.
+        // What lies at an end of its range and would leave it stays there: else a step that is cut off there
+        // gains nothing for the others.
         for (i, (x, (min, max))) in self.point.x.iter().zip(&self.free.bounds).enumerate() {
             let gradient = normal.gradient[i];
             normal.held[i] |= x <= min && gradient < 0.0 || x >= max && gradient > 0.0;

@@ -16,7 +16,8 @@ pub struct Normal {
     pub(super) n: usize,
     pub(super) matrix: Vec<f64>,
     pub(super) gradient: Vec<f64>,
-    /// Values that no step moves: a scatter that moves no expectation ([`System::scatter_factors`]), and what would leave its range.
+    /// Values that no step moves: a scatter that moves no expectation ([`System::scatter_factors`]), and what
+    /// would leave its range.
     pub(super) held: Vec<bool>,
     pub(super) lights: Vec<LightTerm>,
 }

@@ -8,7 +8,8 @@ use radcam_sim::predict::{BaseParameters, Monitor};
 /// Below this share of the brightest signal a flat tells little of light and gain: the zero and the dark variance are in it.
 const DIM: f64 = 0.02;
 
-/// Largest relative variance of the pixels' read-noise variances: one pixel in a hundred with ten times the noise of the others has 25.
+/// Largest relative variance of the pixels' read-noise variances: one pixel in a hundred with ten times the noise
+/// of the others has 25.
 pub(super) const MOST_SPREAD: f64 = 1e3;
 
 /// A first guess of the paper's parameters.
@@ -71,10 +72,12 @@ fn signals(all: &Observations, offset_dn: f64) -> Vec<f64> {
     sums.into_iter().map(|(sum, n)| sum / n - offset_dn).collect()
 }
 
-/// Dark charge tells something of the gain where it moves the mean by this multiple of the noise of a pixel: its own noise is in the variance then.
+/// Dark charge tells something of the gain where it moves the mean by this multiple of the noise of a pixel: its
+/// own noise is in the variance then.
 const BRIGHT_DARKS: f64 = 0.2;
 
-/// A, from the noise of the dark charge where there is no light, and enough of it; `None`: nothing tells the gain.
+/// A, from the noise of the dark charge where there is no light, and enough of it; `None`: nothing tells the
+/// gain.
 pub fn of_darks(all: &Observations, offset_dn: f64) -> Option<f64> {
     let variances: Vec<(usize, f64)> = values(all, &variance::Variance, Some(Kind::Dark)).collect();
     let signal = signals(all, offset_dn);
@@ -85,7 +88,7 @@ pub fn of_darks(all: &Observations, offset_dn: f64) -> Option<f64> {
     (level > BRIGHT_DARKS * least.max(0.0).sqrt()).then(|| more.max(0.02 * least) / level)
 }
 
-/// Whether the campaign has light.
+/// True for a campaign with flats.
 pub fn has_flats(all: &Observations) -> bool {
     values(all, &variance::Variance, Some(Kind::Flat)).next().is_some() || all.is_table
 }

@@ -18,9 +18,10 @@ use std::sync::atomic::AtomicBool;
 /// Relative scatter of the light from setting to setting.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Setting {
-    /// As stated. It is not fitted: few settings tell little of their scatter, and what bends would seem to make it less.
+    /// As stated. It is not fitted: few settings tell little of their scatter, and what bends would seem to make
+    /// it less.
     Stated(f64),
-    /// Not stated, and fitted up to this.
+    /// Scatter that is not stated is fitted, up to this.
     Below(f64),
 }
 
@@ -49,17 +50,19 @@ pub struct Observations {
     pub left_on: Vec<LeftOn>,
     /// Known relative error of the light levels.
     pub light_rel_std: Option<f64>,
-    /// How the light scatters from setting to setting by what is stated of it; `None` where it was set once, or is stated as exact.
+    /// How the light scatters from setting to setting by what is stated of it; `None` where it was set once, or
+    /// is stated as exact.
     pub setting: Option<Setting>,
     /// Frequencies at which row means of flats ripple, cycles per row, the strongest first.
     pub row_cycles: Vec<f64>,
-    /// Whether frames were exposed between the sets that are not here.
+    /// True where frames that are not saved were exposed between the sets.
     pub frames_between: bool,
     /// The field of the light.
     pub field: Field,
-    /// How many chunks of frames have the level of every set: of darks all.
+    /// Number of chunks of frames at the level of every set; all darks share one.
     pub alike: Vec<f64>,
-    /// For every set the first of those that follow one another under the same light: the light stays as it is until another level is set.
+    /// For every set the first of those that follow one another under the same light: the light stays as it is
+    /// until another level is set.
     pub light_settings: Vec<usize>,
     /// Largest relative deviation of the signal over the pixels of a set.
     pub largest_spread: f64,
@@ -71,7 +74,7 @@ pub struct Observations {
     pub steady_dn4: Option<Value>,
     /// The same of pixels two columns and two rows apart, DN^4: whether noisy pixels are parts of the sensor.
     pub together_dn4: Option<[Value; 2]>,
-    /// How the noise of single pixels in short darks is distributed.
+    /// Distribution of the single pixels' noise in short darks.
     pub pixel_noise: Option<PixelNoise>,
     /// Code below which one in two hundred samples of the darks lies.
     pub darkest_dn: Option<f64>,
@@ -383,7 +386,7 @@ pub fn of_dataset(
     Ok(all)
 }
 
-/// How many chunks have the level of every set.
+/// Number of chunks at the level of every set.
 fn alike(chunks: &[Chunk], settings: &[FrameRow]) -> Vec<f64> {
     let darks = chunks.iter().filter(|c| settings[c.set].kind == Kind::Dark).count();
     let of = |(i, s): (usize, &FrameRow)| match s.kind {
@@ -393,13 +396,13 @@ fn alike(chunks: &[Chunk], settings: &[FrameRow]) -> Vec<f64> {
     settings.iter().enumerate().map(of).collect()
 }
 
-/// Standard errors by which successive frames must be correlated, and the share of that correlation that first frames may carry at most, where
-/// frames that are not there came between the sets.
+/// Standard errors by which successive frames must be correlated, and the share of that correlation that first
+/// frames may carry at most, where frames that are not there came between the sets.
 const CORRELATED: f64 = 5.0;
 const CARRIED: f64 = 0.3;
 
-/// Whether frames were exposed between the sets that are not in the dataset: what is carried from frame to frame within the sets is not carried from
-/// set to set.
+/// True where frames that are not in the dataset were exposed between its sets: what is carried from frame to
+/// frame within the sets is not carried from set to set.
 fn frames_between(list: &[Observable], sets: &[SetInfo], settings: &[FrameRow]) -> bool {
     let mut levels: Vec<Option<f64>> = vec![None; sets.len()];
     let of = |o: &Observable, statistic: &dyn Statistic| o.is(statistic).then_some(()).and(o.set);
@@ -408,7 +411,8 @@ fn frames_between(list: &[Observable], sets: &[SetInfo], settings: &[FrameRow]) 
             levels[set] = Some(o.measured.value);
         }
     }
-    // Of frames: covariance over variance, weighed by its error; of sets: step of the first frame over the change of level.
+    // Of frames: covariance over variance, weighed by its error; of sets: step of the first frame over the change
+    // of level.
     let (mut within, mut between) = ((0.0, 0.0), (0.0, 0.0));
     for (i, o) in list.iter().enumerate() {
         let Some(set) = of(o, &successive::Successive).filter(|s| settings[*s].kind == Kind::Flat) else {
@@ -477,7 +481,8 @@ const UNSTATED: f64 = 0.1;
 /// Light levels from which on their scatter tells something.
 const FEWEST_LIGHTS: usize = 3;
 
-/// How much the light may scatter from setting to setting without being a finding: what is stated of it, where it was set anew.
+/// How much the light may scatter from setting to setting without being a finding: what is stated of it, where it
+/// was set anew.
 fn setting(dataset: &Dataset, settings: &[FrameRow], stated: Option<f64>) -> Option<Setting> {
     let mut lights: Vec<u64> = settings
         .iter()

@@ -15,15 +15,17 @@ pub struct Expected {
     pub common: f64,
     /// Measured, predicted and deviation in the space in which the noise is normal.
     pub normal: (f64, f64, f64),
-    /// Whether a few pixels decide it, so that its errors have heavy tails.
+    /// A few pixels decide its value, so that its errors have heavy tails.
     pub heavy: bool,
 }
 
-/// Degrees of freedom of Student's t that stands for the errors of values that a few pixels decide (Lange, Little and Taylor 1989, J. Am. Stat. Assoc.
-/// 84, 881): of a chi-square of few degrees, squared, five standard errors come as often as they do there.
+/// Degrees of freedom of Student's t that stands for the errors of values that a few pixels decide (Lange, Little
+/// and Taylor 1989, J. Am. Stat. Assoc. 84, 881): of a chi-square of few degrees, squared, five standard errors
+/// come as often as they do there.
 pub const HEAVY_DOF: f64 = 4.0;
 
-/// A residual with heavy tails as a normal one that costs the same: by the logarithm of Student's t without its constant.
+/// A residual with heavy tails as a normal one that costs the same: by the logarithm of Student's t without its
+/// constant.
 pub fn lightened(z: f64) -> f64 {
     (HEAVY_DOF * (z * z / HEAVY_DOF).ln_1p()).sqrt().copysign(z)
 }
@@ -94,14 +96,14 @@ fn line_mean(phase: f64, n: f64) -> f64 {
     if half.abs() < 1e-9 { 1.0 } else { ((0.5 * phase * n).sin() / (n * half)).powi(2) }
 }
 
-/// What quantisation in steps of q may do to mean and variance beyond what is predicted for pixels of normal levels, where the noise
-/// and these levels together are narrower than about half a step, DN and DN^2: half of the first terms of the characteristic
-/// function (Widrow and Kollar 2008, ch. 4 and app. B).
+/// What quantisation in steps of q may do to mean and variance beyond what is predicted for pixels of normal
+/// levels, where the noise and these levels together are narrower than about half a step, DN and DN^2: half of
+/// the first terms of the characteristic function (Widrow and Kollar 2008, ch. 4 and app. B).
 fn quantised(variance: f64, spread: f64, q: f64) -> (f64, f64) {
     let noise = (variance - q * q / 12.0).max(1e-3 * q * q);
     let fades = |square: f64| (-2.0 * std::f64::consts::PI.powi(2) * square / (q * q)).exp();
-    // Levels of shading end at edges: the characteristic function of even ones falls as one over their width (root 12 deviations). What a few
-    // places stand for is known to half.
+    // Levels of shading end at edges: the characteristic function of even ones falls as one over their width
+    // (root 12 deviations). What a few places stand for is known to half.
     let width = std::f64::consts::PI * 12f64.sqrt() * spread / q;
     let shading = if width > 1.0 { 0.5 / width } else { 0.0 };
     let ripple = fades(noise) * (0.5 * fades(spread * spread)).max(shading);
@@ -204,7 +206,7 @@ pub struct View<'a> {
     pub at: Option<usize>,
     /// Expected means of the frames, DN.
     pub frames: &'a [f64],
-    /// How many they are.
+    /// Number of these pixels.
     pub n: f64,
     /// That less one, and one at least.
     pub dof: f64,
@@ -227,7 +229,8 @@ pub struct View<'a> {
     pub rough: (f64, f64),
     /// How little few frames show of a light that changes down the rows, DN^2.
     pub ripple_error: f64,
-    /// Variance that these frames share in proportion to the light of each pixel, DN^2: as much as their means show.
+    /// Variance that these frames share in proportion to the light of each pixel, DN^2: as much as their means
+    /// show.
     pub with_light: f64,
     lags: Lags,
 }
@@ -272,13 +275,14 @@ impl<'a> View<'a> {
         }
         let spread = o.set.and_then(|i| all.campaign.sets.get(i)).map_or(0.0, |s| s.spread_dn);
         view.rough = rough(prediction, view.noise, spread);
-        // What rounding does is the same in all chunks of a level, and does not average out.
+        // Rounding errors are the same in all chunks of a level, and do not average out.
         let alike = o.set.and_then(|i| all.alike.get(i)).map_or(1.0, |n| n.sqrt());
         view.rough = (alike * view.rough.0, alike * view.rough.1);
         // What the frame's mean takes with it does not scatter.
         let within = 1.0 - view.ripple_of_mean / s.ripple(0.0).max(f64::MIN_POSITIVE);
         view.ripple_error = ripple_error(s, within, shape.0 as f64, n);
-        // Not what is expected of the frames' scatter but what they show: it is one number for all statistics of these frames.
+        // Not what is expected of the frames' scatter but what they show: it is one number for all statistics of
+        // these frames.
         if s.with_light > 0.0 {
             let shown = (o.frame_var_dn2 - view.of_mean - moved).max(0.0);
             view.with_light = shown * (s.with_light / s.common.max(f64::MIN_POSITIVE)).min(1.0);
@@ -327,8 +331,8 @@ impl<'a> View<'a> {
         in_quadrature(&[rows, columns, self.ripple_error])
     }
 
-    /// Variance of the pixels' variances over the square of their mean, and raw second, third and fourth moment of the variances over their
-    /// mean.
+    /// Variance of the pixels' variances over the square of their mean, and raw second, third and fourth moment
+    /// of the variances over their mean.
     pub fn unequal(&self) -> (f64, [f64; 3]) {
         let (spread, shape) = self.pixel_noise();
         (spread, shape.moments(spread))
@@ -337,7 +341,8 @@ impl<'a> View<'a> {
     fn pixel_noise(&self) -> (f64, PixelNoise) {
         let square = (self.noise * self.noise).max(f64::MIN_POSITIVE);
         let predicted = self.set().map_or(0.0, |s| s.unequal.max(0.0) / square);
-        // Errors do not follow the fit where darks show the spread: what a fit makes small would seem known, and what it makes large unknown.
+        // Errors do not follow the fit where darks show the spread: what a fit makes small would seem known, and
+        // what it makes large unknown.
         let Some(shown) = self.all.pixel_noise else { return (predicted, PixelNoise::usual(predicted)) };
         let base = &self.prediction.base;
         let read = (base.gain_dn_per_e * base.read_noise_e).powi(4);
@@ -420,7 +425,7 @@ impl<'a> View<'a> {
         .with_common(ripple.max(self.walk() * of_lines))
     }
 
-    /// What taking off the mean over the frames leaves of noise with these correlations.
+    /// Share of noise with these correlations that is left once the mean over the frames is taken off.
     pub fn left_of(&self, memory: &[f64]) -> f64 {
         if self.n > 1.5 { left(memory, self.n) } else { 1.0 }
     }

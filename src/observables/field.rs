@@ -1,5 +1,6 @@
-//! The field of the light: how far the brightness of pixels, rows and columns lies from the mean, as the flats show it. What scatters with the light of
-//! whole frames does so in proportion to it: a dark corner flickers less.
+//! The field of the light: how far the brightness of pixels, rows and columns lies from the mean, as the flats
+//! show it. What scatters with the light of whole frames does so in proportion to it: a dark corner flickers
+//! less.
 
 use crate::statistics::pass::Summary;
 
@@ -50,7 +51,7 @@ impl Field {
         let pixels = s.spatial_var_dn2.max(0.0) / (signal * signal);
         Self {
             pixels,
-            // Of a smooth field rows and columns tell nearly all.
+            // Rows and columns tell nearly all of a smooth field.
             smooth: (of_rows + of_columns).min(pixels),
             rows: of_rows,
             columns: of_columns,

@@ -87,10 +87,12 @@ impl Statistic for Kurtosis {
         let later: f64 = s.shot_memory.iter().chain(&s.read_memory).map(|r| 2.0 * r.powi(4)).sum();
         let alike = (neighbours + lines + waves) * (1.0 + later);
         let dof = o.pixels * view.dof;
-        // Of pixels whose variances V have mean 1 the fourth power less 6 E V^2 of the square scatters by 96 E V^4 + 72 (E V^2)^3 - 144 E V^2 E V^3:
-        // 24 where they are alike (moments of normal numbers: 105 - 9, 2 and 15 - 3).
+        // Of pixels whose variances V have mean 1 the fourth power less 6 E V^2 of the square scatters by 96 E
+        // V^4 + 72 (E V^2)^3 - 144 E V^2 E V^3: 24 where they are alike (moments of normal numbers: 105 - 9, 2
+        // and 15 - 3).
         let [two, three, four] = view.unequal().1;
-        // A single sample of the noisiest pixel, at a chance of one in a hundred thousand, is to lie within as many standard errors.
+        // A single sample of the noisiest pixel, at a chance of one in a hundred thousand, is to lie within as
+        // many standard errors.
         let noisiest = view.noisiest();
         let single = if noisiest > 1.5 { (noisiest * RARE).powi(2) / dof / RARE.sqrt() } else { 0.0 };
         let unlike = (96.0 * four + 72.0 * two.powi(3) - 144.0 * two * three - 24.0).max(0.0);

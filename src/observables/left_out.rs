@@ -1,4 +1,4 @@
-//! What is no part of a campaign, in words.
+//! Frames and samples that are left out of a campaign, in words.
 
 use super::read::{Chunk, LeftOut};
 use crate::dataset::{Dataset, Kind};
@@ -34,7 +34,8 @@ pub(super) fn words(dataset: &Dataset, left_out: &[(usize, LeftOut)]) -> Vec<Str
     out
 }
 
-/// Takes out lit sets whose frames are the same, code for code: light has noise, so that these are copies of one frame.
+/// Takes out lit sets whose frames are the same, code for code: light has noise, so that these are copies of one
+/// frame.
 pub(super) fn copies(dataset: &Dataset, chunks: &mut Vec<Chunk>) -> Option<String> {
     let kind = |set: usize| dataset.settings(&dataset.sets()[set]).kind;
     let is_copy = |c: &Chunk| kind(c.set) == Kind::Flat && c.summary.var.value == 0.0;

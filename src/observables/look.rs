@@ -26,7 +26,7 @@ const REACH: f64 = 4.0;
 pub struct Look {
     /// Pixels at full scale, or so near that their noise reaches it.
     clipped: Vec<usize>,
-    /// Whether so many are that the set is clipped.
+    /// True where these are 2 % of the pixels or more: the set is clipped.
     #[serde(default)]
     pub(super) saturated: bool,
     /// Mean of a dark set, DN.

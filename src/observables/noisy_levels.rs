@@ -1,4 +1,5 @@
-//! Excess kurtosis of the noisiest pixels in short darks, each about its own variance: whether they are noisy as others are, or jump between levels.
+//! Excess kurtosis of the noisiest pixels in short darks, each about its own variance: whether they are noisy as
+//! others are, or jump between levels.
 
 use super::{Expected, HalfView, Observable, Put, Statistic, View, in_quadrature};
 
@@ -6,9 +7,11 @@ use super::{Expected, HalfView, Observable, Put, Statistic, View, in_quadrature}
 #[derive(Debug)]
 pub struct NoisyLevels;
 
-/// What is expected of it is known to so much of itself: which of the pixels jump, and how few frames show their levels, is known roughly.
+/// What is expected of it is known to so much of itself: which of the pixels jump, and how few frames show their
+/// levels, is known roughly.
 const ROUGHLY: f64 = 0.4;
-/// Rounding to whole codes changes the kurtosis of noise of a code by no more (-1/120 over the square of 1/12 and the noise's variance).
+/// Rounding to whole codes changes the kurtosis of noise of a code by no more (-1/120 over the square of 1/12 and
+/// the noise's variance).
 const ROUNDING: f64 = 0.02;
 /// Share of an excess above 0 that is not known to be none.
 const ABOVE: f64 = 0.7;
@@ -70,7 +73,8 @@ impl Statistic for NoisyLevels {
         let clipped =
             if view.all.campaign.from_code_0 && view.prediction.base.offset_dn < reach { 0.5 } else { 0.0 };
         let unsure = ROUGHLY * excess.abs() + rounding + clipped;
-        // Above 0 lies what grows from set to set, as the shot noise of dark charge does: only what lies below tells of levels.
+        // Above 0 lies what grows from set to set, as the shot noise of dark charge does: only what lies below
+        // tells of levels.
         let above = ABOVE * o.measured.value.max(0.0);
         Expected::plain(o, excess, in_quadrature(&[o.measured.std_err, unsure, above]))
     }

@@ -40,7 +40,7 @@ pub struct Chunk {
     pub summary: Summary,
     /// Of short darks, until they are summed up: variance of every pixel, DN^2.
     var_dn2: Vec<f32>,
-    /// Of these, sum of the fourth powers of every pixel's deviations, DN^4.
+    /// Sum of the fourth powers of every pixel's deviations in the same frames, DN^4.
     #[serde(default)]
     fourth_dn4: Vec<f32>,
 }
@@ -79,7 +79,7 @@ pub struct Reading {
     pub steady_dn4: Option<Value>,
     /// The same of pixels two columns and two rows apart, DN^4.
     pub together_dn4: Option<[Value; 2]>,
-    /// How the pixels' noise in short darks is distributed.
+    /// Distribution of the pixels' noise in short darks.
     pub pixel_noise: Option<PixelNoise>,
     /// Excess kurtosis of noisy pixels in the short darks of both halves.
     pub noisy_levels: [[Option<Levels>; 3]; 2],

@@ -1,4 +1,5 @@
-//! Spectrum of the row means: at which frequencies light ripples down the rows. It is no observable and gives a search its starts.
+//! Spectrum of the row means: at which frequencies light ripples down the rows. It is no observable and gives a
+//! search its starts.
 
 use super::{Expected, Observable, Statistic, View};
 use crate::statistics::layout::Layout;
@@ -18,7 +19,8 @@ const PADDED: usize = 4;
 const FEWEST: usize = 16;
 /// Peaks that are given as starts.
 const PEAKS: usize = 3;
-/// Power of a peak over the median of all, from which on it is one: of exponentially distributed powers one in a million is 20 times the median.
+/// Power of a peak over the median of all, from which on it is one: of exponentially distributed powers one in a
+/// million is 20 times the median.
 const STANDS_OUT: f64 = 5.0;
 
 type Plan = (usize, Arc<dyn Fft<f32>>, Vec<Complex<f32>>);
@@ -64,7 +66,8 @@ impl Statistic for RowSpectrum {
     }
 }
 
-/// Frequencies of the strongest peaks of a spectrum, cycles per row, the strongest first. `rows`: how many there are.
+/// Frequencies of the strongest peaks of a spectrum, cycles per row, the strongest first. `rows`: how many there
+/// are.
 pub fn peaks(power: &[f64], rows: usize) -> Vec<f64> {
     let usual = crate::statistics::median::median(power.iter().copied());
     // Below half a cycle over all rows there is no peak.

@@ -13,11 +13,13 @@ pub fn theory(r: &Summary) -> f64 {
     (scatter(r.frames as f64 - 1.0, [1.0; 3]) / r.pixels).sqrt()
 }
 
-/// Variance, times the pixels, of the spread mean(v^2) / mean(v)^2 / (1 + a) of sample variances v = V (1 + x) of d degrees of freedom, a = 2 / d,
-/// over pixels whose variances V have mean 1 and these raw moments (second, third, fourth).
+/// Variance, times the pixels, of the spread mean(v^2) / mean(v)^2 / (1 + a) of sample variances v = V (1 + x) of
+/// d degrees of freedom, a = 2 / d, over pixels whose variances V have mean 1 and these raw moments (second,
+/// third, fourth).
 ///
-/// To first order it deviates by the mean of V^2 (2 x + x^2 - a) - 2 c V x, c = (1 + a) E V^2, over 1 + a; by the moments of chi-square, E x^2 = a,
-/// E x^3 = 2 a^2, E x^4 = 3 a^2 + 6 a^3. Of pixels that are alike it is 2 a^2 / (1 + a).
+/// To first order it deviates by the mean of V^2 (2 x + x^2 - a) - 2 c V x, c = (1 + a) E V^2, over 1 + a; by the
+/// moments of chi-square, E x^2 = a, E x^3 = 2 a^2, E x^4 = 3 a^2 + 6 a^3. Of pixels that are alike it is 2 a^2 /
+/// (1 + a).
 fn scatter(dof: f64, [two, three, four]: [f64; 3]) -> f64 {
     let a = 2.0 / dof.max(1.0);
     let c = (1.0 + a) * two;
@@ -53,7 +55,8 @@ impl Statistic for Unequal {
         let variance = view.noise.max(1e-9);
         let rest = view.rough.1.hypot(view.moving) / variance;
         let square = variance * variance;
-        // Shot noise of unequal dark charge: pixels that stand out are compared with what their charge lets expect, others are not.
+        // Shot noise of unequal dark charge: pixels that stand out are compared with what their charge lets
+        // expect, others are not.
         let dark = view.at.map_or(0.0, |set| view.all.dark_spread_dn2[set]);
         let charge = 0.5 * dark * view.prediction.base.gain_dn_per_e.powi(2);
         let scatter_of_unlike =
@@ -89,11 +92,13 @@ impl Statistic for Unequal {
     }
 }
 
-/// Chance that chi-square of one degree of freedom passes [`RARE`]: one in a hundred thousand, some pixels in some sets of a thousand campaigns.
+/// Chance that chi-square of one degree of freedom passes [`RARE`]: one in a hundred thousand, some pixels in
+/// some sets of a thousand campaigns.
 const RARE: f64 = 19.5;
 
-/// What one pixel of the largest variance, over the mean of all, adds to the mean of squares of sample variances at a chance of one in a hundred
-/// thousand, over the standard errors that such a chance is to have: means of few noisy pixels are not normal.
+/// What one pixel of the largest variance, over the mean of all, adds to the mean of squares of sample variances
+/// at a chance of one in a hundred thousand, over the standard errors that such a chance is to have: means of few
+/// noisy pixels are not normal.
 fn tail(largest: f64, dof: f64, pixels: f64) -> f64 {
     if largest <= 1.5 {
         return 0.0;

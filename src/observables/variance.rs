@@ -38,7 +38,8 @@ impl Statistic for Variance {
             view.lag(0, 0) + view.moving,
             in_quadrature(&[
                 o.measured.std_err,
-                // Pixels with more noise than others scatter more (their mean square over the square of their mean).
+                // Pixels with more noise than others scatter more (their mean square over the square of their
+                // mean).
                 view.noise * (2.0 * view.unequal().0 / (o.pixels * view.dof)).sqrt(),
                 view.rough.1,
                 unsure,

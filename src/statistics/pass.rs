@@ -194,7 +194,7 @@ impl<'a> Pass<'a> {
         }
     }
 
-    /// Whether fourth powers of single pixels are summed from now on.
+    /// Turns the sums of fourth powers of single pixels on or off for the frames that follow.
     pub fn of_single_pixels(&mut self, wanted: bool) {
         self.fourths = wanted.then(|| vec![0.0; self.mean.len()]);
     }

@@ -1,17 +1,17 @@
-//! Where the variance of a photon transfer turns, and single levels that would be taken for it.
+//! The peak of a photon-transfer curve, and single levels that would be taken for it.
 
 use super::median::median;
 
 /// Levels below this share of the largest mean have read noise in their variance over the mean.
 const DIM: f64 = 0.05;
-/// A level is a stray where its variance over the mean is this multiple of the median of five around it: noise of a turning well falls, and does not
-/// rise by half from one level to the next.
+/// A level is a stray where its variance over the mean is this multiple of the median of five around it: noise of
+/// a turning well falls, and does not rise by half from one level to the next.
 const STRAY: f64 = 1.5;
 /// Levels around, itself included, whose median is taken.
 const AROUND: usize = 2;
 
-/// Places of levels, given as (mean above black, variance), whose variance lies far above that of the levels around: one of them would be taken for
-/// the peak. Nothing for fewer than five.
+/// Places of levels, given as (mean above black, variance), whose variance lies far above that of the levels
+/// around: one of them would be taken for the peak. Nothing for fewer than five.
 ///
 /// ```
 /// use radcam::statistics::peak::strays;
@@ -31,7 +31,7 @@ pub fn strays(levels: &[(f64, f64)]) -> Vec<usize> {
     order.sort_by(|&a, &b| levels[a].0.total_cmp(&levels[b].0));
     let var = |k: usize| levels[order[k]].1;
     let ratio = |k: usize| var(k) / levels[order[k]].0;
-    // In the shot noise the ratio stays from level to level, in the read noise the variance does.
+    // Variance over mean stays from level to level in the shot noise; the variance stays in the read noise.
     let is_stray = |k: &usize| {
         let from = k.saturating_sub(AROUND).min(order.len().saturating_sub(2 * AROUND + 1));
         let around = || from..(from + 2 * AROUND + 1).min(order.len());

@@ -16,7 +16,8 @@ pub struct Steady {
     /// Degrees of freedom of all runs, and the sum of the runs' means, DN^2.
     dof: f64,
     mean_dn2: f64,
-    /// Of both halves, sums of squares and of fourth powers of every pixel's deviations, and their degrees of freedom.
+    /// Sums of squares and of fourth powers of every pixel's deviations in both halves, and their degrees of
+    /// freedom.
     halves: [Powers; 2],
 }
 
@@ -28,12 +29,13 @@ struct Powers {
     dof: f64,
 }
 
-/// Excess kurtosis of the noisiest pixels, each about its own variance: 0 of normal noise, however unequal the pixels are; of two levels it is below.
+/// Excess kurtosis of the noisiest pixels, each about its own variance: 0 of normal noise, however unequal the
+/// pixels are; of two levels it is below.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Levels {
     /// The mean over these pixels.
     pub excess: Value,
-    /// How many they are.
+    /// Number of these pixels.
     pub pixels: f64,
 }
 
@@ -45,7 +47,7 @@ const DOF: f64 = 5.0;
 /// Pixels stand out by so many standard deviations of the logarithm of the ordinary ones' variances.
 const STANDS_OUT: f64 = 3.5;
 
-/// How the noise variances of single pixels are distributed, as many frames of the same kind show it.
+/// Distribution of the single pixels' noise variances, as many frames of the same kind show it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PixelNoise {
     /// Variance over the pixels of their variances, over the square of their mean.
@@ -58,21 +60,23 @@ pub struct PixelNoise {
     pub largest: f64,
     /// Median of the pixels' standard deviations over their root mean square.
     pub median: f64,
-    /// Standard deviation of the logarithm of the ordinary pixels' standard deviations; not a number where too few frames tell.
+    /// Standard deviation of the logarithm of the ordinary pixels' standard deviations; not a number where too
+    /// few frames tell.
     pub log_spread: f64,
-    /// Share of the pixels that are noisier than the ordinary ones by more than their spread explains; as `log_spread`.
+    /// Share of the pixels that are noisier than the ordinary ones by more than their spread explains; as
+    /// `log_spread`.
     pub noisy: f64,
 }
 
 impl PixelNoise {
-    /// Of lognormal variances with this relative variance (Johnson, Kotz and Balakrishnan 1994, ch. 14).
+    /// Lognormal variances with this relative variance (Johnson, Kotz and Balakrishnan 1994, ch. 14).
     pub fn lognormal(spread: f64) -> Self {
         let w = 1.0 + spread.max(1e-9);
         Self {
             spread,
             skewness: (w + 2.0) * (w - 1.0).sqrt(),
             kurtosis: w.powi(4) + 2.0 * w.powi(3) + 3.0 * w * w - 3.0,
-            // Of some ten thousand pixels the farthest lies four standard deviations off.
+            // The farthest of some ten thousand pixels lies four standard deviations off.
             largest: (4.0 * w.ln().sqrt()).exp(),
             median: w.powf(-0.25),
             log_spread: 0.5 * w.ln().sqrt(),
@@ -80,7 +84,8 @@ impl PixelNoise {
         }
     }
 
-    /// Of a sensor whose darks do not tell: lognormal, or one pixel in three hundred with most of the spread, whichever has more tails.
+    /// The usual distribution, for a sensor whose darks do not tell: lognormal, or one pixel in three hundred
+    /// with most of the spread, whichever has more tails.
     pub fn usual(spread: f64) -> Self {
         let of = Self::lognormal(spread);
         let noisy: f64 = 300.0;
@@ -104,7 +109,8 @@ impl PixelNoise {
 
 /// Quantiles of a standard normal number at one and three quarters.
 const QUARTILE: f64 = 0.674_489_750_196_081_7;
-/// A pixel is noisy from so many standard deviations of the logarithm of the ordinary pixels' variances on: chance has one in a million.
+/// A pixel is noisy from so many standard deviations of the logarithm of the ordinary pixels' variances on:
+/// chance has one in a million.
 const NOISY: f64 = 4.8;
 /// Degrees of freedom from which on single pixels are told apart, and from which on moments are taken.
 const TOLD: f64 = 6.0;
@@ -123,7 +129,8 @@ impl Steady {
         }
     }
 
-    /// Adds a run of so many frames: the variance of every pixel (0 where it does not count), and their mean, DN^2.
+    /// Adds a run of so many frames: the variance of every pixel (0 where it does not count), and their mean,
+    /// DN^2.
     pub fn add(&mut self, var_dn2: &[f32], mean_dn2: f64, frames: usize) {
         self.dof += frames as f64 - 1.0;
         self.mean_dn2 += mean_dn2;
@@ -149,10 +156,12 @@ impl Steady {
         into.fourths.iter_mut().zip(fourth_dn4).for_each(|(sum, v)| *sum += f64::from(*v));
     }
 
-    /// Excess kurtosis of the pixels that stand out, of the noisiest hundredth and of the noisiest twentieth, in one half; `None` of too few.
+    /// Excess kurtosis of the pixels that stand out, of the noisiest hundredth and of the noisiest twentieth, in
+    /// one half; `None` of too few.
     ///
-    /// Of n normal numbers b = n sum d^4 / (sum d^2)^2 does not depend on sum d^2 (Basu 1955), so that pixels may be chosen by their variance; its
-    /// mean is 3 n / (n + 2), and E b^2 = n (9 n^2 + 96 n) / ((n + 2) (n + 4) (n + 6)) by the moments of chi-square.
+    /// Of n normal numbers b = n sum d^4 / (sum d^2)^2 does not depend on sum d^2 (Basu 1955), so that pixels may
+    /// be chosen by their variance; its mean is 3 n / (n + 2), and E b^2 = n (9 n^2 + 96 n) / ((n + 2) (n + 4) (n
+    /// + 6)) by the moments of chi-square.
     pub fn levels(&self, layout: &Layout, half: usize) -> [Option<Levels>; 3] {
         let own = &self.halves[half];
         let n = own.dof;
@@ -183,10 +192,12 @@ impl Steady {
         [stand_out, few, more].map(|count| (count >= PIXELS).then(|| of(count)))
     }
 
-    /// How the variances of single pixels are distributed, what few frames scatter by taken off; `None` of few degrees of freedom.
+    /// Distribution of the single pixels' variances, less the scatter of few frames; `None` of few
+    /// degrees of freedom.
     ///
-    /// A sample variance of d degrees of freedom of normal noise has the raw moments s^2k prod(1 + 2 j / d), j < k (chi-square). The logarithm
-    /// of one scatters by the trigamma function at d / 2 (Bartlett and Kendall 1946), which is about 2 / (d - 1).
+    /// A sample variance of d degrees of freedom of normal noise has the raw moments s^2k prod(1 + 2 j / d), j <
+    /// k (chi-square). The logarithm of one scatters by the trigamma function at d / 2 (Bartlett and Kendall
+    /// 1946), which is about 2 / (d - 1).
     pub fn distribution(&self, layout: &Layout) -> Option<PixelNoise> {
         if self.dof < FEWEST {
             return None;
@@ -225,7 +236,8 @@ impl Steady {
             spread,
             skewness: if skewness.is_finite() { skewness.max(0.0) } else { usual.skewness },
             kurtosis: if kurtosis.is_finite() { kurtosis.max(1.0) } else { usual.kurtosis },
-            // Few frames make one of many seem larger: by two and a half deviations of chi-square (Wilson and Hilferty 1931).
+            // Few frames make one of many seem larger: by two and a half deviations of chi-square (Wilson and
+            // Hilferty 1931).
             largest: all
                 .last()
                 .map_or(1.0, |v| v / (1.0 - a / 9.0 + 2.5 * (a / 9.0).sqrt()).powi(3))
@@ -332,6 +344,60 @@ mod tests {
                 assert!(stated > 0.75 * scatter, "{k}: {stated}, scatter {scatter}");
             }
         }
+    }
+
+    /// Over 200 campaigns of two halves of two runs: pixels that stand out and scatter normally have an excess of 0, which the
+    /// errors cover, whether all are alike or not; those that jump between two levels lie below it, the more the longer the runs.
+    #[test]
+    fn noisy_pixels_and_two_levels_are_told_apart() {
+        let (side, campaigns) = (32usize, 200u32);
+        let layout = Layout::new(&Array2::from_elem((side, side), true), 4095);
+        let of = |jumps: bool, frames: usize, campaign: u32| {
+            let mut steady = Steady::new(side * side);
+            let mut rng = PixelRng::new(23, Stream::Effect, 0, campaign, 0);
+            for half in [0, 1, 0, 1] {
+                let (mut var, mut fourths) = (Vec::new(), Vec::new());
+                for i in 0..side * side {
+                    let noisy = i % 41 == 0;
+                    // Deviations from the mean of the frames before, each of the variance of the noise (Welford 1962).
+                    let (mut mean, mut squares, mut fourth) = (0.0, 0.0, 0.0);
+                    for k in 0..frames {
+                        let sign = if rng.uniform() < 0.5 { 1.0 } else { -1.0 };
+                        let x = match (noisy, jumps) {
+                            (true, true) => 8.0 * sign + rng.normal(),
+                            (true, false) => 8.0 * rng.normal(),
+                            _ => rng.normal(),
+                        };
+                        let off = x - mean;
+                        let step = off * (k as f64 / (k as f64 + 1.0)).sqrt();
+                        mean += off / (k as f64 + 1.0);
+                        squares += step * step;
+                        fourth += step.powi(4);
+                    }
+                    var.push((squares / (frames as f64 - 1.0)) as f32);
+                    fourths.push(fourth as f32);
+                }
+                steady.add(&var, var.iter().map(|v| f64::from(*v)).sum::<f64>() / var.len() as f64, frames);
+                steady.add_fourths(half, &var, &fourths, frames);
+            }
+            steady.levels(&layout, 0)[0].unwrap().excess
+        };
+        let of_all = |jumps, frames| {
+            let all: Vec<Value> = (0..campaigns).map(|c| of(jumps, frames, c)).collect();
+            let n = f64::from(campaigns);
+            let mean = all.iter().map(|v| v.value).sum::<f64>() / n;
+            let scatter = (all.iter().map(|v| (v.value - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
+            let stated = (all.iter().map(|v| v.std_err.powi(2)).sum::<f64>() / n).sqrt();
+            (mean, scatter, stated, n.sqrt())
+        };
+        for frames in [4, 8] {
+            let (mean, scatter, stated, root) = of_all(false, frames);
+            assert!(mean.abs() < 5.0 * scatter / root, "{frames}: {mean}");
+            assert!((stated / scatter - 1.0).abs() < 0.25, "{frames}: {stated}, scatter {scatter}");
+        }
+        let (short, ..) = of_all(true, 4);
+        let (long, ..) = of_all(true, 16);
+        assert!(short < 0.0 && long < short - 0.5, "{short} {long}");
     }
 
     /// Over 300 campaigns of three runs: of pixels that are alike 0, and the error covers it; of a tenth of the pixels with one more of

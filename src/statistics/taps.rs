@@ -5,7 +5,8 @@ use super::jackknife::Value;
 
 /// Lines on each side of a step that are averaged.
 const REACH: usize = 4;
-/// Standard deviations at which the farthest of a dozen normal numbers lies: so many places of eight lines a hundred lines have.
+/// Standard deviations at which the farthest of a dozen normal numbers lies: so many places of eight lines a
+/// hundred lines have.
 const FARTHEST: f64 = 2.5;
 /// Lines from which on steps are looked for.
 const FEWEST: usize = 64;

@@ -97,7 +97,7 @@ impl Effect for LightBanding {
             // A ripple that turns little within an exposure, and one that turns about once.
             .flat_map(|f| [0.2, 1.0].map(|turns| line(f, turns / seen.frame_s.max(1e-5))))
             .collect();
-        // Where the spectrum of the row means has its peaks.
+        // Peaks of the spectrum of the row means come first.
         let peaks = seen.row_cycles.into_iter().flatten().filter(|f| *f > 1e-4 && *f < 0.5);
         let mut first: Vec<Vec<f64>> =
             peaks.flat_map(|f| [0.2, 1.0].map(|turns| line(f, turns / seen.frame_s.max(1e-5)))).collect();

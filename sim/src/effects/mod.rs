@@ -300,7 +300,7 @@ pub mod takes {
 pub trait Effect: Sync + Send {
     /// Identifier, as in `[[effect]] id = "..."`.
     fn id(&self) -> &'static str;
-    /// Other words that people have for it, in lower case.
+    /// Other words that people use for it, in lower case.
     fn also_called(&self) -> &'static [&'static str] {
         &[]
     }
@@ -362,16 +362,17 @@ pub trait Effect: Sync + Send {
     fn contradicted(&self, _p: &[f64], _seen: &Seen) -> Option<&'static str> {
         None
     }
-    /// Whether darks alone tell of it.
+    /// True for an effect that darks alone can show.
     fn shows_in_darks(&self) -> bool {
         matches!(self.stage(), Stage::Read | Stage::Converter | Stage::Firmware)
     }
-    /// Whether it makes the light of every set another one: else the light stays as it is until another level is set.
+    /// True for an effect by which each set has a light of its own; else the light stays until another level is
+    /// set.
     fn sets_each(&self) -> bool {
         false
     }
-    /// The statistic that is its scatter itself: where less is measured than it would make it is not there, though its scatter may excuse other
-    /// deviations.
+    /// The statistic that is its scatter itself: where less is measured than it would make it is not there,
+    /// though its scatter may excuse other deviations.
     fn shown_by(&self) -> Option<&'static str> {
         None
     }

@@ -86,7 +86,8 @@ fn is_of_whole_code(p: &[f64]) -> bool {
     p[0].round() as i32 == WHOLE_CODE
 }
 
-/// Codes c become full scale (c / full scale)^g, the black level with them: the level of the darks is what becomes of it.
+/// Codes c become full scale (c / full scale)^g, the black level with them: the level of the darks is what
+/// becomes of it.
 fn of_whole_code(g: f64, c: &Campaign, out: &mut Prediction) {
     let (full, black) = (c.full_scale_dn, out.base.offset_dn.max(1e-3));
     let before = full * libm::pow(black / full, 1.0 / g);
@@ -100,8 +101,9 @@ fn of_whole_code(g: f64, c: &Campaign, out: &mut Prediction) {
         let used: f64 = all.map(|(x, share)| share * (1.0 / slope(level + spread * x)).min(1.0)).sum();
         s.codes_used *= used;
         let here = slope(level);
-        // A table's own rounding runs through its phases by the slope less 1 from code to code, and averages out where the noise and the levels
-        // cover a turn of it (Widrow and Kollar 2008, ch. 4); where codes are a slope apart, noise must cover that.
+        // A table's own rounding runs through its phases by the slope less 1 from code to code, and averages out
+        // where the noise and the levels cover a turn of it (Widrow and Kollar 2008, ch. 4); where codes are a
+        // slope apart, noise must cover that.
         let (turn, variance) = (here - 1.0, s.covariance(0, 0));
         let square = 2.0 * std::f64::consts::PI * std::f64::consts::PI;
         let left = libm::exp(-square * turn * turn * (variance + spread * spread));

@@ -82,7 +82,7 @@ impl Effect for RandomTelegraphNoise {
         all.map(|(share, jump, stays)| vec![share, jump * noise_e, stays]).to_vec()
     }
 
-    /// Where every fifth pixel jumps it is the noise of the sensor.
+    /// Jumps of every fifth pixel and more are the sensor's own noise, and not a few pixels'.
     fn is_another(&self, p: &[f64], _: &Seen) -> bool {
         p[0] > FEW
     }
@@ -163,10 +163,11 @@ impl Effect for RandomTelegraphNoise {
 /// Frames back of which a level is followed at most.
 const BACK: u64 = 200;
 
-/// Whether a pixel is up in this frame. A level that stays with this chance is that of the last frame in which it was drawn anew: which frames these
-/// are depends on the frame's number alone, so that frames may be drawn in any order.
+/// The level of a pixel in this frame: true for the upper one. A level that stays with this chance is that of the
+/// last frame in which it was drawn anew: which frames these are depends on the frame's number alone, so that
+/// frames may be drawn in any order.
 fn level(d: &Drawing<'_>, id: &str, pixel: u32, stays: f64) -> bool {
-    // Not from frame 0, whose numbers chose the pixels.
+    // Frame 0 is left out: its numbers chose the pixels.
     for frame in (d.frame.saturating_sub(BACK)..=d.frame).rev() {
         let mut random = d.random(id, frame + 1, pixel);
         let up = random.uniform() < 0.5;
