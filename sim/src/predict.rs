@@ -2,7 +2,7 @@
 
 use crate::clipping::Clipped;
 use crate::normal::upper;
-use crate::quantize::{NODES, reaches_zero, rounded_from_zero, rounded_unlike};
+use crate::quantize::{NODES, reaches_zero, rounded, rounded_from_zero, rounded_unlike};
 
 pub use crate::normal::{NORMAL, PLACES};
 pub use crate::spectrum::{Filter, GRID, HALF, LAGS, LineNoise, Ripple, Spectrum, angle};
@@ -58,33 +58,60 @@ pub struct Campaign {
     pub ordinary: Option<Ordinary>,
 }
 
-/// Dark noise of the pixels without the few that are far noisier than the others.
+/// Dark noise of the pixels without the few that are far noisier than the others, before rounding.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ordinary {
-    /// Mean of their variances over that of all pixels.
-    pub mean: f64,
+    /// Mean of their variances, DN^2.
+    pub variance_dn2: f64,
     /// Variance of their variances over the square of their mean.
     pub spread: f64,
 }
 
 impl Ordinary {
-    /// Log-normal noise whose median is `median` of the root mean square of all pixels, with this standard
-    /// deviation of its logarithm (Johnson, Kotz and Balakrishnan 1994, ch. 14).
-    pub fn lognormal(median: f64, log_spread: f64) -> Self {
-        let square = 4.0 * log_spread * log_spread;
-        Self { mean: (median * median * libm::exp(0.5 * square)).min(1.0), spread: libm::expm1(square) }
+    /// Of darks whose pixels have these variances (median, DN^2) and this standard deviation of the logarithm of
+    /// their noise, at this mean level and with this standard deviation between pixels, DN.
+    ///
+    /// Rounding adds 1/12 where the noise is a code or more; below that it follows the place between two codes
+    /// (Widrow and Kollar 2008, ch. 4), and is taken off as it is at the level of these darks. Variances are
+    /// log-normal (Johnson, Kotz and Balakrishnan 1994, ch. 14).
+    pub fn of_darks(median_dn2: f64, log_spread: f64, level_dn: f64, spread_dn: f64) -> Self {
+        let shown = |variance: f64| {
+            // The level is measured once it is rounded.
+            let mut level = level_dn;
+            for _ in 0..LEVEL_ROUNDS {
+                level = level_dn - rounded(level, spread_dn, variance).mean;
+            }
+            let r = rounded(level, spread_dn, variance);
+            (variance + r.variance, r.unequal)
+        };
+        let (mut low, mut high) = (LEAST_VARIANCE, median_dn2.max(LEAST_VARIANCE));
+        for _ in 0..40 {
+            let middle = 0.5 * (low + high);
+            if shown(middle).0 < median_dn2 { low = middle } else { high = middle }
+        }
+        let (median, (at, unequal)) = (high, shown(high));
+        let slope = ((shown(1.05 * median).0 - at) / (0.05 * median)).max(0.1);
+        let square = (4.0 * log_spread * log_spread - unequal / (at * at).max(f64::MIN_POSITIVE)).max(0.0)
+            * (at / (slope * median)).powi(2);
+        let square = square.min(LARGEST_SPREAD);
+        Self { variance_dn2: median * libm::exp(0.5 * square), spread: libm::expm1(square) }
     }
 
     /// Variance of their noise and its spread over the pixels, where all pixels have this variance and this part
-    /// of it is read noise, in squares of the code's step. Rounding adds 1/12 to each in the darks of which it is
-    /// known (Widrow and Kollar 2008, ch. 4).
-    fn of(self, variance: f64, read: f64) -> (f64, f64) {
-        let of_rounding = 1.0 / 12.0;
-        let dark = self.mean * (read + of_rounding);
-        let own = variance - read + (dark - of_rounding).min(read).max(0.1 * read);
+    /// of it is read noise, in squares of the code's step.
+    fn of(self, variance: f64, read: f64, step: f64) -> (f64, f64) {
+        let dark = (self.variance_dn2 / (step * step)).clamp(0.1 * read, read);
+        let own = variance - read + dark;
         (own, self.spread * (dark / own.max(1e-12)).powi(2))
     }
 }
+
+/// Rounds after which a level before rounding is known to a hundredth of a code.
+const LEVEL_ROUNDS: usize = 5;
+/// Noise of less is not told from none, DN^2 (a named choice: a tenth of a code).
+const LEAST_VARIANCE: f64 = 0.01;
+/// Variance of the logarithm of the pixels' variances, at most (a named choice: a factor of two each way in noise).
+const LARGEST_SPREAD: f64 = 2.0;
 
 /// The paper's parameters as a campaign sees them.
 #[derive(Debug, Clone, PartialEq)]
@@ -519,7 +546,9 @@ impl Prediction {
             let unlike = s.unequal.max(0.0) / (square * variance * square * variance).max(f64::MIN_POSITIVE);
             // A few noisy pixels make the spread large, and leave the rounding of the others as it is.
             let (own, unlike) = match c.ordinary {
-                Some(ordinary) => ordinary.of(variance, (s.read.lag(0, 0) / square).min(variance).max(0.0)),
+                Some(ordinary) => {
+                    ordinary.of(variance, (s.read.lag(0, 0) / square).min(variance).max(0.0), step)
+                }
                 None => (variance, unlike),
             };
             let (spread, places) = c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread_dn / step, &s.places));
@@ -631,14 +660,14 @@ mod tests {
         let all: Vec<f64> = (0..20_000).map(|_| sd()).collect();
         let mean = |of: &dyn Fn(f64) -> f64| all.iter().map(|s| of(*s)).sum::<f64>() / all.len() as f64;
         let variance = mean(&|s| s * s);
-        let of_rounding = 1.0 / 12.0;
         let spread = mean(&|s| (s * s - variance).powi(2)) / (variance * variance);
-        // The darks' variances as they are measured: rounding is in them.
-        let dark = |of: f64| (of * of + of_rounding).sqrt();
-        let rms = (variance + of_rounding).sqrt();
-        let log_of_dark = log_spread * median * median / dark(median).powi(2);
-        let ordinary = Ordinary::lognormal(dark(median) / rms, log_of_dark);
-        let (own, unlike) = ordinary.of(variance, variance);
+        // The median and the spread of the darks' variances as they are measured: rounding at their level is in them.
+        let dark_dn = 7.4;
+        let shown = |s: f64| s * s + rounded(dark_dn, 0.0, s * s).variance;
+        let measured_dn = dark_dn + rounded(dark_dn, 0.0, median * median).mean;
+        let width = 0.5 * (shown(median * log_spread.exp()) / shown(median * (-log_spread).exp())).ln();
+        let ordinary = Ordinary::of_darks(shown(median), 0.5 * width, measured_dn, 0.0);
+        let (own, unlike) = ordinary.of(variance, variance, 1.0);
         for level in [10.2, 10.3, 10.7, 10.8] {
             let term = |k: i32, s: f64| {
                 let (k, pi) = (f64::from(k), std::f64::consts::PI);

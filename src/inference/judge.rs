@@ -172,7 +172,13 @@ struct Unseen<'a> {
     told: BTreeMap<usize, (f64, f64)>,
     /// Variance of a light setting that the fit did not use, in units of the light squared; by set.
     scatter: Vec<f64>,
+    /// Sets whose level the fit leaves open.
+    open: Vec<bool>,
 }
+
+/// A level is open where its error passes this part of a code and of the signal (named choices): the noise of the digitised
+/// signal follows the place between two codes, so that slopes say nothing of a level so far off (Widrow and Kollar 2008, ch. 4).
+const OPEN: (f64, f64) = (0.25, 0.05);
 
 impl<'a> Unseen<'a> {
     fn new(all: &'a Observations, fitted: &'a Fitted, half: Half) -> Self {
@@ -192,14 +198,31 @@ impl<'a> Unseen<'a> {
         }
         let told = settings_told(all, fitted, half);
         let lights = lights_seen(all, half);
-        Self { all, fitted, layout, state, slopes, light, lights, told, scatter }
+        let open = vec![false; settings.len()];
+        let mut out = Self { all, fitted, layout, state, slopes, light, lights, told, scatter, open };
+        out.find_open();
+        out
     }
 
-    /// The standardised residual of a row; `None` of light levels that only one half has.
+    /// Finds the sets whose level the fit leaves open: a long dark, say, that only the other half has.
+    fn find_open(&mut self) {
+        let step = self.fitted.predict(self.all).code_step_dn;
+        for (r, (o, e)) in self.layout.rows.iter().zip(&self.state.expected).enumerate() {
+            let Some(set) = o.set.filter(|_| o.is(&mean::Mean)) else { continue };
+            let signal_dn = (e.value - self.fitted.base.offset_dn).abs();
+            let error_dn = self.judged(r, o, e).map_or(0.0, |own| own.wider * e.std_err);
+            self.open[set] |= error_dn > OPEN.0 * step && error_dn > OPEN.1 * signal_dn;
+        }
+    }
+
+    /// The standardised residual of a row; `None` of light levels that only one half has, and of sets whose level is open.
     fn judged(&self, r: usize, o: &Observable, e: &Expected) -> Option<Own> {
         let level = o.set.and_then(|s| self.all.campaign.sets[s].light);
         let sees_light = o.statistic.sees_light();
         if sees_light && level.is_some_and(|l| !self.lights[l]) {
+            return None;
+        }
+        if o.set.is_some_and(|s| self.open[s]) {
             return None;
         }
         let n = self.fitted.free.common.len();

@@ -333,6 +333,7 @@ pub fn of_dataset(
     let ends: Vec<f64> = frames.iter().map(|f: &FrameInfo| f.time_s + infos[f.set].exposure_s).collect();
     let frame_s = median(ends.windows(2).map(|w| w[1] - w[0]));
     let light_rel_std = dataset.manifest().bench.as_ref().and_then(|b| b.illumination_rel_std);
+    let ordinary = pixel_noise.and_then(|p| ordinary(&p, &chunks, &infos, &kinds));
     let mut all = Observations {
         setting: setting(dataset, &settings, light_rel_std),
         light_settings: light_settings(&infos),
@@ -355,9 +356,7 @@ pub fn of_dataset(
             from_code_0: true,
             frame_s: if frame_s.is_finite() { frame_s.max(0.0) } else { 0.0 },
             line_cycles_per_px: line.map(|l| l.1),
-            ordinary: pixel_noise
-                .filter(|p| p.log_spread.is_finite())
-                .map(|p| Ordinary::lognormal(p.median, p.log_spread)),
+            ordinary,
         },
         set_numbers: sets.iter().map(|s| s.number).collect(),
         kinds,
@@ -604,4 +603,14 @@ impl Inflation {
             unequal: over(&|r| r.unequal.std_err / unequal::theory(r)),
         }
     }
+}
+
+/// Noise of the ordinary pixels, at the middle level of the darks that show it; `None` where too few frames do.
+fn ordinary(pixels: &PixelNoise, chunks: &[Chunk], infos: &[SetInfo], kinds: &[Kind]) -> Option<Ordinary> {
+    let darks = || chunks.iter().filter(|c| kinds[c.set] == Kind::Dark);
+    let level_dn = median(darks().map(|c| c.summary.frame_means.mean_dn()));
+    let spread_dn = median(darks().map(|c| infos[c.set].spread_dn));
+    let known = pixels.log_spread.is_finite() && pixels.mean_dn2.is_finite() && level_dn.is_finite();
+    let median_dn2 = pixels.median * pixels.median * pixels.mean_dn2;
+    known.then(|| Ordinary::of_darks(median_dn2, pixels.log_spread, level_dn, spread_dn))
 }

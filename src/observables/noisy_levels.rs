@@ -13,6 +13,8 @@ const ROUGHLY: f64 = 0.4;
 /// Rounding to whole codes changes the kurtosis of noise of a code by no more (-1/120 over the square of 1/12 and
 /// the noise's variance).
 const ROUNDING: f64 = 0.02;
+/// Standard deviation of the excess of one pixel of normal noise, of some ten frames (moments of chi-square).
+const OF_ONE: f64 = 0.8;
 /// Share of an excess above 0 that is not known to be none.
 const ABOVE: f64 = 0.7;
 /// Pixels whose jumps are this part of their variance and more are all among the noisiest (a named choice).
@@ -60,10 +62,9 @@ impl Statistic for NoisyLevels {
         // Pixels that jump are among the noisiest as far as their jumps stand out of the noise.
         let among = (jump.share * (rows * columns) as f64 / o.pixels).min(1.0);
         let part = jump.variance / (rest + jump.variance);
-        // A sign that stays has -2 of its square; deviations from the mean of few frames keep some eight tenths.
         // Weak jumps leave some of them among the others.
         let chosen = (CHOSEN * part).min(1.0);
-        let excess: f64 = -1.6 * among * chosen * part * part;
+        let excess: f64 = -2.0 * among * chosen * part * part;
         let step = view.prediction.code_step_dn;
         let own = (noise / (step * step) - 1.0 / 12.0).max(0.0);
         let rounding = TWO_CODES * (-std::f64::consts::PI.powi(2) * own).exp()
@@ -72,7 +73,9 @@ impl Statistic for NoisyLevels {
         let reach = 4.0 * NOISY * noise.sqrt();
         let clipped =
             if view.all.campaign.from_code_0 && view.prediction.base.offset_dn < reach { 0.5 } else { 0.0 };
-        let unsure = ROUGHLY * excess.abs() + rounding + clipped;
+        // Few frames show little of two levels: what is measured is scaled up to all of it, and so are these.
+        let scaled = (o.measured.std_err * o.pixels.sqrt() / OF_ONE).max(1.0);
+        let unsure = ROUGHLY * excess.abs() + scaled * (rounding + clipped);
         // Above 0 lies what grows from set to set, as the shot noise of dark charge does: only what lies below
         // tells of levels.
         let above = ABOVE * o.measured.value.max(0.0);
