@@ -6,6 +6,7 @@ mod entry;
 mod search;
 mod sensor;
 mod share;
+mod turns;
 mod unknown;
 mod verdict;
 mod words;
@@ -30,11 +31,12 @@ use entry::{describe, reasons};
 use radcam_sim::effects::{Effect, Seen, Take, find, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
-use search::{Candidate, NEEDED, is_something, rivals, score, search, surely_there, without};
+use search::{Candidate, NEEDED, is_something, is_told, rivals, score, search, surely_there, without};
 use sensor::sensor;
 use serde::{Deserialize, Serialize};
 use share::{MATTERS, Place, place_of_unknown, remainder, shares};
 use std::collections::BTreeMap;
+use turns::in_turns;
 
 /// Candidates within this evidence of the best cannot be told apart.
 const TIE: f64 = 6.0;
@@ -239,9 +241,9 @@ fn missing(
         entry.cost = cost::of_effect(all, whole, &entry.effect);
     }
     let mut out = with_ties(parts, whole, named, split);
-    let first_in_doubt = parts.first().and_then(|p| doubt(p, whole, &seen, last));
+    let first_in_doubt = parts.first().and_then(|p| doubt(all, p, whole, &seen, last));
     for part in parts.iter().skip(1) {
-        let doubt = doubt(part, whole, &seen, last).or_else(|| better(part));
+        let doubt = doubt(all, part, whole, &seen, last).or_else(|| better(part));
         let entry = out.iter_mut().find(|m| m.effect == part.effect.id());
         if let (Some(entry), Some(doubt)) = (entry, doubt) {
             entry.partial = true;
@@ -279,14 +281,16 @@ fn missing(
 }
 
 /// Why a part is not what it is called, though it comes near all that is fitted.
-fn doubt(part: &Part, whole: &Fitted, seen: &Seen, last: &Comparison) -> Option<String> {
+fn doubt(all: &Observations, part: &Part, whole: &Fitted, seen: &Seen, last: &Comparison) -> Option<String> {
     let at = whole.effects.iter().rposition(|(e, _)| e.id() == part.effect.id())?;
     let (effect, values) = &whole.effects[at];
-    if !is_something(whole, at, seen) {
+    let told =
+        || !effect.told_by().is_empty() && is_told(all, &without(all, whole, at), whole, *effect, seen);
+    if !is_something(whole, at, seen) && !told() {
         return Some(format!("every size of {} is nothing within its errors beside the rest", effect.id()));
     }
     let contradicted = effect.contradicted(values, seen).map(str::to_string);
-    let why = contradicted.or_else(|| not_told(part, last))?;
+    let why = contradicted.or_else(|| not_told(part, last)).or_else(|| in_turns(all, part, whole))?;
     Some(format!("it is not {}: {why}", effect.id()))
 }
 

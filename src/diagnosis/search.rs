@@ -1,8 +1,8 @@
 //! Searches over sets of effects: several lines are followed, what others take over is dropped again.
 
 use crate::inference::{
-    Effects, Fitted, Given, Scored, Screen, as_given, fit, fit_briefly, fit_near, has_flats, residuals_of,
-    seen, start,
+    Effects, Fitted, Given, Residual, Scored, Screen, as_given, fit, fit_briefly, fit_near, has_flats,
+    residuals_of, seen, start,
 };
 
 use crate::observables::{Observations, Statistic, covariance, frame_scatter, succession};
@@ -187,10 +187,13 @@ impl Look<'_> {
     /// Of the forms of an effect the best whose values are known.
     fn standing(&self, effect: &'static dyn Effect, tries: Vec<Fitted>) -> Option<Candidate> {
         let seen = seen(self.all, &self.now.base);
-        tries
-            .into_iter()
-            .map(|fitted| Candidate { effect, evidence: self.evidence(&fitted), fitted })
-            .find(|c| stands(c, &seen) && is_shown(self.all, c))
+        let stands = |c: &Candidate| {
+            let told = || is_told(self.all, self.now, &c.fitted, c.effect, &seen);
+            (stands(c, &seen) || told()) && is_shown(self.all, c)
+        };
+        let tries =
+            tries.into_iter().map(|fitted| Candidate { effect, evidence: self.evidence(&fitted), fitted });
+        tries.into_iter().find(stands)
     }
 
     fn evidence(&self, fitted: &Fitted) -> f64 {
@@ -300,6 +303,36 @@ pub fn is_something(fitted: &Fitted, at: usize, seen: &Seen) -> bool {
     }
     let sizes: Vec<usize> = sizes(*effect, values).collect();
     sizes.is_empty() || sizes.iter().any(|&k| is_known(values[k], errors[k]))
+}
+
+/// Whether an effect of which only a combination of parameters is known explains what its own statistics show, by
+/// the evidence that a name needs: where these are predicted roughly, so is it known, and it is there all the same. Errors are those without it,
+/// so that none is gained by making them larger.
+pub fn is_told(
+    all: &Observations,
+    without: &Fitted,
+    with: &Fitted,
+    effect: &'static dyn Effect,
+    seen: &Seen,
+) -> bool {
+    let values = with.effects.iter().find(|(e, _)| e.id() == effect.id()).map(|(_, values)| values);
+    let own = effect.told_by();
+    let is_none =
+        |v: &Vec<f64>| effect.together(v).is_none() || at_an_end(effect, v) || effect.is_another(v, seen);
+    if own.is_empty() || values.is_none_or(is_none) {
+        return false;
+    }
+    let of = |model: &Fitted| -> Vec<Residual> {
+        let mut list = residuals_of(all, model);
+        list.retain(|r| own.contains(&&*r.statistic));
+        list
+    };
+    let (before, after) = (of(without), of(with));
+    let explained = before.iter().zip(&after).map(|(b, a)| {
+        let z = |r: &Residual| (r.measured - r.predicted) / b.std_err;
+        z(b).powi(2) - z(a).powi(2)
+    });
+    before.len() == after.len() && explained.sum::<f64>() > NEEDED + (all.list.len() as f64).ln()
 }
 
 /// Whether the only size of an effect, or what its parameters tell together, is as far from nothing as the

@@ -210,7 +210,9 @@ impl<'a> Unseen<'a> {
         for (r, (o, e)) in self.layout.rows.iter().zip(&self.state.expected).enumerate() {
             let Some(set) = o.set.filter(|_| o.is(&mean::Mean)) else { continue };
             let signal_dn = (e.value - self.fitted.base.offset_dn).abs();
-            let error_dn = self.judged(r, o, e).map_or(0.0, |own| own.wider * e.std_err);
+            // What the fit leaves open, beside what the frames scatter by.
+            let of_fit = |own: Own| (own.wider * own.wider - 1.0).max(0.0).sqrt();
+            let error_dn = self.judged(r, o, e).map_or(0.0, of_fit) * e.std_err;
             self.open[set] |= error_dn > OPEN.0 * step && error_dn > OPEN.1 * signal_dn;
         }
     }

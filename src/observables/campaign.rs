@@ -32,6 +32,8 @@ pub struct Observations {
     pub campaign: Campaign,
     /// Numbers of the sets as the dataset has them.
     pub set_numbers: Vec<u32>,
+    /// Means of the frames of every set that are looked at, in the order in which they were taken, DN; none of tables.
+    pub frame_means_dn: Vec<Vec<f64>>,
     /// Kinds of the sets.
     pub kinds: Vec<Kind>,
     /// The observables.
@@ -359,6 +361,7 @@ pub fn of_dataset(
             ordinary,
         },
         set_numbers: sets.iter().map(|s| s.number).collect(),
+        frame_means_dn: frame_means(&chunks, sets.len()),
         kinds,
         list,
         scenes: pairs,
@@ -603,6 +606,15 @@ impl Inflation {
             unequal: over(&|r| r.unequal.std_err / unequal::theory(r)),
         }
     }
+}
+
+/// Means of the frames of every set in the order in which they were taken, DN.
+fn frame_means(chunks: &[Chunk], sets: usize) -> Vec<Vec<f64>> {
+    let mut in_order: Vec<&Chunk> = chunks.iter().collect();
+    in_order.sort_by_key(|c| c.from);
+    let mut out = vec![Vec::new(); sets];
+    in_order.iter().for_each(|c| out[c.set].extend_from_slice(c.summary.frame_means.each_dn()));
+    out
 }
 
 /// Noise of the ordinary pixels, at the middle level of the darks that show it; `None` where too few frames do.

@@ -21,6 +21,14 @@ const KEPT: usize = 256 << 20;
 /// Standard deviations of a pixel's noise within which full scale cuts it off.
 const REACH: f64 = 4.0;
 
+/// Pixels that jump have so many times the noise of others at least (a named choice).
+const JUMPS: f64 = 8.0;
+/// Their mean lies off by no more than so many times their noise (a named choice: a jump that is there in 9 of 10
+/// frames lies 3 off).
+const OFF: f64 = 3.0;
+/// Frames of a dark set in which jumps are looked for: fewer tell no noise of a pixel.
+const JUMPING_FRAMES: usize = 4;
+
 /// What the first frames of a set show.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Look {
@@ -29,6 +37,9 @@ pub struct Look {
     /// True where these are 2 % of the pixels or more: the set is clipped.
     #[serde(default)]
     pub(super) saturated: bool,
+    /// Pixels of a dark set that jump: their noise is far above that of others, and their mean lies no further off.
+    #[serde(default)]
+    jumping: Vec<usize>,
     /// Mean of a dark set, DN.
     dark: Option<Array2<f32>>,
     /// Mean and temporal variance of the first two frames.
@@ -48,10 +59,11 @@ pub struct Look {
 
 impl Look {
     pub(super) fn without_frames(&self) -> Self {
-        let Self { clipped, saturated, dark, pair, filled, darkest, apart, frames: _ } = self;
+        let Self { clipped, saturated, jumping, dark, pair, filled, darkest, apart, frames: _ } = self;
         Self {
             clipped: clipped.clone(),
             saturated: *saturated,
+            jumping: jumping.clone(),
             dark: dark.clone(),
             pair: *pair,
             filled: filled.clone(),
@@ -63,8 +75,8 @@ impl Look {
 
     /// Whether it can be of frames of (rows, columns).
     pub fn fits(&self, shape: (usize, usize)) -> bool {
-        self.clipped.iter().chain(self.filled.iter().flatten()).all(|&i| i < shape.0 * shape.1)
-            && self.dark.as_ref().is_none_or(|d| d.dim() == shape)
+        let pixels = self.clipped.iter().chain(&self.jumping).chain(self.filled.iter().flatten());
+        pixels.copied().all(|i| i < shape.0 * shape.1) && self.dark.as_ref().is_none_or(|d| d.dim() == shape)
     }
 }
 
@@ -121,12 +133,38 @@ fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<
     }
     out.apart = Some((kind == Kind::Dark, outliers::apart(&block)));
     out.dark = (kind == Kind::Dark).then(|| sum / rows.len().max(1) as f32);
+    if let (Some(dark), Some((_, var))) = (&out.dark, out.pair) {
+        out.jumping = jumping(dark, &block, var);
+    }
     let bytes = block.iter().map(|f| size_of::<u16>() * f.len()).sum();
     let taken = room.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |room| room.checked_sub(bytes));
     if taken.is_ok() {
         out.frames = block;
     }
     Ok(out)
+}
+
+/// Pixels that jump between levels lie off in the mean of few frames as hot ones do. Of a jump A that is there in a
+/// share p of the frames the mean lies p A off and the noise is sqrt(p (1 - p)) A; the shot noise of a hot pixel is
+/// far below what it lies off.
+fn jumping(dark: &Array2<f32>, block: &[Array2<u16>], usual_dn2: f64) -> Vec<usize> {
+    if block.len() < JUMPING_FRAMES {
+        return Vec::new();
+    }
+    let mut squares = vec![0.0f32; dark.len()];
+    for frame in block {
+        for ((s, &d), &mean) in squares.iter_mut().zip(frame).zip(dark) {
+            *s += (f32::from(d) - mean).powi(2);
+        }
+    }
+    let middle = median(dark.iter().map(|&d| f64::from(d)));
+    let (dof, least) = ((block.len() - 1) as f64, JUMPS * JUMPS * usual_dn2.max(1.0 / 12.0));
+    let jumps = |(mean, square): (&f32, &f32)| {
+        let variance = f64::from(*square) / dof;
+        variance > least && (f64::from(*mean) - middle).powi(2) < OFF * OFF * variance
+    };
+    let found = dark.iter().zip(&squares).enumerate().filter(|(_, p)| jumps(*p));
+    found.map(|(i, _)| i).collect()
 }
 
 /// Mean and temporal variance of two frames where neither is clipped.
@@ -167,7 +205,11 @@ fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64, usi
         darks.iter().for_each(|d| highest.zip_mut_with(d, |a, b| *a = a.max(*b)));
         let middle = median(highest.iter().map(|&d| f64::from(d)));
         let spread = (median(highest.iter().map(|&d| (f64::from(d) - middle).abs())) / 0.6745).max(0.5);
+        let clipped = used.clone();
         used.zip_mut_with(highest, |u, &d| *u &= (f64::from(d) - middle).abs() < 8.0 * spread);
+        if let (Some(used), Some(clipped)) = (used.as_slice_mut(), clipped.as_slice()) {
+            looks.iter().flat_map(|l| &l.jumping).for_each(|&i| used[i] = clipped[i]);
+        }
     }
     // Where most fell out, the rule was wrong and not the pixels.
     if used.iter().filter(|u| **u).count() * 2 < used.len() {

@@ -21,6 +21,8 @@ const ABOVE: f64 = 0.7;
 const CHOSEN: f64 = 1.3;
 /// Noisy pixels have so many times the noise of others (sCMOS data sheets: up to some times the median).
 const NOISY: f64 = 3.0;
+/// Excess of noise of which a part is cut off, at most some tenths (a named choice).
+const CUT_OFF: f64 = 0.5;
 /// Noise of less than a code makes two codes of a level, which look like two levels.
 const TWO_CODES: f64 = 1.5;
 
@@ -69,13 +71,11 @@ impl Statistic for NoisyLevels {
         let own = (noise / (step * step) - 1.0 / 12.0).max(0.0);
         let rounding = TWO_CODES * (-std::f64::consts::PI.powi(2) * own).exp()
             + (ROUNDING * step * step / noise.max(1e-6)).min(1.0);
-        // Noise that reaches code 0 is cut off there: the noisiest pixels first.
-        let reach = 4.0 * NOISY * noise.sqrt();
-        let clipped =
-            if view.all.campaign.from_code_0 && view.prediction.base.offset_dn < reach { 0.5 } else { 0.0 };
+        // Pixels that reach code 0 are left out; those that reach another floor are not.
+        let cut_off = if view.prediction.floor_dn > -4.0 * NOISY * noise.sqrt() { CUT_OFF } else { 0.0 };
         // Few frames show little of two levels: what is measured is scaled up to all of it, and so are these.
         let scaled = (o.measured.std_err * o.pixels.sqrt() / OF_ONE).max(1.0);
-        let unsure = ROUGHLY * excess.abs() + scaled * (rounding + clipped);
+        let unsure = ROUGHLY * excess.abs() + scaled * (rounding + cut_off);
         // Above 0 lies what grows from set to set, as the shot noise of dark charge does: only what lies below
         // tells of levels.
         let above = ABOVE * o.measured.value.max(0.0);

@@ -11,8 +11,9 @@ use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::layout::Layout;
 use crate::statistics::pass::{Pass, Summary};
+use crate::statistics::powers::Powers;
 use crate::statistics::spectrum::Power;
-use crate::statistics::steady::{Levels, PixelNoise, Steady};
+use crate::statistics::steady::{Group, Levels, PixelNoise, Steady};
 use ndarray::Array2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -40,9 +41,9 @@ pub struct Chunk {
     pub summary: Summary,
     /// Of short darks, until they are summed up: variance of every pixel, DN^2.
     var_dn2: Vec<f32>,
-    /// Sum of the fourth powers of every pixel's deviations in the same frames, DN^4.
+    /// Of the same frames: sums of powers of every pixel's deviations, and its mean less that of the frames, DN.
     #[serde(default)]
-    fourth_dn4: Vec<f32>,
+    single: Option<(Powers, Vec<f32>)>,
 }
 
 /// Mean image of the frames of a scene that belong to one half, DN.
@@ -172,7 +173,11 @@ impl Work {
             && s.power.len() == Power::length(shape) / 2 + 1
             && s.occupancy.0.len() == usize::from(full_scale_dn) + 1
             && s.covariances.at.len() == LAGS.len()
-            && [&c.var_dn2, &c.fourth_dn4].iter().all(|v| v.is_empty() || v.len() == shape.0 * shape.1)
+            && (c.var_dn2.is_empty() || c.var_dn2.len() == shape.0 * shape.1)
+            && c.single.as_ref().is_none_or(|(powers, mean)| {
+                let all = [mean, &powers.thirds, &powers.fourths];
+                !c.var_dn2.is_empty() && all.iter().all(|v| v.len() == shape.0 * shape.1)
+            })
     }
 }
 
@@ -410,7 +415,6 @@ impl<'a, 'b> Reader<'a, 'b> {
         let chunk = |summary: Summary| {
             let codes_used = codes::share_used(&summary);
             let var_dn2 = if is_short_dark { pass.variances_dn2() } else { Vec::new() };
-            let fourth_dn4 = pass.fourths_dn4();
             Box::new(Chunk {
                 set: p.set,
                 from,
@@ -419,7 +423,7 @@ impl<'a, 'b> Reader<'a, 'b> {
                 codes_used,
                 summary,
                 var_dn2,
-                fourth_dn4,
+                single: pass.single_pixels(),
             })
         };
         Ok(Work::Noise(summary.map(chunk)))
@@ -452,8 +456,8 @@ impl Sums {
         }
     }
 
-    /// Adds the summary of a piece of a set of this kind.
-    fn add(&mut self, work: Work, kind: Kind) {
+    /// Adds the summary of a piece of a set of this kind and exposure.
+    fn add(&mut self, work: Work, kind: Kind, exposure_s: f64) {
         let mut chunk = match work {
             Work::Scene(scene) => return self.scenes.push(scene),
             Work::Clipped(set, level_dn, from, to) => {
@@ -472,11 +476,17 @@ impl Sums {
         if !chunk.var_dn2.is_empty() {
             let Summary { var, frames, .. } = chunk.summary;
             self.steady.add(&chunk.var_dn2, var.value, frames);
-            self.steady.add_fourths(half, &chunk.var_dn2, &chunk.fourth_dn4, frames);
+            if let Some((powers, mean_dn)) = chunk.single.take() {
+                let dof = frames as f32 - 1.0;
+                let squares = chunk.var_dn2.iter().map(|v| dof * v).collect();
+                let level_dn = chunk.summary.frame_means.mean_dn();
+                let frames = frames as u64;
+                self.steady.add_run(half, Group { exposure_s, frames, level_dn, mean_dn, squares, powers });
+            }
         }
         // They are long, and their sums are all that is needed.
         (chunk.summary.power, chunk.summary.occupancy.0) = (Vec::new(), Vec::new());
-        (chunk.var_dn2, chunk.fourth_dn4) = (Vec::new(), Vec::new());
+        (chunk.var_dn2, chunk.single) = (Vec::new(), None);
         self.chunks.push(*chunk);
     }
 
@@ -508,7 +518,8 @@ pub fn read(
                 group.par_iter().map(|p| reader.known_or_read(p)).collect::<Result<_, _>>()?;
             for (p, (work, left_out)) in group.iter().zip(work) {
                 sums.left_out.push((p.set, left_out));
-                sums.add(work, dataset.settings(&sets[p.set]).kind);
+                let settings = dataset.settings(&sets[p.set]);
+                sums.add(work, settings.kind, settings.exposure_s);
             }
             seen += group.len();
             progress(seen, of);
@@ -536,7 +547,7 @@ pub fn read(
         darkest_dn: seen.darkest_dn,
         together_dn4: sums.steady.of_neighbours(&seen.layout),
         pixel_noise: sums.steady.distribution(&seen.layout),
-        noisy_levels: [0, 1].map(|half| sums.steady.levels(&seen.layout, half)),
+        noisy_levels: sums.steady.levels(&seen.layout),
         zero_dn: seen.zero_dn,
         layout: seen.layout,
         chunks: sums.chunks,

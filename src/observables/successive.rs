@@ -50,7 +50,7 @@ impl Statistic for Successive {
         let (shot, read) = view.pixels();
         let jumps = s.two_levels;
         let stays: Vec<f64> =
-            if jumps.stays > 0.0 { (1..=8).map(|k| jumps.stays.powi(k)).collect() } else { Vec::new() };
+            if jumps.stays != 0.0 { (1..=8).map(|k| jumps.stays.powi(k)).collect() } else { Vec::new() };
         let value = carried(shot, &s.shot_memory, view.left.0)
             + carried(read, &s.read_memory, view.left.1)
             + carried(jumps.share * jumps.variance, &stays, view.left_of(&stays));

@@ -141,6 +141,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
             ordinary: None,
         },
         set_numbers: kept.iter().map(|&i| i as u32).collect(),
+        frame_means_dn: Vec::new(),
         kinds,
         list,
         scenes: [None, None],

@@ -13,6 +13,7 @@ pub mod moments;
 pub mod occupancy;
 pub mod pass;
 pub mod peak;
+pub mod powers;
 pub mod profiles;
 pub mod quadratic;
 pub mod spectrum;

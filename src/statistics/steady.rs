@@ -5,6 +5,7 @@
 
 use super::jackknife::{Blocks, Value};
 use super::layout::Layout;
+use super::powers::Powers;
 use radcam_sim::rng::{PixelRng, Stream};
 
 /// Pixels' variances about their mean, summed over runs of frames.
@@ -19,44 +20,150 @@ pub struct Steady {
     mean_dn2: f64,
     /// Sums of squares and of fourth powers of every pixel's deviations in both halves, and their degrees of
     /// freedom.
-    halves: [Powers; 2],
+    halves: [Half; 2],
 }
 
-/// Sums of powers of every pixel's deviations.
+/// Frames of one half.
 #[derive(Debug, Clone, Default)]
-struct Powers {
+struct Half {
+    /// Sums over the groups of every pixel's squares and fourth powers about its mean in the group.
     squares: Vec<f64>,
     fourths: Vec<f64>,
     dof: f64,
-    /// Frames of every run.
-    runs: Vec<usize>,
+    /// Frames of every group that is in the sums.
+    runs: Vec<u64>,
+    /// Groups that more runs of the same exposure may join.
+    open: Vec<Group>,
+    /// Lowest mean of a run, DN.
+    level_dn: f64,
 }
 
-impl Powers {
-    /// The excess of pixels that jump between two levels without further noise, each level in half of the frames: -2 of a
-    /// long run, and near 0 of a few frames, whose mean takes most of it off. A mean over draws.
+/// Runs of frames of one exposure, about the mean of all of them: a pixel that stays on one level for a run jumps
+/// from run to run.
+#[derive(Debug, Clone)]
+pub struct Group {
+    /// Exposure, s.
+    pub exposure_s: f64,
+    /// Number of frames.
+    pub frames: u64,
+    /// Mean of the frames, DN.
+    pub level_dn: f64,
+    /// Mean of every pixel less that of the frames, DN.
+    pub mean_dn: Vec<f32>,
+    /// Sums of squares, DN^2.
+    pub squares: Vec<f32>,
+    /// Sums of higher powers.
+    pub powers: Powers,
+}
+
+impl Group {
+    fn merge(&mut self, later: &Self) {
+        let [a, b] = [self.frames as f32, later.frames as f32];
+        let off = || later.mean_dn.iter().zip(&self.mean_dn).map(|(l, m)| l - m);
+        self.powers.merge(&later.powers, [&self.squares, &later.squares], [a, b], off());
+        for ((s, more), (m, l)) in
+            self.squares.iter_mut().zip(&later.squares).zip(self.mean_dn.iter_mut().zip(&later.mean_dn))
+        {
+            let off = l - *m;
+            *s += more + off * off * a * b / (a + b);
+            *m += off * b / (a + b);
+        }
+        self.frames += later.frames;
+    }
+}
+
+/// Groups that stay open take no more than so many numbers of each kind (a named choice: 16 MB each).
+const OPEN_PIXELS: usize = 1 << 22;
+/// And no more than so many (a named choice: exposures at which darks are taken again).
+const OPEN: usize = 8;
+
+impl Half {
+    /// Adds a run.
+    fn add(&mut self, run: Group) {
+        let first = self.runs.is_empty() && self.open.is_empty();
+        self.level_dn = if first { run.level_dn } else { run.level_dn.min(self.level_dn) };
+        let pixels = run.squares.len().max(1);
+        if let Some(group) = self.open.iter_mut().find(|g| g.exposure_s == run.exposure_s) {
+            group.merge(&run);
+        } else if self.open.len() < (OPEN_PIXELS / pixels).min(OPEN) {
+            self.open.push(run);
+        } else {
+            self.close(&run);
+        }
+    }
+
+    /// Puts a group into the sums.
+    fn close(&mut self, group: &Group) {
+        self.runs.push(group.frames);
+        self.dof += group.frames as f64 - 1.0;
+        let put = |sums: &mut Vec<f64>, more: &[f32]| {
+            sums.resize(more.len(), 0.0);
+            sums.iter_mut().zip(more).for_each(|(sum, v)| *sum += f64::from(*v));
+        };
+        put(&mut self.squares, &group.squares);
+        put(&mut self.fourths, &group.powers.fourths);
+    }
+
+    fn close_all(&mut self) {
+        std::mem::take(&mut self.open).iter().for_each(|g| self.close(g));
+    }
+}
+
+impl Half {
+    /// What sums of squares S and of fourth powers Q of a pixel show: Q / S^2 of what is expected of normal
+    /// noise, times 3, less 3.
+    ///
+    /// Of normal noise Q / S^2 does not depend on S (Basu 1955), so that pixels may be chosen by S. Of a run of n
+    /// frames E Q = 3 (n - 1)^2 / n, and S of d degrees of freedom has E S^2 = d (d + 2).
+    fn excess(&self, square: f64, fourth: f64) -> f64 {
+        let mean = self.fourth_of_normal() / (self.dof * (self.dof + 2.0));
+        3.0 * fourth / (square * square * mean) - 3.0
+    }
+
+    /// E Q over all runs, of normal noise of variance 1.
+    fn fourth_of_normal(&self) -> f64 {
+        self.runs.iter().map(|n| 3.0 * (*n as f64 - 1.0).powi(2) / *n as f64).sum()
+    }
+
+    /// Variance of [`Self::excess`] of normal noise.
+    ///
+    /// Of one run b = n Q / S^2 has the mean 3 (n - 1) / (n + 1) and the variance 24 n (n - 2) (n - 3) / ((n +
+    /// 1)^2 (n + 3) (n + 5)) (Fisher 1930), and E S^4 = (n - 1) (n + 1) (n + 3) (n + 5) by the moments of
+    /// chi-square; runs are independent.
+    fn variance(&self) -> f64 {
+        let (d, all) = (self.dof, self.fourth_of_normal());
+        let of_run = |n: &u64| {
+            let n = *n as f64;
+            let b = 3.0 * (n - 1.0) / (n + 1.0);
+            let of_b =
+                24.0 * n * (n - 2.0) * (n - 3.0).max(0.0) / ((n + 1.0).powi(2) * (n + 3.0) * (n + 5.0));
+            let square = (of_b + b * b) * (n - 1.0) * (n + 1.0) * (n + 3.0) * (n + 5.0) / (n * n);
+            square - (3.0 * (n - 1.0).powi(2) / n).powi(2)
+        };
+        let square = all * all + self.runs.iter().map(of_run).sum::<f64>();
+        let ratio = square / (d * (d + 2.0) * (d + 4.0) * (d + 6.0)) * (d * (d + 2.0) / all).powi(2);
+        9.0 * (ratio - 1.0)
+    }
+
+    /// The excess of pixels that jump between two levels without further noise, each level in half of the frames:
+    /// -2 of a long run, and near 0 of a few frames, whose mean takes most of it off. A mean over draws.
     fn of_two_levels(&self) -> f64 {
-        let n = self.dof;
         let mut rng = PixelRng::new(0, Stream::Effect, 0, 0, 0);
         let (mut sum, mut count) = (0.0, 0.0);
         for _ in 0..DRAWS {
             let (mut square, mut fourth) = (0.0, 0.0);
             for frames in &self.runs {
-                let mut mean = 0.0;
-                for k in 0..*frames {
-                    let off = if rng.uniform() < 0.5 { 1.0 - mean } else { -1.0 - mean };
-                    let (before, now) = (k as f64, k as f64 + 1.0);
-                    // The deviation as a pass sums it (Welford 1962).
-                    let step = off * off * before / now;
-                    mean += off / now;
-                    (square, fourth) = (square + step, fourth + step * step);
-                }
+                let n = *frames as f64;
+                let up = (0..*frames).filter(|_| rng.uniform() < 0.5).count() as f64 / n;
+                // Of a share p in the upper of two levels one apart.
+                square += n * up * (1.0 - up);
+                fourth += n * up * (1.0 - up) * (1.0 - 3.0 * up * (1.0 - up));
             }
             if square > 0.0 {
-                (sum, count) = (sum + n * fourth / (square * square), count + 1.0);
+                (sum, count) = (sum + self.excess(square, fourth), count + 1.0);
             }
         }
-        sum / f64::max(count, 1.0) - 3.0 * n / (n + 2.0)
+        sum / f64::max(count, 1.0)
     }
 }
 
@@ -80,8 +187,10 @@ pub struct Levels {
 /// Shares of the pixels, the noisiest first, whose levels are looked at, beside those that stand out.
 const NOISIEST: [f64; 2] = [0.01, 0.05];
 /// Fewest pixels and degrees of freedom of which it is taken.
-const PIXELS: usize = 4;
-const DOF: f64 = 5.0;
+const PIXELS: f64 = 4.0;
+const DOF: f64 = 3.0;
+/// Standard deviations of a pixel's noise within which code 0 cuts it off.
+const REACH: f64 = 3.0;
 /// Pixels stand out by so many standard deviations of the logarithm of the ordinary ones' variances.
 const STANDS_OUT: f64 = 3.5;
 
@@ -184,30 +293,22 @@ impl Steady {
         self.runs += 1;
     }
 
-    /// Adds the fourth powers of a run of so many frames of one half, with the variances.
-    pub fn add_fourths(&mut self, half: usize, var_dn2: &[f32], fourth_dn4: &[f32], frames: usize) {
-        if fourth_dn4.len() != var_dn2.len() {
-            return;
-        }
-        let (dof, into) = (frames as f64 - 1.0, &mut self.halves[half]);
-        into.runs.push(frames);
-        into.squares.resize(var_dn2.len(), 0.0);
-        into.fourths.resize(var_dn2.len(), 0.0);
-        into.dof += dof;
-        into.squares.iter_mut().zip(var_dn2).for_each(|(sum, v)| *sum += dof * f64::from(*v));
-        into.fourths.iter_mut().zip(fourth_dn4).for_each(|(sum, v)| *sum += f64::from(*v));
+    /// Adds a run of frames of one half for [`Self::levels`].
+    pub fn add_run(&mut self, half: usize, run: Group) {
+        self.halves[half].add(run);
     }
 
     /// Excess kurtosis of the pixels that stand out, of the noisiest hundredth and of the noisiest twentieth, in
-    /// one half; `None` of too few.
-    ///
-    /// Of n normal numbers b = n sum d^4 / (sum d^2)^2 does not depend on sum d^2 (Basu 1955), so that pixels may
-    /// be chosen by their variance; its mean is 3 n / (n + 2), and E b^2 = n (9 n^2 + 96 n) / ((n + 2) (n + 4) (n
-    /// + 6)) by the moments of chi-square.
-    pub fn levels(&self, layout: &Layout, half: usize) -> [Option<Levels>; 3] {
+    /// one half; `None` of too few. Pixels whose noise reaches code 0 are left out: what is cut off has another
+    /// kurtosis.
+    pub fn levels(&mut self, layout: &Layout) -> [[Option<Levels>; 3]; 2] {
+        self.halves.iter_mut().for_each(Half::close_all);
+        [0, 1].map(|half| self.levels_of(layout, half))
+    }
+
+    fn levels_of(&self, layout: &Layout, half: usize) -> [Option<Levels>; 3] {
         let own = &self.halves[half];
-        let n = own.dof;
-        if n < DOF || own.squares.is_empty() {
+        if own.dof < DOF || own.squares.is_empty() {
             return [None; 3];
         }
         let shown = own.of_two_levels();
@@ -225,21 +326,19 @@ impl Steady {
         let limit = quantile(0.5) * (STANDS_OUT * width).exp();
         let stand_out = all.iter().take_while(|v| v.0 > limit).count();
         let [few, more] = NOISIEST.map(|share| (share * all.len() as f64) as usize);
-        let mean = 3.0 * n / (n + 2.0);
-        let variance = n * (9.0 * n * n + 96.0 * n) / ((n + 2.0) * (n + 4.0) * (n + 6.0)) - mean * mean;
+        let variance = own.variance();
         let of = |count: usize| {
-            let b = |i: usize| n * own.fourths[i] / (own.squares[i] * own.squares[i]).max(1e-30);
-            let sum: f64 = all[..count].iter().filter(|v| own.squares[v.1] > 0.0).map(|v| b(v.1)).sum();
-            let pixels = count as f64;
+            let largest = own.dof * (own.level_dn / REACH).powi(2);
+            let whole_noise = |i: &usize| own.squares[*i] > 0.0 && own.squares[*i] < largest;
+            let chosen = all[..count].iter().map(|v| v.1).filter(whole_noise);
+            let one = |(n, sum), i: usize| (n + 1.0, sum + own.excess(own.squares[i], own.fourths[i]));
+            let (pixels, sum) = chosen.fold((0.0, 0.0), one);
             Levels {
-                excess: Value {
-                    value: whole * (sum / pixels - mean),
-                    std_err: whole * (variance / pixels).sqrt(),
-                },
+                excess: Value { value: whole * sum / pixels, std_err: whole * (variance / pixels).sqrt() },
                 pixels,
             }
         };
-        [stand_out, few, more].map(|count| (count >= PIXELS).then(|| of(count)))
+        [stand_out, few, more].map(|count| Some(of(count)).filter(|l| l.pixels >= PIXELS))
     }
 
     /// Distribution of the single pixels' variances, less the scatter of few frames; `None` of few
@@ -396,60 +495,87 @@ mod tests {
         }
     }
 
-    /// Over 200 campaigns of two halves of two runs: pixels that stand out and scatter normally have an excess of 0, which the
-    /// errors cover, whether all are alike or not; those that jump between two levels have -2 less the noise's part, in short runs and in long ones.
+    /// A run of frames as a pass sums it up.
+    fn run(exposure_s: f64, frames: usize, mut pixel: impl FnMut(usize) -> Vec<f64>, pixels: usize) -> Group {
+        let mut out = Group {
+            exposure_s,
+            frames: frames as u64,
+            level_dn: 100.0,
+            mean_dn: Vec::new(),
+            squares: Vec::new(),
+            powers: Powers::default(),
+        };
+        for i in 0..pixels {
+            let all = pixel(i);
+            let mean = all.iter().sum::<f64>() / frames as f64;
+            let power = |k| all.iter().map(|x| (x - mean).powi(k)).sum::<f64>() as f32;
+            out.mean_dn.push(mean as f32);
+            out.squares.push(power(2));
+            out.powers.thirds.push(power(3));
+            out.powers.fourths.push(power(4));
+        }
+        out
+    }
+
+    /// Noise of pixels that stand out.
+    #[derive(Clone, Copy, PartialEq)]
+    enum Noise {
+        Normal,
+        /// Jumps in any frame.
+        Jumps,
+        /// A level that stays for the frames of a run.
+        Stays,
+    }
+
+    /// Over 200 campaigns of two halves of two runs, of one exposure and of two: pixels that stand out and scatter
+    /// normally have an excess of 0, which the errors cover; those that jump between two levels have -2 less the
+    /// noise's part, in short runs and in long ones, and over many runs also where a level stays for a run.
     #[test]
     fn noisy_pixels_and_two_levels_are_told_apart() {
         let (side, campaigns) = (32usize, 200u32);
         let layout = Layout::new(&Array2::from_elem((side, side), true), 4095);
-        let of = |jumps: bool, frames: usize, campaign: u32| {
+        let of = |noise: Noise, frames: usize, runs: usize, apart: bool, campaign: u32| {
             let mut steady = Steady::new(side * side);
             let mut rng = PixelRng::new(23, Stream::Effect, 0, campaign, 0);
-            for half in [0, 1, 0, 1] {
-                let (mut var, mut fourths) = (Vec::new(), Vec::new());
-                for i in 0..side * side {
-                    let noisy = i % 41 == 0;
-                    // Deviations from the mean of the frames before, each of the variance of the noise (Welford 1962).
-                    let (mut mean, mut squares, mut fourth) = (0.0, 0.0, 0.0);
-                    for k in 0..frames {
-                        let sign = if rng.uniform() < 0.5 { 1.0 } else { -1.0 };
-                        let x = match (noisy, jumps) {
-                            (true, true) => 8.0 * sign + rng.normal(),
-                            (true, false) => 8.0 * rng.normal(),
-                            _ => rng.normal(),
-                        };
-                        let off = x - mean;
-                        let step = off * (k as f64 / (k as f64 + 1.0)).sqrt();
-                        mean += off / (k as f64 + 1.0);
-                        squares += step * step;
-                        fourth += step.powi(4);
-                    }
-                    var.push((squares / (frames as f64 - 1.0)) as f32);
-                    fourths.push(fourth as f32);
-                }
-                steady.add(&var, var.iter().map(|v| f64::from(*v)).sum::<f64>() / var.len() as f64, frames);
-                steady.add_fourths(half, &var, &fourths, frames);
+            for k in 0..2 * runs {
+                let one = |i: usize| -> Vec<f64> {
+                    let mut sign = || if rng.uniform() < 0.5 { 1.0 } else { -1.0 };
+                    let stays = sign();
+                    let signs: Vec<f64> = (0..frames).map(|_| sign()).collect();
+                    let at = |sign: f64, normal: f64| match (i % 41 == 0, noise) {
+                        (true, Noise::Jumps) => 8.0 * sign + normal,
+                        (true, Noise::Stays) => 8.0 * stays + normal,
+                        (true, Noise::Normal) => 8.0 * normal,
+                        _ => normal,
+                    };
+                    signs.into_iter().map(|s| at(s, rng.normal())).collect()
+                };
+                let exposure_s = if apart { (k / 2) as f64 } else { 0.0 };
+                steady.add_run(k % 2, run(exposure_s, frames, one, side * side));
             }
-            steady.levels(&layout, 0)[0].unwrap().excess
+            steady.levels(&layout)[0][0].unwrap().excess
         };
-        let of_all = |jumps, frames| {
-            let all: Vec<Value> = (0..campaigns).map(|c| of(jumps, frames, c)).collect();
+        let of_all = |noise, frames, runs, apart| {
+            let all: Vec<Value> = (0..campaigns).map(|c| of(noise, frames, runs, apart, c)).collect();
             let n = f64::from(campaigns);
             let mean = all.iter().map(|v| v.value).sum::<f64>() / n;
             let scatter = (all.iter().map(|v| (v.value - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
             let stated = (all.iter().map(|v| v.std_err.powi(2)).sum::<f64>() / n).sqrt();
             (mean, scatter, stated, n.sqrt())
         };
-        for frames in [4, 8] {
-            let (mean, scatter, stated, root) = of_all(false, frames);
+        for (frames, apart) in [(4, true), (8, true), (4, false)] {
+            let (mean, scatter, stated, root) = of_all(Noise::Normal, frames, 2, apart);
             assert!(mean.abs() < 5.0 * scatter / root, "{frames}: {mean}");
             assert!((stated / scatter - 1.0).abs() < 0.25, "{frames}: {stated}, scatter {scatter}");
         }
         // 64 of a variance of 65 are jumps, and what few frames leave of them is a mean over draws.
-        for frames in [4, 8, 16] {
-            let (mean, scatter, _, root) = of_all(true, frames);
+        for (frames, apart) in [(4, true), (8, true), (16, true), (4, false)] {
+            let (mean, scatter, _, root) = of_all(Noise::Jumps, frames, 2, apart);
             assert!((mean + 2.0).abs() < 5.0 * scatter / root + 0.15, "{frames}: {mean} {scatter}");
         }
+        // Of eight runs one in a hundred pixels is always on one level, and weighs as normal noise does.
+        let (mean, scatter, _, root) = of_all(Noise::Stays, 2, 8, false);
+        assert!(mean + 5.0 * scatter / root < -1.0, "{mean} {scatter}");
     }
 
     /// Over 300 campaigns of three runs: of pixels that are alike 0, and the error covers it; of a tenth of the pixels with one more of

@@ -60,7 +60,7 @@ impl Effect for RandomTelegraphNoise {
                 name: "stays",
                 meaning: "correlation of a pixel's level with that of the next frame",
                 unit: "1",
-                min: 0.0,
+                min: -0.95,
                 max: 0.95,
                 starts: &[0.0],
             },
@@ -78,7 +78,8 @@ impl Effect for RandomTelegraphNoise {
     /// Jumps of some dark noise.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let noise_e = (seen.dark_noise_dn * seen.peak_e / seen.peak_dn.max(1e-9)).max(1.0);
-        let all = [(0.01, 3.0, 0.0), (0.01, 8.0, 0.0), (0.001, 20.0, 0.0), (0.01, 8.0, 0.3)];
+        let all =
+            [(0.01, 3.0, 0.0), (0.01, 8.0, 0.0), (0.001, 20.0, 0.0), (0.01, 8.0, 0.3), (0.02, 6.0, -0.2)];
         all.map(|(share, jump, stays)| vec![share, jump * noise_e, stays]).to_vec()
     }
 
@@ -138,9 +139,12 @@ impl Effect for RandomTelegraphNoise {
             let spread = spread(p);
             s.unequal += spread;
             s.fourth -= 2.0 * p[0] * jump * jump;
-            // So many pixels have it as chance has it, and each shows of it what few frames show.
-            let pixels = (c.shape.0 * c.shape.1) as f64;
-            s.unsure = libm::hypot(s.unsure, spread * libm::sqrt(3.0 / (p[0] * pixels).max(1.0)));
+            // So many pixels have it as chance has it, and each shows of it what few frames show. Where darks show
+            // the pixels' noise, the spread of the read noise makes up for it.
+            if c.ordinary.is_none() {
+                let pixels = (c.shape.0 * c.shape.1) as f64;
+                s.unsure = libm::hypot(s.unsure, spread * libm::sqrt(3.0 / (p[0] * pixels).max(1.0)));
+            }
             s.read.add_white(p[0] * jump);
             s.two_levels = TwoLevels { share: p[0], variance: jump, stays: p[2] };
         }
@@ -164,16 +168,18 @@ impl Effect for RandomTelegraphNoise {
 const BACK: u64 = 200;
 
 /// The level of a pixel in this frame: true for the upper one. A level that stays with this chance is that of the
-/// last frame in which it was drawn anew: which frames these are depends on the frame's number alone, so that
-/// frames may be drawn in any order.
+/// last frame in which it was drawn anew (below 0: the other one, frame by frame): which frames these are depends on
+/// the frame's number alone, so that frames may be drawn in any order.
 fn level(d: &Drawing<'_>, id: &str, pixel: u32, stays: f64) -> bool {
     // Frame 0 is left out: its numbers chose the pixels.
+    let mut turned = false;
     for frame in (d.frame.saturating_sub(BACK)..=d.frame).rev() {
         let mut random = d.random(id, frame + 1, pixel);
         let up = random.uniform() < 0.5;
-        if stays <= 0.0 || random.uniform() >= stays {
-            return up;
+        if stays == 0.0 || random.uniform() >= stays.abs() {
+            return up != turned;
         }
+        turned ^= stays < 0.0;
     }
     true
 }

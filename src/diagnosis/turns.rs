@@ -1,0 +1,172 @@
+//! Whether the frames of sets scatter one by one, or swing: a light that blinks, a level that beats or wanders.
+
+use super::Part;
+use crate::inference::{Fitted, residuals_of};
+use crate::observables::{Observations, Statistic, mean};
+use radcam_sim::rng::{PixelRng, Stream};
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+
+/// Frequencies at which swings are looked for, cycles per 32 frames.
+const FREQUENCIES: std::ops::RangeInclusive<u32> = 1..=16;
+/// Frames of a set from which on a swing differs from chance: of five, a swing is nearly all that there is.
+const FEWEST: usize = 6;
+/// Draws of independent frames, of which a mean is known to a hundredth of the deviation.
+const DRAWS: u32 = 4000;
+/// Standard deviations beyond which frames do not scatter one by one: of four tests that are planned, a chance of one
+/// in two hundred, as for what else tells effects apart.
+const SWINGS: f64 = 3.0;
+
+/// Share of the scatter of some numbers about their mean that the best sine has (Lomb 1976; Scargle 1982), and its
+/// frequency in cycles per number.
+fn swing(values: &[f64]) -> (f64, f64) {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let off: Vec<f64> = values.iter().map(|v| v - mean).collect();
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let all = dot(&off, &off);
+    let share = |frequency: f64| {
+        let centred = |of: fn(f64) -> f64| {
+            let wave: Vec<f64> = (0..values.len()).map(|i| of(TAU * frequency * i as f64)).collect();
+            let mean = wave.iter().sum::<f64>() / n;
+            wave.into_iter().map(|w| w - mean).collect::<Vec<f64>>()
+        };
+        let (u, mut v) = (centred(f64::cos), centred(f64::sin));
+        let square = dot(&u, &u);
+        let along = dot(&u, &v) / square;
+        v.iter_mut().zip(&u).for_each(|(v, u)| *v -= along * u);
+        let rest = dot(&v, &v);
+        let of_rest = if rest > 1e-6 * n { dot(&v, &off).powi(2) / rest } else { 0.0 };
+        (dot(&u, &off).powi(2) / square + of_rest) / all
+    };
+    let shares = FREQUENCIES.map(|k| f64::from(k) / 32.0).map(|f| (share(f), f));
+    shares.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|s| s.0.is_finite()).unwrap_or((0.0, 0.0))
+}
+
+/// Mean and standard deviation of the share of the best sine, of so many independent normal numbers.
+fn of_independent(n: usize) -> (f64, f64) {
+    let (mut sum, mut squares) = (0.0, 0.0);
+    for draw in 0..DRAWS {
+        let mut random = PixelRng::new(0, Stream::Effect, 0, draw, n as u32);
+        let values: Vec<f64> = (0..n).map(|_| random.normal()).collect();
+        let (share, _) = swing(&values);
+        (sum, squares) = (sum + share, squares + share * share);
+    }
+    let mean = sum / f64::from(DRAWS);
+    (mean, (squares / f64::from(DRAWS) - mean * mean).sqrt())
+}
+
+/// What sets of frame means show together: by how many standard deviations the share of the best sine passes what
+/// independent frames have, and the middle frequency. `weights`: share of each set's scatter that is looked at.
+fn together(sets: &[(&[f64], f64)]) -> Option<(f64, f64)> {
+    let mut known = BTreeMap::new();
+    let (mut sum, mut variance, mut frequencies) = (0.0, 0.0, Vec::new());
+    for (means, weight) in sets.iter().filter(|s| s.0.len() >= FEWEST && s.1 > 0.0) {
+        let (mean, deviation) = *known.entry(means.len()).or_insert_with(|| of_independent(means.len()));
+        let (share, frequency) = swing(means);
+        sum += weight * (share - mean);
+        variance += (weight * deviation).powi(2);
+        frequencies.push(frequency);
+    }
+    frequencies.sort_by(f64::total_cmp);
+    let middle = *frequencies.get(frequencies.len() / 2)?;
+    Some((sum / variance.sqrt(), middle))
+}
+
+/// By how many standard deviations first frames lie further off than others. Of n independent frames the share that one
+/// has of the scatter, times n / (n - 1), is beta of 1 / 2 and (n - 2) / 2 (Cochran 1934).
+fn first_frames(sets: &[(&[f64], f64)]) -> f64 {
+    let (mut sum, mut variance) = (0.0, 0.0);
+    for (means, weight) in sets.iter().filter(|s| s.0.len() > 2 && s.1 > 0.0) {
+        let n = means.len() as f64;
+        let mean = means.iter().sum::<f64>() / n;
+        let square: f64 = means.iter().map(|m| (m - mean).powi(2)).sum();
+        if square > 0.0 {
+            let share = (means[0] - mean).powi(2) / square * n / (n - 1.0);
+            sum += weight * (share - 1.0 / (n - 1.0));
+            variance += weight * weight * 2.0 * (n - 2.0) / ((n - 1.0).powi(2) * (n + 1.0));
+        }
+    }
+    if variance > 0.0 { sum / variance.sqrt() } else { 0.0 }
+}
+
+/// By how many standard deviations the levels of both halves of sets deviate alike: products over the root of their
+/// squares' sum, normal for products whose signs are by chance (Efron 1969).
+fn alike(all: &Observations, whole: &Fitted) -> f64 {
+    let mut of_set: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
+    for r in residuals_of(all, whole).iter().filter(|r| r.statistic == mean::Mean.id()) {
+        if let Some(set) = r.set {
+            of_set.entry(set).or_default().push((r.measured - r.predicted) / r.std_err);
+        }
+    }
+    let products = of_set.values().filter(|z| z.len() == 2).map(|z| z[0] * z[1]);
+    let (sum, square) = products.fold((0.0, 0.0), |(sum, square), p| (sum + p, square + p * p));
+    if square > 0.0 { sum / square.sqrt() } else { 0.0 }
+}
+
+/// Why the scatter from frame to frame is not that of independent frames, for an effect that makes such.
+pub fn in_turns(all: &Observations, part: &Part, whole: &Fitted) -> Option<String> {
+    part.effect.shown_by().filter(|_| !part.effect.told_by().is_empty())?;
+    let prediction = whole.predict(all);
+    let common = |set: usize, means: &[f64]| {
+        let mean = means.iter().sum::<f64>() / means.len().max(1) as f64;
+        let square: f64 = means.iter().map(|m| (m - mean).powi(2)).sum();
+        let variance = square / (means.len() as f64 - 1.0).max(1.0);
+        prediction.sets.get(set).map_or(0.0, |s| (s.common / variance.max(1e-12)).min(1.0))
+    };
+    let sets = all.frame_means_dn.iter().enumerate();
+    let sets: Vec<(&[f64], f64)> = sets.map(|(set, means)| (&means[..], common(set, means))).collect();
+    let (z, frequency) = together(&sets).unwrap_or_default();
+    let (first, alike) = (first_frames(&sets), alike(all, whole));
+    tracing::debug!("frames: swing {z:.1} at {frequency:.3} cycles, first {first:.1}, sets {alike:.1}");
+    let period = 1.0 / frequency.max(1.0 / 32.0);
+    let why = [
+        (
+            z,
+            format!(
+                "its frames swing within the sets, about once in {period:.1} frames: a beat, a blink or a wander"
+            ),
+        ),
+        (-z, "single frames of a set lie off, and the others do not scatter".to_string()),
+        (first, "the first frames of the sets lie off more than others".to_string()),
+        (alike, "its level moves from set to set more than from frame to frame".to_string()),
+    ];
+    why.into_iter().find(|(z, _)| *z > SWINGS).map(|(_, why)| why)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Over 300 campaigns of twelve sets of eight frames: independent frames have a mean of 0 and a deviation of 1,
+    /// within five of their errors; a blink, a beat and a wander lie beyond, and so do single frames.
+    #[test]
+    fn swings_are_told_from_independent_frames() {
+        let campaigns = 300;
+        let of = |campaign: u32, frame: &dyn Fn(usize, usize, &mut PixelRng) -> f64| {
+            let mut random = PixelRng::new(5, Stream::Effect, 0, campaign, 0);
+            let sets: Vec<Vec<f64>> =
+                (0..12).map(|s| (0..8).map(|f| frame(s, f, &mut random)).collect()).collect();
+            together(&sets.iter().map(|s| (&s[..], 1.0)).collect::<Vec<_>>()).unwrap()
+        };
+        let all: Vec<f64> = (0..campaigns).map(|c| of(c, &|_, _, r| r.normal()).0).collect();
+        let n = f64::from(campaigns);
+        let mean = all.iter().sum::<f64>() / n;
+        let deviation = (all.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / n).sqrt();
+        assert!(
+            mean.abs() < 5.0 / n.sqrt() && (deviation - 1.0).abs() < 5.0 / (2.0 * n).sqrt(),
+            "{mean} {deviation}"
+        );
+        let blink = of(0, &|s, f, r| f64::from(u8::from((s + f) % 3 == 0)) + 0.1 * r.normal());
+        let beat =
+            of(0, &|s, f, r| (1.7 * s as f64 + (0.6 + 0.1 * s as f64) * f as f64).sin() + 0.1 * r.normal());
+        assert!(blink.0 > SWINGS && beat.0 > SWINGS, "{blink:?} {beat:?}");
+        assert!((blink.1 - 1.0 / 3.0).abs() < 0.03, "{blink:?}");
+        let settles: Vec<Vec<f64>> = (0..12)
+            .map(|s| (0..8).map(|f: i32| 0.4f64.powi(f) + 0.02 * f64::from(s * f % 7)).collect())
+            .collect();
+        assert!(first_frames(&settles.iter().map(|s| (&s[..], 1.0)).collect::<Vec<_>>()) > SWINGS);
+        let single = of(0, &|s, f, r| if f == s % 8 { 9.0 } else { 0.1 * r.normal() });
+        assert!(single.0 < -SWINGS, "{single:?}");
+    }
+}
