@@ -113,6 +113,22 @@ const LEAST_VARIANCE: f64 = 0.01;
 /// Variance of the logarithm of the pixels' variances, at most (a named choice: a factor of two each way in noise).
 const LARGEST_SPREAD: f64 = 2.0;
 
+/// Noise of a larger variance leaves the spread of the levels as it is to within some per cent, in codes squared: the
+/// slope of a rounded level differs from 1 by 2 exp(-2 pi^2 variance) at most (Widrow and Kollar 2008, ch. 4).
+const LEAVES_SPREAD: f64 = 0.2;
+
+/// Spread of the pixels' levels before rounding, where their means are measured after it: next to the edge between
+/// two codes little noise makes small differences large. In steps.
+fn before_rounding(level: f64, measured: f64, variance: f64) -> f64 {
+    if variance > LEAVES_SPREAD {
+        return measured;
+    }
+    (0..SPREAD_ROUNDS).fold(measured, |spread, _| measured / rounded(level, spread, variance).slope.max(1.0))
+}
+
+/// Rounds after which the spread is known to some per cent.
+const SPREAD_ROUNDS: usize = 6;
+
 /// The paper's parameters as a campaign sees them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BaseParameters {
@@ -562,7 +578,13 @@ impl Prediction {
                 s.unsure_mean = libm::hypot(s.unsure_mean, 0.02 * step * found.mean.abs());
                 found
             } else {
-                rounded_unlike(level, spread, apart(s.signal) / step, own, unlike)
+                rounded_unlike(
+                    level,
+                    before_rounding(level, spread, own),
+                    apart(s.signal) / step,
+                    own,
+                    unlike,
+                )
             };
             shifts[i] = step * rounded.mean;
             s.uneven = libm::hypot(s.uneven, step * quantised_mean(variance));

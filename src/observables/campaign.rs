@@ -288,13 +288,10 @@ pub fn of_dataset(
         let of_codes = codes.finish();
         let of_half: Vec<_> = scenes.iter().filter(|s| s.half == half).collect();
         pairs[half.place()] = ScenePair::of(&of_half, &settings, zero_dn, &layout);
+        let of_half = || chunks.iter().filter(|c| c.half == half && !is_quiet(&c.summary));
         let view = HalfView {
-            chunks: chunks.iter().filter(|c| c.half == half).map(|c| &c.summary).collect(),
-            sets: chunks
-                .iter()
-                .filter(|c| c.half == half)
-                .map(|c| (settings[c.set].exposure_s, after_scene[c.set]))
-                .collect(),
+            chunks: of_half().map(|c| &c.summary).collect(),
+            sets: of_half().map(|c| (settings[c.set].exposure_s, after_scene[c.set])).collect(),
             zero_dn,
             codes: &of_codes,
             line: line.map(|(place, _)| lines[half.place()].at(place)),
@@ -324,6 +321,17 @@ pub fn of_dataset(
         missing.push(format!(
             "darks have a temporal variance of {var:.2} DN^2, and EMVA 1288 (release 4, eq. 54) takes less than {LEAST_DARK_VAR_DN2} DN^2 for \
              rounding: read noise is not well known; a higher gain of the camera would tell it"
+        ));
+    }
+    let quiet = chunks.iter().filter(|c| is_quiet(&c.summary));
+    let mut quiet: Vec<u32> = quiet.map(|c| sets[c.set].number).collect();
+    quiet.sort_unstable();
+    quiet.dedup();
+    if !quiet.is_empty() {
+        let numbers = quiet.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
+        missing.push(format!(
+            "sets {numbers} have a temporal variance below {QUIET_DN2} DN^2: rounding hides their noise, and only their levels are used; take more \
+             bits (Mono12 for Mono8) or more gain"
         ));
     }
     if darkest_dn == Some(0.0) {
@@ -551,13 +559,24 @@ fn of_chunks(chunks: &[Chunk], sets: &[Set]) -> Vec<Observable> {
             pixels: c.summary.pixels,
             frame_var_dn2: c.summary.frame_means.variance_dn2(),
         };
-        for (extra, &statistic) in STATISTICS.iter().enumerate() {
+        let quiet = is_quiet(&c.summary);
+        let looked_at = STATISTICS.iter().enumerate().filter(|(_, s)| !quiet || s.id() == mean::Mean.id());
+        for (extra, &statistic) in looked_at {
             let view = ChunkView { chunk: c, rows, inflation: &inflation, extra };
             statistic
                 .of_chunk(&view, &mut Put { all: &mut list, template: Observable { statistic, ..template } });
         }
     }
     list
+}
+
+/// Temporal variance below which rounding hides the noise, DN^2 (a named choice): normal noise of 0.27 DN shows it
+/// where a code's middle is its mean, and next to none if it is less.
+const QUIET_DN2: f64 = 0.06;
+
+/// Whether single pixels that flip between two codes are all that frames show of their noise.
+pub(super) fn is_quiet(summary: &Summary) -> bool {
+    summary.var.value < QUIET_DN2
 }
 
 /// Temporal variance of darks below which EMVA 1288 does not take it for measured, DN^2 (release 4, section 6.6).

@@ -19,7 +19,7 @@ pub(super) const FIRST: usize = 8;
 const KEPT: usize = 256 << 20;
 
 /// Standard deviations of a pixel's noise within which full scale cuts it off.
-const REACH: f64 = 4.0;
+const REACH: f64 = 3.0;
 
 /// Pixels that jump have so many times the noise of others at least (a named choice).
 const JUMPS: f64 = 8.0;
@@ -98,23 +98,18 @@ fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<
         if sum.dim() != frame.dim() {
             sum = Array2::zeros(frame.dim());
         }
-        if kind == Kind::Dark {
-            sum.zip_mut_with(&frame, |m, &d| *m += f32::from(d));
-        }
+        sum.zip_mut_with(&frame, |m, &d| *m += f32::from(d));
         block.push(frame);
     }
     if let [a, b, ..] = block.as_slice() {
         out.pair = Some(pair(a, b, full));
     }
-    // Noise that reaches full scale is cut off there.
+    // Noise that reaches full scale is cut off there. The mean tells, whose error says nothing of the noise: where
+    // pixels are left out by a high sample, those stay whose noise is low.
     let reach = out.pair.map_or(0.0, |(_, var)| REACH * var.max(0.0).sqrt());
-    let near = (f64::from(full) - if reach.is_finite() { reach } else { 0.0 })
-        .max(0.5 * f64::from(full))
-        .ceil() as u16;
-    let mut over = vec![false; sum.len()];
-    for frame in &block {
-        over.iter_mut().zip(frame).for_each(|(over, d)| *over |= *d >= near);
-    }
+    let near = (f64::from(full) - if reach.is_finite() { reach } else { 0.0 }).max(0.5 * f64::from(full));
+    let near = (near * block.len() as f64) as f32;
+    let over: Vec<bool> = sum.iter().map(|s| *s >= near && !block.is_empty()).collect();
     // A set that is clipped as a whole says nothing of single pixels, and takes no memory.
     out.saturated = over.iter().filter(|o| **o).count() * 50 >= sum.len().max(1);
     if !out.saturated {

@@ -23,8 +23,6 @@ const CHOSEN: f64 = 1.3;
 const NOISY: f64 = 3.0;
 /// Excess of noise of which a part is cut off, at most some tenths (a named choice).
 const CUT_OFF: f64 = 0.5;
-/// Noise of less than a code makes two codes of a level, which look like two levels.
-const TWO_CODES: f64 = 1.5;
 
 impl Statistic for NoisyLevels {
     fn id(&self) -> &'static str {
@@ -68,9 +66,7 @@ impl Statistic for NoisyLevels {
         let chosen = (CHOSEN * part).min(1.0);
         let excess: f64 = -2.0 * among * chosen * part * part;
         let step = view.prediction.code_step_dn;
-        let own = (noise / (step * step) - 1.0 / 12.0).max(0.0);
-        let rounding = TWO_CODES * (-std::f64::consts::PI.powi(2) * own).exp()
-            + (ROUNDING * step * step / noise.max(1e-6)).min(1.0);
+        let rounding = (ROUNDING * step * step / noise.max(1e-6)).min(1.0);
         // Pixels that reach code 0 are left out; those that reach another floor are not.
         let cut_off = if view.prediction.floor_dn > -4.0 * NOISY * noise.sqrt() { CUT_OFF } else { 0.0 };
         // Few frames show little of two levels: what is measured is scaled up to all of it, and so are these.

@@ -2,6 +2,7 @@
 //!
 //! Memory holds some frames and their sums on each core, and of the first frames of sets as many as fit into 256 MiB, however many there are.
 
+use super::campaign::is_quiet;
 use super::left_out::{copies, words};
 use super::look::{FIRST, Look, Seen};
 use super::{Half, ObserveError, SUMMED, codes, outliers};
@@ -473,7 +474,7 @@ impl Sums {
         if kind == Kind::Flat {
             self.codes[half].add(&chunk.summary);
         }
-        if !chunk.var_dn2.is_empty() {
+        if !chunk.var_dn2.is_empty() && !is_quiet(&chunk.summary) {
             let Summary { var, frames, .. } = chunk.summary;
             self.steady.add(&chunk.var_dn2, var.value, frames);
             if let Some((powers, mean_dn)) = chunk.single.take() {

@@ -189,6 +189,9 @@ const NOISIEST: [f64; 2] = [0.01, 0.05];
 /// Fewest pixels and degrees of freedom of which it is taken.
 const PIXELS: f64 = 4.0;
 const DOF: f64 = 3.0;
+/// Variance of a pixel from which on it covers more codes than two, DN^2: 1/12 and noise of 0.56 DN, to which rounding
+/// does 2 exp(-2 pi^2 0.32) = 0.004 (Widrow and Kollar 2008, ch. 4).
+const LEAST_DN2: f64 = 0.4;
 /// Standard deviations of a pixel's noise within which code 0 cuts it off.
 const REACH: f64 = 3.0;
 /// Pixels stand out by so many standard deviations of the logarithm of the ordinary ones' variances.
@@ -299,8 +302,8 @@ impl Steady {
     }
 
     /// Excess kurtosis of the pixels that stand out, of the noisiest hundredth and of the noisiest twentieth, in
-    /// one half; `None` of too few. Pixels whose noise reaches code 0 are left out: what is cut off has another
-    /// kurtosis.
+    /// one half; `None` of too few. Pixels whose noise reaches code 0 are left out, and those whose noise covers two
+    /// codes alone: what is cut off, or rounded to two levels, has another kurtosis.
     pub fn levels(&mut self, layout: &Layout) -> [[Option<Levels>; 3]; 2] {
         self.halves.iter_mut().for_each(Half::close_all);
         [0, 1].map(|half| self.levels_of(layout, half))
@@ -328,8 +331,8 @@ impl Steady {
         let [few, more] = NOISIEST.map(|share| (share * all.len() as f64) as usize);
         let variance = own.variance();
         let of = |count: usize| {
-            let largest = own.dof * (own.level_dn / REACH).powi(2);
-            let whole_noise = |i: &usize| own.squares[*i] > 0.0 && own.squares[*i] < largest;
+            let [least, largest] = [LEAST_DN2, (own.level_dn / REACH).powi(2)].map(|v| own.dof * v);
+            let whole_noise = |i: &usize| own.squares[*i] > least && own.squares[*i] < largest;
             let chosen = all[..count].iter().map(|v| v.1).filter(whole_noise);
             let one = |(n, sum), i: usize| (n + 1.0, sum + own.excess(own.squares[i], own.fourths[i]));
             let (pixels, sum) = chosen.fold((0.0, 0.0), one);
@@ -542,7 +545,7 @@ mod tests {
                     let mut sign = || if rng.uniform() < 0.5 { 1.0 } else { -1.0 };
                     let stays = sign();
                     let signs: Vec<f64> = (0..frames).map(|_| sign()).collect();
-                    let at = |sign: f64, normal: f64| match (i % 41 == 0, noise) {
+                    let at = |sign: f64, normal: f64| match (i.is_multiple_of(41), noise) {
                         (true, Noise::Jumps) => 8.0 * sign + normal,
                         (true, Noise::Stays) => 8.0 * stays + normal,
                         (true, Noise::Normal) => 8.0 * normal,

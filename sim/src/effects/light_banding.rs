@@ -12,6 +12,12 @@ const SHORTEST: f64 = 0.85;
 
 /// No lamp's light ripples slower: twice the frequency of the slowest supply, a railway's 16.7 Hz.
 const SLOWEST_HZ: f64 = 33.0;
+/// Lamps on the mains ripple at twice its frequency.
+const MAINS_HZ: [f64; 2] = [100.0, 120.0];
+/// Ripples that the longest exposure leaves differently lie so far apart, in turns, and so many are tried: those of a
+/// PWM lamp turn some twenty times within it.
+const LOBE: f64 = 0.3;
+const LOBES: u32 = 70;
 /// A ripple that turns by less within the longest exposure does not fade with it: 2 in 100 of its strength.
 const NO_TURN: f64 = 0.1;
 
@@ -87,22 +93,21 @@ impl Effect for LightBanding {
         Some(if p[0] >= 0.5 { "a slow wander down the rows" } else { "a sine down the rows" })
     }
 
+    /// Peaks of the spectrum of the row means come first. The ripple is that of a lamp on the mains, or turns little
+    /// within a frame, or about once, or any further: from one lobe of what the longest exposure leaves of it to the
+    /// next the fit finds no way.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
-        let line = |cycles: f64, hz: f64| vec![0.0, 0.003, cycles, hz, 0.0];
         let rows = seen.rows.max(2.0);
-        let mut all: Vec<Vec<f64>> = [0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 6.5, 10.0, 15.0]
-            .iter()
-            .map(|n| n / rows)
-            .filter(|f| *f < 0.5)
-            // A ripple that turns little within an exposure, and one that turns about once.
-            .flat_map(|f| [0.2, 1.0].map(|turns| line(f, turns / seen.frame_s.max(1e-5))))
-            .collect();
-        // Peaks of the spectrum of the row means come first.
-        let peaks = seen.row_cycles.into_iter().flatten().filter(|f| *f > 1e-4 && *f < 0.5);
-        let mut first: Vec<Vec<f64>> =
-            peaks.flat_map(|f| [0.2, 1.0].map(|turns| line(f, turns / seen.frame_s.max(1e-5)))).collect();
-        first.append(&mut all);
-        let mut all = first;
+        let per_image = [0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 6.5, 10.0, 15.0].map(|n| n / rows);
+        let peaks = seen.row_cycles.into_iter().flatten().filter(|f| *f > 1e-4);
+        let [slow, fast] = [0.2, 1.0].map(|turns| turns / seen.frame_s.max(1e-5));
+        let lines = |cycles: f64, hz: &[f64]| -> Vec<Vec<f64>> {
+            hz.iter().map(|hz| vec![0.0, 0.003, cycles, *hz, 0.0]).collect()
+        };
+        let mut hz = vec![slow, fast, MAINS_HZ[0], MAINS_HZ[1]];
+        hz.extend((1..=LOBES).map(|k| f64::from(k) * LOBE / seen.lit_s.1.max(1e-5)));
+        let mut all: Vec<Vec<f64>> = peaks.filter(|f| *f < 0.5).flat_map(|f| lines(f, &hz)).collect();
+        all.extend(per_image.into_iter().filter(|f| *f < 0.5).flat_map(|f| lines(f, &[slow, fast])));
         all.extend([0.92, 0.97, 0.99].map(|next| vec![1.0, 0.003, 0.01, 0.0, next]));
         all
     }
