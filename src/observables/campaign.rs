@@ -320,7 +320,7 @@ pub fn of_dataset(
     if let Some(var) = darks.min_by(f64::total_cmp).filter(|v| *v < LEAST_DARK_VAR_DN2) {
         missing.push(format!(
             "darks have a temporal variance of {var:.2} DN^2, and EMVA 1288 (release 4, eq. 54) takes less than {LEAST_DARK_VAR_DN2} DN^2 for \
-             rounding: read noise is not well known; a higher gain of the camera would tell it"
+             rounding: read noise is not well known; more bits (Mono12 for Mono8) or more gain tell it"
         ));
     }
     let quiet = chunks.iter().filter(|c| is_quiet(&c.summary));
@@ -328,10 +328,14 @@ pub fn of_dataset(
     quiet.sort_unstable();
     quiet.dedup();
     if !quiet.is_empty() {
-        let numbers = quiet.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
+        let which = match quiet.as_slice() {
+            few if few.len() <= LISTED => {
+                format!("sets {}", few.iter().map(u32::to_string).collect::<Vec<_>>().join(", "))
+            }
+            many => format!("{} of {} sets", many.len(), sets.len()),
+        };
         missing.push(format!(
-            "sets {numbers} have a temporal variance below {QUIET_DN2} DN^2: rounding hides their noise, and only their levels are used; take more \
-             bits (Mono12 for Mono8) or more gain"
+            "{which}: rounding hides their noise (temporal variance below {QUIET_DN2} DN^2), and only their levels are used"
         ));
     }
     if darkest_dn == Some(0.0) {
@@ -569,6 +573,9 @@ fn of_chunks(chunks: &[Chunk], sets: &[Set]) -> Vec<Observable> {
     }
     list
 }
+
+/// So many sets are listed in a note by their numbers.
+const LISTED: usize = 8;
 
 /// Temporal variance below which rounding hides the noise, DN^2 (a named choice): normal noise of 0.27 DN shows it
 /// where a code's middle is its mean, and next to none if it is less.

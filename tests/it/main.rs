@@ -9,6 +9,7 @@ mod conformance;
 mod dataset;
 mod docs;
 mod effects;
+mod eight_bits;
 mod emva;
 #[cfg(feature = "aravis")]
 mod faults;

@@ -1,0 +1,53 @@
+//! The format that most cameras are set to: 8 of 12 bits, the others cut off.
+
+use crate::support::expect;
+use radcam::dataset::image::{read_single, tiff_bytes};
+use std::path::Path;
+
+/// Cuts the lowest four bits of a 12-bit dataset off.
+fn cut(root: &Path) {
+    for file in std::fs::read_dir(root.join("frames")).unwrap() {
+        let path = file.unwrap().path();
+        let codes = read_single(&path).unwrap().mapv(|v| v >> 4);
+        std::fs::write(&path, tiff_bytes(&codes, 8).unwrap()).unwrap();
+    }
+    let manifest = root.join("dataset.toml");
+    let text = std::fs::read_to_string(&manifest).unwrap();
+    let text = text.replace("bit_depth = 12", "bit_depth = 8").replace("\"Mono12\"", "\"Mono8\"");
+    assert!(text.contains("bit_depth = 8"), "{text}");
+    std::fs::write(&manifest, text).unwrap();
+}
+
+/// Sensors with a noise of 0.05 to 0.06 codes in darks: nothing is named, the gain and the read noise are those of all 12
+/// bits within four of their errors or not determined, and it is said that 8 bits hide the noise.
+#[test]
+fn eight_of_twelve_bits_are_a_linear_sensor_that_hides_its_noise() {
+    for (sensor, plan, seed, gain_dn_per_e, read_noise_e) in [
+        ("cmos12", "standard", "2", 0.38, 2.6),
+        ("cmos12", "emva1288", "5", 0.38, 2.6),
+        ("imx250", "standard", "6", 0.3697, 2.15),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("c");
+        let at = root.to_str().unwrap();
+        expect(0, &["simulate", sensor, "--plan", plan, "--region", "0,0,160,128", "--seed", seed, "-o", at]);
+        cut(&root);
+        let said: serde_json::Value = serde_json::from_str(&expect(0, &["diagnose", at, "--json"])).unwrap();
+        assert_eq!(said["missing"].as_array().unwrap().len(), 0, "{sensor} {seed}: {}", said["missing"]);
+        let near = |name: &str, truth: f64| {
+            let (Some(value), Some(error)) = (said[name]["value"].as_f64(), said[name]["std_err"].as_f64())
+            else {
+                return false;
+            };
+            assert!(
+                (value - truth).abs() < 4.0 * error,
+                "{sensor} {seed}, {name}: {value} +- {error}, not {truth}"
+            );
+            true
+        };
+        assert!(near("gain_dn_per_e", gain_dn_per_e / 16.0), "{sensor} {seed}");
+        near("read_noise_e", read_noise_e);
+        let notes = said["notes"].to_string();
+        assert!(notes.contains("Mono12"), "{notes}");
+    }
+}
