@@ -112,7 +112,9 @@ impl Codes {
     pub fn finish(self) -> CodeStatistics {
         let n = &self.counts;
         let mut out = CodeStatistics::default();
-        let wide = |c: usize| n[c.saturating_sub(8)..(c + 9).min(n.len())].iter().sum::<u64>();
+        // Sixteen codes hold as many of steps of 2, 4, 8 or 16, wherever they begin: a window that held one more about a
+        // filled code would choose those.
+        let wide = |c: usize| n[c.saturating_sub(8)..(c + 8).min(n.len())].iter().sum::<u64>();
         let filled: Vec<usize> = (1..n.len().saturating_sub(1)).filter(|c| wide(*c) > 1000).collect();
         if filled.len() < 32 {
             return out;

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)] // tests may stop where they stumble, and say what they skipped
 
+mod bands;
 mod blind;
 mod calibration;
 mod camera;

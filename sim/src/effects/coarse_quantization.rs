@@ -2,6 +2,9 @@
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
+/// Steps of codes from which bits are cut.
+const STEPS: [f64; 6] = [2.0, 4.0, 8.0, 16.0, 32.0, 64.0];
+
 /// Codes are multiples of a step.
 pub struct CoarseQuantization;
 
@@ -25,14 +28,14 @@ impl Effect for CoarseQuantization {
             unit: "DN",
             min: 1.0,
             max: 256.0,
-            starts: &[2.0, 4.0, 16.0],
+            starts: &STEPS,
         }]
     }
 
     /// The step that the codes show, and usual ones.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let seen = seen.code_step_dn.filter(|s| *s > 1.2).map(f64::round);
-        seen.into_iter().chain([2.0, 4.0, 16.0]).map(|s| vec![s]).collect()
+        seen.into_iter().chain(STEPS).map(|s| vec![s]).collect()
     }
 
     fn is_whole(&self, _: usize) -> bool {
