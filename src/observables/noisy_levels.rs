@@ -1,6 +1,8 @@
 //! Excess kurtosis of the noisiest pixels in short darks, each about its own variance: whether they are noisy as
 //! others are, or jump between levels.
 
+use crate::statistics::steady::LEAST_DN2;
+
 use super::{Expected, HalfView, Observable, Put, Statistic, View, in_quadrature};
 
 /// The excess: of pixels that stand out, then of the noisiest hundredth and twentieth.
@@ -19,6 +21,8 @@ const OF_ONE: f64 = 0.8;
 const ABOVE: f64 = 0.7;
 /// Pixels whose jumps are this part of their variance and more are all among the noisiest (a named choice).
 const CHOSEN: f64 = 1.3;
+/// Noise of less than a step makes two codes of a level, which look like two levels.
+const TWO_CODES: f64 = 1.5;
 /// Noisy pixels have so many times the noise of others (sCMOS data sheets: up to some times the median).
 const NOISY: f64 = 3.0;
 /// Excess of noise of which a part is cut off, at most some tenths (a named choice).
@@ -66,7 +70,10 @@ impl Statistic for NoisyLevels {
         let chosen = (CHOSEN * part).min(1.0);
         let excess: f64 = -2.0 * among * chosen * part * part;
         let step = view.prediction.code_step_dn;
-        let rounding = (ROUNDING * step * step / noise.max(1e-6)).min(1.0);
+        // Of pixels that cover more codes than two; where the camera's steps are coarser, these are two steps.
+        let own = (noise.max(LEAST_DN2) / (step * step) - 1.0 / 12.0).max(0.0);
+        let rounding = TWO_CODES * (-std::f64::consts::PI.powi(2) * own).exp()
+            + (ROUNDING * step * step / noise.max(1e-6)).min(1.0);
         // Pixels that reach code 0 are left out; those that reach another floor are not.
         let cut_off = if view.prediction.floor_dn > -4.0 * NOISY * noise.sqrt() { CUT_OFF } else { 0.0 };
         // Few frames show little of two levels: what is measured is scaled up to all of it, and so are these.

@@ -191,7 +191,7 @@ const PIXELS: f64 = 4.0;
 const DOF: f64 = 3.0;
 /// Variance of a pixel from which on it covers more codes than two, DN^2: 1/12 and noise of 0.56 DN, to which rounding
 /// does 2 exp(-2 pi^2 0.32) = 0.004 (Widrow and Kollar 2008, ch. 4).
-const LEAST_DN2: f64 = 0.4;
+pub const LEAST_DN2: f64 = 0.4;
 /// Standard deviations of a pixel's noise within which code 0 cuts it off.
 const REACH: f64 = 3.0;
 /// Pixels stand out by so many standard deviations of the logarithm of the ordinary ones' variances.
