@@ -8,7 +8,7 @@ use radcam_sim::predict::LineNoise;
 #[derive(Debug)]
 pub struct Unequal;
 
-/// Standard error for independent normal pixels that are alike: [`scatter`] without a spread.
+/// Standard error for independent normal pixels that are alike: `scatter` without a spread.
 pub fn theory(r: &Summary) -> f64 {
     (scatter(r.frames as f64 - 1.0, [1.0; 3]) / r.pixels).sqrt()
 }
