@@ -68,8 +68,8 @@ pub struct Ordinary {
 }
 
 impl Ordinary {
-    /// Of darks whose pixels have these variances (median, DN^2) and this standard deviation of the logarithm of
-    /// their noise, at this mean level and with this standard deviation between pixels, DN.
+    /// Ordinary pixels of darks, from the median of the pixels' variances (DN^2), the standard deviation of the
+    /// logarithm of their noise, and the mean level and spread of the darks (DN).
     ///
     /// Rounding adds 1/12 where the noise is a code or more; below that it follows the place between two codes
     /// (Widrow and Kollar 2008, ch. 4), and is taken off as it is at the level of these darks. Variances are
@@ -108,17 +108,18 @@ impl Ordinary {
 
 /// Rounds after which a level before rounding is known to a hundredth of a code.
 const LEVEL_ROUNDS: usize = 5;
-/// Noise of less is not told from none, DN^2 (a named choice: a tenth of a code).
+/// Minimum variance that is told from none, DN^2 (a named choice: a tenth of a code).
 const LEAST_VARIANCE: f64 = 0.01;
-/// Variance of the logarithm of the pixels' variances, at most (a named choice: a factor of two each way in noise).
+/// Maximum variance of the logarithm of the pixels' variances (a named choice: a factor of two in noise either
+/// way).
 const LARGEST_SPREAD: f64 = 2.0;
 
-/// Noise of a larger variance leaves the spread of the levels as it is to within some per cent, in codes squared: the
-/// slope of a rounded level differs from 1 by 2 exp(-2 pi^2 variance) at most (Widrow and Kollar 2008, ch. 4).
+/// Maximum noise variance, codes squared, at which the spread of levels is corrected for rounding. The slope of
+/// a rounded level differs from 1 by at most 2 exp(-2 pi^2 variance) (Widrow and Kollar 2008, ch. 4).
 const LEAVES_SPREAD: f64 = 0.2;
 
-/// Spread of the pixels' levels before rounding, where their means are measured after it: next to the edge between
-/// two codes little noise makes small differences large. In steps.
+/// Spread of the pixels' levels before rounding, from the spread of their measured means, in steps. Close to
+/// the edge between two codes little noise makes small differences large.
 fn before_rounding(level: f64, measured: f64, variance: f64) -> f64 {
     if variance > LEAVES_SPREAD {
         return measured;
@@ -494,8 +495,8 @@ impl SetPrediction {
     }
 }
 
-/// What a few shares of the pixels tell of a curve over all of them is off by about this part (a named choice:
-/// the field of shading is no normal one).
+/// Relative error of a curve averaged over a few places of the field (a named choice: the field of shading is
+/// not normal).
 const OF_PLACES: f64 = 0.1;
 
 /// Deviation of a rounded mean from the level, in steps, for noise of this variance in squares of the step: the first term of the
@@ -669,8 +670,9 @@ mod tests {
     use super::*;
     use crate::rng::{PixelRng, Stream};
 
-    /// 20 000 pixels of log-normal noise, 8 of 1000 ten times noisier. The mean of their rounded levels is known from the
-    /// series of Widrow and Kollar 2008, ch. 4; a log-normal with the spread of all pixels is off by more than a tenth of it.
+    /// 20 000 pixels of log-normal noise, 8 of 1000 ten times noisier. The mean of their rounded levels is
+    /// known from the series of Widrow and Kollar 2008, ch. 4; a log-normal with the spread of all pixels is
+    /// off by more than a tenth of it.
     #[test]
     fn a_few_noisy_pixels_leave_the_rounding_of_the_others() {
         let (median, log_spread) = (0.37f64, 0.2f64);
@@ -683,7 +685,7 @@ mod tests {
         let mean = |of: &dyn Fn(f64) -> f64| all.iter().map(|s| of(*s)).sum::<f64>() / all.len() as f64;
         let variance = mean(&|s| s * s);
         let spread = mean(&|s| (s * s - variance).powi(2)) / (variance * variance);
-        // The median and the spread of the darks' variances as they are measured: rounding at their level is in them.
+        // Median and spread of the darks' measured variances, which include the rounding at their level.
         let dark_dn = 7.4;
         let shown = |s: f64| s * s + rounded(dark_dn, 0.0, s * s).variance;
         let measured_dn = dark_dn + rounded(dark_dn, 0.0, median * median).mean;

@@ -125,8 +125,8 @@ pub fn rounded_apart(level: f64, spread: f64, apart: f64, variance: f64) -> Roun
 const LOGNORMAL: [(f64, f64); 3] =
     [(-1.732_050_807_568_877_2, 1.0 / 6.0), (0.0, 2.0 / 3.0), (1.732_050_807_568_877_2, 1.0 / 6.0)];
 
-/// The same where the pixels' variances spread about their mean, lognormally, by `unlike` of its square (the
-/// variance of the variances).
+/// Rounded noise of pixels whose variances are log-normal about their mean. `unlike`: variance of the variances
+/// over the square of their mean.
 pub fn rounded_unlike(level: f64, spread: f64, apart: f64, variance: f64, unlike: f64) -> Rounded {
     if unlike <= 0.0 || variance > WIDE * WIDE {
         return rounded_apart(level, spread, apart, variance);

@@ -196,15 +196,14 @@ impl<'a> Filter<'a> {
         Self { power, table, of_single: 1.0 }
     }
 
-    /// The same with the weights of its kernel: independent pixels of unequal noise come out more alike, by sum
-    /// w^4 / (sum w^2)^2.
+    /// Cumulants of a sum of pixels with these weights. Sums of independent pixels of unequal noise are more
+    /// alike, by sum w^4 / (sum w^2)^2.
     pub fn of_weights(self, weights: impl Iterator<Item = f64>) -> Self {
         let (second, fourth) = weights.fold((0.0, 0.0), |(a, b), w| (a + w * w, b + w * w * w * w));
         Self { of_single: if second > 0.0 { fourth / (second * second) } else { 1.0 }, ..self }
     }
 
-    /// What is left of the spread of the pixels' variances, and of fourth cumulants, beside what the variance
-    /// says.
+    /// Factor on the spread of the pixels' variances and on fourth cumulants, beyond that of the variance.
     pub fn of_single(&self) -> f64 {
         self.of_single
     }

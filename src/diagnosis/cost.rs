@@ -1,5 +1,5 @@
-//! What an effect costs a user who does not know of it: by how much the photon-transfer gain, the read noise and
-//! the linearity of the same frames are wrong.
+//! Cost of an unmodelled effect: error of the photon-transfer gain, of the read noise and of the linearity of
+//! the same frames.
 //!
 //! The expected means and variances of all sets are put through the estimates that `radcam noise` and `radcam
 //! emva` make: a weighted line of the variance over the mean (Healey and Kondepudy 1994, eq. 41), and the largest
@@ -133,8 +133,7 @@ pub(super) fn of_effect(all: &Observations, whole: &Fitted, id: &str) -> Cost {
     both.map_or_else(Cost::default, |(with, without)| with.against(&without))
 }
 
-/// What a model that still misses something costs: the measured means and variances against those that it
-/// expects.
+/// Cost of the remainder: measured means and variances against those that the model expects.
 pub(super) fn of_remainder(all: &Observations, whole: &Fitted) -> Cost {
     let both =
         Plain::of(all, |i| all.list[i].measured.value).zip(Plain::of_model(all, whole, &whole.effects));

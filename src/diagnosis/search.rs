@@ -305,9 +305,8 @@ pub fn is_something(fitted: &Fitted, at: usize, seen: &Seen) -> bool {
     sizes.is_empty() || sizes.iter().any(|&k| is_known(values[k], errors[k]))
 }
 
-/// Whether an effect of which only a combination of parameters is known explains what its own statistics show, by
-/// the evidence that a name needs: where these are predicted roughly, so is it known, and it is there all the same. Errors are those without it,
-/// so that none is gained by making them larger.
+/// Tests an effect by the drop in chi-square of its own statistics, for effects of which only a combination of
+/// parameters is known. Errors are those of the fit without the effect: enlarging them gains nothing.
 pub fn is_told(
     all: &Observations,
     without: &Fitted,
@@ -335,9 +334,8 @@ pub fn is_told(
     before.len() == after.len() && explained.sum::<f64>() > NEEDED + (all.list.len() as f64).ln()
 }
 
-/// Whether the only size of an effect, or what its parameters tell together, is as far from nothing as the
-/// evidence that a name needs beside a model that holds (Wald's test): evidence also comes of errors that become
-/// smaller.
+/// Wald test of the only size of an effect, or of its combined parameters, against the evidence that a name
+/// needs beside a model that holds. Evidence alone does not do: it also rises when errors become smaller.
 pub fn surely_there(all: &Observations, fitted: &Fitted, effect: &'static dyn Effect) -> bool {
     let Some(at) = fitted.effects.iter().position(|(e, _)| e.id() == effect.id()) else { return false };
     let ((_, values), errors) = (&fitted.effects[at], &fitted.std_err[at]);

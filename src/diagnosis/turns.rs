@@ -1,4 +1,5 @@
-//! Whether the frames of sets scatter one by one, or swing: a light that blinks, a level that beats or wanders.
+//! Tests of independence for the scatter from frame to frame: a blinking light, a beating or wandering level,
+//! and settling first frames are not independent.
 
 use super::Part;
 use crate::inference::{Fitted, residuals_of};
@@ -7,18 +8,18 @@ use radcam_sim::rng::{PixelRng, Stream};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
-/// Frequencies at which swings are looked for, cycles per 32 frames.
+/// Frequencies of the sines that are fitted, cycles per 32 frames.
 const FREQUENCIES: std::ops::RangeInclusive<u32> = 1..=16;
-/// Frames of a set from which on a swing differs from chance: of five, a swing is nearly all that there is.
+/// Minimum frames of a set: of five frames a sine explains nearly everything.
 const FEWEST: usize = 6;
-/// Draws of independent frames, of which a mean is known to a hundredth of the deviation.
+/// Monte Carlo draws of independent frames; the mean share is known to 1.6 % of the deviation.
 const DRAWS: u32 = 4000;
-/// Standard deviations beyond which frames do not scatter one by one: of four tests that are planned, a chance of one
-/// in two hundred, as for what else tells effects apart.
+/// Maximum standardised deviation of independent frames. Four planned tests reject independent frames once in
+/// two hundred campaigns.
 const SWINGS: f64 = 3.0;
 
-/// Share of the scatter of some numbers about their mean that the best sine has (Lomb 1976; Scargle 1982), and its
-/// frequency in cycles per number.
+/// Share of the variance that the best-fitting sine explains (Lomb 1976; Scargle 1982), and its frequency in
+/// cycles per frame.
 fn swing(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
@@ -43,7 +44,8 @@ fn swing(values: &[f64]) -> (f64, f64) {
     shares.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|s| s.0.is_finite()).unwrap_or((0.0, 0.0))
 }
 
-/// Mean and standard deviation of the share of the best sine, of so many independent normal numbers.
+/// Mean and standard deviation of the share that [`swing`] finds in n independent normal numbers, by Monte
+/// Carlo.
 fn of_independent(n: usize) -> (f64, f64) {
     let (mut sum, mut squares) = (0.0, 0.0);
     for draw in 0..DRAWS {
@@ -56,8 +58,8 @@ fn of_independent(n: usize) -> (f64, f64) {
     (mean, (squares / f64::from(DRAWS) - mean * mean).sqrt())
 }
 
-/// What sets of frame means show together: by how many standard deviations the share of the best sine passes what
-/// independent frames have, and the middle frequency. `weights`: share of each set's scatter that is looked at.
+/// Standardised excess of the share explained by a sine, over all sets, and the median frequency. Each set is
+/// (frame means, weight): the weight is the part of its variance that the effect claims.
 fn together(sets: &[(&[f64], f64)]) -> Option<(f64, f64)> {
     let mut known = BTreeMap::new();
     let (mut sum, mut variance, mut frequencies) = (0.0, 0.0, Vec::new());
@@ -73,8 +75,8 @@ fn together(sets: &[(&[f64], f64)]) -> Option<(f64, f64)> {
     Some((sum / variance.sqrt(), middle))
 }
 
-/// By how many standard deviations first frames lie further off than others. Of n independent frames the share that one
-/// has of the scatter, times n / (n - 1), is beta of 1 / 2 and (n - 2) / 2 (Cochran 1934).
+/// Standardised excess of the first frame's share of the variance. Of n independent frames, one frame's share
+/// times n / (n - 1) is beta-distributed with 1 / 2 and (n - 2) / 2 (Cochran 1934).
 fn first_frames(sets: &[(&[f64], f64)]) -> f64 {
     let (mut sum, mut variance) = (0.0, 0.0);
     for (means, weight) in sets.iter().filter(|s| s.0.len() > 2 && s.1 > 0.0) {
@@ -90,8 +92,8 @@ fn first_frames(sets: &[(&[f64], f64)]) -> f64 {
     if variance > 0.0 { sum / variance.sqrt() } else { 0.0 }
 }
 
-/// By how many standard deviations the levels of both halves of sets deviate alike: products over the root of their
-/// squares' sum, normal for products whose signs are by chance (Efron 1969).
+/// Standardised agreement of the mean residuals of both halves of each set: sum of the products over the root
+/// of the sum of their squares, normal where signs are random (Efron 1969).
 fn alike(all: &Observations, whole: &Fitted) -> f64 {
     let mut of_set: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
     for r in residuals_of(all, whole).iter().filter(|r| r.statistic == mean::Mean.id()) {
@@ -104,7 +106,8 @@ fn alike(all: &Observations, whole: &Fitted) -> f64 {
     if square > 0.0 { sum / square.sqrt() } else { 0.0 }
 }
 
-/// Why the scatter from frame to frame is not that of independent frames, for an effect that makes such.
+/// Reason to reject independent frames, for effects that scatter from frame to frame; `None` where all tests
+/// hold.
 pub fn in_turns(all: &Observations, part: &Part, whole: &Fitted) -> Option<String> {
     part.effect.shown_by().filter(|_| !part.effect.told_by().is_empty())?;
     let prediction = whole.predict(all);
@@ -138,8 +141,8 @@ pub fn in_turns(all: &Observations, part: &Part, whole: &Fitted) -> Option<Strin
 mod tests {
     use super::*;
 
-    /// Over 300 campaigns of twelve sets of eight frames: independent frames have a mean of 0 and a deviation of 1,
-    /// within five of their errors; a blink, a beat and a wander lie beyond, and so do single frames.
+    /// Over 300 campaigns of twelve sets of eight frames: independent frames have a mean of 0 and a deviation
+    /// of 1, within five of their errors; a blink, a beat and a wander lie beyond, and so do single frames.
     #[test]
     fn swings_are_told_from_independent_frames() {
         let campaigns = 300;

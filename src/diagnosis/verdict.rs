@@ -48,8 +48,8 @@ impl Verdict {
         }
     }
 
-    /// Of what was found. `whole`: the model with all of it. `left_on`: what the camera did to its pixels by its
-    /// own settings.
+    /// Verdict on the effects found. `whole`: the model with all of them. `left_on`: camera settings that
+    /// changed its pixels.
     pub(super) fn of(
         missing: &[Missing],
         remainder: Option<&Remainder>,
@@ -186,8 +186,8 @@ const WEAK: f64 = 0.01;
 /// per cent).
 const SAID: f64 = 1e-3;
 
-/// What results are wrong by, in words; `None` where nobody would notice. Of a gain and a read noise no less than
-/// their errors is said.
+/// Cost in words; `None` where it is negligible. Gain and read noise are named only if the cost exceeds their
+/// errors.
 fn cost(cost: &Cost, whole: &Fitted) -> Option<String> {
     let (base, errors) = (&whole.base, &whole.base_std_err);
     let of = |what: &str, rel: f64, std_err: f64, decimals: usize| {

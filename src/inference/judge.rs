@@ -176,9 +176,9 @@ struct Unseen<'a> {
     open: Vec<bool>,
 }
 
-/// A level is open where its error passes this part of a code and of the signal (named choices): the noise of the
-/// digitised signal follows the place between two codes, so that slopes say nothing of a level so far off (Widrow and
-/// Kollar 2008, ch. 4).
+/// Minimum error of an open level, as a part of a code and of the signal (named choices). The noise of a
+/// digitised signal follows the place between two codes, so linear error propagation fails that far off (Widrow
+/// and Kollar 2008, ch. 4).
 const OPEN: (f64, f64) = (0.25, 0.05);
 
 impl<'a> Unseen<'a> {
@@ -218,8 +218,8 @@ impl<'a> Unseen<'a> {
         }
     }
 
-    /// The standardised residual of a row; `None` of light levels that only one half has, and of sets whose level is
-    /// open.
+    /// Standardised residual of a row; `None` for light levels that one half alone has, and for sets whose
+    /// level is open.
     fn judged(&self, r: usize, o: &Observable, e: &Expected) -> Option<Own> {
         let level = o.set.and_then(|s| self.all.campaign.sets[s].light);
         let sees_light = o.statistic.sees_light();

@@ -32,7 +32,7 @@ pub struct Observations {
     pub campaign: Campaign,
     /// Numbers of the sets as the dataset has them.
     pub set_numbers: Vec<u32>,
-    /// Means of the frames of every set that are looked at, in the order in which they were taken, DN; none of tables.
+    /// Frame means of every set in order of time, DN, without frames left out; empty for tables.
     pub frame_means_dn: Vec<Vec<f64>>,
     /// Kinds of the sets.
     pub kinds: Vec<Kind>,
@@ -52,8 +52,8 @@ pub struct Observations {
     pub left_on: Vec<LeftOn>,
     /// Known relative error of the light levels.
     pub light_rel_std: Option<f64>,
-    /// How the light scatters from setting to setting by what is stated of it; `None` where it was set once, or
-    /// is stated as exact.
+    /// Scatter of the light from setting to setting; `None` where the light was set once, or is stated as
+    /// exact.
     pub setting: Option<Setting>,
     /// Frequencies at which row means of flats ripple, cycles per row, the strongest first.
     pub row_cycles: Vec<f64>,
@@ -495,8 +495,7 @@ const UNSTATED: f64 = 0.1;
 /// Light levels from which on their scatter tells something.
 const FEWEST_LIGHTS: usize = 3;
 
-/// How much the light may scatter from setting to setting without being a finding: what is stated of it, where it
-/// was set anew.
+/// Scatter of the light between settings that is no finding: the stated scatter where the light was set anew.
 fn setting(dataset: &Dataset, settings: &[FrameRow], stated: Option<f64>) -> Option<Setting> {
     let mut lights: Vec<u64> = settings
         .iter()
@@ -574,14 +573,14 @@ fn of_chunks(chunks: &[Chunk], sets: &[Set]) -> Vec<Observable> {
     list
 }
 
-/// So many sets are listed in a note by their numbers.
+/// Maximum number of sets listed by number in a note.
 const LISTED: usize = 8;
 
-/// Temporal variance below which rounding hides the noise, DN^2 (a named choice): normal noise of 0.27 DN shows it
-/// where a code's middle is its mean, and next to none if it is less.
+/// Temporal variance below which rounding hides the noise, DN^2 (a named choice): 0.27 DN of normal noise about
+/// the middle of a code reaches it.
 const QUIET_DN2: f64 = 0.06;
 
-/// Whether single pixels that flip between two codes are all that frames show of their noise.
+/// True where rounding hides the noise of a chunk: see [`QUIET_DN2`].
 pub(super) fn is_quiet(summary: &Summary) -> bool {
     summary.var.value < QUIET_DN2
 }
@@ -634,7 +633,7 @@ impl Inflation {
     }
 }
 
-/// Means of the frames of every set in the order in which they were taken, DN.
+/// Frame means of every set in order of time, DN.
 fn frame_means(chunks: &[Chunk], sets: usize) -> Vec<Vec<f64>> {
     let mut in_order: Vec<&Chunk> = chunks.iter().collect();
     in_order.sort_by_key(|c| c.from);
@@ -643,7 +642,7 @@ fn frame_means(chunks: &[Chunk], sets: usize) -> Vec<Vec<f64>> {
     out
 }
 
-/// Noise of the ordinary pixels, at the middle level of the darks that show it; `None` where too few frames do.
+/// Noise of the ordinary pixels, at the median level of the darks; `None` where too few frames show it.
 fn ordinary(pixels: &PixelNoise, chunks: &[Chunk], infos: &[SetInfo], kinds: &[Kind]) -> Option<Ordinary> {
     let darks = || chunks.iter().filter(|c| kinds[c.set] == Kind::Dark);
     let level_dn = median(darks().map(|c| c.summary.frame_means.mean_dn()));

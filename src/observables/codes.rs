@@ -112,8 +112,8 @@ impl Codes {
     pub fn finish(self) -> CodeStatistics {
         let n = &self.counts;
         let mut out = CodeStatistics::default();
-        // Sixteen codes hold as many of steps of 2, 4, 8 or 16, wherever they begin: a window that held one more about a
-        // filled code would choose those.
+        // A window of 16 codes holds the same number of multiples of 2, 4, 8 or 16 at every place. A window of
+        // 17 would select the filled codes.
         let wide = |c: usize| n[c.saturating_sub(8)..(c + 8).min(n.len())].iter().sum::<u64>();
         let filled: Vec<usize> = (1..n.len().saturating_sub(1)).filter(|c| wide(*c) > 1000).collect();
         if filled.len() < 32 {

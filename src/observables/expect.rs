@@ -96,9 +96,9 @@ fn line_mean(phase: f64, n: f64) -> f64 {
     if half.abs() < 1e-9 { 1.0 } else { ((0.5 * phase * n).sin() / (n * half)).powi(2) }
 }
 
-/// What quantisation in steps of q may do to mean and variance beyond what is predicted for pixels of normal
-/// levels, where the noise and these levels together are narrower than about half a step, DN and DN^2: half of
-/// the first terms of the characteristic function (Widrow and Kollar 2008, ch. 4 and app. B).
+/// Error of the predicted mean and variance of noise quantised in steps of q, DN and DN^2, where noise and
+/// levels together are narrower than about half a step. Half of the first terms of the characteristic function
+/// (Widrow and Kollar 2008, ch. 4 and app. B).
 fn quantised(variance: f64, spread: f64, q: f64) -> (f64, f64) {
     let noise = (variance - q * q / 12.0).max(1e-3 * q * q);
     let fades = |square: f64| (-2.0 * std::f64::consts::PI.powi(2) * square / (q * q)).exp();

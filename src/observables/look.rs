@@ -21,12 +21,11 @@ const KEPT: usize = 256 << 20;
 /// Standard deviations of a pixel's noise within which full scale cuts it off.
 const REACH: f64 = 3.0;
 
-/// Pixels that jump have so many times the noise of others at least (a named choice).
+/// Minimum noise of jumping pixels, over that of others (a named choice).
 const JUMPS: f64 = 8.0;
-/// Their mean lies off by no more than so many times their noise (a named choice: a jump that is there in 9 of 10
-/// frames lies 3 off).
+/// Maximum offset of their mean, over their noise (a named choice: a jump in 9 of 10 frames lies 3 off).
 const OFF: f64 = 3.0;
-/// Frames of a dark set in which jumps are looked for: fewer tell no noise of a pixel.
+/// Minimum frames of a dark set that tell the noise of a pixel.
 const JUMPING_FRAMES: usize = 4;
 
 /// What the first frames of a set show.
@@ -37,7 +36,8 @@ pub struct Look {
     /// True where these are 2 % of the pixels or more: the set is clipped.
     #[serde(default)]
     pub(super) saturated: bool,
-    /// Pixels of a dark set that jump: their noise is far above that of others, and their mean lies no further off.
+    /// Pixels of a dark set that jump: noise far above that of others, and a mean no further off than that
+    /// noise.
     #[serde(default)]
     jumping: Vec<usize>,
     /// Mean of a dark set, DN.
@@ -104,8 +104,8 @@ fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<
     if let [a, b, ..] = block.as_slice() {
         out.pair = Some(pair(a, b, full));
     }
-    // Noise that reaches full scale is cut off there. The mean tells, whose error says nothing of the noise: where
-    // pixels are left out by a high sample, those stay whose noise is low.
+    // Pixels whose noise reaches full scale are left out by their mean. Selection by a high sample would leave
+    // pixels of low noise; the mean of normal noise is independent of its variance.
     let reach = out.pair.map_or(0.0, |(_, var)| REACH * var.max(0.0).sqrt());
     let near = (f64::from(full) - if reach.is_finite() { reach } else { 0.0 }).max(0.5 * f64::from(full));
     let near = (near * block.len() as f64) as f32;
@@ -139,9 +139,9 @@ fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<
     Ok(out)
 }
 
-/// Pixels that jump between levels lie off in the mean of few frames as hot ones do. Of a jump A that is there in a
-/// share p of the frames the mean lies p A off and the noise is sqrt(p (1 - p)) A; the shot noise of a hot pixel is
-/// far below what it lies off.
+/// Finds pixels that jump between levels. Their means lie off as those of hot pixels do: a jump A in a share p
+/// of the frames moves the mean by p A and has noise sqrt(p (1 - p)) A. The shot noise of a hot pixel is far
+/// below its offset.
 fn jumping(dark: &Array2<f32>, block: &[Array2<u16>], usual_dn2: f64) -> Vec<usize> {
     if block.len() < JUMPING_FRAMES {
         return Vec::new();

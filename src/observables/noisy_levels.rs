@@ -9,8 +9,8 @@ use super::{Expected, HalfView, Observable, Put, Statistic, View, in_quadrature}
 #[derive(Debug)]
 pub struct NoisyLevels;
 
-/// What is expected of it is known to so much of itself: which of the pixels jump, and how few frames show their
-/// levels, is known roughly.
+/// Relative error of the expected excess (a named choice): the selection of jumping pixels is predicted
+/// roughly.
 const ROUGHLY: f64 = 0.4;
 /// Rounding to whole codes changes the kurtosis of noise of a code by no more (-1/120 over the square of 1/12 and
 /// the noise's variance).
@@ -70,13 +70,13 @@ impl Statistic for NoisyLevels {
         let chosen = (CHOSEN * part).min(1.0);
         let excess: f64 = -2.0 * among * chosen * part * part;
         let step = view.prediction.code_step_dn;
-        // Of pixels that cover more codes than two; where the camera's steps are coarser, these are two steps.
+        // Selected pixels cover more than two codes, but with coarse steps they may cover two steps only.
         let own = (noise.max(LEAST_DN2) / (step * step) - 1.0 / 12.0).max(0.0);
         let rounding = TWO_CODES * (-std::f64::consts::PI.powi(2) * own).exp()
             + (ROUNDING * step * step / noise.max(1e-6)).min(1.0);
         // Pixels that reach code 0 are left out; those that reach another floor are not.
         let cut_off = if view.prediction.floor_dn > -4.0 * NOISY * noise.sqrt() { CUT_OFF } else { 0.0 };
-        // Few frames show little of two levels: what is measured is scaled up to all of it, and so are these.
+        // The measured excess is scaled up to that of long runs, and its errors with it.
         let scaled = (o.measured.std_err * o.pixels.sqrt() / OF_ONE).max(1.0);
         let unsure = ROUGHLY * excess.abs() + scaled * (rounding + cut_off);
         // Above 0 lies what grows from set to set, as the shot noise of dark charge does: only what lies below

@@ -42,7 +42,7 @@ pub struct Chunk {
     pub summary: Summary,
     /// Of short darks, until they are summed up: variance of every pixel, DN^2.
     var_dn2: Vec<f32>,
-    /// Of the same frames: sums of powers of every pixel's deviations, and its mean less that of the frames, DN.
+    /// Sums of powers of every pixel's deviations in the same frames, and its mean less that of the frames, DN.
     #[serde(default)]
     single: Option<(Powers, Vec<f32>)>,
 }

@@ -96,9 +96,9 @@ impl Statistic for Unequal {
 /// some sets of a thousand campaigns.
 const RARE: f64 = 19.5;
 
-/// What one pixel of the largest variance, over the mean of all, adds to the mean of squares of sample variances
-/// at a chance of one in a hundred thousand, over the standard errors that such a chance is to have: means of few
-/// noisy pixels are not normal.
+/// Error of the mean square of sample variances due to the noisiest pixel: its contribution at a chance of
+/// 1e-5, scaled to one standard error. `largest`: its variance over the mean. Means over few noisy pixels are
+/// not normal.
 fn tail(largest: f64, dof: f64, pixels: f64) -> f64 {
     if largest <= 1.5 {
         return 0.0;

@@ -1,4 +1,4 @@
-//! Means of whole frames: their mean, their scatter, how they follow one another, and how far the first one lies off.
+//! Means of whole frames, with their mean, variance, succession and first step.
 
 use super::succession::sums;
 use serde::{Deserialize, Serialize};

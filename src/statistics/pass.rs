@@ -226,8 +226,8 @@ impl<'a> Pass<'a> {
         Ok(())
     }
 
-    /// Sums of powers of every pixel's deviations, and its mean less that of the frames, DN; `None` where they were
-    /// not asked for.
+    /// Sums of powers of every pixel's deviations, and its mean less that of the frames, DN; `None` if not
+    /// requested.
     pub fn single_pixels(&self) -> Option<(Powers, Vec<f32>)> {
         Some((self.powers.clone()?, self.mean.clone()))
     }
@@ -464,8 +464,8 @@ mod tests {
         Layout::new(&Array2::from_elem(SHAPE, true), 4095)
     }
 
-    /// Sums of fourth powers about the mean are those of all frames, whether they are seen in one pass or in two
-    /// that are merged; to within what sums of 32 bits keep.
+    /// Sums of fourth powers about the mean agree with their definition, in one pass and merged from two, to
+    /// within the precision of 32-bit sums.
     #[test]
     fn fourth_powers_are_about_the_mean() {
         let layout = all();

@@ -13,12 +13,12 @@ pub struct Powers {
 }
 
 impl Powers {
-    /// Of no frame yet.
+    /// Empty sums.
     pub fn new(pixels: usize) -> Self {
         Self { thirds: vec![0.0; pixels], fourths: vec![0.0; pixels] }
     }
 
-    /// One more frame after `before` others. `now`: its deviation from their mean times sqrt(before / (before +
+    /// Adds one frame after `before` others. `now`: its deviation from their mean times sqrt(before / (before +
     /// 1)); `squares`: sums of squares with this frame.
     pub fn add(&mut self, before: u64, now: &[f32], squares: &[f32]) {
         let (k, n) = (before as f32, before as f32 + 1.0);
@@ -33,7 +33,8 @@ impl Powers {
         }
     }
 
-    /// Frames seen elsewhere: sums of squares of both, their numbers, and how far the later means lie off.
+    /// Adds frames summed elsewhere. `squares`: sums of squares of both; then their numbers of frames; `off`:
+    /// later means less these.
     pub fn merge(
         &mut self,
         later: &Self,

@@ -72,9 +72,9 @@ impl Group {
     }
 }
 
-/// Groups that stay open take no more than so many numbers of each kind (a named choice: 16 MB each).
+/// Maximum pixels of all open groups together (a named choice: 16 MB for each kind of sum).
 const OPEN_PIXELS: usize = 1 << 22;
-/// And no more than so many (a named choice: exposures at which darks are taken again).
+/// Maximum number of open groups (a named choice: exposures at which darks are repeated).
 const OPEN: usize = 8;
 
 impl Half {
@@ -110,11 +110,11 @@ impl Half {
 }
 
 impl Half {
-    /// What sums of squares S and of fourth powers Q of a pixel show: Q / S^2 of what is expected of normal
-    /// noise, times 3, less 3.
+    /// Excess kurtosis of a pixel from its sum of squares S and sum of fourth powers Q: 3 Q / S^2 over its mean
+    /// for normal noise, less 3.
     ///
-    /// Of normal noise Q / S^2 does not depend on S (Basu 1955), so that pixels may be chosen by S. Of a run of n
-    /// frames E Q = 3 (n - 1)^2 / n, and S of d degrees of freedom has E S^2 = d (d + 2).
+    /// Q / S^2 of normal noise is independent of S (Basu 1955), so pixels may be selected by S. A run of n
+    /// frames has E Q = 3 (n - 1)^2 / n, and S with d degrees of freedom has E S^2 = d (d + 2).
     fn excess(&self, square: f64, fourth: f64) -> f64 {
         let mean = self.fourth_of_normal() / (self.dof * (self.dof + 2.0));
         3.0 * fourth / (square * square * mean) - 3.0
@@ -127,8 +127,8 @@ impl Half {
 
     /// Variance of [`Self::excess`] of normal noise.
     ///
-    /// Of one run b = n Q / S^2 has the mean 3 (n - 1) / (n + 1) and the variance 24 n (n - 2) (n - 3) / ((n +
-    /// 1)^2 (n + 3) (n + 5)) (Fisher 1930), and E S^4 = (n - 1) (n + 1) (n + 3) (n + 5) by the moments of
+    /// b = n Q / S^2 of one run has the mean 3 (n - 1) / (n + 1) and the variance 24 n (n - 2) (n - 3) / ((n +
+    /// 1)^2 (n + 3) (n + 5)) (Fisher 1930); E S^4 = (n - 1) (n + 1) (n + 3) (n + 5) by the moments of
     /// chi-square; runs are independent.
     fn variance(&self) -> f64 {
         let (d, all) = (self.dof, self.fourth_of_normal());
@@ -189,8 +189,8 @@ const NOISIEST: [f64; 2] = [0.01, 0.05];
 /// Fewest pixels and degrees of freedom of which it is taken.
 const PIXELS: f64 = 4.0;
 const DOF: f64 = 3.0;
-/// Variance of a pixel from which on it covers more codes than two, DN^2: 1/12 and noise of 0.56 DN, to which rounding
-/// does 2 exp(-2 pi^2 0.32) = 0.004 (Widrow and Kollar 2008, ch. 4).
+/// Minimum variance of a pixel that covers more than two codes, DN^2: 1/12 and 0.56 DN of noise, which rounding
+/// changes by 2 exp(-2 pi^2 0.32) = 0.004 (Widrow and Kollar 2008, ch. 4).
 pub const LEAST_DN2: f64 = 0.4;
 /// Standard deviations of a pixel's noise within which code 0 cuts it off.
 const REACH: f64 = 3.0;
@@ -530,9 +530,10 @@ mod tests {
         Stays,
     }
 
-    /// Over 200 campaigns of two halves of two runs, of one exposure and of two: pixels that stand out and scatter
-    /// normally have an excess of 0, which the errors cover; those that jump between two levels have -2 less the
-    /// noise's part, in short runs and in long ones, and over many runs also where a level stays for a run.
+    /// Over 200 campaigns of two halves of two runs, of one exposure and of two: pixels that stand out and
+    /// scatter normally have an excess of 0, which the errors cover; those that jump between two levels have -2
+    /// less the noise's part, in short runs and in long ones, and over many runs also where a level stays for a
+    /// run.
     #[test]
     fn noisy_pixels_and_two_levels_are_told_apart() {
         let (side, campaigns) = (32usize, 200u32);

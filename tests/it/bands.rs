@@ -7,8 +7,8 @@ use radcam::diagnosis::diagnose;
 use radcam::plan::Plan;
 use radcam_sim::rng::{PixelRng, Stream};
 
-/// 40 sines of 0.005 to 0.3 and 0.002 to 0.4 cycles a row, of lamps on the mains or of 80 to 1000 Hz: all are named first;
-/// how many of their frequencies and amplitudes lie within three standard errors is printed (docs/CONFUSION.md).
+/// 40 sines of amplitude 0.005 to 0.3 and 0.002 to 0.4 cycles a row, of mains lamps or 80 to 1000 Hz. All must
+/// be named first; the number within three standard errors is printed (docs/CONFUSION.md).
 #[test]
 #[ignore = "two minutes; `cargo test --release --test it bands:: -- --ignored --nocapture`"]
 fn bands_of_many_lamps() {

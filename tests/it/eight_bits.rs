@@ -18,8 +18,8 @@ fn cut(root: &Path) {
     std::fs::write(&manifest, text).unwrap();
 }
 
-/// Sensors with a noise of 0.05 to 0.06 codes in darks: nothing is named, the gain and the read noise are those of all 12
-/// bits within four of their errors or not determined, and it is said that 8 bits hide the noise.
+/// Sensors with 0.05 to 0.06 codes of dark noise: no effect is named, gain and read noise lie within four
+/// standard errors of those at 12 bits or are not determined, and a note recommends more bits.
 #[test]
 fn eight_of_twelve_bits_are_a_linear_sensor_that_hides_its_noise() {
     for (sensor, plan, seed, gain_dn_per_e, read_noise_e) in [

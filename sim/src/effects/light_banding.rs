@@ -14,8 +14,8 @@ const SHORTEST: f64 = 0.85;
 const SLOWEST_HZ: f64 = 33.0;
 /// Lamps on the mains ripple at twice its frequency.
 const MAINS_HZ: [f64; 2] = [100.0, 120.0];
-/// Ripples that the longest exposure leaves differently lie so far apart, in turns, and so many are tried: those of a
-/// PWM lamp turn some twenty times within it.
+/// Step between ripple frequencies that are tried, in turns within the longest exposure, and their number. A
+/// PWM lamp turns some twenty times within it.
 const LOBE: f64 = 0.3;
 const LOBES: u32 = 70;
 /// A ripple that turns by less within the longest exposure does not fade with it: 2 in 100 of its strength.
@@ -93,9 +93,9 @@ impl Effect for LightBanding {
         Some(if p[0] >= 0.5 { "a slow wander down the rows" } else { "a sine down the rows" })
     }
 
-    /// Peaks of the spectrum of the row means come first. The ripple is that of a lamp on the mains, or turns little
-    /// within a frame, or about once, or any further: from one lobe of what the longest exposure leaves of it to the
-    /// next the fit finds no way.
+    /// Starts from the peaks of the spectrum of the row means, then from fixed frequencies. Each peak is tried
+    /// with the ripple of the mains and with one ripple for each lobe of sinc(f T): the fit does not cross from
+    /// one lobe to the next.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let rows = seen.rows.max(2.0);
         let per_image = [0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 6.5, 10.0, 15.0].map(|n| n / rows);

@@ -139,8 +139,8 @@ impl Effect for RandomTelegraphNoise {
             let spread = spread(p);
             s.unequal += spread;
             s.fourth -= 2.0 * p[0] * jump * jump;
-            // So many pixels have it as chance has it, and each shows of it what few frames show. Where darks show
-            // the pixels' noise, the spread of the read noise makes up for it.
+            // The number of jumping pixels scatters by chance. Where darks show the distribution of the pixels'
+            // noise, the fitted spread of the read noise absorbs it.
             if c.ordinary.is_none() {
                 let pixels = (c.shape.0 * c.shape.1) as f64;
                 s.unsure = libm::hypot(s.unsure, spread * libm::sqrt(3.0 / (p[0] * pixels).max(1.0)));
@@ -167,9 +167,9 @@ impl Effect for RandomTelegraphNoise {
 /// Frames back of which a level is followed at most.
 const BACK: u64 = 200;
 
-/// The level of a pixel in this frame: true for the upper one. A level that stays with this chance is that of the
-/// last frame in which it was drawn anew (below 0: the other one, frame by frame): which frames these are depends on
-/// the frame's number alone, so that frames may be drawn in any order.
+/// Level of a pixel in this frame: true for the upper one. The level is drawn anew with chance 1 - |stays| and
+/// else kept (stays > 0) or inverted (stays < 0). The frame in which it was drawn last depends on the frame's
+/// number alone, so frames may be drawn in any order.
 fn level(d: &Drawing<'_>, id: &str, pixel: u32, stays: f64) -> bool {
     // Frame 0 is left out: its numbers chose the pixels.
     let mut turned = false;
