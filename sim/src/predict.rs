@@ -704,4 +704,25 @@ mod tests {
             assert!((by_spread - known).abs() > 0.1 * known.abs(), "{level}: {by_spread}, {known}");
         }
     }
+
+    /// Pixels of 0.02 codes of spread and 0.06 codes of noise, next to the edge between two codes and far from it. Their
+    /// rounded means are known from the error function; the spread is found to a tenth where rounding enlarges it, and
+    /// is at most as measured elsewhere.
+    #[test]
+    fn spread_before_rounding_is_found_from_rounded_means() {
+        let (spread, noise) = (0.02f64, 0.06f64);
+        let mut rng = PixelRng::new(4, Stream::Effect, 0, 0, 0);
+        for (level, enlarged) in [(10.5, true), (10.47, true), (10.44, true), (10.0, false)] {
+            let mean = |at: f64| {
+                let edge = |k: f64| 0.5 * libm::erfc((k + 0.5 - at) / (noise * std::f64::consts::SQRT_2));
+                (0..30).map(|k| edge(f64::from(k))).sum::<f64>()
+            };
+            let means: Vec<f64> = (0..20_000).map(|_| mean(level + spread * rng.normal())).collect();
+            let middle = means.iter().sum::<f64>() / means.len() as f64;
+            let square = means.iter().map(|m| (m - middle).powi(2)).sum::<f64>() / means.len() as f64;
+            let found = before_rounding(level, square.sqrt(), noise * noise);
+            let right = if enlarged { (found / spread - 1.0).abs() < 0.1 } else { found <= square.sqrt() };
+            assert!(right, "{level}: {found}, measured {}", square.sqrt());
+        }
+    }
 }

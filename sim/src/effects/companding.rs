@@ -28,9 +28,6 @@ fn expanded(p: &[f64], code: f64, full_scale_dn: f64) -> f64 {
     full_scale_dn * (sent / p[1]) * (sent / p[1])
 }
 
-/// Lowest knee of a table, over full scale (a named choice: tables keep fine steps where shot noise is small).
-const LOWEST_KNEE: f64 = 0.05;
-
 impl Effect for Companding {
     fn id(&self) -> &'static str {
         "companding"
@@ -99,11 +96,6 @@ impl Effect for Companding {
             all.extend([2.0, 4.0, 8.0].map(|step| vec![1.0, full, knee * full, step]));
         }
         all
-    }
-
-    /// Steps that are coarse from near black on are those of a converter with fewer bits.
-    fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
-        p[0] >= 0.5 && p[2] < LOWEST_KNEE * seen.full_scale_dn
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
