@@ -18,6 +18,11 @@ impl FrameMeans {
         self.0.extend_from_slice(&later.0);
     }
 
+    /// Forgets all frames and keeps the memory.
+    pub fn clear(&mut self) {
+        self.0.clear();
+    }
+
     /// Frames.
     pub fn frames(&self) -> u64 {
         self.0.len() as u64

@@ -283,7 +283,7 @@ impl<'a> Pass<'a> {
 
     /// Forgets every frame and keeps the memory, for the next set.
     pub fn clear(&mut self) {
-        self.frame_means = FrameMeans::default();
+        self.frame_means.clear();
         self.mean.fill(0.0);
         self.sums.variance.clear();
         self.sums.covariance.clear();
