@@ -63,6 +63,7 @@ pub mod capture;
 pub mod cli;
 
 pub mod correct;
+pub mod data_faults;
 pub mod dataset;
 pub mod diagnosis;
 pub mod emva;

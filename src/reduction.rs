@@ -10,6 +10,7 @@
 //!
 //! The file is a line `radcam statistics 1`, a CBOR item (RFC 8949) and the SHA-256 of both.
 
+use crate::data_faults::{SetFacts, examined, facts_of};
 use crate::dataset::{Dataset, DatasetError, FrameRow, Manifest, Set, write_whole};
 use crate::noise::{NoiseError, level_of};
 use crate::observables::{LeftOut, Look, ObserveError, Work, record, record_looks};
@@ -64,6 +65,7 @@ pub struct Reduced {
     looks: HashMap<Key, Look>,
     pieces: HashMap<Key, (Work, LeftOut)>,
     levels: HashMap<Key, Option<Level>>,
+    facts: HashMap<Key, SetFacts>,
 }
 
 impl Reduced {
@@ -88,7 +90,13 @@ impl Reduced {
         self.levels.get(of)
     }
 
+    /// What the frames of a set say before any physics.
+    pub(crate) fn facts(&self, of: &Key) -> Option<&SetFacts> {
+        self.facts.get(of)
+    }
+
     fn add(&mut self, other: &Self) {
+        self.facts.extend(other.facts.clone());
         self.looks.extend(other.looks.clone());
         self.pieces.extend(other.pieces.clone());
         self.levels.extend(other.levels.clone());
@@ -136,7 +144,9 @@ pub fn reduce(
 ) -> Result<Dataset, ObserveError> {
     let part = gather(parts)?;
     if options.look_only {
-        let looks = record_looks(&part, stop)?;
+        let facts = kept_facts(&part, &|_| true, stop)?;
+        let mut looks = record_looks(&examined(&with_facts(&part, &facts), stop)?, stop)?;
+        looks.facts = facts;
         return Ok(part.with_reduced(looks));
     }
     let Some(plan) = &options.plan else {
@@ -164,13 +174,34 @@ fn read_again(part: &Dataset, error: ObserveError) -> ObserveError {
     }
 }
 
+/// What the frames of wanted sets say before any physics, to be kept.
+fn kept_facts(
+    dataset: &Dataset,
+    wanted: &(dyn Fn(&Set) -> bool + Sync),
+    stop: &AtomicBool,
+) -> Result<HashMap<Key, SetFacts>, ObserveError> {
+    let all = facts_of(dataset, stop)?;
+    let sets = dataset.sets().iter().zip(all).filter(|(set, _)| wanted(set));
+    Ok(sets.map(|(set, facts)| (Key::first(dataset, set, usize::MAX), facts)).collect())
+}
+
+/// The dataset with them, so that nothing is read again.
+fn with_facts(dataset: &Dataset, facts: &HashMap<Key, SetFacts>) -> Dataset {
+    let mut reduced = dataset.reduced().cloned().unwrap_or_default();
+    reduced.facts.extend(facts.clone());
+    dataset.clone().with_reduced(reduced)
+}
+
 fn of_sets(
     dataset: &Dataset,
     wanted: &(dyn Fn(&Set) -> bool + Sync),
     stop: &AtomicBool,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Reduced, ObserveError> {
+    let facts = kept_facts(dataset, wanted, stop)?;
+    let dataset = &examined(&with_facts(dataset, &facts), stop)?;
     let mut out = record(dataset, wanted, stop, progress)?;
+    out.facts = facts;
     let mut memory = None;
     for set in dataset.sets().iter().filter(|s| wanted(s)) {
         let level = level_of(dataset, set, &mut memory, stop).map_err(|e| match e {
@@ -277,6 +308,7 @@ struct Stored {
     looks: Vec<(Key, Look)>,
     pieces: Vec<(Key, (Work, LeftOut))>,
     levels: Vec<(Key, Option<Level>)>,
+    facts: Vec<(Key, SetFacts)>,
 }
 
 /// Writes what [`reduce`] gave.
@@ -300,6 +332,7 @@ pub fn write(reduced: &Dataset, path: &Path) -> Result<(), DatasetError> {
         looks: sorted(&kept.looks),
         pieces: sorted(&kept.pieces),
         levels: sorted(&kept.levels),
+        facts: sorted(&kept.facts),
     };
     let mut bytes = HEAD.to_vec();
     ciborium::into_writer(&stored, &mut bytes).map_err(|e| fault(e.to_string()))?;
@@ -358,6 +391,7 @@ pub fn from_cbor(bytes: &[u8], path: &Path) -> Result<Dataset, DatasetError> {
     let claimed = shape.0.saturating_mul(shape.1);
     let fits = claimed <= (1 << 20).max(bytes.len().saturating_mul(PIXELS_PER_BYTE))
         && stored.looks.iter().all(|(_, l)| l.fits(shape))
+        && stored.facts.iter().all(|(key, f)| f.fits(key.indices.len()))
         && stored.pieces.iter().all(|(_, (w, l))| w.fits(shape, full) && l.fits(claimed));
     if !fits {
         let message = format!("its statistics are not of frames of {} x {} px", shape.1, shape.0);
@@ -367,6 +401,7 @@ pub fn from_cbor(bytes: &[u8], path: &Path) -> Result<Dataset, DatasetError> {
         looks: stored.looks.into_iter().collect(),
         pieces: stored.pieces.into_iter().collect(),
         levels: stored.levels.into_iter().collect(),
+        facts: stored.facts.into_iter().collect(),
     };
     Ok(Dataset::of_parts(path, manifest, stored.rows, stored.folders)?.with_reduced(reduced))
 }

@@ -1,5 +1,6 @@
 //! What is measured, from wherever it comes: datasets, EMVA 1288 descriptors, tables.
 
+use crate::data_faults::{DataFault, ExamineError, examined};
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, DatasetError, Set};
 use crate::diagnosis::{Diagnosis, diagnose, searched};
@@ -57,6 +58,26 @@ impl Source {
         }
         let all = paths.iter().map(|p| Dataset::open(p)).collect::<Result<_, _>>()?;
         Ok(Self::Frames(Box::new(Dataset::join(all)?)))
+    }
+
+    /// Without what is wrong with the data ([`examined`]); `stop` ends it. A table stays as it is.
+    ///
+    /// # Errors
+    ///
+    /// Which frame cannot be read, or that it was stopped.
+    pub fn examined(self, stop: &AtomicBool) -> Result<Self, ExamineError> {
+        Ok(match self {
+            Self::Frames(dataset) => Self::Frames(Box::new(examined(&dataset, stop)?)),
+            table => table,
+        })
+    }
+
+    /// What was wrong with the data and is left out, once it was examined.
+    pub fn data_faults(&self) -> &[DataFault] {
+        match self {
+            Self::Frames(dataset) => dataset.data_faults(),
+            Self::Table(_) => &[],
+        }
     }
 
     /// Gain and constant noise (Section IV of the paper).

@@ -10,6 +10,7 @@ pub mod plan;
 mod robust;
 pub mod window;
 
+use crate::data_faults::{DataFault, ExamineError, examined};
 use crate::dataset::{Dataset, DatasetError, Kind, Set};
 use crate::noise::{Method, NoiseReport};
 use crate::pixel_format::PixelFormat;
@@ -20,6 +21,7 @@ use file::{Calibration, Description};
 use ndarray::Array2;
 use pattern::{FixedPattern, Options, PatternError};
 use std::collections::BTreeMap;
+use std::sync::atomic::AtomicBool;
 
 /// How K is estimated from a dataset.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -145,9 +147,18 @@ fn images(
 
 /// The e_i of a pilot.
 fn pilot_images(dataset: &Dataset) -> Result<(Vec<Array2<f32>>, u64), CalibrateError> {
+    let dataset = &looked_at(dataset)?;
     let Some(level) = most_configurations(dataset) else { return Err(CalibrateError::NoFlats) };
     let dark = DarkReference::fit(&dark_means(dataset)?, level.exposure_s)?.at(level.exposure_s)?;
     images(dataset, &level.configurations, &dark)
+}
+
+/// The dataset without what is wrong with it.
+fn looked_at(dataset: &Dataset) -> Result<Dataset, DatasetError> {
+    examined(dataset, &AtomicBool::new(false)).map_err(|e| match e {
+        ExamineError::Dataset(e) => e,
+        ExamineError::Interrupted => DatasetError::Manifest { path: dataset.root().into(), message: e.to_string() },
+    })
 }
 
 /// A calibration, and the pixels that it flags.
@@ -157,6 +168,8 @@ pub struct Calibrated {
     pub calibration: Calibration,
     /// Every defect with its reason.
     pub defects: Vec<Defect>,
+    /// What was wrong with the data, and is left out.
+    pub data_faults: Vec<DataFault>,
 }
 
 /// Dark reference and K from a dataset: darks at any exposures, and flats of three configurations or more at one exposure
@@ -174,6 +187,7 @@ pub fn of_dataset(
     noise: Option<&NoiseReport>,
     provenance: &str,
 ) -> Result<Calibrated, CalibrateError> {
+    let dataset = &looked_at(dataset)?;
     let Some(Level { exposure_s, configurations, .. }) = most_configurations(dataset) else {
         return Err(CalibrateError::NoFlats);
     };
@@ -233,5 +247,6 @@ pub fn of_dataset(
         ..Description::of(dataset.manifest().camera.clone())
     };
     let defects = defects::find(&means, &pattern.k, description.gain_dn_per_e);
-    Ok(Calibrated { calibration: Calibration::new(description, dark, pattern, &defects), defects })
+    let calibration = Calibration::new(description, dark, pattern, &defects);
+    Ok(Calibrated { calibration, defects, data_faults: dataset.data_faults().to_vec() })
 }

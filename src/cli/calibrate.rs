@@ -1,9 +1,10 @@
 //! `radcam calibrate`
 
 use super::Outcome;
-use super::common::{STOP, above_0, may_be_written};
+use super::common::{STOP, above_0, after_faults, may_be_written, say_faults};
 use crate::calibrate::pattern::{Options, Start};
 use crate::calibrate::{Calibrated, Estimator, of_dataset};
+use crate::data_faults::examined;
 use crate::dataset::Dataset;
 use crate::noise;
 use crate::number::six_digits;
@@ -68,7 +69,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         "smooth" => Estimator::Smooth,
         _ => Estimator::Joint,
     };
-    let dataset = Dataset::open(&arguments.dataset)?;
+    let dataset = examined(&Dataset::open(&arguments.dataset)?, &STOP)?;
     let camera = &dataset.manifest().camera;
     if let Some(side) = arguments.window.filter(|side| *side > camera.width.min(camera.height)) {
         bail!("--window {side}: frames have {} x {} px", camera.width, camera.height);
@@ -76,13 +77,16 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     // A calibration campaign may have one level only; then it says nothing of the noise.
     let noise = noise::of_dataset(&dataset, &STOP, &mut |_, _| {}).ok();
     let provenance = format!("radcam {} from {}", env!("CARGO_PKG_VERSION"), arguments.dataset.display());
-    let Calibrated { calibration, defects } = of_dataset(&dataset, estimator, noise.as_ref(), &provenance)?;
+    let Calibrated { calibration, defects, data_faults } = after_faults(of_dataset(&dataset, estimator, noise.as_ref(), &provenance), dataset.data_faults())?;
     calibration.write(&arguments.output)?;
     let d = &calibration.description;
     if arguments.json {
-        println!("{}", serde_json::to_string_pretty(d)?);
+        let mut said = serde_json::to_value(d)?;
+        said["data_faults"] = serde_json::to_value(&data_faults)?;
+        println!("{}", serde_json::to_string_pretty(&said)?);
         return Ok(Outcome::Agreement);
     }
+    say_faults(&data_faults);
     let sd = |x: &ndarray::Array2<f32>| f64::from(x.std(0.0));
     println!("{}: {} x {} px, {}", arguments.output.display(), d.camera.width, d.camera.height, d.estimator);
     println!(

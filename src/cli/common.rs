@@ -4,6 +4,7 @@ use crate::bench::{self, Illuminator};
 use crate::camera::{Camera, sim};
 use crate::capture::PLAN_FILE;
 use crate::correct::Codes;
+use crate::data_faults::DataFault;
 use crate::plan::{Plan, SetPlan};
 use anyhow::{Context, Result, bail};
 use radcam_sim::Model;
@@ -188,4 +189,19 @@ pub fn codes(text: &str) -> Result<Codes, String> {
         }
         _ => Err("write scale,offset with a scale above 0".into()),
     }
+}
+
+/// Prints what was wrong with the data.
+pub fn say_faults(faults: &[DataFault]) {
+    for fault in faults {
+        println!("  slip in the data: {}", wrapped(&fault.text, 4).trim_start());
+    }
+}
+
+/// An error with what was left out before it.
+pub fn after_faults<T, E: Into<anyhow::Error>>(result: Result<T, E>, faults: &[DataFault]) -> Result<T> {
+    result.map_err(|e| {
+        let texts: Vec<&str> = faults.iter().map(|f| f.text.as_str()).collect();
+        if texts.is_empty() { e.into() } else { anyhow::anyhow!("{:#}; before that: {}", e.into(), texts.join("; ")) }
+    })
 }

@@ -42,6 +42,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         return Ok(outcome);
     }
     println!("{}: {}", names(&arguments.datasets), c.agreement.words());
+    super::common::say_faults(&c.data_faults);
     println!(
         "  error    {:.3}, the RMS of the residuals in sigma on frames that the fit did not use (1 is agreement)",
         c.error

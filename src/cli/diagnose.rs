@@ -1,7 +1,7 @@
 //! `radcam diagnose`
 
 use super::Outcome;
-use super::common::can_be_written;
+use super::common::{can_be_written, say_faults};
 use super::model::{fitted_model, read_effects};
 use super::observe::{names, observe};
 use crate::dataset::write_whole;
@@ -105,6 +105,7 @@ fn round_to(value: f64, digits: i32) -> f64 {
 
 pub fn print(title: &str, d: &Diagnosis) {
     println!("{title}\n");
+    say_faults(&d.data_faults);
     println!("{}\n", super::common::wrapped(d.verdict.sentence(), 2));
     for m in &d.missing {
         println!("  {} ({})", m.effect, report::heading(m));

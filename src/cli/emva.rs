@@ -1,8 +1,9 @@
 //! `radcam emva`
 
 use super::Outcome;
-use super::common::{STOP, wrapped};
+use super::common::{STOP, after_faults, say_faults, wrapped};
 use super::progress::Show;
+use crate::data_faults::examined;
 use crate::dataset::{Dataset, write_whole};
 use crate::emva::{Definitions, Evaluation, Limit, Points, evaluate, names, of_dataset, plots};
 use crate::number::Quantity;
@@ -36,14 +37,14 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
-    let dataset = Dataset::open(&arguments.dataset)?;
+    let dataset = examined(&Dataset::open(&arguments.dataset)?, &STOP)?;
     let show = Mutex::new(Show::new("reading"));
     let progress = |done, of| {
         if let Ok(mut show) = show.lock() {
             show.step(done, of);
         }
     };
-    let mut points = of_dataset(&dataset, &STOP, &progress)?;
+    let mut points = after_faults(of_dataset(&dataset, &STOP, &progress), dataset.data_faults())?;
     drop(show);
     points.light.pixel_area_um2 = arguments.pixel_area.or(points.light.pixel_area_um2);
     points.light.irradiance_rel_std = arguments.irradiance_std.or(points.light.irradiance_rel_std);
@@ -52,7 +53,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         (None, "3.1") => Definitions::Release31,
         _ => Definitions::Release4,
     };
-    let evaluation = evaluate(&points, definitions)?;
+    let evaluation = after_faults(evaluate(&points, definitions), dataset.data_faults())?;
     if let Some(folder) = &arguments.output {
         write(folder, arguments, &dataset, &points, &evaluation)?;
     }
@@ -114,6 +115,7 @@ fn words(limit: Limit) -> &'static str {
 
 fn print(arguments: &Arguments, e: &Evaluation) {
     println!("{}: EMVA 1288, {}", arguments.dataset.display(), e.definitions);
+    say_faults(&e.data_faults);
     for (heading, group) in names::GROUPS {
         let there: Vec<_> = group.iter().filter(|(name, ..)| e.quantities.contains_key(*name)).collect();
         if there.is_empty() {

@@ -1,6 +1,6 @@
 //! `radcam noise`
 
-use super::common::STOP;
+use super::common::{STOP, after_faults, say_faults};
 use super::{Outcome, progress::Show};
 use crate::dataset::write_whole;
 use crate::noise::NoiseReport;
@@ -40,12 +40,14 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
 /// Section IV on whatever the path is.
 pub fn estimate(path: &Path) -> Result<NoiseReport> {
     let mut show = Show::new("noise");
-    Ok(Source::open(path)?.noise_with(&STOP, &mut |done, of| show.step(done, of))?)
+    let source = Source::open(path)?.examined(&STOP)?;
+    after_faults(source.noise_with(&STOP, &mut |done, of| show.step(done, of)), source.data_faults())
 }
 
 fn print(path: &Path, r: &NoiseReport) {
     let used = r.levels.iter().filter(|l| l.used).count();
     println!("{}: {used} of {} levels used\n", path.display(), r.levels.len());
+    say_faults(&r.data_faults);
     for (name, q) in [
         ("gain A", &r.gain_dn_per_e),
         ("constant noise", &r.constant_noise_var_dn2),

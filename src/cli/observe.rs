@@ -1,6 +1,6 @@
 //! Reading what the verbs compare with a model.
 
-use super::common::STOP;
+use super::common::{STOP, after_faults};
 use super::progress::Show;
 use crate::observables::Observations;
 use crate::source::Source;
@@ -10,7 +10,8 @@ use std::path::PathBuf;
 /// Observables of a table, or of datasets of one camera under one set of settings, taken together.
 pub fn observe(paths: &[PathBuf]) -> Result<Observations> {
     let mut show = Show::new("reading");
-    Ok(Source::open_all(paths)?.observations_with(&STOP, &mut |done, of| show.step(done, of))?)
+    let source = Source::open_all(paths)?.examined(&STOP)?;
+    after_faults(source.observations_with(&STOP, &mut |done, of| show.step(done, of)), source.data_faults())
 }
 
 /// Their names as a title.

@@ -1,10 +1,11 @@
 //! `radcam plan-calibration`
 
 use super::Outcome;
-use super::common::{STOP, above_0, duration, may_be_written, open_camera};
+use super::common::{STOP, above_0, duration, may_be_written, open_camera, say_faults};
 use super::progress::Show;
 use crate::calibrate::plan::{campaign, needs, pilot};
 use crate::capture::Capture;
+use crate::data_faults::examined;
 use crate::dataset::{Dataset, write_whole};
 use crate::noise;
 use anyhow::{Context, Result, bail};
@@ -57,17 +58,20 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         (_, _, Some(pilot)) => pilot,
         _ => bail!("give a pilot dataset, or --camera with --pilot-folder"),
     };
-    let dataset = Dataset::open(folder)?;
+    let dataset = examined(&Dataset::open(folder)?, &STOP)?;
     let noise = noise::of_dataset(&dataset, &STOP, &mut |_, _| {})?;
     let needs = needs(&dataset, &noise, arguments.k_error)?;
     let plan = campaign(&dataset, &needs);
     write_whole(&arguments.output, plan.to_toml()?.as_bytes())?;
     if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&needs)?);
+        let mut said = serde_json::to_value(&needs)?;
+        said["data_faults"] = serde_json::to_value(dataset.data_faults())?;
+        println!("{}", serde_json::to_string_pretty(&said)?);
         return Ok(Outcome::Agreement);
     }
     let full = f64::from((1u32 << needs.bit_depth) - 1);
     println!("{}: {}", arguments.output.display(), plan.about);
+    say_faults(dataset.data_faults());
     let frames = plan.frames();
     let camera = &dataset.manifest().camera;
     let bytes = frames * (camera.width * camera.height * camera.bit_depth.div_ceil(8) as usize) as u64;

@@ -15,6 +15,7 @@ pub use manifest::{BenchInfo, CameraInfo, FORMAT, Manifest};
 pub(crate) use write::{Aside, synchronise};
 pub use write::{Writer, write_whole};
 
+use crate::data_faults::DataFault;
 use crate::reduction::{self, Reduced};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
@@ -157,6 +158,8 @@ pub struct Dataset {
     folders: Vec<PathBuf>,
     /// What is known of frames without reading them.
     reduced: Option<Arc<Reduced>>,
+    /// What was wrong with it and is left out; none before it was examined.
+    faults: Option<Arc<[DataFault]>>,
 }
 
 impl Dataset {
@@ -239,7 +242,7 @@ impl Dataset {
         for set in &mut sets {
             set.rows.sort_by_key(|&i| rows[i].index);
         }
-        Ok(Self { root, manifest, rows, sets, parts: Vec::new(), folders, reduced: None })
+        Ok(Self { root, manifest, rows, sets, parts: Vec::new(), folders, reduced: None, faults: None })
     }
 
     /// Several datasets of one camera under one set of settings as one: sets and times of each follow those of the one before.
@@ -342,6 +345,39 @@ impl Dataset {
     /// What is known of frames without reading them, of a file of statistics.
     pub fn reduced(&self) -> Option<&Reduced> {
         self.reduced.as_deref()
+    }
+
+    /// What was wrong with it, as [`examined`](crate::data_faults::examined) found; empty before that.
+    pub fn data_faults(&self) -> &[DataFault] {
+        self.faults.as_deref().unwrap_or_default()
+    }
+
+    /// Whether it went through [`examined`](crate::data_faults::examined).
+    pub fn is_examined(&self) -> bool {
+        self.faults.is_some()
+    }
+
+    /// Without some of its rows, for these reasons.
+    pub(crate) fn without(&self, out: &[bool], faults: Vec<DataFault>) -> Self {
+        let mut place = Vec::with_capacity(out.len());
+        let mut kept = 0;
+        for out in out {
+            place.push(kept);
+            kept += usize::from(!out);
+        }
+        let of_set = |set: &Set| {
+            let rows: Vec<usize> = set.rows.iter().filter(|r| !out[**r]).map(|r| place[*r]).collect();
+            (!rows.is_empty()).then_some(Set { number: set.number, rows })
+        };
+        let rows = self.rows.iter().zip(out).filter(|(_, out)| !**out).map(|(r, _)| r.clone()).collect();
+        let parts = self.parts.iter().map(|(root, first)| (root.clone(), place.get(*first).copied().unwrap_or(kept)));
+        Self {
+            rows,
+            sets: self.sets.iter().filter_map(of_set).collect(),
+            parts: parts.collect(),
+            faults: Some(faults.into()),
+            ..self.clone()
+        }
     }
 
     /// Folders in which rows with absolute paths may lie: none of a dataset folder.

@@ -19,6 +19,7 @@ pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
 use crate::agreement::DOUBT;
+use crate::data_faults::DataFault;
 use crate::features::LeftOn;
 use crate::inference::{
     Comparison, Effects, Fitted, Residual, by, compare, fit, fit_near, residuals_of, seen, start,
@@ -136,6 +137,9 @@ pub struct Diagnosis {
     /// That measurement as a plan.
     #[serde(skip)]
     pub next_plan: Option<Plan>,
+    /// What was wrong with the data, and is left out.
+    #[serde(default)]
+    pub data_faults: Vec<DataFault>,
     /// What could not be looked at, and what is left over.
     pub notes: Vec<String>,
     /// The last model.
@@ -205,6 +209,7 @@ pub fn diagnose(
         proposal: None,
         sensor: sensor(all, &whole, last.error),
         left_on: all.left_on.clone(),
+        data_faults: all.data_faults.clone(),
         notes,
         fitted: Some(whole),
         comparisons: vec![first, last],

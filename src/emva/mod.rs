@@ -26,6 +26,7 @@ pub(crate) use plots::power;
 pub use points::{Dark, Pair, Points, Spatial, Temporal, of_dataset};
 pub use quantities::{Evaluation, GainByNoise, Limit, evaluate};
 
+use crate::data_faults::ExamineError;
 use serde::{Deserialize, Serialize};
 
 /// Whose definitions hold.
@@ -67,4 +68,13 @@ pub enum EmvaError {
     /// The user asked for the end.
     #[error("interrupted")]
     Interrupted,
+}
+
+impl From<ExamineError> for EmvaError {
+    fn from(error: ExamineError) -> Self {
+        match error {
+            ExamineError::Dataset(e) => Self::Dataset(e),
+            ExamineError::Interrupted => Self::Interrupted,
+        }
+    }
 }

@@ -1,6 +1,7 @@
 //! What the frames say: means and variances of pairs, and the stacks of the spatial part.
 
 use super::EmvaError;
+use crate::data_faults::{DataFault, examined};
 use crate::dataset::image::Buffer;
 use crate::dataset::{Dataset, FrameRow, Kind, Set};
 use crate::light::Light;
@@ -101,6 +102,8 @@ pub struct Points {
     pub photons_known: bool,
     /// What is known of the light.
     pub light: Light,
+    /// What was wrong with the data, and is left out.
+    pub data_faults: Vec<DataFault>,
 }
 
 /// Mean and temporal variance of the first two frames of a set: half the variance of the difference of two frames, its mean taken off
@@ -244,10 +247,12 @@ fn wanted(dataset: &Dataset) -> Result<Wanted<'_>, EmvaError> {
     let single = |kind| sets.iter().find(|s| settings(s).kind == kind && s.rows.len() < 2);
     let pairs: Vec<&Set> = sets.iter().filter(|s| s.rows.len() == 2).collect();
     // Campaigns that were not made for the standard have sets of several frames: their first two serve.
-    let temporal: Vec<&Set> = if pairs.iter().any(|s| of_kind(s, Kind::Flat)) {
+    let flats_of = |sets: &[&Set]| sets.iter().filter(|s| of_kind(s, Kind::Flat)).count();
+    let longer: Vec<&Set> = sets.iter().filter(|s| s.rows.len() > 2).collect();
+    let temporal: Vec<&Set> = if flats_of(&pairs) > 0 && flats_of(&pairs) >= flats_of(&longer) {
         pairs
     } else {
-        sets.iter().filter(|s| s.rows.len() > 2).collect()
+        sets.iter().filter(|s| s.rows.len() >= 2).collect()
     };
     let mut flats: Vec<&Set> = temporal.iter().copied().filter(|s| of_kind(s, Kind::Flat)).collect();
     let light = |s: &Set| settings(s).illumination * settings(s).exposure_s;
@@ -264,8 +269,13 @@ fn wanted(dataset: &Dataset) -> Result<Wanted<'_>, EmvaError> {
     }
     let mut darks: Vec<&Set> = temporal.iter().copied().filter(|s| of_kind(s, Kind::Dark)).collect();
     darks.sort_by(|a, b| settings(a).exposure_s.total_cmp(&settings(b).exposure_s));
+    let dark = |flat: &&Set| darks.iter().position(|d| same_exposure(settings(d), settings(flat)));
+    // A flat whose darks were left out goes with them.
+    if !dataset.data_faults().is_empty() && flats.iter().any(|f| dark(f).is_some()) {
+        flats.retain(|f| dark(f).is_some());
+    }
     let dark_of = |flat: &&Set| {
-        let found = darks.iter().position(|d| same_exposure(settings(d), settings(flat)));
+        let found = dark(flat);
         found.ok_or_else(|| {
             // To the nanosecond: a descriptor's exposure in seconds has a last digit of its own.
             let exposure_s = (settings(flat).exposure_s * 1e9).round() / 1e9;
@@ -305,6 +315,7 @@ pub fn of_dataset(
     stop: &AtomicBool,
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<Points, EmvaError> {
+    let dataset = &examined(dataset, stop)?;
     let camera = &dataset.manifest().camera;
     let bench = dataset.manifest().bench.as_ref();
     let light = bench.and_then(|b| b.light).unwrap_or_default();
@@ -370,6 +381,7 @@ pub fn of_dataset(
         full_scale_dn: f64::from(camera.full_scale_dn()),
         photons_known: unit.is_some(),
         light,
+        data_faults: dataset.data_faults().to_vec(),
     })
 }
 

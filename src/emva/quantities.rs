@@ -12,6 +12,7 @@ use super::spline::Spline;
 use super::value::{Inputs, Value};
 use super::{Definitions, EmvaError};
 use crate::agreement::Agreement;
+use crate::data_faults::DataFault;
 use crate::dataset::table::{Level, Table};
 use crate::noise;
 use crate::number::Quantity;
@@ -67,6 +68,9 @@ pub struct Evaluation {
     pub general: Option<General>,
     /// The gain by `noise`.
     pub noise: Option<GainByNoise>,
+    /// What was wrong with the data, and is left out.
+    #[serde(default)]
+    pub data_faults: Vec<DataFault>,
     /// What a reader should know.
     pub notes: Vec<String>,
 }
@@ -223,6 +227,7 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
         reference_tool: BTreeMap::new(),
         general,
         noise: by_noise,
+        data_faults: points.data_faults.clone(),
         notes,
     })
 }

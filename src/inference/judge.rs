@@ -12,6 +12,7 @@ use super::slopes::Slopes;
 use super::system::System;
 use super::white::White;
 use crate::agreement::{Agreement, P_LIMIT};
+use crate::data_faults::DataFault;
 use crate::observables::{Expected, Half, Observable, Observations, Statistic, lightened, mean, settling};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -67,6 +68,9 @@ pub struct Comparison {
     pub agreement: Agreement,
     /// Every residual.
     pub residuals: Vec<Residual>,
+    /// What was wrong with the data, and is left out.
+    #[serde(default)]
+    pub data_faults: Vec<DataFault>,
     /// What could not be looked at.
     pub not_looked_at: Vec<String>,
 }
@@ -93,6 +97,7 @@ pub fn compare(all: &Observations, model: &Fitted) -> Comparison {
         consistent: p_value >= P_LIMIT,
         agreement: Agreement::of(p_value),
         residuals,
+        data_faults: all.data_faults.clone(),
         not_looked_at: all.missing.clone(),
     }
 }

@@ -25,6 +25,7 @@ pub use levels::{Measured, Point, Zero, measure, points, table_points, zero};
 pub use report::{Estimate, LevelReport, Method, NoiseReport};
 
 use crate::agreement::P_LIMIT;
+use crate::data_faults::{ExamineError, examined};
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, DatasetError, Kind};
 use crate::number::Quantity;
@@ -62,6 +63,15 @@ pub enum NoiseError {
     /// The user asked for the end.
     #[error("interrupted")]
     Interrupted,
+}
+
+impl From<ExamineError> for NoiseError {
+    fn from(error: ExamineError) -> Self {
+        match error {
+            ExamineError::Dataset(e) => Self::Dataset(e),
+            ExamineError::Interrupted => Self::Interrupted,
+        }
+    }
 }
 
 /// Fits the line to points and reports.
@@ -178,6 +188,7 @@ pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, Nois
         q: best.q,
         estimators,
         levels,
+        data_faults: Vec::new(),
         notes,
     })
 }
@@ -231,6 +242,7 @@ fn one_level(points: &[Point], zero: &Zero) -> Option<NoiseReport> {
         q: f64::NAN,
         estimators: vec![estimate],
         levels: levels.collect(),
+        data_faults: Vec::new(),
         notes: vec![
             format!(
                 "one lit level: whether variance grows with the mean as it should cannot be seen, and the constant noise is known to lie \
@@ -264,12 +276,14 @@ pub fn of_dataset(
     stop: &AtomicBool,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<NoiseReport, NoiseError> {
-    let measured = measure(dataset, stop, progress)?;
+    let dataset = examined(dataset, stop)?;
+    let measured = measure(&dataset, stop, progress)?;
     if measured.levels.is_empty() {
         return Err(NoiseError::NoFrames);
     }
     let zero = zero(&measured);
-    estimate(points(&measured, &zero), &zero)
+    let report = estimate(points(&measured, &zero), &zero)?;
+    Ok(NoiseReport { data_faults: dataset.data_faults().to_vec(), ..report })
 }
 
 /// Section IV on a table of statistics.

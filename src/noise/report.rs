@@ -1,6 +1,7 @@
 //! What an estimate says, in the names of the JSON.
 
 use crate::agreement::Agreement;
+use crate::data_faults::DataFault;
 use crate::dataset::Kind;
 use crate::number::{Quantity, finite};
 use serde::{Deserialize, Serialize};
@@ -114,6 +115,9 @@ pub struct NoiseReport {
     pub estimators: Vec<Estimate>,
     /// Every level.
     pub levels: Vec<LevelReport>,
+    /// What was wrong with the data, and is left out.
+    #[serde(default)]
+    pub data_faults: Vec<DataFault>,
     /// What a reader should know.
     pub notes: Vec<String>,
 }

@@ -5,6 +5,7 @@ use super::{
     ChunkView, Field, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, Statistic, codes,
     covariance, frame_scatter, mean, row_spectrum, settling, successive, unequal, variance,
 };
+use crate::data_faults::{DataFault, ExamineError, examined};
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
 use crate::features::LeftOn;
 use crate::statistics::covariance::LAGS;
@@ -48,6 +49,8 @@ pub struct Observations {
     pub means_given: bool,
     /// What could not be looked at.
     pub missing: Vec<String>,
+    /// What was wrong with the data, and is left out.
+    pub data_faults: Vec<DataFault>,
     /// Features of the camera that changed pixel values.
     pub left_on: Vec<LeftOn>,
     /// Known relative error of the light levels.
@@ -142,6 +145,15 @@ pub enum ObserveError {
     Interrupted,
 }
 
+impl From<ExamineError> for ObserveError {
+    fn from(error: ExamineError) -> Self {
+        match error {
+            ExamineError::Dataset(e) => Self::Dataset(e),
+            ExamineError::Interrupted => Self::Interrupted,
+        }
+    }
+}
+
 /// Sets and frames in the order of time, the light levels told apart.
 fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<FrameInfo>) {
     // Photons that a descriptor states are nominal: one light, in the ratios stated, as accurate as the data show it to be.
@@ -206,6 +218,7 @@ pub fn of_dataset(
     stop: &AtomicBool,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Observations, ObserveError> {
+    let dataset = &examined(dataset, stop)?;
     let camera = &dataset.manifest().camera;
     let shape = (camera.height, camera.width);
     let sets = dataset.sets();
@@ -382,6 +395,7 @@ pub fn of_dataset(
         is_table: false,
         means_given: false,
         missing,
+        data_faults: dataset.data_faults().to_vec(),
         left_on: camera.left_on(),
         light_rel_std,
         dark_spread_dn2,

@@ -47,9 +47,17 @@ pub fn apart(block: &[Array2<u16>]) -> Apart {
     let Some(first) = block.first().filter(|_| block.len() >= 3) else { return Apart::default() };
     let (rows, columns) = first.dim();
     let cells: Vec<Vec<f64>> = block.iter().map(cell_means).collect();
+    apart_of(&cells, rows >= 2 * CELLS && columns >= 2 * CELLS)
+}
+
+/// Compares frames by their [`cell_means`]; `large`: whether the cells have several pixels.
+pub fn apart_of(cells: &[Vec<f64>], large: bool) -> Apart {
+    if cells.len() < 3 {
+        return Apart::default();
+    }
     let means: Vec<f64> = cells.iter().map(|c| mean_of(c)).collect();
     let level_dn = median(means.iter().copied());
-    if rows < 2 * CELLS || columns < 2 * CELLS {
+    if !large {
         return Apart {
             mean_dn: means.iter().map(|m| m - level_dn).collect(),
             cell_dn: Vec::new(),
@@ -67,7 +75,8 @@ pub fn apart(block: &[Array2<u16>]) -> Apart {
     }
 }
 
-fn cell_means(frame: &Array2<u16>) -> Vec<f64> {
+/// Means of the cells of a frame, DN.
+pub fn cell_means(frame: &Array2<u16>) -> Vec<f64> {
     let (rows, columns) = frame.dim();
     let mut sums = vec![0u64; CELLS * CELLS];
     let (height, width) = (rows.div_ceil(CELLS).max(1), columns.div_ceil(CELLS).max(1));
@@ -128,6 +137,13 @@ impl Usual {
     /// All of it, to be told from another.
     pub fn numbers(&self) -> [f64; 4] {
         [self.flat_rel, self.dark_dn, self.flat_cell, self.dark_cell_dn]
+    }
+
+    /// Deviation of a cell from which on a frame lies far from the others, DN; `above`: its level above the darks, DN.
+    pub fn far_cell_dn(&self, dark: bool, above: f64) -> f64 {
+        let of_dark = if self.dark_cell_dn.is_finite() { self.dark_cell_dn } else { 0.0 };
+        let cell = if dark { self.dark_cell_dn } else { (self.flat_cell * above.sqrt()).hypot(of_dark) };
+        0.5 * FAR * cell.max(0.05)
     }
 
     /// Places of frames in a block that lie far from the others; `start`: place of its first frame in the set.

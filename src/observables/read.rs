@@ -295,7 +295,7 @@ impl<'a, 'b> Reader<'a, 'b> {
         let (mut from, mut to) = (p.from, p.to);
         let work = loop {
             let outlier = self.add(p, from..to, kind == Kind::Dark, &mut pass, &mut out)?;
-            let Some(outlier) = outlier else { break self.summarise(p, from, &mut pass) };
+            let Some(outlier) = outlier else { break self.summarise(p, from, &mut pass, &mut out) };
             // The longer run of frames without it is what the piece is made of.
             out.frames.push(outlier);
             out.struck.clear();
@@ -401,15 +401,35 @@ impl<'a, 'b> Reader<'a, 'b> {
         set.kind == Kind::Dark && set.exposure_s <= self.longest_lit_s
     }
 
+    /// Mean of the frame before a piece, without struck samples, DN.
+    fn first_frame_dn(&self, p: &Piece, from: usize, out: &mut LeftOut) -> Result<f64, ObserveError> {
+        let places = from - 1..(from + outliers::BLOCK - 1).min(p.to);
+        let mut block = places.map(|i| self.frame(p.set, i)).collect::<Result<Vec<_>, _>>()?;
+        if self.clean {
+            let struck = outliers::take_struck(&mut block);
+            let own = struck.into_iter().filter(|(frame, _)| *frame == 0);
+            let before = out.struck.len();
+            out.struck.extend(own.map(|(_, pixel)| (pixel, from - 1)));
+            out.cleaned |= out.struck.len() > before;
+        }
+        Ok(codes::mean_of(&block[0].mapv(f32::from), self.layout))
+    }
+
     /// What the frames in a pass say.
-    fn summarise(&self, p: &Piece, from: usize, pass: &mut Pass<'_>) -> Result<Work, ObserveError> {
+    fn summarise(
+        &self,
+        p: &Piece,
+        from: usize,
+        pass: &mut Pass<'_>,
+        out: &mut LeftOut,
+    ) -> Result<Work, ObserveError> {
         if pass.clipped() > CLIPPED || self.kept.get(p.set).is_some_and(|look| look.saturated) {
             return Ok(Work::Clipped(p.set, pass.mean_dn(), from, p.to));
         }
         let summary = pass.finish();
         let is_short_dark = self.is_short_dark(p.set);
         let before = if p.before && from == p.from {
-            Some(codes::mean_of(&self.frame(p.set, from - 1)?.mapv(f32::from), self.layout))
+            Some(self.first_frame_dn(p, from, out)?)
         } else {
             None
         };

@@ -150,6 +150,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         is_table: true,
         means_given: !exposures,
         missing,
+        data_faults: Vec::new(),
         left_on: Vec::new(),
         light_rel_std: None,
         setting: None,

@@ -1,0 +1,280 @@
+//! A campaign as the checks see it: sets with their levels and noise, without what was left out so far.
+
+use super::facts::SetFacts;
+use super::{DataFault, FaultKind};
+use crate::dataset::{Dataset, FrameRow, Kind};
+use crate::statistics::median::median;
+use std::collections::BTreeMap;
+
+/// A median over this of the absolute deviations of normal numbers is their deviation.
+const OF_NORMAL: f64 = 0.6745;
+/// Rounding to whole codes alone moves the mean of a quiet frame by some hundredths, DN.
+const ROUNDED_DN: f64 = 0.02;
+/// Share of clipped samples, beyond those of pixels that always are, from which the level of a set is not what it would be.
+const CLIPPED: f64 = 1e-3;
+
+/// A set with what its frames say.
+#[derive(Debug, Clone)]
+pub struct SetView {
+    /// Number of the set.
+    pub number: u32,
+    /// Dark, flat or other.
+    pub kind: Kind,
+    /// Stated exposure, s.
+    pub exposure_s: f64,
+    /// Stated light.
+    pub illumination: f64,
+    /// Position of card and light.
+    pub configuration: u32,
+    /// What its frames say.
+    pub facts: SetFacts,
+    /// Which frames are left, in the order of time.
+    pub kept: Vec<bool>,
+    /// Whether the whole set is left out.
+    pub out: bool,
+    /// Whether its level is cut off at full scale.
+    pub clipped: bool,
+    /// Of joined datasets, which one it is of.
+    part: usize,
+}
+
+impl SetView {
+    fn places(&self) -> impl Iterator<Item = usize> + '_ {
+        self.kept.iter().enumerate().filter(|(_, kept)| **kept).map(|(i, _)| i)
+    }
+
+    /// Frames that are left.
+    pub fn frames(&self) -> usize {
+        self.kept.iter().filter(|k| **k).count()
+    }
+
+    /// Means of the frames that are left, DN.
+    pub fn means_dn(&self) -> Vec<f64> {
+        self.places().map(|i| self.facts.means_dn[i]).collect()
+    }
+
+    /// Median of the frames' means, DN.
+    pub fn level_dn(&self) -> f64 {
+        median(self.means_dn().into_iter())
+    }
+
+    /// Temporal variance, DN^2, and the number of pairs of successive frames that it is of; `None` without a pair.
+    pub fn variance_dn2(&self) -> Option<(f64, f64)> {
+        let pair = |i: &usize| *i > 0 && self.kept[*i] && self.kept[i - 1];
+        let all: Vec<f64> =
+            (0..self.kept.len()).filter(pair).map(|i| self.facts.successive_dn2[i]).collect();
+        let n = all.len() as f64;
+        (n > 0.0).then(|| (all.iter().sum::<f64>() / n, n))
+    }
+
+    /// Variance of successive frames over that of frames two apart: 1 for independent ones. `None` with fewer than three frames.
+    pub fn dependence(&self) -> Option<f64> {
+        let third = |i: &usize| *i > 1 && self.kept[*i] && self.kept[i - 1] && self.kept[i - 2];
+        let all: Vec<usize> = (0..self.kept.len()).filter(third).collect();
+        let near: f64 =
+            all.iter().map(|i| 0.5 * (self.facts.successive_dn2[*i] + self.facts.successive_dn2[i - 1])).sum();
+        let far: f64 = all.iter().map(|i| self.facts.second_dn2[*i]).sum();
+        (far > 0.0).then(|| near / far)
+    }
+
+    /// Whether it is a flat that light falls on by its label.
+    pub fn is_lit(&self) -> bool {
+        self.kind == Kind::Flat && self.illumination > 0.0
+    }
+}
+
+/// A line of the darks' level over the exposure.
+#[derive(Debug, Clone, Copy)]
+pub struct Zero {
+    /// Level at zero exposure, DN.
+    pub dn: f64,
+    /// Growth, DN/s.
+    pub dn_per_s: f64,
+    /// Scatter of darks about it, DN.
+    pub scatter_dn: f64,
+}
+
+impl Zero {
+    /// Level at an exposure, DN.
+    pub fn at(&self, exposure_s: f64) -> f64 {
+        self.dn + self.dn_per_s * exposure_s
+    }
+}
+
+/// All sets.
+#[derive(Debug)]
+pub struct Campaign<'a> {
+    dataset: &'a Dataset,
+    /// Sets in the order of time.
+    pub sets: Vec<SetView>,
+}
+
+impl<'a> Campaign<'a> {
+    pub(super) fn new(dataset: &'a Dataset, facts: Vec<SetFacts>) -> Self {
+        // Pixels that are always at full scale clip no level.
+        let always = facts.iter().filter(|f| !f.means_dn.is_empty()).map(|f| f.clipped).fold(1.0, f64::min);
+        let view = |(set, facts): (&crate::dataset::Set, SetFacts)| {
+            let row: &FrameRow = dataset.settings(set);
+            SetView {
+                number: set.number,
+                kind: row.kind,
+                exposure_s: row.exposure_s,
+                illumination: row.illumination,
+                configuration: row.configuration,
+                kept: vec![true; facts.means_dn.len()],
+                out: facts.means_dn.is_empty(),
+                clipped: facts.clipped - always > CLIPPED,
+                part: dataset.part_of(set.rows[0]).0,
+                facts,
+            }
+        };
+        let sets = dataset.sets().iter().zip(facts).map(view).collect();
+        Self { dataset, sets }
+    }
+
+    /// File of a frame.
+    pub fn file(&self, set: usize, place: usize) -> String {
+        self.dataset.rows()[self.dataset.sets()[set].rows[place]].file.clone()
+    }
+
+    /// Places of the sets that are left and are of a kind.
+    pub fn places(&self, wanted: impl Fn(&SetView) -> bool) -> Vec<usize> {
+        (0..self.sets.len()).filter(|i| !self.sets[*i].out && self.sets[*i].frames() > 0 && wanted(&self.sets[*i])).collect()
+    }
+
+    /// Level of the darks over the exposure by the median slope between them; `None` without darks.
+    pub fn zero(&self) -> Option<Zero> {
+        self.zero_without(&[])
+    }
+
+    /// The same without some of them.
+    pub fn zero_without(&self, without: &[usize]) -> Option<Zero> {
+        let darks = self.places(|s| s.kind == Kind::Dark && !s.clipped);
+        let points: Vec<(f64, f64)> = darks
+            .iter()
+            .filter(|i| !without.contains(i))
+            .map(|&i| (self.sets[i].exposure_s, self.sets[i].level_dn()))
+            .collect();
+        let (dn, dn_per_s) = median_line(&points)?;
+        let off = points.iter().map(|(x, y)| (y - dn - dn_per_s * x).abs());
+        let scatter_dn = (median(off) / OF_NORMAL).max(self.dark_scatter_dn());
+        Some(Zero { dn, dn_per_s, scatter_dn })
+    }
+
+    /// Scatter of the means of dark frames, DN.
+    pub fn dark_scatter_dn(&self) -> f64 {
+        let steps = self.steps(|s| s.kind == Kind::Dark, |_| 1.0);
+        if steps.is_finite() { steps.max(ROUNDED_DN) } else { ROUNDED_DN }
+    }
+
+    /// Scatter of the means of flats, relative to their signal.
+    pub fn flat_scatter(&self, zero: &Zero) -> f64 {
+        let above = |s: &SetView| (s.level_dn() - zero.at(s.exposure_s)).max(1.0);
+        let steps = self.steps(|s| s.is_lit() && !s.clipped, above);
+        if steps.is_finite() { steps } else { 0.0 }
+    }
+
+    /// Scatter of frame means by the steps from one to the next: a frame that is off moves two of them, and a drift none.
+    fn steps(&self, wanted: impl Fn(&SetView) -> bool, scale: impl Fn(&SetView) -> f64) -> f64 {
+        let mut all = Vec::new();
+        for i in self.places(wanted) {
+            let (set, by) = (&self.sets[i], scale(&self.sets[i]));
+            let means = set.means_dn();
+            // The first step may carry what came before, where there are others.
+            let skip = usize::from(means.len() > 3);
+            all.extend(means.windows(2).skip(skip).map(|w| (w[1] - w[0]).abs() / by));
+        }
+        median(all.into_iter()) / OF_NORMAL / 2f64.sqrt()
+    }
+
+    /// Scatter of the mean of one frame of a set, DN: what the lamp and the black level usually do, and the pixels' noise.
+    pub fn frame_scatter_dn(&self, set: usize, zero: &Zero) -> f64 {
+        let s = &self.sets[set];
+        let above = if s.is_lit() { (s.level_dn() - zero.at(s.exposure_s)).max(0.0) } else { 0.0 };
+        let pixels = s.variance_dn2().map_or(0.0, |v| v.0) / s.facts.pixels.max(1.0);
+        (self.flat_scatter(zero) * above).hypot(self.dark_scatter_dn()).hypot(pixels.sqrt())
+    }
+
+    /// Sets of equal stated settings.
+    pub fn repeats(&self) -> Vec<Vec<usize>> {
+        let mut all: BTreeMap<(u64, u64, u32, usize), Vec<usize>> = BTreeMap::new();
+        for i in self.places(|s| s.is_lit() && !s.clipped) {
+            let s = &self.sets[i];
+            let key = (s.exposure_s.to_bits(), s.illumination.to_bits(), s.configuration, s.part);
+            all.entry(key).or_default().push(i);
+        }
+        all.into_values().filter(|v| v.len() > 1).collect()
+    }
+
+    /// Whether light is stated in photons, as an EMVA 1288 descriptor has it.
+    pub fn light_is_in_photons(&self) -> bool {
+        self.dataset.light_is_nominal()
+    }
+
+    /// Whether all of it was taken in one campaign with card and light where they were: levels then follow exposure and light alone.
+    pub fn is_one_bench(&self) -> bool {
+        let lit = self.places(SetView::is_lit);
+        let first = lit.first().map(|i| (self.sets[*i].configuration, self.sets[*i].part));
+        lit.iter().all(|i| Some((self.sets[*i].configuration, self.sets[*i].part)) == first)
+    }
+
+    /// A fault of whole sets, which are left out where that is wanted.
+    pub fn fault_of_sets(&mut self, kind: FaultKind, sets: &[usize], text: String, left_out: bool) -> DataFault {
+        if left_out {
+            sets.iter().for_each(|&s| self.sets[s].out = true);
+        }
+        let text = if left_out { format!("{text}; left out") } else { text };
+        DataFault { kind, sets: sets.iter().map(|&s| self.sets[s].number).collect(), frames: Vec::new(), text, left_out }
+    }
+
+    /// A fault of single frames (set, place), which are left out.
+    pub fn fault_of_frames(&mut self, kind: FaultKind, frames: &[(usize, usize)], text: String) -> DataFault {
+        let mut sets: Vec<usize> = frames.iter().map(|f| f.0).collect();
+        sets.sort_unstable();
+        sets.dedup();
+        frames.iter().for_each(|&(set, place)| self.sets[set].kept[place] = false);
+        DataFault {
+            kind,
+            sets: sets.iter().map(|&s| self.sets[s].number).collect(),
+            frames: frames.iter().map(|&(set, place)| self.file(set, place)).collect(),
+            text: format!("{text}; left out"),
+            left_out: true,
+        }
+    }
+
+    /// Which rows of the dataset are left out.
+    pub(super) fn rows_left_out(&self) -> Vec<bool> {
+        let mut out = vec![false; self.dataset.rows().len()];
+        for (set, view) in self.dataset.sets().iter().zip(&self.sets) {
+            let whole = view.out && !view.kept.is_empty();
+            for (place, &row) in set.rows.iter().enumerate() {
+                out[row] = whole || view.kept.get(place).is_some_and(|kept| !kept);
+            }
+        }
+        out
+    }
+
+    /// Sets by their numbers, in words.
+    pub fn named(&self, sets: &[usize]) -> String {
+        let numbers: Vec<String> = sets.iter().map(|&s| self.sets[s].number.to_string()).collect();
+        match numbers.as_slice() {
+            [one] => format!("set {one}"),
+            [most @ .., last] if numbers.len() <= 8 => format!("sets {} and {last}", most.join(", ")),
+            many => format!("sets {} and {} more", many[..6].join(", "), many.len() - 6),
+        }
+    }
+}
+
+/// Intercept and slope by the median of the slopes between all points (Theil 1950, Sen 1968); of one abscissa the median and 0.
+fn median_line(points: &[(f64, f64)]) -> Option<(f64, f64)> {
+    if points.is_empty() {
+        return None;
+    }
+    let mut slopes = Vec::new();
+    for (i, a) in points.iter().enumerate() {
+        slopes.extend(points[i + 1..].iter().filter(|b| (b.0 / a.0 - 1.0).abs() > 1e-9).map(|b| (b.1 - a.1) / (b.0 - a.0)));
+    }
+    let slope = median(slopes.into_iter());
+    let slope = if slope.is_finite() { slope } else { 0.0 };
+    Some((median(points.iter().map(|p| p.1 - slope * p.0)), slope))
+}

@@ -1,0 +1,173 @@
+//! What the frames of a set say before any physics: levels, noise between neighbours in time, and what tells one frame from another.
+
+use super::ExamineError;
+use crate::dataset::{Dataset, Set};
+use crate::observables::outliers;
+use ndarray::{Array2, s};
+use serde::{Deserialize, Serialize};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Side of the middle of the frame that tells its orientation, pixels: 4096 pixels tell a pattern that makes up a tenth of the noise (a named
+/// choice).
+pub const MIDDLE: usize = 64;
+
+/// What the frames of a set say.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct SetFacts {
+    /// Pixels of a frame.
+    pub pixels: f64,
+    /// Mean of each frame, DN.
+    pub means_dn: Vec<f64>,
+    /// Means of the cells of each frame, DN.
+    pub cells_dn: Vec<Vec<f64>>,
+    /// A number of its codes: frames that are the same have the same.
+    pub digests: Vec<u64>,
+    /// Pixels that differ from the frame before; 0 for the first.
+    pub changed: Vec<u64>,
+    /// Half the variance over the pixels of the difference to the frame before, DN^2; 0 for the first.
+    pub successive_dn2: Vec<f64>,
+    /// The same to the frame before that; 0 for the first two.
+    pub second_dn2: Vec<f64>,
+    /// Share of the samples at full scale.
+    pub clipped: f64,
+    /// Variance over the pixels of the first frame, DN^2.
+    pub spread_dn2: f64,
+    /// Mean over the frames of the middle of the frame, DN, row by row: at most [`MIDDLE`] x [`MIDDLE`] pixels.
+    pub middle_dn: Vec<f32>,
+    /// Columns of that.
+    pub middle_columns: usize,
+}
+
+impl SetFacts {
+    /// Whether they can be of a set of so many frames.
+    pub fn fits(&self, frames: usize) -> bool {
+        let counts = [self.digests.len(), self.changed.len(), self.successive_dn2.len(), self.second_dn2.len()];
+        let empty = self.means_dn.is_empty();
+        (empty || self.means_dn.len() == frames)
+            && counts.iter().all(|n| *n == self.means_dn.len())
+            && self.cells_dn.len() == self.means_dn.len()
+            && self.middle_dn.len() <= MIDDLE * MIDDLE
+            && (self.middle_columns > 0 || self.middle_dn.is_empty())
+            && self.middle_dn.len() % self.middle_columns.max(1) == 0
+    }
+}
+
+/// Reads the frames of a set, one after the other.
+pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<SetFacts, ExamineError> {
+    let full = dataset.manifest().camera.full_scale_dn();
+    let mut out = SetFacts::default();
+    let (mut before, mut second): (Option<Array2<u16>>, Option<Array2<u16>>) = (None, None);
+    let mut middle = Array2::<f32>::zeros((0, 0));
+    let mut clipped = 0usize;
+    for &row in &set.rows {
+        if stop.load(Ordering::Relaxed) {
+            return Err(ExamineError::Interrupted);
+        }
+        let frame = dataset.read(&dataset.rows()[row])?;
+        out.pixels = frame.len() as f64;
+        let codes = frame.as_slice().unwrap_or(&[]);
+        if out.means_dn.is_empty() {
+            out.spread_dn2 = spread(codes);
+        }
+        out.means_dn.push(codes.iter().map(|v| u64::from(*v)).sum::<u64>() as f64 / out.pixels.max(1.0));
+        out.cells_dn.push(outliers::cell_means(&frame));
+        out.digests.push(digest(codes));
+        clipped += codes.iter().filter(|v| **v >= full).count();
+        let to = |other: &Option<Array2<u16>>| {
+            other.as_ref().map_or((0, 0.0), |o| difference(codes, o.as_slice().unwrap_or(&[])))
+        };
+        let (changed, successive) = to(&before);
+        out.changed.push(changed);
+        out.successive_dn2.push(successive);
+        out.second_dn2.push(to(&second).1);
+        let part = middle_of(&frame);
+        if middle.dim() != part.dim() {
+            middle = Array2::zeros(part.dim());
+        }
+        middle += &part;
+        second = before.replace(frame);
+    }
+    out.clipped = clipped as f64 / (out.pixels * set.rows.len() as f64).max(1.0);
+    middle /= set.rows.len().max(1) as f32;
+    out.middle_columns = middle.ncols();
+    out.middle_dn = middle.into_iter().collect();
+    Ok(out)
+}
+
+/// The middle of a frame; mirrored frames have it mirrored.
+fn middle_of(frame: &Array2<u16>) -> Array2<f32> {
+    let (rows, columns) = frame.dim();
+    let side = |n: usize| {
+        let size = n.min(MIDDLE) - (n.min(MIDDLE) + n) % 2;
+        ((n - size) / 2, size)
+    };
+    let ((top, height), (left, width)) = (side(rows), side(columns));
+    frame.slice(s![top..top + height, left..left + width]).mapv(f32::from)
+}
+
+/// Variance over the pixels.
+fn spread(codes: &[u16]) -> f64 {
+    let (mut sum, mut square) = (0u64, 0u64);
+    for &code in codes {
+        sum += u64::from(code);
+        square += u64::from(code) * u64::from(code);
+    }
+    let n = (codes.len() as f64).max(1.0);
+    (square as f64 / n - (sum as f64 / n).powi(2)).max(0.0)
+}
+
+/// Pixels that differ, and half the variance of the difference, DN^2.
+fn difference(a: &[u16], b: &[u16]) -> (u64, f64) {
+    let (mut changed, mut sum, mut square) = (0u64, 0i64, 0u64);
+    for (&a, &b) in a.iter().zip(b) {
+        let d = i64::from(a) - i64::from(b);
+        changed += u64::from(d != 0);
+        sum += d;
+        square += (d * d) as u64;
+    }
+    let n = (a.len() as f64).max(1.0);
+    (changed, 0.5 * (square as f64 / n - (sum as f64 / n).powi(2)).max(0.0))
+}
+
+/// FNV-1a over the codes (Fowler, Noll and Vo), in four lanes: frames that differ have the same by a chance of 2^-64.
+fn digest(codes: &[u16]) -> u64 {
+    const PRIME: u64 = 0x0000_0100_0000_01b3;
+    let mut lanes = [0xcbf2_9ce4_8422_2325u64, 1, 2, 3];
+    let whole = codes.chunks_exact(4);
+    let rest = whole.remainder();
+    for four in whole {
+        for (lane, code) in lanes.iter_mut().zip(four) {
+            *lane = (*lane ^ u64::from(*code)).wrapping_mul(PRIME);
+        }
+    }
+    let all = rest.iter().map(|c| u64::from(*c)).chain(lanes[1..].to_vec());
+    all.fold(lanes[0], |h, x| (h.rotate_left(29) ^ x).wrapping_mul(PRIME))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_code_changes_the_digest() {
+        let frame: Vec<u16> = (0..1003).map(|i| (i * 7 % 4096) as u16).collect();
+        for at in 0..frame.len() {
+            let mut other = frame.clone();
+            other[at] ^= 1;
+            assert_ne!(digest(&frame), digest(&other));
+        }
+        let mut exchanged = frame.clone();
+        exchanged.swap(4, 8);
+        assert_ne!(digest(&frame), digest(&exchanged));
+    }
+
+    #[test]
+    fn the_middle_of_a_mirrored_frame_is_mirrored() {
+        for (rows, columns) in [(70, 101), (64, 64), (9, 200), (1, 1)] {
+            let frame = Array2::from_shape_fn((rows, columns), |(y, x)| (y * 300 + x) as u16);
+            let mirrored = frame.slice(s![.., ..;-1]).to_owned();
+            let (a, b) = (middle_of(&frame), middle_of(&mirrored));
+            assert_eq!(a.slice(s![.., ..;-1]), b);
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! Dark and flat exchanged: a dark with the level and the noise of light, a flat without light.
+
+use super::{Campaign, Check, DataFault, FaultKind};
+use crate::dataset::Kind;
+use crate::number::six_digits;
+use crate::statistics::median::median;
+
+/// Least range of levels that tells light from darkness, DN.
+const RANGE_DN: f64 = 20.0;
+/// Share of the range that a dark reaches at least which is lit: offsets and charge of usual darks bring less.
+const LIT: f64 = 0.05;
+/// Share of what its label makes a flat have, up to which it has no light.
+const UNLIT: f64 = 0.02;
+/// Standard deviations of a frame's mean by which both are told from darks.
+const TOLD: f64 = 20.0;
+
+/// The check.
+pub struct KindLabel;
+
+impl Check for KindLabel {
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
+        let all = campaign.places(|s| matches!(s.kind, Kind::Dark | Kind::Flat));
+        let level = |i: usize| campaign.sets[i].level_dn();
+        let lowest = all.iter().map(|&i| level(i)).fold(f64::INFINITY, f64::min);
+        let highest = all.iter().map(|&i| level(i)).fold(f64::NEG_INFINITY, f64::max);
+        if !(highest - lowest > RANGE_DN) {
+            return Vec::new();
+        }
+        let darks = campaign.places(|s| s.kind == Kind::Dark);
+        let scatter = campaign.dark_scatter_dn();
+        let bright: Vec<usize> =
+            darks.iter().copied().filter(|&i| level(i) - lowest > LIT * (highest - lowest)).collect();
+        // Flats that have nothing of what the others have for their exposure and light.
+        let zero = campaign.zero_without(&bright);
+        let dark_at = |exposure_s: f64| zero.map_or(lowest, |z| z.at(exposure_s));
+        let x = |i: usize| campaign.sets[i].exposure_s * campaign.sets[i].illumination;
+        let lit = campaign.places(|s| s.is_lit() && !s.clipped);
+        let above = |i: usize| level(i) - dark_at(campaign.sets[i].exposure_s);
+        let response = median(lit.iter().map(|&i| above(i) / x(i)));
+        let unlit: Vec<usize> = lit
+            .iter()
+            .copied()
+            .filter(|&i| {
+                let expected = response * x(i);
+                expected > RANGE_DN.max(TOLD * scatter) && above(i) < UNLIT * expected
+            })
+            .collect();
+        // A bright dark is one of light where another of the same or a longer exposure is dark, where the charge of the others says so, or
+        // where a flat without light is what it was exchanged for.
+        let of_light = |&i: &usize| {
+            let (own, exposure_s) = (level(i) - lowest, campaign.sets[i].exposure_s);
+            let others = || darks.iter().filter(|&&d| d != i && !bright.contains(&d));
+            let longer = others().any(|&d| campaign.sets[d].exposure_s >= 0.9 * exposure_s && level(d) - lowest < 0.3 * own);
+            let exposures: Vec<f64> = others().map(|&d| campaign.sets[d].exposure_s).collect();
+            let several = exposures.iter().any(|e| (e / exposures[0] - 1.0).abs() > 0.01);
+            let charge = several && dark_at(exposure_s) - lowest < 0.3 * own;
+            own > TOLD * scatter && (longer || charge || !unlit.is_empty())
+        };
+        let lit_darks: Vec<usize> = bright.iter().copied().filter(of_light).collect();
+        // Where most are so, the labels mean something else.
+        if lit_darks.len() * 2 > darks.len().max(1) && unlit.len() != lit_darks.len() || unlit.len() * 2 > lit.len() {
+            return Vec::new();
+        }
+        let dn = |sets: &[usize]| six_digits(median(sets.iter().map(|&i| level(i))));
+        let dark_dn = |i: usize| six_digits(dark_at(campaign.sets[i].exposure_s));
+        let mut found: Vec<(Vec<usize>, String)> = Vec::new();
+        if let ([dark], [flat]) = (&*lit_darks, &*unlit) {
+            let text = format!(
+                "sets {} and {}: dark and flat are exchanged: the stated dark has {} DN, the stated flat {} DN, and darks have {} DN",
+                campaign.sets[*dark].number,
+                campaign.sets[*flat].number,
+                dn(&lit_darks),
+                dn(&unlit),
+                dark_dn(*flat),
+            );
+            found.push((vec![*dark, *flat], text));
+        } else {
+            if let Some(&first) = lit_darks.first() {
+                let text = format!(
+                    "{}: stated dark, and the level is one of light ({} DN, where darks have {} DN)",
+                    campaign.named(&lit_darks),
+                    dn(&lit_darks),
+                    dark_dn(first),
+                );
+                found.push((lit_darks.clone(), text));
+            }
+            if let Some(&first) = unlit.first() {
+                let expected = dark_at(campaign.sets[first].exposure_s) + response * x(first);
+                let text = format!(
+                    "{}: stated flat, and the level is that of darks ({} DN, where its exposure and light belong to {} DN): no light fell on it",
+                    campaign.named(&unlit),
+                    dn(&unlit),
+                    six_digits(expected),
+                );
+                found.push((unlit.clone(), text));
+            }
+        }
+        let fault = |(sets, text): (Vec<usize>, String)| campaign.fault_of_sets(FaultKind::KindLabel, &sets, text, true);
+        found.into_iter().map(fault).collect()
+    }
+}

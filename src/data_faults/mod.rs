@@ -1,0 +1,158 @@
+//! A look at the data before any physics: slips of the hand, named with their sets and left out.
+//!
+//! Every verb that reads a campaign goes through [`examined`]: what is left out is left out everywhere, and said everywhere in the same words.
+//!
+//! # To add a check
+//!
+//! Write one file here with a type that implements [`Check`], and put both names on the list at the end of this file. Checks run in that
+//! order, and each sees the campaign without what those before it left out.
+//!
+//! No check knows a model of the sensor. Sets are held against the others of their campaign: levels against a smooth law of exposure times
+//! light, variances against a smooth law of the level ([`law`]). Whatever acts on all sets alike bends those laws and is for `diagnose` to
+//! name; a slip is what one set does, or few.
+
+mod campaign;
+mod facts;
+mod law;
+mod orientation;
+mod transfer;
+
+use campaign::Campaign;
+pub use facts::SetFacts;
+
+use crate::dataset::{Dataset, DatasetError, Kind};
+use crate::reduction::Key;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// What was wrong, in the words of the contract.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum FaultKind {
+    /// Stated exposure or light disagrees with the level.
+    SettingLabel,
+    /// Dark and flat exchanged.
+    KindLabel,
+    /// One frame several times.
+    CopiedFrames,
+    /// Averaged or filtered over time before they were saved, in these sets only.
+    DependentFrames,
+    /// The first frame was exposed under the settings of the set before.
+    StaleFrame,
+    /// One frame of another level.
+    OddFrame,
+    /// Another gain, black level or orientation.
+    OtherSettings,
+    /// Frames or sets of equal settings under unequal light.
+    UnequalLight,
+}
+
+/// A slip of the hand.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DataFault {
+    /// Which kind.
+    pub kind: FaultKind,
+    /// Numbers of its sets.
+    pub sets: Vec<u32>,
+    /// Files of its frames, where they are single ones of a set.
+    pub frames: Vec<String>,
+    /// One sentence: what, where, and the value that would fit.
+    pub text: String,
+    /// Whether its sets, or its frames where it has some, are left out.
+    pub left_out: bool,
+}
+
+/// Looks for one kind of slip.
+trait Check: Sync {
+    /// What it finds. What is left out by it, the campaign marks.
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault>;
+}
+
+/// Why there was no look.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExamineError {
+    /// The dataset.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// The user asked for the end.
+    #[error("interrupted")]
+    Interrupted,
+}
+
+/// The dataset without what is wrong with it; [`Dataset::data_faults`] then says what that was. One that was examined stays as it is.
+///
+/// ```
+/// # let folder = tempfile::tempdir()?;
+/// # let path = folder.path().join("campaign");
+/// # let mut camera = radcam::camera::open("sim:cmos12")?;
+/// # let mut plan = radcam::plan::Plan::quick();
+/// # plan.camera.region = Some([0, 0, 64, 64]);
+/// # let mut bench = radcam::bench::of(&mut *camera, &plan);
+/// # radcam::capture::Capture::new(&mut *camera, &mut *bench).run(&plan, &path)?;
+/// use radcam::{data_faults, dataset::Dataset};
+/// let stop = std::sync::atomic::AtomicBool::new(false);
+/// let dataset = data_faults::examined(&Dataset::open(&path)?, &stop)?;
+/// assert!(dataset.data_faults().is_empty()); // nothing was wrong
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+///
+/// Which frame cannot be read, or that it was stopped.
+pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, ExamineError> {
+    if dataset.is_examined() {
+        return Ok(dataset.clone());
+    }
+    let facts = facts_of(dataset, stop)?;
+    let mut campaign = Campaign::new(dataset, facts);
+    let mut faults = Vec::new();
+    for check in CHECKS {
+        faults.extend(check.find(&mut campaign));
+    }
+    Ok(dataset.without(&campaign.rows_left_out(), faults))
+}
+
+/// What the frames of every set say, from a file of statistics where it has them.
+pub(crate) fn facts_of(dataset: &Dataset, stop: &AtomicBool) -> Result<Vec<SetFacts>, ExamineError> {
+    // Memory follows what is there: a frame must confirm the size that a header claims.
+    if let Some(row) = dataset.rows().first().filter(|_| dataset.reduced().is_none()) {
+        dataset.read(row)?;
+    }
+    let of_set = |set: &crate::dataset::Set| {
+        if stop.load(Ordering::Relaxed) {
+            return Err(ExamineError::Interrupted);
+        }
+        let kept = dataset.reduced().and_then(|r| r.facts(&Key::first(dataset, set, usize::MAX)));
+        if let Some(known) = kept {
+            return Ok(known.clone());
+        }
+        match dataset.settings(set).kind {
+            Kind::Dark | Kind::Flat => facts::of_set(dataset, set, stop),
+            Kind::Scene | Kind::Target => Ok(SetFacts::default()),
+        }
+    };
+    dataset.sets().par_iter().map(of_set).collect()
+}
+
+macro_rules! checks {
+    ($($module:ident::$name:ident)*) => {
+        $(mod $module;)*
+        /// Every check, in the order in which they run.
+        static CHECKS: &[&dyn Check] = &[$(&$module::$name),*];
+    };
+}
+
+checks! {
+    stale_frame::StaleFrame
+    copied_frames::CopiedFrames
+    kind_label::KindLabel
+    odd_frame::OddFrame
+    unequal_light::UnequalLight
+    other_orientation::OtherOrientation
+    setting_label::SettingLabel
+    dark_settings::DarkSettings
+    dependent_frames::DependentFrames
+}

@@ -1,0 +1,169 @@
+//! A flat whose level is not that of its stated exposure and light. Its noise tells why: a wrong label leaves the noise of its level, another
+//! black level that of the stated light, another gain scales both.
+
+use super::law::{Law, Point};
+use super::transfer::Transfer;
+use super::{Campaign, Check, DataFault, FaultKind};
+use crate::number::{percent, six_digits};
+
+/// Usual scatter of a set's light: what lamps that nobody touches have (a named choice).
+const USUAL: f64 = 0.002;
+/// Least deviation that is said.
+const LEAST: f64 = 0.01;
+/// Sets below which no law can be told from a stray.
+const FEWEST: usize = 5;
+/// Share of the sets that may be strays.
+const FEW: f64 = 0.2;
+/// Standard deviations within which the noise is that of a wrong label, which is the usual slip.
+const FITS: f64 = 4.0;
+/// Deviation of the noise from that of the level up to which the brightest set, where it has less than stated, is a wrong label: a camera
+/// that bends or saturates loses noise with the signal.
+const STRAIGHT: f64 = 0.1;
+
+/// The check.
+pub struct SettingLabel;
+
+/// Exposure and light of a set, relative to the extremes.
+struct Factors {
+    middle: f64,
+    least: f64,
+    most: f64,
+    shortest_s: f64,
+    /// Whether exposures differ, and whether lights do.
+    vary: (bool, bool),
+}
+
+/// How far cameras bend: the response's exponent, its change over the range, an offset of level or exposure at the lowest light, and a
+/// compression at the highest, relative (named choices).
+const PRIORS: [f64; 7] = [1e3, 0.15, 0.03, 0.03, 0.05, 0.05, 0.05];
+
+impl Factors {
+    fn of(&self, exposure_s: f64, light: f64) -> Vec<f64> {
+        let x = exposure_s * light;
+        let u = x.ln() - self.middle;
+        let offset = if self.vary == (true, true) { self.shortest_s / exposure_s } else { 0.0 };
+        let top = x / self.most;
+        vec![1.0, u, u * u, self.least / x, top, top * top, offset]
+    }
+}
+
+impl Check for SettingLabel {
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
+        let Some(zero) = campaign.zero().filter(|_| campaign.is_one_bench()) else { return Vec::new() };
+        let above = |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s);
+        let lit = campaign.places(|s| s.is_lit() && !s.clipped);
+        let lit: Vec<usize> =
+            lit.into_iter().filter(|&i| above(i) > 3f64.max(10.0 * zero.scatter_dn)).collect();
+        if lit.len() < FEWEST {
+            return Vec::new();
+        }
+        let light = |i: usize| campaign.sets[i].exposure_s * campaign.sets[i].illumination;
+        let extreme = |of: &dyn Fn(usize) -> f64| {
+            let all = || lit.iter().map(|&i| of(i));
+            (all().fold(f64::INFINITY, f64::min), all().fold(0.0, f64::max))
+        };
+        let (least, most) = extreme(&light);
+        let exposures = extreme(&|i| campaign.sets[i].exposure_s);
+        let lights = extreme(&|i| campaign.sets[i].illumination);
+        let differ = |range: (f64, f64)| range.1 / range.0 > 1.0 + 1e-9;
+        let factors = Factors {
+            middle: lit.iter().map(|&i| light(i).ln()).sum::<f64>() / lit.len() as f64,
+            least,
+            most,
+            shortest_s: exposures.0,
+            vary: (differ(exposures), differ(lights)),
+        };
+        let point = |i: usize| {
+            let set = &campaign.sets[i];
+            let scatter = campaign.frame_scatter_dn(i, &zero) / (set.frames() as f64).sqrt();
+            Point {
+                factors: factors.of(set.exposure_s, set.illumination),
+                value: above(i).ln(),
+                std: USUAL.hypot(scatter.hypot(zero.scatter_dn) / above(i)),
+            }
+        };
+        let points: Vec<Point> = lit.iter().map(|&i| point(i)).collect();
+        let few = ((FEW * lit.len() as f64) as usize).clamp(1, 4);
+        let Some(law) = Law::fit(&points, &PRIORS, few) else { return Vec::new() };
+        let strays: Vec<usize> = law.out.iter().map(|k| lit[*k]).collect();
+        let transfer = Transfer::of(campaign, &zero, &strays);
+        let mut found: Vec<(usize, FaultKind, String)> = Vec::new();
+        for (&k, &i) in law.out.iter().zip(&strays) {
+            let off = points[k].value - law.at(&points[k].factors);
+            if off.exp_m1().abs() < LEAST {
+                continue;
+            }
+            let expected = above(i) * (-off).exp();
+            let noise = transfer.as_ref().and_then(|t| t.off(campaign, i, above(i)).map(|o| (t, o)));
+            let brightest = light(i) >= most * (1.0 - 1e-9) || above(i) >= 0.95 * extreme(&above).1;
+            if brightest && off < 0.0 && noise.as_ref().is_none_or(|(_, o)| o.0.abs() > STRAIGHT) {
+                continue;
+            }
+            let set = &campaign.sets[i];
+            let name = format!("set {} ({})", set.number, campaign.file(i, 0));
+            let level = format!("{} DN above black, {} for {} DN", six_digits(above(i)), percent(off.exp_m1()), six_digits(expected));
+            let other = noise.and_then(|(t, own)| {
+                if own.0.abs() < FITS * own.1 {
+                    return None;
+                }
+                let black = t.off(campaign, i, expected)?;
+                let gain = (t.off(campaign, i, expected)?.0 - 2.0 * off, own.1);
+                let best = [own.0.abs(), black.0.abs(), gain.0.abs()];
+                let least = best.iter().copied().fold(f64::INFINITY, f64::min);
+                if least == best[1] && black.0.abs() < 2.0 * FITS * black.1 {
+                    Some(format!(
+                        "black level {} DN {} than in the other sets: {level}, and the noise is that of the stated light",
+                        six_digits((above(i) - expected).abs()),
+                        if off > 0.0 { "higher" } else { "lower" }
+                    ))
+                } else if least == best[2] && gain.0.abs() < 2.0 * FITS * gain.1 {
+                    Some(format!(
+                        "another gain, {} times that of the other sets: {level}, and the noise grew with it",
+                        six_digits(off.exp())
+                    ))
+                } else {
+                    None
+                }
+            });
+            if let Some(text) = other {
+                found.push((i, FaultKind::OtherSettings, format!("{name}: {text}")));
+                continue;
+            }
+            let belongs = belongs(&law, &factors, set.exposure_s, set.illumination, points[k].value);
+            let text = match factors.vary {
+                _ if campaign.light_is_in_photons() => format!(
+                    "stated {} photons, its level belongs to {}",
+                    six_digits(light(i)),
+                    six_digits(light(i) * belongs)
+                ),
+                (true, _) => format!(
+                    "stated exposure {} s, its level belongs to {} s{}",
+                    six_digits(set.exposure_s),
+                    six_digits(set.exposure_s * belongs),
+                    if factors.vary.1 { format!(", or to light {} for {}", six_digits(set.illumination * belongs), six_digits(set.illumination)) } else { String::new() }
+                ),
+                _ => format!(
+                    "stated light {}, its level belongs to {}",
+                    six_digits(set.illumination),
+                    six_digits(set.illumination * belongs)
+                ),
+            };
+            found.push((i, FaultKind::SettingLabel, format!("{name}: {text}")));
+        }
+        found.into_iter().map(|(i, kind, text)| campaign.fault_of_sets(kind, &[i], text, true)).collect()
+    }
+}
+
+/// Factor on exposure or light at which the law has a value.
+fn belongs(law: &Law, factors: &Factors, exposure_s: f64, light: f64, value: f64) -> f64 {
+    let at = |u: f64| {
+        let (e, l) = if factors.vary.0 { (exposure_s * u.exp(), light) } else { (exposure_s, light * u.exp()) };
+        law.at(&factors.of(e, l))
+    };
+    let mut u = value - at(0.0);
+    for _ in 0..20 {
+        let slope = (at(u + 1e-4) - at(u - 1e-4)) / 2e-4;
+        u += (value - at(u)) / slope.max(0.2);
+    }
+    u.exp()
+}

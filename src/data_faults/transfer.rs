@@ -1,0 +1,92 @@
+//! The photon-transfer curve of a campaign, as a law that single sets are held against: variance over the level.
+
+use super::campaign::{Campaign, Zero};
+use super::law::{Law, Point};
+use crate::dataset::Kind;
+
+/// Relative error of a variance beyond that of independent pixels: hot pixels, shading and what noise has in common (a named choice).
+const BEYOND: f64 = 0.02;
+/// A curve needs so many sets.
+const FEWEST: usize = 4;
+/// Variance below which rounding decides, DN^2.
+const QUIET_DN2: f64 = 0.1;
+/// Largest bend of the curve at the highest level, relative.
+const BEND: f64 = 0.15;
+
+/// Variance over the level.
+pub struct Transfer {
+    law: Law,
+    most: f64,
+    /// Sets that were taken out of it as strays.
+    pub strays: Vec<usize>,
+}
+
+impl Transfer {
+    /// Of all sets but some.
+    pub fn of(campaign: &Campaign<'_>, zero: &Zero, without: &[usize]) -> Option<Self> {
+        let usable = |i: &usize| {
+            let s = &campaign.sets[*i];
+            !without.contains(i) && !s.clipped && s.variance_dn2().is_some_and(|v| v.0 > QUIET_DN2)
+        };
+        let sets: Vec<usize> =
+            campaign.places(|s| matches!(s.kind, Kind::Dark | Kind::Flat)).into_iter().filter(usable).collect();
+        let points: Vec<(f64, f64, f64)> = sets
+            .iter()
+            .filter_map(|&i| {
+                let (var, pairs) = campaign.sets[i].variance_dn2()?;
+                Some((above(campaign, zero, i), var, error(campaign, i, pairs)))
+            })
+            .collect();
+        let most = points.iter().map(|p| p.0).fold(1.0, f64::max);
+        if points.len() < FEWEST {
+            return None;
+        }
+        // Relative weights need the curve itself: begin with the median line.
+        let slope = crate::statistics::median::median(
+            points.iter().filter(|p| p.0 > 0.1 * most).map(|p| p.1 / p.0),
+        );
+        let dark = points.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
+        let mut expected: Vec<f64> = points.iter().map(|p| (dark + slope.max(0.0) * p.0.max(0.0)).max(QUIET_DN2)).collect();
+        let mut law = None;
+        for _ in 0..4 {
+            let priors = [1e6, 1e6, BEND * (slope * most).abs().max(1.0)];
+            let rows: Vec<Point> = points
+                .iter()
+                .zip(&expected)
+                .map(|(p, e)| Point { factors: factors(p.0 / most).iter().map(|f| f / e).collect(), value: p.1 / e, std: p.2 })
+                .collect();
+            let fit = Law::fit(&rows, &priors, (points.len() / 4).clamp(1, 5))?;
+            for (p, e) in points.iter().zip(&mut expected) {
+                *e = fit.at(&factors(p.0 / most)).max(QUIET_DN2);
+            }
+            law = Some(fit);
+        }
+        let law = law?;
+        let strays = law.out.iter().map(|k| sets[*k]).collect();
+        Some(Self { law, most, strays })
+    }
+
+    /// How far the variance of a set is from that of a level, as a logarithm of their ratio, and the error of that.
+    pub fn off(&self, campaign: &Campaign<'_>, set: usize, above_dn: f64) -> Option<(f64, f64)> {
+        let (var, pairs) = campaign.sets[set].variance_dn2()?;
+        let expected = self.law.at(&factors(above_dn / self.most)).max(QUIET_DN2);
+        let own = factors(above_dn / self.most).iter().map(|f| f / expected).collect();
+        let std = self.law.std(&Point { factors: own, value: 1.0, std: error(campaign, set, pairs) });
+        Some(((var / expected).ln(), std))
+    }
+}
+
+fn factors(level: f64) -> [f64; 3] {
+    [1.0, level, level * level]
+}
+
+/// Level of a set above the darks, DN.
+pub fn above(campaign: &Campaign<'_>, zero: &Zero, set: usize) -> f64 {
+    // The charge of darks has shot noise too.
+    campaign.sets[set].level_dn() - zero.dn
+}
+
+/// Relative error of a variance of so many pairs: successive pairs share frames.
+fn error(campaign: &Campaign<'_>, set: usize, pairs: f64) -> f64 {
+    (3.0 / (campaign.sets[set].facts.pixels.max(1.0) * pairs)).sqrt().hypot(BEYOND)
+}

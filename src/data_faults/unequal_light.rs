@@ -1,0 +1,73 @@
+//! Two frames of a set, or sets of equal settings, under unequal light.
+
+use super::{Campaign, Check, DataFault, FaultKind};
+use crate::number::percent;
+use crate::statistics::median::median;
+
+/// Deviations over their usual scatter from which on light is unequal.
+const FAR: f64 = 10.0;
+/// Least difference in light, over the signal: lamps that are left alone stay within it (a named choice).
+const LEAST: f64 = 0.005;
+/// Share of the sets up to which unequal pairs are slips: more are what the lamp does.
+const FEW: f64 = 0.4;
+
+/// The check.
+pub struct UnequalLight;
+
+impl Check for UnequalLight {
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
+        let Some(zero) = campaign.zero() else { return Vec::new() };
+        let mut found: Vec<(Vec<usize>, String, bool)> = Vec::new();
+        let pairs = campaign.places(|s| s.is_lit() && !s.clipped && s.frames() == 2);
+        let signal = |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s);
+        let apart = |i: usize| {
+            let means = campaign.sets[i].means_dn();
+            means[1] - means[0]
+        };
+        let far = |i: usize| {
+            let scatter = 2f64.sqrt() * campaign.frame_scatter_dn(i, &zero);
+            apart(i).abs() > (FAR * scatter).max(LEAST * signal(i))
+        };
+        let unequal: Vec<usize> = pairs.iter().copied().filter(|&i| far(i)).collect();
+        if !unequal.is_empty() && unequal.len() as f64 <= (FEW * pairs.len() as f64).max(1.0) && pairs.len() > 2 {
+            let most = unequal.iter().map(|&i| (apart(i) / signal(i)).abs()).fold(0.0, f64::max);
+            let text = format!(
+                "{}: the two frames differ by {}{} in light",
+                campaign.named(&unequal),
+                if unequal.len() > 1 { "up to " } else { "" },
+                percent(most)
+            );
+            found.push((unequal, text, true));
+        }
+        // Equal settings: where most repeats differ it is what the lamp does, and is for a model to say.
+        let repeats = campaign.repeats();
+        let spread = |sets: &Vec<usize>| {
+            let levels: Vec<f64> = sets.iter().map(|&i| signal(i)).collect();
+            let middle = median(levels.iter().copied());
+            let most = levels.iter().fold(f64::NEG_INFINITY, |a, b| a.max(*b));
+            let least = levels.iter().fold(f64::INFINITY, |a, b| a.min(*b));
+            (most - least) / middle
+        };
+        let usual = median(repeats.iter().map(spread));
+        for sets in &repeats {
+            let own = spread(sets);
+            let noise = sets
+                .iter()
+                .map(|&i| campaign.frame_scatter_dn(i, &zero) / (campaign.sets[i].frames() as f64).sqrt() / signal(i))
+                .fold(0.0, f64::max);
+            let lonely = repeats.len() < 3;
+            if signal(sets[0]) > 20.0 && own > (FAR * noise).max(LEAST) && (lonely || own > FAR * usual) {
+                let text = format!(
+                    "{}: stated exposure and light are the same, and the light differs by {}",
+                    campaign.named(sets),
+                    percent(own)
+                );
+                found.push((sets.clone(), text, false));
+            }
+        }
+        let fault = |(sets, text, left_out): (Vec<usize>, String, bool)| {
+            campaign.fault_of_sets(FaultKind::UnequalLight, &sets, text, left_out)
+        };
+        found.into_iter().map(fault).collect()
+    }
+}
