@@ -157,7 +157,9 @@ fn pilot_images(dataset: &Dataset) -> Result<(Vec<Array2<f32>>, u64), CalibrateE
 fn looked_at(dataset: &Dataset) -> Result<Dataset, DatasetError> {
     examined(dataset, &AtomicBool::new(false)).map_err(|e| match e {
         ExamineError::Dataset(e) => e,
-        ExamineError::Interrupted => DatasetError::Manifest { path: dataset.root().into(), message: e.to_string() },
+        ExamineError::Interrupted => {
+            DatasetError::Manifest { path: dataset.root().into(), message: e.to_string() }
+        }
     })
 }
 

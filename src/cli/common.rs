@@ -202,6 +202,10 @@ pub fn say_faults(faults: &[DataFault]) {
 pub fn after_faults<T, E: Into<anyhow::Error>>(result: Result<T, E>, faults: &[DataFault]) -> Result<T> {
     result.map_err(|e| {
         let texts: Vec<&str> = faults.iter().map(|f| f.text.as_str()).collect();
-        if texts.is_empty() { e.into() } else { anyhow::anyhow!("{:#}; before that: {}", e.into(), texts.join("; ")) }
+        if texts.is_empty() {
+            e.into()
+        } else {
+            anyhow::anyhow!("{:#}; before that: {}", e.into(), texts.join("; "))
+        }
     })
 }

@@ -34,6 +34,8 @@ pub struct SetView {
     pub out: bool,
     /// Whether its level is cut off at full scale.
     pub clipped: bool,
+    /// How far its level is from the law of exposure and light, as a logarithm of the ratio, where that was looked at.
+    pub off: Option<f64>,
     /// Of joined datasets, which one it is of.
     part: usize,
 }
@@ -61,8 +63,7 @@ impl SetView {
     /// Temporal variance, DN^2, and the number of pairs of successive frames that it is of; `None` without a pair.
     pub fn variance_dn2(&self) -> Option<(f64, f64)> {
         let pair = |i: &usize| *i > 0 && self.kept[*i] && self.kept[i - 1];
-        let all: Vec<f64> =
-            (0..self.kept.len()).filter(pair).map(|i| self.facts.successive_dn2[i]).collect();
+        let all: Vec<f64> = (0..self.kept.len()).filter(pair).map(|i| self.facts.successive_dn2[i]).collect();
         let n = all.len() as f64;
         (n > 0.0).then(|| (all.iter().sum::<f64>() / n, n))
     }
@@ -71,8 +72,10 @@ impl SetView {
     pub fn dependence(&self) -> Option<f64> {
         let third = |i: &usize| *i > 1 && self.kept[*i] && self.kept[i - 1] && self.kept[i - 2];
         let all: Vec<usize> = (0..self.kept.len()).filter(third).collect();
-        let near: f64 =
-            all.iter().map(|i| 0.5 * (self.facts.successive_dn2[*i] + self.facts.successive_dn2[i - 1])).sum();
+        let near: f64 = all
+            .iter()
+            .map(|i| 0.5 * (self.facts.successive_dn2[*i] + self.facts.successive_dn2[i - 1]))
+            .sum();
         let far: f64 = all.iter().map(|i| self.facts.second_dn2[*i]).sum();
         (far > 0.0).then(|| near / far)
     }
@@ -124,6 +127,7 @@ impl<'a> Campaign<'a> {
                 kept: vec![true; facts.means_dn.len()],
                 out: facts.means_dn.is_empty(),
                 clipped: facts.clipped - always > CLIPPED,
+                off: None,
                 part: dataset.part_of(set.rows[0]).0,
                 facts,
             }
@@ -139,7 +143,9 @@ impl<'a> Campaign<'a> {
 
     /// Places of the sets that are left and are of a kind.
     pub fn places(&self, wanted: impl Fn(&SetView) -> bool) -> Vec<usize> {
-        (0..self.sets.len()).filter(|i| !self.sets[*i].out && self.sets[*i].frames() > 0 && wanted(&self.sets[*i])).collect()
+        (0..self.sets.len())
+            .filter(|i| !self.sets[*i].out && self.sets[*i].frames() > 0 && wanted(&self.sets[*i]))
+            .collect()
     }
 
     /// Level of the darks over the exposure by the median slope between them; `None` without darks.
@@ -219,12 +225,24 @@ impl<'a> Campaign<'a> {
     }
 
     /// A fault of whole sets, which are left out where that is wanted.
-    pub fn fault_of_sets(&mut self, kind: FaultKind, sets: &[usize], text: String, left_out: bool) -> DataFault {
+    pub fn fault_of_sets(
+        &mut self,
+        kind: FaultKind,
+        sets: &[usize],
+        text: String,
+        left_out: bool,
+    ) -> DataFault {
         if left_out {
             sets.iter().for_each(|&s| self.sets[s].out = true);
         }
         let text = if left_out { format!("{text}; left out") } else { text };
-        DataFault { kind, sets: sets.iter().map(|&s| self.sets[s].number).collect(), frames: Vec::new(), text, left_out }
+        DataFault {
+            kind,
+            sets: sets.iter().map(|&s| self.sets[s].number).collect(),
+            frames: Vec::new(),
+            text,
+            left_out,
+        }
     }
 
     /// A fault of single frames (set, place), which are left out.
@@ -272,7 +290,12 @@ fn median_line(points: &[(f64, f64)]) -> Option<(f64, f64)> {
     }
     let mut slopes = Vec::new();
     for (i, a) in points.iter().enumerate() {
-        slopes.extend(points[i + 1..].iter().filter(|b| (b.0 / a.0 - 1.0).abs() > 1e-9).map(|b| (b.1 - a.1) / (b.0 - a.0)));
+        slopes.extend(
+            points[i + 1..]
+                .iter()
+                .filter(|b| (b.0 / a.0 - 1.0).abs() > 1e-9)
+                .map(|b| (b.1 - a.1) / (b.0 - a.0)),
+        );
     }
     let slope = median(slopes.into_iter());
     let slope = if slope.is_finite() { slope } else { 0.0 };

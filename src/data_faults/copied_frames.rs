@@ -38,11 +38,15 @@ impl Check for CopiedFrames {
             if own.is_finite() {
                 return own >= DIFFER;
             }
+            // At full scale nothing is left to differ.
+            if view.clipped {
+                return false;
+            }
             // All are the same: sets of less light tell.
             let level = view.level_dn();
             let darker = campaign.places(|_| true).into_iter().filter(|s| campaign.sets[*s].level_dn() <= level);
             let usual = median(darker.map(changes).filter(|c| c.is_finite()));
-            usual >= DIFFER || (!view.clipped && view.facts.spread_dn2 > 0.0 && level - lowest > LIT_DN)
+            usual >= DIFFER || (view.facts.spread_dn2 > 0.0 && level - lowest > LIT_DN)
         };
         let mut frames: Vec<(usize, usize)> = copies.into_iter().filter(|(s, _)| has_noise(*s)).collect();
         frames.sort_unstable();

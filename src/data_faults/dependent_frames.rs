@@ -13,6 +13,8 @@ const AVERAGED: f64 = 0.8;
 const GAINED: f64 = 1.25;
 /// Share of the highest level from which on saturation takes noise away.
 const TOP: f64 = 0.85;
+/// Deviation of the level from its law within which it does not, relative.
+const STRAIGHT: f64 = 0.003;
 /// Least that the variance of successive frames falls short of that of frames two apart.
 const ALIKE: f64 = 0.05;
 /// Standard deviations of that.
@@ -41,10 +43,21 @@ impl Check for DependentFrames {
         let transfer = Transfer::of(campaign, &zero, &filtered);
         let (mut averaged, mut gained) = (filtered.clone(), Vec::new());
         if let Some(transfer) = &transfer {
+            for &i in &all {
+                if let Some((off, std)) = transfer.off(campaign, i, level(i)) {
+                    tracing::debug!(
+                        "set {}: level {:.1} DN, ln of the variance's ratio {off:+.4}, standard deviation {std:.4}",
+                        campaign.sets[i].number,
+                        level(i)
+                    );
+                }
+            }
             for &i in &transfer.strays {
                 let Some((off, std)) = transfer.off(campaign, i, level(i)) else { continue };
                 let lit = campaign.sets[i].is_lit();
-                let saturates = lit && level(i) > TOP * highest;
+                // A well that is full bends the level too.
+                let straight = campaign.sets[i].off.is_some_and(|off| off.abs() < STRAIGHT);
+                let saturates = lit && level(i) > TOP * highest && !straight;
                 if off < AVERAGED.ln() && off < -TOLD * std && !saturates {
                     averaged.push(i);
                 } else if !lit && off > GAINED.ln() && off > TOLD * std {

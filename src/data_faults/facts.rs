@@ -41,7 +41,8 @@ pub struct SetFacts {
 impl SetFacts {
     /// Whether they can be of a set of so many frames.
     pub fn fits(&self, frames: usize) -> bool {
-        let counts = [self.digests.len(), self.changed.len(), self.successive_dn2.len(), self.second_dn2.len()];
+        let counts =
+            [self.digests.len(), self.changed.len(), self.successive_dn2.len(), self.second_dn2.len()];
         let empty = self.means_dn.is_empty();
         (empty || self.means_dn.len() == frames)
             && counts.iter().all(|n| *n == self.means_dn.len())

@@ -148,8 +148,8 @@ macro_rules! checks {
 checks! {
     stale_frame::StaleFrame
     copied_frames::CopiedFrames
-    kind_label::KindLabel
     odd_frame::OddFrame
+    kind_label::KindLabel
     unequal_light::UnequalLight
     other_orientation::OtherOrientation
     setting_label::SettingLabel

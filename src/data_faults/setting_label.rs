@@ -14,8 +14,10 @@ const LEAST: f64 = 0.01;
 const FEWEST: usize = 5;
 /// Share of the sets that may be strays.
 const FEW: f64 = 0.2;
-/// Standard deviations within which the noise is that of a wrong label, which is the usual slip.
-const FITS: f64 = 4.0;
+/// Square of standard deviations by which another reason must fit the noise better than a wrong label does, which is the usual slip.
+const BETTER: f64 = 6.0;
+/// Standard deviations within which it must fit it.
+const FITS: f64 = 6.0;
 /// Deviation of the noise from that of the level up to which the brightest set, where it has less than stated, is a wrong label: a camera
 /// that bends or saturates loses noise with the signal.
 const STRAIGHT: f64 = 0.1;
@@ -85,6 +87,12 @@ impl Check for SettingLabel {
         let points: Vec<Point> = lit.iter().map(|&i| point(i)).collect();
         let few = ((FEW * lit.len() as f64) as usize).clamp(1, 4);
         let Some(law) = Law::fit(&points, &PRIORS, few) else { return Vec::new() };
+        let mut offs = Vec::new();
+        for (p, &i) in points.iter().zip(&lit) {
+            let (off, std) = (p.value - law.at(&p.factors), law.std(p));
+            offs.push((i, off));
+            tracing::debug!("set {}: ln of the level's ratio {off:+.5}, standard deviation {std:.5}", campaign.sets[i].number);
+        }
         let strays: Vec<usize> = law.out.iter().map(|k| lit[*k]).collect();
         let transfer = Transfer::of(campaign, &zero, &strays);
         let mut found: Vec<(usize, FaultKind, String)> = Vec::new();
@@ -103,20 +111,19 @@ impl Check for SettingLabel {
             let name = format!("set {} ({})", set.number, campaign.file(i, 0));
             let level = format!("{} DN above black, {} for {} DN", six_digits(above(i)), percent(off.exp_m1()), six_digits(expected));
             let other = noise.and_then(|(t, own)| {
-                if own.0.abs() < FITS * own.1 {
-                    return None;
-                }
-                let black = t.off(campaign, i, expected)?;
-                let gain = (t.off(campaign, i, expected)?.0 - 2.0 * off, own.1);
-                let best = [own.0.abs(), black.0.abs(), gain.0.abs()];
-                let least = best.iter().copied().fold(f64::INFINITY, f64::min);
-                if least == best[1] && black.0.abs() < 2.0 * FITS * black.1 {
+                let stated = t.off(campaign, i, expected)?;
+                let z = |o: f64, std: f64| (o / std).abs();
+                let (label, black) = (z(own.0, own.1), z(stated.0, stated.1));
+                // Noise of another gain grows with its square.
+                let gain = z(stated.0 - 2.0 * off, stated.1);
+                let better = |z: f64| z < FITS && label * label - z * z > BETTER;
+                if better(black) && black <= gain {
                     Some(format!(
                         "black level {} DN {} than in the other sets: {level}, and the noise is that of the stated light",
                         six_digits((above(i) - expected).abs()),
                         if off > 0.0 { "higher" } else { "lower" }
                     ))
-                } else if least == best[2] && gain.0.abs() < 2.0 * FITS * gain.1 {
+                } else if better(gain) {
                     Some(format!(
                         "another gain, {} times that of the other sets: {level}, and the noise grew with it",
                         six_digits(off.exp())
@@ -150,6 +157,7 @@ impl Check for SettingLabel {
             };
             found.push((i, FaultKind::SettingLabel, format!("{name}: {text}")));
         }
+        offs.into_iter().for_each(|(i, off)| campaign.sets[i].off = Some(off));
         found.into_iter().map(|(i, kind, text)| campaign.fault_of_sets(kind, &[i], text, true)).collect()
     }
 }

@@ -1,7 +1,9 @@
-//! The first frame of a set has the level of the set before: the camera exposed it before the new settings held.
+//! The first frame of a set was exposed under the settings of the set before: all of them, or its exposure or light alone.
 
+use super::campaign::Zero;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::number::six_digits;
+use crate::statistics::median::median;
 
 /// Standard deviations of a frame's mean by which two levels must differ to be told apart.
 const APART: f64 = 12.0;
@@ -12,44 +14,102 @@ const SAME: f64 = 8.0;
 /// Share of the difference within which it does at least: what lag leaves of a level is far less than all of it.
 const SAME_SHARE: f64 = 0.03;
 
+/// Share of the difference within which a level counts as that of the old exposure or light, which only the ratio of the labels tells.
+const OLD_SHARE: f64 = 0.12;
+
 /// The check.
 pub struct StaleFrame;
+
+/// Where a first frame lies.
+struct First {
+    set: usize,
+    /// Levels that it would have under the settings of the set before, DN: measured ones with true.
+    old_dn: Vec<(f64, bool)>,
+    /// Its own mean, and the middle of the other frames, DN.
+    own_dn: f64,
+    others_dn: f64,
+    /// Whether it is the last frame of the set before, code for code.
+    copy: bool,
+}
+
+impl First {
+    fn of(campaign: &Campaign<'_>, zero: &Zero, set: usize) -> Option<Self> {
+        let own = &campaign.sets[set];
+        let means = own.means_dn();
+        let [own_dn, others @ ..] = &*means else { return None };
+        let others_dn = median(others.iter().copied());
+        if own.out || others.is_empty() {
+            return None;
+        }
+        let before = |lit: Option<bool>| {
+            let earlier = campaign.sets[..set].iter().rev();
+            earlier.filter(|s| !s.out && s.frames() > 0).find(|s| lit.is_none_or(|l| s.is_lit() == l))
+        };
+        let mut old_dn: Vec<(f64, bool)> = Vec::new();
+        let direct = Some(&campaign.sets[set - 1]).filter(|b| !b.out);
+        let copy = direct.is_some_and(|b| b.facts.digests.last() == own.facts.digests.first());
+        old_dn.extend(direct.and_then(|b| b.means_dn().last().copied()).map(|m| (m, true)));
+        // Under the old exposure the light may be the new one already, or the other way round: a flat among darks follows the flat before.
+        for other in [direct, before(Some(own.is_lit()))].into_iter().flatten() {
+            let signal = others_dn - zero.at(own.exposure_s);
+            if own.is_lit() {
+                old_dn.push((zero.at(other.exposure_s) + signal * other.exposure_s / own.exposure_s, false));
+                if other.is_lit() {
+                    old_dn.push((zero.at(own.exposure_s) + signal * other.illumination / own.illumination, false));
+                }
+            }
+            if other.kind == own.kind {
+                old_dn.extend(other.means_dn().last().map(|m| (*m, true)));
+            }
+        }
+        Some(Self { set, old_dn, own_dn: *own_dn, others_dn, copy })
+    }
+
+    /// Deviation from the nearest old level of those measured, and the scale of the two, DN.
+    fn off_dn(&self) -> f64 {
+        self.old_dn.iter().filter(|o| o.1).map(|o| (self.own_dn - o.0).abs()).fold(f64::INFINITY, f64::min)
+    }
+
+    fn is_stale(&self, scatter_dn: f64) -> bool {
+        self.old_dn.iter().any(|(old, measured)| {
+            let apart = (old - self.others_dn).abs();
+            let within = match measured {
+                true => (SAME * scatter_dn).min(0.3 * apart).max(SAME_SHARE * apart),
+                false => OLD_SHARE * apart,
+            };
+            apart > APART_DN.max(APART * scatter_dn) && (self.own_dn - old).abs() < within
+        })
+    }
+}
 
 impl Check for StaleFrame {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let Some(zero) = campaign.zero() else { return Vec::new() };
-        let mut stale = Vec::new();
-        for k in 1..campaign.sets.len() {
-            let (before, own) = (&campaign.sets[k - 1], &campaign.sets[k]);
-            if before.out || own.out || own.frames() < 2 {
-                continue;
-            }
-            let means = own.means_dn();
-            let level = crate::statistics::median::median(means[1..].iter().copied());
-            let Some(&last) = before.means_dn().last() else { continue };
-            let scatter = campaign.frame_scatter_dn(k, &zero).hypot(campaign.frame_scatter_dn(k - 1, &zero));
-            let apart = (last - level).abs();
-            if apart < APART_DN.max(APART * scatter) {
-                continue;
-            }
-            // What a lamp does from frame to frame is known for flats that scatter; a clipped level has none.
-            if (means[0] - last).abs() < (SAME * scatter).min(0.3 * apart).max(SAME_SHARE * apart) {
-                stale.push((k, 0, means[0], level));
-            }
-        }
-        if stale.is_empty() {
-            return Vec::new();
-        }
-        let sets: Vec<usize> = stale.iter().map(|s| s.0).collect();
-        let (first, _, is, others) = stale[0];
+        let firsts: Vec<First> = (1..campaign.sets.len()).filter_map(|k| First::of(campaign, &zero, k)).collect();
+        // Where all first frames are stale, what they do is no measure of what the lamp does: how well they meet the old levels is.
+        let level = |s: usize| (campaign.sets[s].level_dn() - zero.dn).abs().max(1.0);
+        let scale = |f: &First| level(f.set).max(level(f.set - 1));
+        let meets = median(firsts.iter().map(|f| f.off_dn() / scale(f))) / 0.6745;
+        let scatter = |f: &First| {
+            let usual = campaign.frame_scatter_dn(f.set, &zero).hypot(campaign.frame_scatter_dn(f.set - 1, &zero));
+            let noise = |s: usize| campaign.sets[s].variance_dn2().map_or(0.0, |v| v.0 / campaign.sets[s].facts.pixels.max(1.0));
+            let least = (noise(f.set) + noise(f.set - 1)).sqrt().max(0.03);
+            usual.min((meets * scale(f)).max(least))
+        };
+        let stale: Vec<&First> = firsts.iter().filter(|f| f.copy || f.is_stale(scatter(f))).collect();
+        // A copy of a frame of equal settings is a copy and no more.
+        let told = |f: &&&First| !f.copy || (f.old_dn.first().is_some_and(|o| (o.0 - f.others_dn).abs() > APART * scatter(f)));
+        let stale: Vec<&First> = stale.iter().filter(told).copied().collect();
+        let Some(first) = stale.first() else { return Vec::new() };
+        let sets: Vec<usize> = stale.iter().map(|f| f.set).collect();
         let text = format!(
-            "{}: the first frame has the level of the set before (set {}: {} DN, its other frames {} DN): exposed before the new settings held",
+            "{}: the first frame was exposed before the new settings held (set {}: {} DN, its other frames {} DN)",
             campaign.named(&sets),
-            campaign.sets[first].number,
-            six_digits(is),
-            six_digits(others)
+            campaign.sets[first.set].number,
+            six_digits(first.own_dn),
+            six_digits(first.others_dn)
         );
-        let frames: Vec<(usize, usize)> = stale.iter().map(|s| (s.0, s.1)).collect();
+        let frames: Vec<(usize, usize)> = sets.iter().map(|s| (*s, 0)).collect();
         vec![campaign.fault_of_frames(FaultKind::StaleFrame, &frames, text)]
     }
 }

@@ -28,8 +28,11 @@ impl Transfer {
             let s = &campaign.sets[*i];
             !without.contains(i) && !s.clipped && s.variance_dn2().is_some_and(|v| v.0 > QUIET_DN2)
         };
-        let sets: Vec<usize> =
-            campaign.places(|s| matches!(s.kind, Kind::Dark | Kind::Flat)).into_iter().filter(usable).collect();
+        let sets: Vec<usize> = campaign
+            .places(|s| matches!(s.kind, Kind::Dark | Kind::Flat))
+            .into_iter()
+            .filter(usable)
+            .collect();
         let points: Vec<(f64, f64, f64)> = sets
             .iter()
             .filter_map(|&i| {
@@ -42,18 +45,22 @@ impl Transfer {
             return None;
         }
         // Relative weights need the curve itself: begin with the median line.
-        let slope = crate::statistics::median::median(
-            points.iter().filter(|p| p.0 > 0.1 * most).map(|p| p.1 / p.0),
-        );
+        let slope =
+            crate::statistics::median::median(points.iter().filter(|p| p.0 > 0.1 * most).map(|p| p.1 / p.0));
         let dark = points.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
-        let mut expected: Vec<f64> = points.iter().map(|p| (dark + slope.max(0.0) * p.0.max(0.0)).max(QUIET_DN2)).collect();
+        let mut expected: Vec<f64> =
+            points.iter().map(|p| (dark + slope.max(0.0) * p.0.max(0.0)).max(QUIET_DN2)).collect();
         let mut law = None;
         for _ in 0..4 {
             let priors = [1e6, 1e6, BEND * (slope * most).abs().max(1.0)];
             let rows: Vec<Point> = points
                 .iter()
                 .zip(&expected)
-                .map(|(p, e)| Point { factors: factors(p.0 / most).iter().map(|f| f / e).collect(), value: p.1 / e, std: p.2 })
+                .map(|(p, e)| Point {
+                    factors: factors(p.0 / most).iter().map(|f| f / e).collect(),
+                    value: p.1 / e,
+                    std: p.2,
+                })
                 .collect();
             let fit = Law::fit(&rows, &priors, (points.len() / 4).clamp(1, 5))?;
             for (p, e) in points.iter().zip(&mut expected) {

@@ -370,7 +370,8 @@ impl Dataset {
             (!rows.is_empty()).then_some(Set { number: set.number, rows })
         };
         let rows = self.rows.iter().zip(out).filter(|(_, out)| !**out).map(|(r, _)| r.clone()).collect();
-        let parts = self.parts.iter().map(|(root, first)| (root.clone(), place.get(*first).copied().unwrap_or(kept)));
+        let parts =
+            self.parts.iter().map(|(root, first)| (root.clone(), place.get(*first).copied().unwrap_or(kept)));
         Self {
             rows,
             sets: self.sets.iter().filter_map(of_set).collect(),

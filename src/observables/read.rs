@@ -428,11 +428,7 @@ impl<'a, 'b> Reader<'a, 'b> {
         }
         let summary = pass.finish();
         let is_short_dark = self.is_short_dark(p.set);
-        let before = if p.before && from == p.from {
-            Some(self.first_frame_dn(p, from, out)?)
-        } else {
-            None
-        };
+        let before = if p.before && from == p.from { Some(self.first_frame_dn(p, from, out)?) } else { None };
         let chunk = |summary: Summary| {
             let codes_used = codes::share_used(&summary);
             let var_dn2 = if is_short_dark { pass.variances_dn2() } else { Vec::new() };
