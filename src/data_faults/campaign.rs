@@ -201,6 +201,27 @@ impl<'a> Campaign<'a> {
         (self.flat_scatter(zero) * above).hypot(self.dark_scatter_dn()).hypot(pixels.sqrt())
     }
 
+    /// Share of a change of level that first frames usually carry over; `None` with fewer than three changes.
+    pub fn carried(&self, zero: &Zero) -> Option<f64> {
+        let mut shares = Vec::new();
+        for k in 1..self.sets.len() {
+            let (own, before) = (&self.sets[k], &self.sets[k - 1]);
+            if own.out || before.out || own.frames() < 2 || before.frames() == 0 || !own.kept[0] {
+                continue;
+            }
+            let means = own.means_dn();
+            let level = median(means[1..].iter().copied());
+            let change = before.level_dn() - level;
+            if change.abs() > 20.0 * self.frame_scatter_dn(k, zero) {
+                shares.push((change, (means[0] - level) / change));
+            }
+        }
+        // Small changes tell little of a share.
+        let most = shares.iter().map(|s| s.0.abs()).fold(0.0, f64::max);
+        shares.retain(|s| s.0.abs() > 0.3 * most);
+        (shares.len() >= 3).then(|| median(shares.into_iter().map(|s| s.1)))
+    }
+
     /// Sets of equal stated settings.
     pub fn repeats(&self) -> Vec<Vec<usize>> {
         let mut all: BTreeMap<(u64, u64, u32, usize), Vec<usize>> = BTreeMap::new();

@@ -1,6 +1,11 @@
 //! A dark of another black level or gain than the other darks.
+//!
+//! Dark charge raises the level and the noise: what the variance has beyond that of the quietest dark, over the gain that the flats show, is
+//! what the level has beyond the black level (the charge is Poisson: Healey and Kondepudy 1994, eq. 6). A black-level clamp takes a part of
+//! that, or all, in all darks alike.
 
 use super::law::{Law, Point};
+use super::transfer::Transfer;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
@@ -10,8 +15,12 @@ use crate::statistics::median::median;
 const USUAL_DN: f64 = 0.1;
 /// Least deviation that is said, DN.
 const LEAST_DN: f64 = 1.0;
+/// Share of the dark charge up to which a level is that of another temperature.
+const OF_CHARGE: f64 = 0.05;
+/// How far the level's growth may be from the noise's: hot pixels have more of one than of the other, and a clamp takes all.
+const GROWTH: f64 = 0.5;
 /// Darks below which none stands out.
-const FEWEST: usize = 4;
+const FEWEST: usize = 3;
 /// Ratio of the noise's standard deviations up to which the gain is the same.
 const SAME_GAIN: f64 = 1.1;
 
@@ -20,33 +29,38 @@ pub struct DarkSettings;
 
 impl Check for DarkSettings {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
-        let darks = campaign.places(|s| s.kind == Kind::Dark && !s.clipped);
-        if darks.len() < FEWEST {
-            return Vec::new();
-        }
-        let longest = darks.iter().map(|&i| campaign.sets[i].exposure_s).fold(0.0, f64::max);
+        let Some(zero) = campaign.zero() else { return Vec::new() };
+        let darks = campaign.places(|s| s.kind == Kind::Dark && !s.clipped && s.variance_dn2().is_some());
+        let gain = Transfer::of(campaign, &zero, &darks).map(|t| t.slope()).filter(|g| *g > 0.0);
+        let Some(gain) = gain.filter(|_| darks.len() >= FEWEST) else { return Vec::new() };
+        let var = |i: usize| campaign.sets[i].variance_dn2().unwrap_or_default();
+        let quietest = darks.iter().map(|&i| var(i).0).fold(f64::INFINITY, f64::min);
+        let charge: Vec<f64> = darks.iter().map(|&i| (var(i).0 - quietest) / gain).collect();
         let frame = campaign.dark_scatter_dn();
-        let points: Vec<Point> = darks
-            .iter()
-            .map(|&i| {
-                let set = &campaign.sets[i];
-                let t = set.exposure_s / longest;
-                let std = USUAL_DN.hypot(frame / (set.frames() as f64).sqrt());
-                Point { factors: vec![1.0, t, t * t], value: set.level_dn(), std }
-            })
-            .collect();
-        let Some(law) = Law::fit(&points, &[1e6, 1e6, 1.0], (darks.len() / 4).clamp(1, 3)) else { return Vec::new() };
-        let noise = |i: usize| campaign.sets[i].variance_dn2().map_or(f64::NAN, |v| v.0).sqrt();
-        let usual = median(darks.iter().map(|&i| noise(i)).filter(|n| n.is_finite()));
+        let point = |(&i, &charge): (&usize, &f64)| {
+            let set = &campaign.sets[i];
+            let (var, pairs) = var(i);
+            let of_charge = var / gain * (3.0 / (set.facts.pixels * pairs)).sqrt();
+            let std = USUAL_DN.hypot(frame / (set.frames() as f64).sqrt()).hypot(of_charge);
+            Point { factors: vec![1.0, charge], value: set.level_dn() - charge, std }
+        };
+        let points: Vec<Point> = darks.iter().zip(&charge).map(point).collect();
+        let few = (darks.len() / 4).clamp(1, 3).min(darks.len() - 2);
+        let Some(law) = Law::fit(&points, &[1e5, GROWTH], few) else { return Vec::new() };
         let mut found = Vec::new();
         for &k in &law.out {
             let (i, off) = (darks[k], points[k].value - law.at(&points[k].factors));
-            // The longest exposure alone says what its charge is.
-            let alone = points.iter().filter(|p| p.factors[1] >= 0.5 * points[k].factors[1]).count() == 1;
-            if off.abs() < LEAST_DN || (alone && off > 0.0) {
+            // One dark that has more charge than all others says alone what that does to its level.
+            let alone = charge.iter().filter(|c| **c >= 0.5 * charge[k]).count() == 1;
+            if off.abs() < LEAST_DN.max(OF_CHARGE * charge[k]) || alone && off.abs() < 1.5 * charge[k] {
                 continue;
             }
-            let ratio = noise(i) / usual;
+            let alike = |d: &&usize| {
+                let ratio = campaign.sets[**d].exposure_s / campaign.sets[i].exposure_s;
+                **d != i && (0.5..2.0).contains(&ratio)
+            };
+            let usual = median(darks.iter().filter(alike).map(|&d| var(d).0.sqrt()));
+            let ratio = var(i).0.sqrt() / usual;
             let of_gain = ratio.is_finite() && !(SAME_GAIN.recip()..SAME_GAIN).contains(&ratio);
             let what = if of_gain {
                 format!("another gain, {} times that of the other darks by its noise: its", six_digits(ratio))

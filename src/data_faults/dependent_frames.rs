@@ -1,6 +1,8 @@
 //! Frames of few sets that were averaged or filtered over time before they were saved: less noise than their level has elsewhere, or successive
 //! frames alike.
 
+use super::campaign::SetView;
+use super::orientation::{correlation, pattern};
 use super::transfer::{Transfer, above};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
@@ -13,14 +15,46 @@ const AVERAGED: f64 = 0.8;
 const GAINED: f64 = 1.25;
 /// Share of the highest level from which on saturation takes noise away.
 const TOP: f64 = 0.85;
+/// Share of the usual variance that no well leaves that keeps the level: two frames that are averaged make it a half.
+const HALVED: f64 = 0.6;
 /// Deviation of the level from its law within which it does not, relative.
 const STRAIGHT: f64 = 0.003;
 /// Least that the variance of successive frames falls short of that of frames two apart.
-const ALIKE: f64 = 0.05;
+const ALIKE: f64 = 0.12;
 /// Standard deviations of that.
 const TOLD: f64 = 10.0;
 /// Share of the sets up to which it is a slip: more are what the camera does.
 const FEW: f64 = 0.34;
+
+/// How large the fixed pattern of a dark is, over that of other darks of about its exposure; `None` where it does not show.
+fn pattern_gain(campaign: &Campaign<'_>, set: usize) -> Option<f64> {
+    let exposure_s = campaign.sets[set].exposure_s;
+    let alike = |s: &SetView| s.kind == Kind::Dark && (0.5..2.0).contains(&(s.exposure_s / exposure_s));
+    let mut darks = campaign.places(alike);
+    if darks.len() < 3 {
+        darks = campaign.places(|s| s.kind == Kind::Dark);
+    }
+    if darks.len() < 3 {
+        return None;
+    }
+    let columns = campaign.sets[set].facts.middle_columns;
+    let patterns: Vec<Vec<f64>> =
+        darks.iter().map(|&i| pattern(&campaign.sets[i].facts.middle_dn, columns)).collect();
+    let slope = |k: usize| {
+        let others = |at: usize| (0..darks.len()).filter(|o| *o != k).map(|o| patterns[o][at]).sum::<f64>();
+        let others: Vec<f64> = (0..patterns[k].len()).map(others).collect();
+        let square: f64 = others.iter().map(|v| v * v).sum();
+        let product: f64 = others.iter().zip(&patterns[k]).map(|(a, b)| a * b).sum();
+        (product / square, correlation(&patterns[k], &others))
+    };
+    let own = darks.iter().position(|d| *d == set)?;
+    let (slope_of_it, correlated) = slope(own);
+    let usual = median((0..darks.len()).filter(|k| *k != own).map(|k| slope(k).0));
+    (correlated > SHOWS).then_some(slope_of_it / usual)
+}
+
+/// Correlation from which on a pattern shows: ten times that of chance in 4096 pixels.
+const SHOWS: f64 = 0.16;
 
 /// The check.
 pub struct DependentFrames;
@@ -57,14 +91,39 @@ impl Check for DependentFrames {
                 let lit = campaign.sets[i].is_lit();
                 // A well that is full bends the level too.
                 let straight = campaign.sets[i].off.is_some_and(|off| off.abs() < STRAIGHT);
-                let saturates = lit && level(i) > TOP * highest && !straight;
-                if off < AVERAGED.ln() && off < -TOLD * std && !saturates {
+                let saturates = lit && level(i) > TOP * highest && !(straight && off < HALVED.ln());
+                // The fixed pattern of a dark of another gain is another; averaging leaves it.
+                let gain = if lit { None } else { pattern_gain(campaign, i) };
+                let of_gain = gain.is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < (0.5 * off).abs());
+                if of_gain && off.abs() > GAINED.ln() && off.abs() > TOLD * std {
+                    gained.push((i, off));
+                } else if off < AVERAGED.ln() && off < -TOLD * std && !saturates {
                     averaged.push(i);
                 } else if !lit && off > GAINED.ln() && off > TOLD * std {
                     gained.push((i, off));
                 }
             }
+            // What darks of long exposures have is the charge's: a gain is told by another dark that would have it.
+            let gains: Vec<usize> = gained.iter().map(|g| g.0).collect();
+            let told = |i: usize| {
+                let alike = |&d: &usize| {
+                    let (own, other) = (&campaign.sets[i], &campaign.sets[d]);
+                    other.kind == Kind::Dark && !gains.contains(&d) && other.exposure_s > 0.5 * own.exposure_s
+                };
+                all.iter().any(alike)
+            };
+            gained.retain(|g| told(g.0));
         }
+        // What all repeats of a setting have is the camera's.
+        let alone = averaged.clone();
+        let repeats = |i: usize, d: usize| {
+            let (a, b) = (&campaign.sets[i], &campaign.sets[d]);
+            d != i && (a.kind, a.exposure_s, a.illumination) == (b.kind, b.exposure_s, b.illumination)
+        };
+        averaged.retain(|&i| {
+            let mut others = all.iter().filter(|d| repeats(i, **d)).peekable();
+            filtered.contains(&i) || others.peek().is_none() || others.any(|d| !alone.contains(d))
+        });
         averaged.sort_unstable();
         let mut out = Vec::new();
         if !averaged.is_empty() && averaged.len() as f64 <= (FEW * all.len() as f64).max(1.0) {

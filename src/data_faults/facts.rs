@@ -32,6 +32,8 @@ pub struct SetFacts {
     pub clipped: f64,
     /// Variance over the pixels of the first frame, DN^2.
     pub spread_dn2: f64,
+    /// Distance of the codes that occur in the first frame, DN: 1 unless the camera counts in coarser steps.
+    pub step_dn: f64,
     /// Mean over the frames of the middle of the frame, DN, row by row: at most [`MIDDLE`] x [`MIDDLE`] pixels.
     pub middle_dn: Vec<f32>,
     /// Columns of that.
@@ -69,6 +71,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
         let codes = frame.as_slice().unwrap_or(&[]);
         if out.means_dn.is_empty() {
             out.spread_dn2 = spread(codes);
+            out.step_dn = step(codes, full);
         }
         out.means_dn.push(codes.iter().map(|v| u64::from(*v)).sum::<u64>() as f64 / out.pixels.max(1.0));
         out.cells_dn.push(outliers::cell_means(&frame));
@@ -115,6 +118,27 @@ fn spread(codes: &[u16]) -> f64 {
     }
     let n = (codes.len() as f64).max(1.0);
     (square as f64 / n - (sum as f64 / n).powi(2)).max(0.0)
+}
+
+/// Range of the middle eight tenths of the samples over the codes that occur in it.
+fn step(codes: &[u16], full: u16) -> f64 {
+    let mut counts = vec![0usize; usize::from(full) + 1];
+    codes.iter().for_each(|c| counts[usize::from(*c).min(usize::from(full))] += 1);
+    let tenth = codes.len() / 10;
+    let mut below = 0;
+    let inside: Vec<usize> = counts
+        .iter()
+        .enumerate()
+        .filter(|(_, n)| {
+            below += **n;
+            **n > 0 && below > tenth && below <= codes.len() - tenth
+        })
+        .map(|(code, _)| code)
+        .collect();
+    match inside.as_slice() {
+        [first, .., last] => (last - first) as f64 / (inside.len() - 1) as f64,
+        _ => 1.0,
+    }
 }
 
 /// Pixels that differ, and half the variance of the difference, DN^2.

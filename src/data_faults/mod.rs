@@ -146,6 +146,7 @@ macro_rules! checks {
 }
 
 checks! {
+    lit_dark_frame::LitDarkFrame
     stale_frame::StaleFrame
     copied_frames::CopiedFrames
     odd_frame::OddFrame

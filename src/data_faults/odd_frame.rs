@@ -1,11 +1,9 @@
 //! One frame of another level or another field than the others of its set: a flash, someone in the light.
 
-use super::campaign::Zero;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::{percent, six_digits};
 use crate::observables::outliers;
-use crate::statistics::median::median;
 
 /// Standard deviations of a frame's mean from which on it is odd.
 const FAR: f64 = 10.0;
@@ -16,40 +14,12 @@ const LEAST_DN: f64 = 0.3;
 /// Share of the frames up to which they are slips: more are what the camera or the lamp does.
 const FEW: f64 = 0.05;
 
+/// Share of a change of level up to which a first frame may carry it over.
+const LAG: f64 = 0.05;
+/// Cells of a frame.
+const CELLS: f64 = 36.0;
 /// Share of the sets up to which one frame of each is a slip.
 const PART: f64 = 0.4;
-
-/// What first frames carry over from the level before.
-#[derive(Clone, Copy)]
-struct Carries {
-    share: f64,
-}
-
-/// Share of the change of level that first frames usually carry; `None` with fewer than three changes.
-fn carries(campaign: &Campaign<'_>, zero: &Zero) -> Option<Carries> {
-    let mut shares = Vec::new();
-    for k in 1..campaign.sets.len() {
-        let (own, before) = (&campaign.sets[k], &campaign.sets[k - 1]);
-        if own.out || before.out || own.frames() < 3 || before.frames() == 0 || !own.kept[0] {
-            continue;
-        }
-        let (level, change) = (own.level_dn(), before.level_dn() - own.level_dn());
-        let scatter = campaign.frame_scatter_dn(k, zero);
-        if change.abs() > 20.0 * scatter {
-            shares.push((own.facts.means_dn[0] - level) / change);
-        }
-    }
-    (shares.len() >= 3).then(|| Carries { share: median(shares.into_iter()) })
-}
-
-impl Carries {
-    /// Whether the deviation of a first frame is what it carries, to a half.
-    fn is_it(self, campaign: &Campaign<'_>, set: usize, off_dn: f64) -> bool {
-        let Some(before) = set.checked_sub(1).map(|b| &campaign.sets[b]).filter(|b| b.frames() > 0) else { return true };
-        let expected = self.share * (before.level_dn() - campaign.sets[set].level_dn());
-        (off_dn - expected).abs() < 0.5 * off_dn.abs()
-    }
-}
 
 /// The check.
 pub struct OddFrame;
@@ -67,7 +37,7 @@ impl Check for OddFrame {
         let aparts: Vec<(bool, outliers::Apart)> =
             sets.iter().map(|&s| (!campaign.sets[s].is_lit(), blocks(s))).collect();
         let usual = outliers::Usual::of(&aparts, zero.dn);
-        let carries = carries(campaign, &zero);
+        let share = campaign.carried(&zero);
         let mut odd: Vec<(usize, usize, f64, f64)> = Vec::new();
         for (&set, (dark, apart)) in sets.iter().zip(&aparts) {
             let view = &campaign.sets[set];
@@ -75,19 +45,24 @@ impl Check for OddFrame {
             let signal = (apart.level_dn - zero.at(view.exposure_s)).max(1.0);
             let least = if *dark { LEAST_DN } else { (LEAST * signal).max(LEAST_DN) };
             let scatter = campaign.frame_scatter_dn(set, &zero);
-            let cell = usual.far_cell_dn(*dark, signal).max(least);
+            // Hot pixels make cells scatter.
+            let noise = view.variance_dn2().map_or(0.0, |v| v.0);
+            let of_cell = (noise * CELLS / view.facts.pixels.max(1.0)).sqrt();
+            let cell = usual.far_cell_dn(*dark, signal).max(least).max(FAR * of_cell);
             let far = |k: &usize| {
-                let off = apart.mean_dn[*k];
-                let carried = places[*k] == 0 && carries.is_some_and(|c| c.is_it(campaign, set, off));
-                let by_cell = apart.cell_dn.get(*k).is_some_and(|c| *c > cell);
-                !carried && (off.abs() > least.max(FAR * scatter) || by_cell)
+                let mut off = apart.mean_dn[*k];
+                // What came before is carried over, and dies away.
+                let before = set.checked_sub(1).map(|b| &campaign.sets[b]).filter(|b| places[*k] == 0 && b.frames() > 0);
+                let change = before.map_or(0.0, |b| b.level_dn() - apart.level_dn);
+                let carries = share.unwrap_or(0.0) * change;
+                if (off - carries).abs() < off.abs() {
+                    off -= carries;
+                }
+                let carried = places[*k] == 0 && share.is_none() && off * change > 0.0 && off.abs() < LAG * change.abs()
+                    || (1..=2).contains(k) && apart.mean_dn[*k - 1] * off > 0.0 && apart.mean_dn[*k - 1].abs() > 2.0 * off.abs();
+                !carried && (off.abs() > least.max(FAR * scatter) || apart.cell_dn.get(*k).is_some_and(|c| *c > cell))
             };
-            let mut own: Vec<usize> = (0..places.len()).filter(far).collect();
-            // What dies away over frames was carried over from the set before.
-            let dies_away = |w: &[f64]| w[0] * w[1] > 0.0 && w[1].abs() > (0.02 * w[0].abs()).max(3.0 * scatter);
-            if own.contains(&0) && apart.mean_dn.len() > 3 && dies_away(&apart.mean_dn[..2]) {
-                own.retain(|k| *k > 1);
-            }
+            let own: Vec<usize> = (0..places.len()).filter(far).collect();
             if own.len() == 1 || own.len() * 4 <= places.len() {
                 odd.extend(own.iter().map(|k| (set, places[*k], apart.mean_dn[*k], signal)));
             }
@@ -117,7 +92,8 @@ impl Check for OddFrame {
             format!("{} DN", six_digits(off.abs()))
         };
         let places: Vec<(usize, usize)> = odd.iter().map(|o| (o.0, o.1)).collect();
-        let sets: Vec<usize> = odd.iter().map(|o| o.0).collect();
+        let mut sets: Vec<usize> = odd.iter().map(|o| o.0).collect();
+        sets.dedup();
         let text = format!(
             "{}: frame {place} ({}) is {by} {} the other frames of its set{}",
             campaign.named(&sets),

@@ -1,6 +1,7 @@
 //! A flat whose level is not that of its stated exposure and light. Its noise tells why: a wrong label leaves the noise of its level, another
 //! black level that of the stated light, another gain scales both.
 
+use super::campaign::SetView;
 use super::law::{Law, Point};
 use super::transfer::Transfer;
 use super::{Campaign, Check, DataFault, FaultKind};
@@ -81,7 +82,7 @@ impl Check for SettingLabel {
             Point {
                 factors: factors.of(set.exposure_s, set.illumination),
                 value: above(i).ln(),
-                std: USUAL.hypot(scatter.hypot(zero.scatter_dn) / above(i)),
+                std: USUAL.hypot(scatter.hypot(zero.scatter_dn).hypot(coarse(set)) / above(i)),
             }
         };
         let points: Vec<Point> = lit.iter().map(|&i| point(i)).collect();
@@ -160,6 +161,12 @@ impl Check for SettingLabel {
         offs.into_iter().for_each(|(i, off)| campaign.sets[i].off = Some(off));
         found.into_iter().map(|(i, kind, text)| campaign.fault_of_sets(kind, &[i], text, true)).collect()
     }
+}
+
+/// Error of a level of codes that stand so far apart that noise does not fill the gaps, DN.
+fn coarse(set: &SetView) -> f64 {
+    let noise = set.variance_dn2().map_or(0.0, |v| v.0.sqrt());
+    if set.facts.step_dn > 1.5 || noise < 0.3 { set.facts.step_dn / 12f64.sqrt() } else { 0.0 }
 }
 
 /// Factor on exposure or light at which the law has a value.

@@ -52,6 +52,13 @@ impl First {
         // Under the old exposure the light may be the new one already, or the other way round: a flat among darks follows the flat before.
         for other in [direct, before(Some(own.is_lit()))].into_iter().flatten() {
             let signal = others_dn - zero.at(own.exposure_s);
+            if !own.is_lit() && other.is_lit() {
+                let signal = other.level_dn() - zero.at(other.exposure_s);
+                old_dn.push((zero.at(own.exposure_s) + signal * own.exposure_s / other.exposure_s, false));
+            }
+            if own.is_lit() && !other.is_lit() {
+                old_dn.push((zero.at(own.exposure_s), false));
+            }
             if own.is_lit() {
                 old_dn.push((zero.at(other.exposure_s) + signal * other.exposure_s / own.exposure_s, false));
                 if other.is_lit() {

@@ -9,7 +9,7 @@ const BEYOND: f64 = 0.02;
 /// A curve needs so many sets.
 const FEWEST: usize = 4;
 /// Variance below which rounding decides, DN^2.
-const QUIET_DN2: f64 = 0.1;
+const QUIET_DN2: f64 = 0.35;
 /// Largest bend of the curve at the highest level, relative.
 const BEND: f64 = 0.15;
 
@@ -71,6 +71,12 @@ impl Transfer {
         let law = law?;
         let strays = law.out.iter().map(|k| sets[*k]).collect();
         Some(Self { law, most, strays })
+    }
+
+    /// Its slope at the dimmest levels: the gain, DN per electron.
+    pub fn slope(&self) -> f64 {
+        let at = |level: f64| self.law.at(&factors(level));
+        (at(0.1) - at(0.0)) / (0.1 * self.most)
     }
 
     /// How far the variance of a set is from that of a level, as a logarithm of their ratio, and the error of that.

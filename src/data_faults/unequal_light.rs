@@ -9,7 +9,7 @@ const FAR: f64 = 10.0;
 /// Least difference in light, over the signal: lamps that are left alone stay within it (a named choice).
 const LEAST: f64 = 0.005;
 /// Share of the sets up to which unequal pairs are slips: more are what the lamp does.
-const FEW: f64 = 0.4;
+const FEW: f64 = 0.5;
 
 /// The check.
 pub struct UnequalLight;
@@ -20,9 +20,13 @@ impl Check for UnequalLight {
         let mut found: Vec<(Vec<usize>, String, bool)> = Vec::new();
         let pairs = campaign.places(|s| s.is_lit() && !s.clipped && s.frames() == 2);
         let signal = |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s);
+        let share = campaign.carried(&zero).unwrap_or(0.0);
         let apart = |i: usize| {
             let means = campaign.sets[i].means_dn();
-            means[1] - means[0]
+            let before = i.checked_sub(1).map(|b| &campaign.sets[b]).filter(|b| b.frames() > 0);
+            let carried = before.map_or(0.0, |b| share * (b.level_dn() - means[1]));
+            let (plain, less) = (means[1] - means[0], means[1] - means[0] + carried);
+            if less.abs() < plain.abs() { less } else { plain }
         };
         let far = |i: usize| {
             let scatter = 2f64.sqrt() * campaign.frame_scatter_dn(i, &zero);
