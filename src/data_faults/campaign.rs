@@ -110,6 +110,8 @@ pub struct Campaign<'a> {
     dataset: &'a Dataset,
     /// Sets in the order of time.
     pub sets: Vec<SetView>,
+    /// Full scale, DN.
+    pub full_scale_dn: f64,
 }
 
 impl<'a> Campaign<'a> {
@@ -133,7 +135,8 @@ impl<'a> Campaign<'a> {
             }
         };
         let sets = dataset.sets().iter().zip(facts).map(view).collect();
-        Self { dataset, sets }
+        let full_scale_dn = f64::from(dataset.manifest().camera.full_scale_dn());
+        Self { dataset, sets, full_scale_dn }
     }
 
     /// File of a frame.

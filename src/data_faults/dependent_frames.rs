@@ -3,7 +3,7 @@
 
 use super::campaign::SetView;
 use super::orientation::{correlation, pattern};
-use super::transfer::{Transfer, above};
+use super::transfer::{self, Transfer, above};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
@@ -86,7 +86,7 @@ impl Check for DependentFrames {
                     );
                 }
             }
-            for &i in &transfer.strays {
+            for &i in transfer.strays.iter().chain(&transfer.quiet) {
                 let Some((off, std)) = transfer.off(campaign, i, level(i)) else { continue };
                 let lit = campaign.sets[i].is_lit();
                 // A well that is full bends the level too.
@@ -102,6 +102,23 @@ impl Check for DependentFrames {
                 } else if !lit && off > GAINED.ln() && off > TOLD * std {
                     gained.push((i, off));
                 }
+            }
+            // Rounding decides the noise of quiet darks; of those on the same part of a code it decides the same.
+            let darks = || all.iter().copied().filter(|&i| campaign.sets[i].kind == Kind::Dark);
+            let known: Vec<usize> = averaged.iter().copied().chain(gained.iter().map(|g| g.0)).collect();
+            for i in darks().filter(|i| !known.contains(i)) {
+                let Some((own, _)) = campaign.sets[i].variance_dn2().filter(|v| v.0 > 0.0) else { continue };
+                let alike: Vec<f64> = darks()
+                    .filter(|&d| d != i && (level(d) - level(i)).abs() < 0.1)
+                    .filter_map(|d| campaign.sets[d].variance_dn2().map(|v| v.0))
+                    .collect();
+                let usual = median(alike.iter().copied());
+                let off = (own / usual).ln();
+                if alike.len() < 4 || usual > 4.0 * transfer::QUIET_DN2 || off.abs() < -AVERAGED.ln() {
+                    continue;
+                }
+                let of_gain = pattern_gain(campaign, i).is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < 0.6 * off.abs());
+                if off > 0.0 || of_gain { gained.push((i, off)) } else { averaged.push(i) }
             }
             // What darks of long exposures have is the charge's: a gain is told by another dark that would have it.
             let gains: Vec<usize> = gained.iter().map(|g| g.0).collect();

@@ -42,44 +42,76 @@ const CHANCE: f64 = 1e-4;
 impl Law {
     /// Fits; `priors`: standard deviations of the coefficients; at most so many points are taken out. `None` with too few points.
     pub fn fit(points: &[Point], priors: &[f64], most: usize) -> Option<Self> {
+        let most = most.min(points.len().saturating_sub(2));
+        let one_by_one = Self::one_by_one(points, priors, most)?;
+        // Several strays on one side draw the fit to them: those furthest from the least absolute deviations go at once.
+        let at_once = Self::furthest(points, priors, most).and_then(|out| Self::back_in(points, priors, out));
+        Some(match at_once {
+            Some(other) if other.scale < one_by_one.scale => other,
+            _ => one_by_one,
+        })
+    }
+
+    /// Takes out the point whose deletion lowers the squares most, again and again.
+    fn one_by_one(points: &[Point], priors: &[f64], most: usize) -> Option<Self> {
         let mut out: Vec<usize> = Vec::new();
         let mut law = Self::without(points, priors, &out)?;
-        for _ in 0..2 {
-            while out.len() < most && points.len() - out.len() > 3 {
-                let drop = |i: &usize| {
-                    let (off, leverage) = law.residual(&points[*i]);
-                    off * off / (1.0 - leverage).max(1e-9)
-                };
-                let left = (0..points.len()).filter(|i| !out.contains(i));
-                let Some(worst) = left.max_by(|a, b| drop(a).total_cmp(&drop(b))) else { break };
-                out.push(worst);
-                law = Self::without(points, priors, &out)?;
-                // Two strays hide each other: where labels were exchanged the first to go is another.
-                if out.len() == 2 && points.len() <= PAIRS {
-                    for i in 0..points.len() {
-                        for j in 0..i {
-                            let pair = vec![i, j];
-                            let other = Self::without(points, priors, &pair)?;
-                            if other.scale < law.scale {
-                                (law, out) = (other, pair);
-                            }
+        while out.len() < most {
+            let drop = |i: &usize| {
+                let (off, leverage) = law.residual(&points[*i]);
+                off * off / (1.0 - leverage).max(1e-9)
+            };
+            let left = (0..points.len()).filter(|i| !out.contains(i));
+            let Some(worst) = left.max_by(|a, b| drop(a).total_cmp(&drop(b))) else { break };
+            out.push(worst);
+            law = Self::without(points, priors, &out)?;
+            // Two strays hide each other: where labels were exchanged the first to go is another.
+            if out.len() == 2 && points.len() <= PAIRS {
+                for i in 0..points.len() {
+                    for j in 0..i {
+                        let pair = vec![i, j];
+                        let other = Self::without(points, priors, &pair)?;
+                        if other.scale < law.scale {
+                            (law, out) = (other, pair);
                         }
                     }
                 }
             }
-            // Back in with those that do not stand out, the least first.
-            while let Some(least) =
-                out.iter().copied().min_by(|a, b| law.t(&points[*a]).total_cmp(&law.t(&points[*b])))
-            {
-                if law.is_stray(&points[least], points.len()) {
-                    break;
-                }
-                out.retain(|i| *i != least);
-                law = Self::without(points, priors, &out)?;
+        }
+        Self::back_in(points, priors, out)
+    }
+
+    /// Takes back in what does not stand out, the least first.
+    fn back_in(points: &[Point], priors: &[f64], mut out: Vec<usize>) -> Option<Self> {
+        let mut law = Self::without(points, priors, &out)?;
+        while let Some(least) =
+            out.iter().copied().min_by(|a, b| law.t(&points[*a]).total_cmp(&law.t(&points[*b])))
+        {
+            if law.is_stray(&points[least], points.len()) {
+                break;
             }
+            out.retain(|i| *i != least);
+            law = Self::without(points, priors, &out)?;
         }
         out.sort_unstable();
         Some(Self { out, ..law })
+    }
+
+    /// The points furthest from the least absolute deviations, by repeated weights (Schlossmacher 1973).
+    fn furthest(points: &[Point], priors: &[f64], most: usize) -> Option<Vec<usize>> {
+        let mut weighed = points.to_vec();
+        let mut law = Self::without(&weighed, priors, &[])?;
+        let off = |law: &Self, p: &Point| ((p.value - law.at(&p.factors)) / p.std).abs();
+        for _ in 0..20 {
+            for (w, p) in weighed.iter_mut().zip(points) {
+                w.std = p.std * off(&law, p).max(0.3).sqrt();
+            }
+            law = Self::without(&weighed, priors, &[])?;
+        }
+        let mut order: Vec<usize> = (0..points.len()).collect();
+        order.sort_by(|a, b| off(&law, &points[*b]).total_cmp(&off(&law, &points[*a])));
+        order.truncate(most);
+        Some(order)
     }
 
     fn without(points: &[Point], priors: &[f64], out: &[usize]) -> Option<Self> {

@@ -3,7 +3,7 @@
 /// Side of the blocks whose means are taken off, pixels: shading is smooth within them.
 const BLOCK: usize = 8;
 
-/// The pattern of an image of so many columns, of mean 0 in every block; single pixels far off count as little as others (at most three
+/// The pattern of an image of so many columns, of mean 0 in every block, and then in every row and column; single pixels far off count as little as others (at most three
 /// deviations).
 pub fn pattern(image: &[f32], columns: usize) -> Vec<f64> {
     let rows = image.len() / columns.max(1);
@@ -15,6 +15,16 @@ pub fn pattern(image: &[f32], columns: usize) -> Vec<f64> {
             let mean = at().map(|i| f64::from(image[i])).sum::<f64>() / at().count() as f64;
             at().for_each(|i| out[i] = f64::from(image[i]) - mean);
         }
+    }
+    // Rows and columns have noise in common, which would look like a pattern.
+    for y in 0..rows {
+        let row = &mut out[y * columns..][..columns];
+        let mean = row.iter().sum::<f64>() / columns as f64;
+        row.iter_mut().for_each(|v| *v -= mean);
+    }
+    for x in 0..columns {
+        let mean = (0..rows).map(|y| out[y * columns + x]).sum::<f64>() / rows as f64;
+        (0..rows).for_each(|y| out[y * columns + x] -= mean);
     }
     let usual = 1.5 * crate::statistics::median::median(out.iter().map(|v| v.abs()));
     out.iter_mut().for_each(|v| *v = v.clamp(-3.0 * usual, 3.0 * usual));

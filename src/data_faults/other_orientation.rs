@@ -3,11 +3,14 @@
 use super::orientation::{TURNS, correlation, pattern};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
+use crate::statistics::median::median;
 
 /// Standard deviations by which the mirrored pattern must be there, and the one as it is must not.
 const THERE: f64 = 8.0;
 /// Share of the mirrored correlation that the one as it is may have.
-const NOT: f64 = 0.4;
+const NOT: f64 = 0.6;
+/// Least that the mirrored pattern is there, over what the patterns of the other sets are.
+const LIKE_OTHERS: f64 = 0.3;
 
 /// The check.
 pub struct OtherOrientation;
@@ -29,13 +32,15 @@ impl Check for OtherOrientation {
             // Bright flats show the pattern of the response, and count by it.
             let mut sum = vec![0.0; pixels];
             own.iter().for_each(|p| sum.iter_mut().zip(p).for_each(|(s, v)| *s += v));
+            let straight_of = |p: &Vec<f64>| correlation(p, &sum.iter().zip(p).map(|(s, v)| s - v).collect::<Vec<_>>());
+            let usual = median(own.iter().map(straight_of));
             for (&i, p) in sets.iter().zip(&own) {
                 let others: Vec<f64> = sum.iter().zip(p).map(|(s, v)| s - v).collect();
                 let chance = (pixels as f64).sqrt().recip();
                 let straight = correlation(p, &others);
                 let best = TURNS.iter().map(|(name, turn)| (correlation(&turn(p, columns), &others), *name)).max_by(|a, b| a.0.total_cmp(&b.0));
-                if let Some((mirrored, name)) = best.filter(|b| b.0 > THERE * chance && straight < NOT * b.0) {
-                    tracing::debug!("set {}: {mirrored:.3} {name}, {straight:.3} as it is", campaign.sets[i].number);
+                tracing::debug!("set {}: pattern {straight:.3} as it is, {best:?}", campaign.sets[i].number);
+                if let Some((_, name)) = best.filter(|b| b.0 > (THERE * chance).max(LIKE_OTHERS * usual) && straight < NOT * b.0) {
                     turned.push((i, name));
                 }
             }

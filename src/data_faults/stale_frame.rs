@@ -69,6 +69,8 @@ impl First {
                 old_dn.extend(other.means_dn().last().map(|m| (*m, true)));
             }
         }
+        let full = campaign.full_scale_dn;
+        old_dn.iter_mut().for_each(|o| o.0 = o.0.min(full));
         Some(Self { set, old_dn, own_dn: *own_dn, others_dn, copy })
     }
 

@@ -9,7 +9,9 @@ const BEYOND: f64 = 0.02;
 /// A curve needs so many sets.
 const FEWEST: usize = 4;
 /// Variance below which rounding decides, DN^2.
-const QUIET_DN2: f64 = 0.35;
+pub const QUIET_DN2: f64 = 0.35;
+/// How much more than that a level has that has much.
+const MUCH: f64 = 3.0;
 /// Largest bend of the curve at the highest level, relative.
 const BEND: f64 = 0.15;
 
@@ -19,6 +21,8 @@ pub struct Transfer {
     most: f64,
     /// Sets that were taken out of it as strays.
     pub strays: Vec<usize>,
+    /// Sets that have so little noise that rounding decides it, at levels that have much.
+    pub quiet: Vec<usize>,
 }
 
 impl Transfer {
@@ -62,7 +66,7 @@ impl Transfer {
                     std: p.2,
                 })
                 .collect();
-            let fit = Law::fit(&rows, &priors, (points.len() / 4).clamp(1, 5))?;
+            let fit = Law::fit(&rows, &priors, (points.len() / 3).clamp(1, 5))?;
             for (p, e) in points.iter().zip(&mut expected) {
                 *e = fit.at(&factors(p.0 / most)).max(QUIET_DN2);
             }
@@ -70,7 +74,13 @@ impl Transfer {
         }
         let law = law?;
         let strays = law.out.iter().map(|k| sets[*k]).collect();
-        Some(Self { law, most, strays })
+        let is_quiet = |i: &usize| {
+            let s = &campaign.sets[*i];
+            let expected = law.at(&factors(above(campaign, zero, *i) / most));
+            !without.contains(i) && !s.clipped && s.variance_dn2().is_some_and(|v| v.0 > 0.0 && v.0 <= QUIET_DN2 && expected > MUCH * QUIET_DN2)
+        };
+        let quiet = campaign.places(|s| s.is_lit()).into_iter().filter(is_quiet).collect();
+        Some(Self { law, most, strays, quiet })
     }
 
     /// Its slope at the dimmest levels: the gain, DN per electron.
