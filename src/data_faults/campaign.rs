@@ -34,8 +34,6 @@ pub struct SetView {
     pub out: bool,
     /// Whether its level is cut off at full scale.
     pub clipped: bool,
-    /// How far its level is from the law of exposure and light, as a logarithm of the ratio, where that was looked at.
-    pub off: Option<f64>,
     /// Of joined datasets, which one it is of.
     part: usize,
 }
@@ -129,7 +127,6 @@ impl<'a> Campaign<'a> {
                 kept: vec![true; facts.means_dn.len()],
                 out: facts.means_dn.is_empty(),
                 clipped: facts.clipped - always > CLIPPED,
-                off: None,
                 part: dataset.part_of(set.rows[0]).0,
                 facts,
             }

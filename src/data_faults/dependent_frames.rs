@@ -14,11 +14,7 @@ const AVERAGED: f64 = 0.8;
 /// Ratio of the usual variance from which on a dark has another gain.
 const GAINED: f64 = 1.25;
 /// Share of the highest level from which on saturation takes noise away.
-const TOP: f64 = 0.85;
-/// Share of the usual variance that no well leaves that keeps the level: two frames that are averaged make it a half.
-const HALVED: f64 = 0.6;
-/// Deviation of the level from its law within which it does not, relative.
-const STRAIGHT: f64 = 0.003;
+const TOP: f64 = 0.9;
 /// Least that the variance of successive frames falls short of that of frames two apart.
 const ALIKE: f64 = 0.12;
 /// Standard deviations of that.
@@ -89,9 +85,9 @@ impl Check for DependentFrames {
             for &i in transfer.strays.iter().chain(&transfer.quiet) {
                 let Some((off, std)) = transfer.off(campaign, i, level(i)) else { continue };
                 let lit = campaign.sets[i].is_lit();
-                // A well that is full bends the level too.
-                let straight = campaign.sets[i].off.is_some_and(|off| off.abs() < STRAIGHT);
-                let saturates = lit && level(i) > TOP * highest && !(straight && off < HALVED.ln());
+                // A well that is full takes noise away, unless another set of as much light has it.
+                let full = |d: &usize| level(*d) < TOP * level(i) || transfer.strays.contains(d) || !campaign.sets[*d].is_lit();
+                let saturates = lit && level(i) > TOP * highest && all.iter().all(full);
                 // The fixed pattern of a dark of another gain is another; averaging leaves it.
                 let gain = if lit { None } else { pattern_gain(campaign, i) };
                 let of_gain = gain.is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < (0.5 * off).abs());

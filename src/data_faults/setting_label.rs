@@ -88,10 +88,8 @@ impl Check for SettingLabel {
         let points: Vec<Point> = lit.iter().map(|&i| point(i)).collect();
         let few = ((FEW * lit.len() as f64) as usize).clamp(1, 4);
         let Some(law) = Law::fit(&points, &PRIORS, few) else { return Vec::new() };
-        let mut offs = Vec::new();
         for (p, &i) in points.iter().zip(&lit) {
             let (off, std) = (p.value - law.at(&p.factors), law.std(p));
-            offs.push((i, off));
             tracing::debug!("set {}: ln of the level's ratio {off:+.5}, standard deviation {std:.5}", campaign.sets[i].number);
         }
         let strays: Vec<usize> = law.out.iter().map(|k| lit[*k]).collect();
@@ -158,7 +156,6 @@ impl Check for SettingLabel {
             };
             found.push((i, FaultKind::SettingLabel, format!("{name}: {text}")));
         }
-        offs.into_iter().for_each(|(i, off)| campaign.sets[i].off = Some(off));
         found.into_iter().map(|(i, kind, text)| campaign.fault_of_sets(kind, &[i], text, true)).collect()
     }
 }
