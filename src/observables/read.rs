@@ -138,12 +138,16 @@ fn pieces(dataset: &Dataset) -> Vec<Piece> {
 /// Frames from which on a set is cut into pieces for both halves.
 const CUT: usize = 6;
 
-/// Whose turn it is with every set: they take turns, unless that gives all darks to one half and all flats to the other, as where each flat
-/// is followed by its dark. Then they take turns in each kind.
+/// Smallest share of the sets of a kind that each half has, of those that are not cut (a named choice).
+const SHARE: f64 = 0.25;
+
+/// Whose turn it is with every set: they take turns, unless that gives nearly all darks to one half and nearly all
+/// flats to the other, as where each flat is followed by its dark. Then they take turns in each kind.
 fn turns(kinds: &[Kind], cut: &[bool]) -> Vec<usize> {
     let one_sided = |kind: Kind| {
-        let of_kind: Vec<usize> = (0..kinds.len()).filter(|s| kinds[*s] == kind).collect();
-        of_kind.len() > 1 && of_kind.iter().all(|s| !cut[*s] && s % 2 == of_kind[0] % 2)
+        let of_kind = || (0..kinds.len()).filter(|s| kinds[*s] == kind && !cut[*s]);
+        let (all, odd) = (of_kind().count() as f64, of_kind().filter(|s| s % 2 == 1).count() as f64);
+        all > 1.0 && odd.min(all - odd) < SHARE * all
     };
     if !one_sided(Kind::Dark) && !one_sided(Kind::Flat) {
         return (0..kinds.len()).collect();
@@ -620,7 +624,9 @@ mod tests {
         let (d, f) = (Kind::Dark, Kind::Flat);
         assert_eq!(turns(&[d, d, f, f, f], &[false; 5]), [0, 1, 2, 3, 4]);
         assert_eq!(turns(&[f, d, f, d, f, d], &[false; 6]), [0, 0, 1, 1, 2, 2]);
-        // Sets that are cut are in both halves anyway.
+        // Sets that are cut are in both halves anyway, and those beside them are not.
         assert_eq!(turns(&[f, d, f, d], &[true; 4]), [0, 1, 2, 3]);
+        let with_stacks = [false, false, false, false, true, true];
+        assert_eq!(turns(&[f, d, f, d, f, d], &with_stacks), [0, 0, 1, 1, 2, 2]);
     }
 }
