@@ -78,6 +78,13 @@ impl SetView {
         (far > 0.0).then(|| near / far)
     }
 
+    /// Whether its level is one number: of two frames that differ nobody knows which is right.
+    pub fn is_of_one_level(&self, zero: &Zero) -> bool {
+        let means = self.means_dn();
+        let [a, b] = means[..] else { return true };
+        (a - b).abs() < (20.0 * zero.scatter_dn).max(0.05 * (self.level_dn() - zero.dn).abs())
+    }
+
     /// Whether it is a flat that light falls on by its label.
     pub fn is_lit(&self) -> bool {
         self.kind == Kind::Flat && self.illumination > 0.0

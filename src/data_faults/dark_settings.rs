@@ -4,6 +4,7 @@
 //! what the level has beyond the black level (the charge is Poisson: Healey and Kondepudy 1994, eq. 6). A black-level clamp takes a part of
 //! that, or all, in all darks alike.
 
+use super::campaign::SetView;
 use super::law::{Law, Point};
 use super::transfer::Transfer;
 use super::{Campaign, Check, DataFault, FaultKind};
@@ -30,7 +31,8 @@ pub struct DarkSettings;
 impl Check for DarkSettings {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let Some(zero) = campaign.zero() else { return Vec::new() };
-        let darks = campaign.places(|s| s.kind == Kind::Dark && !s.clipped && s.variance_dn2().is_some());
+        let usable = |s: &SetView| !s.clipped && s.is_of_one_level(&zero) && s.variance_dn2().is_some();
+        let darks = campaign.places(|s| s.kind == Kind::Dark && usable(s));
         let gain = Transfer::of(campaign, &zero, &darks).map(|t| t.slope()).filter(|g| *g > 0.0);
         let Some(gain) = gain.filter(|_| darks.len() >= FEWEST) else { return Vec::new() };
         let var = |i: usize| campaign.sets[i].variance_dn2().unwrap_or_default();

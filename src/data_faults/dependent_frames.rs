@@ -15,6 +15,8 @@ const AVERAGED: f64 = 0.8;
 const GAINED: f64 = 1.25;
 /// Share of the highest level from which on saturation takes noise away.
 const TOP: f64 = 0.9;
+/// Share of a level from which on another set has as much light.
+const AS_BRIGHT: f64 = 0.98;
 /// Least that the variance of successive frames falls short of that of frames two apart.
 const ALIKE: f64 = 0.12;
 /// Standard deviations of that.
@@ -86,7 +88,7 @@ impl Check for DependentFrames {
                 let Some((off, std)) = transfer.off(campaign, i, level(i)) else { continue };
                 let lit = campaign.sets[i].is_lit();
                 // A well that is full takes noise away, unless another set of as much light has it.
-                let full = |d: &usize| level(*d) < TOP * level(i) || transfer.strays.contains(d) || !campaign.sets[*d].is_lit();
+                let full = |d: &usize| level(*d) < AS_BRIGHT * level(i) || transfer.strays.contains(d) || !campaign.sets[*d].is_lit();
                 let saturates = lit && level(i) > TOP * highest && all.iter().all(full);
                 // The fixed pattern of a dark of another gain is another; averaging leaves it.
                 let gain = if lit { None } else { pattern_gain(campaign, i) };

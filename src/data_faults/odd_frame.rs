@@ -6,7 +6,7 @@ use crate::number::{percent, six_digits};
 use crate::observables::outliers;
 
 /// Standard deviations of a frame's mean from which on it is odd.
-const FAR: f64 = 10.0;
+const FAR: f64 = 8.0;
 /// Least deviation from the other frames, over the signal: what is less costs nobody anything.
 const LEAST: f64 = 0.002;
 /// The same of a dark, DN.
@@ -16,6 +16,10 @@ const FEW: f64 = 0.05;
 
 /// Share of a change of level up to which a first frame may carry it over.
 const LAG: f64 = 0.05;
+/// Share that first frames carry over, from which on what came before the first set shows.
+const CARRIED: f64 = 3e-4;
+/// How well what is carried over is known, relative.
+const KNOWN: f64 = 0.2;
 /// Cells of a frame.
 const CELLS: f64 = 36.0;
 /// Share of the sets up to which one frame of each is a slip.
@@ -55,12 +59,14 @@ impl Check for OddFrame {
                 let before = set.checked_sub(1).map(|b| &campaign.sets[b]).filter(|b| places[*k] == 0 && b.frames() > 0);
                 let change = before.map_or(0.0, |b| b.level_dn() - apart.level_dn);
                 let carries = share.unwrap_or(0.0) * change;
+                // Nobody knows what came before the first set.
+                let unknown = before.is_none() && places[*k] == 0 && share.is_some_and(|s| s.abs() > CARRIED);
                 if (off - carries).abs() < off.abs() {
                     off -= carries;
                 }
                 let carried = places[*k] == 0 && share.is_none() && off * change > 0.0 && off.abs() < LAG * change.abs()
                     || (1..=2).contains(k) && apart.mean_dn[*k - 1] * off > 0.0 && apart.mean_dn[*k - 1].abs() > 2.0 * off.abs();
-                !carried && (off.abs() > least.max(FAR * scatter) || apart.cell_dn.get(*k).is_some_and(|c| *c > cell))
+                !carried && !unknown && (off.abs() > least.max(FAR * scatter).max(KNOWN * carries.abs()) || apart.cell_dn.get(*k).is_some_and(|c| *c > cell + 0.5 * carries.abs()))
             };
             let own: Vec<usize> = (0..places.len()).filter(far).collect();
             if own.len() == 1 || own.len() * 4 <= places.len() {

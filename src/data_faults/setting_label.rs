@@ -12,13 +12,15 @@ const USUAL: f64 = 0.002;
 /// Least deviation that is said.
 const LEAST: f64 = 0.01;
 /// Sets below which no law can be told from a stray.
-const FEWEST: usize = 5;
+pub const FEWEST: usize = 5;
 /// Share of the sets that may be strays.
 const FEW: f64 = 0.2;
 /// Square of standard deviations by which another reason must fit the noise better than a wrong label does, which is the usual slip.
 const BETTER: f64 = 6.0;
 /// Standard deviations within which it must fit it.
 const FITS: f64 = 6.0;
+/// Standard deviations by which sets of equal settings differ whose light does, and the least difference that is said.
+const REPEATS: (f64, f64) = (6.0, 0.008);
 /// Deviation of the noise from that of the level up to which the brightest set, where it has less than stated, is a wrong label: a camera
 /// that bends or saturates loses noise with the signal.
 const STRAIGHT: f64 = 0.1;
@@ -37,16 +39,17 @@ struct Factors {
 }
 
 /// How far cameras bend: the response's exponent, its change over the range, an offset of level or exposure at the lowest light, and a
-/// compression at the highest, relative (named choices).
-const PRIORS: [f64; 7] = [1e3, 0.15, 0.03, 0.03, 0.05, 0.05, 0.05];
+/// compression at the highest, relative; and how far lamps drift during a campaign (named choices).
+const PRIORS: [f64; 8] = [1e3, 0.15, 0.03, 0.03, 0.05, 0.05, 0.05, 0.006];
 
 impl Factors {
-    fn of(&self, exposure_s: f64, light: f64) -> Vec<f64> {
+    /// `when`: from -0.5 at the first set to 0.5 at the last.
+    fn of(&self, exposure_s: f64, light: f64, when: f64) -> Vec<f64> {
         let x = exposure_s * light;
         let u = x.ln() - self.middle;
         let offset = if self.vary == (true, true) { self.shortest_s / exposure_s } else { 0.0 };
         let top = x / self.most;
-        vec![1.0, u, u * u, self.least / x, top, top * top, offset]
+        vec![1.0, u, u * u, self.least / x, top, top * top, offset, when]
     }
 }
 
@@ -76,11 +79,12 @@ impl Check for SettingLabel {
             shortest_s: exposures.0,
             vary: (differ(exposures), differ(lights)),
         };
+        let when = |i: usize| i as f64 / (campaign.sets.len() - 1).max(1) as f64 - 0.5;
         let point = |i: usize| {
             let set = &campaign.sets[i];
             let scatter = campaign.frame_scatter_dn(i, &zero) / (set.frames() as f64).sqrt();
             Point {
-                factors: factors.of(set.exposure_s, set.illumination),
+                factors: factors.of(set.exposure_s, set.illumination, when(i)),
                 value: above(i).ln(),
                 std: USUAL.hypot(scatter.hypot(zero.scatter_dn).hypot(coarse(set)) / above(i)),
             }
@@ -135,7 +139,7 @@ impl Check for SettingLabel {
                 found.push((i, FaultKind::OtherSettings, format!("{name}: {text}")));
                 continue;
             }
-            let belongs = belongs(&law, &factors, set.exposure_s, set.illumination, points[k].value);
+            let belongs = belongs(&law, &factors, (set.exposure_s, set.illumination, when(i)), points[k].value);
             let text = match factors.vary {
                 _ if campaign.light_is_in_photons() => format!(
                     "stated {} photons, its level belongs to {}",
@@ -156,7 +160,23 @@ impl Check for SettingLabel {
             };
             found.push((i, FaultKind::SettingLabel, format!("{name}: {text}")));
         }
-        found.into_iter().map(|(i, kind, text)| campaign.fault_of_sets(kind, &[i], text, true)).collect()
+        let mut unequal = Vec::new();
+        for sets in campaign.repeats() {
+            let known: Vec<usize> = (0..lit.len()).filter(|k| sets.contains(&lit[*k])).collect();
+            let off = |k: &usize| points[*k].value - law.at(&points[*k].factors);
+            let most = known.iter().map(off).fold(f64::NEG_INFINITY, f64::max);
+            let least = known.iter().map(off).fold(f64::INFINITY, f64::min);
+            let usual = known.iter().map(|k| law.std(&points[*k])).fold(0.0, f64::max);
+            if known.len() == sets.len() && most - least > REPEATS.1.max(REPEATS.0 * usual) && found.iter().all(|f| !sets.contains(&f.0)) {
+                let text = format!(
+                    "{}: stated exposure and light are the same, and the light differs by {}",
+                    campaign.named(&sets),
+                    percent(most - least)
+                );
+                unequal.push(campaign.fault_of_sets(FaultKind::UnequalLight, &sets, text, false));
+            }
+        }
+        found.into_iter().map(|(i, kind, text)| campaign.fault_of_sets(kind, &[i], text, true)).chain(unequal).collect()
     }
 }
 
@@ -167,10 +187,10 @@ fn coarse(set: &SetView) -> f64 {
 }
 
 /// Factor on exposure or light at which the law has a value.
-fn belongs(law: &Law, factors: &Factors, exposure_s: f64, light: f64, value: f64) -> f64 {
+fn belongs(law: &Law, factors: &Factors, (exposure_s, light, when): (f64, f64, f64), value: f64) -> f64 {
     let at = |u: f64| {
         let (e, l) = if factors.vary.0 { (exposure_s * u.exp(), light) } else { (exposure_s, light * u.exp()) };
-        law.at(&factors.of(e, l))
+        law.at(&factors.of(e, l, when))
     };
     let mut u = value - at(0.0);
     for _ in 0..20 {
