@@ -17,6 +17,8 @@ const SAME_SHARE: f64 = 0.03;
 /// Share of the difference within which a level counts as that of the old exposure or light, which only the ratio of the labels tells.
 const OLD_SHARE: f64 = 0.12;
 
+/// Share of the sets that could show it from which on all are taken for stale.
+const NEARLY_ALL: f64 = 0.7;
 /// Largest share of a level that lag or a filter carries over to the next frame.
 const LAG: f64 = 0.5;
 
@@ -121,7 +123,16 @@ impl Check for StaleFrame {
         let told = |f: &&&First| !f.copy || (f.old_dn.first().is_some_and(|o| (o.0 - f.others_dn).abs() > APART * scatter(f)));
         let stale: Vec<&First> = stale.iter().filter(told).copied().collect();
         let Some(first) = stale.first() else { return Vec::new() };
-        let sets: Vec<usize> = stale.iter().map(|f| f.set).collect();
+        let mut sets: Vec<usize> = stale.iter().map(|f| f.set).collect();
+        // Where nearly all that could show it are so, those are too that are too near the level before to show it.
+        let shows = |f: &&First| f.old_dn.iter().any(|o| o.1 && (o.0 - f.others_dn).abs() > APART_DN.max(APART * scatter(f)));
+        let could = firsts.iter().filter(shows).count();
+        if sets.len() >= 3 && sets.len() as f64 > NEARLY_ALL * could as f64 {
+            let near = firsts.iter().filter(|f| !shows(f) && campaign.sets[f.set].frames() > 2);
+            sets.extend(near.map(|f| f.set));
+            sets.sort_unstable();
+            sets.dedup();
+        }
         let text = format!(
             "{}: the first frame was exposed before the new settings held (set {}: {} DN, its other frames {} DN)",
             campaign.named(&sets),
