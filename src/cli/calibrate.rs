@@ -77,7 +77,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     // A calibration campaign may have one level only; then it says nothing of the noise.
     let noise = noise::of_dataset(&dataset, &STOP, &mut |_, _| {}).ok();
     let provenance = format!("radcam {} from {}", env!("CARGO_PKG_VERSION"), arguments.dataset.display());
-    let Calibrated { calibration, defects, data_faults } = after_faults(of_dataset(&dataset, estimator, noise.as_ref(), &provenance), dataset.data_faults())?;
+    let Calibrated { calibration, defects, data_faults } =
+        after_faults(of_dataset(&dataset, estimator, noise.as_ref(), &provenance), dataset.data_faults())?;
     calibration.write(&arguments.output)?;
     let d = &calibration.description;
     if arguments.json {

@@ -31,7 +31,11 @@ impl Check for CopiedFrames {
             let all = campaign.sets[set].facts.changed.iter().skip(1).filter(|c| **c > 0);
             median(all.map(|c| *c as f64))
         };
-        let lowest = campaign.places(|_| true).into_iter().map(|s| campaign.sets[s].level_dn()).fold(f64::INFINITY, f64::min);
+        let lowest = campaign
+            .places(|_| true)
+            .into_iter()
+            .map(|s| campaign.sets[s].level_dn())
+            .fold(f64::INFINITY, f64::min);
         let has_noise = |set: usize| {
             let view = &campaign.sets[set];
             let own = changes(set);
@@ -44,7 +48,8 @@ impl Check for CopiedFrames {
             }
             // All are the same: sets of less light tell.
             let level = view.level_dn();
-            let darker = campaign.places(|_| true).into_iter().filter(|s| campaign.sets[*s].level_dn() <= level);
+            let darker =
+                campaign.places(|_| true).into_iter().filter(|s| campaign.sets[*s].level_dn() <= level);
             let usual = median(darker.map(changes).filter(|c| c.is_finite()));
             usual >= DIFFER || (view.facts.spread_dn2 > 0.0 && level - lowest > LIT_DN)
         };

@@ -78,6 +78,9 @@ impl Check for DarkSettings {
             );
             found.push((i, text));
         }
-        found.into_iter().map(|(i, text)| campaign.fault_of_sets(FaultKind::OtherSettings, &[i], text, true)).collect()
+        found
+            .into_iter()
+            .map(|(i, text)| campaign.fault_of_sets(FaultKind::OtherSettings, &[i], text, true))
+            .collect()
     }
 }

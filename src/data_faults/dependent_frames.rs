@@ -88,7 +88,11 @@ impl Check for DependentFrames {
                 let Some((off, std)) = transfer.off(campaign, i, level(i)) else { continue };
                 let lit = campaign.sets[i].is_lit();
                 // A well that is full takes noise away, unless another set of as much light has it.
-                let full = |d: &usize| level(*d) < AS_BRIGHT * level(i) || transfer.strays.contains(d) || !campaign.sets[*d].is_lit();
+                let full = |d: &usize| {
+                    level(*d) < AS_BRIGHT * level(i)
+                        || transfer.strays.contains(d)
+                        || !campaign.sets[*d].is_lit()
+                };
                 let saturates = lit && level(i) > TOP * highest && all.iter().all(full);
                 // The fixed pattern of a dark of another gain is another; averaging leaves it.
                 let gain = if lit { None } else { pattern_gain(campaign, i) };
@@ -115,7 +119,8 @@ impl Check for DependentFrames {
                 if alike.len() < 4 || usual > 4.0 * transfer::QUIET_DN2 || off.abs() < -AVERAGED.ln() {
                     continue;
                 }
-                let of_gain = pattern_gain(campaign, i).is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < 0.6 * off.abs());
+                let of_gain = pattern_gain(campaign, i)
+                    .is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < 0.6 * off.abs());
                 if off > 0.0 || of_gain { gained.push((i, off)) } else { averaged.push(i) }
             }
             // What darks of long exposures have is the charge's: a gain is told by another dark that would have it.

@@ -50,7 +50,8 @@ impl Check for KindLabel {
         let of_light = |&i: &usize| {
             let (own, exposure_s) = (level(i) - lowest, campaign.sets[i].exposure_s);
             let others = || darks.iter().filter(|&&d| d != i && !bright.contains(&d));
-            let longer = others().any(|&d| campaign.sets[d].exposure_s >= 0.9 * exposure_s && level(d) - lowest < 0.3 * own);
+            let longer = others()
+                .any(|&d| campaign.sets[d].exposure_s >= 0.9 * exposure_s && level(d) - lowest < 0.3 * own);
             let exposures: Vec<f64> = others().map(|&d| campaign.sets[d].exposure_s).collect();
             let several = exposures.iter().any(|e| (e / exposures[0] - 1.0).abs() > 0.01);
             let charge = several && dark_at(exposure_s) - lowest < 0.3 * own;
@@ -58,7 +59,9 @@ impl Check for KindLabel {
         };
         let lit_darks: Vec<usize> = bright.iter().copied().filter(of_light).collect();
         // Where most are so, the labels mean something else.
-        if lit_darks.len() * 2 > darks.len().max(1) && unlit.len() != lit_darks.len() || unlit.len() * 2 > lit.len() {
+        if lit_darks.len() * 2 > darks.len().max(1) && unlit.len() != lit_darks.len()
+            || unlit.len() * 2 > lit.len()
+        {
             return Vec::new();
         }
         let dn = |sets: &[usize]| six_digits(median(sets.iter().map(|&i| level(i))));
@@ -73,7 +76,7 @@ impl Check for KindLabel {
                 dn(&unlit),
                 dark_dn(*flat),
             );
-            found.push((vec![*dark, *flat], text));
+            found.push((vec![(*dark).min(*flat), (*dark).max(*flat)], text));
         } else {
             if let Some(&first) = lit_darks.first() {
                 let text = format!(
@@ -95,7 +98,9 @@ impl Check for KindLabel {
                 found.push((unlit.clone(), text));
             }
         }
-        let fault = |(sets, text): (Vec<usize>, String)| campaign.fault_of_sets(FaultKind::KindLabel, &sets, text, true);
+        let fault = |(sets, text): (Vec<usize>, String)| {
+            campaign.fault_of_sets(FaultKind::KindLabel, &sets, text, true)
+        };
         found.into_iter().map(fault).collect()
     }
 }

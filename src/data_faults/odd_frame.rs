@@ -35,7 +35,8 @@ impl Check for OddFrame {
         let frames: usize = sets.iter().map(|&s| campaign.sets[s].frames()).sum();
         let blocks = |set: usize| {
             let view = &campaign.sets[set];
-            let cells = view.facts.cells_dn.iter().zip(&view.kept).filter(|(_, k)| **k).map(|(c, _)| c.clone());
+            let cells =
+                view.facts.cells_dn.iter().zip(&view.kept).filter(|(_, k)| **k).map(|(c, _)| c.clone());
             outliers::apart_of(&cells.collect::<Vec<_>>(), true)
         };
         let aparts: Vec<(bool, outliers::Apart)> =
@@ -56,7 +57,10 @@ impl Check for OddFrame {
             let far = |k: &usize| {
                 let mut off = apart.mean_dn[*k];
                 // What came before is carried over, and dies away.
-                let before = set.checked_sub(1).map(|b| &campaign.sets[b]).filter(|b| places[*k] == 0 && b.frames() > 0);
+                let before = set
+                    .checked_sub(1)
+                    .map(|b| &campaign.sets[b])
+                    .filter(|b| places[*k] == 0 && b.frames() > 0);
                 let change = before.map_or(0.0, |b| b.level_dn() - apart.level_dn);
                 let carries = share.unwrap_or(0.0) * change;
                 // Nobody knows what came before the first set.
@@ -64,9 +68,17 @@ impl Check for OddFrame {
                 if (off - carries).abs() < off.abs() {
                     off -= carries;
                 }
-                let carried = places[*k] == 0 && share.is_none() && off * change > 0.0 && off.abs() < LAG * change.abs()
-                    || (1..=2).contains(k) && apart.mean_dn[*k - 1] * off > 0.0 && apart.mean_dn[*k - 1].abs() > 2.0 * off.abs();
-                !carried && !unknown && (off.abs() > least.max(FAR * scatter).max(KNOWN * carries.abs()) || apart.cell_dn.get(*k).is_some_and(|c| *c > cell + 0.5 * carries.abs()))
+                let carried = places[*k] == 0
+                    && share.is_none()
+                    && off * change > 0.0
+                    && off.abs() < LAG * change.abs()
+                    || (1..=2).contains(k)
+                        && apart.mean_dn[*k - 1] * off > 0.0
+                        && apart.mean_dn[*k - 1].abs() > 2.0 * off.abs();
+                !carried
+                    && !unknown
+                    && (off.abs() > least.max(FAR * scatter).max(KNOWN * carries.abs())
+                        || apart.cell_dn.get(*k).is_some_and(|c| *c > cell + 0.5 * carries.abs()))
             };
             let own: Vec<usize> = (0..places.len()).filter(far).collect();
             if own.len() == 1 || own.len() * 4 <= places.len() {
@@ -80,7 +92,8 @@ impl Check for OddFrame {
             let off: Vec<f64> = means.iter().map(|m| m - level).collect();
             let same = (10.0 * zero.scatter_dn).max(LEAST_DN);
             if let Some(k) = (0..2).find(|k| off[*k].abs() > 10.0 * same && off[1 - k].abs() < same) {
-                let places: Vec<usize> = (0..campaign.sets[set].kept.len()).filter(|p| campaign.sets[set].kept[*p]).collect();
+                let places: Vec<usize> =
+                    (0..campaign.sets[set].kept.len()).filter(|p| campaign.sets[set].kept[*p]).collect();
                 odd.push((set, places[k], off[k], 1.0));
             }
         }

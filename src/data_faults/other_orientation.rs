@@ -24,7 +24,8 @@ impl Check for OtherOrientation {
                 continue;
             }
             let columns = campaign.sets[sets[0]].facts.middle_columns;
-            let own: Vec<Vec<f64>> = sets.iter().map(|&i| pattern(&campaign.sets[i].facts.middle_dn, columns)).collect();
+            let own: Vec<Vec<f64>> =
+                sets.iter().map(|&i| pattern(&campaign.sets[i].facts.middle_dn, columns)).collect();
             let pixels = own[0].len();
             if pixels < 1024 || own.iter().any(|p| p.len() != pixels) {
                 continue;
@@ -32,15 +33,21 @@ impl Check for OtherOrientation {
             // Bright flats show the pattern of the response, and count by it.
             let mut sum = vec![0.0; pixels];
             own.iter().for_each(|p| sum.iter_mut().zip(p).for_each(|(s, v)| *s += v));
-            let straight_of = |p: &Vec<f64>| correlation(p, &sum.iter().zip(p).map(|(s, v)| s - v).collect::<Vec<_>>());
+            let straight_of =
+                |p: &Vec<f64>| correlation(p, &sum.iter().zip(p).map(|(s, v)| s - v).collect::<Vec<_>>());
             let usual = median(own.iter().map(straight_of));
             for (&i, p) in sets.iter().zip(&own) {
                 let others: Vec<f64> = sum.iter().zip(p).map(|(s, v)| s - v).collect();
                 let chance = (pixels as f64).sqrt().recip();
                 let straight = correlation(p, &others);
-                let best = TURNS.iter().map(|(name, turn)| (correlation(&turn(p, columns), &others), *name)).max_by(|a, b| a.0.total_cmp(&b.0));
+                let best = TURNS
+                    .iter()
+                    .map(|(name, turn)| (correlation(&turn(p, columns), &others), *name))
+                    .max_by(|a, b| a.0.total_cmp(&b.0));
                 tracing::debug!("set {}: pattern {straight:.3} as it is, {best:?}", campaign.sets[i].number);
-                if let Some((_, name)) = best.filter(|b| b.0 > (THERE * chance).max(LIKE_OTHERS * usual) && straight < NOT * b.0) {
+                if let Some((_, name)) =
+                    best.filter(|b| b.0 > (THERE * chance).max(LIKE_OTHERS * usual) && straight < NOT * b.0)
+                {
                     turned.push((i, name));
                 }
             }
@@ -48,8 +55,13 @@ impl Check for OtherOrientation {
         let mut out = Vec::new();
         for (name, _) in TURNS {
             let sets: Vec<usize> = turned.iter().filter(|t| t.1 == name).map(|t| t.0).collect();
-            if !sets.is_empty() && sets.len() * 3 <= campaign.places(|s| s.kind == Kind::Flat || s.kind == Kind::Dark).len() {
-                let text = format!("{}: {name}: the fixed pattern is that of the other sets so", campaign.named(&sets));
+            if !sets.is_empty()
+                && sets.len() * 3 <= campaign.places(|s| s.kind == Kind::Flat || s.kind == Kind::Dark).len()
+            {
+                let text = format!(
+                    "{}: {name}: the fixed pattern is that of the other sets so",
+                    campaign.named(&sets)
+                );
                 out.push(campaign.fault_of_sets(FaultKind::OtherSettings, &sets, text, true));
             }
         }

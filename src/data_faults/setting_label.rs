@@ -94,7 +94,10 @@ impl Check for SettingLabel {
         let Some(law) = Law::fit(&points, &PRIORS, few) else { return Vec::new() };
         for (p, &i) in points.iter().zip(&lit) {
             let (off, std) = (p.value - law.at(&p.factors), law.std(p));
-            tracing::debug!("set {}: ln of the level's ratio {off:+.5}, standard deviation {std:.5}", campaign.sets[i].number);
+            tracing::debug!(
+                "set {}: ln of the level's ratio {off:+.5}, standard deviation {std:.5}",
+                campaign.sets[i].number
+            );
         }
         let strays: Vec<usize> = law.out.iter().map(|k| lit[*k]).collect();
         let transfer = Transfer::of(campaign, &zero, &strays);
@@ -112,7 +115,12 @@ impl Check for SettingLabel {
             }
             let set = &campaign.sets[i];
             let name = format!("set {} ({})", set.number, campaign.file(i, 0));
-            let level = format!("{} DN above black, {} for {} DN", six_digits(above(i)), percent(off.exp_m1()), six_digits(expected));
+            let level = format!(
+                "{} DN above black, {} for {} DN",
+                six_digits(above(i)),
+                percent(off.exp_m1()),
+                six_digits(expected)
+            );
             let other = noise.and_then(|(t, own)| {
                 let stated = t.off(campaign, i, expected)?;
                 let z = |o: f64, std: f64| (o / std).abs();
@@ -139,7 +147,8 @@ impl Check for SettingLabel {
                 found.push((i, FaultKind::OtherSettings, format!("{name}: {text}")));
                 continue;
             }
-            let belongs = belongs(&law, &factors, (set.exposure_s, set.illumination, when(i)), points[k].value);
+            let belongs =
+                belongs(&law, &factors, (set.exposure_s, set.illumination, when(i)), points[k].value);
             let text = match factors.vary {
                 _ if campaign.light_is_in_photons() => format!(
                     "stated {} photons, its level belongs to {}",
@@ -150,7 +159,15 @@ impl Check for SettingLabel {
                     "stated exposure {} s, its level belongs to {} s{}",
                     six_digits(set.exposure_s),
                     six_digits(set.exposure_s * belongs),
-                    if factors.vary.1 { format!(", or to light {} for {}", six_digits(set.illumination * belongs), six_digits(set.illumination)) } else { String::new() }
+                    if factors.vary.1 {
+                        format!(
+                            ", or to light {} for {}",
+                            six_digits(set.illumination * belongs),
+                            six_digits(set.illumination)
+                        )
+                    } else {
+                        String::new()
+                    }
                 ),
                 _ => format!(
                     "stated light {}, its level belongs to {}",
@@ -167,7 +184,10 @@ impl Check for SettingLabel {
             let most = known.iter().map(off).fold(f64::NEG_INFINITY, f64::max);
             let least = known.iter().map(off).fold(f64::INFINITY, f64::min);
             let usual = known.iter().map(|k| law.std(&points[*k])).fold(0.0, f64::max);
-            if known.len() == sets.len() && most - least > REPEATS.1.max(REPEATS.0 * usual) && found.iter().all(|f| !sets.contains(&f.0)) {
+            if known.len() == sets.len()
+                && most - least > REPEATS.1.max(REPEATS.0 * usual)
+                && found.iter().all(|f| !sets.contains(&f.0))
+            {
                 let text = format!(
                     "{}: stated exposure and light are the same, and the light differs by {}",
                     campaign.named(&sets),
@@ -176,7 +196,11 @@ impl Check for SettingLabel {
                 unequal.push(campaign.fault_of_sets(FaultKind::UnequalLight, &sets, text, false));
             }
         }
-        found.into_iter().map(|(i, kind, text)| campaign.fault_of_sets(kind, &[i], text, true)).chain(unequal).collect()
+        found
+            .into_iter()
+            .map(|(i, kind, text)| campaign.fault_of_sets(kind, &[i], text, true))
+            .chain(unequal)
+            .collect()
     }
 }
 
@@ -189,7 +213,8 @@ fn coarse(set: &SetView) -> f64 {
 /// Factor on exposure or light at which the law has a value.
 fn belongs(law: &Law, factors: &Factors, (exposure_s, light, when): (f64, f64, f64), value: f64) -> f64 {
     let at = |u: f64| {
-        let (e, l) = if factors.vary.0 { (exposure_s * u.exp(), light) } else { (exposure_s, light * u.exp()) };
+        let (e, l) =
+            if factors.vary.0 { (exposure_s * u.exp(), light) } else { (exposure_s, light * u.exp()) };
         law.at(&factors.of(e, l, when))
     };
     let mut u = value - at(0.0);

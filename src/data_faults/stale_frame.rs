@@ -67,7 +67,10 @@ impl First {
             if own.is_lit() {
                 old_dn.push((zero.at(other.exposure_s) + signal * other.exposure_s / own.exposure_s, false));
                 if other.is_lit() {
-                    old_dn.push((zero.at(own.exposure_s) + signal * other.illumination / own.illumination, false));
+                    old_dn.push((
+                        zero.at(own.exposure_s) + signal * other.illumination / own.illumination,
+                        false,
+                    ));
                 }
             }
             if other.kind == own.kind {
@@ -99,14 +102,18 @@ impl First {
 impl Check for StaleFrame {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let Some(zero) = campaign.zero() else { return Vec::new() };
-        let firsts: Vec<First> = (1..campaign.sets.len()).filter_map(|k| First::of(campaign, &zero, k)).collect();
+        let firsts: Vec<First> =
+            (1..campaign.sets.len()).filter_map(|k| First::of(campaign, &zero, k)).collect();
         // Where all first frames are stale, what they do is no measure of what the lamp does: how well they meet the old levels is.
         let level = |s: usize| (campaign.sets[s].level_dn() - zero.dn).abs().max(1.0);
         let scale = |f: &First| level(f.set).max(level(f.set - 1));
         let meets = median(firsts.iter().map(|f| f.off_dn() / scale(f))) / 0.6745;
         let scatter = |f: &First| {
-            let usual = campaign.frame_scatter_dn(f.set, &zero).hypot(campaign.frame_scatter_dn(f.set - 1, &zero));
-            let noise = |s: usize| campaign.sets[s].variance_dn2().map_or(0.0, |v| v.0 / campaign.sets[s].facts.pixels.max(1.0));
+            let usual =
+                campaign.frame_scatter_dn(f.set, &zero).hypot(campaign.frame_scatter_dn(f.set - 1, &zero));
+            let noise = |s: usize| {
+                campaign.sets[s].variance_dn2().map_or(0.0, |v| v.0 / campaign.sets[s].facts.pixels.max(1.0))
+            };
             let least = (noise(f.set) + noise(f.set - 1)).sqrt().max(0.03);
             usual.min((meets * scale(f)).max(least))
         };
@@ -120,12 +127,16 @@ impl Check for StaleFrame {
         let stale: Vec<&First> =
             firsts.iter().filter(|f| f.copy || (f.is_stale(scatter(f)) && !carried(f))).collect();
         // A copy of a frame of equal settings is a copy and no more.
-        let told = |f: &&&First| !f.copy || (f.old_dn.first().is_some_and(|o| (o.0 - f.others_dn).abs() > APART * scatter(f)));
+        let told = |f: &&&First| {
+            !f.copy || (f.old_dn.first().is_some_and(|o| (o.0 - f.others_dn).abs() > APART * scatter(f)))
+        };
         let stale: Vec<&First> = stale.iter().filter(told).copied().collect();
         let Some(first) = stale.first() else { return Vec::new() };
         let mut sets: Vec<usize> = stale.iter().map(|f| f.set).collect();
         // Where nearly all that could show it are so, those are too that are too near the level before to show it.
-        let shows = |f: &&First| f.old_dn.iter().any(|o| o.1 && (o.0 - f.others_dn).abs() > APART_DN.max(APART * scatter(f)));
+        let shows = |f: &&First| {
+            f.old_dn.iter().any(|o| o.1 && (o.0 - f.others_dn).abs() > APART_DN.max(APART * scatter(f)))
+        };
         let could = firsts.iter().filter(shows).count();
         if sets.len() >= 3 && sets.len() as f64 > NEARLY_ALL * could as f64 {
             let near = firsts.iter().filter(|f| !shows(f) && campaign.sets[f.set].frames() > 2);

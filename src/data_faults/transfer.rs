@@ -30,7 +30,10 @@ impl Transfer {
     pub fn of(campaign: &Campaign<'_>, zero: &Zero, without: &[usize]) -> Option<Self> {
         let usable = |i: &usize| {
             let s = &campaign.sets[*i];
-            !without.contains(i) && !s.clipped && s.is_of_one_level(zero) && s.variance_dn2().is_some_and(|v| v.0 > QUIET_DN2)
+            !without.contains(i)
+                && !s.clipped
+                && s.is_of_one_level(zero)
+                && s.variance_dn2().is_some_and(|v| v.0 > QUIET_DN2)
         };
         let sets: Vec<usize> = campaign
             .places(|s| matches!(s.kind, Kind::Dark | Kind::Flat))
@@ -77,7 +80,11 @@ impl Transfer {
         let is_quiet = |i: &usize| {
             let s = &campaign.sets[*i];
             let expected = law.at(&factors(above(campaign, zero, *i) / most));
-            !without.contains(i) && !s.clipped && s.is_of_one_level(zero) && s.variance_dn2().is_some_and(|v| v.0 > 0.0 && v.0 <= QUIET_DN2 && expected > MUCH * QUIET_DN2)
+            !without.contains(i)
+                && !s.clipped
+                && s.is_of_one_level(zero)
+                && s.variance_dn2()
+                    .is_some_and(|v| v.0 > 0.0 && v.0 <= QUIET_DN2 && expected > MUCH * QUIET_DN2)
         };
         let quiet = campaign.places(|s| s.is_lit()).into_iter().filter(is_quiet).collect();
         Some(Self { law, most, strays, quiet })

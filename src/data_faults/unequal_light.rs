@@ -38,7 +38,10 @@ impl Check for UnequalLight {
             apart(i).abs() > (FAR * scatter).max(LEAST * signal(i))
         };
         let unequal: Vec<usize> = pairs.iter().copied().filter(|&i| far(i)).collect();
-        if !unequal.is_empty() && unequal.len() as f64 <= (FEW * pairs.len() as f64).max(1.0) && pairs.len() > 2 {
+        if !unequal.is_empty()
+            && unequal.len() as f64 <= (FEW * pairs.len() as f64).max(1.0)
+            && pairs.len() > 2
+        {
             let most = unequal.iter().map(|&i| (apart(i) / signal(i)).abs()).fold(0.0, f64::max);
             let text = format!(
                 "{}: the two frames differ by {}{} in light",
@@ -63,7 +66,11 @@ impl Check for UnequalLight {
             let own = spread(sets);
             let noise = sets
                 .iter()
-                .map(|&i| campaign.frame_scatter_dn(i, &zero) / (campaign.sets[i].frames() as f64).sqrt() / signal(i))
+                .map(|&i| {
+                    campaign.frame_scatter_dn(i, &zero)
+                        / (campaign.sets[i].frames() as f64).sqrt()
+                        / signal(i)
+                })
                 .fold(0.0, f64::max);
             if signal(sets[0]) > 20.0 && own > (FAR * noise).max(LEAST) {
                 let text = format!(

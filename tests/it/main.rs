@@ -7,6 +7,7 @@ mod blind;
 mod calibration;
 mod camera;
 mod conformance;
+mod data_faults;
 mod dataset;
 mod docs;
 mod effects;

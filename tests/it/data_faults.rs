@@ -1,0 +1,309 @@
+//! Slips of the hand, put into campaigns of simulated cameras by rewriting labels and files, and read by the program.
+
+use crate::support::{expect, radcam, shared};
+use radcam::dataset::image::{read_single, tiff_bytes};
+use radcam::ndarray::{Array2, s};
+use std::path::Path;
+
+/// A small campaign on disk with its rows as text fields.
+struct Campaign {
+    dir: tempfile::TempDir,
+    rows: Vec<Vec<String>>,
+}
+
+impl Campaign {
+    fn new(sensor: &str, plan: &str, seed: u32) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let at = dir.path().join("c");
+        let (at, seed) = (at.to_str().unwrap(), seed.to_string());
+        expect(
+            0,
+            &["simulate", sensor, "--plan", plan, "--region", "0,0,160,128", "--seed", &seed, "-o", at],
+        );
+        let text = std::fs::read_to_string(dir.path().join("c/frames.csv")).unwrap();
+        let rows = text.lines().skip(1).map(|l| l.split(',').map(String::from).collect()).collect();
+        Self { dir, rows }
+    }
+
+    fn path(&self) -> String {
+        self.dir.path().join("c").to_str().unwrap().into()
+    }
+
+    /// Writes the rows back.
+    fn save(&self) {
+        let path = Path::new(&self.path()).join("frames.csv");
+        let text = std::fs::read_to_string(&path).unwrap();
+        let header = text.lines().next().unwrap().to_string();
+        let rows: Vec<String> =
+            std::iter::once(header).chain(self.rows.iter().map(|r| r.join(","))).collect();
+        std::fs::write(path, rows.join("\n") + "\n").unwrap();
+    }
+
+    /// Places of the rows of a set.
+    fn of(&self, set: u32) -> Vec<usize> {
+        (0..self.rows.len()).filter(|r| self.rows[*r][2] == set.to_string()).collect()
+    }
+
+    /// Numbers of the sets of a kind with this many frames at least, in the order of time.
+    fn sets(&self, kind: &str, frames: usize) -> Vec<u32> {
+        let mut out: Vec<u32> = Vec::new();
+        for row in self.rows.iter().filter(|r| r[1] == kind) {
+            let set = row[2].parse().unwrap();
+            if !out.contains(&set) && self.of(set).len() >= frames {
+                out.push(set);
+            }
+        }
+        out
+    }
+
+    fn frame(&self, row: usize) -> Array2<u16> {
+        read_single(&Path::new(&self.path()).join(&self.rows[row][0])).unwrap()
+    }
+
+    fn put(&self, row: usize, codes: &Array2<u16>) {
+        let path = Path::new(&self.path()).join(&self.rows[row][0]);
+        std::fs::write(path, tiff_bytes(codes, 16).unwrap()).unwrap();
+    }
+
+    /// A flat in the middle of the range, with so many frames at least, that follows another level if one does.
+    fn flat(&self, frames: usize) -> u32 {
+        self.flat_of(self.sets("flat", frames))
+    }
+
+    fn flat_of(&self, flats: Vec<u32>) -> u32 {
+        let level = |set: u32| self.frame(self.of(set)[0]).mapv(f64::from).mean().unwrap();
+        let mut inside: Vec<u32> =
+            flats.into_iter().filter(|f| (600.0..2200.0).contains(&level(*f))).collect();
+        let steps = |f: &u32| self.before(*f).is_some_and(|b| (level(*f) / level(b) - 1.0).abs() > 0.2);
+        if inside.iter().any(steps) {
+            inside.retain(steps);
+        }
+        inside[inside.len() / 2]
+    }
+
+    /// The set before, in the order of time.
+    fn before(&self, set: u32) -> Option<u32> {
+        let row = self.of(set)[0].checked_sub(1)?;
+        self.rows[row][2].parse().ok()
+    }
+
+    /// Scales the signal of a frame above a level.
+    fn scale(&self, row: usize, by: f64, above: f64) {
+        let codes = self.frame(row).mapv(|v| (above + by * (f64::from(v) - above)).round().max(0.0) as u16);
+        self.put(row, &codes);
+    }
+
+    /// What a verb says in JSON, whatever its exit code.
+    fn said(&self, verb: &str) -> serde_json::Value {
+        let output = radcam(&[verb, &self.path(), "--json"]);
+        assert!(output.status.code() != Some(2), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&output.stdout).unwrap()
+    }
+}
+
+const BLACK_DN: f64 = 64.0;
+
+/// Puts one slip into a campaign; its kind and its sets.
+type Slip = fn(&mut Campaign) -> (&'static str, Vec<u32>);
+
+fn wrong_exposure(c: &mut Campaign) -> (&'static str, Vec<u32>) {
+    let set = c.flat(2);
+    for row in c.of(set) {
+        let exposure_s: f64 = c.rows[row][4].parse().unwrap();
+        c.rows[row][4] = (1.25 * exposure_s).to_string();
+    }
+    c.save();
+    ("setting-label", vec![set])
+}
+
+fn exchanged(c: &mut Campaign) -> (&'static str, Vec<u32>) {
+    let (flat, dark) = (c.flat(2), c.sets("dark", 2)[1]);
+    for (set, kind, light) in [(flat, "dark", "0"), (dark, "flat", "1")] {
+        for row in c.of(set) {
+            (c.rows[row][1], c.rows[row][5]) = (kind.into(), light.into());
+        }
+    }
+    c.save();
+    let (first, last) = (dark.min(flat), dark.max(flat));
+    ("kind-label", vec![first, last])
+}
+
+fn copied(c: &mut Campaign) -> (&'static str, Vec<u32>) {
+    let set = c.flat(2);
+    let rows = c.of(set);
+    c.put(*rows.last().unwrap(), &c.frame(rows[0]));
+    ("copied-frames", vec![set])
+}
+
+fn averaged(c: &mut Campaign) -> (&'static str, Vec<u32>) {
+    let set = c.flat(4);
+    let rows = c.of(set);
+    let mut sent = c.frame(rows[0]).mapv(f64::from);
+    for row in rows {
+        sent = 0.5 * sent + 0.5 * c.frame(row).mapv(f64::from);
+        c.put(row, &sent.mapv(|v| v.round() as u16));
+    }
+    ("dependent-frames", vec![set])
+}
+
+fn stale(c: &mut Campaign) -> (&'static str, Vec<u32>) {
+    let set = c.flat(2);
+    let (own, before) = (c.of(set)[0], *c.of(c.before(set).unwrap()).last().unwrap());
+    c.put(own, &c.frame(before));
+    ("stale-frame", vec![set])
+}
+
+fn darker(c: &mut Campaign) -> (&'static str, Vec<u32>) {
+    let set = c.flat(4);
+    c.scale(c.of(set)[2], 0.9, BLACK_DN);
+    ("odd-frame", vec![set])
+}
+
+fn more_gain(c: &mut Campaign) -> (&'static str, Vec<u32>) {
+    let set = c.flat(2);
+    c.of(set).into_iter().for_each(|row| c.scale(row, 1.41, BLACK_DN));
+    ("other-settings", vec![set])
+}
+
+fn mirrored(c: &mut Campaign) -> (&'static str, Vec<u32>) {
+    let set = c.flat(2);
+    for row in c.of(set) {
+        let codes = c.frame(row).slice(s![.., ..;-1]).to_owned();
+        c.put(row, &codes);
+    }
+    ("other-settings", vec![set])
+}
+
+fn other_black(c: &mut Campaign) -> (&'static str, Vec<u32>) {
+    let set = c.sets("dark", 2)[1];
+    c.of(set).into_iter().for_each(|row| c.put(row, &c.frame(row).mapv(|v| v + 30)));
+    ("other-settings", vec![set])
+}
+
+fn unequal(c: &mut Campaign) -> (&'static str, Vec<u32>) {
+    let pairs = c.sets("flat", 2).into_iter().filter(|s| c.of(*s).len() == 2);
+    let set = c.flat_of(pairs.collect());
+    c.scale(c.of(set)[1], 0.95, BLACK_DN);
+    ("unequal-light", vec![set])
+}
+
+/// Each kind is named with its set, by `diagnose` and `noise` in the same words; nothing is missing then, and the gain lies within four
+/// standard errors of the camera's.
+#[test]
+fn slips_are_named_with_their_sets_and_left_out() {
+    let all: [(&str, Slip); 10] = [
+        ("standard", wrong_exposure),
+        ("emva1288", wrong_exposure),
+        ("emva1288", exchanged),
+        ("standard", copied),
+        ("standard", averaged),
+        ("standard", stale),
+        ("standard", darker),
+        ("emva1288", more_gain),
+        ("standard", mirrored),
+        ("emva1288", unequal),
+    ];
+    for (seed, (plan, slip)) in all.into_iter().enumerate() {
+        told(plan, slip, 30 + seed as u32);
+    }
+    told("emva1288", other_black, 44);
+}
+
+fn told(plan: &str, slip: Slip, seed: u32) {
+    let mut campaign = Campaign::new("cmos12", plan, seed);
+    let (kind, sets) = slip(&mut campaign);
+    let said = campaign.said("diagnose");
+    let faults = said["data_faults"].as_array().unwrap();
+    assert_eq!(faults.len(), 1, "{plan} {kind} {sets:?}: {faults:?}");
+    assert_eq!(
+        (&faults[0]["kind"], &faults[0]["sets"]),
+        (&kind.into(), &serde_json::json!(sets)),
+        "{faults:?}"
+    );
+    assert_eq!(said["missing"], serde_json::json!([]), "{plan} {kind} {sets:?}");
+    let noise = campaign.said("noise");
+    assert_eq!(noise["data_faults"], said["data_faults"]);
+    for (verb, gain) in [("diagnose", &said["gain_dn_per_e"]), ("noise", &noise["gain_dn_per_e"])] {
+        let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
+        assert!((value - 0.38).abs() < 4.0 * error, "{plan} {kind} {verb}: {value} +- {error}");
+    }
+}
+
+/// What nobody did wrong is not said to be.
+#[test]
+fn campaigns_without_a_slip_have_none() {
+    for (sensor, plan, seed) in [
+        ("cmos12", "standard", 1),
+        ("cmos12", "emva1288", 2),
+        ("imx250", "standard", 3),
+        ("cmos12", "quick", 4),
+    ] {
+        let campaign = Campaign::new(sensor, plan, seed);
+        let said = campaign.said("noise");
+        assert_eq!(said["data_faults"], serde_json::json!([]), "{sensor} {plan}");
+    }
+}
+
+/// Every frame a copy: what is left is refused, and the reason has the copies in it.
+#[test]
+fn what_cannot_be_left_out_is_refused_with_the_reason() {
+    let campaign = Campaign::new("cmos12", "emva1288", 5);
+    for set in campaign.sets("flat", 2) {
+        let rows = campaign.of(set);
+        rows[1..].iter().for_each(|row| campaign.put(*row, &campaign.frame(rows[0])));
+    }
+    for verb in ["noise", "emva"] {
+        let output = radcam(&[verb, &campaign.path()]);
+        let err = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{verb}: {err}");
+        assert!(err.contains("copies of others"), "{verb}: {err}");
+    }
+}
+
+/// Statistics that were kept say the same of a campaign with a slip, without its frames.
+#[test]
+fn kept_statistics_know_the_slips() {
+    let mut campaign = Campaign::new("cmos12", "standard", 6);
+    wrong_exposure(&mut campaign);
+    stale(&mut campaign);
+    let kept = campaign.dir.path().join("kept.stats");
+    expect(0, &["reduce", &campaign.path(), "-o", kept.to_str().unwrap()]);
+    let whole = campaign.said("noise");
+    std::fs::remove_dir_all(Path::new(&campaign.path()).join("frames")).unwrap();
+    let of_kept: serde_json::Value =
+        serde_json::from_slice(&radcam(&["noise", kept.to_str().unwrap(), "--json"]).stdout).unwrap();
+    // Kept statistics name files by their whole paths.
+    let faults = |said: &serde_json::Value| -> Vec<serde_json::Value> {
+        let all = said["data_faults"].as_array().unwrap().iter();
+        all.map(|f| serde_json::json!([f["kind"], f["sets"]])).collect()
+    };
+    assert_eq!(faults(&whole).len(), 2, "{}", whole["data_faults"]);
+    assert_eq!(faults(&whole), faults(&of_kept));
+    for name in ["gain_dn_per_e", "constant_noise_var_dn2", "offset_dn", "levels"] {
+        assert_eq!(whole[name], of_kept[name], "{name}");
+    }
+}
+
+/// The practice campaigns with a slip: its kind and its sets, nothing missing, the gain within three standard errors.
+#[test]
+fn practice_sets_with_slips_are_told() {
+    let Some(root) = shared("practice") else { return };
+    for name in ["wrong-exposure", "wrong-light-pairs", "copied-frames", "stale-first-frame"] {
+        let path = root.join(name);
+        let truth: serde_json::Value =
+            serde_json::from_str(&std::fs::read_to_string(path.join("truth.json")).unwrap()).unwrap();
+        let said: serde_json::Value =
+            serde_json::from_str(&expect(0, &["diagnose", path.to_str().unwrap(), "--json"])).unwrap();
+        let (found, hidden) = (said["data_faults"].as_array().unwrap(), &truth["data_faults"][0]);
+        assert_eq!((found.len(), &found[0]["kind"]), (1, &hidden["kind"]), "{name}: {found:?}");
+        // Some truths say "every flat set" in words.
+        if hidden["sets"].is_array() {
+            assert_eq!(found[0]["sets"], hidden["sets"], "{name}");
+        }
+        assert_eq!(said["missing"], serde_json::json!([]), "{name}");
+        let gain = &said["gain_dn_per_e"];
+        let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
+        let true_gain = truth["gain_dn_per_e"].as_f64().unwrap();
+        assert!((value - true_gain).abs() < 3.5 * error, "{name}: {value} +- {error}, not {true_gain}");
+    }
+}
