@@ -10,7 +10,8 @@ use std::collections::BTreeMap;
 const OF_NORMAL: f64 = 0.6745;
 /// Rounding to whole codes alone moves the mean of a quiet frame by some hundredths, DN.
 const ROUNDED_DN: f64 = 0.02;
-/// Share of clipped samples, beyond those of pixels that always are, from which the level of a set is not what it would be.
+/// Share of clipped samples, beyond those of pixels that always are, from which the level of a set is not what it
+/// would be.
 const CLIPPED: f64 = 1e-3;
 
 /// A set with what its frames say.
@@ -58,7 +59,8 @@ impl SetView {
         median(self.means_dn().into_iter())
     }
 
-    /// Temporal variance, DN^2, and the number of pairs of successive frames that it is of; `None` without a pair.
+    /// Temporal variance, DN^2, and the number of pairs of successive frames that it is of; `None` without a
+    /// pair.
     pub fn variance_dn2(&self) -> Option<(f64, f64)> {
         let pair = |i: &usize| *i > 0 && self.kept[*i] && self.kept[i - 1];
         let all: Vec<f64> = (0..self.kept.len()).filter(pair).map(|i| self.facts.successive_dn2[i]).collect();
@@ -66,7 +68,8 @@ impl SetView {
         (n > 0.0).then(|| (all.iter().sum::<f64>() / n, n))
     }
 
-    /// Variance of successive frames over that of frames two apart: 1 for independent ones. `None` with fewer than three frames.
+    /// Variance of successive frames over that of frames two apart: 1 for independent ones. `None` with fewer
+    /// than three frames.
     pub fn dependence(&self) -> Option<f64> {
         let third = |i: &usize| *i > 1 && self.kept[*i] && self.kept[i - 1] && self.kept[i - 2];
         let all: Vec<usize> = (0..self.kept.len()).filter(third).collect();
@@ -187,7 +190,8 @@ impl<'a> Campaign<'a> {
         if steps.is_finite() { steps } else { 0.0 }
     }
 
-    /// Scatter of frame means by the steps from one to the next: a frame that is off moves two of them, and a drift none.
+    /// Scatter of frame means by the steps from one to the next: a frame that is off moves two of them, and a
+    /// drift none.
     fn steps(&self, wanted: impl Fn(&SetView) -> bool, scale: impl Fn(&SetView) -> f64) -> f64 {
         let mut all = Vec::new();
         for i in self.places(wanted) {
@@ -200,7 +204,8 @@ impl<'a> Campaign<'a> {
         median(all.into_iter()) / OF_NORMAL / 2f64.sqrt()
     }
 
-    /// Scatter of the mean of one frame of a set, DN: what the lamp and the black level usually do, and the pixels' noise.
+    /// Scatter of the mean of one frame of a set, DN: what the lamp and the black level usually do, and the
+    /// pixels' noise.
     pub fn frame_scatter_dn(&self, set: usize, zero: &Zero) -> f64 {
         let s = &self.sets[set];
         let above = if s.is_lit() { (s.level_dn() - zero.at(s.exposure_s)).max(0.0) } else { 0.0 };
@@ -245,7 +250,8 @@ impl<'a> Campaign<'a> {
         self.dataset.light_is_nominal()
     }
 
-    /// Whether all of it was taken in one campaign with card and light where they were: levels then follow exposure and light alone.
+    /// Whether all of it was taken in one campaign with card and light where they were: levels then follow
+    /// exposure and light alone.
     pub fn is_one_bench(&self) -> bool {
         let lit = self.places(SetView::is_lit);
         let first = lit.first().map(|i| (self.sets[*i].configuration, self.sets[*i].part));
@@ -311,7 +317,8 @@ impl<'a> Campaign<'a> {
     }
 }
 
-/// Intercept and slope by the median of the slopes between all points (Theil 1950, Sen 1968); of one abscissa the median and 0.
+/// Intercept and slope by the median of the slopes between all points (Theil 1950, Sen 1968); of one abscissa the
+/// median and 0.
 fn median_line(points: &[(f64, f64)]) -> Option<(f64, f64)> {
     if points.is_empty() {
         return None;

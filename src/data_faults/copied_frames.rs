@@ -4,8 +4,8 @@ use super::{Campaign, Check, DataFault, FaultKind};
 use crate::statistics::median::median;
 use std::collections::BTreeMap;
 
-/// Pixels that frames usually differ in, from which on two that do not are one: where each differs by chance, the chance of none is below
-/// 1e-13.
+/// Pixels that frames usually differ in, from which on two that do not are one: where each differs by chance, the
+/// chance of none is below 1e-13.
 const DIFFER: f64 = 30.0;
 /// Signal from which light alone makes frames differ, DN.
 const LIT_DN: f64 = 20.0;

@@ -1,8 +1,8 @@
 //! A dark of another black level or gain than the other darks.
 //!
-//! Dark charge raises the level and the noise: what the variance has beyond that of the quietest dark, over the gain that the flats show, is
-//! what the level has beyond the black level (the charge is Poisson: Healey and Kondepudy 1994, eq. 6). A black-level clamp takes a part of
-//! that, or all, in all darks alike.
+//! Dark charge raises the level and the noise: what the variance has beyond that of the quietest dark, over the
+//! gain that the flats show, is what the level has beyond the black level (the charge is Poisson: Healey and
+//! Kondepudy 1994, eq. 6). A black-level clamp takes a part of that, or all, in all darks alike.
 
 use super::campaign::SetView;
 use super::law::{Law, Point};
@@ -18,7 +18,8 @@ const USUAL_DN: f64 = 0.1;
 const LEAST_DN: f64 = 1.0;
 /// Share of the dark charge up to which a level is that of another temperature.
 const OF_CHARGE: f64 = 0.05;
-/// How far the level's growth may be from the noise's: hot pixels have more of one than of the other, and a clamp takes all.
+/// How far the level's growth may be from the noise's: hot pixels have more of one than of the other, and a clamp
+/// takes all.
 const GROWTH: f64 = 0.5;
 /// Darks below which none stands out.
 const FEWEST: usize = 3;

@@ -1,5 +1,5 @@
-//! Frames of few sets that were averaged or filtered over time before they were saved: less noise than their level has elsewhere, or successive
-//! frames alike.
+//! Frames of few sets that were averaged or filtered over time before they were saved: less noise than their
+//! level has elsewhere, or successive frames alike.
 
 use super::campaign::SetView;
 use super::orientation::{correlation, pattern};
@@ -24,7 +24,8 @@ const TOLD: f64 = 10.0;
 /// Share of the sets up to which it is a slip: more are what the camera does.
 const FEW: f64 = 0.34;
 
-/// How large the fixed pattern of a dark is, over that of other darks of about its exposure; `None` where it does not show.
+/// How large the fixed pattern of a dark is, over that of other darks of about its exposure; `None` where it does
+/// not show.
 fn pattern_gain(campaign: &Campaign<'_>, set: usize) -> Option<f64> {
     let exposure_s = campaign.sets[set].exposure_s;
     let alike = |s: &SetView| s.kind == Kind::Dark && (0.5..2.0).contains(&(s.exposure_s / exposure_s));
@@ -123,7 +124,8 @@ impl Check for DependentFrames {
                     .is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < 0.6 * off.abs());
                 if off > 0.0 || of_gain { gained.push((i, off)) } else { averaged.push(i) }
             }
-            // What darks of long exposures have is the charge's: a gain is told by another dark that would have it.
+            // What darks of long exposures have is the charge's: a gain is told by another dark that would have
+            // it.
             let gains: Vec<usize> = gained.iter().map(|g| g.0).collect();
             let told = |i: usize| {
                 let alike = |&d: &usize| {

@@ -1,14 +1,15 @@
-//! What the frames of a set say before any physics: levels, noise between neighbours in time, and what tells one frame from another.
+//! What the frames of a set say before any physics: levels, noise between neighbours in time, and what tells one
+//! frame from another.
 
 use super::ExamineError;
 use crate::dataset::{Dataset, Set};
-use crate::observables::outliers;
+use crate::statistics::outliers;
 use ndarray::{Array2, s};
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Side of the middle of the frame that tells its orientation, pixels: 4096 pixels tell a pattern that makes up a tenth of the noise (a named
-/// choice).
+/// Side of the middle of the frame that tells its orientation, pixels: 4096 pixels tell a pattern that makes up a
+/// tenth of the noise (a named choice).
 pub const MIDDLE: usize = 64;
 
 /// What the frames of a set say.
@@ -154,7 +155,8 @@ fn difference(a: &[u16], b: &[u16]) -> (u64, f64) {
     (changed, 0.5 * (square as f64 / n - (sum as f64 / n).powi(2)).max(0.0))
 }
 
-/// FNV-1a over the codes (Fowler, Noll and Vo), in four lanes: frames that differ have the same by a chance of 2^-64.
+/// FNV-1a over the codes (Fowler, Noll and Vo), in four lanes: frames that differ have the same by a chance of
+/// 2^-64.
 fn digest(codes: &[u16]) -> u64 {
     const PRIME: u64 = 0x0000_0100_0000_01b3;
     let mut lanes = [0xcbf2_9ce4_8422_2325u64, 1, 2, 3];

@@ -45,8 +45,8 @@ impl Check for KindLabel {
                 expected > RANGE_DN.max(TOLD * scatter) && above(i) < UNLIT * expected
             })
             .collect();
-        // A bright dark is one of light where another of the same or a longer exposure is dark, where the charge of the others says so, or
-        // where a flat without light is what it was exchanged for.
+        // A bright dark is one of light where another of the same or a longer exposure is dark, where the charge
+        // of the others says so, or where a flat without light is what it was exchanged for.
         let of_light = |&i: &usize| {
             let (own, exposure_s) = (level(i) - lowest, campaign.sets[i].exposure_s);
             let others = || darks.iter().filter(|&&d| d != i && !bright.contains(&d));

@@ -1,10 +1,11 @@
 //! A smooth law that all sets but a few follow, and how far those few are from it.
 //!
-//! Least squares with a normal prior on every coefficient (ridge regression: Hoerl and Kennard 1970): the priors say how far cameras usually
-//! bend, so that few sets suffice and the ends of the range are not left to extrapolation. The point whose deletion lowers the sum of squares
-//! most, e^2 / (1 - h), is taken out, again and again, and what stands out least is taken back: a single stray point is found whatever it
-//! does to the fit (Cook and Weisberg 1982, section 2.2.2). What is left tells the scatter; a point is judged by Student's t of a prediction
-//! that did not know it.
+//! Least squares with a normal prior on every coefficient (ridge regression: Hoerl and Kennard 1970): the priors
+//! say how far cameras usually bend, so that few sets suffice and the ends of the range are not left to
+//! extrapolation. The point whose deletion lowers the sum of squares most, e^2 / (1 - h), is taken out, again and
+//! again, and what stands out least is taken back: a single stray point is found whatever it does to the fit
+//! (Cook and Weisberg 1982, section 2.2.2). What is left tells the scatter; a point is judged by Student's t of a
+//! prediction that did not know it.
 
 use crate::fit::cholesky::Factor;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -40,11 +41,13 @@ const PAIRS: usize = 64;
 const CHANCE: f64 = 1e-4;
 
 impl Law {
-    /// Fits; `priors`: standard deviations of the coefficients; at most so many points are taken out. `None` with too few points.
+    /// Fits; `priors`: standard deviations of the coefficients; at most so many points are taken out. `None` with
+    /// too few points.
     pub fn fit(points: &[Point], priors: &[f64], most: usize) -> Option<Self> {
         let most = most.min(points.len().saturating_sub(2));
         let one_by_one = Self::one_by_one(points, priors, most)?;
-        // Several strays on one side draw the fit to them: those furthest from the least absolute deviations go at once.
+        // Several strays on one side draw the fit to them: those furthest from the least absolute deviations go
+        // at once.
         let at_once = Self::furthest(points, priors, most).and_then(|out| Self::back_in(points, priors, out));
         Some(match at_once {
             Some(other) if other.scale < one_by_one.scale => other,
@@ -198,7 +201,8 @@ mod tests {
         assert!(false_ones.count() <= 3);
     }
 
-    /// One or two points off by 5 %, wherever they are, twenty times their scatter of 0.4 % with the error of the prediction at the ends.
+    /// One or two points off by 5 %, wherever they are, twenty times their scatter of 0.4 % with the error of the
+    /// prediction at the ends.
     #[test]
     fn strays_are_found_wherever_they_are() {
         for seed in 0..40 {

@@ -1,15 +1,16 @@
 //! A look at the data before any physics: slips of the hand, named with their sets and left out.
 //!
-//! Every verb that reads a campaign goes through [`examined`]: what is left out is left out everywhere, and said everywhere in the same words.
+//! Every verb that reads a campaign goes through [`examined`]: what is left out is left out everywhere, and said
+//! everywhere in the same words.
 //!
 //! # To add a check
 //!
-//! Write one file here with a type that implements [`Check`], and put both names on the list at the end of this file. Checks run in that
-//! order, and each sees the campaign without what those before it left out.
+//! Write one file here with a type that implements `Check`, and put both names on the list at the end of this
+//! file. Checks run in that order, and each sees the campaign without what those before it left out.
 //!
-//! No check knows a model of the sensor. Sets are held against the others of their campaign: levels against a smooth law of exposure times
-//! light, variances against a smooth law of the level ([`law`]). Whatever acts on all sets alike bends those laws and is for `diagnose` to
-//! name; a slip is what one set does, or few.
+//! No check knows a model of the sensor. Sets are held against the others of their campaign: levels against a
+//! smooth law of exposure times light, variances against a smooth law of the level. Whatever acts on
+//! all sets alike bends those laws and is for `diagnose` to name; a slip is what one set does, or few.
 
 mod campaign;
 mod facts;
@@ -17,52 +18,14 @@ mod law;
 mod orientation;
 mod transfer;
 
+pub use crate::dataset::{DataFault, FaultKind};
 use campaign::Campaign;
-pub use facts::SetFacts;
+pub(crate) use facts::SetFacts;
 
 use crate::dataset::{Dataset, DatasetError, Kind};
 use crate::reduction::Key;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicBool, Ordering};
-
-/// What was wrong, in the words of the contract.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum FaultKind {
-    /// Stated exposure or light disagrees with the level.
-    SettingLabel,
-    /// Dark and flat exchanged.
-    KindLabel,
-    /// One frame several times.
-    CopiedFrames,
-    /// Averaged or filtered over time before they were saved, in these sets only.
-    DependentFrames,
-    /// The first frame was exposed under the settings of the set before.
-    StaleFrame,
-    /// One frame of another level.
-    OddFrame,
-    /// Another gain, black level or orientation.
-    OtherSettings,
-    /// Frames or sets of equal settings under unequal light.
-    UnequalLight,
-}
-
-/// A slip of the hand.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct DataFault {
-    /// Which kind.
-    pub kind: FaultKind,
-    /// Numbers of its sets.
-    pub sets: Vec<u32>,
-    /// Files of its frames, where they are single ones of a set.
-    pub frames: Vec<String>,
-    /// One sentence: what, where, and the value that would fit.
-    pub text: String,
-    /// Whether its sets, or its frames where it has some, are left out.
-    pub left_out: bool,
-}
 
 /// Looks for one kind of slip.
 trait Check: Sync {
@@ -82,7 +45,8 @@ pub enum ExamineError {
     Interrupted,
 }
 
-/// The dataset without what is wrong with it; [`Dataset::data_faults`] then says what that was. One that was examined stays as it is.
+/// The dataset without what is wrong with it; [`Dataset::data_faults`] then says what that was. One that was
+/// examined stays as it is.
 ///
 /// ```
 /// # let folder = tempfile::tempdir()?;

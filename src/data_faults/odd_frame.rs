@@ -3,7 +3,7 @@
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::{percent, six_digits};
-use crate::observables::outliers;
+use crate::statistics::outliers;
 
 /// Standard deviations of a frame's mean from which on it is odd.
 const FAR: f64 = 8.0;

@@ -3,8 +3,8 @@
 /// Side of the blocks whose means are taken off, pixels: shading is smooth within them.
 const BLOCK: usize = 8;
 
-/// The pattern of an image of so many columns, of mean 0 in every block, and then in every row and column; single pixels far off count as little as others (at most three
-/// deviations).
+/// The pattern of an image of so many columns, of mean 0 in every block, and then in every row and column; single
+/// pixels far off count as little as others (at most three deviations).
 pub fn pattern(image: &[f32], columns: usize) -> Vec<f64> {
     let rows = image.len() / columns.max(1);
     let mut out = vec![0.0; rows * columns];

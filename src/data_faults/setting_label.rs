@@ -1,5 +1,5 @@
-//! A flat whose level is not that of its stated exposure and light. Its noise tells why: a wrong label leaves the noise of its level, another
-//! black level that of the stated light, another gain scales both.
+//! A flat whose level is not that of its stated exposure and light. Its noise tells why: a wrong label leaves the
+//! noise of its level, another black level that of the stated light, another gain scales both.
 
 use super::campaign::SetView;
 use super::law::{Law, Point};
@@ -15,14 +15,16 @@ const LEAST: f64 = 0.01;
 pub const FEWEST: usize = 5;
 /// Share of the sets that may be strays.
 const FEW: f64 = 0.2;
-/// Square of standard deviations by which another reason must fit the noise better than a wrong label does, which is the usual slip.
+/// Square of standard deviations by which another reason must fit the noise better than a wrong label does, which
+/// is the usual slip.
 const BETTER: f64 = 6.0;
 /// Standard deviations within which it must fit it.
 const FITS: f64 = 6.0;
-/// Standard deviations by which sets of equal settings differ whose light does, and the least difference that is said.
+/// Standard deviations by which sets of equal settings differ whose light does, and the least difference that is
+/// said.
 const REPEATS: (f64, f64) = (6.0, 0.008);
-/// Deviation of the noise from that of the level up to which the brightest set, where it has less than stated, is a wrong label: a camera
-/// that bends or saturates loses noise with the signal.
+/// Deviation of the noise from that of the level up to which the brightest set, where it has less than stated, is
+/// a wrong label: a camera that bends or saturates loses noise with the signal.
 const STRAIGHT: f64 = 0.1;
 
 /// The check.
@@ -38,8 +40,9 @@ struct Factors {
     vary: (bool, bool),
 }
 
-/// How far cameras bend: the response's exponent, its change over the range, an offset of level or exposure at the lowest light, and a
-/// compression at the highest, relative; and how far lamps drift during a campaign (named choices).
+/// How far cameras bend: the response's exponent, its change over the range, an offset of level or exposure at
+/// the lowest light, and a compression at the highest, relative; and how far lamps drift during a campaign (named
+/// choices).
 const PRIORS: [f64; 8] = [1e3, 0.15, 0.03, 0.03, 0.05, 0.05, 0.05, 0.006];
 
 impl Factors {

@@ -1,4 +1,5 @@
-//! The first frame of a set was exposed under the settings of the set before: all of them, or its exposure or light alone.
+//! The first frame of a set was exposed under the settings of the set before: all of them, or its exposure or
+//! light alone.
 
 use super::campaign::Zero;
 use super::{Campaign, Check, DataFault, FaultKind};
@@ -14,7 +15,8 @@ const SAME: f64 = 8.0;
 /// Share of the difference within which it does at least: what lag leaves of a level is far less than all of it.
 const SAME_SHARE: f64 = 0.03;
 
-/// Share of the difference within which a level counts as that of the old exposure or light, which only the ratio of the labels tells.
+/// Share of the difference within which a level counts as that of the old exposure or light, which only the ratio
+/// of the labels tells.
 const OLD_SHARE: f64 = 0.12;
 
 /// Share of the sets that could show it from which on all are taken for stale.
@@ -54,7 +56,8 @@ impl First {
         let direct = Some(&campaign.sets[set - 1]).filter(|b| !b.out);
         let copy = direct.is_some_and(|b| b.facts.digests.last() == own.facts.digests.first());
         old_dn.extend(direct.and_then(|b| b.means_dn().last().copied()).map(|m| (m, true)));
-        // Under the old exposure the light may be the new one already, or the other way round: a flat among darks follows the flat before.
+        // Under the old exposure the light may be the new one already, or the other way round: a flat among darks
+        // follows the flat before.
         for other in [direct, before(Some(own.is_lit()))].into_iter().flatten() {
             let signal = others_dn - zero.at(own.exposure_s);
             if !own.is_lit() && other.is_lit() {
@@ -104,7 +107,8 @@ impl Check for StaleFrame {
         let Some(zero) = campaign.zero() else { return Vec::new() };
         let firsts: Vec<First> =
             (1..campaign.sets.len()).filter_map(|k| First::of(campaign, &zero, k)).collect();
-        // Where all first frames are stale, what they do is no measure of what the lamp does: how well they meet the old levels is.
+        // Where all first frames are stale, what they do is no measure of what the lamp does: how well they meet
+        // the old levels is.
         let level = |s: usize| (campaign.sets[s].level_dn() - zero.dn).abs().max(1.0);
         let scale = |f: &First| level(f.set).max(level(f.set - 1));
         let meets = median(firsts.iter().map(|f| f.off_dn() / scale(f))) / 0.6745;
@@ -133,7 +137,8 @@ impl Check for StaleFrame {
         let stale: Vec<&First> = stale.iter().filter(told).copied().collect();
         let Some(first) = stale.first() else { return Vec::new() };
         let mut sets: Vec<usize> = stale.iter().map(|f| f.set).collect();
-        // Where nearly all that could show it are so, those are too that are too near the level before to show it.
+        // Where nearly all that could show it are so, those are too that are too near the level before to show
+        // it.
         let shows = |f: &&First| {
             f.old_dn.iter().any(|o| o.1 && (o.0 - f.others_dn).abs() > APART_DN.max(APART * scatter(f)))
         };

@@ -4,7 +4,8 @@ use super::campaign::{Campaign, Zero};
 use super::law::{Law, Point};
 use crate::dataset::Kind;
 
-/// Relative error of a variance beyond that of independent pixels: hot pixels, shading and what noise has in common (a named choice).
+/// Relative error of a variance beyond that of independent pixels: hot pixels, shading and what noise has in
+/// common (a named choice).
 const BEYOND: f64 = 0.02;
 /// A curve needs so many sets.
 const FEWEST: usize = 4;
@@ -96,7 +97,8 @@ impl Transfer {
         (at(0.1) - at(0.0)) / (0.1 * self.most)
     }
 
-    /// How far the variance of a set is from that of a level, as a logarithm of their ratio, and the error of that.
+    /// How far the variance of a set is from that of a level, as a logarithm of their ratio, and the error of
+    /// that.
     pub fn off(&self, campaign: &Campaign<'_>, set: usize, above_dn: f64) -> Option<(f64, f64)> {
         let (var, pairs) = campaign.sets[set].variance_dn2()?;
         let expected = self.law.at(&factors(above_dn / self.most)).max(QUIET_DN2);

@@ -51,8 +51,7 @@ impl Check for UnequalLight {
             );
             found.push((unequal, text, true));
         }
-        // Equal settings.
-        // With a law of the levels the stray one among them is told.
+        // Equal settings. With a law of the levels the stray one among them is told.
         let lit = campaign.places(|s| s.is_lit() && !s.clipped).len();
         let repeats = if lit < setting_label::FEWEST { campaign.repeats() } else { Vec::new() };
         let spread = |sets: &Vec<usize>| {

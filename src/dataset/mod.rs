@@ -4,6 +4,7 @@
 //! frames, is [`table::Table`].
 
 mod emva;
+mod fault;
 pub mod image;
 mod manifest;
 pub mod table;
@@ -11,11 +12,11 @@ pub mod tag;
 mod write;
 
 pub use emva::{DESCRIPTOR, write_descriptor};
+pub use fault::{DataFault, FaultKind};
 pub use manifest::{BenchInfo, CameraInfo, FORMAT, Manifest};
 pub(crate) use write::{Aside, synchronise};
 pub use write::{Writer, write_whole};
 
-use crate::data_faults::DataFault;
 use crate::reduction::{self, Reduced};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};

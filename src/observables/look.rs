@@ -1,10 +1,11 @@
 //! The first look at a campaign: at most eight frames of each set tell which pixels count, the level of the darks, and how frames usually scatter.
 
-use super::{ObserveError, STATISTICS, filled, outliers};
+use super::{ObserveError, STATISTICS, filled};
 use crate::dataset::{Dataset, Kind};
 use crate::reduction::{Key, Reduced};
 use crate::statistics::layout::Layout;
 use crate::statistics::median::median;
+use crate::statistics::outliers;
 use crate::study::hex;
 use ndarray::Array2;
 use rayon::prelude::*;

@@ -32,7 +32,6 @@ mod field;
 mod filled;
 mod left_out;
 mod look;
-pub(crate) mod outliers;
 mod read;
 mod scene;
 mod table;

@@ -5,12 +5,13 @@
 use super::campaign::is_quiet;
 use super::left_out::{copies, words};
 use super::look::{FIRST, Look, Seen};
-use super::{Half, ObserveError, SUMMED, codes, outliers};
+use super::{Half, ObserveError, SUMMED, codes};
 use crate::dataset::{Dataset, Kind, Set};
 use crate::reduction::{Key, Reduced};
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::layout::Layout;
+use crate::statistics::outliers;
 use crate::statistics::pass::{Pass, Summary};
 use crate::statistics::powers::Powers;
 use crate::statistics::spectrum::Power;

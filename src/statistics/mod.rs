@@ -11,6 +11,7 @@ pub mod lines;
 pub mod median;
 pub mod moments;
 pub mod occupancy;
+pub(crate) mod outliers;
 pub mod pass;
 pub mod peak;
 pub mod powers;

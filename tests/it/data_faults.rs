@@ -1,4 +1,5 @@
-//! Slips of the hand, put into campaigns of simulated cameras by rewriting labels and files, and read by the program.
+//! Slips of the hand, put into campaigns of simulated cameras by rewriting labels and files, and read by the
+//! program.
 
 use crate::support::{expect, radcam, shared};
 use radcam::dataset::image::{read_single, tiff_bytes};
@@ -187,8 +188,8 @@ fn unequal(c: &mut Campaign) -> (&'static str, Vec<u32>) {
     ("unequal-light", vec![set])
 }
 
-/// Each kind is named with its set, by `diagnose` and `noise` in the same words; nothing is missing then, and the gain lies within four
-/// standard errors of the camera's.
+/// Each kind is named with its set, by `diagnose` and `noise` in the same words; nothing is missing then, and the
+/// gain lies within four standard errors of the camera's.
 #[test]
 fn slips_are_named_with_their_sets_and_left_out() {
     let all: [(&str, Slip); 10] = [
@@ -284,7 +285,8 @@ fn kept_statistics_know_the_slips() {
     }
 }
 
-/// The practice campaigns with a slip: its kind and its sets, nothing missing, the gain within three standard errors.
+/// The practice campaigns with a slip: its kind and its sets, nothing missing, the gain within three standard
+/// errors.
 #[test]
 fn practice_sets_with_slips_are_told() {
     let Some(root) = shared("practice") else { return };

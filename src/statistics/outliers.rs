@@ -1,7 +1,7 @@
 //! Frames and samples that are no part of a campaign: a flash, someone in the light, a cosmic ray. They are left out and reported, and
 //! decide nothing.
 
-use crate::statistics::median::median;
+use super::median::median;
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
