@@ -59,10 +59,15 @@ impl SetView {
         median(self.means_dn().into_iter())
     }
 
+    /// First frames that may carry what came before, where there are enough others.
+    fn settling(&self) -> usize {
+        usize::from(self.kept.len() > 3)
+    }
+
     /// Temporal variance, DN^2, and the number of pairs of successive frames that it is of; `None` without a
     /// pair.
     pub fn variance_dn2(&self) -> Option<(f64, f64)> {
-        let pair = |i: &usize| *i > 0 && self.kept[*i] && self.kept[i - 1];
+        let pair = |i: &usize| *i > self.settling() && self.kept[*i] && self.kept[i - 1];
         let all: Vec<f64> = (0..self.kept.len()).filter(pair).map(|i| self.facts.successive_dn2[i]).collect();
         let n = all.len() as f64;
         (n > 0.0).then(|| (all.iter().sum::<f64>() / n, n))
@@ -71,7 +76,8 @@ impl SetView {
     /// Variance of successive frames over that of frames two apart: 1 for independent ones. `None` with fewer
     /// than three frames.
     pub fn dependence(&self) -> Option<f64> {
-        let third = |i: &usize| *i > 1 && self.kept[*i] && self.kept[i - 1] && self.kept[i - 2];
+        let third =
+            |i: &usize| *i > 1 + self.settling() && self.kept[*i] && self.kept[i - 1] && self.kept[i - 2];
         let all: Vec<usize> = (0..self.kept.len()).filter(third).collect();
         let near: f64 = all
             .iter()
@@ -81,11 +87,17 @@ impl SetView {
         (far > 0.0).then(|| near / far)
     }
 
-    /// Whether its level is one number: of two frames that differ nobody knows which is right.
+    /// Whether its noise reaches code 0, which cuts it off.
+    pub fn is_cut_off(&self) -> bool {
+        self.variance_dn2().is_some_and(|(var, _)| self.level_dn() < 4.0 * var.sqrt() + 0.5)
+    }
+
+    /// Whether its level is one number: of frames that differ, or still settle, nobody knows which is right.
     pub fn is_of_one_level(&self, zero: &Zero) -> bool {
         let means = self.means_dn();
-        let [a, b] = means[..] else { return true };
-        (a - b).abs() < (20.0 * zero.scatter_dn).max(0.05 * (self.level_dn() - zero.dn).abs())
+        let most = means.iter().fold(f64::NEG_INFINITY, |a, b| a.max(*b));
+        let least = means.iter().fold(f64::INFINITY, |a, b| a.min(*b));
+        most - least < (20.0 * zero.scatter_dn).max(0.05 * (self.level_dn() - zero.dn).abs())
     }
 
     /// Whether it is a flat that light falls on by its label.

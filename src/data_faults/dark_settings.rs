@@ -21,6 +21,8 @@ const OF_CHARGE: f64 = 0.05;
 /// How far the level's growth may be from the noise's: hot pixels have more of one than of the other, and a clamp
 /// takes all.
 const GROWTH: f64 = 0.5;
+/// Least variance that tells dark charge, DN^2 (a named choice: rounding alone brings 0.083).
+const LEAST_DN2: f64 = 0.15;
 /// Darks below which none stands out.
 const FEWEST: usize = 3;
 /// Ratio of the noise's standard deviations up to which the gain is the same.
@@ -32,7 +34,9 @@ pub struct DarkSettings;
 impl Check for DarkSettings {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let Some(zero) = campaign.zero() else { return Vec::new() };
-        let usable = |s: &SetView| !s.clipped && s.is_of_one_level(&zero) && s.variance_dn2().is_some();
+        // Of darks that are cut off at code 0, or whose noise rounding decides, nothing follows.
+        let told = |s: &SetView| s.variance_dn2().is_some_and(|v| v.0 > LEAST_DN2 && !s.is_cut_off());
+        let usable = |s: &SetView| !s.clipped && s.is_of_one_level(&zero) && told(s);
         let darks = campaign.places(|s| s.kind == Kind::Dark && usable(s));
         let gain = Transfer::of(campaign, &zero, &darks).map(|t| t.slope()).filter(|g| *g > 0.0);
         let Some(gain) = gain.filter(|_| darks.len() >= FEWEST) else { return Vec::new() };

@@ -13,8 +13,6 @@ use crate::statistics::median::median;
 const AVERAGED: f64 = 0.8;
 /// Ratio of the usual variance from which on a dark has another gain.
 const GAINED: f64 = 1.25;
-/// Share of the highest level from which on saturation takes noise away.
-const TOP: f64 = 0.9;
 /// Share of a level from which on another set has as much light.
 const AS_BRIGHT: f64 = 0.98;
 /// Least that the variance of successive frames falls short of that of frames two apart.
@@ -61,16 +59,16 @@ pub struct DependentFrames;
 impl Check for DependentFrames {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let Some(zero) = campaign.zero() else { return Vec::new() };
-        let all = campaign.places(|s| matches!(s.kind, Kind::Dark | Kind::Flat) && !s.clipped);
+        let usable = |s: &SetView| !s.clipped && !s.is_cut_off();
+        let all = campaign.places(|s| matches!(s.kind, Kind::Dark | Kind::Flat) && usable(s));
         let level = |i: usize| above(campaign, &zero, i);
-        let highest = all.iter().map(|&i| level(i)).fold(0.0, f64::max);
         // Frames alike.
         let usual = median(all.iter().filter_map(|&i| campaign.sets[i].dependence()));
         let alike = |i: usize| {
             let set = &campaign.sets[i];
             let triples = set.frames().saturating_sub(2).max(1) as f64;
             let std = (4.0 / (set.facts.pixels * triples)).sqrt();
-            set.dependence().is_some_and(|d| d < usual - ALIKE.max(TOLD * std))
+            set.is_of_one_level(&zero) && set.dependence().is_some_and(|d| d < usual - ALIKE.max(TOLD * std))
         };
         let filtered: Vec<usize> = all.iter().copied().filter(|&i| alike(i)).collect();
         let transfer = Transfer::of(campaign, &zero, &filtered);
@@ -85,16 +83,15 @@ impl Check for DependentFrames {
                     );
                 }
             }
-            for &i in transfer.strays.iter().chain(&transfer.quiet) {
+            let strays: Vec<usize> = transfer.strays.iter().chain(&transfer.quiet).copied().collect();
+            for &i in &strays {
                 let Some((off, std)) = transfer.off(campaign, i, level(i)) else { continue };
                 let lit = campaign.sets[i].is_lit();
                 // A well that is full takes noise away, unless another set of as much light has it.
                 let full = |d: &usize| {
-                    level(*d) < AS_BRIGHT * level(i)
-                        || transfer.strays.contains(d)
-                        || !campaign.sets[*d].is_lit()
+                    level(*d) < AS_BRIGHT * level(i) || strays.contains(d) || !campaign.sets[*d].is_lit()
                 };
-                let saturates = lit && level(i) > TOP * highest && all.iter().all(full);
+                let saturates = lit && all.iter().all(full);
                 // The fixed pattern of a dark of another gain is another; averaging leaves it.
                 let gain = if lit { None } else { pattern_gain(campaign, i) };
                 let of_gain = gain.is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < (0.5 * off).abs());

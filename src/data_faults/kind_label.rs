@@ -20,7 +20,11 @@ pub struct KindLabel;
 impl Check for KindLabel {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let all = campaign.places(|s| matches!(s.kind, Kind::Dark | Kind::Flat));
-        let level = |i: usize| campaign.sets[i].level_dn();
+        // A first frame may carry what came before: of a dark the last one tells.
+        let level = |i: usize| match campaign.sets[i].kind {
+            Kind::Dark => campaign.sets[i].means_dn().last().copied().unwrap_or(f64::NAN),
+            _ => campaign.sets[i].level_dn(),
+        };
         let lowest = all.iter().map(|&i| level(i)).fold(f64::INFINITY, f64::min);
         let highest = all.iter().map(|&i| level(i)).fold(f64::NEG_INFINITY, f64::max);
         if !(highest - lowest > RANGE_DN) {

@@ -16,10 +16,12 @@ const FEW: f64 = 0.05;
 
 /// Share of a change of level up to which a first frame may carry it over.
 const LAG: f64 = 0.05;
+/// Share of its deviation that the frames beside an odd one have at most.
+const ALONE: f64 = 0.34;
 /// Share that first frames carry over, from which on what came before the first set shows.
 const CARRIED: f64 = 3e-4;
-/// How well what is carried over is known, relative.
-const KNOWN: f64 = 0.2;
+/// How much more than the usual share a first frame may carry: lag follows the time between frames.
+const KNOWN: f64 = 3.0;
 /// Cells of a frame.
 const CELLS: f64 = 36.0;
 /// Share of the sets up to which one frame of each is a slip.
@@ -55,30 +57,30 @@ impl Check for OddFrame {
             let of_cell = (noise * CELLS / view.facts.pixels.max(1.0)).sqrt();
             let cell = usual.far_cell_dn(*dark, signal).max(least).max(FAR * of_cell);
             let far = |k: &usize| {
-                let mut off = apart.mean_dn[*k];
-                // What came before is carried over, and dies away.
-                let before = set
-                    .checked_sub(1)
-                    .map(|b| &campaign.sets[b])
-                    .filter(|b| places[*k] == 0 && b.frames() > 0);
-                let change = before.map_or(0.0, |b| b.level_dn() - apart.level_dn);
-                let carries = share.unwrap_or(0.0) * change;
-                // Nobody knows what came before the first set.
-                let unknown = before.is_none() && places[*k] == 0 && share.is_some_and(|s| s.abs() > CARRIED);
-                if (off - carries).abs() < off.abs() {
-                    off -= carries;
+                let off = apart.mean_dn[*k];
+                let by_cell = apart.cell_dn.get(*k).is_some_and(|c| *c > cell);
+                if off.abs() <= least.max(FAR * scatter) && !by_cell {
+                    return false;
                 }
-                let carried = places[*k] == 0
-                    && share.is_none()
-                    && off * change > 0.0
-                    && off.abs() < LAG * change.abs()
-                    || (1..=2).contains(k)
-                        && apart.mean_dn[*k - 1] * off > 0.0
-                        && apart.mean_dn[*k - 1].abs() > 2.0 * off.abs();
-                !carried
-                    && !unknown
-                    && (off.abs() > least.max(FAR * scatter).max(KNOWN * carries.abs())
-                        || apart.cell_dn.get(*k).is_some_and(|c| *c > cell + 0.5 * carries.abs()))
+                // A level that settles or drifts goes step by step: an odd frame stands alone.
+                let beside = [k.checked_sub(1), Some(*k + 1)]
+                    .into_iter()
+                    .flatten()
+                    .filter_map(|n| apart.mean_dn.get(n));
+                if !by_cell && beside.fold(0.0f64, |a, b| a.max(b.abs())) > ALONE * off.abs() {
+                    return false;
+                }
+                // What came before is carried over, and dies away; nobody knows what came before the first set.
+                let Some(before) = set.checked_sub(1).map(|b| &campaign.sets[b]) else {
+                    return places[*k] > 2 || share.is_none_or(|s| s.abs() < CARRIED);
+                };
+                let change = if before.frames() > 0 { before.level_dn() - apart.level_dn } else { 0.0 };
+                let most = share.map_or(LAG, |s| if s.abs() > CARRIED { KNOWN * s.abs() } else { 0.0 });
+                let carried = places[*k] <= 2 && off * change > 0.0 && off.abs() < most * change.abs();
+                let dies_away = (1..=2).contains(k)
+                    && apart.mean_dn[*k - 1] * off > 0.0
+                    && apart.mean_dn[*k - 1].abs() > 2.0 * off.abs();
+                !carried && !dies_away
             };
             let own: Vec<usize> = (0..places.len()).filter(far).collect();
             if own.len() == 1 || own.len() * 4 <= places.len() {

@@ -33,6 +33,7 @@ impl Transfer {
             let s = &campaign.sets[*i];
             !without.contains(i)
                 && !s.clipped
+                && !s.is_cut_off()
                 && s.is_of_one_level(zero)
                 && s.variance_dn2().is_some_and(|v| v.0 > QUIET_DN2)
         };

@@ -302,7 +302,9 @@ pub fn is_something(fitted: &Fitted, at: usize, seen: &Seen) -> bool {
         return true;
     }
     let sizes: Vec<usize> = sizes(*effect, values).collect();
-    sizes.is_empty() || sizes.iter().any(|&k| is_known(values[k], errors[k]))
+    // What a fit has driven to rounding is nothing, whatever its error.
+    let is_there = |k: usize| values[k].abs() > NOTHING * effect.parameters()[k].max.abs();
+    sizes.is_empty() || sizes.iter().any(|&k| is_there(k) && is_known(values[k], errors[k]))
 }
 
 /// Tests an effect by the drop in chi-square of its own statistics, for effects of which only a combination of
@@ -353,6 +355,9 @@ fn sizes<'e>(effect: &'e dyn Effect, values: &'e [f64]) -> impl Iterator<Item = 
     let is_size = |k: &usize| effect.parameters()[*k].is_size();
     (0..values.len()).filter(|k| effect.uses(values, *k)).filter(is_size)
 }
+
+/// Part of the range below which a size is rounding.
+const NOTHING: f64 = 1e-15;
 
 /// Whether a size lies at an end of its range that is not nothing.
 fn at_an_end(effect: &dyn Effect, values: &[f64]) -> bool {

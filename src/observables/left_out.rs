@@ -1,7 +1,7 @@
 //! Frames and samples that are left out of a campaign, in words.
 
-use super::read::{Chunk, LeftOut};
-use crate::dataset::{Dataset, Kind};
+use super::read::LeftOut;
+use crate::dataset::Dataset;
 
 /// Frames and samples that were left out, in words.
 pub(super) fn words(dataset: &Dataset, left_out: &[(usize, LeftOut)]) -> Vec<String> {
@@ -32,22 +32,4 @@ pub(super) fn words(dataset: &Dataset, left_out: &[(usize, LeftOut)]) -> Vec<Str
         ));
     }
     out
-}
-
-/// Takes out lit sets whose frames are the same, code for code: light has noise, so that these are copies of one
-/// frame.
-pub(super) fn copies(dataset: &Dataset, chunks: &mut Vec<Chunk>) -> Option<String> {
-    let kind = |set: usize| dataset.settings(&dataset.sets()[set]).kind;
-    let is_copy = |c: &Chunk| kind(c.set) == Kind::Flat && c.summary.var.value == 0.0;
-    let mut numbers: Vec<u32> =
-        chunks.iter().filter(|c| is_copy(c)).map(|c| dataset.sets()[c.set].number).collect();
-    numbers.dedup();
-    chunks.retain(|c| !is_copy(c));
-    let shown: Vec<String> = numbers.iter().take(6).map(ToString::to_string).collect();
-    (!numbers.is_empty()).then(|| {
-        format!(
-            "the frames of sets {} are the same, code for code: copies of one frame, not looked at",
-            shown.join(", ")
-        )
-    })
 }

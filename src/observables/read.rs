@@ -3,7 +3,7 @@
 //! Memory holds some frames and their sums on each core, and of the first frames of sets as many as fit into 256 MiB, however many there are.
 
 use super::campaign::is_quiet;
-use super::left_out::{copies, words};
+use super::left_out::words;
 use super::look::{FIRST, Look, Seen};
 use super::{Half, ObserveError, SUMMED, codes};
 use crate::dataset::{Dataset, Kind, Set};
@@ -562,7 +562,6 @@ pub fn read(
             seen.filled
         ));
     }
-    left_out.extend(copies(dataset, &mut sums.chunks));
     Ok(Reading {
         left_out,
         steady_dn4: sums.steady.covariance(&seen.layout),
