@@ -194,7 +194,7 @@ pub fn codes(text: &str) -> Result<Codes, String> {
 /// Prints what was wrong with the data.
 pub fn say_faults(faults: &[DataFault]) {
     for fault in faults {
-        println!("  slip in the data: {}", wrapped(&fault.text, 4).trim_start());
+        println!("  {}", wrapped(&fault.to_string(), 4).trim_start());
     }
 }
 

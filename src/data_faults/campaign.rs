@@ -1,6 +1,7 @@
 //! A campaign as the checks see it: sets with their levels and noise, without what was left out so far.
 
 use super::facts::SetFacts;
+use super::law::{Law, Point};
 use super::{DataFault, FaultKind};
 use crate::dataset::{Dataset, FrameRow, Kind};
 use crate::statistics::median::median;
@@ -10,6 +11,8 @@ use std::collections::BTreeMap;
 const OF_NORMAL: f64 = 0.6745;
 /// Rounding to whole codes alone moves the mean of a quiet frame by some hundredths, DN.
 const ROUNDED_DN: f64 = 0.02;
+/// Darks that tell how level and noise grow with the exposure.
+const ENOUGH: usize = 6;
 /// Share of clipped samples, beyond those of pixels that always are, from which the level of a set is not what it
 /// would be.
 const CLIPPED: f64 = 1e-3;
@@ -244,6 +247,36 @@ impl<'a> Campaign<'a> {
         let most = shares.iter().map(|s| s.0.abs()).fold(0.0, f64::max);
         shares.retain(|s| s.0.abs() > 0.3 * most);
         (shares.len() >= 3).then(|| median(shares.into_iter().map(|s| s.1)))
+    }
+
+    /// Whether a dark is off a smooth law of the exposure that the other darks follow, where these are enough to
+    /// tell: what grows with the exposure, by whatever law, is the sensor's.
+    pub fn is_off_the_darks(
+        &self,
+        set: usize,
+        value: impl Fn(usize) -> f64,
+        std: impl Fn(usize) -> f64,
+    ) -> bool {
+        let darks = self.places(|s| s.kind == Kind::Dark && !s.clipped && s.variance_dn2().is_some());
+        let longest = darks.iter().map(|&i| self.sets[i].exposure_s).fold(0.0, f64::max);
+        let point = |&i: &usize| {
+            let t = self.sets[i].exposure_s / longest;
+            Point { factors: vec![1.0, t, t.sqrt()], value: value(i), std: std(i) }
+        };
+        let points: Vec<Point> = darks.iter().map(point).collect();
+        let Some(own) = darks.iter().position(|d| *d == set).filter(|_| darks.len() >= ENOUGH) else {
+            return true;
+        };
+        // An end of the range that goes on as the others do says nothing.
+        let others = || points.iter().enumerate().filter(|(k, _)| *k != own).map(|(_, p)| p);
+        let (t, y) = (points[own].factors[1], points[own].value);
+        let shortest = others().all(|p| p.factors[1] > 1.1 * t && p.value > y);
+        let longest = others().all(|p| p.factors[1] < 0.9 * t && p.value < y);
+        if shortest || longest {
+            return false;
+        }
+        let law = Law::fit(&points, &[1e4, 1e4, 1e4], (darks.len() / 4).clamp(1, 3));
+        law.is_none_or(|law| law.out.contains(&own))
     }
 
     /// Sets of equal stated settings.

@@ -62,6 +62,10 @@ impl Check for DarkSettings {
             if off.abs() < LEAST_DN.max(OF_CHARGE * charge[k]) || alone && off.abs() < 1.5 * charge[k] {
                 continue;
             }
+            let std = |d: usize| points[darks.iter().position(|o| *o == d).unwrap_or(k)].std;
+            if !campaign.is_off_the_darks(i, |d| campaign.sets[d].level_dn(), std) {
+                continue;
+            }
             let alike = |d: &&usize| {
                 let ratio = campaign.sets[**d].exposure_s / campaign.sets[i].exposure_s;
                 **d != i && (0.5..2.0).contains(&ratio)

@@ -53,6 +53,9 @@ fn pattern_gain(campaign: &Campaign<'_>, set: usize) -> Option<f64> {
 /// Correlation from which on a pattern shows: ten times that of chance in 4096 pixels.
 const SHOWS: f64 = 0.16;
 
+/// Usual relative scatter of the variances of darks about a smooth law.
+const DARKS: f64 = 0.03;
+
 /// The check.
 pub struct DependentFrames;
 
@@ -121,6 +124,14 @@ impl Check for DependentFrames {
                     .is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < 0.6 * off.abs());
                 if off > 0.0 || of_gain { gained.push((i, off)) } else { averaged.push(i) }
             }
+            // What the noise of darks does with the exposure is the sensor's.
+            let smooth = |i: usize| {
+                let var = |d: usize| campaign.sets[d].variance_dn2().map_or(f64::NAN, |v| v.0.ln());
+                let is_dark = campaign.sets[i].kind == Kind::Dark;
+                is_dark && !filtered.contains(&i) && !campaign.is_off_the_darks(i, var, |_| DARKS)
+            };
+            averaged.retain(|i| !smooth(*i));
+            gained.retain(|g| !smooth(g.0));
             // What darks of long exposures have is the charge's: a gain is told by another dark that would have
             // it.
             let gains: Vec<usize> = gained.iter().map(|g| g.0).collect();

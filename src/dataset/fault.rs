@@ -39,3 +39,9 @@ pub struct DataFault {
     /// Whether its sets, or its frames where it has some, are left out.
     pub left_out: bool,
 }
+
+impl std::fmt::Display for DataFault {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "slip in the data: {}", self.text)
+    }
+}

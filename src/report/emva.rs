@@ -183,9 +183,12 @@ pub fn html(head: &Head<'_>, points: &Points, e: &Evaluation, plots: &[Plot]) ->
                         (n.line.of_a_line()) "."
                     }
                 }
-                @if !e.notes.is_empty() {
+                @if !(e.notes.is_empty() && e.data_faults.is_empty()) {
                     h2 { "Notes" }
-                    ul.notes { @for note in &e.notes { li { (note) } } }
+                    ul.notes {
+                        @for fault in &e.data_faults { li { (fault.to_string()) } }
+                        @for note in &e.notes { li { (note) } }
+                    }
                 }
                 h2 { "Plots" }
                 div.plots { @for p in plots { (figure(p)) } }

@@ -81,6 +81,7 @@ pub fn html(title: &str, subtitle: &str, report: &NoiseReport, truth: Option<&Tr
             (used) " of " (report.levels.len()) " levels used. Means are counted from the black level, "
             (with_error(report.offset_dn.value, report.offset_dn.std_err)) " DN (" (report.offset_source) ")."
         }
+        @for fault in &report.data_faults { p.bad { (fault.to_string()) } }
         @for note in &report.notes { p { (note) } }
         (scrolled("levels", html! { table {
             tr { th { "set" } th { "mean (DN)" } th { "variance (DN²)" } th { "residual (σ)" } th.text { "note" } }

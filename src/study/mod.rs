@@ -13,7 +13,7 @@ pub(crate) use provenance::hex;
 pub use quantities::Reported;
 
 use crate::calibrate::file::Calibration;
-use crate::dataset::CameraInfo;
+use crate::dataset::{CameraInfo, DataFault};
 use crate::diagnosis::{Diagnosis, Missing, Rung, Verdict};
 use crate::inference::{Comparison, Fitted};
 use crate::noise::NoiseReport;
@@ -61,7 +61,7 @@ impl Judgement {
             comparisons: vec![comparison.clone()],
             fitted: Some(fitted.clone()),
             next_measurement: None,
-            notes: comparison.not_looked_at.clone(),
+            notes: with_faults(&comparison.data_faults, &comparison.not_looked_at),
             searched: false,
         }
     }
@@ -76,7 +76,7 @@ impl Judgement {
             comparisons: d.comparisons.clone(),
             fitted: d.fitted.clone(),
             next_measurement: d.next_measurement.clone(),
-            notes: d.notes.clone(),
+            notes: with_faults(&d.data_faults, &d.notes),
             searched: true,
         }
     }
@@ -90,6 +90,11 @@ impl Judgement {
             _ => "The model does not describe the camera".into(),
         }
     }
+}
+
+/// What was wrong with the data, and then what else is to be known.
+fn with_faults(faults: &[DataFault], notes: &[String]) -> Vec<String> {
+    faults.iter().map(ToString::to_string).chain(notes.iter().cloned()).collect()
 }
 
 /// A comparison in a sentence.

@@ -650,7 +650,10 @@ fn bad_campaigns_are_named() {
         std::fs::copy(file(8), file(number)).unwrap();
     }
     let out = crate::support::radcam(&["diagnose", &at("copies")]);
-    assert!(String::from_utf8_lossy(&out.stdout).contains("set 2: 3 frames are copies of others, code for code"), "{out:?}");
+    assert!(
+        String::from_utf8_lossy(&out.stdout).contains("set 2: 3 frames are copies of others, code for code"),
+        "{out:?}"
+    );
     std::fs::write(at("t.csv"), "mean_dn,var_dn2\n1,2\n2,3\n").unwrap();
     assert!(crate::support::refused(&["diagnose", &at("t.csv")]).contains("four or more"));
     for (arguments, part) in [

@@ -44,6 +44,7 @@ errors! {
 
 use pyo3::exceptions::PyKeyboardInterrupt;
 use radcam::capture::CaptureError as Capture;
+use radcam::data_faults::ExamineError as Examine;
 use radcam::emva::EmvaError as Emva;
 use radcam::noise::NoiseError as Noise;
 use radcam::observables::ObserveError as Observe;
@@ -55,6 +56,16 @@ impl Raised for Capture {
         match self {
             Self::Interrupted { .. } => PyKeyboardInterrupt::new_err(()),
             e => CaptureError::new_err(e.to_string()),
+        }
+    }
+}
+
+impl Raised for Examine {
+    fn raised(self) -> PyErr {
+        match self {
+            Self::Interrupted => PyKeyboardInterrupt::new_err(()),
+            Self::Dataset(e) => e.raised(),
+            e => RadcamError::new_err(e.to_string()),
         }
     }
 }

@@ -158,11 +158,15 @@ fn calibrate(
     };
     run(py, progress.as_ref(), move |w| {
         let dataset = Dataset::open(&path).map_err(Raised::raised)?;
+        let dataset = radcam::data_faults::examined(&dataset, &w.stop).map_err(Raised::raised)?;
         let noise = radcam::noise::of_dataset(&dataset, &w.stop, &mut |done, of| w.step(done, of)).ok();
         let from = format!("radcam {} from {}", env!("CARGO_PKG_VERSION"), path.display());
         let made = calibration_of(&dataset, estimator, noise.as_ref(), &from).map_err(Raised::raised)?;
         made.calibration.write(&output).map_err(Raised::raised)?;
-        json(&made.calibration.description)
+        let told = |e: serde_json::Error| crate::errors::RadcamError::new_err(e.to_string());
+        let mut said = serde_json::to_value(&made.calibration.description).map_err(told)?;
+        said["data_faults"] = serde_json::to_value(&made.data_faults).map_err(told)?;
+        json(&said)
     })
 }
 

@@ -117,6 +117,7 @@ fn verdict(desk: &Desk) -> Markup {
             let head = Judgement::of_diagnosis(d).heading(Some(&d.verdict));
             html! {
                 h1 { (head) }
+                @for fault in &d.data_faults { p { (fault.to_string()) } }
                 p.verdict { (d.verdict.sentence()) }
             }
         }
