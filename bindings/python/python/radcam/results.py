@@ -375,8 +375,9 @@ class FrameStatistics(Result):
     def of(cls, d: dict[str, Any]) -> FrameStatistics:
         quantity = lambda v: Quantity(_number(v["value"]), _number(v["std_err"]), "DN^2")  # noqa: E731
         rows, columns = d["line_var_dn2"]
+        means = d["frame_means"]
         return cls(
-            d, d["frames"], d["pixels"], d["frame_means"]["mean_dn"], quantity(d["var"]), quantity(d["successive"]), rows,
+            d, d["frames"], d["pixels"], sum(means) / len(means), quantity(d["var"]), quantity(d["successive"]), rows,
             columns, d["spatial_var_dn2"],
         )  # fmt: skip
 
