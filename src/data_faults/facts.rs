@@ -52,7 +52,7 @@ impl SetFacts {
             && self.cells_dn.len() == self.means_dn.len()
             && self.middle_dn.len() <= MIDDLE * MIDDLE
             && (self.middle_columns > 0 || self.middle_dn.is_empty())
-            && self.middle_dn.len() % self.middle_columns.max(1) == 0
+            && self.middle_dn.len().is_multiple_of(self.middle_columns.max(1))
     }
 }
 

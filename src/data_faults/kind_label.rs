@@ -27,7 +27,7 @@ impl Check for KindLabel {
         };
         let lowest = all.iter().map(|&i| level(i)).fold(f64::INFINITY, f64::min);
         let highest = all.iter().map(|&i| level(i)).fold(f64::NEG_INFINITY, f64::max);
-        if !(highest - lowest > RANGE_DN) {
+        if all.is_empty() || highest - lowest <= RANGE_DN {
             return Vec::new();
         }
         let darks = campaign.places(|s| s.kind == Kind::Dark);

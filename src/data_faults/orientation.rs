@@ -37,8 +37,11 @@ pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
     product(a, b) / (product(a, a) * product(b, b)).sqrt()
 }
 
+/// Turns an image of so many columns.
+pub type Turn = fn(&[f64], usize) -> Vec<f64>;
+
 /// Ways in which a frame is turned, beside none.
-pub const TURNS: [(&str, fn(&[f64], usize) -> Vec<f64>); 3] =
+pub const TURNS: [(&str, Turn); 3] =
     [("left and right exchanged", left_right), ("upside down", up_down), ("turned by 180 degrees", turned)];
 
 fn left_right(image: &[f64], columns: usize) -> Vec<f64> {
