@@ -90,7 +90,7 @@ impl Reduced {
         self.levels.get(of)
     }
 
-    /// What the frames of a set say before any physics.
+    /// Statistics for the checks of the data, of one set.
     pub(crate) fn facts(&self, of: &Key) -> Option<&SetFacts> {
         self.facts.get(of)
     }
@@ -174,7 +174,7 @@ fn read_again(part: &Dataset, error: ObserveError) -> ObserveError {
     }
 }
 
-/// What the frames of wanted sets say before any physics, to be kept.
+/// Computes the statistics for the checks of the data, of the wanted sets.
 fn kept_facts(
     dataset: &Dataset,
     wanted: &(dyn Fn(&Set) -> bool + Sync),
@@ -391,7 +391,7 @@ pub fn from_cbor(bytes: &[u8], path: &Path) -> Result<Dataset, DatasetError> {
     let claimed = shape.0.saturating_mul(shape.1);
     let fits = claimed <= (1 << 20).max(bytes.len().saturating_mul(PIXELS_PER_BYTE))
         && stored.looks.iter().all(|(_, l)| l.fits(shape))
-        && stored.facts.iter().all(|(key, f)| f.fits(key.indices.len()))
+        && stored.facts.iter().all(|(key, f)| f.fits(key.indices.len(), shape))
         && stored.pieces.iter().all(|(_, (w, l))| w.fits(shape, full) && l.fits(claimed));
     if !fits {
         let message = format!("its statistics are not of frames of {} x {} px", shape.1, shape.0);

@@ -60,7 +60,7 @@ impl Source {
         Ok(Self::Frames(Box::new(Dataset::join(all)?)))
     }
 
-    /// Without what is wrong with the data ([`examined`]); `stop` ends it. A table stays as it is.
+    /// Removes faulty sets and frames ([`examined`]); `stop` ends it. Tables are returned unchanged.
     ///
     /// # Errors
     ///
@@ -72,7 +72,7 @@ impl Source {
         })
     }
 
-    /// What was wrong with the data and is left out, once it was examined.
+    /// Faults of the data; empty before [`Source::examined`].
     pub fn data_faults(&self) -> &[DataFault] {
         match self {
             Self::Frames(dataset) => dataset.data_faults(),

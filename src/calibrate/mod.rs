@@ -170,7 +170,7 @@ pub struct Calibrated {
     pub calibration: Calibration,
     /// Every defect with its reason.
     pub defects: Vec<Defect>,
-    /// What was wrong with the data, and is left out.
+    /// Faults of the data.
     pub data_faults: Vec<DataFault>,
 }
 

@@ -1,23 +1,21 @@
-//! A campaign as the checks see it: sets with their levels and noise, without what was left out so far.
+//! Campaign as the checks see it: levels and noise of the sets, without those left out so far.
 
 use super::facts::SetFacts;
 use super::law::{Law, Point};
 use super::{DataFault, FaultKind};
 use crate::dataset::{Dataset, FrameRow, Kind};
-use crate::statistics::median::median;
+use crate::statistics::median::{MAD_OF_NORMAL, median};
 use std::collections::BTreeMap;
 
-/// A median over this of the absolute deviations of normal numbers is their deviation.
-const OF_NORMAL: f64 = 0.6745;
 /// Rounding to whole codes alone moves the mean of a quiet frame by some hundredths, DN.
-const ROUNDED_DN: f64 = 0.02;
-/// Darks that tell how level and noise grow with the exposure.
-const ENOUGH: usize = 6;
+const MIN_MEAN_SCATTER_DN: f64 = 0.02;
+/// Minimum number of darks that determines the growth of level and noise with the exposure.
+const MIN_DARKS_FOR_A_LAW: usize = 6;
 /// Share of clipped samples, beyond those of pixels that always are, from which the level of a set is not what it
 /// would be.
-const CLIPPED: f64 = 1e-3;
+const MAX_CLIPPED_SHARE: f64 = 1e-3;
 
-/// A set with what its frames say.
+/// Set with the statistics of its frames.
 #[derive(Debug, Clone)]
 pub struct SetView {
     /// Number of the set.
@@ -30,15 +28,15 @@ pub struct SetView {
     pub illumination: f64,
     /// Position of card and light.
     pub configuration: u32,
-    /// What its frames say.
+    /// Statistics of its frames.
     pub facts: SetFacts,
-    /// Which frames are left, in the order of time.
+    /// Flags of the frames in use, in the order of time.
     pub kept: Vec<bool>,
-    /// Whether the whole set is left out.
+    /// True if the whole set is left out.
     pub out: bool,
-    /// Whether its level is cut off at full scale.
+    /// True if full scale cuts the level off.
     pub clipped: bool,
-    /// Of joined datasets, which one it is of.
+    /// Number of its dataset among joined ones.
     part: usize,
 }
 
@@ -47,12 +45,12 @@ impl SetView {
         self.kept.iter().enumerate().filter(|(_, kept)| **kept).map(|(i, _)| i)
     }
 
-    /// Frames that are left.
+    /// Number of frames in use.
     pub fn frames(&self) -> usize {
         self.kept.iter().filter(|k| **k).count()
     }
 
-    /// Means of the frames that are left, DN.
+    /// Means of the frames in use, DN.
     pub fn means_dn(&self) -> Vec<f64> {
         self.places().map(|i| self.facts.means_dn[i]).collect()
     }
@@ -62,7 +60,7 @@ impl SetView {
         median(self.means_dn().into_iter())
     }
 
-    /// First frames that may carry what came before, where there are enough others.
+    /// Number of first frames skipped because of lag; 0 for short sets.
     fn settling(&self) -> usize {
         usize::from(self.kept.len() > 3)
     }
@@ -90,12 +88,12 @@ impl SetView {
         (far > 0.0).then(|| near / far)
     }
 
-    /// Whether its noise reaches code 0, which cuts it off.
+    /// Returns true if code 0 cuts the noise off.
     pub fn is_cut_off(&self) -> bool {
         self.variance_dn2().is_some_and(|(var, _)| self.level_dn() < 4.0 * var.sqrt() + 0.5)
     }
 
-    /// Whether its level is one number: of frames that differ, or still settle, nobody knows which is right.
+    /// Returns true if the frame means agree; false while the level drifts or settles.
     pub fn is_of_one_level(&self, zero: &Zero) -> bool {
         let means = self.means_dn();
         let most = means.iter().fold(f64::NEG_INFINITY, |a, b| a.max(*b));
@@ -103,7 +101,7 @@ impl SetView {
         most - least < (20.0 * zero.scatter_dn).max(0.05 * (self.level_dn() - zero.dn).abs())
     }
 
-    /// Whether it is a flat that light falls on by its label.
+    /// Returns true for a flat whose label states light.
     pub fn is_lit(&self) -> bool {
         self.kind == Kind::Flat && self.illumination > 0.0
     }
@@ -124,6 +122,23 @@ impl Zero {
     /// Level at an exposure, DN.
     pub fn at(&self, exposure_s: f64) -> f64 {
         self.dn + self.dn_per_s * exposure_s
+    }
+}
+
+/// Scatter of frame means, from the steps of successive frames of all sets.
+#[derive(Debug, Clone, Copy)]
+pub struct Scatter {
+    zero: Zero,
+    flat_rel: f64,
+    dark_dn: f64,
+}
+
+impl Scatter {
+    /// Standard deviation of the mean of one frame of a set, DN: lamp, black level and the noise of the pixels.
+    pub fn of_frame_dn(&self, set: &SetView) -> f64 {
+        let above = if set.is_lit() { (set.level_dn() - self.zero.at(set.exposure_s)).max(0.0) } else { 0.0 };
+        let pixels = set.variance_dn2().map_or(0.0, |v| v.0) / set.facts.pixels.max(1.0);
+        (self.flat_rel * above).hypot(self.dark_dn).hypot(pixels.sqrt())
     }
 }
 
@@ -151,7 +166,7 @@ impl<'a> Campaign<'a> {
                 configuration: row.configuration,
                 kept: vec![true; facts.means_dn.len()],
                 out: facts.means_dn.is_empty(),
-                clipped: facts.clipped - always > CLIPPED,
+                clipped: facts.clipped - always > MAX_CLIPPED_SHARE,
                 part: dataset.part_of(set.rows[0]).0,
                 facts,
             }
@@ -178,7 +193,7 @@ impl<'a> Campaign<'a> {
         self.zero_without(&[])
     }
 
-    /// The same without some of them.
+    /// Fits the dark level without some of the darks.
     pub fn zero_without(&self, without: &[usize]) -> Option<Zero> {
         let darks = self.places(|s| s.kind == Kind::Dark && !s.clipped);
         let points: Vec<(f64, f64)> = darks
@@ -188,18 +203,18 @@ impl<'a> Campaign<'a> {
             .collect();
         let (dn, dn_per_s) = median_line(&points)?;
         let off = points.iter().map(|(x, y)| (y - dn - dn_per_s * x).abs());
-        let scatter_dn = (median(off) / OF_NORMAL).max(self.dark_scatter_dn());
+        let scatter_dn = (median(off) / MAD_OF_NORMAL).max(self.dark_scatter_dn());
         Some(Zero { dn, dn_per_s, scatter_dn })
     }
 
     /// Scatter of the means of dark frames, DN.
     pub fn dark_scatter_dn(&self) -> f64 {
         let steps = self.steps(|s| s.kind == Kind::Dark, |_| 1.0);
-        if steps.is_finite() { steps.max(ROUNDED_DN) } else { ROUNDED_DN }
+        if steps.is_finite() { steps.max(MIN_MEAN_SCATTER_DN) } else { MIN_MEAN_SCATTER_DN }
     }
 
     /// Scatter of the means of flats, relative to their signal.
-    pub fn flat_scatter(&self, zero: &Zero) -> f64 {
+    fn flat_scatter(&self, zero: &Zero) -> f64 {
         let above = |s: &SetView| (s.level_dn() - zero.at(s.exposure_s)).max(1.0);
         let steps = self.steps(|s| s.is_lit() && !s.clipped, above);
         if steps.is_finite() { steps } else { 0.0 }
@@ -216,20 +231,16 @@ impl<'a> Campaign<'a> {
             let skip = usize::from(means.len() > 3);
             all.extend(means.windows(2).skip(skip).map(|w| (w[1] - w[0]).abs() / by));
         }
-        median(all.into_iter()) / OF_NORMAL / 2f64.sqrt()
+        median(all.into_iter()) / MAD_OF_NORMAL / 2f64.sqrt()
     }
 
-    /// Scatter of the mean of one frame of a set, DN: what the lamp and the black level usually do, and the
-    /// pixels' noise.
-    pub fn frame_scatter_dn(&self, set: usize, zero: &Zero) -> f64 {
-        let s = &self.sets[set];
-        let above = if s.is_lit() { (s.level_dn() - zero.at(s.exposure_s)).max(0.0) } else { 0.0 };
-        let pixels = s.variance_dn2().map_or(0.0, |v| v.0) / s.facts.pixels.max(1.0);
-        (self.flat_scatter(zero) * above).hypot(self.dark_scatter_dn()).hypot(pixels.sqrt())
+    /// Measures the scatter of frame means over all sets.
+    pub fn scatter(&self, zero: &Zero) -> Scatter {
+        Scatter { zero: *zero, flat_rel: self.flat_scatter(zero), dark_dn: self.dark_scatter_dn() }
     }
 
     /// Share of a change of level that first frames usually carry over; `None` with fewer than three changes.
-    pub fn carried(&self, zero: &Zero) -> Option<f64> {
+    pub fn carried(&self, scatter: &Scatter) -> Option<f64> {
         let mut shares = Vec::new();
         for k in 1..self.sets.len() {
             let (own, before) = (&self.sets[k], &self.sets[k - 1]);
@@ -239,7 +250,7 @@ impl<'a> Campaign<'a> {
             let means = own.means_dn();
             let level = median(means[1..].iter().copied());
             let change = before.level_dn() - level;
-            if change.abs() > 20.0 * self.frame_scatter_dn(k, zero) {
+            if change.abs() > 20.0 * scatter.of_frame_dn(own) {
                 shares.push((change, (means[0] - level) / change));
             }
         }
@@ -249,8 +260,8 @@ impl<'a> Campaign<'a> {
         (shares.len() >= 3).then(|| median(shares.into_iter().map(|s| s.1)))
     }
 
-    /// Whether a dark is off a smooth law of the exposure that the other darks follow, where these are enough to
-    /// tell: what grows with the exposure, by whatever law, is the sensor's.
+    /// Returns true if a dark deviates from a smooth law of the exposure fitted to the other darks, or if they
+    /// are too few to tell. Smooth growth with the exposure is a property of the sensor.
     pub fn is_off_the_darks(
         &self,
         set: usize,
@@ -264,7 +275,8 @@ impl<'a> Campaign<'a> {
             Point { factors: vec![1.0, t, t.sqrt()], value: value(i), std: std(i) }
         };
         let points: Vec<Point> = darks.iter().map(point).collect();
-        let Some(own) = darks.iter().position(|d| *d == set).filter(|_| darks.len() >= ENOUGH) else {
+        let Some(own) = darks.iter().position(|d| *d == set).filter(|_| darks.len() >= MIN_DARKS_FOR_A_LAW)
+        else {
             return true;
         };
         // An end of the range that goes on as the others do says nothing.
@@ -290,13 +302,13 @@ impl<'a> Campaign<'a> {
         all.into_values().filter(|v| v.len() > 1).collect()
     }
 
-    /// Whether light is stated in photons, as an EMVA 1288 descriptor has it.
+    /// Returns true if light is stated in photons, as in an EMVA 1288 descriptor.
     pub fn light_is_in_photons(&self) -> bool {
         self.dataset.light_is_nominal()
     }
 
-    /// Whether all of it was taken in one campaign with card and light where they were: levels then follow
-    /// exposure and light alone.
+    /// Returns true for one campaign with one position of card and light: levels depend on exposure and light
+    /// only.
     pub fn is_one_bench(&self) -> bool {
         let lit = self.places(SetView::is_lit);
         let first = lit.first().map(|i| (self.sets[*i].configuration, self.sets[*i].part));
@@ -339,7 +351,7 @@ impl<'a> Campaign<'a> {
         }
     }
 
-    /// Which rows of the dataset are left out.
+    /// Flags the rows of the dataset that are left out.
     pub(super) fn rows_left_out(&self) -> Vec<bool> {
         let mut out = vec![false; self.dataset.rows().len()];
         for (set, view) in self.dataset.sets().iter().zip(&self.sets) {

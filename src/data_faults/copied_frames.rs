@@ -1,4 +1,4 @@
-//! One frame several times: noise never repeats itself.
+//! Copies of one frame: temporal noise never repeats.
 
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::statistics::median::median;
@@ -6,9 +6,9 @@ use std::collections::BTreeMap;
 
 /// Pixels that frames usually differ in, from which on two that do not are one: where each differs by chance, the
 /// chance of none is below 1e-13.
-const DIFFER: f64 = 30.0;
+const MIN_CHANGED_PIXELS: f64 = 30.0;
 /// Signal from which light alone makes frames differ, DN.
-const LIT_DN: f64 = 20.0;
+const MIN_SIGNAL_DN: f64 = 20.0;
 
 /// The check.
 pub struct CopiedFrames;
@@ -40,7 +40,7 @@ impl Check for CopiedFrames {
             let view = &campaign.sets[set];
             let own = changes(set);
             if own.is_finite() {
-                return own >= DIFFER;
+                return own >= MIN_CHANGED_PIXELS;
             }
             // At full scale nothing is left to differ.
             if view.clipped {
@@ -51,7 +51,7 @@ impl Check for CopiedFrames {
             let darker =
                 campaign.places(|_| true).into_iter().filter(|s| campaign.sets[*s].level_dn() <= level);
             let usual = median(darker.map(changes).filter(|c| c.is_finite()));
-            usual >= DIFFER || (view.facts.spread_dn2 > 0.0 && level - lowest > LIT_DN)
+            usual >= MIN_CHANGED_PIXELS || (view.facts.spread_dn2 > 0.0 && level - lowest > MIN_SIGNAL_DN)
         };
         let mut frames: Vec<(usize, usize)> = copies.into_iter().filter(|(s, _)| has_noise(*s)).collect();
         frames.sort_unstable();

@@ -13,20 +13,19 @@ use crate::number::six_digits;
 use crate::statistics::median::median;
 
 /// Usual scatter of a dark set's level, DN.
-const USUAL_DN: f64 = 0.1;
+const SET_SCATTER_DN: f64 = 0.1;
 /// Least deviation that is said, DN.
-const LEAST_DN: f64 = 1.0;
+const MIN_SHIFT_DN: f64 = 1.0;
 /// Share of the dark charge up to which a level is that of another temperature.
-const OF_CHARGE: f64 = 0.05;
-/// How far the level's growth may be from the noise's: hot pixels have more of one than of the other, and a clamp
-/// takes all.
-const GROWTH: f64 = 0.5;
+const MAX_SHARE_OF_CHARGE: f64 = 0.05;
+/// Standard deviation of the prior on the growth of the level with the charge: hot pixels and a clamp change it.
+const CHARGE_PRIOR: f64 = 0.5;
 /// Least variance that tells dark charge, DN^2 (a named choice: rounding alone brings 0.083).
-const LEAST_DN2: f64 = 0.15;
+const MIN_VARIANCE_DN2: f64 = 0.15;
 /// Darks below which none stands out.
-const FEWEST: usize = 3;
+const MIN_DARKS: usize = 3;
 /// Ratio of the noise's standard deviations up to which the gain is the same.
-const SAME_GAIN: f64 = 1.1;
+const MAX_NOISE_RATIO: f64 = 1.1;
 
 /// The check.
 pub struct DarkSettings;
@@ -35,11 +34,11 @@ impl Check for DarkSettings {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let Some(zero) = campaign.zero() else { return Vec::new() };
         // Of darks that are cut off at code 0, or whose noise rounding decides, nothing follows.
-        let told = |s: &SetView| s.variance_dn2().is_some_and(|v| v.0 > LEAST_DN2 && !s.is_cut_off());
+        let told = |s: &SetView| s.variance_dn2().is_some_and(|v| v.0 > MIN_VARIANCE_DN2 && !s.is_cut_off());
         let usable = |s: &SetView| !s.clipped && s.is_of_one_level(&zero) && told(s);
         let darks = campaign.places(|s| s.kind == Kind::Dark && usable(s));
         let gain = Transfer::of(campaign, &zero, &darks).map(|t| t.slope()).filter(|g| *g > 0.0);
-        let Some(gain) = gain.filter(|_| darks.len() >= FEWEST) else { return Vec::new() };
+        let Some(gain) = gain.filter(|_| darks.len() >= MIN_DARKS) else { return Vec::new() };
         let var = |i: usize| campaign.sets[i].variance_dn2().unwrap_or_default();
         let quietest = darks.iter().map(|&i| var(i).0).fold(f64::INFINITY, f64::min);
         let charge: Vec<f64> = darks.iter().map(|&i| (var(i).0 - quietest) / gain).collect();
@@ -48,18 +47,20 @@ impl Check for DarkSettings {
             let set = &campaign.sets[i];
             let (var, pairs) = var(i);
             let of_charge = var / gain * (3.0 / (set.facts.pixels * pairs)).sqrt();
-            let std = USUAL_DN.hypot(frame / (set.frames() as f64).sqrt()).hypot(of_charge);
+            let std = SET_SCATTER_DN.hypot(frame / (set.frames() as f64).sqrt()).hypot(of_charge);
             Point { factors: vec![1.0, charge], value: set.level_dn() - charge, std }
         };
         let points: Vec<Point> = darks.iter().zip(&charge).map(point).collect();
         let few = (darks.len() / 4).clamp(1, 3).min(darks.len() - 2);
-        let Some(law) = Law::fit(&points, &[1e5, GROWTH], few) else { return Vec::new() };
+        let Some(law) = Law::fit(&points, &[1e5, CHARGE_PRIOR], few) else { return Vec::new() };
         let mut found = Vec::new();
         for &k in &law.out {
             let (i, off) = (darks[k], points[k].value - law.at(&points[k].factors));
             // One dark that has more charge than all others says alone what that does to its level.
             let alone = charge.iter().filter(|c| **c >= 0.5 * charge[k]).count() == 1;
-            if off.abs() < LEAST_DN.max(OF_CHARGE * charge[k]) || alone && off.abs() < 1.5 * charge[k] {
+            if off.abs() < MIN_SHIFT_DN.max(MAX_SHARE_OF_CHARGE * charge[k])
+                || alone && off.abs() < 1.5 * charge[k]
+            {
                 continue;
             }
             let std = |d: usize| points[darks.iter().position(|o| *o == d).unwrap_or(k)].std;
@@ -72,7 +73,7 @@ impl Check for DarkSettings {
             };
             let usual = median(darks.iter().filter(alike).map(|&d| var(d).0.sqrt()));
             let ratio = var(i).0.sqrt() / usual;
-            let of_gain = ratio.is_finite() && !(SAME_GAIN.recip()..SAME_GAIN).contains(&ratio);
+            let of_gain = ratio.is_finite() && !(MAX_NOISE_RATIO.recip()..MAX_NOISE_RATIO).contains(&ratio);
             let what = if of_gain {
                 format!("another gain, {} times that of the other darks by its noise: its", six_digits(ratio))
             } else {

@@ -10,20 +10,20 @@ use crate::number::six_digits;
 use crate::statistics::median::median;
 
 /// Share of the usual variance below which frames were averaged: two make it a half.
-const AVERAGED: f64 = 0.8;
+const MAX_AVERAGED_RATIO: f64 = 0.8;
 /// Ratio of the usual variance from which on a dark has another gain.
-const GAINED: f64 = 1.25;
+const MIN_GAIN_RATIO: f64 = 1.25;
 /// Share of a level from which on another set has as much light.
-const AS_BRIGHT: f64 = 0.98;
+const MIN_EQUAL_LEVEL: f64 = 0.98;
 /// Least that the variance of successive frames falls short of that of frames two apart.
-const ALIKE: f64 = 0.12;
-/// Standard deviations of that.
-const TOLD: f64 = 10.0;
+const MIN_DEPENDENCE: f64 = 0.12;
+/// Minimum significance of that, standard deviations.
+const MIN_SIGMAS: f64 = 10.0;
 /// Share of the sets up to which it is a slip: more are what the camera does.
-const FEW: f64 = 0.34;
+const MAX_SHARE_OF_SETS: f64 = 0.34;
 
-/// How large the fixed pattern of a dark is, over that of other darks of about its exposure; `None` where it does
-/// not show.
+/// Amplitude of the fixed pattern of a dark over that of other darks of similar exposure; `None` without a
+/// visible pattern.
 fn pattern_gain(campaign: &Campaign<'_>, set: usize) -> Option<f64> {
     let exposure_s = campaign.sets[set].exposure_s;
     let alike = |s: &SetView| s.kind == Kind::Dark && (0.5..2.0).contains(&(s.exposure_s / exposure_s));
@@ -37,9 +37,10 @@ fn pattern_gain(campaign: &Campaign<'_>, set: usize) -> Option<f64> {
     let columns = campaign.sets[set].facts.middle_columns;
     let patterns: Vec<Vec<f64>> =
         darks.iter().map(|&i| pattern(&campaign.sets[i].facts.middle_dn, columns)).collect();
+    let mut sum = vec![0.0; patterns[0].len()];
+    patterns.iter().for_each(|p| sum.iter_mut().zip(p).for_each(|(s, v)| *s += v));
     let slope = |k: usize| {
-        let others = |at: usize| (0..darks.len()).filter(|o| *o != k).map(|o| patterns[o][at]).sum::<f64>();
-        let others: Vec<f64> = (0..patterns[k].len()).map(others).collect();
+        let others: Vec<f64> = sum.iter().zip(&patterns[k]).map(|(s, v)| s - v).collect();
         let square: f64 = others.iter().map(|v| v * v).sum();
         let product: f64 = others.iter().zip(&patterns[k]).map(|(a, b)| a * b).sum();
         (product / square, correlation(&patterns[k], &others))
@@ -47,14 +48,14 @@ fn pattern_gain(campaign: &Campaign<'_>, set: usize) -> Option<f64> {
     let own = darks.iter().position(|d| *d == set)?;
     let (slope_of_it, correlated) = slope(own);
     let usual = median((0..darks.len()).filter(|k| *k != own).map(|k| slope(k).0));
-    (correlated > SHOWS).then_some(slope_of_it / usual)
+    (correlated > MIN_PATTERN_CORRELATION).then_some(slope_of_it / usual)
 }
 
 /// Correlation from which on a pattern shows: ten times that of chance in 4096 pixels.
-const SHOWS: f64 = 0.16;
+const MIN_PATTERN_CORRELATION: f64 = 0.16;
 
 /// Usual relative scatter of the variances of darks about a smooth law.
-const DARKS: f64 = 0.03;
+const DARK_VARIANCE_SCATTER: f64 = 0.03;
 
 /// The check.
 pub struct DependentFrames;
@@ -71,7 +72,8 @@ impl Check for DependentFrames {
             let set = &campaign.sets[i];
             let triples = set.frames().saturating_sub(2).max(1) as f64;
             let std = (4.0 / (set.facts.pixels * triples)).sqrt();
-            set.is_of_one_level(&zero) && set.dependence().is_some_and(|d| d < usual - ALIKE.max(TOLD * std))
+            set.is_of_one_level(&zero)
+                && set.dependence().is_some_and(|d| d < usual - MIN_DEPENDENCE.max(MIN_SIGMAS * std))
         };
         let filtered: Vec<usize> = all.iter().copied().filter(|&i| alike(i)).collect();
         let transfer = Transfer::of(campaign, &zero, &filtered);
@@ -92,17 +94,19 @@ impl Check for DependentFrames {
                 let lit = campaign.sets[i].is_lit();
                 // A well that is full takes noise away, unless another set of as much light has it.
                 let full = |d: &usize| {
-                    level(*d) < AS_BRIGHT * level(i) || strays.contains(d) || !campaign.sets[*d].is_lit()
+                    level(*d) < MIN_EQUAL_LEVEL * level(i)
+                        || strays.contains(d)
+                        || !campaign.sets[*d].is_lit()
                 };
                 let saturates = lit && all.iter().all(full);
                 // The fixed pattern of a dark of another gain is another; averaging leaves it.
                 let gain = if lit { None } else { pattern_gain(campaign, i) };
                 let of_gain = gain.is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < (0.5 * off).abs());
-                if of_gain && off.abs() > GAINED.ln() && off.abs() > TOLD * std {
+                if of_gain && off.abs() > MIN_GAIN_RATIO.ln() && off.abs() > MIN_SIGMAS * std {
                     gained.push((i, off));
-                } else if off < AVERAGED.ln() && off < -TOLD * std && !saturates {
+                } else if off < MAX_AVERAGED_RATIO.ln() && off < -MIN_SIGMAS * std && !saturates {
                     averaged.push(i);
-                } else if !lit && off > GAINED.ln() && off > TOLD * std {
+                } else if !lit && off > MIN_GAIN_RATIO.ln() && off > MIN_SIGMAS * std {
                     gained.push((i, off));
                 }
             }
@@ -117,7 +121,10 @@ impl Check for DependentFrames {
                     .collect();
                 let usual = median(alike.iter().copied());
                 let off = (own / usual).ln();
-                if alike.len() < 4 || usual > 4.0 * transfer::QUIET_DN2 || off.abs() < -AVERAGED.ln() {
+                if alike.len() < 4
+                    || usual > 4.0 * transfer::MIN_VARIANCE_DN2
+                    || off.abs() < -MAX_AVERAGED_RATIO.ln()
+                {
                     continue;
                 }
                 let of_gain = pattern_gain(campaign, i)
@@ -128,7 +135,9 @@ impl Check for DependentFrames {
             let smooth = |i: usize| {
                 let var = |d: usize| campaign.sets[d].variance_dn2().map_or(f64::NAN, |v| v.0.ln());
                 let is_dark = campaign.sets[i].kind == Kind::Dark;
-                is_dark && !filtered.contains(&i) && !campaign.is_off_the_darks(i, var, |_| DARKS)
+                is_dark
+                    && !filtered.contains(&i)
+                    && !campaign.is_off_the_darks(i, var, |_| DARK_VARIANCE_SCATTER)
             };
             averaged.retain(|i| !smooth(*i));
             gained.retain(|g| !smooth(g.0));
@@ -156,11 +165,11 @@ impl Check for DependentFrames {
         });
         averaged.sort_unstable();
         let mut out = Vec::new();
-        if !averaged.is_empty() && averaged.len() as f64 <= (FEW * all.len() as f64).max(1.0) {
+        if !averaged.is_empty() && averaged.len() as f64 <= (MAX_SHARE_OF_SETS * all.len() as f64).max(1.0) {
             let i = averaged[0];
             let ratio = transfer.as_ref().and_then(|t| t.off(campaign, i, level(i))).map(|o| o.0.exp());
             let text = match ratio {
-                Some(ratio) if ratio < AVERAGED => format!(
+                Some(ratio) if ratio < MAX_AVERAGED_RATIO => format!(
                     "{}: frames were averaged or filtered over time before they were saved: variance of set {} is {} of what its level has elsewhere",
                     campaign.named(&averaged),
                     campaign.sets[i].number,

@@ -1,5 +1,4 @@
-//! What the frames of a set say before any physics: levels, noise between neighbours in time, and what tells one
-//! frame from another.
+//! Statistics of single frames for the checks: levels, noise of successive frames, digests, the fixed pattern.
 
 use super::ExamineError;
 use crate::dataset::{Dataset, Set};
@@ -12,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// tenth of the noise (a named choice).
 pub const MIDDLE: usize = 64;
 
-/// What the frames of a set say.
+/// Statistics of the frames of a set.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct SetFacts {
     /// Pixels of a frame.
@@ -27,7 +26,7 @@ pub struct SetFacts {
     pub changed: Vec<u64>,
     /// Half the variance over the pixels of the difference to the frame before, DN^2; 0 for the first.
     pub successive_dn2: Vec<f64>,
-    /// The same to the frame before that; 0 for the first two.
+    /// Half the variance of the difference to the frame two before, DN^2; 0 for the first two.
     pub second_dn2: Vec<f64>,
     /// Share of the samples at full scale.
     pub clipped: f64,
@@ -42,18 +41,24 @@ pub struct SetFacts {
 }
 
 impl SetFacts {
-    /// Whether they can be of a set of so many frames.
-    pub fn fits(&self, frames: usize) -> bool {
+    /// Returns true if these can be statistics of so many frames of (rows, columns).
+    pub fn fits(&self, frames: usize, shape: (usize, usize)) -> bool {
+        let n = self.means_dn.len();
         let counts =
             [self.digests.len(), self.changed.len(), self.successive_dn2.len(), self.second_dn2.len()];
-        let empty = self.means_dn.is_empty();
-        (empty || self.means_dn.len() == frames)
-            && counts.iter().all(|n| *n == self.means_dn.len())
-            && self.cells_dn.len() == self.means_dn.len()
-            && self.middle_dn.len() <= MIDDLE * MIDDLE
-            && (self.middle_columns > 0 || self.middle_dn.is_empty())
-            && self.middle_dn.len().is_multiple_of(self.middle_columns.max(1))
+        let cells = self.cells_dn.first().map_or(0, Vec::len);
+        let (rows, columns) = (middle_side(shape.0).1, middle_side(shape.1).1);
+        (n == 0 || n == frames && self.middle_dn.len() == rows * columns && self.middle_columns == columns)
+            && counts.iter().all(|c| *c == n)
+            && self.cells_dn.len() == n
+            && self.cells_dn.iter().all(|c| c.len() == cells)
     }
+}
+
+/// First pixel and size of the middle of a side of n pixels; symmetrical about its middle.
+fn middle_side(n: usize) -> (usize, usize) {
+    let size = n.min(MIDDLE) - (n.min(MIDDLE) + n) % 2;
+    ((n - size) / 2, size)
 }
 
 /// Reads the frames of a set, one after the other.
@@ -102,11 +107,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
 /// The middle of a frame; mirrored frames have it mirrored.
 fn middle_of(frame: &Array2<u16>) -> Array2<f32> {
     let (rows, columns) = frame.dim();
-    let side = |n: usize| {
-        let size = n.min(MIDDLE) - (n.min(MIDDLE) + n) % 2;
-        ((n - size) / 2, size)
-    };
-    let ((top, height), (left, width)) = (side(rows), side(columns));
+    let ((top, height), (left, width)) = (middle_side(rows), middle_side(columns));
     frame.slice(s![top..top + height, left..left + width]).mapv(f32::from)
 }
 

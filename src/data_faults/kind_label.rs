@@ -6,13 +6,13 @@ use crate::number::six_digits;
 use crate::statistics::median::median;
 
 /// Least range of levels that tells light from darkness, DN.
-const RANGE_DN: f64 = 20.0;
+const MIN_RANGE_DN: f64 = 20.0;
 /// Share of the range that a dark reaches at least which is lit: offsets and charge of usual darks bring less.
-const LIT: f64 = 0.05;
+const MIN_LIT_SHARE: f64 = 0.05;
 /// Share of what its label makes a flat have, up to which it has no light.
-const UNLIT: f64 = 0.02;
+const MAX_UNLIT_SHARE: f64 = 0.02;
 /// Standard deviations of a frame's mean by which both are told from darks.
-const TOLD: f64 = 20.0;
+const MIN_SIGMAS: f64 = 20.0;
 
 /// The check.
 pub struct KindLabel;
@@ -27,13 +27,16 @@ impl Check for KindLabel {
         };
         let lowest = all.iter().map(|&i| level(i)).fold(f64::INFINITY, f64::min);
         let highest = all.iter().map(|&i| level(i)).fold(f64::NEG_INFINITY, f64::max);
-        if all.is_empty() || highest - lowest <= RANGE_DN {
+        if all.is_empty() || highest - lowest <= MIN_RANGE_DN {
             return Vec::new();
         }
         let darks = campaign.places(|s| s.kind == Kind::Dark);
         let scatter = campaign.dark_scatter_dn();
-        let bright: Vec<usize> =
-            darks.iter().copied().filter(|&i| level(i) - lowest > LIT * (highest - lowest)).collect();
+        let bright: Vec<usize> = darks
+            .iter()
+            .copied()
+            .filter(|&i| level(i) - lowest > MIN_LIT_SHARE * (highest - lowest))
+            .collect();
         // Flats that have nothing of what the others have for their exposure and light.
         let zero = campaign.zero_without(&bright);
         let dark_at = |exposure_s: f64| zero.map_or(lowest, |z| z.at(exposure_s));
@@ -46,7 +49,7 @@ impl Check for KindLabel {
             .copied()
             .filter(|&i| {
                 let expected = response * x(i);
-                expected > RANGE_DN.max(TOLD * scatter) && above(i) < UNLIT * expected
+                expected > MIN_RANGE_DN.max(MIN_SIGMAS * scatter) && above(i) < MAX_UNLIT_SHARE * expected
             })
             .collect();
         // A bright dark is one of light where another of the same or a longer exposure is dark, where the charge
@@ -59,7 +62,7 @@ impl Check for KindLabel {
             let exposures: Vec<f64> = others().map(|&d| campaign.sets[d].exposure_s).collect();
             let several = exposures.iter().any(|e| (e / exposures[0] - 1.0).abs() > 0.01);
             let charge = several && dark_at(exposure_s) - lowest < 0.3 * own;
-            own > TOLD * scatter && (longer || charge || !unlit.is_empty())
+            own > MIN_SIGMAS * scatter && (longer || charge || !unlit.is_empty())
         };
         let lit_darks: Vec<usize> = bright.iter().copied().filter(of_light).collect();
         // Where most are so, the labels mean something else.

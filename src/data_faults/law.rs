@@ -13,11 +13,11 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 /// A point: coefficients' factors, value, usual standard deviation.
 #[derive(Debug, Clone)]
 pub struct Point {
-    /// What each coefficient is multiplied by.
+    /// Factor of each coefficient.
     pub factors: Vec<f64>,
-    /// What is measured.
+    /// Measured value.
     pub value: f64,
-    /// Its usual standard deviation.
+    /// Nominal standard deviation.
     pub std: f64,
 }
 
@@ -26,7 +26,7 @@ pub struct Point {
 pub struct Law {
     coefficients: Vec<f64>,
     inverse: Vec<f64>,
-    /// How much larger the scatter is than the usual one.
+    /// Scatter over the nominal one.
     scale: f64,
     dof: f64,
     /// Points that were taken out.
@@ -34,11 +34,11 @@ pub struct Law {
 }
 
 /// Points' worth of knowledge that the scatter is the usual one (a named choice).
-const KNOWN: f64 = 3.0;
+const PRIOR_DOF: f64 = 3.0;
 /// Points up to which every pair of them is tried: 2000 fits.
-const PAIRS: usize = 64;
+const MAX_POINTS_FOR_PAIRS: usize = 64;
 /// Chance of a false stray in a campaign.
-const CHANCE: f64 = 1e-4;
+const FALSE_STRAY_PROBABILITY: f64 = 1e-4;
 
 impl Law {
     /// Fits; `priors`: standard deviations of the coefficients; at most so many points are taken out. `None` with
@@ -69,7 +69,7 @@ impl Law {
             out.push(worst);
             law = Self::without(points, priors, &out)?;
             // Two strays hide each other: where labels were exchanged the first to go is another.
-            if out.len() == 2 && points.len() <= PAIRS {
+            if out.len() == 2 && points.len() <= MAX_POINTS_FOR_PAIRS {
                 for i in 0..points.len() {
                     for j in 0..i {
                         let pair = vec![i, j];
@@ -137,8 +137,8 @@ impl Law {
         let spent = n as f64 - (0..n).map(|i| inverse[i * n + i] / priors[i].powi(2)).sum::<f64>();
         let mut law = Self { coefficients, inverse, scale: 1.0, dof: 1.0, out: Vec::new() };
         let squares: f64 = used().map(|p| ((p.value - law.at(&p.factors)) / p.std).powi(2)).sum();
-        law.dof = (used().count() as f64 - spent).max(0.0) + KNOWN;
-        law.scale = ((squares + KNOWN) / law.dof).sqrt();
+        law.dof = (used().count() as f64 - spent).max(0.0) + PRIOR_DOF;
+        law.scale = ((squares + PRIOR_DOF) / law.dof).sqrt();
         Some(law)
     }
 
@@ -168,10 +168,10 @@ impl Law {
         ((p.value - self.at(&p.factors)) / self.std(p)).abs()
     }
 
-    /// Whether chance has none of it among so many points.
+    /// Returns true if the deviation is beyond chance among so many points.
     pub fn is_stray(&self, p: &Point, points: usize) -> bool {
         let Ok(student) = StudentsT::new(0.0, 1.0, self.dof) else { return false };
-        2.0 * student.sf(self.t(p)) * (points.max(1) as f64) < CHANCE
+        2.0 * student.sf(self.t(p)) * (points.max(1) as f64) < FALSE_STRAY_PROBABILITY
     }
 }
 

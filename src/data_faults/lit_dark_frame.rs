@@ -5,9 +5,9 @@ use crate::dataset::Kind;
 use crate::number::six_digits;
 
 /// Standard deviations of the darks within which a frame is theirs; it is lit from ten times as many on.
-const SAME: f64 = 10.0;
-/// The same at least, DN.
-const SAME_DN: f64 = 0.3;
+const MAX_DARK_SIGMAS: f64 = 10.0;
+/// Minimum width of that band, DN.
+const MIN_DARK_BAND_DN: f64 = 0.3;
 
 /// The check.
 pub struct LitDarkFrame;
@@ -16,14 +16,14 @@ impl Check for LitDarkFrame {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let Some(zero) = campaign.zero() else { return Vec::new() };
         let darks = campaign.places(|s| s.kind == Kind::Dark);
-        let same = (SAME * zero.scatter_dn).max(SAME_DN);
+        let same = (MAX_DARK_SIGMAS * zero.scatter_dn).max(MIN_DARK_BAND_DN);
         let lit: Vec<(usize, f64)> = darks
             .iter()
             .filter(|&&i| campaign.sets[i].frames() == 2)
             .filter_map(|&i| {
                 let level = zero.at(campaign.sets[i].exposure_s);
                 let off: Vec<f64> = campaign.sets[i].means_dn().iter().map(|m| m - level).collect();
-                (off[0].abs() < same && off[1] > SAME * same).then_some((i, off[1]))
+                (off[0].abs() < same && off[1] > MAX_DARK_SIGMAS * same).then_some((i, off[1]))
             })
             .collect();
         if lit.is_empty() || lit.len() * 3 > darks.len() {

@@ -9,8 +9,8 @@
 //! file. Checks run in that order, and each sees the campaign without what those before it left out.
 //!
 //! No check knows a model of the sensor. Sets are held against the others of their campaign: levels against a
-//! smooth law of exposure times light, variances against a smooth law of the level. Whatever acts on
-//! all sets alike bends those laws and is for `diagnose` to name; a slip is what one set does, or few.
+//! smooth law of exposure times light, variances against a smooth law of the level. Whatever acts on all sets
+//! alike bends those laws and is for `diagnose` to name; a slip is what one set does, or few.
 
 mod campaign;
 mod facts;
@@ -29,11 +29,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Looks for one kind of slip.
 trait Check: Sync {
-    /// What it finds. What is left out by it, the campaign marks.
+    /// Finds faults, and marks in the campaign the sets and frames that it leaves out.
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault>;
 }
 
-/// Why there was no look.
+/// Reasons for an examination without a result.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExamineError {
@@ -79,7 +79,7 @@ pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, Examine
     Ok(dataset.without(&campaign.rows_left_out(), faults))
 }
 
-/// What the frames of every set say, from a file of statistics where it has them.
+/// Computes the statistics of every set, or takes them from a file of statistics.
 pub(crate) fn facts_of(dataset: &Dataset, stop: &AtomicBool) -> Result<Vec<SetFacts>, ExamineError> {
     // Memory follows what is there: a frame must confirm the size that a header claims.
     if let Some(row) = dataset.rows().first().filter(|_| dataset.reduced().is_none()) {

@@ -6,26 +6,26 @@ use crate::number::{percent, six_digits};
 use crate::statistics::outliers;
 
 /// Standard deviations of a frame's mean from which on it is odd.
-const FAR: f64 = 8.0;
+const MIN_SIGMAS: f64 = 8.0;
 /// Least deviation from the other frames, over the signal: what is less costs nobody anything.
-const LEAST: f64 = 0.002;
-/// The same of a dark, DN.
-const LEAST_DN: f64 = 0.3;
+const MIN_RELATIVE_OFFSET: f64 = 0.002;
+/// Minimum deviation of a dark frame, DN.
+const MIN_OFFSET_DN: f64 = 0.3;
 /// Share of the frames up to which they are slips: more are what the camera or the lamp does.
-const FEW: f64 = 0.05;
+const MAX_SHARE_OF_FRAMES: f64 = 0.05;
 
 /// Share of a change of level up to which a first frame may carry it over.
-const LAG: f64 = 0.05;
+const MAX_LAG: f64 = 0.05;
 /// Share of its deviation that the frames beside an odd one have at most.
-const ALONE: f64 = 0.34;
+const MAX_NEIGHBOUR_SHARE: f64 = 0.34;
 /// Share that first frames carry over, from which on what came before the first set shows.
-const CARRIED: f64 = 3e-4;
-/// How much more than the usual share a first frame may carry: lag follows the time between frames.
-const KNOWN: f64 = 3.0;
+const MIN_CARRIED_SHARE: f64 = 3e-4;
+/// Maximum ratio of the carried share to its median: lag depends on the time between frames.
+const CARRIED_TOLERANCE: f64 = 3.0;
 /// Cells of a frame.
-const CELLS: f64 = 36.0;
+const CELLS_PER_FRAME: f64 = 36.0;
 /// Share of the sets up to which one frame of each is a slip.
-const PART: f64 = 0.4;
+const MAX_SHARE_OF_SETS: f64 = 0.4;
 
 /// The check.
 pub struct OddFrame;
@@ -44,22 +44,23 @@ impl Check for OddFrame {
         let aparts: Vec<(bool, outliers::Apart)> =
             sets.iter().map(|&s| (!campaign.sets[s].is_lit(), blocks(s))).collect();
         let usual = outliers::Usual::of(&aparts, zero.dn);
-        let share = campaign.carried(&zero);
+        let usual_scatter = campaign.scatter(&zero);
+        let share = campaign.carried(&usual_scatter);
         let mut odd: Vec<(usize, usize, f64, f64)> = Vec::new();
         for (&set, (dark, apart)) in sets.iter().zip(&aparts) {
             let view = &campaign.sets[set];
             let places: Vec<usize> = (0..view.kept.len()).filter(|p| view.kept[*p]).collect();
             let signal = (apart.level_dn - zero.at(view.exposure_s)).max(1.0);
-            let least = if *dark { LEAST_DN } else { (LEAST * signal).max(LEAST_DN) };
-            let scatter = campaign.frame_scatter_dn(set, &zero);
+            let least = if *dark { MIN_OFFSET_DN } else { (MIN_RELATIVE_OFFSET * signal).max(MIN_OFFSET_DN) };
+            let scatter = usual_scatter.of_frame_dn(view);
             // Hot pixels make cells scatter.
             let noise = view.variance_dn2().map_or(0.0, |v| v.0);
-            let of_cell = (noise * CELLS / view.facts.pixels.max(1.0)).sqrt();
-            let cell = usual.far_cell_dn(*dark, signal).max(least).max(FAR * of_cell);
+            let of_cell = (noise * CELLS_PER_FRAME / view.facts.pixels.max(1.0)).sqrt();
+            let cell = usual.far_cell_dn(*dark, signal).max(least).max(MIN_SIGMAS * of_cell);
             let far = |k: &usize| {
                 let off = apart.mean_dn[*k];
                 let by_cell = apart.cell_dn.get(*k).is_some_and(|c| *c > cell);
-                if off.abs() <= least.max(FAR * scatter) && !by_cell {
+                if off.abs() <= least.max(MIN_SIGMAS * scatter) && !by_cell {
                     return false;
                 }
                 // A level that settles or drifts goes step by step: an odd frame stands alone.
@@ -67,15 +68,17 @@ impl Check for OddFrame {
                     .into_iter()
                     .flatten()
                     .filter_map(|n| apart.mean_dn.get(n));
-                if !by_cell && beside.fold(0.0f64, |a, b| a.max(b.abs())) > ALONE * off.abs() {
+                if !by_cell && beside.fold(0.0f64, |a, b| a.max(b.abs())) > MAX_NEIGHBOUR_SHARE * off.abs() {
                     return false;
                 }
                 // What came before is carried over, and dies away; nobody knows what came before the first set.
                 let Some(before) = set.checked_sub(1).map(|b| &campaign.sets[b]) else {
-                    return places[*k] > 2 || share.is_none_or(|s| s.abs() < CARRIED);
+                    return places[*k] > 2 || share.is_none_or(|s| s.abs() < MIN_CARRIED_SHARE);
                 };
                 let change = if before.frames() > 0 { before.level_dn() - apart.level_dn } else { 0.0 };
-                let most = share.map_or(LAG, |s| if s.abs() > CARRIED { KNOWN * s.abs() } else { 0.0 });
+                let most = share.map_or(MAX_LAG, |s| {
+                    if s.abs() > MIN_CARRIED_SHARE { CARRIED_TOLERANCE * s.abs() } else { 0.0 }
+                });
                 let carried = places[*k] <= 2 && off * change > 0.0 && off.abs() < most * change.abs();
                 let dies_away = (1..=2).contains(k)
                     && apart.mean_dn[*k - 1] * off > 0.0
@@ -92,7 +95,7 @@ impl Check for OddFrame {
             let level = zero.at(campaign.sets[set].exposure_s);
             let means = campaign.sets[set].means_dn();
             let off: Vec<f64> = means.iter().map(|m| m - level).collect();
-            let same = (10.0 * zero.scatter_dn).max(LEAST_DN);
+            let same = (10.0 * zero.scatter_dn).max(MIN_OFFSET_DN);
             if let Some(k) = (0..2).find(|k| off[*k].abs() > 10.0 * same && off[1 - k].abs() < same) {
                 let places: Vec<usize> =
                     (0..campaign.sets[set].kept.len()).filter(|p| campaign.sets[set].kept[*p]).collect();
@@ -102,7 +105,11 @@ impl Check for OddFrame {
         // The same frame of sets that follow one another: the light was another for a part of the sweep.
         let part = odd.len() > 1 && odd.iter().all(|o| o.1 == odd[0].1);
         let kind = if part { FaultKind::UnequalLight } else { FaultKind::OddFrame };
-        let few = if part { PART * sets.len() as f64 } else { (FEW * frames as f64).max(1.0) };
+        let few = if part {
+            MAX_SHARE_OF_SETS * sets.len() as f64
+        } else {
+            (MAX_SHARE_OF_FRAMES * frames as f64).max(1.0)
+        };
         if odd.is_empty() || odd.len() as f64 > few {
             return Vec::new();
         }

@@ -1,4 +1,4 @@
-//! What tells the orientation of frames: the fixed pattern in the middle of the frame, without what is smooth.
+//! Fixed pattern in the middle of the frame, without smooth shading: it shows the orientation.
 
 /// Side of the blocks whose means are taken off, pixels: shading is smooth within them.
 const BLOCK: usize = 8;

@@ -6,11 +6,11 @@ use crate::dataset::Kind;
 use crate::statistics::median::median;
 
 /// Standard deviations by which the mirrored pattern must be there, and the one as it is must not.
-const THERE: f64 = 8.0;
+const MIN_SIGMAS: f64 = 8.0;
 /// Share of the mirrored correlation that the one as it is may have.
-const NOT: f64 = 0.6;
+const MAX_STRAIGHT_RATIO: f64 = 0.6;
 /// Least that the mirrored pattern is there, over what the patterns of the other sets are.
-const LIKE_OTHERS: f64 = 0.3;
+const MIN_RATIO_TO_OTHERS: f64 = 0.3;
 
 /// The check.
 pub struct OtherOrientation;
@@ -45,9 +45,10 @@ impl Check for OtherOrientation {
                     .map(|(name, turn)| (correlation(&turn(p, columns), &others), *name))
                     .max_by(|a, b| a.0.total_cmp(&b.0));
                 tracing::debug!("set {}: pattern {straight:.3} as it is, {best:?}", campaign.sets[i].number);
-                if let Some((_, name)) =
-                    best.filter(|b| b.0 > (THERE * chance).max(LIKE_OTHERS * usual) && straight < NOT * b.0)
-                {
+                if let Some((_, name)) = best.filter(|b| {
+                    b.0 > (MIN_SIGMAS * chance).max(MIN_RATIO_TO_OTHERS * usual)
+                        && straight < MAX_STRAIGHT_RATIO * b.0
+                }) {
                     turned.push((i, name));
                 }
             }

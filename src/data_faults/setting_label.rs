@@ -8,24 +8,24 @@ use super::{Campaign, Check, DataFault, FaultKind};
 use crate::number::{percent, six_digits};
 
 /// Usual scatter of a set's light: what lamps that nobody touches have (a named choice).
-const USUAL: f64 = 0.002;
+const LAMP_SCATTER: f64 = 0.002;
 /// Least deviation that is said.
-const LEAST: f64 = 0.01;
+const MIN_RELATIVE_OFFSET: f64 = 0.01;
 /// Sets below which no law can be told from a stray.
-pub const FEWEST: usize = 5;
+pub const MIN_FLATS: usize = 5;
 /// Share of the sets that may be strays.
-const FEW: f64 = 0.2;
+const MAX_STRAY_SHARE: f64 = 0.2;
 /// Square of standard deviations by which another reason must fit the noise better than a wrong label does, which
 /// is the usual slip.
-const BETTER: f64 = 6.0;
+const MIN_CHI2_GAIN: f64 = 6.0;
 /// Standard deviations within which it must fit it.
-const FITS: f64 = 6.0;
+const MAX_FIT_SIGMAS: f64 = 6.0;
 /// Standard deviations by which sets of equal settings differ whose light does, and the least difference that is
 /// said.
 const REPEATS: (f64, f64) = (6.0, 0.008);
 /// Deviation of the noise from that of the level up to which the brightest set, where it has less than stated, is
 /// a wrong label: a camera that bends or saturates loses noise with the signal.
-const STRAIGHT: f64 = 0.1;
+const MAX_NOISE_OFFSET: f64 = 0.1;
 
 /// The check.
 pub struct SettingLabel;
@@ -36,13 +36,12 @@ struct Factors {
     least: f64,
     most: f64,
     shortest_s: f64,
-    /// Whether exposures differ, and whether lights do.
+    /// True if exposures differ; true if lights differ.
     vary: (bool, bool),
 }
 
-/// How far cameras bend: the response's exponent, its change over the range, an offset of level or exposure at
-/// the lowest light, and a compression at the highest, relative; and how far lamps drift during a campaign (named
-/// choices).
+/// Standard deviations of the priors (named choices): exponent of the response, its change over the range, offset
+/// at the lowest light, compression at the highest (two terms), exposure offset, drift of the lamp.
 const PRIORS: [f64; 8] = [1e3, 0.15, 0.03, 0.03, 0.05, 0.05, 0.05, 0.006];
 
 impl Factors {
@@ -63,7 +62,7 @@ impl Check for SettingLabel {
         let lit = campaign.places(|s| s.is_lit() && !s.clipped);
         let lit: Vec<usize> =
             lit.into_iter().filter(|&i| above(i) > 3f64.max(10.0 * zero.scatter_dn)).collect();
-        if lit.len() < FEWEST {
+        if lit.len() < MIN_FLATS {
             return Vec::new();
         }
         let light = |i: usize| campaign.sets[i].exposure_s * campaign.sets[i].illumination;
@@ -83,17 +82,18 @@ impl Check for SettingLabel {
             vary: (differ(exposures), differ(lights)),
         };
         let when = |i: usize| i as f64 / (campaign.sets.len() - 1).max(1) as f64 - 0.5;
+        let usual_scatter = campaign.scatter(&zero);
         let point = |i: usize| {
             let set = &campaign.sets[i];
-            let scatter = campaign.frame_scatter_dn(i, &zero) / (set.frames() as f64).sqrt();
+            let scatter = usual_scatter.of_frame_dn(set) / (set.frames() as f64).sqrt();
             Point {
                 factors: factors.of(set.exposure_s, set.illumination, when(i)),
                 value: above(i).ln(),
-                std: USUAL.hypot(scatter.hypot(zero.scatter_dn).hypot(coarse(set)) / above(i)),
+                std: LAMP_SCATTER.hypot(scatter.hypot(zero.scatter_dn).hypot(coarse(set)) / above(i)),
             }
         };
         let points: Vec<Point> = lit.iter().map(|&i| point(i)).collect();
-        let few = ((FEW * lit.len() as f64) as usize).clamp(1, 4);
+        let few = ((MAX_STRAY_SHARE * lit.len() as f64) as usize).clamp(1, 4);
         let Some(law) = Law::fit(&points, &PRIORS, few) else { return Vec::new() };
         for (p, &i) in points.iter().zip(&lit) {
             let (off, std) = (p.value - law.at(&p.factors), law.std(p));
@@ -107,13 +107,13 @@ impl Check for SettingLabel {
         let mut found: Vec<(usize, FaultKind, String)> = Vec::new();
         for (&k, &i) in law.out.iter().zip(&strays) {
             let off = points[k].value - law.at(&points[k].factors);
-            if off.exp_m1().abs() < LEAST {
+            if off.exp_m1().abs() < MIN_RELATIVE_OFFSET {
                 continue;
             }
             let expected = above(i) * (-off).exp();
             let noise = transfer.as_ref().and_then(|t| t.off(campaign, i, above(i)).map(|o| (t, o)));
             let brightest = light(i) >= most * (1.0 - 1e-9) || above(i) >= 0.95 * extreme(&above).1;
-            if brightest && off < 0.0 && noise.as_ref().is_none_or(|(_, o)| o.0.abs() > STRAIGHT) {
+            if brightest && off < 0.0 && noise.as_ref().is_none_or(|(_, o)| o.0.abs() > MAX_NOISE_OFFSET) {
                 continue;
             }
             let set = &campaign.sets[i];
@@ -130,7 +130,7 @@ impl Check for SettingLabel {
                 let (label, black) = (z(own.0, own.1), z(stated.0, stated.1));
                 // Noise of another gain grows with its square.
                 let gain = z(stated.0 - 2.0 * off, stated.1);
-                let better = |z: f64| z < FITS && label * label - z * z > BETTER;
+                let better = |z: f64| z < MAX_FIT_SIGMAS && label * label - z * z > MIN_CHI2_GAIN;
                 if better(black) && black <= gain {
                     Some(format!(
                         "black level {} DN {} than in the other sets: {level}, and the noise is that of the stated light",

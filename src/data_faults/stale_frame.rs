@@ -4,38 +4,38 @@
 use super::campaign::Zero;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::number::six_digits;
-use crate::statistics::median::median;
+use crate::statistics::median::{MAD_OF_NORMAL, median};
 
 /// Standard deviations of a frame's mean by which two levels must differ to be told apart.
-const APART: f64 = 12.0;
+const MIN_SEPARATION_SIGMAS: f64 = 12.0;
 /// Least difference of the levels, DN.
-const APART_DN: f64 = 1.0;
+const MIN_SEPARATION_DN: f64 = 1.0;
 /// Standard deviations within which the frame has the level of the set before.
-const SAME: f64 = 8.0;
+const MAX_MATCH_SIGMAS: f64 = 8.0;
 /// Share of the difference within which it does at least: what lag leaves of a level is far less than all of it.
-const SAME_SHARE: f64 = 0.03;
+const MIN_MATCH_SHARE: f64 = 0.03;
 
 /// Share of the difference within which a level counts as that of the old exposure or light, which only the ratio
 /// of the labels tells.
-const OLD_SHARE: f64 = 0.12;
+const MAX_LABEL_MISMATCH: f64 = 0.12;
 
 /// Share of the sets that could show it from which on all are taken for stale.
-const NEARLY_ALL: f64 = 0.7;
+const MIN_STALE_SHARE: f64 = 0.7;
 /// Largest share of a level that lag or a filter carries over to the next frame.
-const LAG: f64 = 0.5;
+const MAX_CARRIED_SHARE: f64 = 0.5;
 
 /// The check.
 pub struct StaleFrame;
 
-/// Where a first frame lies.
+/// First frame of a set with the levels it may have.
 struct First {
     set: usize,
     /// Levels that it would have under the settings of the set before, DN: measured ones with true.
     old_dn: Vec<(f64, bool)>,
-    /// Its own mean, and the middle of the other frames, DN.
+    /// Mean of this frame, and median of the other frames, DN.
     own_dn: f64,
     others_dn: f64,
-    /// Whether it is the last frame of the set before, code for code.
+    /// True for a copy of the last frame of the set before, code for code.
     copy: bool,
 }
 
@@ -94,10 +94,11 @@ impl First {
         self.old_dn.iter().any(|(old, measured)| {
             let apart = (old - self.others_dn).abs();
             let within = match measured {
-                true => (SAME * scatter_dn).min(0.3 * apart).max(SAME_SHARE * apart),
-                false => OLD_SHARE * apart,
+                true => (MAX_MATCH_SIGMAS * scatter_dn).min(0.3 * apart).max(MIN_MATCH_SHARE * apart),
+                false => MAX_LABEL_MISMATCH * apart,
             };
-            apart > APART_DN.max(APART * scatter_dn) && (self.own_dn - old).abs() < within
+            apart > MIN_SEPARATION_DN.max(MIN_SEPARATION_SIGMAS * scatter_dn)
+                && (self.own_dn - old).abs() < within
         })
     }
 }
@@ -107,14 +108,15 @@ impl Check for StaleFrame {
         let Some(zero) = campaign.zero() else { return Vec::new() };
         let firsts: Vec<First> =
             (1..campaign.sets.len()).filter_map(|k| First::of(campaign, &zero, k)).collect();
+        let usual_scatter = campaign.scatter(&zero);
         // Where all first frames are stale, what they do is no measure of what the lamp does: how well they meet
         // the old levels is.
         let level = |s: usize| (campaign.sets[s].level_dn() - zero.dn).abs().max(1.0);
         let scale = |f: &First| level(f.set).max(level(f.set - 1));
-        let meets = median(firsts.iter().map(|f| f.off_dn() / scale(f))) / 0.6745;
+        let meets = median(firsts.iter().map(|f| f.off_dn() / scale(f))) / MAD_OF_NORMAL;
         let scatter = |f: &First| {
-            let usual =
-                campaign.frame_scatter_dn(f.set, &zero).hypot(campaign.frame_scatter_dn(f.set - 1, &zero));
+            let of_frame = |s: usize| usual_scatter.of_frame_dn(&campaign.sets[s]);
+            let usual = of_frame(f.set).hypot(of_frame(f.set - 1));
             let noise = |s: usize| {
                 campaign.sets[s].variance_dn2().map_or(0.0, |v| v.0 / campaign.sets[s].facts.pixels.max(1.0))
             };
@@ -122,7 +124,7 @@ impl Check for StaleFrame {
             usual.min((meets * scale(f)).max(least))
         };
         // What lag and filters carry over may be as much as what an old exposure would have made.
-        let share = campaign.carried(&zero).filter(|s| s.abs() < LAG);
+        let share = campaign.carried(&usual_scatter).filter(|s| s.abs() < MAX_CARRIED_SHARE);
         let carried = |f: &First| {
             let change = campaign.sets[f.set - 1].level_dn() - f.others_dn;
             let off = f.own_dn - f.others_dn;
@@ -132,7 +134,11 @@ impl Check for StaleFrame {
             firsts.iter().filter(|f| f.copy || (f.is_stale(scatter(f)) && !carried(f))).collect();
         // A copy of a frame of equal settings is a copy and no more.
         let told = |f: &&&First| {
-            !f.copy || (f.old_dn.first().is_some_and(|o| (o.0 - f.others_dn).abs() > APART * scatter(f)))
+            !f.copy
+                || (f
+                    .old_dn
+                    .first()
+                    .is_some_and(|o| (o.0 - f.others_dn).abs() > MIN_SEPARATION_SIGMAS * scatter(f)))
         };
         let stale: Vec<&First> = stale.iter().filter(told).copied().collect();
         let Some(first) = stale.first() else { return Vec::new() };
@@ -140,10 +146,12 @@ impl Check for StaleFrame {
         // Where nearly all that could show it are so, those are too that are too near the level before to show
         // it.
         let shows = |f: &&First| {
-            f.old_dn.iter().any(|o| o.1 && (o.0 - f.others_dn).abs() > APART_DN.max(APART * scatter(f)))
+            f.old_dn.iter().any(|o| {
+                o.1 && (o.0 - f.others_dn).abs() > MIN_SEPARATION_DN.max(MIN_SEPARATION_SIGMAS * scatter(f))
+            })
         };
         let could = firsts.iter().filter(shows).count();
-        if sets.len() >= 3 && sets.len() as f64 > NEARLY_ALL * could as f64 {
+        if sets.len() >= 3 && sets.len() as f64 > MIN_STALE_SHARE * could as f64 {
             let near = firsts.iter().filter(|f| !shows(f) && campaign.sets[f.set].frames() > 2);
             sets.extend(near.map(|f| f.set));
             sets.sort_unstable();

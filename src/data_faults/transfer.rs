@@ -1,4 +1,5 @@
-//! The photon-transfer curve of a campaign, as a law that single sets are held against: variance over the level.
+//! Photon-transfer curve of a campaign (Healey and Kondepudy 1994, eq. 35: sigma_N^2 = A^2 (I + E_DC) +
+//! sigma_C^2, a line over the level), with a bend.
 
 use super::campaign::{Campaign, Zero};
 use super::law::{Law, Point};
@@ -6,15 +7,15 @@ use crate::dataset::Kind;
 
 /// Relative error of a variance beyond that of independent pixels: hot pixels, shading and what noise has in
 /// common (a named choice).
-const BEYOND: f64 = 0.02;
-/// A curve needs so many sets.
-const FEWEST: usize = 4;
+const MODEL_ERROR: f64 = 0.02;
+/// Minimum number of sets for a curve.
+const MIN_SETS: usize = 4;
 /// Variance below which rounding decides, DN^2.
-pub const QUIET_DN2: f64 = 0.35;
-/// How much more than that a level has that has much.
-const MUCH: f64 = 3.0;
+pub const MIN_VARIANCE_DN2: f64 = 0.35;
+/// Minimum ratio of the expected variance to that limit for a set to count as quiet.
+const MIN_QUIET_RATIO: f64 = 3.0;
 /// Largest bend of the curve at the highest level, relative.
-const BEND: f64 = 0.15;
+const MAX_BEND: f64 = 0.15;
 
 /// Variance over the level.
 pub struct Transfer {
@@ -27,7 +28,7 @@ pub struct Transfer {
 }
 
 impl Transfer {
-    /// Of all sets but some.
+    /// Fits the curve to all sets except some.
     pub fn of(campaign: &Campaign<'_>, zero: &Zero, without: &[usize]) -> Option<Self> {
         let usable = |i: &usize| {
             let s = &campaign.sets[*i];
@@ -35,7 +36,7 @@ impl Transfer {
                 && !s.clipped
                 && !s.is_cut_off()
                 && s.is_of_one_level(zero)
-                && s.variance_dn2().is_some_and(|v| v.0 > QUIET_DN2)
+                && s.variance_dn2().is_some_and(|v| v.0 > MIN_VARIANCE_DN2)
         };
         let sets: Vec<usize> = campaign
             .places(|s| matches!(s.kind, Kind::Dark | Kind::Flat))
@@ -50,7 +51,7 @@ impl Transfer {
             })
             .collect();
         let most = points.iter().map(|p| p.0).fold(1.0, f64::max);
-        if points.len() < FEWEST {
+        if points.len() < MIN_SETS {
             return None;
         }
         // Relative weights need the curve itself: begin with the median line.
@@ -58,10 +59,10 @@ impl Transfer {
             crate::statistics::median::median(points.iter().filter(|p| p.0 > 0.1 * most).map(|p| p.1 / p.0));
         let dark = points.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
         let mut expected: Vec<f64> =
-            points.iter().map(|p| (dark + slope.max(0.0) * p.0.max(0.0)).max(QUIET_DN2)).collect();
+            points.iter().map(|p| (dark + slope.max(0.0) * p.0.max(0.0)).max(MIN_VARIANCE_DN2)).collect();
         let mut law = None;
         for _ in 0..4 {
-            let priors = [1e6, 1e6, BEND * (slope * most).abs().max(1.0)];
+            let priors = [1e6, 1e6, MAX_BEND * (slope * most).abs().max(1.0)];
             let rows: Vec<Point> = points
                 .iter()
                 .zip(&expected)
@@ -73,7 +74,7 @@ impl Transfer {
                 .collect();
             let fit = Law::fit(&rows, &priors, (points.len() / 3).clamp(1, 5))?;
             for (p, e) in points.iter().zip(&mut expected) {
-                *e = fit.at(&factors(p.0 / most)).max(QUIET_DN2);
+                *e = fit.at(&factors(p.0 / most)).max(MIN_VARIANCE_DN2);
             }
             law = Some(fit);
         }
@@ -85,24 +86,24 @@ impl Transfer {
             !without.contains(i)
                 && !s.clipped
                 && s.is_of_one_level(zero)
-                && s.variance_dn2()
-                    .is_some_and(|v| v.0 > 0.0 && v.0 <= QUIET_DN2 && expected > MUCH * QUIET_DN2)
+                && s.variance_dn2().is_some_and(|v| {
+                    v.0 > 0.0 && v.0 <= MIN_VARIANCE_DN2 && expected > MIN_QUIET_RATIO * MIN_VARIANCE_DN2
+                })
         };
         let quiet = campaign.places(|s| s.is_lit()).into_iter().filter(is_quiet).collect();
         Some(Self { law, most, strays, quiet })
     }
 
-    /// Its slope at the dimmest levels: the gain, DN per electron.
+    /// Slope at the lowest levels: the system gain, DN/e.
     pub fn slope(&self) -> f64 {
         let at = |level: f64| self.law.at(&factors(level));
         (at(0.1) - at(0.0)) / (0.1 * self.most)
     }
 
-    /// How far the variance of a set is from that of a level, as a logarithm of their ratio, and the error of
-    /// that.
+    /// Logarithm of the ratio of a set's variance to that expected at a level, and its standard error.
     pub fn off(&self, campaign: &Campaign<'_>, set: usize, above_dn: f64) -> Option<(f64, f64)> {
         let (var, pairs) = campaign.sets[set].variance_dn2()?;
-        let expected = self.law.at(&factors(above_dn / self.most)).max(QUIET_DN2);
+        let expected = self.law.at(&factors(above_dn / self.most)).max(MIN_VARIANCE_DN2);
         let own = factors(above_dn / self.most).iter().map(|f| f / expected).collect();
         let std = self.law.std(&Point { factors: own, value: 1.0, std: error(campaign, set, pairs) });
         Some(((var / expected).ln(), std))
@@ -121,5 +122,5 @@ pub fn above(campaign: &Campaign<'_>, zero: &Zero, set: usize) -> f64 {
 
 /// Relative error of a variance of so many pairs: successive pairs share frames.
 fn error(campaign: &Campaign<'_>, set: usize, pairs: f64) -> f64 {
-    (3.0 / (campaign.sets[set].facts.pixels.max(1.0) * pairs)).sqrt().hypot(BEYOND)
+    (3.0 / (campaign.sets[set].facts.pixels.max(1.0) * pairs)).sqrt().hypot(MODEL_ERROR)
 }

@@ -5,11 +5,11 @@ use crate::number::percent;
 use crate::statistics::median::median;
 
 /// Deviations over their usual scatter from which on light is unequal.
-const FAR: f64 = 8.0;
+const MIN_SIGMAS: f64 = 8.0;
 /// Least difference in light, over the signal: lamps that are left alone stay within it (a named choice).
-const LEAST: f64 = 0.005;
+const MIN_RELATIVE_DIFFERENCE: f64 = 0.005;
 /// Share of the sets up to which unequal pairs are slips: more are what the lamp does.
-const FEW: f64 = 0.5;
+const MAX_SHARE_OF_PAIRS: f64 = 0.5;
 
 /// The check.
 pub struct UnequalLight;
@@ -20,7 +20,8 @@ impl Check for UnequalLight {
         let mut found: Vec<(Vec<usize>, String, bool)> = Vec::new();
         let pairs = campaign.places(|s| s.is_lit() && !s.clipped && s.frames() == 2);
         let signal = |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s);
-        let share = campaign.carried(&zero).unwrap_or(0.0);
+        let scatter = campaign.scatter(&zero);
+        let share = campaign.carried(&scatter).unwrap_or(0.0);
         let apart = |i: usize| {
             let means = campaign.sets[i].means_dn();
             let before = i.checked_sub(1).map(|b| &campaign.sets[b]).filter(|b| b.frames() > 0);
@@ -34,12 +35,12 @@ impl Check for UnequalLight {
             if less.abs() < plain.abs() { less } else { plain }
         };
         let far = |i: usize| {
-            let scatter = 2f64.sqrt() * campaign.frame_scatter_dn(i, &zero);
-            apart(i).abs() > (FAR * scatter).max(LEAST * signal(i))
+            let of_pair = 2f64.sqrt() * scatter.of_frame_dn(&campaign.sets[i]);
+            apart(i).abs() > (MIN_SIGMAS * of_pair).max(MIN_RELATIVE_DIFFERENCE * signal(i))
         };
         let unequal: Vec<usize> = pairs.iter().copied().filter(|&i| far(i)).collect();
         if !unequal.is_empty()
-            && unequal.len() as f64 <= (FEW * pairs.len() as f64).max(1.0)
+            && unequal.len() as f64 <= (MAX_SHARE_OF_PAIRS * pairs.len() as f64).max(1.0)
             && pairs.len() > 2
         {
             let most = unequal.iter().map(|&i| (apart(i) / signal(i)).abs()).fold(0.0, f64::max);
@@ -53,7 +54,7 @@ impl Check for UnequalLight {
         }
         // Equal settings. With a law of the levels the stray one among them is told.
         let lit = campaign.places(|s| s.is_lit() && !s.clipped).len();
-        let repeats = if lit < setting_label::FEWEST { campaign.repeats() } else { Vec::new() };
+        let repeats = if lit < setting_label::MIN_FLATS { campaign.repeats() } else { Vec::new() };
         let spread = |sets: &Vec<usize>| {
             let levels: Vec<f64> = sets.iter().map(|&i| signal(i)).collect();
             let middle = median(levels.iter().copied());
@@ -66,12 +67,12 @@ impl Check for UnequalLight {
             let noise = sets
                 .iter()
                 .map(|&i| {
-                    campaign.frame_scatter_dn(i, &zero)
+                    scatter.of_frame_dn(&campaign.sets[i])
                         / (campaign.sets[i].frames() as f64).sqrt()
                         / signal(i)
                 })
                 .fold(0.0, f64::max);
-            if signal(sets[0]) > 20.0 && own > (FAR * noise).max(LEAST) {
+            if signal(sets[0]) > 20.0 && own > (MIN_SIGMAS * noise).max(MIN_RELATIVE_DIFFERENCE) {
                 let text = format!(
                     "{}: stated exposure and light are the same, and the light differs by {}",
                     campaign.named(sets),

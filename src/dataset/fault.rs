@@ -1,8 +1,8 @@
-//! What is wrong with the data of a campaign, in words and as the JSON has it.
+//! Faults of the data of a campaign, as the JSON has them.
 
 use serde::{Deserialize, Serialize};
 
-/// What was wrong, in the words of the contract.
+/// Kinds of faults, named as in the JSON.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -11,13 +11,13 @@ pub enum FaultKind {
     SettingLabel,
     /// Dark and flat exchanged.
     KindLabel,
-    /// One frame several times.
+    /// Copies of a frame.
     CopiedFrames,
     /// Averaged or filtered over time before they were saved, in these sets only.
     DependentFrames,
     /// The first frame was exposed under the settings of the set before.
     StaleFrame,
-    /// One frame of another level.
+    /// Single frame of another level.
     OddFrame,
     /// Another gain, black level or orientation.
     OtherSettings,
@@ -28,15 +28,15 @@ pub enum FaultKind {
 /// A slip of the hand.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DataFault {
-    /// Which kind.
+    /// Kind of the fault.
     pub kind: FaultKind,
     /// Numbers of its sets.
     pub sets: Vec<u32>,
     /// Files of its frames, where they are single ones of a set.
     pub frames: Vec<String>,
-    /// One sentence: what, where, and the value that would fit.
+    /// Sentence with the fault, its place and the value that would fit.
     pub text: String,
-    /// Whether its sets, or its frames where it has some, are left out.
+    /// True if the frames listed, or else the sets, are left out.
     pub left_out: bool,
 }
 

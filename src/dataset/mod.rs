@@ -159,7 +159,7 @@ pub struct Dataset {
     folders: Vec<PathBuf>,
     /// What is known of frames without reading them.
     reduced: Option<Arc<Reduced>>,
-    /// What was wrong with it and is left out; none before it was examined.
+    /// Faults found by the examination; `None` before it.
     faults: Option<Arc<[DataFault]>>,
 }
 
@@ -348,17 +348,17 @@ impl Dataset {
         self.reduced.as_deref()
     }
 
-    /// What was wrong with it, as [`examined`](crate::data_faults::examined) found; empty before that.
+    /// Faults that [`examined`](crate::data_faults::examined) found; empty before it ran.
     pub fn data_faults(&self) -> &[DataFault] {
         self.faults.as_deref().unwrap_or_default()
     }
 
-    /// Whether it went through [`examined`](crate::data_faults::examined).
+    /// Returns true after [`examined`](crate::data_faults::examined).
     pub fn is_examined(&self) -> bool {
         self.faults.is_some()
     }
 
-    /// Without some of its rows, for these reasons.
+    /// Removes rows because of these faults.
     pub(crate) fn without(&self, out: &[bool], faults: Vec<DataFault>) -> Self {
         let mut place = Vec::with_capacity(out.len());
         let mut kept = 0;

@@ -137,7 +137,7 @@ pub struct Diagnosis {
     /// That measurement as a plan.
     #[serde(skip)]
     pub next_plan: Option<Plan>,
-    /// What was wrong with the data, and is left out.
+    /// Faults of the data.
     #[serde(default)]
     pub data_faults: Vec<DataFault>,
     /// What could not be looked at, and what is left over.

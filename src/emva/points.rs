@@ -102,7 +102,7 @@ pub struct Points {
     pub photons_known: bool,
     /// What is known of the light.
     pub light: Light,
-    /// What was wrong with the data, and is left out.
+    /// Faults of the data.
     pub data_faults: Vec<DataFault>,
 }
 

@@ -68,7 +68,7 @@ pub struct Evaluation {
     pub general: Option<General>,
     /// The gain by `noise`.
     pub noise: Option<GainByNoise>,
-    /// What was wrong with the data, and is left out.
+    /// Faults of the data.
     #[serde(default)]
     pub data_faults: Vec<DataFault>,
     /// What a reader should know.

@@ -68,7 +68,7 @@ pub struct Comparison {
     pub agreement: Agreement,
     /// Every residual.
     pub residuals: Vec<Residual>,
-    /// What was wrong with the data, and is left out.
+    /// Faults of the data.
     #[serde(default)]
     pub data_faults: Vec<DataFault>,
     /// What could not be looked at.

@@ -115,7 +115,7 @@ pub struct NoiseReport {
     pub estimators: Vec<Estimate>,
     /// Every level.
     pub levels: Vec<LevelReport>,
-    /// What was wrong with the data, and is left out.
+    /// Faults of the data.
     #[serde(default)]
     pub data_faults: Vec<DataFault>,
     /// What a reader should know.

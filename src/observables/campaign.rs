@@ -49,7 +49,7 @@ pub struct Observations {
     pub means_given: bool,
     /// What could not be looked at.
     pub missing: Vec<String>,
-    /// What was wrong with the data, and is left out.
+    /// Faults of the data.
     pub data_faults: Vec<DataFault>,
     /// Features of the camera that changed pixel values.
     pub left_on: Vec<LeftOn>,

@@ -1,5 +1,8 @@
 //! The median.
 
+/// Median of the absolute deviations of a normal distribution over its standard deviation.
+pub const MAD_OF_NORMAL: f64 = 0.6745;
+
 /// Median of some values; NaN of none.
 pub fn median(values: impl Iterator<Item = f64>) -> f64 {
     median_of(&values.collect::<Vec<_>>(), &mut Vec::new())

@@ -1,7 +1,7 @@
 //! Frames and samples that are no part of a campaign: a flash, someone in the light, a cosmic ray. They are left out and reported, and
 //! decide nothing.
 
-use super::median::median;
+use super::median::{MAD_OF_NORMAL, median};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
@@ -108,9 +108,6 @@ pub struct Usual {
     dark_cell_dn: f64,
 }
 
-/// A median over this of the absolute deviations of normal numbers is their deviation.
-const OF_NORMAL: f64 = 0.6745;
-
 impl Usual {
     /// From blocks of frames, darks and flats; `zero_dn`: level of the darks.
     pub fn of(blocks: &[(bool, Apart)], zero_dn: f64) -> Self {
@@ -127,8 +124,8 @@ impl Usual {
         let cells = |a: &Apart| a.cell_dn.iter().skip(2).copied().collect::<Vec<_>>();
         let scaled = |all: Vec<f64>, by: f64| all.into_iter().map(|v| v / by).collect::<Vec<_>>();
         Self {
-            flat_rel: over(false, &|a, above| scaled(means(a), above)) / OF_NORMAL,
-            dark_dn: over(true, &|a, _| means(a)) / OF_NORMAL,
+            flat_rel: over(false, &|a, above| scaled(means(a), above)) / MAD_OF_NORMAL,
+            dark_dn: over(true, &|a, _| means(a)) / MAD_OF_NORMAL,
             flat_cell: over(false, &|a, above| scaled(cells(a), above.sqrt())),
             dark_cell_dn: over(true, &|a, _| cells(a)),
         }

@@ -92,7 +92,7 @@ impl Judgement {
     }
 }
 
-/// What was wrong with the data, and then what else is to be known.
+/// Joins faults of the data and notes.
 fn with_faults(faults: &[DataFault], notes: &[String]) -> Vec<String> {
     faults.iter().map(ToString::to_string).chain(notes.iter().cloned()).collect()
 }
