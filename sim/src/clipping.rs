@@ -65,6 +65,74 @@ pub(crate) fn cut(mean: f64, variance: f64, limit: f64) -> Clipped {
     }
 }
 
+/// A limit that is approached as exp(-x / (limit - knee)) from a knee on.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SoftLimit {
+    pub knee: f64,
+    pub limit: f64,
+}
+
+/// Nodes of the trapezoidal rule over normal noise, and standard errors that they reach: that rule's error falls
+/// faster than any power of the step for smooth curves (Trefethen and Weideman 2014), and a kink as sharp as the
+/// limit may be leaves 1e-4 of the variance.
+const NOISE_NODES: i32 = 40;
+const NOISE_REACH: f64 = 5.0;
+
+impl SoftLimit {
+    /// What becomes of a value.
+    pub fn of(&self, value: f64) -> f64 {
+        let rest = self.limit - self.knee;
+        let over = value - self.knee;
+        if over <= 0.0 {
+            value
+        } else if rest > 0.0 {
+            self.limit - rest * libm::exp(-over / rest)
+        } else {
+            self.limit
+        }
+    }
+
+    /// Slope at a value, between 0 and 1.
+    fn slope(&self, value: f64) -> f64 {
+        let rest = self.limit - self.knee;
+        let over = value - self.knee;
+        if over <= 0.0 { 1.0 } else { libm::exp(-over / rest.max(1e-300)) }
+    }
+
+    /// Moments of what is left of normal x, and in place of the share that is cut the part of a change that does
+    /// not come through.
+    fn cut(&self, mean: f64, variance: f64) -> Clipped {
+        let sd = libm::sqrt(variance.max(1e-12));
+        if self.knee - mean > 8.0 * sd {
+            return Clipped { mean, variance, ..Clipped::default() };
+        }
+        let step = 2.0 * NOISE_REACH / f64::from(NOISE_NODES);
+        let (mut share, mut left, mut slope) = (0.0, [0.0f64; 4], 0.0);
+        let center = self.of(mean);
+        for i in 0..=NOISE_NODES {
+            let x = f64::from(i) * step - NOISE_REACH;
+            let weight = libm::exp(-0.5 * x * x);
+            let at = mean + sd * x;
+            let off = (self.of(at) - center) / sd;
+            share += weight;
+            slope += weight * self.slope(at);
+            left.iter_mut().enumerate().for_each(|(k, m)| *m += weight * off.powi(k as i32 + 1));
+        }
+        let [first, second, third, fourth] = left.map(|m| m / share);
+        let square = (second - first * first).max(0.0);
+        let fourth = fourth - 4.0 * first * third + 6.0 * first * first * second - 3.0 * first.powi(4);
+        let out = center + sd * first;
+        Clipped {
+            mean: out,
+            variance: variance * square,
+            fourth: variance * variance * (fourth - 3.0 * square * square),
+            above: 1.0 - slope / share,
+            lost: mean - out,
+            ..Clipped::default()
+        }
+    }
+}
+
 /// min(x, limit) for normal noise in pixels whose means have the deviation `spread` and lie at these places.
 pub(crate) fn clipped(
     mean: f64,
@@ -73,7 +141,21 @@ pub(crate) fn clipped(
     variance: f64,
     limit: f64,
 ) -> Clipped {
-    let all = places.map(|x| cut(mean + spread * x, variance, limit));
+    over_places(places.map(|x| cut(mean + spread * x, variance, limit)))
+}
+
+/// The same for a soft limit.
+pub(crate) fn clipped_softly(
+    mean: f64,
+    spread: f64,
+    places: &[f64; PLACES.len()],
+    variance: f64,
+    limit: SoftLimit,
+) -> Clipped {
+    over_places(places.map(|x| limit.cut(mean + spread * x, variance)))
+}
+
+fn over_places(all: [Clipped; PLACES.len()]) -> Clipped {
     let average =
         |of: &dyn Fn(&Clipped) -> f64| all.iter().zip(PLACES).map(|(c, share)| share * of(c)).sum::<f64>();
     let variance = average(&|c| c.variance);
@@ -91,6 +173,36 @@ pub(crate) fn clipped(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A knee next to the limit cuts as the limit does; moments of a soft one against a million normal numbers
+    /// by numpy 2.4 would know them to 0.002: here against a rule of 4001 nodes.
+    #[test]
+    fn a_soft_limit_is_what_integration_gives() {
+        for limit in [-1.0, 0.5, 2.0] {
+            let (hard, soft) = (cut(0.0, 1.0, limit), SoftLimit { knee: limit - 1e-3, limit }.cut(0.0, 1.0));
+            for (a, b) in [
+                (hard.mean, soft.mean),
+                (hard.variance, soft.variance),
+                (hard.fourth, soft.fourth),
+                (hard.above, soft.above),
+                (hard.lost, soft.lost),
+            ] {
+                assert!((a - b).abs() < 0.06, "at {limit}: {a} and {b}");
+            }
+        }
+        let soft = SoftLimit { knee: 99.0, limit: 103.0 };
+        let (mut sum, mut square, mut share) = (0.0, 0.0, 0.0);
+        for i in -2000..=2000 {
+            let x = f64::from(i) / 250.0;
+            let (w, v) = ((-0.5 * x * x).exp(), soft.of(100.0 + 2.0 * x));
+            (sum, square, share) = (sum + w * v, square + w * v * v, share + w);
+        }
+        let mean = sum / share;
+        let got = soft.cut(100.0, 4.0);
+        assert!((got.mean - mean).abs() < 1e-4, "{} {mean}", got.mean);
+        assert!((got.variance - (square / share - mean * mean)).abs() < 1e-3, "{}", got.variance);
+    }
+
     /// Against numerical integration of min(x, limit) by scipy 1.14.
     #[test]
     fn cut_noise_is_what_integration_gives() {

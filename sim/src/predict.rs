@@ -153,6 +153,9 @@ pub struct BaseParameters {
     pub setting_rel: Option<f64>,
     /// The light monitor, where there is one.
     pub monitor: Option<Monitor>,
+    /// Whether noise below code 0 is cut off, as a converter does: where a black level that is too low is itself
+    /// asked for, only black-clipping brings it.
+    pub cut_at_0: bool,
 }
 
 /// A light monitor beside the camera.
@@ -267,6 +270,8 @@ pub struct Prediction {
     pub whole: bool,
     /// Nothing lies below this level, DN above the black level.
     pub floor_dn: f64,
+    /// Whether noise below code 0 is cut off.
+    pub cut_at_0: bool,
     /// Gain of the right half over the left, minus 1, and its offset, DN; of the lower half over the upper; of odd columns over even
     /// ones; of odd rows.
     pub taps: [(f64, f64); 4],
@@ -422,6 +427,27 @@ impl SetPrediction {
         self.shot.add_white(own);
     }
 
+    /// A curve that charge follows, before read noise: of the variance of shot noise it leaves the share `less`. `at`:
+    /// what becomes of the mean level; `bent`: of the levels at the pixels' places.
+    pub(crate) fn bend_shot(
+        &mut self,
+        less: f64,
+        left: &Clipped,
+        at: f64,
+        places: &[f64; PLACES.len()],
+        bent: &[f64; PLACES.len()],
+    ) {
+        self.cut_shot(less, left.above);
+        self.cut_light(left.above);
+        self.pixels_follow(less);
+        self.unequal += left.unequal;
+        self.fourth += left.fourth;
+        // The field's part in a bend is known from a few places only.
+        self.unsure_mean = libm::hypot(self.unsure_mean, OF_PLACES * (left.mean - at).abs());
+        self.uneven = libm::hypot(self.uneven, off_a_line(places, bent));
+        self.signal = left.mean;
+    }
+
     /// What light shares from pixel to pixel, where the share `above` of the pixels no longer follows it: the mean of what is clipped has that
     /// slope less than 1.
     pub(crate) fn cut_light(&mut self, above: f64) {
@@ -537,6 +563,7 @@ impl Prediction {
             code_step_dn: 1.0,
             whole: false,
             floor_dn: f64::NEG_INFINITY,
+            cut_at_0: base.cut_at_0,
             taps: [(0.0, 0.0); 4],
             smear_s: 0.0,
             bloom_e: f64::INFINITY,
@@ -557,7 +584,7 @@ impl Prediction {
             let steps = taps.map(|(gain, offset)| gain * signal + offset);
             steps.into_iter().fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a })
         };
-        let may_be_clipped = c.from_code_0 && self.base.offset_dn + self.floor_dn < 0.0;
+        let may_be_clipped = c.from_code_0 && self.cut_at_0 && self.base.offset_dn + self.floor_dn < 0.0;
         for (i, s) in self.sets.iter_mut().enumerate() {
             let variance = s.covariance(0, 0) / square;
             let unlike = s.unequal.max(0.0) / (square * variance * square * variance).max(f64::MIN_POSITIVE);

@@ -30,7 +30,8 @@ use crate::observables::{Observations, covariance};
 use crate::plan::Plan;
 use entry::{describe, reasons};
 use radcam_sim::effects::{Effect, Seen, Take, find, takes};
-use radcam_sim::predict::BaseParameters;
+use crate::dataset::Kind;
+use radcam_sim::predict::{BaseParameters, SetInfo};
 use rayon::prelude::*;
 use search::{Candidate, NEEDED, is_something, is_told, rivals, score, search, surely_there, without};
 use sensor::sensor;
@@ -176,7 +177,7 @@ pub fn diagnose(
     progress: &mut dyn FnMut(&str),
 ) -> Diagnosis {
     let base = base.unwrap_or_else(|| start(all));
-    let model = fit(all, &base, &effects);
+    let model = with_room_below(all, fit(all, &base, &effects));
     let first = compare(all, &model);
     progress(&format!("error {:.2}", first.error));
     let found = search(all, &model, first.error > FAR, progress);
@@ -214,6 +215,34 @@ pub fn diagnose(
         fitted: Some(whole),
         comparisons: vec![first, last],
     }
+}
+
+/// Share of the samples of a dark that fall below code 0 from which on a black level is too low (a named choice:
+/// cut off at 2.9 deviations, the noise's variance loses half a per cent).
+const CUT_OFF: f64 = 0.002;
+
+/// The model, by which noise below code 0 is not cut off where so much of it is that the black level is too low:
+/// what is missing then is black-clipping.
+fn with_room_below(all: &Observations, model: Fitted) -> Fitted {
+    let has_it = model.effects.iter().any(|(e, _)| e.id() == "black-clipping");
+    if !all.campaign.from_code_0 || has_it || !model.base.cut_at_0 {
+        return model;
+    }
+    let base = &model.base;
+    let darks = all.campaign.sets.iter().zip(&all.kinds).filter(|(_, kind)| **kind == Kind::Dark);
+    let below = |set: &SetInfo| {
+        let noise_dn = base.read_noise_e * base.gain_dn_per_e;
+        let level_dn = base.offset_dn + base.gain_dn_per_e * base.dark_e_per_s * set.exposure_s;
+        let deviation = noise_dn.hypot(set.spread_dn).max(1e-6);
+        0.5 * libm::erfc((level_dn + 0.5) / deviation * std::f64::consts::FRAC_1_SQRT_2)
+    };
+    let most = darks.map(|(set, _)| below(set)).fold(0.0, f64::max);
+    if most < CUT_OFF {
+        return model;
+    }
+    tracing::debug!("{most:.4} of a dark's samples fall below code 0");
+    let open = BaseParameters { cut_at_0: false, ..base.clone() };
+    fit(all, &open, &model.effects)
 }
 
 /// What was left on in the camera and acts like an effect; of `unknown` everything.

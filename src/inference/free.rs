@@ -1,7 +1,7 @@
 //! What is free in a fit, as one list of values over their scales, and the light factors beside it.
 
 use super::model::Effects;
-use super::start::{MOST_SPREAD, has_flats, of_darks, reference_level};
+use super::start::{zero_bounds, MOST_SPREAD, has_flats, of_darks, reference_level};
 use crate::dataset::Kind;
 use crate::observables::{Half, Observations, Setting, mean, unequal};
 use radcam_sim::effects::{Effect, Parameter};
@@ -125,7 +125,7 @@ fn of_base(all: &Observations, base: &BaseParameters) -> Vec<Entry> {
             !all.has(&unequal::Unequal),
             (0.0, MOST_SPREAD),
         ),
-        entry(Common::Offset, base.offset_dn, 0.0, table, ANY),
+        entry(Common::Offset, base.offset_dn, 0.0, table, if table { ANY } else { zero_bounds(all) }),
         entry(Common::Dark, base.dark_e_per_s, 0.0, table || !all.tells_dark_current(None), ANY),
         entry(Common::Light, 0.0, 1.0, false, ANY),
     ];

@@ -43,6 +43,7 @@ pub fn start(all: &Observations) -> BaseParameters {
             Setting::Below(most) => 0.01 * most,
         }),
         monitor,
+        cut_at_0: true,
     }
 }
 
@@ -168,6 +169,29 @@ fn zero_and_dark(all: &Observations) -> (f64, f64) {
         (Some(a), Some(b)) if b.0 > a.0 => (a.1, ((b.1 - a.1) / (b.0 - a.0)).max(0.0)),
         (a, _) => (a.map_or(0.0, |d| d.1), 0.0),
     }
+}
+
+/// Noise of a dark sample beyond which the black level at zero exposure does not lie outside the darks (a named
+/// choice: where darks are cut off at code 0 it lies below what is left of them).
+const AROUND_DARKS: f64 = 8.0;
+
+/// Between which values the black level at zero exposure lies, DN, as the darks say; any where there is none. A
+/// line that saturated sets have tilted would else take it to where all darks are cut off.
+pub(super) fn zero_bounds(all: &Observations) -> (f64, f64) {
+    let darks: Vec<(f64, f64)> = values(all, &mean::Mean, Some(Kind::Dark))
+        .map(|(s, m)| (all.campaign.sets[s].exposure_s, m))
+        .collect();
+    let noise_dn = values(all, &variance::Variance, Some(Kind::Dark)).map(|v| v.1).fold(0.0, f64::max).sqrt();
+    let of = |pick: fn(f64, f64) -> f64, from: f64| darks.iter().map(|d| d.1).fold(from, pick);
+    let (lowest, highest) = (of(f64::min, f64::INFINITY), of(f64::max, f64::NEG_INFINITY));
+    if !lowest.is_finite() || !highest.is_finite() {
+        return (f64::NEG_INFINITY, f64::INFINITY);
+    }
+    let shortest = darks.iter().map(|d| d.0).fold(f64::INFINITY, f64::min);
+    let longest = darks.iter().map(|d| d.0).fold(0.0, f64::max);
+    let times = if longest > shortest { longest / (longest - shortest) } else { 1.0 };
+    let around = times * (highest - lowest) + AROUND_DARKS * noise_dn.max(1.0);
+    (lowest - around, highest + around)
 }
 
 /// The variance at no light, DN^2, from the dimmest of points of (signal, variance) without a dark among them.

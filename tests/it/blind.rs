@@ -160,7 +160,7 @@ fn weak_effects_are_named() {
     let cases: [(&str, u64, &[f64]); 8] = [
         ("temporal-filter", 1490, &[0.005, 0.0]),
         ("temporal-filter", 1500, &[0.005, 1.0]),
-        ("full-well-saturation", 3343, &[9_880.66]),
+        ("full-well-saturation", 3343, &[9_880.66, 0.0, 0.0]),
         ("tap-mismatch", 3655, &[0.003_062_232_8, 0.306_223_28, 0.0]),
         ("tap-mismatch", 3696, &[0.007_219_468_9, 0.721_946_89, 0.0]),
         ("blooming", 3793, &[14_455.074]),

@@ -711,7 +711,7 @@ fn exposures_end_at_a_full_well() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
     let well_e = 3000.0;
-    let model = with(small("cmos12", 96, 64), "full-well-saturation", &[well_e]);
+    let model = with(small("cmos12", 96, 64), "full-well-saturation", &[well_e, 0.0, 0.0]);
     assert!(2.0 * well_e * model.base.gain_dn_per_e < f64::from(model.full_scale_dn()));
     std::fs::write(at("m.toml"), model.to_toml().unwrap()).unwrap();
     expect(0, &["simulate", &at("m.toml"), "--plan", "quick", "-o", &at("c")]);

@@ -4,8 +4,16 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen,
 use crate::clipping::clipped;
 use crate::predict::NORMAL;
 
-/// max(v, level), counted from the black level.
+/// max(v, level), counted from the black level; or code 0, where the black level is too low.
 pub struct BlackClipping;
+
+/// Places of the parameters.
+const LEVEL: usize = 0;
+const AT: usize = 1;
+
+fn is_at_code_0(p: &[f64]) -> bool {
+    p[AT].round() as i32 == 1
+}
 
 impl Effect for BlackClipping {
     fn id(&self) -> &'static str {
@@ -21,36 +29,59 @@ impl Effect for BlackClipping {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter {
-            name: "level_dn",
-            meaning: "lowest value that is passed, from the black level",
-            unit: "DN",
-            min: -1e3,
-            max: 1e3,
-            starts: &[],
-        }]
+        &[
+            Parameter {
+                name: "level_dn",
+                meaning: "at 0: lowest value that is passed, from the black level",
+                unit: "DN",
+                min: -1e3,
+                max: 1e3,
+                starts: &[],
+            },
+            Parameter {
+                name: "at",
+                meaning: "0: at level_dn, 1: at code 0, to which noise of darks reaches",
+                unit: "choice",
+                min: 0.0,
+                max: 1.0,
+                starts: &[0.0, 1.0],
+            },
+        ]
+    }
+
+    fn uses(&self, p: &[f64], parameter: usize) -> bool {
+        parameter != LEVEL || !is_at_code_0(p)
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        is_at_code_0(p).then_some("at code 0: the black level is too low for the noise of darks")
     }
 
     /// Within the dark noise as it is measured: a clipped half has 0.58 of the deviation.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         [-1.0, -0.3 * seen.dark_noise_dn, -1.5 * seen.dark_noise_dn, 0.5 * seen.dark_noise_dn]
-            .map(|v| vec![v])
-            .to_vec()
+            .map(|v| vec![v, 0.0])
+            .into_iter()
+            .chain([vec![0.0, 1.0]])
+            .collect()
     }
 
     fn contradicted(&self, p: &[f64], seen: &Seen) -> Option<&'static str> {
         // To within rounding and what the black level is known to.
-        (seen.darkest_dn? < p[0] - 1.0)
+        if is_at_code_0(p) {
+            return None;
+        }
+        (seen.darkest_dn? < p[LEVEL] - 1.0)
             .then_some("darks go on below the level at which they would be cut off")
     }
 
     /// Code 0 clips in any case.
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
-        Some(vec![if plain.black_dn < 1.0 { 1.0 } else { -0.5 }])
+        Some(vec![if plain.black_dn < 1.0 { 1.0 } else { -0.5 }, 0.0])
     }
 
-    fn scaled(&self, _values: &[f64], by: f64) -> Vec<f64> {
-        vec![-8.0 / (1.0 + 15.0 * by)]
+    fn scaled(&self, values: &[f64], by: f64) -> Vec<f64> {
+        vec![-8.0 / (1.0 + 15.0 * by), values[AT]]
     }
 
     /// Anything between two edges of codes: the deviation of a number that is anywhere within one step.
@@ -61,7 +92,7 @@ impl Effect for BlackClipping {
     fn page(&self) -> Page {
         Page {
             what: "The black level is too low, or the camera cuts off what lies below it: half of the dark noise is lost.",
-            equation: "v' = max(v, level), from the black level",
+            equation: "v' = max(v, level), from the black level; at 1: D = max(D, 0)",
             signature: "darks have less variance and a higher mean than the line says; one code occurs far too often",
             look_alikes: "a wrong zero moves all levels alike",
             remedy: "raise the black level until no sample is cut off",
@@ -72,13 +103,17 @@ impl Effect for BlackClipping {
     }
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
-        out.floor_dn = out.floor_dn.max(p[0]);
+        if is_at_code_0(p) {
+            out.cut_at_0 = true;
+            return;
+        }
+        out.floor_dn = out.floor_dn.max(p[LEVEL]);
         let noise: Vec<f64> = out.sets.iter().map(|s| s.covariance(0, 0)).collect();
         let limited = |set: usize, level: f64| {
             // Clipped from below: upside down.
             let places = c.sets.get(set).map_or(NORMAL, |s| s.places).map(|x| -x);
             let spread = c.sets.get(set).map_or(0.0, |s| s.spread_dn);
-            clipped(-level, spread, &places, noise.get(set).copied().unwrap_or(0.0), -p[0])
+            clipped(-level, spread, &places, noise.get(set).copied().unwrap_or(0.0), -p[LEVEL])
         };
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
             *m = -limited(frame.set, *m).mean;
@@ -92,6 +127,9 @@ impl Effect for BlackClipping {
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
-        d.image.mapv_inplace(|v| v.max(p[0]));
+        // Code 0 cuts by itself.
+        if !is_at_code_0(p) {
+            d.image.mapv_inplace(|v| v.max(p[LEVEL]));
+        }
     }
 }

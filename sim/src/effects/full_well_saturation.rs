@@ -1,12 +1,22 @@
 //! Full-well saturation: a pixel holds no more charge than its well.
 
-use crate::clipping::clipped;
+use crate::clipping::{SoftLimit, clipped, clipped_softly};
 use crate::predict::{NORMAL, SetPrediction};
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
-/// min(q, full well).
+/// min(q, full well), or a knee from which on the well fills ever more slowly.
 pub struct FullWellSaturation;
+
+/// Places of the parameters.
+const FULL: usize = 0;
+const SHAPE: usize = 1;
+const SOFTNESS: usize = 2;
+
+/// The limit of a well that fills slowly from a knee on; nothing where it is hard.
+fn soft(p: &[f64]) -> Option<SoftLimit> {
+    (p[SHAPE].round() as i32 == 1).then(|| SoftLimit { knee: p[FULL] * (1.0 - p[SOFTNESS]), limit: p[FULL] })
+}
 
 impl Effect for FullWellSaturation {
     fn id(&self) -> &'static str {
@@ -22,35 +32,64 @@ impl Effect for FullWellSaturation {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter {
-            name: "full_well_e",
-            meaning: "charge at which the well is full",
-            unit: "e",
-            min: 1.0,
-            max: 1e9,
-            starts: &[],
-        }]
+        const ALL: [Parameter; 3] = [
+            Parameter {
+                name: "full_well_e",
+                meaning: "charge at which the well is full",
+                unit: "e",
+                min: 1.0,
+                max: 1e9,
+                starts: &[],
+            },
+            Parameter {
+                name: "shape",
+                meaning: "0: hard, 1: soft, the last part of the well fills ever more slowly",
+                unit: "choice",
+                min: 0.0,
+                max: 1.0,
+                starts: &[0.0, 1.0],
+            },
+            Parameter {
+                name: "softness",
+                meaning: "shape 1: part of the well above the knee",
+                unit: "1",
+                min: 0.0,
+                max: 0.5,
+                starts: &[],
+            },
+        ];
+        &ALL
+    }
+
+    fn uses(&self, p: &[f64], parameter: usize) -> bool {
+        parameter != SOFTNESS || soft(p).is_some()
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        soft(p).map(|_| "a soft knee: the last part of the well fills ever more slowly")
     }
 
     /// Near the brightest level.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
-        seen.near_peak()
+        let hard = seen.near_peak().into_iter().map(|p| vec![p[FULL], 0.0, 0.0]);
+        let soft = [(0.95, 0.1), (1.0, 0.2), (1.1, 0.25)];
+        hard.chain(soft.map(|(part, softness)| vec![part * seen.peak_e.max(1.0), 1.0, softness])).collect()
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
-        Some(vec![0.8 * plain.range_e])
+        Some(vec![0.8 * plain.range_e, 0.0, 0.0])
     }
 
     fn scaled(&self, values: &[f64], by: f64) -> Vec<f64> {
-        vec![values[0] * 2.0 / (1.0 + by)]
+        vec![values[FULL] * 2.0 / (1.0 + by), values[SHAPE], values[SOFTNESS]]
     }
 
     fn page(&self) -> Page {
         Page {
             what: "The well of a pixel is full: more light brings no more charge.",
-            equation: "q' = min(q, full well)",
+            equation: "shape 0: q' = min(q, W), W = full well; 1: W - w exp(-(q - k) / w) above the knee k = W (1 - softness), w = W - k",
             signature: "the mean stops and the variance falls to the read noise at one level, below the largest code",
-            look_alikes: "clipping of the converter stops at the largest code",
+            look_alikes: "clipping of the converter stops at the largest code; a bend goes on rising",
             remedy: "use the range below the turn-off",
             measure: "an exposure sweep in small steps up to and past saturation",
             sets: takes::SWEEP,
@@ -64,16 +103,26 @@ impl Effect for FullWellSaturation {
         let limited = |set: usize, signal: f64| {
             let (spread, places) = c.sets.get(set).map_or((0.0, &NORMAL), |s| (s.spread, &s.places));
             let variance = shot.get(set).map_or(signal, |over| over * signal).max(1e-9);
-            clipped(signal, spread * signal, places, variance, p[0])
+            match soft(p) {
+                Some(limit) => clipped_softly(signal, spread * signal, places, variance, limit),
+                None => clipped(signal, spread * signal, places, variance, p[FULL]),
+            }
         };
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
             *m = limited(frame.set, *m).mean;
         }
-        out.well_e = out.well_e.min(p[0]);
+        out.well_e = out.well_e.min(p[FULL]);
         let read = out.base.read_noise_e * out.base.read_noise_e;
         for (i, s) in out.sets.iter_mut().enumerate() {
             let left = limited(i, s.signal.max(1e-9));
-            let less = (left.variance / s.shot.lag(0, 0).max(1e-9)).min(1.0);
+            let shot = s.shot.lag(0, 0).max(1e-9);
+            let less = (left.variance / shot).min(1.0);
+            if let Some(limit) = soft(p) {
+                let (spread, places) = c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread, &s.places));
+                let bent = places.map(|x| limit.of(s.signal * (1.0 + spread * x)));
+                s.bend_shot(less, &left, limit.of(s.signal), places, &bent);
+                continue;
+            }
             s.cut(less, &left);
             s.cut_shot(less, left.above);
             // The pixels' places are a few shares: which of them lie above the knee is known roughly.
@@ -88,6 +137,9 @@ impl Effect for FullWellSaturation {
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
-        d.image.mapv_inplace(|q| q.min(p[0]));
+        match soft(p) {
+            Some(limit) => d.image.mapv_inplace(|q| limit.of(q)),
+            None => d.image.mapv_inplace(|q| q.min(p[FULL])),
+        }
     }
 }
