@@ -26,7 +26,7 @@ use crate::inference::{
 };
 use crate::number::Quantity;
 use crate::number::{chance, percent};
-use crate::observables::{Observations, covariance};
+use crate::observables::{Observations, Setting, covariance};
 use crate::plan::Plan;
 use entry::{describe, reasons};
 use radcam_sim::effects::{Effect, Seen, Take, find, takes};
@@ -388,10 +388,12 @@ fn parts(
             None => break (parts, last),
         }
     };
-    // A single addition that does not help on frames that no fit saw is none.
+    // A single addition that does not help on frames that no fit saw is none; but what is stated of the light is in
+    // no frame, and a lamp that scatters by more deviates from that alone.
     if let [only] = parts.as_slice() {
         tracing::debug!("{} alone: error {:.4}, was {:.4}", only.effect.id(), last.error, before.error);
-        if last.error > before.error - HELPS {
+        let of_stated = only.effect.sets_each() && matches!(all.setting, Some(Setting::Stated(_)));
+        if !of_stated && last.error > before.error - HELPS {
             return nothing();
         }
     }
