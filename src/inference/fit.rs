@@ -189,6 +189,19 @@ impl Errors<'_> {
     }
 }
 
+/// Levels of light below which means draw no curve: a line through the darks takes up two.
+const FEWEST_LEVELS: usize = 3;
+
+/// Levels of light times exposure that are measured.
+fn lit_levels(all: &Observations) -> usize {
+    let lit = all.campaign.sets.iter().filter(|s| s.light.is_some() && s.exposure_s > 0.0);
+    let mut levels: Vec<f64> = lit.map(|s| s.illumination * s.exposure_s).collect();
+    levels.sort_by(f64::total_cmp);
+    // To within rounding of what is stated.
+    levels.dedup_by(|a, b| (*a - *b).abs() < 1e-6 * b.abs());
+    levels.len()
+}
+
 /// What the campaign shows before any fit.
 pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
     let means = all.of(&mean::Mean).map(|o| o.measured.value);
@@ -206,7 +219,7 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
         lit_s: lit
             .fold((f64::INFINITY, 0.0), |(a, b), s| (f64::min(a, s.exposure_s), f64::max(b, s.exposure_s))),
         rows: all.campaign.shape.0 as f64,
-        means: !all.means_given,
+        means: !all.means_given && lit_levels(all) >= FEWEST_LEVELS,
         dark_noise_dn: base.read_noise_e * base.gain_dn_per_e,
         line_cycles_per_px: all.campaign.line_cycles_per_px,
         row_cycles: std::array::from_fn(|k| all.row_cycles.get(k).copied()),

@@ -90,7 +90,7 @@ pub struct Seen {
     pub lit_s: (f64, f64),
     /// Rows.
     pub rows: f64,
-    /// Whether means tell of the light: else they are taken as they are.
+    /// Whether means draw a curve over the light: there are levels enough, and they are not taken as they are.
     pub means: bool,
     /// Noise of darks, DN.
     pub dark_noise_dn: f64,
