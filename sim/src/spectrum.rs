@@ -131,6 +131,16 @@ impl Spectrum {
         let cosines = along_one_axis();
         (0..HALF).map(|i| self.0[i * HALF] * cosines[i][rows.min(LAGS - 1)]).sum()
     }
+
+    /// Covariance of the means of columns this far apart, at most 3, times the pixels of one.
+    pub fn across_lag(&self, columns: usize) -> f64 {
+        let first = self.0[0];
+        if self.0[..HALF].iter().all(|p| *p == first) {
+            return if columns == 0 { first } else { 0.0 };
+        }
+        let cosines = along_one_axis();
+        (0..HALF).map(|i| self.0[i] * cosines[i][columns.min(LAGS - 1)]).sum()
+    }
 }
 
 /// The cosine of each frequency of one axis at each lag, times the frequency's share.

@@ -91,7 +91,7 @@ fn left(memory: &[f64], n: f64) -> f64 {
 }
 
 /// Share of a line's variance that is left in means over n pixels with a phase step.
-fn line_mean(phase: f64, n: f64) -> f64 {
+pub(super) fn line_mean(phase: f64, n: f64) -> f64 {
     let half = (0.5 * phase).sin();
     if half.abs() < 1e-9 { 1.0 } else { ((0.5 * phase * n).sin() / (n * half)).powi(2) }
 }
@@ -388,7 +388,7 @@ impl<'a> View<'a> {
         (shot[apart.min(LAGS - 1)], read[apart.min(LAGS - 1)])
     }
 
-    fn walk(&self) -> f64 {
+    pub fn walk(&self) -> f64 {
         1.0 / (self.n * (self.n - 1.0)).max(1.0).sqrt()
     }
 

@@ -4,8 +4,8 @@
 
 use crate::statistics::pass::Summary;
 
-/// Row means this far apart are compared.
-pub const ROW_LAGS: [usize; 7] = [1, 2, 4, 8, 16, 32, 64];
+/// Means of rows, and of columns, this far apart are compared.
+pub const LINE_LAGS: [usize; 7] = [1, 2, 4, 8, 16, 32, 64];
 
 /// Mean squares and products of the relative deviations of the field.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -18,8 +18,10 @@ pub struct Field {
     pub rows: f64,
     /// See `rows`.
     pub columns: f64,
-    /// Products of the means of rows [`ROW_LAGS`] apart.
-    pub row_lags: [f64; ROW_LAGS.len()],
+    /// Products of the means of rows [`LINE_LAGS`] apart.
+    pub row_lags: [f64; LINE_LAGS.len()],
+    /// Products of the means of columns as far apart.
+    pub column_lags: [f64; LINE_LAGS.len()],
     /// Squares of the differences of the halves: lower less upper, right less left.
     pub halves: [f64; 2],
 }
@@ -44,8 +46,8 @@ impl Field {
         let (rows, columns) = (relative(&s.rows_dn, zero_dn), relative(&s.columns_dn, zero_dn));
         let product =
             |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>() / a.len().max(1) as f64;
-        let lag = |lag: usize| {
-            if lag < rows.len() { product(&rows[..rows.len() - lag], &rows[lag..]) } else { 0.0 }
+        let at = |lines: &[f64], lag: usize| {
+            if lag < lines.len() { product(&lines[..lines.len() - lag], &lines[lag..]) } else { 0.0 }
         };
         let (of_rows, of_columns) = (product(&rows, &rows), product(&columns, &columns));
         let pixels = s.spatial_var_dn2.max(0.0) / (signal * signal);
@@ -55,7 +57,8 @@ impl Field {
             smooth: (of_rows + of_columns).min(pixels),
             rows: of_rows,
             columns: of_columns,
-            row_lags: ROW_LAGS.map(lag),
+            row_lags: LINE_LAGS.map(|lag| at(&rows, lag)),
+            column_lags: LINE_LAGS.map(|lag| at(&columns, lag)),
             halves: [halves(&rows), halves(&columns)],
         }
     }

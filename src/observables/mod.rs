@@ -38,7 +38,7 @@ mod table;
 
 pub use campaign::{Observations, ObserveError, Setting, of_dataset};
 pub use expect::{Expected, HEAVY_DOF, View, expectations, in_quadrature, lightened};
-pub use field::{Field, ROW_LAGS};
+pub use field::{Field, LINE_LAGS};
 pub use scene::{Direction, ScenePair};
 pub use table::observations as of_table;
 
@@ -287,6 +287,7 @@ statistics! {
     row_variance::RowVariance
     column_variance::ColumnVariance
     row_shape::RowShape
+    column_shape::ColumnShape
     row_spectrum::RowSpectrum
     row_tails::RowTails
     halves::Halves

@@ -10,7 +10,7 @@ use crate::statistics::lines::Lines;
 pub struct RowShape;
 
 /// Rows apart.
-const LAGS: [usize; 7] = super::ROW_LAGS;
+const LAGS: [usize; 7] = super::LINE_LAGS;
 
 /// Lags that fit into half of the rows.
 fn lags(rows: usize) -> impl Iterator<Item = (usize, usize)> {

@@ -25,6 +25,11 @@ impl Effect for ColumnGainNoise {
         }]
     }
 
+    /// Stripes move columns together.
+    fn told_by(&self) -> &'static [&'static str] {
+        &["covariance of column means"]
+    }
+
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.15 / libm::sqrt(plain.range_e)])
     }

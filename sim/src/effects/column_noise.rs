@@ -29,6 +29,11 @@ impl Effect for ColumnNoise {
         }]
     }
 
+    /// Stripes move columns together.
+    fn told_by(&self) -> &'static [&'static str] {
+        &["covariance of column means"]
+    }
+
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.2 * plain.noise_e])
     }

@@ -131,6 +131,11 @@ impl Effect for LightBanding {
         )
     }
 
+    /// A field that changes its shape moves columns too.
+    fn told_by(&self) -> &'static [&'static str] {
+        &["covariance of column means", "variance of column means"]
+    }
+
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.0, 0.004, 3.2 / plain.rows, 0.6 / plain.bright_s, 0.97])
     }

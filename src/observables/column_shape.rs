@@ -1,0 +1,93 @@
+//! Covariance of the means of columns some way apart, DN^2: whether columns that scatter do so one by one, in stripes, or
+//! with a field that changes its shape.
+
+use super::expect::{FIELD, line_mean};
+use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
+use crate::statistics::layout::Layout;
+use crate::statistics::lines::Lines;
+use std::cell::RefCell;
+
+/// The covariance at these distances.
+#[derive(Debug)]
+pub struct ColumnShape;
+
+/// Columns apart.
+const LAGS: [usize; 7] = super::LINE_LAGS;
+
+thread_local! {
+    static COLUMNS: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
+}
+
+/// Lags that fit into half of the columns.
+fn lags(columns: usize) -> impl Iterator<Item = (usize, usize)> {
+    LAGS.into_iter().enumerate().filter(move |(_, lag)| 2 * lag < columns)
+}
+
+impl Statistic for ColumnShape {
+    fn id(&self) -> &'static str {
+        "covariance of column means"
+    }
+
+    fn name(&self, index: usize) -> String {
+        match LAGS.get(index) {
+            Some(1) | None => "covariance of the next column's mean".into(),
+            Some(lag) => format!("covariance of column means {lag} apart"),
+        }
+    }
+
+    fn meaning(&self, _: usize) -> &'static str {
+        "shared by stripes of columns"
+    }
+
+    fn unit(&self) -> &'static str {
+        "DN^2"
+    }
+
+    fn sums(&self, layout: &Layout) -> usize {
+        lags(layout.shape.1).count()
+    }
+
+    fn add(&self, _: &[f32], lines: &Lines, layout: &Layout, sums: &mut [f64]) {
+        COLUMNS.with_borrow_mut(|columns| {
+            columns.clear();
+            columns.extend(lines.column_means(layout));
+            for ((_, lag), sum) in lags(columns.len()).zip(sums) {
+                let products = columns.iter().zip(&columns[lag..]).map(|(a, b)| f64::from(a * b));
+                *sum += products.sum::<f64>() / (columns.len() - lag) as f64;
+            }
+        });
+    }
+
+    fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
+        chunk.sums().iter().enumerate().for_each(|(k, sum)| put.put(k, *sum, 0.0));
+    }
+
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let (rows, columns) = view.all.campaign.shape;
+        let (Some(s), lag) = (view.set(), LAGS[o.index.min(LAGS.len() - 1)]) else {
+            return Expected::plain(o, 0.0, 1.0);
+        };
+        // Noise of pixels and columns as a filter leaves it; the frame's mean takes its part.
+        let near = if lag < 4 {
+            let (shot, read) = (s.shot.across_lag(lag), s.read.across_lag(lag));
+            (shot * view.left.0 + read * view.left.1) / rows as f64 + s.column.lag(lag as i32)
+        } else {
+            0.0
+        };
+        let flat = view.of_mean - s.row.of_mean() / rows as f64 - view.ripple_of_mean;
+        let of_line = |&(v, px, py): &(f64, f64, f64)| {
+            let of_columns = v * line_mean(py, rows as f64);
+            (of_columns * libm::cos(px * lag as f64), of_columns)
+        };
+        let (striped, stripes) =
+            s.lines.iter().map(of_line).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+        let own = (s.shot.across_lag(0) + s.read.across_lag(0)) / rows as f64 + s.column.lag(0);
+        let alone = own / (((columns - lag) as f64) * view.dof).sqrt();
+        let single = in_quadrature(&[s.unsure_var, view.rough.1]) / rows as f64;
+        let lines: f64 = s.lines.iter().map(|l| l.0).sum();
+        let error = in_quadrature(&[alone, 0.3 * view.moving, stripes, lines / rows as f64, single]);
+        let field = view.with_light * view.all.field.column_lags[o.index.min(LAGS.len() - 1)];
+        let error = error.hypot(FIELD * view.with_light * view.all.field.columns);
+        Expected::plain(o, near - flat + striped + field, error).with_common(view.walk() * stripes)
+    }
+}
