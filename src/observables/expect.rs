@@ -388,6 +388,7 @@ impl<'a> View<'a> {
         (shot[apart.min(LAGS - 1)], read[apart.min(LAGS - 1)])
     }
 
+    /// Error of the mean product of two frames of noise that all share, over its variance.
     pub fn walk(&self) -> f64 {
         1.0 / (self.n * (self.n - 1.0)).max(1.0).sqrt()
     }
