@@ -193,6 +193,8 @@ const KNOWN: &[(&str, Role)] = &[
     ("DeviceTemperature", STATUS),
     ("DeviceTemperatureSelector", SELECTS),
     ("DigitalShift", Distorts(Number(0.0), &["coarse-quantization"])),
+    // FITS keyword: electrons per code.
+    ("EGAIN", Setting),
     ("EdgeEnhancement", Distorts(Off, FILTER)),
     ("EdgeFilter", Distorts(Off, FILTER)),
     ("ExposureActiveMode", Harmless("says when an output line is high")),
@@ -248,6 +250,8 @@ const KNOWN: &[(&str, Role)] = &[
     ("HueEnabled", Distorts(Off, CURVE)),
     ("IMX174HardwareWDREnable", Distorts(Off, CURVE)),
     ("IMX174WDRShutter2", FOLLOWS),
+    // EXIF and FITS: sensitivity.
+    ("ISO", Setting),
     ("KNEEX2VALUE", FOLLOWS),
     ("KneeX1", FOLLOWS),
     ("KneeX2", FOLLOWS),
@@ -274,6 +278,8 @@ const KNOWN: &[(&str, Role)] = &[
     ("OverTemperatureEventStreamChannelIndex", EVENT),
     ("OverTemperatureEventTimestamp", EVENT),
     ("OverheatTemperature", STATUS),
+    // FITS keyword: codes added after a correction.
+    ("PEDESTAL", Setting),
     ("PGR_HDRImageSelector", SELECTS),
     ("PGR_HDRModeEnabled", Distorts(Off, EXPOSURE)),
     ("PGR_HDR_ExposureTimeAbs", FOLLOWS),
@@ -287,6 +293,9 @@ const KNOWN: &[(&str, Role)] = &[
     ("PixelDynamicRangeMin", STATUS),
     ("PixelFormat", Setting),
     ("PvGainRaw", Setting),
+    // FITS keywords: mode of the read-out, and whether rows run upwards.
+    ("READOUTM", Setting),
+    ("ROWORDER", Geometry),
     ("ReadOutTime", TIMING),
     ("ReadoutControl", TIMING),
     ("ReadoutDelay", TIMING),

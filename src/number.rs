@@ -148,9 +148,11 @@ pub fn percent(share: f64) -> String {
 pub fn seconds(unit: &str) -> Option<f64> {
     Some(match unit.to_lowercase().as_str() {
         "s" | "sec" | "secs" | "second" | "seconds" => 1.0,
-        "ms" | "msec" | "millisec" | "milliseconds" => 1e-3,
-        "us" | "usec" | "µs" | "μs" | "microseconds" => 1e-6,
-        "ns" | "nsec" | "nanoseconds" => 1e-9,
+        "ms" | "msec" | "msecs" | "millisec" | "millisecond" | "milliseconds" => 1e-3,
+        "us" | "usec" | "usecs" | "µs" | "μs" | "µsec" | "μsec" | "microsec" | "microsecond"
+        | "microseconds" => 1e-6,
+        "ns" | "nsec" | "nanosecond" | "nanoseconds" => 1e-9,
+        "min" | "minute" | "minutes" => 60.0,
         _ => return None,
     })
 }

@@ -100,7 +100,11 @@ impl Source {
         progress: &mut dyn FnMut(usize, usize),
     ) -> Result<NoiseReport, NoiseError> {
         match self {
-            Self::Frames(dataset) => noise::of_dataset(dataset, stop, progress),
+            Self::Frames(dataset) => {
+                let mut report = noise::of_dataset(dataset, stop, progress)?;
+                report.notes.extend(dataset.manifest().import_notes());
+                Ok(report)
+            }
             Self::Table(table) => noise::of_table(table),
         }
     }
@@ -129,6 +133,7 @@ impl Source {
             Self::Table(table) => return observables::of_table(table),
         };
         let mut all = observables::of_dataset(dataset, stop, progress)?;
+        all.missing.extend(dataset.manifest().import_notes());
         let parts = dataset.parts();
         if parts.len() > 1 {
             let of = |(k, path): (usize, &Path)| {

@@ -4,7 +4,9 @@ use super::Outcome;
 use super::common::STOP;
 use super::progress::Show;
 use crate::dataset::write_whole;
-use crate::import::{MOSAIC, Map, files, mosaic, must_be_free, propose, survey, write};
+use crate::import::{
+    Found, MOSAIC, Map, MapSet, Survey, list, mosaic, must_be_free, propose, stated_mosaic, survey, write,
+};
 use anyhow::{Context, Result, bail};
 use std::io::{BufRead, IsTerminal, Write};
 use std::path::PathBuf;
@@ -33,6 +35,15 @@ pub struct Arguments {
     /// Of raw Bayer frames: row and column, 0 or 1, of the one pixel of every 2 x 2 cell that is kept; 0,0 is R of RGGB
     #[arg(long, value_name = "ROW,COLUMN", value_parser = plane, conflicts_with = "map")]
     plane: Option<[u8; 2]>,
+    /// Axis of NumPy arrays that counts the frames: 0, 1 or 2; else the first, and a question where the pixels speak for another
+    #[arg(long, value_name = "AXIS", value_parser = clap::value_parser!(u8).range(0..=2), conflicts_with = "map")]
+    frames_axis: Option<u8>,
+    /// Leave out files that cannot be read; else nothing is imported while there is one
+    #[arg(long, conflicts_with = "map")]
+    leave_out_damaged: bool,
+    /// Print where each value comes from
+    #[arg(long)]
+    explain: bool,
     /// Do not ask
     #[arg(short, long)]
     yes: bool,
@@ -63,28 +74,17 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             if let Some(dataset) = arguments.inputs.iter().find(|p| p.join("dataset.toml").exists()) {
                 bail!("{} is a dataset already", dataset.display());
             }
-            let files = files(&arguments.inputs)?;
-            if files.is_empty() {
-                bail!("no image files there: radcam reads TIFF, PNG, FITS and NumPy arrays (.npy)");
-            }
-            let mut show = Show::new("read");
-            let found = survey(&files, |done, of| {
-                show.step(done, of);
-                go_on()
-            })?;
-            let apart = mosaic(&found);
-            if apart > MOSAIC && arguments.plane.is_none() {
-                tracing::warn!(
-                    "the four pixels of a 2 x 2 cell differ by {:.0} % of the signal: raw Bayer frames? Give --plane 0,0 (0,1, 1,0, 1,1) and \
-                     import each colour by itself",
-                    100.0 * apart
-                );
-            }
-            Map { plane: arguments.plane, ..propose(&found, arguments.bit_depth)? }
+            found(arguments, &go_on)?
         }
     };
     if !arguments.json {
         print!("{}", table(&map));
+        if arguments.explain {
+            print!("{}", explained(&map));
+        }
+    }
+    for note in map.notes.iter().chain(&map.guessed()) {
+        tracing::warn!("{note}");
     }
     let missing = map.missing();
     // The user wrote or read the map.
@@ -107,8 +107,12 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             bail!("nothing was imported; change {} and run: {again}", path.display());
         }
         bail!(
-            "names and headers do not say: {}; write it into {} and run: {again}",
-            missing.join("; "),
+            "names and headers do not say: {}{}; write it into {} and run: {again}",
+            missing[..missing.len().min(LISTED)].join("; "),
+            match missing.len().saturating_sub(LISTED) {
+                0 => String::new(),
+                more => format!("; and {more} more"),
+            },
             path.display()
         );
     }
@@ -127,15 +131,87 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     Ok(Outcome::Agreement)
 }
 
+/// Open questions that a message lists; the map has all.
+const LISTED: usize = 12;
+
+/// Looks at the files and sorts them into sets.
+fn found(arguments: &Arguments, go_on: &impl Fn() -> bool) -> Result<Map> {
+    let listing = list(&arguments.inputs)?;
+    listing.notes.iter().for_each(|note| tracing::warn!("{note}"));
+    if listing.files.is_empty() {
+        bail!("no image files there: radcam reads TIFF, PNG, FITS and NumPy arrays (.npy)");
+    }
+    let mut show = Show::new("read");
+    let Survey { frames, damaged, notes } = survey(&listing.files, arguments.frames_axis.map(usize::from), |done, of| {
+        show.step(done, of);
+        go_on()
+    })?;
+    drop(show);
+    notes.iter().for_each(|note| tracing::warn!("{note}"));
+    if !damaged.is_empty() {
+        let said: Vec<String> = damaged.iter().map(|(path, why)| format!("{}: {why}", path.display())).collect();
+        let all = said.join("; ");
+        if !arguments.leave_out_damaged || frames.is_empty() {
+            let rest = if frames.is_empty() { "" } else { "; --leave-out-damaged imports the others" };
+            bail!("{all}{rest}");
+        }
+        tracing::warn!("left out, {} files that cannot be read: {all}", damaged.len());
+    }
+    of_one_colour(&frames, arguments)?;
+    Ok(Map {
+        plane: arguments.plane,
+        frames_axis: arguments.frames_axis,
+        ..propose(&frames, arguments.bit_depth)?
+    })
+}
+
+/// Refuses raw Bayer frames that say so, and warns of those that look like it.
+fn of_one_colour(frames: &[Found], arguments: &Arguments) -> Result<()> {
+    if arguments.plane.is_some() {
+        return Ok(());
+    }
+    let advice = "Give --plane 0,0 (0,1, 1,0, 1,1) and import each colour by itself";
+    if let Some(stated) = stated_mosaic(frames) {
+        bail!("colour: headers say {stated}, and the four pixels of a cell see four lights. {advice}");
+    }
+    let apart = mosaic(frames);
+    if apart > MOSAIC {
+        tracing::warn!(
+            "the four pixels of a 2 x 2 cell differ by {:.0} % of the signal: raw Bayer frames? {advice}",
+            100.0 * apart
+        );
+    }
+    Ok(())
+}
+
 /// The map as a file, with a line for every exposure that is to be filled in.
 fn with_gaps(map: &Map) -> Result<String> {
     let text = toml::to_string(map)?;
     let mut sets = map.sets.iter();
-    let line = |line: &str| {
-        let gap = line.starts_with("kind = ") && sets.next().is_some_and(|s| s.exposure_s.is_none());
-        if gap { format!("{line}\n# exposure_s =   # seconds\n") } else { format!("{line}\n") }
+    let mut open = false;
+    let mut out = String::new();
+    for line in text.lines() {
+        out += line;
+        out.push('\n');
+        if line == "[[set]]" {
+            open = sets.next().is_some_and(|s| s.exposure_s.is_none());
+        } else if open && line.starts_with("kind = ") {
+            out += "# exposure_s =   # seconds\n";
+            open = false;
+        }
+    }
+    Ok(out)
+}
+
+/// Where each value of each set comes from.
+fn explained(map: &Map) -> String {
+    let of_set = |(k, set): (usize, &MapSet)| {
+        let lines = set.from.iter().chain(&set.guessed).chain(&set.doubts);
+        format!("\nset {k}\n{}", lines.map(|line| format!("  {line}\n")).collect::<String>())
     };
-    Ok(text.lines().map(line).collect())
+    let settings = map.features.iter().map(|(name, value)| format!("  {name} = {value}\n")).collect::<String>();
+    let all = if settings.is_empty() { String::new() } else { format!("\nsettings of all frames\n{settings}") };
+    all + &map.sets.iter().enumerate().map(of_set).collect::<String>()
 }
 
 /// Whether the table is right; no question where nobody can answer.
@@ -168,13 +244,10 @@ fn table(map: &Map) -> String {
         );
     }
     let gain = map.gain_db.map_or(String::new(), |g| format!(", gain {g} dB"));
-    let shift = match map.shift {
-        0 => String::new(),
-        n => format!(", codes shifted down by {n} bits: all are multiples of {}", 1u32 << n),
-    };
+    let scale = map.scale().words().map_or(String::new(), |words| format!(", {words}"));
     let plane =
         map.plane.map_or(String::new(), |[y, x]| format!(", row {y} and column {x} of every 2 x 2 cell"));
     let timed = map.sets.iter().all(|s| s.times_s.is_some());
     let times = if timed { "" } else { ", without times: drifts are looked for in the order of the names" };
-    out + &format!("\n{} bits{gain}{shift}{plane}{times}\n", map.bit_depth)
+    out + &format!("\n{} bits{gain}{scale}{plane}{times}\n", map.bit_depth)
 }

@@ -2,6 +2,7 @@
 
 use super::ExamineError;
 use crate::dataset::{Dataset, Set};
+use crate::statistics::code_step::Occurring;
 use crate::statistics::outliers;
 use ndarray::{Array2, s};
 use serde::{Deserialize, Serialize};
@@ -34,6 +35,9 @@ pub struct SetFacts {
     pub spread_dn2: f64,
     /// Distance of the codes that occur in the first frame, DN: 1 unless the camera counts in coarser steps.
     pub step_dn: f64,
+    /// Step of the converter, DN, as all codes of the set show it: 1 where neighbours occur, 0 where too few codes do.
+    #[serde(default)]
+    pub code_step_dn: f64,
     /// Mean over the frames of the middle of the frame, DN, row by row: at most [`MIDDLE`] x [`MIDDLE`] pixels.
     pub middle_dn: Vec<f32>,
     /// Columns of that.
@@ -68,12 +72,14 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     let (mut before, mut second): (Option<Array2<u16>>, Option<Array2<u16>>) = (None, None);
     let mut middle = Array2::<f32>::zeros((0, 0));
     let mut clipped = 0usize;
+    let mut occurring = Occurring::default();
     for &row in &set.rows {
         if stop.load(Ordering::Relaxed) {
             return Err(ExamineError::Interrupted);
         }
         let frame = dataset.read(&dataset.rows()[row])?;
         out.pixels = frame.len() as f64;
+        occurring.add(frame.as_slice().unwrap_or(&[]));
         let codes = frame.as_slice().unwrap_or(&[]);
         if out.means_dn.is_empty() {
             out.spread_dn2 = spread(codes);
@@ -97,11 +103,22 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
         middle += &part;
         second = before.replace(frame);
     }
+    let stretch = occurring.stretch().map(|s| s.step);
+    out.code_step_dn = stretch.unwrap_or(if occurring.has_neighbours() { 1.0 } else { 0.0 });
     out.clipped = clipped as f64 / (out.pixels * set.rows.len() as f64).max(1.0);
     middle /= set.rows.len().max(1) as f32;
     out.middle_columns = middle.ncols();
     out.middle_dn = middle.into_iter().collect();
     Ok(out)
+}
+
+/// Step of the converter that the sets agree on, DN; 1 where one counts in steps of 1 or none tells.
+pub(super) fn code_step(facts: &[SetFacts]) -> f64 {
+    /// Part of the step by which sets may differ in it: they show it over different ranges.
+    const SAME_STEP: f64 = 0.02;
+    let told = facts.iter().map(|f| f.code_step_dn).filter(|step| *step > 0.0);
+    let (least, most) = told.fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(v), b.max(v)));
+    if most > 0.0 && most - least <= SAME_STEP * least { most } else { 1.0 }
 }
 
 /// The middle of a frame; mirrored frames have it mirrored.

@@ -19,6 +19,20 @@ pub struct Manifest {
     /// The light, where known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench: Option<BenchInfo>,
+    /// What `import` made of files that did not say everything.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub import: Option<ImportInfo>,
+}
+
+/// The `[import]` table.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct ImportInfo {
+    /// Values that names and headers do not state or contradict, with their sets, in sentences.
+    #[serde(default)]
+    pub guessed: Vec<String>,
+    /// What else was found in the files and should be known, in sentences.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
 }
 
 /// The `[camera]` table.
@@ -136,7 +150,14 @@ fn difference(name: &str, was: String, is: String) -> Option<String> {
 impl Manifest {
     /// A manifest without a bench.
     pub fn new(camera: CameraInfo) -> Self {
-        Self { format: FORMAT.into(), camera, bench: None }
+        Self { format: FORMAT.into(), camera, bench: None, import: None }
+    }
+
+    /// What `import` guessed and found, as notes of a result.
+    pub fn import_notes(&self) -> Vec<String> {
+        let Some(import) = &self.import else { return Vec::new() };
+        let guessed = import.guessed.iter().map(|text| format!("guessed by import: {text}"));
+        guessed.chain(import.notes.iter().map(|text| format!("found by import: {text}"))).collect()
     }
 
     /// What camera, settings and light of another campaign have otherwise, in words: none where the two can be taken together.

@@ -13,7 +13,7 @@ mod write;
 
 pub use emva::{DESCRIPTOR, write_descriptor};
 pub use fault::{DataFault, FaultKind};
-pub use manifest::{BenchInfo, CameraInfo, FORMAT, Manifest};
+pub use manifest::{BenchInfo, CameraInfo, FORMAT, ImportInfo, Manifest};
 pub(crate) use write::{Aside, synchronise};
 pub use write::{Writer, write_whole};
 
@@ -161,6 +161,10 @@ pub struct Dataset {
     reduced: Option<Arc<Reduced>>,
     /// Faults found by the examination; `None` before it.
     faults: Option<Arc<[DataFault]>>,
+    /// Stacks that were opened.
+    opened: Arc<image::Opened>,
+    /// Step of the converter as the codes show it, DN; 1 before the examination.
+    code_step_dn: f64,
 }
 
 impl Dataset {
@@ -243,7 +247,18 @@ impl Dataset {
         for set in &mut sets {
             set.rows.sort_by_key(|&i| rows[i].index);
         }
-        Ok(Self { root, manifest, rows, sets, parts: Vec::new(), folders, reduced: None, faults: None })
+        Ok(Self {
+            root,
+            manifest,
+            rows,
+            sets,
+            parts: Vec::new(),
+            folders,
+            reduced: None,
+            faults: None,
+            opened: Arc::default(),
+            code_step_dn: 1.0,
+        })
     }
 
     /// Several datasets of one camera under one set of settings as one: sets and times of each follow those of the one before.
@@ -353,13 +368,24 @@ impl Dataset {
         self.faults.as_deref().unwrap_or_default()
     }
 
+    /// Distance of the codes of the converter, DN, as [`examined`](crate::data_faults::examined) found it from the codes
+    /// that occur: 16 of 12 bits in the upper bits of 16; 1 before it ran, and of codes that are the converter's.
+    pub fn code_step_dn(&self) -> f64 {
+        self.code_step_dn
+    }
+
+    /// Variance of quantisation, DN^2: q^2 / 12 (eq. 27 of Healey and Kondepudy).
+    pub fn quantisation_dn2(&self) -> f64 {
+        self.code_step_dn.powi(2) / 12.0
+    }
+
     /// Returns true after [`examined`](crate::data_faults::examined).
     pub fn is_examined(&self) -> bool {
         self.faults.is_some()
     }
 
     /// Removes rows because of these faults.
-    pub(crate) fn without(&self, out: &[bool], faults: Vec<DataFault>) -> Self {
+    pub(crate) fn without(&self, out: &[bool], faults: Vec<DataFault>, code_step_dn: f64) -> Self {
         let mut place = Vec::with_capacity(out.len());
         let mut kept = 0;
         for out in out {
@@ -378,6 +404,7 @@ impl Dataset {
             sets: self.sets.iter().filter_map(of_set).collect(),
             parts: parts.collect(),
             faults: Some(faults.into()),
+            code_step_dn,
             ..self.clone()
         }
     }
@@ -468,8 +495,12 @@ impl Dataset {
         if !inside {
             return Err(fault("the path leaves the dataset folder".into()));
         }
-        let page = (row.file.len() != name.len()).then_some(page);
-        image::read_into(&path, page, buffer).map_err(|e| match e {
+        let read = if row.file.len() == name.len() {
+            image::read_into(&path, None, buffer)
+        } else {
+            self.opened.stack(&path).and_then(|images| images.read_into(page, buffer))
+        };
+        read.map_err(|e| match e {
             image::ImageError::Stack(_) => fault(format!("{e}; a row names its page as {name}#0")),
             e => fault(e.to_string()),
         })?;
@@ -528,6 +559,10 @@ fn no_manifest(folder: &Path) -> String {
 /// The text of a descriptor or a table; of an image that it is one.
 fn text(path: &Path) -> Result<String, DatasetError> {
     let bytes = std::fs::read(path).map_err(DatasetError::io(path))?;
+    if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
+        let message = "a text in UTF-16; save it as UTF-8".into();
+        return Err(DatasetError::Manifest { path: path.into(), message });
+    }
     let is_text = !bytes.iter().take(1024).any(|b| *b == 0);
     let text = is_text.then(|| String::from_utf8(bytes).ok()).flatten();
     text.ok_or_else(|| DatasetError::Manifest {

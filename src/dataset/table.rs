@@ -47,10 +47,11 @@ pub struct Table {
 impl Table {
     /// Whether a file's first line that is not a comment looks like the header of a table.
     pub fn is_table(path: &Path) -> bool {
-        std::fs::read_to_string(path).is_ok_and(|text| {
-            let header = text.lines().find(|l| !l.starts_with('#') && !l.trim().is_empty());
-            header.is_some_and(|h| h.split(',').any(|c| c.trim() == "mean_dn" || c.trim() == "var_dn2"))
-        })
+        let named = |h: &str| {
+            let columns = h.split([',', ';', '\t']).map(|c| c.trim().trim_matches('"'));
+            columns.into_iter().any(|c| c == "mean_dn" || c == "var_dn2")
+        };
+        std::fs::read_to_string(path).is_ok_and(|text| header(&text).is_some_and(named))
     }
 
     /// Reads a table. Lines that begin with `#` are comments; columns that are not known are passed over.
@@ -64,8 +65,13 @@ impl Table {
     }
 
     fn parse(text: &str) -> Result<Self, (u64, String)> {
-        let mut reader =
-            csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(text.as_bytes());
+        let text = text.strip_prefix(BOM).unwrap_or(text);
+        let delimiter = delimiter(header(text).unwrap_or_default());
+        let mut reader = csv::ReaderBuilder::new()
+            .comment(Some(b'#'))
+            .trim(csv::Trim::All)
+            .delimiter(delimiter)
+            .from_reader(text.as_bytes());
         let header = reader.headers().map_err(|e| (1, e.to_string()))?.clone();
         for needed in ["mean_dn", "var_dn2"] {
             if !header.iter().any(|name| name == needed) {
@@ -73,9 +79,12 @@ impl Table {
             }
         }
         let mut levels = Vec::new();
+        let mut records = Vec::new();
         for record in reader.records() {
             let record = record.map_err(|e| (line_of(text, e.position()), csv_words(&e, &header)))?;
-            let line = line_of(text, record.position());
+            records.push((line_of(text, record.position()), record));
+        }
+        for (line, record) in with_points(records, &header, delimiter)? {
             let level: Level =
                 record.deserialize(Some(&header)).map_err(|e| (line, csv_words(&e, &header)))?;
             if !(level.mean_dn.is_finite() && level.var_dn2.is_finite() && level.var_dn2 >= 0.0) {
@@ -97,6 +106,76 @@ impl Table {
     }
 }
 
+/// Byte order mark that spreadsheets put in front of UTF-8.
+const BOM: char = '\u{feff}';
+
+/// The first line that is no comment.
+fn header(text: &str) -> Option<&str> {
+    let text = text.strip_prefix(BOM).unwrap_or(text);
+    text.lines().find(|l| !l.starts_with('#') && !l.trim().is_empty())
+}
+
+/// Sign between columns: spreadsheets write semicolons where the comma is the decimal sign.
+fn delimiter(header: &str) -> u8 {
+    let count = |c: char| header.matches(c).count();
+    match (count(';'), count('\t'), count(',')) {
+        (0, 0, _) => b',',
+        (n, tabs, _) if n >= tabs => b';',
+        _ => b'\t',
+    }
+}
+
+/// Records with decimal points. A comma is the decimal sign where a column is separated otherwise or quoted; where
+/// every number with a comma may have groups of thousands as well, nobody knows.
+fn with_points(
+    records: Vec<(u64, csv::StringRecord)>,
+    header: &csv::StringRecord,
+    delimiter: u8,
+) -> Result<Vec<(u64, csv::StringRecord)>, (u64, String)> {
+    const NUMBERS: [&str; 10] = [
+        "mean_dn",
+        "var_dn2",
+        "exposure_s",
+        "illumination",
+        "lamp",
+        "monitor",
+        "pixels",
+        "cov_01",
+        "cov_10",
+        "cov_11",
+    ];
+    let is_number = |k: usize| header.get(k).is_some_and(|name| NUMBERS.contains(&name));
+    let thousands = |field: &str| {
+        let (whole, rest) = field.split_once(',').unwrap_or((field, ""));
+        let whole = whole.trim_start_matches('-');
+        (1..=3).contains(&whole.len()) && whole != "0" && rest.len() == 3
+    };
+    let mut first = None;
+    let mut sure = delimiter != b',';
+    for (line, record) in &records {
+        for (_, field) in record.iter().enumerate().filter(|(k, f)| is_number(*k) && f.contains(',')) {
+            if field.contains('.') || field.matches(',').count() > 1 {
+                let message =
+                    format!("{field} has points and commas: write numbers without groups of thousands");
+                return Err((*line, message));
+            }
+            sure |= !thousands(field);
+            first = first.or(Some((*line, field.to_string())));
+        }
+    }
+    let Some((line, field)) = first else { return Ok(records) };
+    if !sure {
+        let message =
+            format!("{field}: is the comma the decimal sign or a group of thousands? Write a point");
+        return Err((line, message));
+    }
+    let plain = |record: csv::StringRecord| -> csv::StringRecord {
+        let of = |(k, f): (usize, &str)| if is_number(k) { f.replace(',', ".") } else { f.to_string() };
+        record.iter().enumerate().map(of).collect()
+    };
+    Ok(records.into_iter().map(|(line, record)| (line, plain(record))).collect())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -107,7 +186,18 @@ mod tests {
             Table::parse("# a\nmean_dn,var_dn2,pixels,lamp,about\n10,5,,,x\n20,9,1000,2,y\n").unwrap();
         assert_eq!(table.levels[0].pixels, None);
         assert_eq!((table.levels[1].pixels, table.levels[1].lamp), (Some(1000.0), Some(2)));
+        for text in [
+            "\u{feff}mean_dn;var_dn2;exposure_s\r\n100,5;54,3;0,001\r\n1,234;104,3;0,002\r\n",
+            "mean_dn\tvar_dn2\texposure_s\n100.5\t54.3\t0.001\n1.234\t104.3\t0.002\n",
+            "mean_dn,var_dn2,exposure_s\n\"100,5\",\"54,3\",\"0,001\"\n\"1,234\",\"104,3\",\"0,002\"\n",
+        ] {
+            let levels = Table::parse(text).unwrap().levels;
+            assert_eq!((levels[0].mean_dn, levels[0].exposure_s), (100.5, Some(0.001)), "{text}");
+            assert_eq!((levels[1].mean_dn, levels[1].var_dn2), (1.234, 104.3), "{text}");
+        }
         for (text, line, part) in [
+            ("mean_dn,var_dn2\n\"1,234\",\"2,345\"\n", 2, "group of thousands"),
+            ("mean_dn;var_dn2\n1.234,5;2\n", 2, "points and commas"),
             ("mean_dn,pixels\n1,2\n", 1, "var_dn2"),
             ("mean_dn,var_dn2\n1,x\n", 2, "invalid float"),
             ("# a\r\nmean_dn,var_dn2\r\n1,2\r\n3,x\r\n", 4, "var_dn2: invalid float"),

@@ -31,6 +31,7 @@ const DRAWS: u64 = 200;
 struct Levels {
     points: Vec<Temporal>,
     dark_dn2: f64,
+    quantisation_dn2: f64,
     sat: f64,
     /// Slope of the dark mean, DN/s.
     dark_slope: f64,
@@ -94,7 +95,7 @@ fn compute(l: &Levels) -> Option<[f64; NAMES.len()]> {
         snr_max,
         20.0 * snr_max.log10(),
         l.dark_dn2.sqrt(),
-        (l.dark_dn2 - QUANTISATION_DN2).sqrt() / slope,
+        (l.dark_dn2 - l.quantisation_dn2).sqrt() / slope,
         l.dark_slope / slope,
         dsnu,
         prnu,
@@ -141,6 +142,7 @@ pub(super) fn general(points: &Points, saturated: &Saturation) -> Option<General
     let levels = Levels {
         points: below,
         dark_dn2: first.pair.var_dn2,
+        quantisation_dn2: QUANTISATION_DN2 * points.code_step_dn.powi(2),
         sat: sat.value,
         dark_slope: lines.as_ref().map_or(f64::NAN, |l| l[0].slope),
         spatial: spatial.map(|s| (s[0].0, s[1].0, bright_photons)),

@@ -102,6 +102,8 @@ pub struct Points {
     pub photons_known: bool,
     /// What is known of the light.
     pub light: Light,
+    /// Step of the converter, DN.
+    pub code_step_dn: f64,
     /// Faults of the data.
     pub data_faults: Vec<DataFault>,
 }
@@ -381,6 +383,7 @@ pub fn of_dataset(
         full_scale_dn: f64::from(camera.full_scale_dn()),
         photons_known: unit.is_some(),
         light,
+        code_step_dn: dataset.code_step_dn(),
         data_faults: dataset.data_faults().to_vec(),
     })
 }

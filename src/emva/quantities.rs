@@ -239,6 +239,11 @@ struct DarkNoise {
     hidden: bool,
 }
 
+/// Step of the converter, DN; the reference tool takes every code for one.
+pub(super) fn step_dn(points: &Points, definitions: Definitions) -> f64 {
+    if definitions == Definitions::ReferenceTool { 1.0 } else { points.code_step_dn }
+}
+
 fn dark_noise(
     points: &Points,
     definitions: Definitions,
@@ -265,13 +270,16 @@ fn dark_noise(
     if clipped {
         return DarkNoise { var_dn2: Value::undefined(), hidden: false };
     }
-    let hidden = value < SMALLEST_DARK_DN2;
+    let square = step_dn(points, definitions).powi(2);
+    let smallest = SMALLEST_DARK_DN2 * square;
+    let hidden = value < smallest;
     if !hidden {
         return DarkNoise { var_dn2: sheet.inputs.value(value, std_err), hidden };
     }
     sheet.note(format!(
-        "sigma_y_dark: the temporal variance of the darks is {value:.4} DN², below {SMALLEST_DARK_DN2} DN², where quantisation hides it. The standard \
-         puts {HIDDEN_DARK_DN} DN in its place: sigma_y_dark, sigma_d, u_p_min and u_e_min are upper limits, DR is a lower one"
+        "sigma_y_dark: the temporal variance of the darks is {value:.4} DN², below {smallest} DN², where quantisation hides it. The standard \
+         puts {} DN in its place: sigma_y_dark, sigma_d, u_p_min and u_e_min are upper limits, DR is a lower one",
+        HIDDEN_DARK_DN * square.sqrt()
     ));
     for name in ["sigma_y_dark", "sigma_d", "u_p_min", "u_e_min", "u_p_min_area", "u_e_min_area"] {
         sheet.limits.insert(name.into(), Limit::AtMost);
@@ -281,7 +289,7 @@ fn dark_noise(
     }
     // The tool takes the root of 0.24 DN^2.
     let bound =
-        if definitions == Definitions::ReferenceTool { SMALLEST_DARK_DN2 } else { HIDDEN_DARK_DN.powi(2) };
+        if definitions == Definitions::ReferenceTool { smallest } else { HIDDEN_DARK_DN.powi(2) * square };
     DarkNoise { var_dn2: Value::exact(bound), hidden }
 }
 
@@ -300,9 +308,10 @@ fn sensitivity(
     let half = if definitions == Definitions::Release4 { 0.25 } else { 0.0 };
     let threshold_e = move |dark_dn2: f64, k: f64| (dark_dn2 / (k * k) + half).sqrt() + 0.5;
     let d = &dark.var_dn2;
-    let noise_dn = move |dark_dn2: f64| (dark_dn2 - QUANTISATION_DN2).sqrt();
+    let step = step_dn(points, definitions);
+    let noise_dn = move |dark_dn2: f64| (dark_dn2 - QUANTISATION_DN2 * step * step).sqrt();
     let sigma_d = if dark.hidden && !as_tool {
-        Value::of(&[k], |v| HIDDEN_NOISE_DN / v[0])
+        Value::of(&[k], |v| HIDDEN_NOISE_DN * step / v[0])
     } else {
         Value::of(&[d, k], |v| noise_dn(v[0]) / v[1])
     };

@@ -1,47 +1,95 @@
-//! What file names and header words say of a frame.
+//! What file names and folders say of a frame.
 
-use super::Facts;
+use super::values::{self, Reading};
+use super::{Facts, kinds, stamps};
 use crate::dataset::Kind;
 use crate::number::seconds;
+use std::ops::Range;
 
-/// The kind that a word names: the word itself, its plural, or with `frame` or `field` behind it. A light frame is that of the sky to some and
-/// that of a card to others: it says nothing.
-pub fn kind(word: &str) -> Option<Kind> {
-    let word = word.to_lowercase();
-    let is = |stems: &[&str]| {
-        stems.iter().any(|stem| {
-            let rest = word.strip_prefix(stem);
-            rest.is_some_and(|rest| matches!(rest, "" | "s" | "frame" | "frames" | "field" | "fields"))
-        })
-    };
-    if is(&["dark", "bias", "biase", "offset", "black", "zero", "flatdark", "darkflat"]) {
-        Some(Kind::Dark)
-    } else if is(&["flat", "bright", "white", "uniform", "ptc"]) {
-        Some(Kind::Flat)
-    } else if is(&["scene"]) {
-        Some(Kind::Scene)
-    } else if is(&["target"]) {
-        Some(Kind::Target)
-    } else {
-        None
-    }
-}
+pub use super::kinds::kind;
+pub use super::stamps::stem;
 
 /// A number in a name, with the letters on both sides of it.
 #[derive(Debug, PartialEq)]
-struct Number<'a> {
-    before: &'a str,
-    text: &'a str,
-    value: f64,
-    unit: &'a str,
+pub(super) struct Number<'a> {
+    /// Word in front of it, separators between them passed over.
+    pub before: &'a str,
+    /// Digits as they stand.
+    pub text: &'a str,
+    /// Its readings.
+    pub reading: Reading,
+    /// Letters behind it.
+    pub unit: &'a str,
+    /// Its place in the name.
+    pub place: Range<usize>,
+    /// Place of its unit.
+    unit_place: Range<usize>,
+    /// Temperature, degrees Celsius, where it is one. NaN where its sign may be a separator.
+    pub temperature_c: Option<f64>,
+    /// Part of a binning, `2x2`.
+    pub binning: bool,
+}
+
+/// Words in front of a number that is a setting.
+const GAIN: &[&str] = &["gain", "gainraw"];
+const ISO: &[&str] = &["iso"];
+const BIN: &[&str] = &["bin", "binning"];
+const BLACK: &[&str] = &["offset", "blacklevel", "blklevel", "black"];
+const LIGHT: &[&str] = &["light", "illum", "illumination", "level"];
+const EXPOSURE: &[&str] =
+    &["exp", "exposure", "exptime", "exposuretime", "texp", "shutter", "integration", "inttime"];
+const TEMPERATURE: &[&str] = &["temp", "temperature", "sensortemp", "ccdtemp", "settemp"];
+/// Words in front of a time that is no exposure.
+const OTHER_TIMES: &[&str] = &[
+    "delay", "wait", "waited", "interval", "every", "period", "after", "pause", "settle", "total", "warmup",
+];
+
+fn is(word: &str, words: &[&str]) -> bool {
+    words.iter().any(|w| word.eq_ignore_ascii_case(w))
+}
+
+impl Number<'_> {
+    fn value(&self) -> Option<f64> {
+        self.reading.one()
+    }
+
+    fn pointed(&self) -> bool {
+        self.text.contains(['.', ',', 'p'])
+    }
+
+    /// Black level as a setting: `offset50`, and no counter as in `offset_001`.
+    fn is_black_level(&self) -> bool {
+        is(self.before, BLACK) && !(self.text.starts_with('0') && self.text.len() > 1)
+    }
+
+    /// Not a setting: it may count.
+    pub fn is_free(&self) -> bool {
+        let setting = [GAIN, ISO, BIN, EXPOSURE, TEMPERATURE].into_iter().any(|words| is(self.before, words))
+            || self.is_black_level()
+            || (is(self.before, LIGHT) && self.pointed());
+        !setting && self.temperature_c.is_none() && !self.binning && !self.is_exposure_behind_its_unit()
+    }
+
+    /// `Sec120.00`, as N.I.N.A. users write it.
+    fn is_exposure_behind_its_unit(&self) -> bool {
+        self.unit.is_empty() && !self.before.eq_ignore_ascii_case("s") && seconds(self.before).is_some()
+    }
+}
+
+/// The unit of time behind a separator: `5_secs`, `10 ms`.
+fn unit_behind(rest: &str) -> &str {
+    let Some(word) = rest.strip_prefix(['_', ' ', '-']) else { return "" };
+    let word = &word[..word.find(|c: char| !c.is_alphabetic()).unwrap_or(word.len())];
+    // One letter may begin anything.
+    if word.len() > 1 && !word.eq_ignore_ascii_case("min") && seconds(word).is_some() { word } else { "" }
 }
 
 /// Every number of a name. A point, a comma or a p between digits is the decimal point.
-fn numbers(name: &str) -> Vec<Number<'_>> {
+pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
     let bytes = name.as_bytes();
     let digit = |i: usize| bytes.get(i).is_some_and(u8::is_ascii_digit);
     let letter = |c: char| c.is_alphabetic();
-    let mut out = Vec::new();
+    let mut out: Vec<Number<'_>> = Vec::new();
     let mut at = 0;
     while at < bytes.len() {
         if !digit(at) {
@@ -68,54 +116,238 @@ fn numbers(name: &str) -> Vec<Number<'_>> {
         let from = ahead
             .rfind(|c: char| !letter(c))
             .map_or(0, |i| i + ahead[i..].chars().next().map_or(1, char::len_utf8));
+        // Letters behind a number are its unit, and no word of the next.
+        let word = from..from + ahead[from..].len();
+        let owned = out.last().is_some_and(|n| n.unit_place == word)
+            || (name[..from].ends_with(|c: char| c.is_ascii_digit()) && seconds(&ahead[from..]).is_some());
+        let before = if owned { "" } else { &ahead[from..] };
         let rest = &name[end..];
-        let unit = &rest[..rest.find(|c: char| !letter(c)).unwrap_or(rest.len())];
+        let letters = rest.strip_prefix('°').unwrap_or(rest);
+        let unit = &letters[..letters.find(|c: char| !letter(c)).unwrap_or(letters.len())];
         // A unit ends a word: the s of `2s0` is none.
-        let ends = !rest[unit.len()..].starts_with(|c: char| c.is_ascii_digit());
-        let unit = if ends { unit } else { "" };
-        if let Ok(value) = text.replace(['p', ','], ".").parse() {
-            out.push(Number { before: &ahead[from..], text, value, unit });
-        }
+        let ends = !letters[unit.len()..].starts_with(|c: char| c.is_ascii_digit());
+        let unit = match unit {
+            "" => unit_behind(rest),
+            _ if ends => unit,
+            _ => "",
+        };
+        let value = values::number(&text.replace('p', ".")).0;
+        let signed = name[..at].strip_suffix('-');
+        let minus = signed.is_some_and(|s| s.is_empty() || s.ends_with(['_', ' ', '(', '=', '-']));
+        let degrees = matches!(unit, "C" | "degC" | "c") || rest.starts_with("°C");
+        let named = is(before, TEMPERATURE) && unit.is_empty();
+        let nina = minus && pointed && unit.is_empty();
+        let temperature_c =
+            value.one().filter(|v| (degrees || named || nina) && *v <= 100.0).map(|v| match signed {
+                // N.I.N.A.'s word, whose hyphen is a minus.
+                Some(_) if minus || before.eq_ignore_ascii_case("sensortemp") => -v,
+                Some(_) => f64::NAN,
+                None => v,
+            });
+        let unit_place = match unit {
+            // An empty unit has no place that a word could have.
+            "" => 0..0,
+            _ => {
+                let start = end + rest.find(unit).unwrap_or(0);
+                start..start + unit.len()
+            }
+        };
+        out.push(Number {
+            unit_place,
+            before,
+            text,
+            reading: value,
+            unit,
+            place: at..end,
+            temperature_c,
+            binning: is_binning(name, at, end),
+        });
         at = end;
+    }
+    // Between a time stamp and the exposure N.I.N.A. writes the temperature, which has no unit.
+    if !stamps::stamps(name).is_empty() {
+        for k in 1..out.len() {
+            let (a, b) = (&out[k - 1], &out[k]);
+            let next = name.get(a.place.end..b.place.start) == Some("_") && seconds(b.unit).is_some();
+            if next
+                && a.unit.is_empty()
+                && a.text.contains('.')
+                && a.temperature_c.is_none()
+                && a.before.is_empty()
+            {
+                let value = a.value();
+                out[k - 1].temperature_c = value;
+            }
+        }
+    }
+    out
+}
+
+/// Whether a digit is one of `2x2`.
+fn is_binning(name: &str, at: usize, end: usize) -> bool {
+    let bytes = name.as_bytes();
+    let digit = |i: Option<usize>| i.and_then(|i| bytes.get(i)).is_some_and(|b| (b'1'..=b'8').contains(b));
+    let any = |i: Option<usize>| i.and_then(|i| bytes.get(i)).is_some_and(u8::is_ascii_digit);
+    let cross = |i: Option<usize>| i.and_then(|i| bytes.get(i)).is_some_and(|b| matches!(b, b'x' | b'X'));
+    let single = end == at + 1 && digit(Some(at));
+    let first = cross(Some(end)) && digit(Some(end + 1)) && !any(Some(end + 2));
+    let second = cross(at.checked_sub(1)) && digit(at.checked_sub(2)) && !any(at.checked_sub(3));
+    single && (first || second)
+}
+
+/// Exposures that a text tells, s.
+#[derive(Debug, Default, PartialEq)]
+struct Exposures {
+    found: Vec<f64>,
+    doubt: Option<String>,
+}
+
+fn exposures(text: &str) -> Exposures {
+    let mut out = Exposures::default();
+    let mut sure = Vec::new();
+    for number in numbers(text) {
+        let unit_s = match seconds(number.unit) {
+            Some(_) if number.binning => continue,
+            Some(unit_s) => unit_s,
+            None if number.is_exposure_behind_its_unit() => seconds(number.before).unwrap_or(1.0),
+            None => continue,
+        };
+        // A time of day is no exposure, and neither is a pause.
+        if stamps::is_stamp(text, &number.place) || is(number.before, OTHER_TIMES) {
+            continue;
+        }
+        match number.reading {
+            Reading::One(value) if value > 0.0 => {
+                let seconds = values::in_seconds(value, unit_s);
+                if is(number.before, EXPOSURE) { sure.push(seconds) } else { out.found.push(seconds) }
+            }
+            Reading::Two(a, b) => {
+                let unit = if number.unit.is_empty() { number.before } else { number.unit };
+                out.doubt = Some(format!("\"{} {unit}\" is {a} or {b} {unit}", number.text));
+            }
+            _ => {}
+        }
+    }
+    if !sure.is_empty() {
+        out.found = sure;
+    }
+    out.found.sort_by(f64::total_cmp);
+    out.found.dedup_by(|a, b| super::same_exposure(*a, *b));
+    if let [a, b, ..] = out.found[..] {
+        out.doubt = Some(format!("the text tells {a} s and {b} s"));
+    }
+    if out.doubt.is_some() {
+        out.found.clear();
     }
     out
 }
 
 /// Facts of a path: of its last folder's name and of its own, which counts more.
 pub fn facts(folder: &str, name: &str) -> Facts {
-    let mut out = Facts::default();
+    facts_in(&[folder], 1, name)
+}
+
+/// Facts of a name and of the folders above it, the nearest first: what a folder says counts where nothing nearer
+/// says it. All frames lie in the folders behind the first `own`: such a one tells the kind if its name tells
+/// nothing else (`Flats`, and not `dark_current_study`).
+pub fn facts_in(folders: &[&str], own: usize, name: &str) -> Facts {
     // A hidden folder is named by a program, not by the user.
-    let folder = if folder.starts_with('.') { "" } else { folder };
-    for text in [folder, name] {
-        for number in numbers(text) {
-            if let Some(unit_s) = seconds(number.unit) {
-                out.exposure_s = Some(number.value * unit_s);
-            } else if number.unit.eq_ignore_ascii_case("db") {
-                out.gain_db = Some(number.value);
-            } else if matches!(
-                number.before.to_lowercase().as_str(),
-                "light" | "illum" | "illumination" | "level"
-            ) && number.text.contains(['.', ',', 'p'])
-            {
-                out.illumination = Some(number.value);
+    let hidden = |f: &str| f.starts_with('.') || f.is_empty();
+    let folders = folders.iter().enumerate().filter(|(_, f)| !hidden(f));
+    let folders: Vec<(&str, bool)> = folders.map(|(k, f)| (*f, k < own.max(1) || kinds::alone(f))).collect();
+    let texts: Vec<(String, &str, bool)> = std::iter::once(("the file's name".to_string(), name, true))
+        .chain(folders.iter().map(|(f, counts)| (format!("the folder {f}"), *f, *counts)))
+        .collect();
+    let mut out = Facts::default();
+    let strong = kinds::of_file(name).kind.is_some()
+        || folders.iter().any(|(folder, counts)| *counts && kinds::of(folder).kind.is_some());
+    let mut exposure_of: Option<(f64, String)> = None;
+    for (place, (of, text, counts)) in texts.iter().enumerate() {
+        let said = match place {
+            0 => kinds::of_file(text),
+            _ if *counts => kinds::of(text),
+            _ => kinds::Said::default(),
+        };
+        let kind = said.kind.or(said.weak.filter(|_| !strong));
+        match (out.kind, kind) {
+            (None, Some(kind)) => {
+                out.set_kind(kind, of);
+                out.bias = said.bias;
+            }
+            (Some(Kind::Flat), Some(Kind::Dark)) if place <= own.max(1) && kinds::alone(text) => {
+                let first = out.from.get("kind").cloned().unwrap_or_default();
+                out.doubts.push(format!("kind: {first} says flat, and {of} says dark"));
+            }
+            _ => {}
+        }
+        // What a time or a gain is of is told by the nearest two names; further up folders hold projects.
+        if place <= 2 {
+            let exposures = exposures(text);
+            match (exposures.found.first(), &exposure_of) {
+                (Some(seconds), None) => exposure_of = Some((*seconds, of.clone())),
+                (Some(seconds), Some((first, by)))
+                    if place == 1 && !super::same_exposure(*seconds, *first) =>
+                {
+                    out.doubts.push(format!("exposure_s: {by} says {first} s, and {of} says {seconds} s"));
+                }
+                _ => {}
+            }
+            if let Some(doubt) = exposures.doubt.filter(|_| exposure_of.is_none()) {
+                out.doubts.push(format!("exposure_s: {of}: {doubt}"));
             }
         }
-        if let Some(found) = text.split(|c: char| !c.is_alphabetic()).find_map(kind) {
-            out.kind = Some(found);
-        }
+        settings(text, of, strong, &mut out);
+    }
+    if out.doubts.iter().all(|d| !d.starts_with("exposure_s"))
+        && let Some((seconds, of)) = exposure_of
+    {
+        out.exposure_s = Some(seconds);
+        out.from.insert("exposure_s".into(), of);
+    }
+    if let Some(why) = kinds::processed(name) {
+        out.doubts.push(format!("frames: {why}: averages and corrected frames are no raw frames"));
     }
     out
 }
 
-/// A name without its last number that has no unit: what the frames of one set have in common.
-pub fn stem(name: &str) -> String {
-    let last = numbers(name).into_iter().rev().find(|n| n.unit.is_empty() && !n.text.contains('.'));
-    match last {
-        Some(n) => {
-            let at = n.text.as_ptr() as usize - name.as_ptr() as usize;
-            format!("{}#{}", &name[..at], &name[at + n.text.len()..])
+/// Gain, black level, binning, light and temperature of one text.
+fn settings(text: &str, of: &str, strong: bool, out: &mut Facts) {
+    for number in numbers(text) {
+        let Some(value) = number.value() else { continue };
+        let word = number.before;
+        let mut setting = |feature: &str| out.set_feature(feature, &value.to_string(), of);
+        if number.unit.eq_ignore_ascii_case("db") {
+            if out.gain_db.is_none() {
+                out.gain_db = Some(value);
+                out.from.insert("gain_db".into(), of.into());
+            }
+        } else if is(word, GAIN) {
+            setting("GainRaw");
+        } else if is(word, ISO) {
+            setting("ISO");
+        } else if number.binning || (is(word, BIN) && value <= 16.0 && value.fract() == 0.0) {
+            let second = text.as_bytes()[..number.place.start].ends_with(b"x");
+            if second {
+                setting("BinningVertical");
+            } else {
+                setting("BinningHorizontal");
+                if !number.binning {
+                    setting("BinningVertical");
+                }
+            }
+        } else if number.is_black_level() && strong {
+            setting("BlackLevelRaw");
+        } else if is(word, LIGHT) && number.pointed() {
+            if out.illumination.is_none() {
+                out.illumination = Some(value);
+                out.from.insert("illumination".into(), of.into());
+            }
+        } else if let Some(celsius) = number.temperature_c.filter(|c| c.is_finite())
+            && out.temperature_c.is_none()
+        {
+            out.temperature_c = Some(celsius);
+            out.from.insert("temperature_c".into(), of.into());
         }
-        None => name.to_string(),
     }
 }
 
@@ -171,6 +403,12 @@ mod tests {
             ("", "flatdark_5ms.tif", Some(5e-3), None, Some(Kind::Dark)),
             ("", "darkroom_flat_5ms.tif", Some(5e-3), None, Some(Kind::Flat)),
             ("", "Light_5ms.tif", Some(5e-3), None, None),
+            ("", "Dark_300_secs_001.fits", Some(300.0), None, Some(Kind::Dark)),
+            ("", "WhiteField 20 ms 3.tif", Some(0.02), None, Some(Kind::Flat)),
+            ("", "dark_exp_500_us_1.tif", Some(5e-4), None, Some(Kind::Dark)),
+            ("", "F_1234_ISO800_2s__20C.tif", Some(2.0), None, Some(Kind::Flat)),
+            ("", "DF_2019-05-15_23-12-07_Bin1x1_300s__-10C.fit", Some(300.0), None, Some(Kind::Dark)),
+            ("", "D_10ms_1.tif", Some(0.01), None, None),
         ] {
             let got = facts(folder, name);
             assert_eq!((got.gain_db, got.kind), (gain_db, kind), "{name}");

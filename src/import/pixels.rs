@@ -1,52 +1,11 @@
 //! Frames of files on their way into a dataset: copied or linked as they are, or written anew where a dataset cannot have them so.
 
+use super::source::Source;
 use super::{ImportError, Map};
 use crate::dataset::{image, write_whole};
-use ndarray::{Array2, Array3, ArrayViewD, Axis, Ix2, Ix3, s};
-use ndarray_npy::ViewNpyExt;
+use ndarray::{Array2, s};
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
-
-/// The frames of a numpy array (frames, rows, columns) or (rows, columns) of whole numbers that fit into 16 bits; `None` of any other file.
-pub fn npy(path: &Path) -> Result<Option<Array3<u16>>, String> {
-    let mut start = [0; 6];
-    let file = File::open(path).map_err(|e| e.to_string())?;
-    if BufReader::new(file).read_exact(&mut start).is_err() || start != *b"\x93NUMPY" {
-        return Ok(None);
-    }
-    // Types in the order of what cameras' programs write.
-    let frames = of::<u16>(path)
-        .or_else(|first| of::<u8>(path).map_err(|_| first))
-        .or_else(|first| of::<i32>(path).map_err(|_| first))
-        .or_else(|first| of::<u32>(path).map_err(|_| first))
-        .or_else(|first| of::<i64>(path).map_err(|_| first))
-        .or_else(|first| of::<i16>(path).map_err(|_| first))?;
-    Ok(Some(frames))
-}
-
-fn of<T>(path: &Path) -> Result<Array3<u16>, String>
-where
-    T: ndarray_npy::ViewElement + Copy + TryInto<u16> + std::fmt::Display,
-{
-    // The whole file, and no memory for what a header claims beyond it.
-    let bytes = std::fs::read(path).map_err(|e| e.to_string())?;
-    let array = ArrayViewD::<T>::view_npy(&bytes).map_err(|e| {
-        format!("cannot be read as numpy array of whole numbers (uint8, uint16, int32) in the order of this machine: {e}")
-    })?;
-    let dims = array.ndim();
-    let array = match dims {
-        2 => array.into_dimensionality::<Ix2>().map(|a| a.insert_axis(Axis(0))),
-        _ => array.into_dimensionality::<Ix3>(),
-    }
-    .map_err(|_| format!("has {dims} axes; frames are (rows, columns), stacks (frames, rows, columns)"))?;
-    let mut codes = Vec::with_capacity(array.len());
-    for value in &array {
-        codes.push((*value).try_into().map_err(|_| format!("holds {value}, and codes are 0 to 65535"))?);
-    }
-    Array3::from_shape_vec(array.dim(), codes).map_err(|e| e.to_string())
-}
 
 /// What was taken into a dataset so far.
 pub struct Taken<'a> {
@@ -55,15 +14,15 @@ pub struct Taken<'a> {
     link: bool,
     /// Names in the dataset of files that were copied whole.
     copies: BTreeMap<PathBuf, String>,
-    /// The array that was read last.
-    array: Option<(PathBuf, Array3<u16>)>,
+    /// The file that was read last.
+    open: Option<(PathBuf, Source)>,
     written: usize,
     shape: (usize, usize),
 }
 
 impl<'a> Taken<'a> {
     pub fn new(map: &'a Map, root: &'a Path, link: bool) -> Self {
-        Self { map, root, link, copies: BTreeMap::new(), array: None, written: 0, shape: (0, 0) }
+        Self { map, root, link, copies: BTreeMap::new(), open: None, written: 0, shape: (0, 0) }
     }
 
     /// Rows and columns of the frames.
@@ -71,35 +30,32 @@ impl<'a> Taken<'a> {
         self.shape
     }
 
-    /// Brings a frame into the dataset; its name there.
-    pub fn frame(&mut self, file: &str) -> Result<String, ImportError> {
+    /// Brings a frame into the dataset, its rows in the opposite order where it is `turned`; its name there.
+    pub fn frame(&mut self, file: &str, turned: bool) -> Result<String, ImportError> {
         let (path, page) = file.rsplit_once('#').filter(|(_, p)| p.parse::<usize>().is_ok()).unzip();
         let source = PathBuf::from(path.unwrap_or(file));
         let fault = |message: String| ImportError::File { path: source.clone(), message };
         let number = page.and_then(|p| p.parse().ok()).unwrap_or(0);
-        if self.array.as_ref().is_none_or(|(of, _)| *of != source) {
-            self.array = npy(&source).map_err(fault)?.map(|array| (source.clone(), array));
-        }
-        let as_it_is = self.array.is_none() && self.map.shift == 0 && self.map.plane.is_none();
+        let opened = match self.open.take().filter(|(of, _)| *of == source) {
+            Some((_, opened)) => opened,
+            None => Source::open(&source, self.map.frames_axis.map(usize::from)).map_err(fault)?,
+        };
+        let (_, opened) = self.open.insert((source.clone(), opened));
+        let scale = self.map.scale();
+        let as_it_is = opened.is_image() && !turned && scale.is_identity() && self.map.plane.is_none();
+        let number = if page.is_none() { opened.pages().first().copied().unwrap_or(0) } else { number };
+        let values = opened.values(number).map_err(fault)?;
+        let as_it_is = as_it_is && matches!(values, image::Values::Codes(_));
+        let pixels = scale.codes(values).map_err(fault)?;
+        let pixels = self.anew(if turned { pixels.slice_move(s![..;-1, ..]) } else { pixels });
+        self.check(&pixels).map_err(fault)?;
         if as_it_is {
-            self.check(&image::read(&source, number).map_err(|e| fault(e.to_string()))?).map_err(fault)?;
             let page = page.map(|p| format!("#{p}")).unwrap_or_default();
             return Ok(self.copy(&source)? + &page);
         }
         if self.link {
             return Err(fault("its codes are written anew, and cannot be linked; leave --link out".into()));
         }
-        let pixels = match &self.array {
-            Some((_, array)) if number < array.len_of(Axis(0)) => {
-                array.index_axis(Axis(0), number).to_owned()
-            }
-            Some((_, array)) => {
-                return Err(fault(format!("has {} frames, and no frame {number}", array.len_of(Axis(0)))));
-            }
-            None => image::read(&source, number).map_err(|e| fault(e.to_string()))?,
-        };
-        let pixels = self.anew(pixels);
-        self.check(&pixels).map_err(fault)?;
         let name = format!("frames/{:05}.tiff", self.written);
         self.written += 1;
         let bytes = image::tiff_bytes(&pixels, self.map.bit_depth).map_err(|e| fault(e.to_string()))?;
@@ -121,12 +77,11 @@ impl<'a> Taken<'a> {
         Ok(())
     }
 
-    /// Codes shifted down, one plane of a mosaic.
+    /// One plane of a mosaic, or all of a frame.
     fn anew(&self, pixels: Array2<u16>) -> Array2<u16> {
-        let shifted = pixels.mapv(|v| v >> self.map.shift);
         match self.map.plane {
-            Some([y, x]) => shifted.slice(s![usize::from(y)..;2, usize::from(x)..;2]).to_owned(),
-            None => shifted,
+            Some([y, x]) => pixels.slice(s![usize::from(y)..;2, usize::from(x)..;2]).to_owned(),
+            None => pixels,
         }
     }
 

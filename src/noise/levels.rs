@@ -55,6 +55,8 @@ pub struct Measured {
     pub full_scale_dn: f64,
     /// `black_level_dn` of the manifest.
     pub black_level_dn: Option<f64>,
+    /// Step of the converter, DN.
+    pub code_step_dn: f64,
 }
 
 /// Reads every dark and flat. `progress` is told (sets done, sets).
@@ -86,6 +88,7 @@ pub fn measure(
         levels,
         full_scale_dn: camera.full_scale_dn().into(),
         black_level_dn: camera.black_level_dn,
+        code_step_dn: dataset.code_step_dn(),
     })
 }
 
@@ -97,8 +100,8 @@ pub(super) const ONE_EXPOSURE: &str = "darks of one exposure";
 pub(super) const NO_ZERO: &str = "none: no usable darks, taken as 0 DN";
 /// Zero as the camera states it.
 pub(super) const BLACK_LEVEL: &str = "black_level_dn of dataset.toml";
-/// Variance below which the noise is narrower than half a step, DN^2.
-const COARSE_DN2: f64 = 0.25;
+/// Variance below which the noise is narrower than half a step, in squared steps.
+const COARSE: f64 = 0.25;
 
 /// Share of clipped samples from which a level's variance is off by more than its error.
 const CLIPPED: f64 = 1e-4;
@@ -171,9 +174,10 @@ pub fn zero(measured: &Measured) -> Zero {
     // Scatter of the frames' means, whatever makes it (read noise, row noise, a wandering black level).
     let n = darks.len() as f64;
     let scatter = darks.iter().map(|(.., l)| l.frame_mean_var_dn2).sum::<f64>() / n;
+    let square = measured.code_step_dn.powi(2);
     let variance = |l: &Level| {
         // Codes that do not move hide their mean within the step: q^2/12, and no averaging helps.
-        let hidden = if l.var_dn2 < COARSE_DN2 { 1.0 / 12.0 } else { 0.0 };
+        let hidden = if l.var_dn2 < COARSE * square { square / 12.0 } else { 0.0 };
         (scatter / l.frames as f64).max(l.var_dn2 / (l.frames * l.pixels) as f64) + hidden
     };
     let points = darks.iter().map(|(_, _, exposure_s, l)| (*exposure_s, l.mean_dn, variance(l)));
@@ -219,7 +223,7 @@ pub fn points(measured: &Measured, zero: &Zero) -> Vec<Point> {
         .levels
         .iter()
         .map(|(set, kind, _, level)| {
-            let coarse = (level.var_dn2 < COARSE_DN2).then(|| {
+            let coarse = (level.var_dn2 < COARSE * measured.code_step_dn.powi(2)).then(|| {
                 format!(
                     "noise of {:.2} DN is below half a step: quantisation noise is not q^2/12 there",
                     level.var_dn2.sqrt()

@@ -28,7 +28,7 @@ use crate::agreement::P_LIMIT;
 use crate::data_faults::{ExamineError, examined};
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, DatasetError, Kind};
-use crate::number::Quantity;
+use crate::number::{Quantity, six_digits};
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
 use exclude::{exclude_outliers, exclude_past_the_peak, exclude_strays};
 use levels::{BLACK_LEVEL, NO_ZERO, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED, ONE_FRAME};
@@ -92,7 +92,16 @@ impl From<ExamineError> for NoiseError {
 /// # Errors
 ///
 /// Where no line can be fitted, with the reason.
-pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, NoiseError> {
+pub fn estimate(points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, NoiseError> {
+    estimate_with(points, zero, 1.0 / 12.0)
+}
+
+/// The same where quantisation has another variance than that of whole codes, DN^2.
+fn estimate_with(
+    mut points: Vec<Point>,
+    zero: &Zero,
+    quantisation_dn2: f64,
+) -> Result<NoiseReport, NoiseError> {
     let mut notes = Vec::new();
     let counts = pixels_from_scatter(&mut points);
     match counts {
@@ -109,7 +118,7 @@ pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, Nois
     let is_lit = |p: &&Point| p.excluded.is_none() && p.kind == Kind::Flat;
     let lit = points.iter().filter(is_lit).count();
     let line = reweighted(&points).filter(|_| lit > 0);
-    if let (None, Some(found)) = (line, one_level(&points, zero)) {
+    if let (None, Some(found)) = (line, one_level(&points, zero, quantisation_dn2)) {
         return Ok(found);
     }
     let Some(line) = line else {
@@ -172,7 +181,7 @@ pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, Nois
             }
         })
         .collect();
-    let mut read_noise_e = read_noise(&best);
+    let mut read_noise_e = read_noise(&best, quantisation_dn2);
     if zero.source == NO_ZERO {
         // The intercept is A times what the black level is off by, and says nothing of the noise.
         (read_noise_e.value, read_noise_e.std_err) = (f64::NAN, f64::NAN);
@@ -195,7 +204,7 @@ pub fn estimate(mut points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, Nois
 
 /// A of one lit level: the constant noise is known by its bounds only. Below it is that of quantisation, above it the variance over the pixels
 /// of a single dark frame, which has the offsets' pattern too, or all that the level has. Anything between is as likely.
-fn one_level(points: &[Point], zero: &Zero) -> Option<NoiseReport> {
+fn one_level(points: &[Point], zero: &Zero, quantisation_dn2: f64) -> Option<NoiseReport> {
     let mut used = points.iter().filter(|p| p.excluded.is_none());
     let lit = used.next().filter(|p| p.kind == Kind::Flat && used.next().is_none())?;
     let known = zero.std_err_dn.is_finite() || zero.source == BLACK_LEVEL;
@@ -204,7 +213,7 @@ fn one_level(points: &[Point], zero: &Zero) -> Option<NoiseReport> {
     }
     let single = |p: &&Point| p.kind == Kind::Dark && p.excluded.as_deref() == Some(ONE_FRAME);
     let bias = points.iter().filter(single).map(|p| p.spatial_var_dn2);
-    let (least, most) = (1.0 / 12.0, bias.fold(lit.var_dn2, f64::min));
+    let (least, most) = (quantisation_dn2, bias.fold(lit.var_dn2, f64::min));
     let (constant, spread) = (0.5 * (least + most), (most - least).max(0.0) / 12f64.sqrt());
     let gain = (lit.var_dn2 - constant) / lit.mean_dn;
     let of_variance = variance_of_variance(lit, gain, constant).sqrt() / lit.mean_dn;
@@ -219,7 +228,7 @@ fn one_level(points: &[Point], zero: &Zero) -> Option<NoiseReport> {
         dof: 0,
         q: f64::NAN,
     };
-    let read = |var: f64| (var - 1.0 / 12.0).max(0.0).sqrt() / gain;
+    let read = |var: f64| (var - quantisation_dn2).max(0.0).sqrt() / gain;
     let levels = points.iter().map(|p| LevelReport {
         set: p.set,
         kind: p.kind,
@@ -254,10 +263,10 @@ fn one_level(points: &[Point], zero: &Zero) -> Option<NoiseReport> {
     })
 }
 
-/// sigma_R = sqrt(sigma_C^2 - 1/12) / A (eq. 27), its error by first order in both.
-fn read_noise(e: &Estimate) -> Quantity {
+/// sigma_R = sqrt(sigma_C^2 - q^2/12) / A (eq. 27), its error by first order in both.
+fn read_noise(e: &Estimate, quantisation_dn2: f64) -> Quantity {
     let (a, c) = (&e.gain_dn_per_e, &e.constant_noise_var_dn2);
-    let dn2 = c.value - 1.0 / 12.0;
+    let dn2 = c.value - quantisation_dn2;
     let value = dn2.max(0.0).sqrt() / a.value;
     let (by_c, by_a) = (0.5 / (dn2.sqrt() * a.value), -value / a.value);
     let variance = (by_c * c.std_err).powi(2) + (by_a * a.std_err).powi(2) + 2.0 * by_c * by_a * e.covariance;
@@ -282,7 +291,15 @@ pub fn of_dataset(
         return Err(NoiseError::NoFrames);
     }
     let zero = zero(&measured);
-    let report = estimate(points(&measured, &zero), &zero)?;
+    let mut report = estimate_with(points(&measured, &zero), &zero, dataset.quantisation_dn2())?;
+    let step = dataset.code_step_dn();
+    if step > 1.0 {
+        report.notes.push(format!(
+            "the codes that occur are {} DN apart: the converter's step, whose quantisation noise q^2/12 = {} DN^2 is no read noise",
+            six_digits(step),
+            six_digits(dataset.quantisation_dn2())
+        ));
+    }
     Ok(NoiseReport { data_faults: dataset.data_faults().to_vec(), ..report })
 }
 

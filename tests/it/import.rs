@@ -94,7 +94,8 @@ fn a_stack_is_a_set_and_what_is_not_known_is_asked() {
     assert!(said.contains("is a stack") && said.contains("#0"), "{said}");
 }
 
-fn fits(path: &Path, cards: &[&str], image: &Array2<u16>) {
+/// A FITS file of unsigned words.
+pub fn fits(path: &Path, cards: &[&str], image: &Array2<u16>) {
     let (rows, columns) = image.dim();
     let size = [format!("NAXIS1  = {columns}"), format!("NAXIS2  = {rows}")];
     let head = ["SIMPLE  = T", "BITPIX  = 16", "NAXIS   = 2", &size[0], &size[1], "BZERO   = 32768"];

@@ -22,7 +22,7 @@ fn campaign(sensor: &Sensor, number: u64) -> Measured {
         level.add(&[&frames[0], &frames[1]]).unwrap();
         levels.push((i as u32, Kind::Flat, c.exposure_s, level.finish().unwrap()));
     }
-    Measured { levels, full_scale_dn: 255.0, black_level_dn: Some(0.0) }
+    Measured { levels, full_scale_dn: 255.0, black_level_dn: Some(0.0), code_step_dn: 1.0 }
 }
 
 /// Distance of an ordered sample from a distribution and its chance (Kolmogorov; Marsaglia's asymptotic series).
@@ -177,6 +177,7 @@ fn cameras_are_recovered_within_stated_errors_zero_included() {
             levels,
             full_scale_dn: model.full_scale_dn().into(),
             black_level_dn: Some(model.base.black_level_dn),
+            code_step_dn: 1.0,
         };
         let zero = noise::zero(&measured);
         let offset = model.base.black_level_dn + f64::from(sensor.maps().offset_dn.mean().unwrap());

@@ -1,10 +1,14 @@
-//! Grey images of 8 or 16 bits: TIFF (any page), PNG and FITS in; TIFF out.
+//! Grey images: TIFF (any page), PNG and FITS in; TIFF of 8 or 16 bits out.
+
+mod fits;
+mod fits_tiles;
+mod tiff_file;
 
 use ndarray::{Array2, ArrayView2};
 use std::fs::File;
 use std::io::{BufReader, Cursor, Seek, Write};
-use std::path::Path;
-use tiff::decoder::DecodingResult;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
 use tiff::encoder::{TiffEncoder, colortype};
 
 /// Why an image cannot be read or written.
@@ -26,6 +30,11 @@ pub enum ImageError {
     /// Sound, but not a grey image of unsigned 8 or 16 bits.
     #[error("is {0}; frames are grey, with 8 or 16 unsigned bits")]
     NotGrey(String),
+    /// Sound and grey, but with values that are no codes: value, row, column.
+    #[error(
+        "holds {0} at row {1}, column {2}, and codes are whole numbers from 0 to 65535; `radcam import` finds their step"
+    )]
+    NotCodes(f64, usize, usize),
     /// A page that the file has not.
     #[error("has no page {0} (pages count from 0)")]
     NoPage(usize),
@@ -38,6 +47,12 @@ pub enum ImageError {
 pub(crate) const JPEG: &[u8] = b"\xff\xd8\xff";
 /// Why it is no frame.
 pub(crate) const NO_JPEG: &str = "a JPEG, whose codes are not those of the camera";
+
+/// How an HDF5 file begins.
+pub(crate) const HDF5: &[u8] = b"\x89HDF\r\n\x1a\n";
+/// Why it is no frame.
+pub(crate) const NO_HDF5: &str =
+    "an HDF5 (NeXus) file, which radcam does not read; save its frames as TIFF or NumPy array";
 
 /// What is wrong with a TIFF; of one that ends too early, that.
 pub(crate) fn tiff_words(error: &tiff::TiffError) -> String {
@@ -85,14 +100,50 @@ impl Buffer {
     }
 }
 
+/// Pixel values of one frame as its file has them.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Values {
+    /// Codes that fit into 16 bits.
+    Codes(Array2<u16>),
+    /// Signed, wider or floating-point numbers.
+    Numbers(Array2<f64>),
+}
+
+impl Values {
+    /// The same as codes, where all are whole and fit into 16 bits.
+    #[must_use]
+    pub fn as_codes(self) -> Self {
+        match self {
+            Self::Numbers(numbers) if numbers.iter().all(is_code) => Self::Codes(numbers.mapv(|v| v as u16)),
+            other => other,
+        }
+    }
+
+    /// Mean of all pixels.
+    pub fn mean(&self) -> f64 {
+        match self {
+            Self::Codes(codes) => {
+                codes.iter().map(|v| f64::from(*v)).sum::<f64>() / codes.len().max(1) as f64
+            }
+            Self::Numbers(numbers) => numbers.mean().unwrap_or(f64::NAN),
+        }
+    }
+}
+
+fn is_code(v: &f64) -> bool {
+    (0.0..=65_535.0).contains(v) && v.fract() == 0.0
+}
+
 /// Reads one page as (rows, columns) of DN. The kind of file is told by its first bytes, not by its name.
+///
+/// Of a long stack many pages are read from one [`Images`].
 ///
 /// # Errors
 ///
 /// Where the file cannot be read or has no such page, or its pixels are no codes of up to 16 bits.
 pub fn read(path: &Path, page: usize) -> Result<Array2<u16>, ImageError> {
     let mut buffer = Buffer::default();
-    read_into(path, Some(page), &mut buffer)?;
+    Images::open(path)?.read_into(page, &mut buffer)?;
     Ok(buffer.into_array())
 }
 
@@ -113,25 +164,167 @@ pub fn read_single(path: &Path) -> Result<Array2<u16>, ImageError> {
 ///
 /// As [`read`], and where no page is named and the file has several.
 pub fn read_into(path: &Path, page: Option<usize>, buffer: &mut Buffer) -> Result<(), ImageError> {
-    let mut file = File::open(path)?;
-    let mut start = [0u8; 8];
-    let read = std::io::Read::read(&mut file, &mut start)?;
-    let start = &start[..read];
-    if start.starts_with(JPEG) {
-        return Err(ImageError::NotGrey(NO_JPEG.into()));
+    let images = Images::open(path)?;
+    let page = page.map_or_else(|| images.single(), Ok)?;
+    images.read_into(page, buffer)
+}
+
+/// A file of frames whose structure is known: pages are read in any order without a walk through those before.
+#[derive(Debug, Clone)]
+pub struct Images {
+    path: PathBuf,
+    kind: Container,
+}
+
+#[derive(Debug, Clone)]
+enum Container {
+    Tiff(tiff_file::Directories),
+    Png,
+    Fits(fits::Fits),
+}
+
+impl Images {
+    /// Reads what a file says of its structure.
+    ///
+    /// # Errors
+    ///
+    /// Where the file cannot be read, or is of no kind that radcam reads.
+    pub fn open(path: &Path) -> Result<Self, ImageError> {
+        let mut start = [0u8; 8];
+        let read = std::io::Read::read(&mut File::open(path)?, &mut start)?;
+        let start = &start[..read];
+        let kind = if start.starts_with(JPEG) {
+            return Err(ImageError::NotGrey(NO_JPEG.into()));
+        } else if start.starts_with(HDF5) {
+            return Err(ImageError::NotGrey(NO_HDF5.into()));
+        } else if start.starts_with(b"\x89PNG") {
+            Container::Png
+        } else if begins_as_fits(start) {
+            Container::Fits(fits::Fits::open(path)?)
+        } else {
+            Container::Tiff(tiff_file::Directories::read(path)?)
+        };
+        Ok(Self { path: path.into(), kind })
     }
-    if start.starts_with(b"\x89PNG") {
-        first_page_only(page.unwrap_or(0))?;
-        file.rewind()?;
-        return read_png(file, buffer);
+
+    /// Numbers of the pages that are frames; thumbnails and masks are none.
+    pub fn frames(&self) -> Vec<usize> {
+        match &self.kind {
+            Container::Tiff(directories) => directories.frames(),
+            Container::Png => vec![0],
+            Container::Fits(fits) => (0..fits.pages()).collect(),
+        }
     }
-    if start.starts_with(b"SIMPLE") {
-        first_page_only(page.unwrap_or(0))?;
-        buffer.set(read_fits(&std::fs::read(path)?)?);
-        return Ok(());
+
+    /// True of a FITS with several planes.
+    pub(crate) fn is_cube(&self) -> bool {
+        matches!(&self.kind, Container::Fits(fits) if fits.pages() > 1)
     }
-    file.rewind()?;
-    read_tiff(file, page, buffer)
+
+    /// True if every reader of datasets can read the file: TIFF and PNG, and FITS whose own image is one frame.
+    pub(crate) fn is_plain(&self) -> bool {
+        match &self.kind {
+            Container::Tiff(directories) => directories.is_plain(),
+            Container::Png => true,
+            Container::Fits(fits) => fits.is_plain(),
+        }
+    }
+
+    /// True if the pixels of a page lie under a colour filter and the file says so.
+    pub fn is_mosaic(&self, page: usize) -> bool {
+        matches!(&self.kind, Container::Tiff(directories) if directories.is_mosaic(page))
+    }
+
+    /// Values of one page as the file has them.
+    ///
+    /// # Errors
+    ///
+    /// Where there is no such page, or it cannot be read.
+    pub fn values(&self, page: usize) -> Result<Values, ImageError> {
+        let mut buffer = Buffer::default();
+        match self.fill(page, &mut buffer)? {
+            Some(values) => Ok(values),
+            None => Ok(Values::Codes(buffer.into_array())),
+        }
+    }
+
+    /// Codes of one page, into memory that is there.
+    ///
+    /// # Errors
+    ///
+    /// As [`values`](Self::values), and where the values are no codes of up to 16 bits.
+    pub fn read_into(&self, page: usize, buffer: &mut Buffer) -> Result<(), ImageError> {
+        if let Some(values) = self.fill(page, buffer)? {
+            buffer.set(narrowed(values)?);
+        }
+        Ok(())
+    }
+
+    /// The page of a file that has one frame.
+    fn single(&self) -> Result<usize, ImageError> {
+        match &self.kind {
+            Container::Tiff(directories) => directories.single(&self.path),
+            Container::Fits(fits) if fits.pages() > 1 => Err(ImageError::Stack(fits.pages())),
+            _ => Ok(0),
+        }
+    }
+
+    /// Codes into the buffer; anything else is returned.
+    fn fill(&self, page: usize, buffer: &mut Buffer) -> Result<Option<Values>, ImageError> {
+        match &self.kind {
+            Container::Tiff(directories) => directories.page(&self.path, page, buffer),
+            Container::Png => {
+                first_page_only(page)?;
+                read_png(File::open(&self.path)?, buffer).map(|()| None)
+            }
+            Container::Fits(fits) => fits.values(page).map(Some),
+        }
+    }
+}
+
+/// Files of frames that were opened: the structure of a stack is read once, not once a page.
+#[derive(Debug, Default)]
+pub(crate) struct Opened(Mutex<Vec<Arc<Images>>>);
+
+impl Opened {
+    /// Stacks whose structure is kept: sets are read one after the other, on as many threads as there are cores.
+    const MAX_FILES: usize = 64;
+
+    /// A stack, opened now or before.
+    pub(crate) fn stack(&self, path: &Path) -> Result<Arc<Images>, ImageError> {
+        let mut kept = self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if let Some(known) = kept.iter().find(|images| images.path == path) {
+            return Ok(known.clone());
+        }
+        let images = Arc::new(Images::open(path)?);
+        if kept.len() == Self::MAX_FILES {
+            kept.remove(0);
+        }
+        kept.push(images.clone());
+        Ok(images)
+    }
+}
+
+/// Values as codes.
+fn narrowed(values: Values) -> Result<Array2<u16>, ImageError> {
+    let numbers = match values {
+        Values::Codes(codes) => return Ok(codes),
+        Values::Numbers(numbers) => numbers,
+    };
+    match numbers.indexed_iter().find(|(_, v)| !is_code(v)) {
+        None => Ok(numbers.mapv(|v| v as u16)),
+        Some(((y, x), v)) => Err(ImageError::NotCodes(*v, y, x)),
+    }
+}
+
+/// The decoder of a TIFF at its first directory, for its tags.
+pub(crate) fn tiff_head(path: &Path) -> Result<tiff_file::Tiff, ImageError> {
+    tiff_file::Directories::read(path)?.decoder(path, 0)
+}
+
+/// True of the first bytes of a FITS file, gzipped or not.
+pub(crate) fn begins_as_fits(start: &[u8]) -> bool {
+    start.starts_with(b"SIMPLE") || start.starts_with(fits::GZIP)
 }
 
 /// Bits of a pixel as the file keeps it, 8, 16 or 32: what a code can be at most.
@@ -140,139 +333,30 @@ pub fn read_into(path: &Path, page: Option<usize>, buffer: &mut Buffer) -> Resul
 ///
 /// Where the file cannot be read.
 pub fn stored_bits(path: &Path) -> Result<u8, ImageError> {
-    let mut start = [0u8; 26];
-    let read = std::io::Read::read(&mut File::open(path)?, &mut start)?;
-    if start.starts_with(b"\x89PNG") && read == start.len() {
-        // The bit depth of the IHDR chunk (PNG specification, 11.2.2).
-        return Ok(start[24].max(8));
+    let images = Images::open(path)?;
+    match &images.kind {
+        Container::Png => {
+            let mut start = [0u8; 26];
+            std::io::Read::read_exact(&mut File::open(path)?, &mut start)?;
+            // The bit depth of the IHDR chunk (PNG specification, 11.2.2).
+            Ok(start[24].max(8))
+        }
+        Container::Fits(fits) => Ok(fits.bits()),
+        Container::Tiff(directories) => {
+            let page = directories.frames().first().copied().unwrap_or(0);
+            Ok(directories.decoder(path, page)?.colortype()?.bit_depth())
+        }
     }
-    if start.starts_with(b"SIMPLE") {
-        let bits = fits_cards(path)?.get("BITPIX").and_then(|b| b.parse().ok());
-        let bits: i16 = bits.ok_or_else(|| ImageError::Fits("has no BITPIX".into()))?;
-        return Ok(bits.unsigned_abs().min(64) as u8);
-    }
-    let mut decoder = tiff::decoder::Decoder::new(BufReader::new(File::open(path)?))?;
-    Ok(decoder.colortype()?.bit_depth())
 }
 
 fn first_page_only(page: usize) -> Result<(), ImageError> {
     if page == 0 { Ok(()) } else { Err(ImageError::NoPage(page)) }
 }
 
-fn array(width: usize, height: usize, pixels: Vec<u16>) -> Result<Array2<u16>, ImageError> {
+fn array<T>(width: usize, height: usize, pixels: Vec<T>) -> Result<Array2<T>, ImageError> {
     let found = pixels.len();
     Array2::from_shape_vec((height, width), pixels)
         .map_err(|_| ImageError::NotGrey(format!("{width} x {height} px with {found} values")))
-}
-
-fn read_tiff(file: File, page: Option<usize>, buffer: &mut Buffer) -> Result<(), ImageError> {
-    let mut decoder = tiff::decoder::Decoder::new(BufReader::new(file))?;
-    for _ in 0..page.unwrap_or(0) {
-        if !decoder.more_images() {
-            return Err(ImageError::NoPage(page.unwrap_or(0)));
-        }
-        decoder.next_image()?;
-    }
-    let (width, height) = decoder.dimensions()?;
-    let color = decoder.colortype()?;
-    let tiff::ColorType::Gray(bits @ (8 | 16 | 32)) = color else {
-        return Err(ImageError::NotGrey(format!("{color:?}")));
-    };
-    let shape = (height as usize, width as usize);
-    if let Some(strips) = plain_strips(&mut decoder, bits, shape) {
-        read_strips(&mut decoder, &strips, bits, shape, buffer)?;
-    } else {
-        let pixels = match decoder.read_image()? {
-            DecodingResult::U8(v) => v.into_iter().map(u16::from).collect(),
-            DecodingResult::U16(v) => v,
-            // The EMVA reference tool keeps its codes in 32 bits.
-            DecodingResult::U32(v) => v.into_iter().map(narrow).collect::<Result<_, _>>()?,
-            DecodingResult::I32(v) => v.into_iter().map(narrow).collect::<Result<_, _>>()?,
-            _ => return Err(ImageError::NotGrey("a TIFF of signed or floating-point values".into())),
-        };
-        buffer.set(array(shape.1, shape.0, pixels)?);
-    }
-    if page.is_none() && decoder.more_images() {
-        // A second page of another size, or one that cannot be read, is a thumbnail.
-        let next = decoder.next_image().and_then(|()| decoder.dimensions());
-        if next.is_ok_and(|size| size == (width, height)) {
-            return Err(ImageError::Stack(2));
-        }
-    }
-    Ok(())
-}
-
-/// Where the pixels lie in a file of 8 or 16 bits that is neither compressed nor tiled nor inverted: offset and bytes of each strip, which
-/// together hold the image and no more.
-fn plain_strips(decoder: &mut Tiff, bits: u8, shape: (usize, usize)) -> Option<Vec<(u64, usize)>> {
-    use tiff::tags::Tag;
-    let mut is = |tag, value: u64| {
-        decoder.find_tag_unsigned::<u64>(tag).ok()?.is_none_or(|v| v == value).then_some(())
-    };
-    // Not compressed, black is 0, unsigned, no predictor; strips and not tiles.
-    is(Tag::Compression, 1)?;
-    is(Tag::PhotometricInterpretation, 1)?;
-    is(Tag::SampleFormat, 1)?;
-    is(Tag::Predictor, 1)?;
-    is(Tag::FillOrder, 1)?;
-    is(Tag::SamplesPerPixel, 1)?;
-    let offsets = decoder.get_tag_u64_vec(Tag::StripOffsets).ok()?;
-    let bytes = decoder.get_tag_u64_vec(Tag::StripByteCounts).ok()?;
-    let needed = shape.0.checked_mul(shape.1)?.checked_mul(usize::from(bits) / 8)?;
-    let strips: Vec<(u64, usize)> = offsets
-        .into_iter()
-        .zip(bytes)
-        .map(|(o, b)| Some((o, usize::try_from(b).ok()?)))
-        .collect::<Option<_>>()?;
-    let there = strips.iter().try_fold(0usize, |sum, s| sum.checked_add(s.1))?;
-    // A header may claim anything; the file holds what it holds.
-    let size = std::io::Seek::seek(decoder.inner(), std::io::SeekFrom::End(0)).ok()?;
-    let inside = strips.iter().all(|(o, b)| o.checked_add(*b as u64).is_some_and(|end| end <= size));
-    (bits < 32 && there == needed && inside).then_some(strips)
-}
-
-type Tiff = tiff::decoder::Decoder<BufReader<File>>;
-
-/// Reads strips of codes into place.
-fn read_strips(
-    decoder: &mut Tiff,
-    strips: &[(u64, usize)],
-    bits: u8,
-    shape: (usize, usize),
-    buffer: &mut Buffer,
-) -> Result<(), ImageError> {
-    let pixels = shape.0 * shape.1;
-    let big = decoder.byte_order() == tiff::tags::ByteOrder::BigEndian;
-    let Buffer { dn, bytes, .. } = buffer;
-    dn.resize(pixels, 0);
-    let target: &mut [u8] = if bits == 16 {
-        bytemuck::cast_slice_mut(dn)
-    } else {
-        bytes.resize(pixels, 0);
-        bytes
-    };
-    let file = decoder.inner().get_mut();
-    let mut rest = target;
-    for (offset, length) in strips {
-        let (strip, after) = rest.split_at_mut(*length);
-        std::io::Seek::seek(file, std::io::SeekFrom::Start(*offset))?;
-        std::io::Read::read_exact(file, strip)?;
-        rest = after;
-    }
-    if bits == 16 {
-        if big != cfg!(target_endian = "big") {
-            dn.iter_mut().for_each(|d| *d = d.swap_bytes());
-        }
-    } else {
-        dn.iter_mut().zip(bytes.iter()).for_each(|(d, b)| *d = u16::from(*b));
-    }
-    buffer.shape = shape;
-    Ok(())
-}
-
-/// A code that fits into 16 bits.
-fn narrow<T: Copy + std::fmt::Display + TryInto<u16>>(code: T) -> Result<u16, ImageError> {
-    code.try_into().map_err(|_| ImageError::NotGrey(format!("a TIFF of 32 bits with the value {code}")))
 }
 
 fn read_png(file: File, buffer: &mut Buffer) -> Result<(), ImageError> {
@@ -327,60 +411,9 @@ fn cards_of(bytes: &[u8]) -> Result<(Cards, usize), ImageError> {
     Err(fault("the header has no END"))
 }
 
-/// The values of a FITS file's header by their keywords.
-pub(crate) fn fits_cards(path: &Path) -> Result<Cards, ImageError> {
-    Ok(cards_of(&std::fs::read(path)?)?.0)
-}
-
-/// Reads the primary image of a FITS file that has two axes, with BZERO and BSCALE applied (section 5.2.5): FITS has no unsigned 16-bit
-/// integers, they are written with BZERO = 32768. Rows are kept in the order of the file.
-///
-/// Our own, for of the crates that read FITS one leaves BZERO to its user, one needs the C library, and one asks for as much memory as a header
-/// claims (docs/decisions/0006-our-own-fits-reader.md).
-fn read_fits(bytes: &[u8]) -> Result<Array2<u16>, ImageError> {
-    let (values, end) = cards_of(bytes)?;
-    let data_at = end.next_multiple_of(FITS_RECORD);
-    let number = |keyword: &str, default: Option<f64>| match values.get(keyword) {
-        Some(text) => text.parse::<f64>().map_err(|_| ImageError::Fits(format!("{keyword} is {text}"))),
-        None => default.ok_or_else(|| ImageError::Fits(format!("the header has no {keyword}"))),
-    };
-    let axes = number("NAXIS", None)?;
-    if axes != 2.0 {
-        return Err(ImageError::NotGrey(format!("a FITS of {axes} axes")));
-    }
-    let size = |keyword| {
-        let n = number(keyword, None)?;
-        if n.fract() == 0.0 && (1.0..=65_536.0).contains(&n) {
-            Ok(n as usize)
-        } else {
-            Err(ImageError::Fits(format!("{keyword} is {n}")))
-        }
-    };
-    let (width, height) = (size("NAXIS1")?, size("NAXIS2")?);
-    let (scale, zero) = (number("BSCALE", Some(1.0))?, number("BZERO", Some(0.0))?);
-    let bits = number("BITPIX", None)?;
-    let raw: fn(&[u8]) -> f64 = match bits as i64 {
-        8 => |b| b.first().copied().map_or(f64::NAN, f64::from),
-        16 => |b| b.try_into().map_or(f64::NAN, |b| i16::from_be_bytes(b).into()),
-        32 => |b| b.try_into().map_or(f64::NAN, |b| i32::from_be_bytes(b).into()),
-        -32 => |b| b.try_into().map_or(f64::NAN, |b| f32::from_be_bytes(b).into()),
-        _ => return Err(ImageError::NotGrey(format!("a FITS with BITPIX {bits}"))),
-    };
-    let bytes_each = bits.abs() as usize / 8;
-    let needed = width * height * bytes_each;
-    let data = bytes.get(data_at..data_at + needed).ok_or_else(|| {
-        let has = bytes.len().saturating_sub(data_at);
-        ImageError::Fits(format!("cut short: {needed} bytes of pixels are needed, {has} are there"))
-    })?;
-    let code = |b: &[u8]| {
-        let value = scale * raw(b) + zero;
-        if (0.0..=65_535.0).contains(&value) && value.fract() == 0.0 {
-            Ok(value as u16)
-        } else {
-            Err(ImageError::NotGrey(format!("a FITS with the value {value}")))
-        }
-    };
-    array(width, height, data.chunks_exact(bytes_each).map(code).collect::<Result<_, _>>()?)
+/// The header of a FITS file; of an image in an extension its own header and then that of the file.
+pub(crate) fn fits_header(path: &Path) -> Result<Vec<u8>, ImageError> {
+    Ok(fits::Fits::open(path)?.header)
 }
 
 /// Writes a frame as an uncompressed TIFF, 8 bits deep where `bit_depth` is at most 8, else 16.
@@ -450,6 +483,10 @@ where
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    fn read_fits(bytes: &[u8]) -> Result<Array2<u16>, ImageError> {
+        narrowed(fits::Fits::of_bytes(bytes)?.values(0)?)
+    }
 
     fn fits(cards: &[&str], data: &[u8]) -> Vec<u8> {
         let mut out = Vec::new();

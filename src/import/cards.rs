@@ -1,0 +1,120 @@
+//! The header of a FITS file as its cards: keyword, value and comment (FITS standard 4.0, section 4).
+
+use crate::dataset::image;
+use std::path::Path;
+
+/// Bytes of a card.
+const CARD: usize = 80;
+
+/// A card with a value.
+#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Card {
+    /// Keyword.
+    pub key: String,
+    /// Value, strings without their quotes.
+    pub value: String,
+    /// What stands behind the slash.
+    pub comment: String,
+}
+
+/// The cards of the header of the image, in the order of their keywords: the order of the file means nothing.
+pub fn read(path: &Path) -> Result<Vec<Card>, String> {
+    Ok(of_bytes(&image::fits_header(path).map_err(|e| e.to_string())?))
+}
+
+/// The cards of a header.
+pub fn of_bytes(header: &[u8]) -> Vec<Card> {
+    let mut out: Vec<Card> = Vec::new();
+    let mut continued = false;
+    for card in header.chunks_exact(CARD) {
+        let text = String::from_utf8_lossy(card);
+        let key = text.get(..8).unwrap_or(&text).trim_end();
+        if key == "END" {
+            break;
+        }
+        if key == "CONTINUE" && continued {
+            let (more, comment) = value_of(text.get(8..).unwrap_or_default());
+            if let Some(last) = out.last_mut() {
+                last.value.pop();
+                last.value += &more;
+                last.comment += &comment;
+                continued = last.value.ends_with('&');
+            }
+            continue;
+        }
+        continued = false;
+        // ESO's convention for long keywords.
+        let (key, value) = match text.strip_prefix("HIERARCH ").and_then(|rest| rest.split_once('=')) {
+            Some((key, value)) => (key.trim(), value),
+            None => match text.get(8..).and_then(|rest| rest.strip_prefix('=')) {
+                Some(value) => (key, value),
+                None => continue,
+            },
+        };
+        let (value, comment) = value_of(value);
+        continued = value.ends_with('&');
+        out.push(Card { key: key.to_string(), value, comment });
+    }
+    out.sort();
+    out
+}
+
+/// Value and comment: a slash inside quotes belongs to the value.
+fn value_of(text: &str) -> (String, String) {
+    let text = text.trim_start();
+    let (value, rest) = match text.strip_prefix('\'') {
+        Some(inside) => {
+            let mut value = String::new();
+            let mut rest = "";
+            let mut chars = inside.char_indices().peekable();
+            while let Some((at, c)) = chars.next() {
+                if c == '\'' {
+                    // Two quotes are one of the text.
+                    if chars.next_if(|(_, next)| *next == '\'').is_none() {
+                        rest = &inside[at + 1..];
+                        break;
+                    }
+                }
+                value.push(c);
+            }
+            (value.trim_end().to_string(), rest)
+        }
+        None => {
+            let (value, _) = text.split_once('/').unwrap_or((text, ""));
+            (value.trim().to_string(), &text[value.len()..])
+        }
+    };
+    let comment = rest.trim_start().trim_start_matches('/').trim();
+    (value, comment.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header(cards: &[&str]) -> Vec<u8> {
+        cards.iter().flat_map(|c| format!("{c:<80}").into_bytes()).collect()
+    }
+
+    #[test]
+    fn values_and_comments_are_told_apart() {
+        let found = of_bytes(&header(&[
+            "INSTRUME= 'ZWO ASI/174MM' / camera",
+            "EXPTIME =                100 / exposure time in ms",
+            "HIERARCH DET EXP TIME = 3.5 / [s]",
+            "OBSERVER= 'O''Neil'",
+            "LONG    = 'one &'",
+            "CONTINUE  'and two' / joined",
+            "COMMENT = no value of its own",
+            "END",
+            "AFTER   = 1",
+        ]));
+        let of = |key: &str| found.iter().find(|c| c.key == key).map(|c| (&*c.value, &*c.comment));
+        assert_eq!(of("INSTRUME"), Some(("ZWO ASI/174MM", "camera")));
+        assert_eq!(of("EXPTIME"), Some(("100", "exposure time in ms")));
+        assert_eq!(of("DET EXP TIME"), Some(("3.5", "[s]")));
+        assert_eq!(of("OBSERVER"), Some(("O'Neil", "")));
+        assert_eq!(of("LONG"), Some(("one and two", "joined")));
+        assert_eq!(of("AFTER"), None);
+    }
+}

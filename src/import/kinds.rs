@@ -1,0 +1,199 @@
+//! Dark or flat: words of file names, folders and headers.
+
+use crate::dataset::Kind;
+use crate::number::seconds;
+
+/// The kind that a word names: the word itself, its plural, or with `frame` or `field` behind it. A light frame is
+/// that of the sky to some and that of a card to others: it says nothing.
+pub fn kind(word: &str) -> Option<Kind> {
+    let word = word.to_lowercase();
+    let is = |stems: &[&str]| {
+        stems.iter().any(|stem| {
+            let rest = word.strip_prefix(stem);
+            rest.is_some_and(|rest| matches!(rest, "" | "s" | "frame" | "frames" | "field" | "fields"))
+        })
+    };
+    if is(&["dark", "bias", "biase", "offset", "black", "zero", "flatdark", "darkflat"]) {
+        Some(Kind::Dark)
+    } else if is(&["flat", "bright", "white", "uniform", "ptc", "skyflat", "domeflat", "twiflat"]) {
+        Some(Kind::Flat)
+    } else if is(&["scene"]) {
+        Some(Kind::Scene)
+    } else if is(&["target"]) {
+        Some(Kind::Target)
+    } else {
+        None
+    }
+}
+
+/// What the words of one text say.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Said {
+    /// The kind, where the words agree.
+    pub kind: Option<Kind>,
+    /// A word that may be a setting as well: `offset` or `black` with a number behind it. Counts only where no
+    /// other text says the kind.
+    pub weak: Option<Kind>,
+    /// A frame without an exposure of its own: bias, offset, zero.
+    pub bias: bool,
+}
+
+/// The kind that a text names. Flat darks (`Flat Darks`, `flat_dark_`, `DarkFlat`) are darks; where both words stand
+/// apart from each other (`flats and darks`) the text says nothing.
+pub fn of(text: &str) -> Said {
+    let words = words(text);
+    let mut strong: Vec<(usize, Kind)> = Vec::new();
+    let mut out = Said::default();
+    for (place, (word, number)) in words.iter().enumerate() {
+        let Some(kind) = kind(word) else { continue };
+        let lower = word.to_lowercase();
+        out.bias |= ["bias", "biases", "biasframe", "zero", "zeros"].contains(&&*lower);
+        if *number && ["offset", "black", "zero", "white", "bright", "target"].contains(&&*lower) {
+            out.weak = out.weak.or(Some(kind));
+        } else {
+            strong.push((place, kind));
+        }
+    }
+    let first = strong.first().map(|(_, kind)| *kind);
+    let dark = strong.iter().position(|(_, kind)| *kind == Kind::Dark);
+    let other = strong.iter().position(|(_, kind)| *kind != Kind::Dark);
+    out.kind = match (dark, other) {
+        (Some(a), Some(b)) => strong[a].0.abs_diff(strong[b].0).eq(&1).then_some(Kind::Dark),
+        _ => first,
+    };
+    out
+}
+
+/// The kind that a file's name tells: its words, or the letter in front of a name as APT writes it
+/// (`D_1234_ISO800_300s__20C`, `F_2019-05-15_23-12-07_Bin1x1_2s__-10C`).
+pub fn of_file(name: &str) -> Said {
+    let said = of(name);
+    let letters = &name[..name.find(|c: char| !c.is_ascii_uppercase()).unwrap_or(name.len())];
+    let rest = name[letters.len()..].strip_prefix('_').unwrap_or_default();
+    let apt = rest.starts_with(|c: char| c.is_ascii_digit())
+        && rest.split('_').any(|part| {
+            let after = part.strip_prefix("ISO").or_else(|| part.strip_prefix("Bin"));
+            after.is_some_and(|n| n.starts_with(|c: char| c.is_ascii_digit()))
+        });
+    let kind = match letters {
+        "D" | "DF" | "FD" | "B" if apt => Kind::Dark,
+        "F" if apt => Kind::Flat,
+        _ => return said,
+    };
+    Said { kind: said.kind.or(Some(kind)), bias: said.bias || letters == "B", ..said }
+}
+
+/// Whether a text tells nothing but the kind and settings: `01_Darks`, `flat 10ms gain0`, and not
+/// `dark_current_study`.
+pub fn alone(text: &str) -> bool {
+    const SETTINGS: [&str; 14] = [
+        "frame", "frames", "field", "fields", "gain", "iso", "bin", "offset", "exp", "exposure", "light",
+        "led", "set", "run",
+    ];
+    words(text).iter().all(|(word, _)| {
+        let lower = word.to_lowercase();
+        kind(word).is_some() || SETTINGS.contains(&&*lower) || word.len() <= 2 || seconds(word).is_some()
+    })
+}
+
+/// Words of letters, and whether a number follows; `FlatDark` is two words.
+fn words(text: &str) -> Vec<(&str, bool)> {
+    let mut out = Vec::new();
+    let mut start = None;
+    let mut before = ' ';
+    let number_after = |at: usize| {
+        let rest = text[at..].trim_start_matches(['_', '=', ' ', '-']);
+        rest.starts_with(|c: char| c.is_ascii_digit())
+    };
+    for (at, c) in text.char_indices() {
+        let splits = before.is_lowercase() && c.is_uppercase();
+        if let Some(from) = start
+            && (!c.is_alphabetic() || splits)
+        {
+            out.push((&text[from..at], !splits && number_after(at)));
+            start = None;
+        }
+        if c.is_alphabetic() && start.is_none() {
+            start = Some(at);
+        }
+        before = c;
+    }
+    if let Some(from) = start {
+        out.push((&text[from..], false));
+    }
+    out
+}
+
+/// Why a name says that its file is no raw frame: averages and corrected frames have another noise.
+pub fn processed(name: &str) -> Option<String> {
+    // Siril's prefix of preprocessed frames, also behind that of registered ones.
+    let siril = ["pp_", "r_pp_", "bkg_pp_"].iter().any(|p| name.starts_with(p));
+    const WORDS: [&str; 20] = [
+        "master",
+        "masterdark",
+        "masterflat",
+        "masterbias",
+        "superdark",
+        "superflat",
+        "superbias",
+        "stacked",
+        "averaged",
+        "average",
+        "avg",
+        "median",
+        "integration",
+        "calibrated",
+        "darksub",
+        "biassub",
+        "subtracted",
+        "corrected",
+        "flatfielded",
+        "debayered",
+    ];
+    let whole: Vec<String> =
+        name.split(|c: char| !c.is_alphabetic()).map(str::to_lowercase).filter(|w| !w.is_empty()).collect();
+    let camel = words(name).into_iter().map(|(word, _)| word.to_lowercase());
+    let word = whole.into_iter().chain(camel).find(|word| WORDS.contains(&&**word));
+    match (siril, word) {
+        (true, _) => Some("the name begins with pp_, which Siril gives to calibrated frames".into()),
+        (_, Some(word)) => Some(format!("the name says \"{word}\"")),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn flat_darks_are_darks() {
+        for text in
+            ["Flat Darks", "flat_dark_21ms_3", "FlatDark", "darkFlat", "DARKFLAT", "Flat-Darks", "dark flats"]
+        {
+            assert_eq!(of(text).kind, Some(Kind::Dark), "{text}");
+        }
+        for text in ["Flats", "SkyFlat", "flat_offset10_5ms", "Dome Flat", "flat_black_level 3"] {
+            let said = of(text);
+            assert!(said.kind == Some(Kind::Flat) || text.contains("black"), "{text}: {said:?}");
+        }
+        assert_eq!(of("flats and darks").kind, None);
+        assert_eq!(of("darkroom").kind, None);
+        assert!(alone("01_Darks") && alone("flat 10ms gain0") && alone("Flat Field"));
+        assert!(!alone("dark_current_study") && !alone("darks_of_camera_7"));
+        let said = of("offset_001");
+        assert_eq!((said.kind, said.weak), (None, Some(Kind::Dark)));
+        assert!(of("Bias Frame").bias && !of("dark").bias);
+    }
+
+    #[test]
+    fn averages_and_corrected_frames_are_told_by_their_names() {
+        for name in
+            ["masterDark_10ms.fit", "MasterFlat.fit", "pp_flat_00001.fit", "dark_stacked.fit", "flat_avg16_1"]
+        {
+            assert!(processed(name).is_some(), "{name}");
+        }
+        for name in ["dark_10ms_stack.tif", "flat_10ms_003.tif", "applepp_1.tif", "mastery_flat.tif"] {
+            assert!(processed(name).is_none(), "{name}");
+        }
+    }
+}

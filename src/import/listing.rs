@@ -1,0 +1,119 @@
+//! Image files of the folders that are named, and what is passed over.
+
+use super::{ImportError, few, names};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// Extensions of files that are looked at in folders.
+const EXTENSIONS: [&str; 8] = ["tif", "tiff", "dng", "png", "fits", "fit", "fts", "npy"];
+/// Further extensions of a packed FITS, behind its own.
+pub(super) const PACKED: [&str; 2] = ["gz", "fz"];
+
+/// True if a name is that of a file of frames.
+fn is_image(path: &Path) -> bool {
+    let of = |p: &Path| p.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    let extension = of(path);
+    if PACKED.contains(&&*extension) {
+        let inner = path.file_stem().map(|stem| of(Path::new(stem))).unwrap_or_default();
+        return matches!(inner.as_str(), "fits" | "fit" | "fts");
+    }
+    EXTENSIONS.contains(&&*extension)
+}
+
+/// Files and folders that operating systems and file servers write.
+const SYSTEM: [&str; 8] = [
+    "thumbs.db",
+    "ehthumbs.db",
+    "desktop.ini",
+    "__macosx",
+    "@eadir",
+    "$recycle.bin",
+    "system volume information",
+    "lost+found",
+];
+
+/// Image files, and what was passed over.
+#[derive(Debug, Default)]
+pub struct Listing {
+    /// Image files in the order of their names, each once.
+    pub files: Vec<PathBuf>,
+    /// What was passed over, in words.
+    pub notes: Vec<String>,
+}
+
+/// Whether a file or folder is hidden or the operating system's: `._a.tif` and `Thumbs.db`.
+fn is_system(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    name.starts_with('.') || SYSTEM.contains(&&*name)
+}
+
+/// The image files that are named, and those in folders that are, in whatever order they are named.
+///
+/// # Errors
+///
+/// Which file or folder cannot be read.
+pub fn list(named: &[PathBuf]) -> Result<Listing, ImportError> {
+    let mut files = Vec::new();
+    let mut system = Vec::new();
+    let mut others: BTreeMap<String, usize> = BTreeMap::new();
+    let mut folders: Vec<PathBuf> = Vec::new();
+    let fault = |path: &Path| {
+        let path = path.to_path_buf();
+        move |e: std::io::Error| ImportError::File { path, message: e.to_string() }
+    };
+    for path in named {
+        if path.metadata().map_err(fault(path))?.is_dir() {
+            folders.push(path.clone());
+        } else if is_system(path) {
+            system.push(path.clone());
+        } else {
+            files.push(path.clone());
+        }
+    }
+    let mut seen = BTreeSet::new();
+    while let Some(folder) = folders.pop() {
+        // A link may lead back.
+        if !seen.insert(folder.canonicalize().map_err(fault(&folder))?) {
+            continue;
+        }
+        for entry in std::fs::read_dir(&folder).map_err(fault(&folder))? {
+            let path = entry.map_err(fault(&folder))?.path();
+            let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+            if is_system(&path) {
+                system.push(path);
+            } else if path.is_dir() {
+                folders.push(path);
+            } else if is_image(&path) {
+                files.push(path);
+            } else {
+                *others.entry(extension).or_default() += 1;
+            }
+        }
+    }
+    sort(&mut files);
+    sort(&mut system);
+    let mut notes = Vec::new();
+    if !system.is_empty() {
+        let names: Vec<String> = system.iter().map(|p| p.display().to_string()).collect();
+        notes.push(format!("passed over, files of the operating system or hidden: {}", few(&names)));
+    }
+    if !others.is_empty() {
+        let words: Vec<String> = others
+            .iter()
+            .map(|(e, n)| if e.is_empty() { format!("{n} without extension") } else { format!("{n} .{e}") })
+            .collect();
+        notes.push(format!("passed over, no images that radcam reads: {}", words.join(", ")));
+    }
+    // One file under two names is one file.
+    let mut once = BTreeSet::new();
+    let before = files.len();
+    files.retain(|path| path.canonicalize().map_or(true, |whole| once.insert(whole)));
+    if files.len() < before {
+        notes.push(format!("{} files were named twice, and count once", before - files.len()));
+    }
+    Ok(Listing { files, notes })
+}
+
+fn sort(paths: &mut [PathBuf]) {
+    paths.sort_by_cached_key(|p| (names::natural(&p.to_string_lossy()), p.clone()));
+}

@@ -1,0 +1,328 @@
+//! Files into sets.
+
+use super::listing::PACKED;
+use super::map::{MAP_FORMAT, Map, MapSet, SAME_LIGHT, ranges};
+use super::{Facts, Found, ImportError, LIT, depth_of, few, settings, stamps};
+use crate::dataset::Kind;
+use crate::number::six_digits;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// A set while it grows.
+struct Growing {
+    set: MapSet,
+    /// Frames by their place in the survey.
+    frames: Vec<usize>,
+    /// What it shares with sets whose names differ in counters only.
+    loose: String,
+    /// A number that may be a time of day was taken out of the name.
+    timed: bool,
+    mean_dn: f64,
+}
+
+/// Sorts frames into sets: by what names and headers say, else by folder and name, darks from flats by their means.
+///
+/// # Errors
+///
+/// Where the files are not of one camera and one size, or there is none.
+pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportError> {
+    let bits = found.iter().fold(0, |a, f| a | f.bits);
+    let bit_depth = bit_depth.unwrap_or_else(|| depth_of(bits));
+    if bits > 0 && bit_depth < 16 && u32::from(bits) >> bit_depth != 0 {
+        return Err(ImportError::Files(format!(
+            "codes reach above {} DN, the largest of {bit_depth} bits",
+            (1u32 << bit_depth) - 1
+        )));
+    }
+    settings::raw_frames(found)?;
+    let mut gains: Vec<f64> = found.iter().filter_map(|f| f.facts.gain_db).collect();
+    gains.dedup();
+    if let Some(other) = gains.iter().find(|g| **g != gains[0]) {
+        return Err(ImportError::Files(format!(
+            "frames at {} dB and at {other} dB; a dataset has one gain, so import each by itself",
+            gains[0]
+        )));
+    }
+    let shared = settings::shared(found)?;
+    let (mut features, mut notes) = (shared.features, shared.notes);
+    let turns = turns(found, &mut features, &mut notes);
+    let temperatures = settings::temperatures(found);
+    let lowest = found.iter().map(|f| f.mean_dn).fold(f64::INFINITY, f64::min);
+    let lit = lowest + LIT * f64::from((1u32 << bit_depth) - 1);
+    let mut places: BTreeMap<String, usize> = BTreeMap::new();
+    let mut sets: Vec<Growing> = Vec::new();
+    for (number, frame) in found.iter().enumerate() {
+        let (kind, by_mean) = match frame.facts.kind {
+            Some(kind) => (kind, false),
+            None => (if frame.mean_dn > lit { Kind::Flat } else { Kind::Dark }, true),
+        };
+        let turned = turns && frame.facts.bottom_up == Some(true);
+        let warm = settings::temperature_c(frame)
+            .and_then(|t| temperatures.iter().position(|(low, high)| (*low..=*high).contains(&t)));
+        let (key, loose, timed) = keys(frame, kind, &format!("{turned} {warm:?}"));
+        let place = *places.entry(key).or_insert_with(|| {
+            sets.push(Growing {
+                set: set_of(frame, kind, by_mean, turned),
+                frames: Vec::new(),
+                loose,
+                timed,
+                mean_dn: 0.0,
+            });
+            sets.len() - 1
+        });
+        sets[place].frames.push(number);
+        let set = &mut sets[place].set;
+        add(&mut set.doubts, &frame.facts.doubts);
+        add(&mut set.guessed, &frame.facts.overruled);
+    }
+    for set in &mut sets {
+        set.mean_dn = mean(found, &set.frames);
+    }
+    let sets = joined(sets, found, lowest);
+    notes.extend(several_levels(&sets, found, lowest));
+    let sets: Vec<MapSet> = sets.into_iter().map(|s| finished(s, found)).collect();
+    notes.extend(two_temperatures(&sets));
+    let scale = found.first().map(|f| f.scale).unwrap_or_default();
+    if found.iter().any(|f| f.is_rounded) {
+        notes.push(format!(
+            "the files hold signed or fractional values: a code of the dataset is {} in the files, and code 0 is {}",
+            six_digits(scale.step),
+            six_digits(scale.zero)
+        ));
+    }
+    let camera = found.iter().find_map(|f| f.facts.camera.clone());
+    let bit_depth = camera.as_ref().map_or(bit_depth, |c| c.bit_depth.max(depth_of(bits).min(bit_depth)));
+    let first = |of: fn(&Facts) -> &Option<String>| found.iter().find_map(|f| of(&f.facts).clone());
+    Ok(Map {
+        format: MAP_FORMAT.into(),
+        bit_depth,
+        shift: 0,
+        step: scale.step,
+        zero: scale.zero,
+        frames_axis: None,
+        plane: None,
+        gain_db: gains.first().copied(),
+        vendor: first(|f| &f.vendor),
+        model: first(|f| &f.model),
+        serial: first(|f| &f.serial),
+        notes,
+        features,
+        camera,
+        sets,
+    })
+}
+
+/// What frames of one set share, strictly and without any counter.
+fn keys(frame: &Found, kind: Kind, further: &str) -> (String, String, bool) {
+    let facts = &frame.facts;
+    let folder = frame.path.parent().unwrap_or(Path::new("")).display().to_string();
+    if let Some(set) = facts.set {
+        // What says its set needs no guess.
+        return (format!("{folder} set {set}"), String::new(), false);
+    }
+    // Exposures that are equal but for rounding of the unit.
+    let exposure = facts.exposure_s.map(|s| format!("{s:.9e}"));
+    let all = format!("{kind} {exposure:?} {:?} {:?} {further}", facts.illumination, facts.filter);
+    let name = frame.path.file_name().unwrap_or_default().to_string_lossy();
+    // A packed frame is of the set that it was of before it was packed.
+    let name = PACKED.iter().find_map(|p| name.strip_suffix(&format!(".{p}"))).unwrap_or(&name);
+    // Pages of a stack are one set.
+    if frame.page.is_some() {
+        return (format!("{folder}/{name} {all}"), String::new(), false);
+    }
+    // Two runs of a program that names folders by the time stay two sets.
+    let (of_folder, _) = stamps::loose(&folder);
+    let (of_name, timed) = stamps::loose(name);
+    // Without an exposure a number may be that.
+    let loose = match exposure {
+        Some(_) => format!("{of_folder}/{of_name} {all}"),
+        None => String::new(),
+    };
+    (format!("{folder}/{} {all}", stamps::stem(name)), loose, timed)
+}
+
+/// Adds texts that are not there yet.
+fn add(to: &mut Vec<String>, texts: &[String]) {
+    for text in texts {
+        if !to.contains(text) {
+            to.push(text.clone());
+        }
+    }
+}
+
+fn mean(found: &[Found], frames: &[usize]) -> f64 {
+    frames.iter().map(|k| found[*k].mean_dn).sum::<f64>() / frames.len().max(1) as f64
+}
+
+/// A set with the settings of its first frame.
+fn set_of(frame: &Found, kind: Kind, by_mean: bool, turned: bool) -> MapSet {
+    let facts = &frame.facts;
+    let mut from: Vec<String> = facts.from.iter().map(|(key, of)| format!("{key}: {of}")).collect();
+    if by_mean {
+        from.insert(0, "kind: the mean level, a guess".into());
+    }
+    if facts.illumination.is_none() && kind != Kind::Dark {
+        from.push("illumination: not stated, taken as that of all flats".into());
+    }
+    let bias = facts.exposure_s.is_some_and(|s| s < SHORTEST_S);
+    if bias {
+        from.push("exposure_s: a bias frame has none, written as 1 ns".into());
+    }
+    MapSet {
+        kind,
+        exposure_s: facts.exposure_s.map(|s| s.max(SHORTEST_S)),
+        illumination: if kind == Kind::Dark { Some(0.0) } else { facts.illumination },
+        configuration: 0,
+        temperature_c: None,
+        mean_dn: None,
+        kind_by_mean: by_mean,
+        turned,
+        doubts: Vec::new(),
+        guessed: Vec::new(),
+        from,
+        files: Vec::new(),
+        times_s: None,
+    }
+}
+
+/// Exposure of a bias frame, which has none, s.
+const SHORTEST_S: f64 = 1e-9;
+
+/// Joins sets whose names differ in counters and times of day only: all settings are equal, every set has a single
+/// frame or its name a time of day, and the levels are alike.
+fn joined(sets: Vec<Growing>, found: &[Found], lowest: f64) -> Vec<Growing> {
+    let mut groups: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+    for (k, set) in sets.iter().enumerate().filter(|(_, s)| !s.loose.is_empty()) {
+        groups.entry(&set.loose).or_default().push(k);
+    }
+    let mut into: Vec<usize> = (0..sets.len()).collect();
+    for members in groups.into_values() {
+        let single = members.iter().all(|k| sets[*k].frames.len() == 1);
+        let timed = members.iter().all(|k| sets[*k].timed);
+        let means = || members.iter().map(|k| sets[*k].mean_dn - lowest);
+        let (low, high) = means().fold((f64::INFINITY, 0.0f64), |(a, b), m| (a.min(m), b.max(m)));
+        let alike = sets[members[0]].set.kind == Kind::Dark || high - low <= SAME_LIGHT * high;
+        if (single || timed) && alike {
+            members[1..].iter().for_each(|k| into[*k] = members[0]);
+        }
+    }
+    let mut out: Vec<Growing> = Vec::new();
+    let mut places: BTreeMap<usize, usize> = BTreeMap::new();
+    for (k, set) in sets.into_iter().enumerate() {
+        match places.get(&into[k]) {
+            Some(place) => {
+                let joined = &mut out[*place];
+                joined.frames.extend(set.frames);
+                joined.mean_dn = mean(found, &joined.frames);
+                let note = "frames: names that differ in a counter or a time of day";
+                if !joined.set.from.iter().any(|f| f == note) {
+                    joined.set.from.push(note.into());
+                }
+                add(&mut joined.set.doubts, &set.set.doubts);
+                add(&mut joined.set.guessed, &set.set.guessed);
+            }
+            None => {
+                places.insert(k, out.len());
+                out.push(set);
+            }
+        }
+    }
+    // In the order of the survey, which is that of time or of names.
+    for set in &mut out {
+        set.frames.sort_unstable();
+    }
+    out.sort_by_key(|s| s.frames.first().copied());
+    out
+}
+
+/// Sets of flats whose frames have levels of their own: names and headers that do not tell lights or exposures apart.
+fn several_levels(sets: &[Growing], found: &[Found], lowest: f64) -> Option<String> {
+    let several = |set: &Growing| {
+        let mut means: Vec<f64> = set.frames.iter().map(|k| found[*k].mean_dn - lowest).collect();
+        means.sort_by(f64::total_cmp);
+        let median = means.get(means.len() / 2).copied().unwrap_or(0.0);
+        let apart = means.iter().filter(|m| (*m - median).abs() > SAME_LIGHT * median).count();
+        // A single frame of another level is a slip, which is looked for later.
+        let dn = |m: Option<&f64>| m.copied().unwrap_or(0.0) + lowest;
+        (set.set.kind == Kind::Flat && apart > 1).then(|| (dn(means.first()), dn(means.last())))
+    };
+    let said: Vec<String> = sets
+        .iter()
+        .enumerate()
+        .filter_map(|(k, set)| several(set).map(|(a, b)| format!("set {k} ({a:.0} to {b:.0} DN)")))
+        .collect();
+    (!said.is_empty()).then(|| {
+        format!(
+            "frames of one set have several levels, and a set has one light and one exposure: {}; if the names tell \
+             them apart, part them in the map",
+            few(&said)
+        )
+    })
+}
+
+/// A set with its files, times, mean and temperature.
+fn finished(grown: Growing, found: &[Found]) -> MapSet {
+    let Growing { mut set, frames, mean_dn, .. } = grown;
+    let of = |k: &usize| &found[*k];
+    set.files = frames
+        .iter()
+        .map(of)
+        .map(|f| format!("{}{}", f.path.display(), f.page.map(|p| format!("#{p}")).unwrap_or_default()))
+        .collect();
+    set.times_s = frames.iter().map(|k| of(k).facts.time_s).collect();
+    let mut temperatures: Vec<f64> =
+        frames.iter().filter_map(|k| of(k).facts.temperature_c.or(of(k).facts.set_temperature_c)).collect();
+    temperatures.sort_by(f64::total_cmp);
+    set.temperature_c = temperatures.get(temperatures.len() / 2).copied();
+    set.mean_dn = Some((10.0 * mean_dn).round() / 10.0);
+    set
+}
+
+/// Whether rows of some frames run upwards and of others downwards: those are turned.
+fn turns(found: &[Found], features: &mut BTreeMap<String, toml::Value>, notes: &mut Vec<String>) -> bool {
+    let count = |up: Option<bool>| found.iter().filter(|f| f.facts.bottom_up == up).count();
+    let (up, down, unknown) = (count(Some(true)), count(Some(false)), count(None));
+    if up + down == 0 {
+        return false;
+    }
+    if unknown > 0 {
+        notes.push(format!(
+            "ROWORDER stands in {} of {} headers: the rows of the others are taken as they are",
+            up + down,
+            found.len()
+        ));
+    }
+    let mixed = up > 0 && down > 0;
+    if mixed {
+        notes.push(format!("rows of {up} frames run from the bottom to the top (ROWORDER): they are turned"));
+    }
+    let order = if down > 0 { "TOP-DOWN" } else { "BOTTOM-UP" };
+    features.insert("ROWORDER".into(), order.into());
+    mixed
+}
+
+/// Sets whose temperatures are apart.
+fn two_temperatures(sets: &[MapSet]) -> Option<String> {
+    let mut known: Vec<(f64, usize)> =
+        sets.iter().enumerate().filter_map(|(k, s)| Some((s.temperature_c?, k))).collect();
+    known.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut groups: Vec<(f64, f64, Vec<usize>)> = Vec::new();
+    for (t, k) in known {
+        match groups.last_mut() {
+            Some((_, high, of)) if t - *high <= settings::SAME_TEMPERATURE_K => {
+                *high = t;
+                of.push(k);
+            }
+            _ => groups.push((t, t, vec![k])),
+        }
+    }
+    let said = |(low, high, sets): &mut (f64, f64, Vec<usize>)| {
+        sets.sort_unstable();
+        let t = if low == high { format!("{low}") } else { format!("{low} to {high}") };
+        format!("sets {} at {t} degrees Celsius", ranges(sets))
+    };
+    (groups.len() > 1).then(|| {
+        let said: Vec<String> = groups.iter_mut().map(said).collect();
+        format!("several sensor temperatures: {}; dark current and black level differ", said.join("; "))
+    })
+}

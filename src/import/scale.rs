@@ -1,0 +1,273 @@
+//! What one code of a dataset is in its files: stretched codes are taken back to those of the converter, signed and
+//! floating-point numbers become codes.
+//!
+//! A dataset has codes of up to 16 bits, and quantisation of one code is part of its physics (a variance of 1/12). So a
+//! code must be a step of the converter, or fine against the noise.
+
+use crate::dataset::image::Values;
+use crate::number::six_digits;
+use crate::statistics::code_step::{self, Occurring, Stretch};
+use ndarray::Array2;
+use std::collections::HashSet;
+
+/// Value of code k in the files: zero + step k.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scale {
+    /// Values of the files that make one code.
+    pub step: f64,
+    /// Value of code 0.
+    pub zero: f64,
+}
+
+impl Default for Scale {
+    fn default() -> Self {
+        Self { step: 1.0, zero: 0.0 }
+    }
+}
+
+impl Scale {
+    /// True if the codes of the files are those of the dataset.
+    pub fn is_identity(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Codes of a frame.
+    ///
+    /// # Errors
+    ///
+    /// Where a value makes no code: its place and the value.
+    pub fn codes(&self, values: Values) -> Result<Array2<u16>, String> {
+        let numbers = match values {
+            Values::Codes(codes) if self.is_identity() => return Ok(codes),
+            Values::Codes(codes) => codes.mapv(f64::from),
+            Values::Numbers(numbers) => numbers,
+        };
+        let line = Stretch { step: self.step, zero: self.zero };
+        let codes = numbers.mapv(|v| line.code(v));
+        match codes.indexed_iter().find(|(_, c)| !(0.0..=65_535.0).contains(*c)) {
+            None => Ok(codes.mapv(|c| c as u16)),
+            Some(((y, x), _)) => Err(format!(
+                "holds {} at row {y}, column {x}, which is no code of 16 bits where code 0 is {} and a code is {}",
+                numbers[[y, x]],
+                six_digits(self.zero),
+                six_digits(self.step)
+            )),
+        }
+    }
+
+    /// Value as a code, unrounded.
+    pub fn of(&self, value: f64) -> f64 {
+        (value - self.zero) / self.step
+    }
+
+    /// What was done, for the table of `radcam import`; nothing where codes stay as they are.
+    pub fn words(&self) -> Option<String> {
+        let power = self.step.log2();
+        if self.is_identity() {
+            return None;
+        }
+        let step = six_digits(self.step);
+        // Less than half a step is how the codes were rounded.
+        let zero = match self.zero {
+            zero if 2.0 * zero.abs() <= self.step => String::new(),
+            zero => format!(", code 0 is {} in the files", six_digits(zero)),
+        };
+        Some(match self.step {
+            1.0 => format!("1 code is 1 in the files{zero}"),
+            _ if self.step > 1.0 && power.fract() == 0.0 && self.zero == 0.0 => {
+                format!("codes shifted down by {power} bits: all are multiples of {}", self.step)
+            }
+            _ if self.step > 1.0 => {
+                format!("codes were stretched to steps of {step}: taken back to those of the converter{zero}")
+            }
+            _ => format!("1 code is {step} in the files{zero}"),
+        })
+    }
+}
+
+/// Distinct numbers that are kept: continuous numbers have as many as pixels.
+const MAX_DISTINCT: usize = 200_000;
+
+/// Temporal noise, in the unit of the files, from which on floating-point numbers are rounded to whole codes: quantisation
+/// is then a twelfth of the noise at most, and accounted for (q^2/12).
+const MIN_NOISE_OF_WHOLE_CODES: f64 = 1.0;
+
+/// The values of all frames, as far as they tell the scale.
+#[derive(Debug, Default)]
+pub struct Census {
+    occurring: Occurring,
+    numbers: Option<Numbers>,
+    frames: usize,
+}
+
+#[derive(Debug)]
+struct Numbers {
+    distinct: HashSet<u64>,
+    least: f64,
+    most: f64,
+    whole: bool,
+    /// Least standard deviation of half the difference of successive frames.
+    noise: f64,
+    before: Option<Array2<f64>>,
+}
+
+impl Census {
+    /// Takes note of a frame.
+    ///
+    /// # Errors
+    ///
+    /// Where it holds what is no number.
+    pub fn add(&mut self, values: &Values) -> Result<(), String> {
+        self.frames += 1;
+        let numbers = match values {
+            Values::Codes(codes) => {
+                codes.rows().into_iter().for_each(|row| match row.as_slice() {
+                    Some(row) => self.occurring.add(row),
+                    None => self.occurring.add(&row.to_vec()),
+                });
+                return Ok(());
+            }
+            Values::Numbers(numbers) => numbers,
+        };
+        if let Some(((y, x), v)) = numbers.indexed_iter().find(|(_, v)| !v.is_finite()) {
+            return Err(format!("holds {v} at row {y}, column {x}; a frame has a number for every pixel"));
+        }
+        let all = self.numbers.get_or_insert_with(|| Numbers {
+            distinct: HashSet::new(),
+            least: f64::INFINITY,
+            most: f64::NEG_INFINITY,
+            whole: true,
+            noise: f64::INFINITY,
+            before: None,
+        });
+        for v in numbers {
+            all.least = all.least.min(*v);
+            all.most = all.most.max(*v);
+            all.whole &= v.fract() == 0.0;
+            if all.distinct.len() < MAX_DISTINCT {
+                // One zero, not two.
+                all.distinct.insert((*v + 0.0).to_bits());
+            }
+        }
+        if let Some(before) = all.before.as_ref().filter(|b| b.dim() == numbers.dim()) {
+            let n = numbers.len() as f64;
+            let of = |power: i32| numbers.iter().zip(before).map(|(a, b)| (a - b).powi(power)).sum::<f64>();
+            let noise = (0.5 * (of(2) / n - (of(1) / n).powi(2)).max(0.0)).sqrt();
+            if noise > 0.0 {
+                all.noise = all.noise.min(noise);
+            }
+        }
+        all.before = Some(numbers.clone());
+        Ok(())
+    }
+
+    /// The highest code under a scale.
+    pub fn highest(&self, scale: &Scale) -> u16 {
+        let codes = self.occurring.codes();
+        let most = self.numbers.as_ref().map_or(f64::NEG_INFINITY, |n| n.most);
+        let line = Stretch { step: scale.step, zero: scale.zero };
+        line.code(codes.last().copied().unwrap_or(most).max(most)).clamp(0.0, 65_535.0) as u16
+    }
+
+    /// The scale that fits all of them.
+    ///
+    /// # Errors
+    ///
+    /// Where no codes of 16 bits hold them.
+    pub fn scale(&self) -> Result<Scale, String> {
+        let Some(numbers) = &self.numbers else {
+            let Some(Stretch { step, zero }) = self.occurring.stretch() else { return Ok(Scale::default()) };
+            return Ok(Scale { step, zero });
+        };
+        let codes = self.occurring.codes();
+        let ends = [codes.first(), codes.last()].into_iter().flatten();
+        let least = ends.clone().copied().fold(numbers.least, f64::min);
+        let most = ends.copied().fold(numbers.most, f64::max);
+        let mut values: Vec<f64> = numbers.distinct.iter().map(|b| f64::from_bits(*b)).chain(codes).collect();
+        values.sort_by(f64::total_cmp);
+        values.dedup();
+        let known = (numbers.distinct.len() < MAX_DISTINCT).then_some(values);
+        let found = known.and_then(|v| {
+            if numbers.whole { code_step::of_whole_codes(&v) } else { code_step::of_numbers(&v) }
+        });
+        let (step, zero) = match found {
+            Some(Stretch { step, zero }) if step >= 1.0 - 1e-6 || numbers.whole => (step, zero),
+            _ if numbers.whole || numbers.noise.is_finite() && numbers.noise >= MIN_NOISE_OF_WHOLE_CODES => {
+                (1.0, 0.0)
+            }
+            Some(Stretch { step, zero }) => (step, zero),
+            None if numbers.noise.is_finite() => (10f64.powf(numbers.noise.log10().floor()), 0.0),
+            None => {
+                return Err(
+                    "the frames hold fractions, and no two of them tell their noise: codes of a dataset are \
+                            whole numbers that are fine against it; take two frames of a level"
+                        .into(),
+                );
+            }
+        };
+        // Single precision leaves a whole step almost whole.
+        let step = if (step - step.round()).abs() < 1e-6 * step { step.round() } else { step };
+        let zero = if zero.abs() < 1e-6 * step { 0.0 } else { zero };
+        // Negative values get codes from a round number on.
+        let below = ((least - zero) / step).round();
+        let lift = if below < 0.0 { (-below / 100.0).ceil() * 100.0 } else { 0.0 };
+        let scale = Scale { step, zero: zero - lift * step };
+        let highest = scale.of(most).round();
+        if highest > 65_535.0 {
+            return Err(format!(
+                "the frames hold values from {least} to {most}: in steps of {} that is more than 16 bits hold",
+                six_digits(step)
+            ));
+        }
+        Ok(scale)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    fn frames(of: impl Fn(f64) -> f64) -> Vec<Array2<f64>> {
+        let value = |frame: u32, y: usize, x: usize| {
+            let level = if frame < 2 { 40.0 } else { 900.0 };
+            let spread = if frame < 2 { 2.0 } else { 12.0 };
+            let normal = PixelRng::new(1, Stream::Frame, frame.into(), (y * 64 + x) as u32, 0).normal();
+            of((level + spread * normal).round())
+        };
+        (0..4).map(|f| Array2::from_shape_fn((64, 64), |(y, x)| value(f, y, x))).collect()
+    }
+
+    fn scale(frames: &[Array2<f64>]) -> Result<Scale, String> {
+        let mut census = Census::default();
+        frames.iter().try_for_each(|f| census.add(&Values::Numbers(f.clone())))?;
+        census.scale()
+    }
+
+    #[test]
+    fn numbers_get_the_scale_that_fits() {
+        for (of, step, zero) in [
+            // Overscan was taken off.
+            ((|v| v - 50.5) as fn(f64) -> f64, 1.0, -100.5),
+            (|v| v - 150.0, 1.0, -200.0),
+            // Noise of 8 in steps of 0.25 is fine against whole codes; noise of 0.02 is not.
+            (|v| 4.0 * v + 0.25 * (v % 3.0), 1.0, 0.0),
+            (|v| 0.01 * v, 0.01, 0.0),
+            (|v| f64::from((v / 4095.0) as f32), 1.0 / 4095.0, 0.0),
+            (|v| 16.0 * v + 0.5, 16.0, 0.5),
+        ] {
+            let found = scale(&frames(of)).unwrap();
+            assert!((found.step / step - 1.0).abs() < 1e-4, "{found:?}, not {step}");
+            assert!((found.zero - zero).abs() < 1e-6 * step.max(1.0), "{found:?}, not {zero}");
+        }
+        // Continuous numbers: a power of ten below the noise.
+        let smooth = |v: f64| 1e-3 * v + 1e-6 * (v * 1e4).sin();
+        let found = scale(&frames(smooth)).unwrap();
+        assert!((found.step / 1e-3 - 1.0).abs() < 1e-9, "{found:?}");
+        assert!(scale(&frames(|v| 1000.0 * v + 0.3 * v.sin())).unwrap_err().contains("16 bits"));
+        let mut broken = frames(|v| v);
+        broken[1][[3, 4]] = f64::NAN;
+        assert!(scale(&broken).unwrap_err().contains("NaN at row 3, column 4"));
+        assert!(scale(&frames(|v| v + 0.3 * v.sin())[..1]).unwrap_err().contains("two frames"));
+    }
+}

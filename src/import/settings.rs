@@ -1,0 +1,127 @@
+//! Settings that all frames of a dataset share: what headers tell of two of them is refused, what only some tell is
+//! said.
+
+use super::{Found, ImportError, few};
+use crate::features::same_value;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// Refuses frames that were corrected or combined before they were saved.
+pub fn raw_frames(found: &[Found]) -> Result<(), ImportError> {
+    let said: Vec<(String, &str)> = found
+        .iter()
+        .filter_map(|f| Some((f.path.display().to_string(), f.facts.processed.as_deref()?)))
+        .collect();
+    let Some((first, why)) = said.first() else { return Ok(()) };
+    let mut paths: Vec<&String> = said.iter().map(|(path, _)| path).collect();
+    paths.dedup();
+    let more = match paths.len() {
+        1 => String::new(),
+        n => format!(" ({n} files say such a thing)"),
+    };
+    Err(ImportError::Files(format!(
+        "{first}: {why}{more}; radcam measures the noise of single raw frames, so import those"
+    )))
+}
+
+/// A setting in the words of whoever said it.
+fn word(frame: &Found, name: &str) -> String {
+    let from = frame.facts.from.get(name).map_or(name, String::as_str);
+    let keyword = from.split(' ').next().unwrap_or(from);
+    let of_header = !keyword.is_empty() && from != "the file's name" && !from.starts_with("the folder");
+    match (of_header, name) {
+        (true, _) => keyword.to_string(),
+        (_, "GainRaw") => "gain".into(),
+        (_, "BlackLevelRaw") => "black level".into(),
+        (_, "BinningHorizontal" | "BinningVertical") => "binning".into(),
+        _ => name.to_string(),
+    }
+}
+
+/// Settings of all frames, and what is to be said of them.
+pub struct Shared {
+    /// By their names.
+    pub features: BTreeMap<String, toml::Value>,
+    /// In words.
+    pub notes: Vec<String>,
+}
+
+/// Refuses frames whose headers or names speak of two cameras or settings.
+pub fn shared(found: &[Found]) -> Result<Shared, ImportError> {
+    let of = |f: &Found| {
+        let text = |name: &str, v: &Option<String>| v.clone().map(|v| (name.to_string(), v));
+        let facts = &f.facts;
+        let mut all: Vec<(String, String)> = [("vendor", &facts.vendor), ("model", &facts.model)]
+            .into_iter()
+            .chain([("serial", &facts.serial)])
+            .filter_map(|(name, v)| text(name, v))
+            .collect();
+        all.extend(facts.differs.iter().cloned());
+        // A pedestal is added to corrected frames only: none is as good as 0.
+        if found.iter().any(|f| f.facts.feature("PEDESTAL").is_some()) && facts.feature("PEDESTAL").is_none()
+        {
+            all.push(("PEDESTAL".into(), "0".into()));
+        }
+        all
+    };
+    let mut said: BTreeMap<String, (String, PathBuf, usize)> = BTreeMap::new();
+    for frame in found {
+        for (name, value) in of(frame) {
+            let (first, path, count) =
+                said.entry(name.clone()).or_insert_with(|| (value.clone(), frame.path.clone(), 0));
+            *count += 1;
+            if !same_value(first, &value) {
+                let word = match name.as_str() {
+                    "vendor" | "model" | "serial" => name.clone(),
+                    _ => word(frame, &name),
+                };
+                return Err(ImportError::Files(format!(
+                    "{} has {word} {value}, and {} has {first}; a dataset is of one camera under one set of \
+                     settings, so import each by itself",
+                    frame.path.display(),
+                    path.display()
+                )));
+            }
+        }
+    }
+    let partial: Vec<String> = said
+        .iter()
+        .filter(|(_, (_, _, count))| *count < found.len())
+        .map(|(name, (value, _, count))| format!("{name} ({value}) by {count} of {}", found.len()))
+        .collect();
+    let mut notes = Vec::new();
+    if !partial.is_empty() {
+        notes.push(format!(
+            "not every frame states these settings, and the others are taken to be alike: {}",
+            few(&partial)
+        ));
+    }
+    let features = said
+        .into_iter()
+        .filter(|(name, _)| !matches!(name.as_str(), "vendor" | "model" | "serial"))
+        .map(|(name, (value, ..))| (name, super::facts::feature_value(&value)))
+        .collect();
+    Ok(Shared { features, notes })
+}
+
+/// Sensor temperatures that differ by less belong to one setting of the cooler, kelvin.
+pub const SAME_TEMPERATURE_K: f64 = 2.5;
+
+/// Temperature of a frame: the set one where it is stated, else the measured one.
+pub fn temperature_c(frame: &Found) -> Option<f64> {
+    frame.facts.set_temperature_c.or(frame.facts.temperature_c)
+}
+
+/// Groups of temperatures, each as (lowest, highest): neighbours of a group are close to each other.
+pub fn temperatures(found: &[Found]) -> Vec<(f64, f64)> {
+    let mut all: Vec<f64> = found.iter().filter_map(temperature_c).collect();
+    all.sort_by(f64::total_cmp);
+    let mut out: Vec<(f64, f64)> = Vec::new();
+    for t in all {
+        match out.last_mut() {
+            Some((_, high)) if t - *high <= SAME_TEMPERATURE_K => *high = t,
+            _ => out.push((t, t)),
+        }
+    }
+    out
+}

@@ -1,0 +1,326 @@
+//! Numbers of names that count frames or tell the time: they part no sets.
+
+use super::names::numbers;
+use crate::number::seconds;
+use std::ops::Range;
+
+/// Digits of a run that is a counter or a time stamp wherever it stands: `img_000000012`, `21000312`.
+const COUNTER_DIGITS: usize = 6;
+
+/// Words in front of a number that counts frames.
+const COUNTERS: [&str; 4] = ["frame", "frm", "shot", "snap"];
+
+/// A run of digits.
+#[derive(Debug, Clone, Copy)]
+struct Run {
+    start: usize,
+    end: usize,
+}
+
+impl Run {
+    fn len(self) -> usize {
+        self.end - self.start
+    }
+
+    fn of(self, text: &str) -> u32 {
+        text[self.start..self.end].parse().unwrap_or(u32::MAX)
+    }
+}
+
+fn runs(text: &str) -> Vec<Run> {
+    let bytes = text.as_bytes();
+    let mut out = Vec::new();
+    let mut at = 0;
+    while at < bytes.len() {
+        if !bytes[at].is_ascii_digit() {
+            at += 1;
+            continue;
+        }
+        let start = at;
+        while bytes.get(at).is_some_and(u8::is_ascii_digit) {
+            at += 1;
+        }
+        out.push(Run { start, end: at });
+    }
+    out
+}
+
+fn is_date(year: u32, month: u32, day: u32) -> bool {
+    (1990..2100).contains(&year) && (1..=12).contains(&month) && (1..=31).contains(&day)
+}
+
+fn is_time(hour: u32, minute: u32, second: u32) -> bool {
+    hour < 24 && minute < 60 && second < 61
+}
+
+/// One separator, or none, between two runs.
+fn gap(text: &str, a: Run, b: Run) -> &str {
+    &text[a.end..b.start]
+}
+
+/// Dates with the times behind them, and times written with letters (`21h00m03s`): stamps for sure.
+pub fn stamps(text: &str) -> Vec<Range<usize>> {
+    let runs = runs(text);
+    let mut out: Vec<Range<usize>> = Vec::new();
+    let mut k = 0;
+    while k < runs.len() {
+        let date = date_at(text, &runs[k..]);
+        let taken = match date {
+            Some((count, end)) => {
+                let mut end = end;
+                let mut count = count;
+                if let Some((more, last)) = time_behind(text, &runs[k + count - 1..]) {
+                    (count, end) = (count + more, last);
+                }
+                out.push(runs[k].start..end);
+                count
+            }
+            None => match lettered(text, &runs[k..]) {
+                Some((count, end)) => {
+                    out.push(runs[k].start..end);
+                    count
+                }
+                None => 1,
+            },
+        };
+        k += taken;
+    }
+    out
+}
+
+/// A date at the first run: how many runs it has, and where it ends.
+fn date_at(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
+    let first = *runs.first()?;
+    let digits = &text[first.start..first.end];
+    // 20240501, also with the time in one run (20240501210003, 20240501210003123).
+    if matches!(first.len(), 8 | 14 | 17) {
+        let part = |range: Range<usize>| digits[range].parse().unwrap_or(u32::MAX);
+        let whole = first.len() == 8 || is_time(part(8..10), part(10..12), part(12..14));
+        return (is_date(part(0..4), part(4..6), part(6..8)) && whole).then_some((1, first.end));
+    }
+    let (second, third) = (*runs.get(1)?, *runs.get(2)?);
+    let separated = |a: Run, b: Run| matches!(gap(text, a, b), "-" | "_" | "." | "/");
+    let sound = first.len() == 4
+        && second.len() == 2
+        && third.len() >= 2
+        && gap(text, first, second) == gap(text, second, third)
+        && separated(first, second);
+    let day = text[third.start..third.end].get(..2)?.parse().ok()?;
+    (sound && third.len() == 2 && is_date(first.of(text), second.of(text), day)).then_some((3, third.end))
+}
+
+/// A time behind a date whose last run is the first of `runs`.
+fn time_behind(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
+    let (date, first) = (*runs.first()?, *runs.get(1)?);
+    if !matches!(gap(text, date, first), "_" | "-" | "T" | "t" | " " | "__" | "." | " at ") {
+        return None;
+    }
+    let digits = &text[first.start..first.end];
+    let part = |range: Range<usize>| digits[range].parse().unwrap_or(u32::MAX);
+    let whole = match first.len() {
+        4 => is_time(part(0..2), part(2..4), 0),
+        6.. => is_time(part(0..2), part(2..4), part(4..6)),
+        _ => false,
+    };
+    // 100000us is an exposure.
+    if whole && !is_measured(text, first.end) {
+        let fraction = runs.get(2).filter(|f| matches!(gap(text, first, **f), "." | ","));
+        return Some(fraction.map_or((1, first.end), |f| (2, f.end)));
+    }
+    clock(text, &runs[1..])
+}
+
+/// A time of day as three runs of two digits, with its fraction: how many runs it has, and where it ends.
+fn clock(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
+    let (h, m, s) = (*runs.first()?, *runs.get(1)?, *runs.get(2)?);
+    let separator = gap(text, h, m);
+    let sound = h.len() == 2
+        && m.len() == 2
+        && s.len() == 2
+        && matches!(separator, "-" | "_" | ":" | ".")
+        && separator == gap(text, m, s)
+        && is_time(h.of(text), m.of(text), s.of(text));
+    let fraction = runs.get(3).filter(|f| f.len() >= 3 && matches!(gap(text, s, **f), "." | ","));
+    let (count, end) = fraction.map_or((3, s.end), |fraction| (4, fraction.end));
+    // 01_02_10ms are two counters and an exposure; of 01_02_10s nobody knows.
+    let measured = is_measured(text, end) && !letters(text, end).eq_ignore_ascii_case("s");
+    (sound && !measured).then_some((count, end))
+}
+
+/// Letters behind a place.
+fn letters(text: &str, end: usize) -> &str {
+    let rest = &text[end..];
+    &rest[..rest.find(|c: char| !c.is_alphabetic()).unwrap_or(rest.len())]
+}
+
+/// Whether a unit of time stands behind a number.
+fn is_measured(text: &str, end: usize) -> bool {
+    seconds(letters(text, end)).is_some()
+}
+
+/// `21h00m03s` and `12m30s`: a time of day or a duration in parts.
+fn lettered(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
+    let unit = |a: Run, b: Option<&Run>| {
+        text[a.end..b.map_or(text.len(), |b| b.start)].trim_matches(['_', '-', ' ']).to_lowercase()
+    };
+    let first = *runs.first()?;
+    let starts = |word: &str, units: &[&str]| units.contains(&word);
+    let (mut count, mut last) = (1, first);
+    let word = unit(first, runs.get(1));
+    if !starts(&word, &["h", "hr", "m", "min"]) {
+        return None;
+    }
+    for pair in runs.windows(2) {
+        let word = unit(pair[0], Some(&pair[1]));
+        if !starts(&word, &["h", "hr", "m", "min"]) {
+            break;
+        }
+        count += 1;
+        last = pair[1];
+    }
+    let rest = &text[last.end..];
+    let letters = rest.find(|c: char| !c.is_alphabetic()).unwrap_or(rest.len());
+    let ends = matches!(&*rest[..letters].to_lowercase(), "s" | "sec" | "m" | "min" | "h");
+    (count > 1 && ends).then_some((count, last.end + letters))
+}
+
+/// Three pairs of digits that may be a time of day: `Capture 21_00_03`. Counters look like that as well.
+pub fn clocks(text: &str) -> Vec<Range<usize>> {
+    let runs = runs(text);
+    let alone = |at: usize, end: usize| {
+        let before = text[..at].chars().next_back();
+        let after = letters(text, end).to_lowercase();
+        before.is_none_or(|c| !c.is_ascii_digit() && c != '.')
+            && matches!(&*after, "" | "s" | "am" | "pm" | "z")
+    };
+    let of = |k: usize| clock(text, &runs[k..]).map(|(_, end)| runs[k].start..end);
+    (0..runs.len()).filter_map(of).filter(|r| alone(r.start, r.end)).collect()
+}
+
+/// Puts `#` in the place of every range. Ranges may overlap.
+fn without(text: &str, mut ranges: Vec<Range<usize>>) -> String {
+    ranges.sort_by_key(|r| (r.start, r.end));
+    let mut out = String::new();
+    let mut at = 0;
+    for range in ranges {
+        if range.end <= at {
+            continue;
+        }
+        if range.start >= at {
+            out += &text[at..range.start];
+            out.push('#');
+        }
+        at = range.end;
+    }
+    out + &text[at..]
+}
+
+/// Places of a temperature with its unit: `-10.0C`, `-9.9°C`.
+fn temperatures(text: &str) -> Vec<Range<usize>> {
+    let degrees = |n: &super::names::Number<'_>| n.temperature_c.is_some();
+    numbers(text).iter().filter(|n| degrees(n)).map(|n| n.place.clone()).collect()
+}
+
+/// A name without what differs from frame to frame: time stamps, sensor temperatures, long counters, and the last
+/// number that has no unit. Frames of one set share it.
+pub fn stem(name: &str) -> String {
+    let mut ranges = stamps(name);
+    ranges.extend(temperatures(name));
+    let stamped = ranges.clone();
+    let inside = |place: &Range<usize>| stamped.iter().any(|r| r.start <= place.start && place.end <= r.end);
+    let numbers = numbers(name);
+    let free: Vec<_> =
+        numbers.iter().filter(|n| n.unit.is_empty() && n.is_free() && !inside(&n.place)).collect();
+    let whole = |text: &str| text.bytes().all(|b| b.is_ascii_digit());
+    let counts = |n: &super::names::Number<'_>| {
+        n.text.len() >= COUNTER_DIGITS || COUNTERS.iter().any(|word| n.before.eq_ignore_ascii_case(word))
+    };
+    ranges.extend(free.iter().filter(|n| whole(n.text) && counts(n)).map(|n| n.place.clone()));
+    // The number in front of a file name's extension, if it is a whole number.
+    ranges.extend(free.iter().rev().find(|n| !n.text.contains('.')).map(|n| n.place.clone()));
+    without(name, ranges)
+}
+
+/// A name without any number that has no unit, and whether what is gone looks like a time of day.
+pub fn loose(name: &str) -> (String, bool) {
+    let mut ranges = stamps(name);
+    ranges.extend(temperatures(name));
+    let clocks = clocks(name);
+    let timed = !clocks.is_empty();
+    ranges.extend(clocks);
+    ranges.extend(numbers(name).iter().filter(|n| n.unit.is_empty() && n.is_free()).map(|n| n.place.clone()));
+    (without(name, ranges), timed)
+}
+
+/// Whether a place of a name belongs to a time of day or a date.
+pub fn is_stamp(name: &str, place: &Range<usize>) -> bool {
+    let touches = |r: &Range<usize>| r.start < place.end && place.start < r.end;
+    stamps(name).iter().chain(&clocks(name)).any(touches)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn time_stamps_and_counters_part_no_sets() {
+        for (a, b) in [
+            // N.I.N.A.
+            (
+                "2024-05-01_21-00-03_DARK_-10.00_0.01s_0000.fits",
+                "2024-05-01_21-00-09_DARK_-10.00_0.01s_0002.fits",
+            ),
+            // pylon Viewer
+            (
+                "Dark_10ms_acA1920-40um__22123456__20240501_210003003_0000.tiff",
+                "Dark_10ms_acA1920-40um__22123456__20240501_210006006_0001.tiff",
+            ),
+            // ASIAIR
+            (
+                "Dark_1.0ms_Bin1_gain0_20230505-210200_-10.0C_0000.fit",
+                "Dark_1.0ms_Bin1_gain0_20230505-210201_-9.9C_0001.fit",
+            ),
+            // Micro-Manager
+            (
+                "img_channel000_position000_time000000001_z000.tif",
+                "img_channel000_position000_time000000002_z000.tif",
+            ),
+            ("img_000000001_Default_000.tif", "img_000000017_Default_000.tif"),
+            // FlyCapture and Spinnaker
+            ("fc2_save_2012-05-04-134444-0000.tif", "fc2_save_2012-05-04-134451-0007.tif"),
+            // KStars
+            ("Flat_L_5_secs_2023-05-05T21-00-03_001.fits", "Flat_L_5_secs_2023-05-05T21-00-09_002.fits"),
+            ("flat_10ms_003.tif", "flat_10ms_012.tif"),
+            ("dark_21h00m03s_10ms.tif", "dark_21h00m09s_10ms.tif"),
+            ("20240501210003123.tif", "20240501210004001.tif"),
+            ("20240501T210003.123456_flat_10ms.tif", "20240501T210004.000001_flat_10ms.tif"),
+            ("img_1714597203123_10ms.tif", "img_1714597203456_10ms.tif"),
+            ("2024_05_01_21_00_03_0001.tif", "2024_05_01_21_00_04_0002.tif"),
+        ] {
+            assert_eq!(stem(a), stem(b), "{a}");
+        }
+        for (a, b) in [
+            ("flat_10ms_003.tif", "flat_20ms_003.tif"),
+            ("flat_5ms_level1_003.tif", "flat_5ms_level2_003.tif"),
+            ("flat_01_02_03.tif", "flat_01_03_03.tif"),
+            ("dark_gain10_1.tif", "dark_gain20_1.tif"),
+        ] {
+            assert_ne!(stem(a), stem(b), "{a}");
+        }
+        assert_eq!(loose("Capture 21_00_03.tif"), loose("Capture 21_01_57.tif"));
+        assert!(loose("Capture 21_00_03.tif").1 && !loose("Capture 3.tif").1);
+        for exposure in ["20240501_100000us_1.tif", "20240501_1000ms_1.tif", "flat_01_02_10ms.tif"] {
+            let number = numbers(exposure).into_iter().find(|n| !n.unit.is_empty()).unwrap();
+            assert!(!is_stamp(exposure, &number.place), "{exposure}");
+        }
+        assert!(is_stamp("x_12_30_45s.tif", &(8..10)) && !is_stamp("x_45s.tif", &(2..4)));
+    }
+
+    proptest! {
+        #[test]
+        fn no_name_makes_it_panic(name in "[0-9a-zµ°_.,: hms-]{0,40}") {
+            let _ = (stem(&name), loose(&name), stamps(&name), clocks(&name));
+        }
+    }
+}

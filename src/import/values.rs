@@ -1,0 +1,209 @@
+//! Numbers and units as programs and people write them.
+
+use crate::number::seconds;
+
+/// Reading of a text that begins with a number.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Reading {
+    /// No number.
+    None,
+    /// The number.
+    One(f64),
+    /// Two numbers that the text may mean.
+    Two(f64, f64),
+}
+
+impl Reading {
+    /// The number, where there is only one reading.
+    pub fn one(&self) -> Option<f64> {
+        match self {
+            Self::One(value) => Some(*value),
+            _ => None,
+        }
+    }
+}
+
+/// The number at the start of a text, and the text behind it.
+///
+/// The decimal sign is a point or a comma. One comma with three digits behind it is a thousands separator to some
+/// and the decimal comma to others: both readings are returned.
+pub fn number(text: &str) -> (Reading, &str) {
+    let text = text.trim();
+    let bytes = text.as_bytes();
+    let digit = |i: usize| bytes.get(i).is_some_and(u8::is_ascii_digit);
+    let mut end = usize::from(matches!(bytes.first(), Some(b'+' | b'-')));
+    let start = end;
+    while digit(end)
+        || (matches!(bytes.get(end), Some(b'.' | b','))
+            && (digit(end + 1) || (end > start && digit(end - 1))))
+    {
+        end += 1;
+    }
+    if !(start..end).any(digit) {
+        return (Reading::None, text);
+    }
+    let mantissa = end;
+    let sign = usize::from(matches!(bytes.get(end + 1), Some(b'-' | b'+')));
+    // FITS allows D for the exponent of a double (FITS standard 4.0, section 4.2.4).
+    if matches!(bytes.get(end), Some(b'e' | b'E' | b'd' | b'D')) && digit(end + 1 + sign) {
+        end += 1 + sign;
+        while digit(end) {
+            end += 1;
+        }
+    }
+    let exponent = text[mantissa..end].to_lowercase().replace('d', "e");
+    let of = |digits: &str| format!("{digits}{exponent}").parse::<f64>().ok().filter(|v| v.is_finite());
+    let plain = &text[..mantissa];
+    let reading = match readings(plain) {
+        (Some(a), Some(b)) => match (of(&a), of(&b)) {
+            (Some(a), Some(b)) => Reading::Two(a, b),
+            _ => Reading::None,
+        },
+        (Some(a), None) => of(&a).map_or(Reading::None, Reading::One),
+        _ => Reading::None,
+    };
+    (reading, text[end..].trim_start())
+}
+
+/// Digits with a decimal point that a text of digits, points and commas may mean.
+fn readings(text: &str) -> (Option<String>, Option<String>) {
+    let count = |c: char| text.matches(c).count();
+    let grouped = |separator: char, whole: &str| {
+        let parts: Vec<&str> = whole.trim_start_matches(['+', '-']).split(separator).collect();
+        (1..=3).contains(&parts[0].len()) && parts[1..].iter().all(|p| p.len() == 3)
+    };
+    match (count('.'), count(',')) {
+        (0 | 1, 0) => (Some(text.into()), None),
+        (0, 1) => {
+            let decimal = text.replace(',', ".");
+            let whole = text.split(',').next().unwrap_or_default().trim_start_matches(['+', '-']);
+            let thousands = grouped(',', text) && whole != "0";
+            (Some(decimal), thousands.then(|| text.replace(',', "")))
+        }
+        // Groups of thousands, and the decimal sign behind them.
+        (1, _) | (_, 1) if count('.') > 0 && count(',') > 0 => {
+            let at = text.rfind(['.', ',']).unwrap_or(0);
+            let (decimal, other) = if text[at..].starts_with('.') { ('.', ',') } else { (',', '.') };
+            let whole = &text[..at];
+            let sound = !whole.contains(decimal) && grouped(other, whole);
+            (sound.then(|| format!("{}.{}", whole.replace(other, ""), &text[at + 1..])), None)
+        }
+        (0, _) if grouped(',', text) => (Some(text.replace(',', "")), None),
+        (_, 0) if grouped('.', text) => (Some(text.replace('.', "")), None),
+        _ => (None, None),
+    }
+}
+
+/// A time in seconds: divided where the unit is a part of a second, so that 35 ms is the number 0.035.
+pub fn in_seconds(value: f64, unit_s: f64) -> f64 {
+    if unit_s < 1.0 { value / (1.0 / unit_s).round() } else { value * unit_s }
+}
+
+/// The unit of time that a comment names: `exposure time in ms`, `[s] integration`. `Err` where it names two.
+pub fn unit_in(comment: &str) -> Result<Option<f64>, ()> {
+    // A unit in brackets counts alone (FITS standard 4.0, section 4.3).
+    if let Some((inside, _)) = comment.split_once('[').and_then(|(_, rest)| rest.split_once(']'))
+        && let Some(unit_s) = seconds(inside.trim())
+    {
+        return Ok(Some(unit_s));
+    }
+    let words = comment.split(|c: char| !c.is_alphanumeric() && c != '\'' && c != '/');
+    let mut units: Vec<f64> = words.filter_map(|w| seconds(w.trim_matches('/'))).collect();
+    units.dedup();
+    match units[..] {
+        [] => Ok(None),
+        [one] => Ok(Some(one)),
+        _ => Err(()),
+    }
+}
+
+/// A word and the unit of time behind it: `exposure_ms`, `Exposure (us)`, `EXPOINUS`.
+pub fn split_unit(key: &str) -> (String, Option<f64>) {
+    let words: Vec<&str> = key.split(|c: char| !c.is_alphanumeric()).filter(|w| !w.is_empty()).collect();
+    let joined = |words: &[&str]| words.concat().to_lowercase();
+    match words[..] {
+        [ref first @ .., last] if !first.is_empty() => match seconds(last) {
+            Some(unit_s) => (joined(first).trim_end_matches("in").into(), Some(unit_s)),
+            None => (joined(&words), None),
+        },
+        _ => match &*joined(&words) {
+            "expoinus" => ("exposure".into(), Some(1e-6)),
+            "exposureinus" => ("exposure".into(), Some(1e-6)),
+            "exposureinms" => ("exposure".into(), Some(1e-3)),
+            "exposurems" => ("exposure".into(), Some(1e-3)),
+            "exposureus" => ("exposure".into(), Some(1e-6)),
+            other => (other.into(), None),
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn numbers_of_every_locale_are_read_once() {
+        for (text, value, rest) in [
+            ("12.5", 12.5, ""),
+            ("12,5 ms", 12.5, "ms"),
+            ("0,5", 0.5, ""),
+            ("0,125", 0.125, ""),
+            ("3,2E-05", 3.2e-5, ""),
+            ("1.5D-3", 1.5e-3, ""),
+            ("-10,5 C", -10.5, "C"),
+            ("1,234.5", 1234.5, ""),
+            ("1.234,5", 1234.5, ""),
+            ("1,234,567", 1_234_567.0, ""),
+            ("100. / s", 100.0, "/ s"),
+            (".5s", 0.5, "s"),
+            ("12,5000", 12.5, ""),
+        ] {
+            assert_eq!(number(text), (Reading::One(value), rest), "{text}");
+        }
+        assert_eq!(number("12,500 us").0, Reading::Two(12.5, 12_500.0));
+        for text in ["", "ms", "-", "1.2.3", "1,2,3", "1.5.000,2"] {
+            assert_eq!(number(text).0, Reading::None, "{text}");
+        }
+        assert_eq!(in_seconds(35.0, 1e-3), 0.035);
+        assert_eq!(in_seconds(2.0, 60.0), 120.0);
+    }
+
+    #[test]
+    fn units_stand_in_comments_and_words() {
+        for (comment, unit) in [
+            ("exposure time in ms", Ok(Some(1e-3))),
+            ("[s] exposure", Ok(Some(1.0))),
+            ("Exposure time (us)", Ok(Some(1e-6))),
+            ("[ms] and not in seconds", Ok(Some(1e-3))),
+            ("Total Exposure Time (s)", Ok(Some(1.0))),
+            ("the camera's exposure", Ok(None)),
+            ("ms or s", Err(())),
+            ("", Ok(None)),
+        ] {
+            assert_eq!(unit_in(comment), unit, "{comment}");
+        }
+        assert_eq!(split_unit("Exposure-ms"), ("exposure".into(), Some(1e-3)));
+        assert_eq!(split_unit("EXPOINUS"), ("exposure".into(), Some(1e-6)));
+        assert_eq!(split_unit("Exposure Time (µs)"), ("exposuretime".into(), Some(1e-6)));
+        assert_eq!(split_unit("exposure_time"), ("exposuretime".into(), None));
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_makes_it_panic(text in "\\PC{0,30}") {
+            let _ = (number(&text), unit_in(&text), split_unit(&text));
+        }
+
+        #[test]
+        fn what_is_written_is_read(value in -1e6f64..1e6) {
+            let text = format!("{value}");
+            prop_assert_eq!(number(&text).0, Reading::One(value));
+            let comma = text.replace('.', ",");
+            match number(&comma).0 {
+                Reading::One(read) | Reading::Two(read, _) => prop_assert_eq!(read, value),
+                Reading::None => prop_assert!(false, "{}", comma),
+            }
+        }
+    }
+}

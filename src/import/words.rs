@@ -1,0 +1,490 @@
+//! Named values of headers: FITS cards, lines of a description, JSON.
+
+use super::values::{self, Reading};
+use super::{Facts, headers, kinds, same_exposure};
+use crate::features::is_setting;
+use crate::number::seconds;
+
+/// A named value.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Said {
+    /// Its name as it stands.
+    pub key: String,
+    /// Its value as text, without quotes.
+    pub value: String,
+    /// The comment behind a FITS value.
+    pub comment: String,
+}
+
+impl Said {
+    pub fn new(key: &str, value: &str) -> Self {
+        Self { key: key.trim().into(), value: value.trim().into(), comment: String::new() }
+    }
+}
+
+/// Who writes the words: it decides what a number without a unit means.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Writer {
+    /// FITS: times are in seconds where nothing else is stated (FITS standard 4.0, section 4.3).
+    Fits,
+    /// `key = value` lines: a number without a unit is not known.
+    Lines,
+    /// JSON of GenICam features: `ExposureTime` is in microseconds (SFNC 2.7, section 6.3), `Gain` in dB.
+    Json,
+}
+
+/// Settings that all frames of a dataset share: words of headers, and the name that the dataset uses.
+const SETTINGS: &[(&str, &[&str])] = &[
+    ("GainRaw", &["gain", "gainraw", "cameragain"]),
+    ("ISO", &["iso", "isospeed", "isospeedratings", "isovalue"]),
+    ("EGAIN", &["egain"]),
+    ("BlackLevelRaw", &["blklevel", "blacklevelraw", "blacklvl", "blevel", "offset", "cameraoffset"]),
+    ("PEDESTAL", &["pedestal"]),
+    ("BinningHorizontal", &["xbinning", "binningx", "ccdxbin", "binx", "xbin", "binninghorizontal"]),
+    ("BinningVertical", &["ybinning", "binningy", "ccdybin", "biny", "ybin", "binningvertical"]),
+    ("READOUTM", &["readoutm", "readmode", "readoutmode", "rdmode"]),
+    ("OffsetX", &["xorgsubf"]),
+    ("OffsetY", &["yorgsubf"]),
+];
+
+/// Words for the number of exposures that were combined to one frame.
+const COMBINED: &[&str] = &[
+    "ncombine",
+    "stackcnt",
+    "ncoadds",
+    "coadds",
+    "ncoadd",
+    "numcoadd",
+    "nstack",
+    "stacknum",
+    "imstack",
+    "snapshot",
+    "averages",
+    "numaverages",
+    "frameaverage",
+    "frameaveraging",
+    "framesaveraged",
+    "averagecount",
+    "accumulations",
+];
+
+/// Words for an exposure, the best first. Which one is taken does not depend on the order of a header.
+const EXPOSURES: &[&str] = &[
+    "exptime",
+    "exposure",
+    "exposuretime",
+    "xposure",
+    "exposuretimeabs",
+    "integrationtime",
+    "inttime",
+    "itime",
+    "shutterspeed",
+    "exp",
+];
+
+/// Words for the unit of the times of a header.
+const UNITS: &[&str] = &[
+    "timeunit",
+    "timeunits",
+    "expunit",
+    "exptunit",
+    "expunits",
+    "exposureunit",
+    "exposureunits",
+    "exposuretimeunit",
+];
+
+const KINDS: &[&str] =
+    &["imagetyp", "imagetype", "imgtype", "frametyp", "frametype", "obstype", "picttype", "kind"];
+
+fn plain(key: &str) -> String {
+    key.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
+}
+
+/// Facts of named values, the same in whatever order they stand.
+pub fn facts(mut said: Vec<Said>, writer: Writer) -> Facts {
+    said.sort();
+    said.dedup();
+    let mut out = Facts::default();
+    exposure(&said, writer, &mut out);
+    // Place of the first pixel in the cell of the pattern, column and row.
+    let mut first = [0, 0];
+    for Said { key, value, comment } in &said {
+        if value.is_empty() {
+            continue;
+        }
+        let word = plain(key);
+        let number = values::number(value).0.one();
+        let from = key.as_str();
+        let mut note = |key: &str| out.from.insert(key.into(), from.into());
+        match word.as_str() {
+            "gaindb" => {
+                out.gain_db = number.or(out.gain_db);
+                note("gain_db");
+            }
+            "ccdtemp" | "temperaturec" | "dettemp" | "devicetemperature" | "sensortemperature"
+            | "sensortemp" | "temperature" => {
+                // A kelvin is said by its letter.
+                let kelvin = values::number(value).1.eq_ignore_ascii_case("k");
+                let celsius = number.map(|n| if kelvin { n - 273.15 } else { n });
+                out.temperature_c = celsius.or(out.temperature_c);
+                note("temperature_c");
+            }
+            "settemp" | "ccdsetp" | "settemperature" => {
+                out.set_temperature_c = number.or(out.set_temperature_c)
+            }
+            "frame" if writer == Writer::Fits => kind_of(key, value, &mut out),
+            word if KINDS.contains(&word) => kind_of(key, value, &mut out),
+            "instrume" | "devicemodelname" | "cameramodel" => {
+                out.model = Some(value.clone());
+                note("model");
+            }
+            "camera" if out.model.is_none() => {
+                out.model = Some(value.clone());
+                note("model");
+            }
+            "devicevendorname" => out.vendor = Some(value.clone()),
+            "deviceserialnumber" | "serialnumber" | "cameraserialnumber" | "serial" => {
+                out.serial = Some(value.clone())
+            }
+            "dateobs" | "datetime" | "creationtime" => out.time_s = headers::time_s(value).or(out.time_s),
+            "illumination" => {
+                out.illumination = number.or(out.illumination);
+                note("illumination");
+            }
+            "filter" if writer != Writer::Lines => out.filter = Some(value.clone()),
+            "roworder" => {
+                let upper = value.to_uppercase();
+                out.bottom_up = match (upper.contains("TOP-DOWN"), upper.contains("BOTTOM-UP")) {
+                    (true, false) => Some(false),
+                    (false, true) => Some(true),
+                    _ => None,
+                };
+                note("rows");
+            }
+            "bayerpat" | "bayerpattern" | "colortyp" | "cfapattern" | "cfapat" | "pixelformat"
+                if out.mosaic.is_none() =>
+            {
+                out.mosaic = pattern(value);
+            }
+            "xbayroff" => first[0] = number.unwrap_or(0.0) as i64,
+            "ybayroff" => first[1] = number.unwrap_or(0.0) as i64,
+            "calstat" if value.contains(['B', 'D', 'F']) => {
+                out.processed =
+                    Some(format!("CALSTAT is {value}: bias (B), dark (D) or flat (F) are taken off already"));
+            }
+            "zerocor" | "biascor" | "darkcor" | "flatcor" | "biascorr" | "darkcorr" | "flatcorr"
+            | "ccdproc"
+                if !matches!(
+                    value.to_uppercase().as_str(),
+                    "F" | "0" | "NO" | "OMIT" | "PERFORM" | "FALSE"
+                ) =>
+            {
+                out.processed = Some(format!("{key} is {value}: the frame is corrected already"));
+            }
+            word if COMBINED.contains(&word) && number.is_some_and(|n| n > 1.0) => {
+                out.processed = Some(format!(
+                    "{key} is {value}: that many exposures were combined, and their noise is not that of one frame"
+                ));
+            }
+            _ => setting(key, &word, value, comment, writer, &mut out),
+        }
+    }
+    out.mosaic = out.mosaic.map(|pattern| shifted(&pattern, first));
+    // Zero is the exposure of a bias frame; of others it is not known.
+    if out.exposure_s == Some(0.0) && !out.bias {
+        out.exposure_s = None;
+    }
+    out
+}
+
+/// The colour pattern that a header states, also as a pixel format (`BayerRG12`); `None` of a monochrome sensor.
+fn pattern(value: &str) -> Option<String> {
+    let upper = value.trim().to_uppercase();
+    const PATTERNS: [&str; 5] = ["RGGB", "BGGR", "GRBG", "GBRG", "CMYG"];
+    let of_format = upper.strip_prefix("BAYER").and_then(|rest| rest.get(..2));
+    let named = |p: &&&str| upper.contains(**p) || of_format.is_some_and(|start| p.starts_with(start));
+    PATTERNS.iter().find(named).map(ToString::to_string)
+}
+
+/// The pattern as it stands from this column and row on.
+fn shifted(pattern: &str, [x, y]: [i64; 2]) -> String {
+    let colours: Vec<char> = pattern.chars().collect();
+    let [a, b, c, d] = colours[..] else { return pattern.into() };
+    let [a, b, c, d] = if x % 2 == 0 { [a, b, c, d] } else { [b, a, d, c] };
+    if y % 2 == 0 { [a, b, c, d] } else { [c, d, a, b] }.iter().collect()
+}
+
+fn kind_of(key: &str, value: &str, out: &mut Facts) {
+    let said = kinds::of(value);
+    if let Some(why) = kinds::processed(value) {
+        out.processed = Some(format!("{key} is {value}: {why}"));
+    }
+    let Some(kind) = said.kind.or(said.weak) else { return };
+    match out.kind {
+        Some(before) if before != kind => {
+            let first = out.from.get("kind").cloned().unwrap_or_default();
+            out.doubts.push(format!("kind: {first} says {before}, and {key} says {value}"));
+        }
+        _ => {
+            out.set_kind(kind, &format!("{key} {value}"));
+            out.bias = said.bias;
+        }
+    }
+}
+
+fn setting(key: &str, word: &str, value: &str, comment: &str, writer: Writer, out: &mut Facts) {
+    let (reading, unit) = values::number(value);
+    let text = reading.one().map_or_else(|| value.to_string(), |n| n.to_string());
+    let about = comment.to_lowercase();
+    if word == "gain" {
+        // IRAF's GAIN is in electrons per code.
+        if ["e-/", "e/", "electron"].iter().any(|w| about.contains(w)) {
+            return out.set_feature("EGAIN", &text, key);
+        }
+        // ZWO counts tenths of a decibel.
+        let tenths = ["0.1", "tenth", "/10"].iter().any(|w| about.contains(w));
+        let in_comment = about.split(|c: char| !c.is_alphabetic()).any(|w| w == "db") && !tenths;
+        let db = unit.eq_ignore_ascii_case("db") || in_comment;
+        if db || (writer == Writer::Json && key == "Gain") {
+            out.gain_db = reading.one().or(out.gain_db);
+            out.from.insert("gain_db".into(), key.into());
+            return;
+        }
+        if writer == Writer::Lines && key == "Gain" {
+            return out.set_feature("Gain", &text, key);
+        }
+    }
+    if word == "ccdsum" {
+        let parts: Vec<&str> = value.split_whitespace().collect();
+        if let [x, y] = parts[..] {
+            out.set_feature("BinningHorizontal", x, key);
+            out.set_feature("BinningVertical", y, key);
+        }
+        return;
+    }
+    if word == "binning" {
+        let parts: Vec<&str> = value.split(['x', 'X']).collect();
+        let (x, y) = match parts[..] {
+            [x, y] => (x.trim(), y.trim()),
+            _ => (value, value),
+        };
+        out.set_feature("BinningHorizontal", x, key);
+        out.set_feature("BinningVertical", y, key);
+        return;
+    }
+    // Features of GenICam by their own names; the pixel format is compared by its bits.
+    if writer != Writer::Fits && key != "PixelFormat" && is_setting(key) {
+        return out.set_feature(key, &text, key);
+    }
+    if let Some((feature, _)) = SETTINGS.iter().find(|(_, words)| words.contains(&word)) {
+        out.set_feature(feature, &text, key);
+    }
+}
+
+/// The exposure: every card that tells one must tell the same.
+fn exposure(said: &[Said], writer: Writer, out: &mut Facts) {
+    let of_header = said.iter().find(|s| UNITS.contains(&&*plain(&s.key))).and_then(|s| seconds(&s.value));
+    let mut found: Vec<(usize, f64, bool, String)> = Vec::new();
+    for Said { key, value, comment } in said {
+        let (word, of_key) = values::split_unit(key);
+        let Some(rank) = EXPOSURES.iter().position(|e| *e == word) else { continue };
+        let (reading, rest) = values::number(value);
+        let text =
+            if comment.is_empty() { format!("{key} {value}") } else { format!("{key} {value} ({comment})") };
+        let unit = rest.trim_matches(|c: char| matches!(c, '[' | ']' | '(' | ')' | ' '));
+        let of_comment = values::unit_in(comment);
+        if of_comment.is_err() && of_key.is_none() && seconds(unit).is_none() {
+            out.doubts.push(format!("exposure_s: the comment of {text} names two units"));
+            continue;
+        }
+        let genicam = match (writer, key.as_str()) {
+            (Writer::Json, "ExposureTime") | (Writer::Json | Writer::Lines, "ExposureTimeAbs") => Some(1e-6),
+            _ => None,
+        };
+        let fits = (writer == Writer::Fits).then_some(1.0);
+        let stated = match unit {
+            "" => of_key.or(of_comment.unwrap_or(None)).or(of_header),
+            _ => seconds(unit),
+        };
+        let unit_s = if unit.is_empty() { stated.or(genicam).or(fits) } else { stated };
+        match (reading, unit_s) {
+            (Reading::One(n), Some(unit_s)) if n >= 0.0 => {
+                let exposure_s = values::in_seconds(n, unit_s);
+                // No camera exposes for less than a tenth of a microsecond by accident: these are seconds.
+                if genicam.is_some() && stated.is_none() && n > 0.0 && n < 1.0 {
+                    out.doubts
+                        .push(format!("exposure_s: {text} is {exposure_s} s as GenICam has it, or {n} s"));
+                    continue;
+                }
+                found.push((rank, exposure_s, stated.is_some() || genicam.is_some(), text));
+            }
+            (Reading::Two(a, b), _) => {
+                let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+                out.doubts.push(format!("exposure_s: {text} is {a}{unit} or {b}{unit}"));
+            }
+            _ => {}
+        }
+    }
+    // Zero is known to be wrong where another card tells more.
+    if found.iter().any(|f| f.1 > 0.0) {
+        found.retain(|f| f.1 > 0.0);
+    }
+    found.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then_with(|| a.3.cmp(&b.3)));
+    let Some(first) = found.first() else { return };
+    if let Some(other) = found.iter().find(|f| !same_exposure(f.1, first.1)) {
+        out.doubts
+            .push(format!("exposure_s: {} says {} s, and {} says {} s", first.3, first.1, other.3, other.1));
+    } else if out.doubts.is_empty() {
+        out.exposure_s = Some(first.1);
+        out.unit_stated = first.2;
+        out.from.insert("exposure_s".into(), first.3.clone());
+    }
+}
+
+/// The values of a description: a JSON object, or `key = value` lines.
+pub fn of_description(text: &str) -> Facts {
+    let text = text.trim_matches(|c: char| c.is_whitespace() || c == '\0');
+    if text.starts_with('{')
+        && let Ok(json) = serde_json::from_str::<serde_json::Value>(text)
+    {
+        let mut said = Vec::new();
+        flatten(&json, "", &mut said);
+        return facts(said, Writer::Json);
+    }
+    let pairs = text.lines().filter_map(|line| line.split_once(['=', ':']));
+    facts(pairs.map(|(k, v)| Said::new(k, v.trim().trim_matches('\''))).collect(), Writer::Lines)
+}
+
+/// Values of a JSON object and of the objects in it, by their own names. A value with its unit
+/// (`{"value": 5, "unit": "ms"}`) is one.
+fn flatten(json: &serde_json::Value, key: &str, out: &mut Vec<Said>) {
+    match json {
+        serde_json::Value::Object(inside) => {
+            let text = |v: &serde_json::Value| v.as_str().map_or_else(|| v.to_string(), Into::into);
+            let part = |names: &[&str]| {
+                inside.iter().find(|(k, _)| names.contains(&&*k.to_lowercase())).map(|(_, v)| text(v))
+            };
+            // Micro-Manager 2 calls a value PropVal.
+            if let Some(value) = part(&["value", "propval"]) {
+                let unit = part(&["unit", "units"]).unwrap_or_default();
+                out.push(Said::new(key, &format!("{value} {unit}")));
+                return;
+            }
+            inside.iter().for_each(|(k, v)| flatten(v, k, out));
+        }
+        serde_json::Value::String(text) => out.push(Said::new(key, text)),
+        serde_json::Value::Number(number) => out.push(Said::new(key, &number.to_string())),
+        serde_json::Value::Bool(on) => out.push(Said::new(key, &on.to_string())),
+        _ => {}
+    }
+}
+
+/// Facts of FITS cards.
+pub fn of_cards(cards: Vec<super::cards::Card>) -> Facts {
+    let said = cards.into_iter().map(|c| Said { key: c.key, value: c.value, comment: c.comment });
+    facts(said.collect(), Writer::Fits)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::Kind;
+    use proptest::prelude::*;
+
+    fn fits(cards: &[(&str, &str, &str)]) -> Facts {
+        let said = |c: &(&str, &str, &str)| Said { comment: c.2.into(), ..Said::new(c.0, c.1) };
+        facts(cards.iter().map(said).collect(), Writer::Fits)
+    }
+
+    #[test]
+    fn descriptions_say_what_they_say() {
+        let found = of_description("ImageJ=1.53t\nimages=3\nexposure_ms=12.5\nkind: dark frame");
+        assert_eq!((found.exposure_s, found.kind), (Some(0.0125), Some(Kind::Dark)));
+        assert_eq!(of_description("Exposure = 20 ms").exposure_s, Some(0.02));
+        assert_eq!(of_description("exposure_ms=12,5\ngain_db=6,5").exposure_s, Some(0.0125));
+        assert_eq!(of_description("exposure_ms=12,5\ngain_db=6,5").gain_db, Some(6.5));
+        // Seconds, milliseconds or microseconds?
+        assert_eq!(of_description("ExposureTime = 5000").exposure_s, None);
+        assert_eq!(of_description("Exposure: 20").exposure_s, None);
+        let json = of_description(r#"{"a": {"ExposureTime": 5000.0, "Gain": 6, "BlackLevel": 64}}"#);
+        assert_eq!(
+            (json.exposure_s, json.gain_db, json.feature("BlackLevel")),
+            (Some(0.005), Some(6.0), Some("64"))
+        );
+        let json = of_description(r#"{"exposure": {"value": 5, "unit": "ms"}, "Exposure-ms": 5}"#);
+        assert_eq!(json.exposure_s, Some(0.005));
+        let seconds = of_description(r#"{"ExposureTime": 0.005}"#);
+        assert!(seconds.exposure_s.is_none() && seconds.doubts[0].contains("0.005 s"));
+    }
+
+    #[test]
+    fn units_of_fits_are_heeded() {
+        for (cards, exposure_s) in [
+            (vec![("EXPTIME", "0.25", ""), ("CCD-TEMP", "-10.0", "")], Some(0.25)),
+            (vec![("EXPTIME", "100", "exposure time in ms")], Some(0.1)),
+            (vec![("TIMEUNIT", "ms", ""), ("XPOSURE", "100", "")], Some(0.1)),
+            (vec![("EXPTIME", "0.1", "[s]"), ("EXPOSURE", "100", "[ms]")], Some(0.1)),
+            (vec![("EXPTIME", "3,2E-05", ""), ("EXPOINUS", "32", "Exposure time in us")], Some(3.2e-5)),
+            (vec![("EXPTIME", "0.0", ""), ("EXPOINUS", "32", "")], Some(3.2e-5)),
+            (vec![("EXPTIME", "0.1", ""), ("EXPOSURE", "100", "")], None),
+            (vec![("EXPTIME", "-1", "")], None),
+            (vec![("EXPTIME", "0", ""), ("IMAGETYP", "Flat", "")], None),
+            (vec![("EXPTIME", "0", ""), ("IMAGETYP", "Bias Frame", "")], Some(0.0)),
+            (vec![("EXPTIME", "12,500", "")], None),
+            (vec![("EXPTIME", "100", "ms or s")], None),
+        ] {
+            assert_eq!(fits(&cards).exposure_s, exposure_s, "{cards:?}");
+        }
+        assert!(fits(&[("EXPTIME", "0.1", ""), ("EXPOSURE", "100", "")]).doubts[0].contains("EXPOSURE 100"));
+    }
+
+    #[test]
+    fn what_is_no_raw_frame_says_so() {
+        for card in [
+            ("CALSTAT", "BD", ""),
+            ("STACKCNT", "16", ""),
+            ("NCOMBINE", "16", ""),
+            ("SNAPSHOT", "4", "number of images combined"),
+            ("DARKCOR", "Jan 1 dark.fits", ""),
+            ("IMAGETYP", "Master Dark", ""),
+        ] {
+            assert!(fits(&[card]).processed.is_some(), "{card:?}");
+        }
+        for card in [("CALSTAT", "", ""), ("STACKCNT", "1", ""), ("NCOMBINE", "0", ""), ("DARKCOR", "F", "")]
+        {
+            assert!(fits(&[card]).processed.is_none(), "{card:?}");
+        }
+        assert_eq!(fits(&[("GAIN", "120", "[0.1 dB]")]).feature("GainRaw"), Some("120"));
+        assert_eq!(fits(&[("GAIN", "6", "gain in dB")]).gain_db, Some(6.0));
+        assert_eq!(fits(&[("EXPTIME", "100", ""), ("EXPUNIT", "ms", "")]).exposure_s, Some(0.1));
+        assert_eq!(fits(&[("GAIN", "0.38", "[e-/ADU]")]).feature("EGAIN"), Some("0.38"));
+        assert_eq!(fits(&[("BAYERPAT", "RGGB", "")]).mosaic.as_deref(), Some("RGGB"));
+        assert_eq!(fits(&[("BAYERPAT", "RGGB", ""), ("XBAYROFF", "1", "")]).mosaic.as_deref(), Some("GRBG"));
+        assert_eq!(of_description("PixelFormat: BayerGB12").mosaic.as_deref(), Some("GBRG"));
+        assert_eq!(of_description("PixelFormat: Mono12").mosaic, None);
+    }
+
+    proptest! {
+        #[test]
+        fn the_order_of_a_header_says_nothing(
+            cards in Just(vec![
+                ("EXPTIME", "0.1", "[s]"), ("EXPOSURE", "100", "[ms]"), ("IMAGETYP", "Dark", ""), ("FRAME", "Dark", ""),
+                ("GAIN", "120", ""), ("OFFSET", "10", ""), ("BLKLEVEL", "20", ""), ("INSTRUME", "A/B", ""),
+                ("CAMERA", "C", ""), ("CCD-TEMP", "-10", ""), ("DET-TEMP", "-9", ""),
+            ]).prop_shuffle(),
+        ) {
+            let first = fits(&[
+                ("BLKLEVEL", "20", ""), ("CAMERA", "C", ""), ("CCD-TEMP", "-10", ""), ("DET-TEMP", "-9", ""),
+                ("EXPOSURE", "100", "[ms]"), ("EXPTIME", "0.1", "[s]"), ("FRAME", "Dark", ""), ("GAIN", "120", ""),
+                ("IMAGETYP", "Dark", ""), ("INSTRUME", "A/B", ""), ("OFFSET", "10", ""),
+            ]);
+            prop_assert_eq!(fits(&cards), first);
+        }
+
+        #[test]
+        fn no_description_makes_it_panic(text in "\\PC{0,60}") {
+            let _ = of_description(&text);
+        }
+    }
+}

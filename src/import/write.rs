@@ -1,0 +1,113 @@
+//! Frames, rows and manifest of a new dataset.
+
+use super::{ImportError, Map, pixels};
+use crate::dataset::{
+    BenchInfo, CameraInfo, Dataset, FORMAT, FrameRow, ImportInfo, Kind, Manifest, write_whole,
+};
+use std::path::Path;
+
+/// Refuses a folder that has something in it.
+///
+/// # Errors
+///
+/// Where the folder holds something.
+pub fn must_be_free(root: &Path) -> Result<(), ImportError> {
+    if root.exists() && root.read_dir().map_or(true, |mut inside| inside.next().is_some()) {
+        return Err(ImportError::Files(format!("{} is there already; choose a new folder", root.display())));
+    }
+    Ok(())
+}
+
+/// Copies the frames of a map into a new dataset folder, or makes hard links where `link` says so, and opens it. Where that fails what was
+/// copied is removed again.
+///
+/// # Errors
+///
+/// Which file cannot be read or written, what the map leaves open, or that it was stopped.
+pub fn write(
+    map: &Map,
+    root: &Path,
+    link: bool,
+    step: impl FnMut(usize, usize) -> bool,
+) -> Result<Dataset, ImportError> {
+    must_be_free(root)?;
+    let new = !root.exists();
+    let outcome = fill(map, root, link, step).and_then(|()| Ok(Dataset::open(root)?));
+    if outcome.is_err() {
+        for file in ["dataset.toml", "frames.csv"] {
+            std::fs::remove_file(root.join(file)).ok();
+        }
+        std::fs::remove_dir_all(root.join("frames")).ok();
+        if new {
+            std::fs::remove_dir(root).ok();
+        }
+    }
+    outcome
+}
+
+/// Frames, rows, and last the manifest: what was broken off is no dataset.
+fn fill(
+    map: &Map,
+    root: &Path,
+    link: bool,
+    mut step: impl FnMut(usize, usize) -> bool,
+) -> Result<(), ImportError> {
+    let missing = map.missing();
+    if !missing.is_empty() {
+        return Err(ImportError::Map(format!("missing: {}", missing.join("; "))));
+    }
+    let frames = root.join("frames");
+    std::fs::create_dir_all(&frames)
+        .map_err(|e| ImportError::File { path: frames.clone(), message: e.to_string() })?;
+    let all: usize = map.sets.iter().map(|s| s.files.len()).sum();
+    let mut rows = csv::Writer::from_writer(Vec::new());
+    let mut taken = pixels::Taken::new(map, root, link);
+    let start = map.sets.iter().filter_map(|s| s.times_s.as_ref()?.first().copied());
+    let start = start.fold(f64::INFINITY, f64::min);
+    let mut done = 0;
+    for (number, set) in map.sets.iter().enumerate() {
+        for (index, file) in set.files.iter().enumerate() {
+            if !step(done, all) {
+                return Err(ImportError::Interrupted);
+            }
+            done += 1;
+            let row = FrameRow {
+                file: taken.frame(file, set.turned)?,
+                kind: set.kind,
+                set: number as u32,
+                index: index as u32,
+                exposure_s: set.exposure_s.unwrap_or(1.0),
+                illumination: set.illumination.unwrap_or(f64::from(u8::from(set.kind != Kind::Dark))),
+                configuration: set.configuration,
+                temperature_c: set.temperature_c,
+                timestamp_s: set.times_s.as_ref().map(|t| t[index] - start),
+            };
+            rows.serialize(&row).map_err(|e| ImportError::Map(e.to_string()))?;
+        }
+    }
+    let shape = taken.shape();
+    let mut camera = CameraInfo {
+        vendor: map.vendor.clone().unwrap_or_default(),
+        model: map.model.clone().unwrap_or_default(),
+        width: shape.1,
+        height: shape.0,
+        bit_depth: map.bit_depth,
+        pixel_format: format!("Mono{}", map.bit_depth),
+        gain_db: map.gain_db,
+        ..map.camera.clone().unwrap_or_default()
+    };
+    if let Some(serial) = &map.serial {
+        camera.serial.clone_from(serial);
+    }
+    camera.features.extend(map.features.clone());
+    let guessed = map.guessed();
+    let import = (!guessed.is_empty() || !map.notes.is_empty())
+        .then(|| ImportInfo { guessed, notes: map.notes.clone() });
+    let bench = BenchInfo { illumination_unit: "relative".into(), ..Default::default() };
+    let manifest = Manifest { format: FORMAT.into(), camera, bench: Some(bench), import };
+    let text = toml::to_string(&manifest).map_err(|e| ImportError::Map(e.to_string()))?;
+    let rows = rows.into_inner().map_err(|e| ImportError::Map(e.to_string()))?;
+    write_whole(&root.join("frames.csv"), &rows)?;
+    write_whole(&root.join("dataset.toml"), text.as_bytes())?;
+    Ok(())
+}

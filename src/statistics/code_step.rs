@@ -1,0 +1,380 @@
+//! Step of a converter whose codes were stretched, found from the codes that occur.
+//!
+//! Programs and cameras store 8 to 14 bits in 16: times 16 or 257, with the bits repeated, or scaled by 65535/4095 and
+//! rounded. All of these are floor(step k + offset) of whole k: a digital straight line. A line is accepted if every
+//! code lies on it, and if that is no accident.
+
+/// How often each value of 16 bits occurs.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Occurring(Vec<u64>);
+
+impl Default for Occurring {
+    fn default() -> Self {
+        Self(vec![0; 1 << 16])
+    }
+}
+
+/// Share of the samples that may lie off the line: pixels that a camera fills in from their neighbours after its codes
+/// were stretched (a named choice; a thousandth of the pixels moves no statistic).
+const MAX_STRAY: f64 = 1e-3;
+
+impl Occurring {
+    /// Adds codes.
+    pub fn add(&mut self, codes: &[u16]) {
+        for code in codes {
+            self.0[usize::from(*code)] += 1;
+        }
+    }
+
+    /// Adds those that others saw.
+    pub fn merge(&mut self, other: &Self) {
+        self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a += b);
+    }
+
+    /// Codes that occur, the lowest first.
+    pub fn codes(&self) -> Vec<f64> {
+        self.more_often_than(0)
+    }
+
+    fn more_often_than(&self, limit: u64) -> Vec<f64> {
+        self.0.iter().enumerate().filter(|(_, n)| **n > limit).map(|(code, _)| code as f64).collect()
+    }
+
+    /// Step and offset of stretched codes, or `None` where neighbouring codes occur or too few codes to tell.
+    pub fn stretch(&self) -> Option<Stretch> {
+        let codes = self.codes();
+        // The ends of the range are no codes of the converter where values were cut off there. A whole step is tried
+        // first: with one code off, a step that is almost whole fits too.
+        let n = codes.len();
+        let parts = [(0, n), (0, n.saturating_sub(1)), (1, n)];
+        let cut = |(from, to): (usize, usize)| codes.get(from..to.max(from)).unwrap_or(&[]);
+        let least = if self.has_a_run() { MIN_EVIDENCE_OF_A_RUN } else { MIN_EVIDENCE };
+        let whole = parts.iter().find_map(|part| of_multiples(cut(*part), least));
+        if let Some(found) = whole.or_else(|| parts.iter().find_map(|part| of_whole_codes(cut(*part)))) {
+            return Some(found);
+        }
+        let mut counts: Vec<u64> = self.0.iter().copied().filter(|n| *n > 0).collect();
+        counts.sort_unstable();
+        let most = MAX_STRAY * counts.iter().sum::<u64>() as f64;
+        let mut rare = 0;
+        let limit = counts.iter().take_while(|n| {
+            rare += **n;
+            rare as f64 <= most
+        });
+        of_whole_codes(&self.more_often_than(limit.last().copied()?))
+    }
+
+    /// True where noise covers four successive codes, as far apart as those that lie nearest, and none between them.
+    fn has_a_run(&self) -> bool {
+        /// Samples of a code from which an empty neighbour is no chance.
+        const MIN_SAMPLES: u64 = 30;
+        let codes = self.codes();
+        let often = self.more_often_than(MIN_SAMPLES - 1);
+        let smallest = codes.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
+        often.windows(4).any(|w| w.windows(2).all(|pair| pair[1] - pair[0] == smallest))
+    }
+
+    /// True where the codes show by themselves that they count in steps of 1: neighbours occur.
+    pub fn has_neighbours(&self) -> bool {
+        self.0.windows(2).any(|pair| pair[0] > 0 && pair[1] > 0)
+    }
+}
+
+/// Value of code k: `zero` + `step` k, and at most half a rounding off.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stretch {
+    /// Distance of successive codes.
+    pub step: f64,
+    /// Value of code 0: between minus half a step and half a step.
+    pub zero: f64,
+}
+
+impl Stretch {
+    /// Code of a value. What is off the line of stretched codes belongs to the code below: they were cut off at full scale.
+    pub fn code(&self, value: f64) -> f64 {
+        if self.step < 2.0 {
+            return ((value - self.zero) / self.step).round();
+        }
+        // Rounded, a value is half a step of the file off at most.
+        ((value - self.zero + 0.75) / self.step).floor()
+    }
+}
+
+/// Smallest chance that codes lie on a line by accident which is taken for one: exp(-14), one in a million.
+const MIN_EVIDENCE: f64 = 14.0;
+
+/// Width of the band about its line that rounded codes leave: less than 1, whatever way they are rounded. Of steps
+/// m / (2^15 - 1) it is 1 - 3e-5; at 1 every second number lies on a line of step 2.
+const WHOLE: f64 = 1.0 - 1e-5;
+
+/// The same where four successive codes were seen often: codes of a converter have neighbours there (a named choice; two
+/// more codes at a step of 4).
+const MIN_EVIDENCE_OF_A_RUN: f64 = 4.0;
+
+/// Greatest common divisor of the distances of sorted whole values.
+fn of_multiples(values: &[f64], min_evidence: f64) -> Option<Stretch> {
+    let first = *values.first()? as i64;
+    let divisor = values.iter().fold(0, |mut a: i64, v| {
+        let mut b = *v as i64 - first;
+        while b != 0 {
+            (a, b) = (b, a % b);
+        }
+        a
+    });
+    let step = divisor as f64;
+    let evidence = step.max(1.0).ln() * (values.len() - 1) as f64;
+    let zero = first as f64 - step * (first as f64 / step.max(1.0)).round();
+    (divisor >= 2 && evidence > min_evidence).then_some(Stretch { step, zero })
+}
+
+/// Step of sorted whole values that occur.
+pub fn of_whole_codes(values: &[f64]) -> Option<Stretch> {
+    of_multiples(values, MIN_EVIDENCE).or_else(|| of_sorted(values, WHOLE, 2.0))
+}
+
+/// Step of sorted floating-point values that occur: exact but for their own last bits.
+pub fn of_numbers(values: &[f64]) -> Option<Stretch> {
+    let largest = values.iter().fold(0.0f64, |a, v| a.max(v.abs()));
+    // Four units in the last place of single precision.
+    let window = 4.0 * largest * f64::from(f32::EPSILON);
+    of_sorted(values, window.max(f64::MIN_POSITIVE), 4.0 * window)
+}
+
+/// Step of sorted values that lie within `window` of a line; `None` if two lie nearer than `least`.
+fn of_sorted(values: &[f64], window: f64, least: f64) -> Option<Stretch> {
+    let gaps: Vec<f64> = values.windows(2).map(|w| w[1] - w[0]).collect();
+    let smallest = gaps.iter().copied().fold(f64::INFINITY, f64::min);
+    if gaps.is_empty() || smallest < least || !smallest.is_finite() {
+        return None;
+    }
+    // The longest run of single steps tells the step well enough to count the steps of larger gaps.
+    let single = |gap: &f64| *gap < smallest + 1.01 * window;
+    let (mut run, mut longest, mut from) = (0, 0, 0);
+    for (i, gap) in gaps.iter().enumerate() {
+        run = if single(gap) { run + 1 } else { 0 };
+        if run > longest {
+            (longest, from) = (run, i + 1 - run);
+        }
+    }
+    let step = (values[from + longest] - values[from]) / longest as f64;
+    let fits = |places: Vec<f64>, step: f64| {
+        let (step, zero, width) = narrowest(values, &places, step)?;
+        // Values that a line allows, of all that there are between two steps.
+        let allowed = (window / step).min(1.0);
+        let evidence = -allowed.ln() * (values.len() - 1) as f64;
+        (width <= window && step >= least && evidence > MIN_EVIDENCE)
+            .then(|| Stretch { step, zero: zero - step * (zero / step).round() })
+    };
+    // A run of n steps tells their size to about 2 / n, which does not count the steps of a large gap: what programs
+    // stretch by comes first.
+    let near = |q: &f64| window == WHOLE && (q - step).abs() <= 2.0 / longest as f64 + 1e-9;
+    let known = usual_steps().into_iter().filter(near);
+    let on_grid = |q: f64| values.iter().map(|v| ((v - values[from]) / q).round()).collect();
+    known
+        .filter_map(|q| fits(on_grid(q), q))
+        .next()
+        .or_else(|| fits(outwards(values, &gaps, from, longest), step))
+}
+
+/// Steps of 16 bits that programs stretch shorter codes to: scaled to full scale or bits repeated.
+fn usual_steps() -> Vec<f64> {
+    let scaled = (1..16).flat_map(|bits| {
+        let codes = f64::from(1u32 << bits);
+        [65_535.0 / (codes - 1.0), 65_536.0 / codes * (1.0 + 1.0 / codes), 255.0 / (codes - 1.0)]
+    });
+    scaled.collect()
+}
+
+/// Counts the steps from a run of single ones outwards, by the line through those counted before.
+fn outwards(values: &[f64], gaps: &[f64], from: usize, longest: usize) -> Vec<f64> {
+    let mut line = Line::new(values[from]);
+    let mut places = vec![0.0; values.len()];
+    let mut step = (values[from + longest] - values[from]) / longest as f64;
+    for k in 0..=longest {
+        places[from + k] = k as f64;
+        line.add(k as f64, values[from + k]);
+    }
+    let (mut low, mut high) = (from, from + longest);
+    while low > 0 || high + 1 < values.len() {
+        // The nearer side first.
+        let down = low > 0 && (high + 1 == values.len() || gaps[low - 1] <= gaps[high]);
+        let (at, beside) = if down { (low - 1, low) } else { (high + 1, high) };
+        step = line.slope().unwrap_or(step);
+        places[at] = places[beside] + ((values[at] - values[beside]) / step).round();
+        line.add(places[at], values[at]);
+        if down {
+            low = at;
+        } else {
+            high = at;
+        }
+    }
+    places
+}
+
+/// Sums of a straight line, about its first point.
+struct Line {
+    from: f64,
+    n: f64,
+    sums: [f64; 4],
+}
+
+impl Line {
+    fn new(from: f64) -> Self {
+        Self { from, n: 0.0, sums: [0.0; 4] }
+    }
+
+    fn add(&mut self, place: f64, value: f64) {
+        let v = value - self.from;
+        self.n += 1.0;
+        let [x, y, xx, xy] = &mut self.sums;
+        (*x, *y, *xx, *xy) = (*x + place, *y + v, *xx + place * place, *xy + place * v);
+    }
+
+    fn slope(&self) -> Option<f64> {
+        let [x, y, xx, xy] = self.sums;
+        let below = self.n * xx - x * x;
+        (below > 0.0).then(|| (self.n * xy - x * y) / below)
+    }
+}
+
+/// The slope about this one whose line leaves the narrowest band, the band's middle at place 0, and its width.
+///
+/// The width is a convex function of the slope, so that thirds find its least value.
+fn narrowest(values: &[f64], places: &[f64], step: f64) -> Option<(f64, f64, f64)> {
+    let span = places.last()? - places.first()?;
+    let band = |step: f64| {
+        let off = values.iter().zip(places).map(|(v, k)| v - step * k);
+        off.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)))
+    };
+    let width = |step: f64| {
+        let (a, b) = band(step);
+        b - a
+    };
+    // Least squares are off by less than the band over the span of the places.
+    let reach = 2.0 * width(step) / span.max(1.0);
+    let (mut a, mut b) = (step - reach, step + reach);
+    for _ in 0..60 {
+        let (left, right) = (a + (b - a) / 3.0, b - (b - a) / 3.0);
+        if width(left) <= width(right) { b = right } else { a = left }
+    }
+    let step = 0.5 * (a + b);
+    let (low, high) = band(step);
+    Some((step, 0.5 * (low + high), high - low))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    fn of(codes: impl Iterator<Item = u16>) -> Option<Stretch> {
+        let mut occurring = Occurring::default();
+        occurring.add(&codes.collect::<Vec<_>>());
+        occurring.stretch()
+    }
+
+    /// Converter codes as darks and four flats have them.
+    fn converter(bits: u32) -> Vec<u32> {
+        let full = (1u32 << bits) - 1;
+        let around =
+            |level: u32, width: u32| (level.saturating_sub(width)..=(level + width).min(full)).collect();
+        let groups: [Vec<u32>; 5] = [
+            around(full / 40, 2),
+            around(full / 8, full / 60),
+            around(full / 4, full / 50),
+            around(full / 2, full / 40),
+            around(9 * full / 10, full / 40),
+        ];
+        groups.concat()
+    }
+
+    type Scale = fn(u32) -> u32;
+
+    /// Every way to stretch is found with its step, and every code comes back.
+    #[test]
+    fn stretched_codes_come_back() {
+        let ways: [(&str, u32, f64, Scale); 11] = [
+            ("x16", 12, 16.0, |v| v * 16),
+            ("x4", 14, 4.0, |v| v * 4),
+            ("x257", 8, 257.0, |v| v * 257),
+            ("x100", 9, 100.0, |v| v * 100),
+            ("repeated, 10 bits", 10, 64.0625, |v| v << 6 | v >> 4),
+            ("repeated, 12 bits", 12, 16.0039, |v| v << 4 | v >> 8),
+            ("65535/4095, rounded", 12, 65_535.0 / 4095.0, |v| {
+                (f64::from(v) * 65_535.0 / 4095.0).round() as u32
+            }),
+            ("65535/1023, cut off", 10, 65_535.0 / 1023.0, |v| v * 65_535 / 1023),
+            ("65535/16383, rounded", 14, 65_535.0 / 16_383.0, |v| {
+                (f64::from(v) * 65_535.0 / 16_383.0).round() as u32
+            }),
+            ("x16 and 15 in the low bits", 12, 16.0, |v| v * 16 + 15),
+            ("gain of 2.3", 12, 2.3, |v| (f64::from(v) * 2.3 + 40.0).round() as u32),
+        ];
+        for (name, bits, step, scale) in ways {
+            let codes = converter(bits);
+            let found = of(codes.iter().map(|v| scale(*v) as u16)).unwrap_or_else(|| panic!("{name}"));
+            assert!((found.step / step - 1.0).abs() < 1e-3, "{name}: {found:?}");
+            let off = found.code(scale(codes[0]).into()) - f64::from(codes[0]);
+            for v in &codes {
+                assert_eq!(found.code(f64::from(scale(*v))) - f64::from(*v), off, "{name}: {v} {found:?}");
+            }
+        }
+    }
+
+    /// Codes of a converter that were not stretched, and few codes of any kind, are none.
+    #[test]
+    fn other_codes_are_left_alone() {
+        assert_eq!(of(converter(12).into_iter().map(|v| v as u16)), None);
+        assert_eq!(of([0, 100, 200, 300].into_iter().map(|v| v * 3 + 1).chain([5, 6])), None);
+        assert_eq!(of([0u16, 16, 32].into_iter()), None);
+        assert_eq!(of([7u16].into_iter()), None);
+        assert_eq!(of(std::iter::empty()), None);
+        for seed in 0..200 {
+            // Sparse codes anywhere.
+            let code = |i: u32| PixelRng::new(seed, Stream::Effect, 0, i, 0).uniform() * 65_535.0;
+            let found = of((0..40).map(|i| code(i) as u16));
+            assert_eq!(found, None, "{seed}");
+        }
+        // Codes off the line that are more than strays.
+        let off = [1003, 1005, 2011, 3003, 5001];
+        assert_eq!(of(converter(12).into_iter().map(|v| 16 * v as u16).chain(off)), None);
+    }
+
+    /// Quiet darks alone tell the step too.
+    #[test]
+    fn few_codes_that_occur_often_are_enough() {
+        let counts = [(96u16, 40usize), (100, 900), (104, 1200), (108, 700), (112, 31)];
+        let codes = counts.into_iter().flat_map(|(code, n)| std::iter::repeat_n(code, n));
+        assert_eq!(of(codes), Some(Stretch { step: 4.0, zero: 0.0 }));
+        let apart = [(10u16, 900usize), (50, 900), (130, 900), (170, 900)];
+        assert_eq!(of(apart.into_iter().flat_map(|(code, n)| std::iter::repeat_n(code, n))), None);
+    }
+
+    /// Values cut off at an end of the range, and a few pixels filled in afterwards, hide no step.
+    #[test]
+    fn strays_hide_no_step() {
+        let stretched: Vec<u16> = converter(12).into_iter().map(|v| 16 * v as u16).collect();
+        let found = Some(Stretch { step: 16.0, zero: 0.0 });
+        assert_eq!(of(stretched.iter().copied().chain([65_535])), found);
+        let mut occurring = Occurring::default();
+        (0..100).for_each(|_| occurring.add(&stretched));
+        occurring.add(&[1003, 4013, 20_001]);
+        assert_eq!(occurring.stretch(), found);
+    }
+
+    #[test]
+    fn steps_of_floating_point_numbers_are_found() {
+        for (step, zero) in [(0.25, 0.0), (1.0 / 3.0, -20.5), (1.0 / 4095.0, 0.0), (1.0, -100.0), (16.0, 0.0)]
+        {
+            let values: Vec<f64> =
+                converter(12).into_iter().map(|v| f64::from((f64::from(v) * step + zero) as f32)).collect();
+            let found = of_numbers(&values).unwrap_or_else(|| panic!("{step}"));
+            assert!((found.step / step - 1.0).abs() < 1e-5, "{step}: {found:?}");
+        }
+        let noise = |i: u32| 100.0 + PixelRng::new(3, Stream::Effect, 0, i, 0).normal();
+        let mut values: Vec<f64> = (0..5000).map(|i| f64::from(noise(i) as f32)).collect();
+        values.sort_by(f64::total_cmp);
+        values.dedup();
+        assert_eq!(of_numbers(&values), None);
+    }
+}
