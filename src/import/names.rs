@@ -134,7 +134,7 @@ pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
         let value = values::number(&text.replace('p', ".")).0;
         let signed = name[..at].strip_suffix('-');
         let minus = signed.is_some_and(|s| s.is_empty() || s.ends_with(['_', ' ', '(', '=', '-']));
-        let degrees = matches!(unit, "C" | "degC" | "c") || rest.starts_with("°C");
+        let degrees = matches!(unit, "C" | "degC") || rest.starts_with("°C");
         let named = is(before, TEMPERATURE) && unit.is_empty();
         let nina = minus && pointed && unit.is_empty();
         let temperature_c =
@@ -163,6 +163,11 @@ pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
             binning: is_binning(name, at, end),
         });
         at = end;
+    }
+    // Of a random name no part means anything.
+    let random = stamps::digests(name);
+    for n in out.iter_mut().filter(|n| random.iter().any(|r| r.contains(&n.place.start))) {
+        (n.before, n.unit, n.temperature_c, n.binning) = ("", "", None, false);
     }
     // Between a time stamp and the exposure N.I.N.A. writes the temperature, which has no unit.
     if !stamps::stamps(name).is_empty() {
@@ -217,7 +222,8 @@ fn exposures(text: &str) -> Exposures {
             continue;
         }
         match number.reading {
-            Reading::One(value) if value > 0.0 => {
+            // Of a bias frame 0 is the exposure; of others it is not known.
+            Reading::One(value) if value > 0.0 || (value == 0.0 && kinds::of(text).bias) => {
                 let seconds = values::in_seconds(value, unit_s);
                 if is(number.before, EXPOSURE) { sure.push(seconds) } else { out.found.push(seconds) }
             }
@@ -403,6 +409,10 @@ mod tests {
             ("", "flatdark_5ms.tif", Some(5e-3), None, Some(Kind::Dark)),
             ("", "darkroom_flat_5ms.tif", Some(5e-3), None, Some(Kind::Flat)),
             ("", "Light_5ms.tif", Some(5e-3), None, None),
+            ("", "Bias_0.000s_001.fits", Some(0.0), None, Some(Kind::Dark)),
+            ("10ms", "x1f06db.tif", Some(0.01), Some(6.0), None),
+            ("10ms", "aa1f06db.tif", Some(0.01), None, None),
+            ("", "dark_0ms_001.fits", None, None, Some(Kind::Dark)),
             ("", "Dark_300_secs_001.fits", Some(300.0), None, Some(Kind::Dark)),
             ("", "WhiteField 20 ms 3.tif", Some(0.02), None, Some(Kind::Flat)),
             ("", "dark_exp_500_us_1.tif", Some(5e-4), None, Some(Kind::Dark)),

@@ -188,8 +188,8 @@ fn set_of(frame: &Found, kind: Kind, by_mean: bool, turned: bool) -> MapSet {
 /// Exposure of a bias frame, which has none, s.
 const SHORTEST_S: f64 = 1e-9;
 
-/// Joins sets whose names differ in counters and times of day only: all settings are equal, every set has a single
-/// frame or its name a time of day, and the levels are alike.
+/// Joins sets whose names differ in counters and times of day only: all settings are equal, the sets have single
+/// frames or their names a time of day, and the levels are alike.
 fn joined(sets: Vec<Growing>, found: &[Found], lowest: f64) -> Vec<Growing> {
     let mut groups: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (k, set) in sets.iter().enumerate().filter(|(_, s)| !s.loose.is_empty()) {
@@ -197,7 +197,9 @@ fn joined(sets: Vec<Growing>, found: &[Found], lowest: f64) -> Vec<Growing> {
     }
     let mut into: Vec<usize> = (0..sets.len()).collect();
     for members in groups.into_values() {
-        let single = members.iter().all(|k| sets[*k].frames.len() == 1);
+        // Two frames of one second may share a name.
+        let frames: usize = members.iter().map(|k| sets[*k].frames.len()).sum();
+        let single = frames < 2 * members.len();
         let timed = members.iter().all(|k| sets[*k].timed);
         let means = || members.iter().map(|k| sets[*k].mean_dn - lowest);
         let (low, high) = means().fold((f64::INFINITY, 0.0f64), |(a, b), m| (a.min(m), b.max(m)));

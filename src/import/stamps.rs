@@ -134,7 +134,7 @@ fn time_behind(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
 fn clock(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
     let (h, m, s) = (*runs.first()?, *runs.get(1)?, *runs.get(2)?);
     let separator = gap(text, h, m);
-    let sound = h.len() == 2
+    let sound = matches!(h.len(), 1 | 2)
         && m.len() == 2
         && s.len() == 2
         && matches!(separator, "-" | "_" | ":" | ".")
@@ -221,10 +221,40 @@ fn temperatures(text: &str) -> Vec<Range<usize>> {
     numbers(text).iter().filter(|n| degrees(n)).map(|n| n.place.clone()).collect()
 }
 
+/// Words of hexadecimal digits that are random names: `4c38cec7`, a UUID.
+pub fn digests(text: &str) -> Vec<Range<usize>> {
+    const LENGTH: usize = 8;
+    /// Digits of the parts of a UUID (RFC 9562, section 4).
+    const UUID: [usize; 5] = [8, 4, 4, 4, 12];
+    let mut words: Vec<Range<usize>> = Vec::new();
+    let mut start = 0;
+    for (end, c) in text.char_indices().chain([(text.len(), '.')]) {
+        if !c.is_alphanumeric() {
+            words.push(start..end);
+            start = end + c.len_utf8();
+        }
+    }
+    let hex = |r: &Range<usize>| text[r.clone()].bytes().all(|b| b.is_ascii_hexdigit());
+    let has = |r: &Range<usize>, of: fn(&u8) -> bool| text[r.clone()].bytes().any(|b| of(&b));
+    let single = words.iter().filter(|r| {
+        r.len() >= LENGTH && hex(r) && has(r, u8::is_ascii_digit) && has(r, u8::is_ascii_alphabetic)
+    });
+    let whole = words.windows(UUID.len()).filter(|w| w.iter().zip(UUID).all(|(r, n)| r.len() == n && hex(r)));
+    single.cloned().chain(whole.map(|w| w[0].start..w[UUID.len() - 1].end)).collect()
+}
+
+/// A name without what file managers add to that of a copy: it belongs to the set of its original.
+fn uncopied(name: &str) -> String {
+    const ADDED: [&str; 5] = [" - Copy", " - Kopie", " - Copie", " copy", "_copy"];
+    ADDED.iter().fold(name.to_string(), |name, added| name.replace(added, ""))
+}
+
 /// A name without what differs from frame to frame: time stamps, sensor temperatures, long counters, and the last
 /// number that has no unit. Frames of one set share it.
 pub fn stem(name: &str) -> String {
+    let name = &uncopied(name);
     let mut ranges = stamps(name);
+    ranges.extend(digests(name));
     ranges.extend(temperatures(name));
     let stamped = ranges.clone();
     let inside = |place: &Range<usize>| stamped.iter().any(|r| r.start <= place.start && place.end <= r.end);
@@ -243,7 +273,9 @@ pub fn stem(name: &str) -> String {
 
 /// A name without any number that has no unit, and whether what is gone looks like a time of day.
 pub fn loose(name: &str) -> (String, bool) {
+    let name = &uncopied(name);
     let mut ranges = stamps(name);
+    ranges.extend(digests(name));
     ranges.extend(temperatures(name));
     let clocks = clocks(name);
     let timed = !clocks.is_empty();
@@ -292,6 +324,13 @@ mod tests {
             // KStars
             ("Flat_L_5_secs_2023-05-05T21-00-03_001.fits", "Flat_L_5_secs_2023-05-05T21-00-09_002.fits"),
             ("flat_10ms_003.tif", "flat_10ms_012.tif"),
+            ("flat_10ms_003.tif", "flat_10ms_003 - Copy.tif"),
+            ("flat_10ms_003.tif", "flat_10ms_004 copy.tif"),
+            ("bee8c57e.tif", "4c38cec7.tif"),
+            (
+                "10ms_3f2504e0-4f89-41d3-9a0c-0305e82c3301.tif",
+                "10ms_0f8fad5b-d9cb-469f-a165-70867728950e.tif",
+            ),
             ("dark_21h00m03s_10ms.tif", "dark_21h00m09s_10ms.tif"),
             ("20240501210003123.tif", "20240501210004001.tif"),
             ("20240501T210003.123456_flat_10ms.tif", "20240501T210004.000001_flat_10ms.tif"),
@@ -304,11 +343,13 @@ mod tests {
             ("flat_10ms_003.tif", "flat_20ms_003.tif"),
             ("flat_5ms_level1_003.tif", "flat_5ms_level2_003.tif"),
             ("flat_01_02_03.tif", "flat_01_03_03.tif"),
+            ("flat-5-c-0003.tif", "flat-6-c-0003.tif"),
             ("dark_gain10_1.tif", "dark_gain20_1.tif"),
         ] {
             assert_ne!(stem(a), stem(b), "{a}");
         }
         assert_eq!(loose("Capture 21_00_03.tif"), loose("Capture 21_01_57.tif"));
+        assert_eq!(loose("Snap 9-57-07 PM.tif"), loose("Snap 10-00-07 PM.tif"));
         assert!(loose("Capture 21_00_03.tif").1 && !loose("Capture 3.tif").1);
         for exposure in ["20240501_100000us_1.tif", "20240501_1000ms_1.tif", "flat_01_02_10ms.tif"] {
             let number = numbers(exposure).into_iter().find(|n| !n.unit.is_empty()).unwrap();

@@ -108,7 +108,9 @@ pub fn unit_in(comment: &str) -> Result<Option<f64>, ()> {
         return Ok(Some(unit_s));
     }
     let words = comment.split(|c: char| !c.is_alphanumeric() && c != '\'' && c != '/');
-    let mut units: Vec<f64> = words.filter_map(|w| seconds(w.trim_matches('/'))).collect();
+    // min is the least as often as the minute.
+    let words = words.map(|w| w.trim_matches('/')).filter(|w| !w.eq_ignore_ascii_case("min"));
+    let mut units: Vec<f64> = words.filter_map(seconds).collect();
     units.dedup();
     match units[..] {
         [] => Ok(None),
@@ -179,6 +181,7 @@ mod tests {
             ("Total Exposure Time (s)", Ok(Some(1.0))),
             ("the camera's exposure", Ok(None)),
             ("ms or s", Err(())),
+            ("min exposure", Ok(None)),
             ("", Ok(None)),
         ] {
             assert_eq!(unit_in(comment), unit, "{comment}");

@@ -56,7 +56,7 @@ type Name = dyn Fn(&str, f64, usize, usize) -> String;
 #[test]
 fn time_stamps_in_names_part_no_sets() {
     let bench = Bench::new();
-    let ways: [(&str, &Name); 19] = [
+    let ways: [(&str, &Name); 23] = [
         ("nina", &|k, ms, _, n| {
             format!(
                 "2024-05-01_{}_{}_-{:.2}_{:.2}s_{n:04}.tif",
@@ -118,6 +118,15 @@ fn time_stamps_in_names_part_no_sets() {
         }),
         ("ekos", &|k, ms, i, n| format!("{k}_L_{}_secs_2024-05-01T{}_{:03}.tif", s(ms), dashes(n), i + 1)),
         ("one run", &|k, ms, _, n| format!("{k}_{ms}ms/20240501{}{:03}.tif", digits(n), n * 7 % 1000)),
+        ("half day", &|k, ms, _, n| {
+            let (h, m, s) = time(n + 1195);
+            format!("{k}_{ms}ms/Snap {}-{m:02}-{s:02} PM.tif", h - 12)
+        }),
+        ("seconds since 1970", &|k, ms, _, n| format!("{k}/{ms}ms/{}.{:06}.tif", 1_714_597_203 + n, n * 777)),
+        ("random", &|k, ms, _, n| {
+            format!("{k}_{ms}ms/{:08x}8c.tif", (n as u64 + 3) * 0x0123_4567 % 0xffff_fff1)
+        }),
+        ("folders", &|k, ms, _, n| format!("{k}_{ms}ms/{}/Capture_00001.tif", dashes(n).replace('-', "_"))),
         ("letters", &|k, ms, _, n| {
             let (h, m, s) = time(n);
             format!("{k}_{ms}ms_{h:02}h{m:02}m{s:02}s.tif")
