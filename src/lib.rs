@@ -68,6 +68,7 @@ pub mod dataset;
 pub mod diagnosis;
 pub mod emva;
 pub mod features;
+mod first_look;
 pub mod fit;
 pub mod flat_field;
 pub mod frame;

@@ -51,12 +51,13 @@ pub(crate) mod finite {
 /// assert_eq!(with_error(0.380041, 0.000213), "0.38004 ± 0.00021");
 /// assert_eq!(with_error(1234.5, 56.0), "1234 ± 56"); // ties go to the even digit
 /// assert_eq!(with_error(2.5, f64::NAN), "2.5");
+/// assert_eq!(with_error(2.5, f64::INFINITY), "2.5"); // an error that nothing tells
 /// assert_eq!(with_error(2.134e-6, 1.1e-7), "(2.13 ± 0.11)e-6");
 /// assert_eq!(with_error(3_937_768.0, 283_911.0), "(3.94 ± 0.28)e6");
 /// ```
 pub fn with_error(value: f64, std_err: f64) -> String {
     let size = value.abs().max(std_err);
-    if size > 0.0 && !(1e-4..1e6).contains(&size) && std_err > 0.0 {
+    if size > 0.0 && size.is_finite() && !(1e-4..1e6).contains(&size) && std_err > 0.0 {
         let power = size.log10().floor() as i32;
         let unit = 10f64.powi(power);
         return format!("({})e{power}", with_error(value / unit, std_err / unit));

@@ -12,8 +12,9 @@
 
 use crate::data_faults::{SetFacts, examined, facts_of};
 use crate::dataset::{Dataset, DatasetError, FrameRow, Manifest, Set, write_whole};
-use crate::noise::{NoiseError, level_of};
-use crate::observables::{LeftOut, Look, ObserveError, Work, record, record_looks};
+use crate::first_look::{Look, Seen, record_looks};
+use crate::noise::{Mask, NoiseError, level_of};
+use crate::observables::{LeftOut, ObserveError, Work, record};
 use crate::statistics::level::Level;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -39,7 +40,7 @@ pub struct Key {
     pub(crate) to: usize,
     pub(crate) before: bool,
     pub(crate) clean: bool,
-    /// Of a piece the digest of the first look; of looks and levels, which nothing else decides, the version.
+    /// Of a piece the digest of the first look, of a level that of its mask; of looks, which nothing else decides, the version.
     pub(crate) under: String,
 }
 
@@ -202,14 +203,19 @@ fn of_sets(
     let dataset = &examined(&with_facts(dataset, &facts), stop)?;
     let mut out = record(dataset, wanted, stop, progress)?;
     out.facts = facts;
+    // What was looked at needs no second look.
+    let mut known = dataset.reduced().cloned().unwrap_or_default();
+    known.looks.extend(out.looks.clone());
+    let dataset = &dataset.clone().with_reduced(known);
+    let mask = Mask::of(&Seen::new(dataset, stop, &mut |_| {})?, dataset);
     let mut memory = None;
     for set in dataset.sets().iter().filter(|s| wanted(s)) {
-        let level = level_of(dataset, set, &mut memory, stop).map_err(|e| match e {
+        let level = level_of(dataset, set, &mask, &mut memory, stop).map_err(|e| match e {
             NoiseError::Dataset(e) => ObserveError::Dataset(e),
             NoiseError::Interrupted => ObserveError::Interrupted,
             e => ObserveError::Nothing(e.to_string()),
         })?;
-        out.levels.insert(Key::first(dataset, set, usize::MAX), level);
+        out.levels.insert(mask.key(dataset, set), level);
     }
     Ok(out)
 }

@@ -41,6 +41,7 @@ pub use draw::{Conditions, Expected, Sensor};
 pub use maps::Maps;
 pub use model::{Base, Bench, Body, EffectValues, FORMAT, Model, ModelError};
 pub use optics::{Band, Optics};
+pub use quantize::{Rounded, rounded};
 pub use region::Region;
 pub use scene::{PATCH_BACKGROUND, Scene};
 pub use surface::{Spectrum, Texture};

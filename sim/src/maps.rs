@@ -8,7 +8,7 @@ use rayon::prelude::*;
 /// Per-pixel maps of a sensor, each (rows, columns), drawn from the seed.
 #[derive(Debug, Clone)]
 pub struct Maps {
-    /// K(a,b), mean 1 over the sensor (eq. 2).
+    /// K(a,b), mean 1 over the sensor (eq. 2); then 0 of dead and optically black pixels.
     pub uniformity: Array2<f32>,
     /// Dark current over its mean.
     pub dark_current: Array2<f32>,
@@ -47,6 +47,20 @@ fn read_noise(model: &Model) -> Option<Array2<f32>> {
     Some(all)
 }
 
+/// Pixels without response: dead ones anywhere, and the black reference at the left edge.
+fn blind(model: &Model, uniformity: &mut Array2<f32>) {
+    let base = &model.base;
+    if base.dead_pixel_fraction == 0.0 && base.black_columns == 0 {
+        return;
+    }
+    for (pixel, ((_, x), k)) in uniformity.indexed_iter_mut().enumerate() {
+        let mut random = PixelRng::new(base.seed, Stream::DeadPixels, 0, pixel as u32, 0);
+        if x < base.black_columns as usize || random.uniform() < base.dead_pixel_fraction {
+            *k = 0.0;
+        }
+    }
+}
+
 impl Maps {
     /// Draws the maps of a model.
     pub fn new(model: &Model) -> Self {
@@ -55,6 +69,7 @@ impl Maps {
         let mut uniformity = map(model, |p| (1.0 + base.sigma_k * normal(Stream::Uniformity, p)).max(0.0));
         let mean = uniformity.iter().map(|&k| f64::from(k)).sum::<f64>() / uniformity.len() as f64;
         uniformity.mapv_inplace(|k| (f64::from(k) / mean) as f32);
+        blind(model, &mut uniformity);
 
         // Log-normal with mean 1 and the wanted relative deviation.
         let log_variance = libm::log1p(base.dark_current_spread * base.dark_current_spread);

@@ -179,6 +179,12 @@ pub struct Base {
     pub hot_pixel_fraction: f64,
     /// Mean dark current of a hot pixel above the ordinary, in units of the mean (exponential).
     pub hot_pixel_factor: f64,
+    /// Share of pixels that are dead: they stay at the black level, whatever the light.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub dead_pixel_fraction: f64,
+    /// Optically black columns at the left edge, pixels: the black reference that many sensors send along.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub black_columns: u32,
     /// Seed of the maps and of the noise.
     pub seed: u64,
 }
@@ -186,6 +192,11 @@ pub struct Base {
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes references")]
 fn is_zero(value: &f64) -> bool {
     *value == 0.0
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes references")]
+fn is_none(value: &u32) -> bool {
+    *value == 0
 }
 
 /// Card and lamp in front of the camera.
@@ -198,6 +209,10 @@ pub struct Bench {
     pub shading: f64,
     /// Relative change of the light from one side to the other; its direction turns with the configuration.
     pub gradient: f64,
+    /// Radius of the lens' image circle over half the diagonal of the sensor; 0: the circle covers the sensor. The rim
+    /// is a twentieth of the radius wide.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub image_circle: f64,
     /// Relative change of the light in an hour.
     #[serde(default)]
     pub lamp_drift_per_h: f64,
@@ -321,9 +336,12 @@ impl Model {
             ("base.dark_doubling_k", b.dark_doubling_k, 1.0, 100.0, "K"),
             ("base.hot_pixel_fraction", b.hot_pixel_fraction, 0.0, 1.0, ""),
             ("base.hot_pixel_factor", b.hot_pixel_factor, 0.0, 1e6, ""),
+            ("base.dead_pixel_fraction", b.dead_pixel_fraction, 0.0, 1.0, ""),
+            ("base.black_columns", f64::from(b.black_columns), 0.0, f64::from(c.width), "px"),
             ("bench.photon_flux_per_s", l.photon_flux_per_s, 0.0, 1e15, "photons/px/s"),
             ("bench.shading", l.shading, 0.0, 1.0, ""),
             ("bench.gradient", l.gradient, 0.0, 1.0, ""),
+            ("bench.image_circle", l.image_circle, 0.0, 10.0, ""),
             ("bench.lamp_drift_per_h", l.lamp_drift_per_h, -1.0, 1.0, "1/h"),
             ("bench.optics.psf_sigma_px", l.optics.psf_sigma_px, 0.0, 50.0, "px"),
             ("bench.optics.nd_density", l.optics.nd_density, 0.0, 10.0, ""),

@@ -35,6 +35,8 @@ pub enum Stream {
     Effect = 7,
     /// Random numbers of the pixels' read noise.
     ReadNoise = 8,
+    /// Pixels that are dead.
+    DeadPixels = 9,
 }
 
 const M0: u64 = 0xD251_1F53;

@@ -53,6 +53,24 @@ fn cell(body: &Body, squares: usize, index: usize) -> (usize, usize, usize, usiz
 /// The relative light at every pixel, (rows, columns), in electrons per electron of a plain card in the middle of the
 /// light: 1 there.
 pub(crate) fn light_map(model: &Model, scene: Scene, configuration: u32) -> Array2<f32> {
+    let mut light = light_of_card(model, scene, configuration);
+    let radius = model.bench.image_circle;
+    if radius > 0.0 {
+        let (h, w) = (light.nrows() as f64, light.ncols() as f64);
+        let diagonal = 0.5 * libm::hypot(h, w);
+        for ((y, x), l) in light.indexed_iter_mut() {
+            let off = libm::hypot(y as f64 + 0.5 - 0.5 * h, x as f64 + 0.5 - 0.5 * w) / diagonal;
+            *l *= ((radius - off) / (RIM * radius)).clamp(0.0, 1.0) as f32;
+        }
+    }
+    light
+}
+
+/// Width of the image circle's rim, over the radius: of a lens with its iris closed a little (a named choice).
+const RIM: f64 = 0.05;
+
+/// The same without the image circle.
+fn light_of_card(model: &Model, scene: Scene, configuration: u32) -> Array2<f32> {
     let (body, bench) = (&model.camera, &model.bench);
     let shape = (body.height as usize, body.width as usize);
     let (h, w) = (shape.0 as f64, shape.1 as f64);

@@ -1,6 +1,7 @@
 //! The four planes of a colour mosaic of two by two pixels.
 
 use super::pattern::FixedPattern;
+use crate::statistics::lit::Lit;
 use ndarray::{Array2, s};
 
 /// First row and column of each plane.
@@ -11,8 +12,9 @@ pub(super) fn planes(images: &[Array2<f32>]) -> [Vec<Array2<f32>>; 4] {
     PLACES.map(|(y, x)| images.iter().map(|image| image.slice(s![y..;2, x..;2]).to_owned()).collect())
 }
 
-/// One pattern of the patterns of the planes, in that order: K has mean 1 in each.
-pub(super) fn joined(patterns: &[FixedPattern], shape: (usize, usize)) -> FixedPattern {
+/// One pattern of the patterns of the planes, in that order, and which pixels get light: K has mean 1 in each.
+pub(super) fn joined(patterns: &[(FixedPattern, Lit)], shape: (usize, usize)) -> (FixedPattern, Lit) {
+    let mut light = Lit { lit: Array2::from_elem(shape, false), blind: Array2::from_elem(shape, false) };
     let mut out = FixedPattern {
         k: Array2::ones(shape),
         std_err: Array2::zeros(shape),
@@ -22,7 +24,9 @@ pub(super) fn joined(patterns: &[FixedPattern], shape: (usize, usize)) -> FixedP
         level_dn: 0.0,
     };
     let n = patterns.len().max(1) as f64;
-    for ((y, x), p) in PLACES.into_iter().zip(patterns) {
+    for ((y, x), (p, of_plane)) in PLACES.into_iter().zip(patterns) {
+        light.lit.slice_mut(s![y..;2, x..;2]).assign(&of_plane.lit);
+        light.blind.slice_mut(s![y..;2, x..;2]).assign(&of_plane.blind);
         out.k.slice_mut(s![y..;2, x..;2]).assign(&p.k);
         out.std_err.slice_mut(s![y..;2, x..;2]).assign(&p.std_err);
         out.kept.slice_mut(s![y..;2, x..;2]).assign(&p.kept);
@@ -31,5 +35,5 @@ pub(super) fn joined(patterns: &[FixedPattern], shape: (usize, usize)) -> FixedP
         // The error of darks weighs most where least light passes: the darkest plane's level bounds it.
         out.level_dn = if out.level_dn == 0.0 { p.level_dn } else { out.level_dn.min(p.level_dn) };
     }
-    out
+    (out, light)
 }

@@ -1,6 +1,7 @@
-//! Pixels that do not follow the model: hot, dead and unstable ones, each with its reason.
+//! Pixels that do not follow the model: hot, dead, unstable and blind ones, each with its reason.
 
 use super::dark::DarkMean;
+use crate::statistics::lit::Lit;
 use crate::statistics::median::median;
 use ndarray::{Array2, Zip};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -11,11 +12,16 @@ pub const HOT: u8 = 1;
 pub const DEAD: u8 = 2;
 /// Flag of a pixel whose dark values scatter more than the noise of its neighbours.
 pub const UNSTABLE: u8 = 4;
+/// Flag of a pixel that no light reaches, as its neighbours: outside the image circle of the lens, optically black, or
+/// overscan.
+pub const BLIND: u8 = 8;
+/// Flags of pixels whose response is not known: K = 1 stands in its place.
+pub const NO_RESPONSE: u8 = DEAD | BLIND;
 
 /// Deviations (robust, of all pixels) from which a dark signal is hot.
 const HOT_SIGMA: f64 = 8.0;
 /// K below which, and above whose inverse, a pixel is dead.
-const DEAD_K: f32 = 0.5;
+pub(super) const DEAD_K: f32 = 0.5;
 /// Chance that one sound pixel of the whole frame counts as unstable.
 const UNSTABLE_CHANCE: f64 = 1e-3;
 /// Temporal variance over the usual one that an unstable pixel has at least: what matters to a user.
@@ -28,7 +34,7 @@ pub struct Defect {
     pub y: usize,
     /// Column.
     pub x: usize,
-    /// Sum of [`HOT`], [`DEAD`], [`UNSTABLE`].
+    /// Sum of [`HOT`], [`DEAD`], [`UNSTABLE`], [`BLIND`].
     pub flags: u8,
     /// Dark signal above the median of all pixels, DN, at the longest exposure.
     pub dark_excess_dn: f64,
@@ -48,6 +54,9 @@ impl Defect {
         if self.flags & DEAD != 0 {
             why.push(format!("dead: K = {:.3}", self.k));
         }
+        if self.flags & BLIND != 0 {
+            why.push("blind: no light reaches it, or a part of it".into());
+        }
         if self.flags & UNSTABLE != 0 {
             why.push(format!("unstable: {:.1} times the usual variance in the dark", self.variance_ratio));
         }
@@ -59,7 +68,7 @@ impl Defect {
 /// growth of variance with the dark signal is taken from the pixels themselves.
 ///
 /// Hot pixels are looked for at the longest exposure, unstable ones at the exposure with the most frames.
-pub fn find(darks: &[DarkMean], k: &Array2<f32>, gain_dn_per_e: Option<f64>) -> Vec<Defect> {
+pub fn find(darks: &[DarkMean], k: &Array2<f32>, light: &Lit, gain_dn_per_e: Option<f64>) -> Vec<Defect> {
     let longest = darks.iter().max_by(|a, b| a.exposure_s.total_cmp(&b.exposure_s));
     let most = darks.iter().filter(|d| d.frames >= 3).max_by_key(|d| d.frames);
     let excess = longest.map(|d| {
@@ -86,7 +95,11 @@ pub fn find(darks: &[DarkMean], k: &Array2<f32>, gain_dn_per_e: Option<f64>) -> 
         let ((dark_excess_dn, hot), (variance_ratio, unstable)) = (at(&excess), at(&scatter));
         let mut flags = 0;
         flags |= if dark_excess_dn > hot { HOT } else { 0 };
-        flags |= if (DEAD_K..=1.0 / DEAD_K).contains(&k) { 0 } else { DEAD };
+        flags |= match (light.blind[(y, x)], light.lit[(y, x)]) {
+            (true, _) => BLIND,
+            (false, true) if (DEAD_K..=1.0 / DEAD_K).contains(&k) => 0,
+            _ => DEAD,
+        };
         flags |= if scatter.is_some() && variance_ratio > unstable { UNSTABLE } else { 0 };
         if flags != 0 {
             found.push(Defect { y, x, flags, dark_excess_dn, k: k.into(), variance_ratio });
@@ -152,7 +165,8 @@ mod tests {
         let mut k = Array2::from_elem(shape, 1.0f32);
         k[(99, 99)] = 0.1;
         let dark = DarkMean { exposure_s: 1.0, frames, mean_dn, var_dn2 };
-        let found = find(&[dark], &k, None);
+        let light = Lit::of(&[Array2::from_elem(shape, 500.0)]);
+        let found = find(&[dark], &k, &light, None);
         let seen: Vec<_> = found.iter().map(|d| ((d.y, d.x), d.flags)).collect();
         assert_eq!(seen, [((7, 9), UNSTABLE), ((50, 3), HOT), ((99, 99), DEAD)]);
         assert!(found[1].reason().starts_with("hot: +40"), "{}", found[1].reason());

@@ -4,7 +4,7 @@
 //! dark current in DN per second where it is known. ImageJ, OpenCV and tifffile open it.
 
 use crate::calibrate::dark::DarkReference;
-use crate::calibrate::defects::Defect;
+use crate::calibrate::defects::{BLIND, Defect};
 use crate::calibrate::pattern::FixedPattern;
 use crate::dataset::image::ascii;
 use crate::dataset::{CameraInfo, write_whole};
@@ -52,6 +52,9 @@ pub struct Description {
     /// Pixels with a flag in the map of defects.
     #[serde(default)]
     pub defects: usize,
+    /// Those among them that no light reaches.
+    #[serde(default)]
+    pub blind: usize,
     /// Configurations n1.
     pub n1: usize,
     /// Frames n2 averaged in each.
@@ -115,6 +118,7 @@ impl Description {
             dark_current_std_err_dn_per_s: None,
             k_level_dn: None,
             defects: 0,
+            blind: 0,
             n1: 0,
             n2: 0,
             estimator: String::new(),
@@ -140,6 +144,7 @@ impl Calibration {
             defects[(d.y, d.x)] = d.flags;
         }
         description.defects = found.len();
+        description.blind = found.iter().filter(|d| d.flags & BLIND != 0).count();
         description.k_level_dn = Some(pattern.level_dn).filter(|l| l.is_finite() && *l > 0.0);
         // Every configuration has the same dark reference taken off: its error does not average out.
         let shared = description.dark_error_of_k() as f32;
@@ -163,12 +168,21 @@ impl Calibration {
         if format.is_ok_and(PixelFormat::is_mosaic) { 2 } else { 1 }
     }
 
-    /// Writes the file whole or not at all.
+    /// Writes the file whole or not at all, once [`read`](Self::read) has accepted it.
     ///
     /// # Errors
     ///
-    /// Where the file cannot be written.
+    /// Where the file cannot be written, or could not be read again.
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
+        let bytes = self.to_bytes(path)?;
+        Self::from_bytes(&bytes, path).map_err(|e| FileError {
+            message: format!("not written: it could not be read again ({})", e.message),
+            ..e
+        })?;
+        write_whole(path, &bytes).map_err(|e| FileError { path: path.into(), message: e.to_string() })
+    }
+
+    fn to_bytes(&self, path: &Path) -> Result<Vec<u8>, FileError> {
         let fault = |message: String| FileError { path: path.into(), message };
         let mut out = Cursor::new(Vec::new());
         let mut encoder = TiffEncoder::new(&mut out).map_err(|e| fault(e.to_string()))?;
@@ -193,7 +207,7 @@ impl Calibration {
             }
             image.write_data(standard.as_slice().unwrap_or_default()).map_err(|e| fault(e.to_string()))?;
         }
-        write_whole(path, &out.into_inner()).map_err(|e| fault(e.to_string()))
+        Ok(out.into_inner())
     }
 
     /// Reads a file; one that was cut short, edited or is of another version is refused by name.
@@ -202,8 +216,14 @@ impl Calibration {
     ///
     /// Where the file cannot be read or is no calibration.
     pub fn read(path: &Path) -> Result<Self, FileError> {
+        let bytes =
+            std::fs::read(path).map_err(|e| FileError { path: path.into(), message: e.to_string() })?;
+        Self::from_bytes(&bytes, path)
+    }
+
+    /// The same from bytes; `path` stands in errors.
+    fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, FileError> {
         let fault = |message: String| FileError { path: path.into(), message };
-        let bytes = std::fs::read(path).map_err(|e| fault(e.to_string()))?;
         let broken = |e: tiff::TiffError| fault(format!("not a sound calibration file: {e}"));
         let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(broken)?;
         let text = decoder
@@ -317,6 +337,19 @@ mod tests {
             assert_eq!((&read.defects, read.defects[(1, 2)]), (&written.defects, 5));
             assert_eq!(read.dark.level_dn, written.dark.level_dn);
             assert_eq!(read.dark.current_dn_per_s, written.dark.current_dn_per_s);
+        }
+    }
+
+    /// The writer is as strict as the reader, and puts nothing in place that the reader would refuse.
+    #[test]
+    fn what_could_not_be_read_is_not_written() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("cal.tiff");
+        for bad in [-0.0003, f32::NAN] {
+            let mut calibration = calibration(true);
+            calibration.k[(1, 1)] = bad;
+            let message = calibration.write(&path).unwrap_err().to_string();
+            assert!(message.contains("not written") && !path.exists(), "{message}");
         }
     }
 

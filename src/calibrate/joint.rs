@@ -5,7 +5,7 @@
 //! Surface and K are fitted in turn, both with Tukey's biweight (Beaton and Tukey 1974), so that spots of the card do
 //! not matter. Against the window's mean, neighbours' spots and K's own mean over the window drop out of the error.
 
-use super::pattern::{FixedPattern, PatternError, check, level, pooled_deviation};
+use super::pattern::{FixedPattern, PatternError, check, level_of, pooled_deviation};
 use super::robust::{self, Light, Location};
 use crate::fit::cholesky::Factor;
 use crate::statistics::median::median_of;
@@ -18,6 +18,11 @@ const MAX_ORDER: usize = 6;
 const BLOCK: usize = 8;
 /// Blocks that are used at most, about.
 const MOST_BLOCKS: f64 = 6000.0;
+/// Residual of a block beyond which it is not used, over the robust deviation of all: the rim of an image circle and spots
+/// of a block's size are no part of the surface (Tukey's biweight constant, as for the pixels).
+const MAX_BLOCK_DEVIATIONS: f64 = 4.685;
+/// Rounds of leaving such blocks out.
+const BLOCK_ROUNDS: usize = 5;
 
 /// K by the joint model. `configurations` are the e_i of eq. (46), DN, each (rows, columns).
 ///
@@ -29,8 +34,17 @@ const MOST_BLOCKS: f64 = 6000.0;
 /// Where there are too few configurations, or they differ in size.
 pub fn joint(configurations: &[Array2<f32>]) -> Result<FixedPattern, PatternError> {
     check(configurations)?;
+    joint_of(configurations, &Array2::from_elem(configurations[0].dim(), true))
+}
+
+/// The same of the pixels that are sound; K of the others is of no use.
+pub(super) fn joint_of(
+    configurations: &[Array2<f32>],
+    sound: &Array2<bool>,
+) -> Result<FixedPattern, PatternError> {
+    check(configurations)?;
     let shape = configurations[0].dim();
-    let blocks = Blocks::new(shape);
+    let blocks = Blocks::new(sound);
     let mut k = Array2::<f32>::ones(shape);
     let order = blocks.order(configurations, &k);
     let n1 = configurations.len();
@@ -39,69 +53,107 @@ pub fn joint(configurations: &[Array2<f32>]) -> Result<FixedPattern, PatternErro
     // The first round's K takes the grain out of the second's surfaces; a third changes nothing that matters.
     for _ in 0..2 {
         let light = blocks.surfaces(configurations, &k, order);
-        pooled_sd = pooled_deviation(shape, n1, |at, m| {
+        pooled_sd = pooled_deviation(sound, n1, |at, m| {
             m.clear();
             m.extend(configurations.iter().enumerate().map(|(i, e)| f64::from(e[at]) / light.at(i, at)));
         });
         let location = Location::Biweight { scale: pooled_sd as f32 };
         kept = robust::estimate(configurations, &light, location, &mut k);
-        mean_before = k.iter().map(|&k| f64::from(k)).sum::<f64>() / k.len() as f64;
+        mean_before = mean_of(&k, sound);
         k.mapv_inplace(|k| (f64::from(k) / mean_before) as f32);
     }
     let (variance, _) = robust::efficiency(n1, Location::Biweight { scale: 1.0 });
     let share = |kept: u16| variance * n1 as f64 / f64::from(kept.max(1));
     let std_err = kept.mapv(|kept: u16| (pooled_sd * share(kept).sqrt()) as f32);
-    Ok(FixedPattern { k, std_err, kept, pooled_sd, mean_before, level_dn: level(configurations) })
+    Ok(FixedPattern { k, std_err, kept, pooled_sd, mean_before, level_dn: level_of(configurations, sound) })
+}
+
+/// Mean over the sound pixels.
+pub(super) fn mean_of(k: &Array2<f32>, sound: &Array2<bool>) -> f64 {
+    let used = k.iter().zip(sound).filter(|(_, sound)| **sound).map(|(k, _)| f64::from(*k));
+    let (n, sum) = used.fold((0.0, 0.0), |(n, sum), k| (n + 1.0, sum + k));
+    sum / f64::max(n, 1.0)
+}
+
+/// The configurations with the light's surface in the place of pixels that are not sound, so that a window's mean is that of
+/// the light.
+pub(super) fn filled(configurations: &[Array2<f32>], sound: &Array2<bool>) -> Vec<Array2<f32>> {
+    let blocks = Blocks::new(sound);
+    let even = Array2::<f32>::ones(sound.dim());
+    let light = blocks.surfaces(configurations, &even, blocks.order(configurations, &even));
+    let mut out = configurations.to_vec();
+    for (i, image) in out.iter_mut().enumerate() {
+        for ((at, e), _) in image.indexed_iter_mut().zip(sound).filter(|(_, sound)| !**sound) {
+            *e = light.at(i, at) as f32;
+        }
+    }
+    out
 }
 
 /// K where nothing was moved: the mean image over a smooth surface. What the card and the lamp have at a finer scale than
 /// the surface is taken for the camera's: no frame can tell.
 ///
-/// `noise` is (A, sigma_C^2) and `frames` their number in each image: the standard error holds the temporal noise alone.
+/// `noise_dn2` is the variance of the temporal noise that each image still has (that of a frame over the number of frames):
+/// images are weighted by it, and the standard error holds it alone.
 ///
 /// # Errors
 ///
 /// Where there are too few configurations, or they differ in size.
-pub fn smooth(
+pub fn smooth(images: &[Array2<f32>], noise_dn2: &[f64]) -> Result<FixedPattern, PatternError> {
+    let Some(first) = images.first() else { return Err(PatternError::TooFew(0)) };
+    smooth_of(images, noise_dn2, &Array2::from_elem(first.dim(), true))
+}
+
+/// The same of the pixels that are sound; K of the others is of no use.
+pub(super) fn smooth_of(
     images: &[Array2<f32>],
-    noise: Option<(f64, f64)>,
-    frames: u64,
+    noise_dn2: &[f64],
+    sound: &Array2<bool>,
 ) -> Result<FixedPattern, PatternError> {
     let Some(first) = images.first() else { return Err(PatternError::TooFew(0)) };
     super::pattern::check_images(images)?;
     let shape = first.dim();
-    let blocks = Blocks::new(shape);
+    let blocks = Blocks::new(sound);
     let even = Array2::<f32>::ones(shape);
     let order = blocks.order(images, &even);
+    let levels: Vec<f64> = images.iter().map(|e| mean_of(e, sound)).collect();
+    // Slopes have the variance of the noise over the square of the level.
+    let weight = |i: usize| levels[i].powi(2) / noise_dn2.get(i).map_or(1.0, |v| v.max(1e-12));
+    let weights: Vec<f64> = (0..images.len()).map(weight).collect();
+    let sum: f64 = weights.iter().sum();
     let mut k = Array2::<f32>::zeros(shape);
+    let mut std_err = Array2::<f32>::zeros(shape);
     let light = blocks.surfaces(images, &even, order);
     let mut sweep = light.sweep(0);
     let mut lights = vec![0.0; images.len() * shape.1];
-    for (y, mut k) in k.outer_iter_mut().enumerate() {
+    for (y, (mut k, mut std_err)) in k.outer_iter_mut().zip(std_err.outer_iter_mut()).enumerate() {
         sweep(&mut lights);
-        for (e, l) in images.iter().zip(lights.chunks(shape.1)) {
-            k.iter_mut().zip(e.row(y)).zip(l).for_each(|((k, &e), &l)| *k += e / l.max(1e-6));
+        for (i, (e, l)) in images.iter().zip(lights.chunks(shape.1)).enumerate() {
+            let share = (weights[i] / sum) as f32;
+            k.iter_mut().zip(e.row(y)).zip(l).for_each(|((k, &e), &l)| *k += share * e / l.max(1e-6));
+            // Shot noise: the relative variance goes with 1 / light.
+            let over = levels[i] as f32 * share;
+            std_err.iter_mut().zip(l).for_each(|(s, &l)| *s += over / l.max(1e-6));
         }
     }
-    let level_dn = level(images);
-    let mean = k.iter().map(|&k| f64::from(k)).sum::<f64>() / k.len() as f64;
+    let mean = mean_of(&k, sound);
     k.mapv_inplace(|k| (f64::from(k) / mean) as f32);
-    let (gain, constant) = noise.unwrap_or((0.0, 1.0 / 12.0));
-    let samples = (frames.max(1) * images.len() as u64) as f64;
-    let error = ((gain * level_dn + constant) / samples).sqrt() / level_dn;
+    let error = sum.sqrt().recip();
+    std_err.mapv_inplace(|over| (error * f64::from(over).max(0.0).sqrt()) as f32);
     Ok(FixedPattern {
-        std_err: Array2::from_elem(shape, error as f32),
+        std_err,
         kept: Array2::from_elem(shape, images.len() as u16),
         pooled_sd: error * (images.len() as f64).sqrt(),
         mean_before: mean,
-        level_dn,
+        level_dn: levels.iter().zip(&weights).map(|(l, w)| l * w).sum::<f64>() / sum,
         k,
     })
 }
 
 /// The frame in blocks, and polynomial surfaces over it.
-struct Blocks {
+struct Blocks<'a> {
     shape: (usize, usize),
+    sound: &'a Array2<bool>,
     /// Middle of each block, -1 to 1 in x and y.
     at: Vec<(f64, f64)>,
     /// First row and column of each block.
@@ -124,19 +176,27 @@ fn terms(order: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..=order).flat_map(move |i| (0..=order - i).map(move |j| (i, j)))
 }
 
-impl Blocks {
-    fn new(shape: (usize, usize)) -> Self {
+impl<'a> Blocks<'a> {
+    /// Blocks of which half is sound, or those of which anything is.
+    fn new(sound: &'a Array2<bool>) -> Self {
+        let shape = sound.dim();
         let (rows, columns) = shape;
         let (down, across) = (rows.div_ceil(BLOCK), columns.div_ceil(BLOCK));
         // Large frames have more blocks than 28 coefficients need: every so manieth serves.
         let step = ((down * across) as f64 / MOST_BLOCKS).sqrt().ceil().max(1.0) as usize;
-        let corners: Vec<_> = (0..down)
+        let mut corners: Vec<_> = (0..down)
             .step_by(step)
             .flat_map(|y| (0..across).step_by(step).map(move |x| (y * BLOCK, x * BLOCK)))
             .collect();
+        let share = |&(y, x): &(usize, usize)| {
+            let block = sound.slice(ndarray::s![y..(y + BLOCK).min(rows), x..(x + BLOCK).min(columns)]);
+            block.iter().filter(|s| **s).count() as f64 / block.len() as f64
+        };
+        let most = corners.iter().map(share).fold(0.0, f64::max);
+        corners.retain(|c| share(c) >= most.min(0.5));
         let middle = |from: usize, n: usize| (from + (from + BLOCK).min(n)) as f64 / n as f64 - 1.0;
         let at = corners.iter().map(|&(y, x)| (middle(x, columns), middle(y, rows))).collect();
-        Self { shape, at, corners }
+        Self { shape, sound, at, corners }
     }
 
     /// Median of e / K in every block.
@@ -148,7 +208,7 @@ impl Blocks {
             .map(|&(y, x)| {
                 values.clear();
                 for y in y..(y + BLOCK).min(rows) {
-                    for x in x..(x + BLOCK).min(columns) {
+                    for x in (x..(x + BLOCK).min(columns)).filter(|x| self.sound[(y, *x)]) {
                         values.push(f64::from(e[(y, x)]) / f64::from(k[(y, x)]).max(1e-3));
                     }
                 }
@@ -157,12 +217,33 @@ impl Blocks {
             .collect()
     }
 
+    /// Coefficients of the surface without the blocks that lie far off, and the robust deviation of all.
+    fn fit(&self, values: &[f64], order: usize) -> (Vec<f64>, f64) {
+        let mut used = vec![true; values.len()];
+        let mut sorted = Vec::new();
+        let mut c = self.fit_to(values, &used, order);
+        let mut scale = 0.0;
+        for _ in 0..BLOCK_ROUNDS {
+            let off: Vec<f64> =
+                self.at.iter().zip(values).map(|(&at, v)| (v - value(&c, order, at)).abs()).collect();
+            scale = median_of(&off, &mut sorted) / 0.6745;
+            let near: Vec<bool> = off.iter().map(|o| *o <= MAX_BLOCK_DEVIATIONS * scale).collect();
+            // A surface needs blocks for its terms.
+            if near == used || near.iter().filter(|n| **n).count() < 2 * terms(order).count() {
+                break;
+            }
+            used = near;
+            c = self.fit_to(values, &used, order);
+        }
+        (c, scale)
+    }
+
     /// Coefficients of the least-squares surface, by Cholesky's factorisation of the normal equations.
-    fn fit(&self, values: &[f64], order: usize) -> Vec<f64> {
+    fn fit_to(&self, values: &[f64], used: &[bool], order: usize) -> Vec<f64> {
         let n = terms(order).count();
         let (mut a, mut b) = (vec![0.0; n * n], vec![0.0; n]);
         let mut row = Vec::with_capacity(n);
-        for (&(x, y), value) in self.at.iter().zip(values) {
+        for ((&(x, y), value), _) in self.at.iter().zip(values).zip(used).filter(|(_, used)| **used) {
             let (px, py) = (legendre(x), legendre(y));
             row.clear();
             row.extend(terms(order).map(|(i, j)| px[i] * py[j]));
@@ -187,24 +268,26 @@ impl Blocks {
         let medians: Vec<Vec<f64>> = configurations.par_iter().map(|e| self.medians(e, k)).collect();
         let n = self.at.len() as f64;
         let most = (0..=MAX_ORDER).take_while(|&o| 2 * terms(o).count() <= self.at.len()).last().unwrap_or(0);
+        // Blocks that no surface follows count alike for all orders.
+        let scales: Vec<f64> = medians.iter().map(|values| self.fit(values, most).1).collect();
         let criterion = |order: usize| -> f64 {
             let parameters = terms(order).count() as f64;
-            medians
-                .iter()
-                .map(|values| {
-                    let c = self.fit(values, order);
-                    let rss: f64 =
-                        self.at.iter().zip(values).map(|(&at, v)| (v - value(&c, order, at)).powi(2)).sum();
-                    n * (rss / n).max(f64::MIN_POSITIVE).ln() + parameters * n.ln()
-                })
-                .sum()
+            let of = |(values, scale): (&Vec<f64>, &f64)| {
+                let (c, _) = self.fit(values, order);
+                let limit = if *scale > 0.0 { MAX_BLOCK_DEVIATIONS * scale } else { f64::INFINITY };
+                let off = |(&at, v): (&(f64, f64), &f64)| (v - value(&c, order, at)).abs().min(limit);
+                let rss: f64 = self.at.iter().zip(values).map(|b| off(b).powi(2)).sum();
+                n * (rss / n).max(f64::MIN_POSITIVE).ln() + parameters * n.ln()
+            };
+            medians.iter().zip(&scales).map(of).sum()
         };
         (0..=most).min_by(|&a, &b| criterion(a).total_cmp(&criterion(b))).unwrap_or(0)
     }
 
     /// The surfaces of all configurations through the medians of e / K.
     fn surfaces(&self, configurations: &[Array2<f32>], k: &Array2<f32>, order: usize) -> Surfaces {
-        let coefficients = configurations.par_iter().map(|e| self.fit(&self.medians(e, k), order)).collect();
+        let coefficients =
+            configurations.par_iter().map(|e| self.fit(&self.medians(e, k), order).0).collect();
         let (rows, columns) = self.shape;
         let place = |i: usize, n: usize| (2 * i + 1) as f64 / n as f64 - 1.0;
         let table = |n: usize| {
@@ -306,12 +389,12 @@ mod tests {
     #[test]
     fn one_configuration_keeps_the_card() {
         let (images, truth) = bench(1, 0.0, 0.10, (128, 144));
-        let found = smooth(&images, None, 20).unwrap();
+        let found = smooth(&images, &[1.0]).unwrap();
         let off = Zip::from(&found.k).and(&truth).map_collect(|&k, &t| f64::from(k) - t);
         let rms = off.mapv(|x| x * x).mean().unwrap().sqrt();
         // 18,432 pixels: 3 % is more than five standard errors.
         assert!((rms / GRAIN - 1.0).abs() < 0.03, "{rms}");
-        assert_eq!(smooth(&[], None, 1).unwrap_err(), PatternError::TooFew(0));
+        assert_eq!(smooth(&[], &[]).unwrap_err(), PatternError::TooFew(0));
     }
 
     #[test]

@@ -4,21 +4,24 @@ mod colour;
 pub mod dark;
 pub mod defects;
 pub mod file;
+mod flats;
 pub mod joint;
 pub mod pattern;
 pub mod plan;
 mod robust;
 pub mod window;
+mod worth;
 
 use crate::data_faults::{DataFault, ExamineError, examined};
 use crate::dataset::{Dataset, DatasetError, Kind, Set};
 use crate::noise::{Method, NoiseReport};
 use crate::pixel_format::PixelFormat;
+use crate::statistics::lit::Lit;
 use crate::statistics::moments::Moments;
 use dark::{DarkError, DarkMean, DarkReference};
 use defects::Defect;
 use file::{Calibration, Description};
-use ndarray::Array2;
+use ndarray::{Array2, Zip, s};
 use pattern::{FixedPattern, Options, PatternError};
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
@@ -60,6 +63,22 @@ pub enum CalibrateError {
         configuration: u32,
         /// Clipped share.
         percent: f64,
+    },
+    /// K would add more than it takes off.
+    #[error(
+        "K would make frames noisier: its error is {:.3} % a pixel, and the pixels differ by {}{:.3} % (PRNU); {needed} bring it to half of \
+         that",
+        100.0 * .error, if *.at_most { "at most " } else { "" }, 100.0 * .prnu
+    )]
+    TooNoisy {
+        /// Standard error of K, relative.
+        error: f64,
+        /// Spread of the pixels' response, relative.
+        prnu: f64,
+        /// The spread is below that error, and this is its upper limit.
+        at_most: bool,
+        /// Frames that suffice, in words.
+        needed: String,
     },
 }
 
@@ -123,36 +142,6 @@ pub(crate) fn dark_means(dataset: &Dataset) -> Result<Vec<DarkMean>, DatasetErro
     darks.into_iter().map(mean).collect()
 }
 
-/// The e_i of eq. (46), and the frames in the smallest of them.
-fn images(
-    dataset: &Dataset,
-    configurations: &BTreeMap<u32, Vec<&Set>>,
-    dark_dn: &Array2<f32>,
-) -> Result<(Vec<Array2<f32>>, u64), CalibrateError> {
-    let full = f64::from(dataset.manifest().camera.full_scale_dn());
-    let mut images = Vec::new();
-    let mut fewest = u64::MAX;
-    for (&configuration, sets) in configurations {
-        let moments = average(dataset, sets)?;
-        fewest = fewest.min(moments.frames());
-        let mean = moments.mean_dn();
-        let clipped = mean.iter().filter(|&&m| m >= full).count() as f64 / mean.len() as f64;
-        if clipped > 1e-3 {
-            return Err(CalibrateError::Saturated { configuration, percent: 100.0 * clipped });
-        }
-        images.push(ndarray::Zip::from(&mean).and(dark_dn).map_collect(|&m, &d| m as f32 - d));
-    }
-    Ok((images, fewest))
-}
-
-/// The e_i of a pilot.
-fn pilot_images(dataset: &Dataset) -> Result<(Vec<Array2<f32>>, u64), CalibrateError> {
-    let dataset = &looked_at(dataset)?;
-    let Some(level) = most_configurations(dataset) else { return Err(CalibrateError::NoFlats) };
-    let dark = DarkReference::fit(&dark_means(dataset)?, level.exposure_s)?.at(level.exposure_s)?;
-    images(dataset, &level.configurations, &dark)
-}
-
 /// The dataset without what is wrong with it.
 fn looked_at(dataset: &Dataset) -> Result<Dataset, DatasetError> {
     examined(dataset, &AtomicBool::new(false)).map_err(|e| match e {
@@ -172,13 +161,19 @@ pub struct Calibrated {
     pub defects: Vec<Defect>,
     /// Faults of the data.
     pub data_faults: Vec<DataFault>,
+    /// Exposures and lights of the flats that K is of.
+    pub levels: usize,
+    /// Flats that are no part of K, with the reason.
+    pub left_out: Vec<String>,
 }
 
 /// Dark reference and K from a dataset: darks at any exposures, and flats of three configurations or more at one exposure
 /// and light (one is enough for [`Estimator::Smooth`]). Frames are read one at a time: memory holds one mean image for each
 /// configuration, however many frames went into it.
 ///
-/// Of flats with several exposures the one with the most configurations is taken, of equal ones the longest.
+/// Of flats with several exposures the one with the most configurations is taken, of equal ones the longest;
+/// [`Estimator::Smooth`] takes all flats. Pixels that are dead or get no light are flagged and have K = 1; a K whose error
+/// exceeds what it corrects is refused.
 ///
 /// # Errors
 ///
@@ -201,54 +196,119 @@ pub fn of_dataset(
     let means = dark_means(dataset)?;
     let dark = DarkReference::fit(&means, exposure_s)?;
     let level = dark.at(exposure_s)?;
-
-    let (images, fewest) = images(dataset, &configurations, &level)?;
+    let line = noise.map(|n| (n.gain_dn_per_e.value, n.constant_noise_var_dn2.value));
+    let line = line.filter(|(a, c)| a.is_finite() && c.is_finite());
+    let flats = match estimator {
+        Estimator::Smooth => flats::of_all(dataset, &dark, line)?,
+        _ => flats::of_level(dataset, &configurations, &level, line)?,
+    };
     let mosaic =
         PixelFormat::from_name(&dataset.manifest().camera.pixel_format).is_ok_and(PixelFormat::is_mosaic);
-    let mut name = String::new();
-    let mut estimate = |images: &[Array2<f32>]| -> Result<FixedPattern, CalibrateError> {
-        let (pattern, text) = match estimator {
-            Estimator::Joint => (joint::joint(images)?, "joint".to_string()),
-            Estimator::Paper(o) => {
-                let name = format!("paper: window {}, p {}, start {:?}", o.window, o.p, o.start);
-                (pattern::paper(images, o)?, name)
-            }
-            Estimator::Smooth => {
-                let name = "smooth: one configuration; K contains the card and the lamp's fine structure";
-                let noise = noise.map(|n| (n.gain_dn_per_e.value, n.constant_noise_var_dn2.value));
-                (joint::smooth(images, noise, fewest)?, name.to_string())
-            }
-        };
-        name = text;
-        Ok(pattern)
-    };
-    let pattern = if mosaic {
+    let (mut pattern, light) = if mosaic {
         // A colour's light is smooth; that of a mosaic is not, and the filters' transmissions are no part of K.
-        let planes = colour::planes(&images);
-        let patterns = planes.iter().map(|p| estimate(p)).collect::<Result<Vec<_>, _>>()?;
-        colour::joined(&patterns, level.dim())
+        let planes = colour::planes(&flats.images);
+        let of = |images: &Vec<Array2<f32>>| estimate(estimator, images, &flats.noise_dn2);
+        let found = planes.iter().map(of).collect::<Result<Vec<_>, _>>()?;
+        colour::joined(&found, level.dim())
     } else {
-        estimate(&images)?
+        estimate(estimator, &flats.images, &flats.noise_dn2)?
     };
-    if mosaic {
-        name += "; each plane of the colour mosaic by itself";
-    }
+    let name = name_of(estimator, mosaic);
+    let gain = noise.map(|n| n.gain_dn_per_e.value).filter(|a| a.is_finite());
+    let defects = defects::find(&means, &pattern.k, &light, gain);
+    without_defects(&mut pattern, &defects, mosaic);
+    let darks = means.iter().map(|d| d.frames).sum();
+    worth::check(&pattern, &defects, &dark, flats.frames.iter().sum(), darks)?;
     let description = Description {
-        gain_dn_per_e: noise.map(|n| n.gain_dn_per_e.value),
-        constant_noise_var_dn2: noise.map(|n| n.constant_noise_var_dn2.value),
-        offset_dn: noise.map(|n| n.offset_dn.value),
+        gain_dn_per_e: gain,
+        constant_noise_var_dn2: noise.map(|n| n.constant_noise_var_dn2.value).filter(|c| c.is_finite()),
+        offset_dn: noise.map(|n| n.offset_dn.value).filter(|o| o.is_finite()),
         noise_covariance: noise.and_then(|n| {
             let line = n.estimators.iter().find(|e| e.method == Method::Reweighted)?;
             let (a, c) = (line.gain_dn_per_e.std_err, line.constant_noise_var_dn2.std_err);
             Some([a * a, line.covariance, c * c]).filter(|v| v.iter().all(|v| v.is_finite()))
         }),
-        n1: images.len(),
-        n2: fewest as usize,
+        n1: flats.images.len(),
+        n2: flats.fewest() as usize,
         estimator: name,
         provenance: provenance.into(),
         ..Description::of(dataset.manifest().camera.clone())
     };
-    let defects = defects::find(&means, &pattern.k, description.gain_dn_per_e);
     let calibration = Calibration::new(description, dark, pattern, &defects);
-    Ok(Calibrated { calibration, defects, data_faults: dataset.data_faults().to_vec() })
+    let data_faults = dataset.data_faults().to_vec();
+    Ok(Calibrated { calibration, defects, data_faults, levels: flats.levels, left_out: flats.left_out })
+}
+
+/// Rounds in which pixels that the surfaces show to be dead are taken out of them.
+const ROUNDS: usize = 3;
+
+/// K of one colour, and the pixels that get light. The pixels that are dead, or get no light, tell nothing of the light.
+fn estimate(
+    estimator: Estimator,
+    images: &[Array2<f32>],
+    noise_dn2: &[f64],
+) -> Result<(FixedPattern, Lit), CalibrateError> {
+    let mut light = Lit::of(images);
+    let mut sound = light.lit.clone();
+    if !sound.iter().any(|s| *s) {
+        return Err(PatternError::NoPixels.into());
+    }
+    let once = |sound: &Array2<bool>| match estimator {
+        Estimator::Joint => joint::joint_of(images, sound),
+        Estimator::Paper(o) if sound.iter().all(|s| *s) => pattern::paper(images, o),
+        Estimator::Paper(o) => pattern::paper_of(&joint::filled(images, sound), o, sound),
+        Estimator::Smooth => joint::smooth_of(images, noise_dn2, sound),
+    };
+    let mut pattern = once(&sound)?;
+    for _ in 0..ROUNDS {
+        light = light.with_rim(&pattern.k);
+        let answers = |&k: &f32, &lit: &bool| lit && (defects::DEAD_K..=1.0 / defects::DEAD_K).contains(&k);
+        let now = Zip::from(&pattern.k).and(&light.lit).map_collect(answers);
+        if now == sound {
+            break;
+        }
+        if !now.iter().any(|s| *s) {
+            return Err(PatternError::NoPixels.into());
+        }
+        sound = now;
+        pattern = once(&sound)?;
+    }
+    Ok((pattern, light))
+}
+
+fn name_of(estimator: Estimator, mosaic: bool) -> String {
+    let name = match estimator {
+        Estimator::Joint => "joint".to_string(),
+        Estimator::Paper(o) => format!("paper: window {}, p {}, start {:?}", o.window, o.p, o.start),
+        Estimator::Smooth => {
+            "smooth: one configuration; K contains the card and the lamp's fine structure".to_string()
+        }
+    };
+    name + if mosaic { "; each plane of the colour mosaic by itself" } else { "" }
+}
+
+/// K = 1 for pixels whose response is not known, and a mean of 1 over those without a defect; of a mosaic in each plane.
+fn without_defects(pattern: &mut FixedPattern, defects: &[Defect], mosaic: bool) {
+    let mut flags = Array2::<u8>::zeros(pattern.k.dim());
+    defects.iter().for_each(|d| flags[(d.y, d.x)] = d.flags);
+    let period = if mosaic { 2 } else { 1 };
+    let errors = pattern.std_err.iter().zip(&flags).filter(|(_, f)| **f == 0).map(|(e, _)| f64::from(*e));
+    let usual = crate::statistics::median::median(errors) as f32;
+    for (y, x) in (0..period).flat_map(|y| (0..period).map(move |x| (y, x))) {
+        let plane = s![y..;period, x..;period];
+        let flags = flags.slice(plane);
+        let mut k = pattern.k.slice_mut(plane);
+        let sound = k.iter().zip(&flags).filter(|(_, f)| **f == 0).map(|(k, _)| f64::from(*k));
+        let (n, sum) = sound.fold((0.0, 0.0), |(n, sum), k| (n + 1.0, sum + k));
+        if n > 0.0 {
+            let mean = sum / n;
+            k.mapv_inplace(|k| (f64::from(k) / mean) as f32);
+        }
+        let mut std_err = pattern.std_err.slice_mut(plane);
+        Zip::from(&mut k).and(&mut std_err).and(&flags).for_each(|k, e, &f| {
+            if f & defects::NO_RESPONSE != 0 || !(k.is_finite() && *k > 0.0) {
+                (*k, *e) = (1.0, if usual.is_finite() { usual } else { 1.0 });
+            }
+        });
+    }
 }

@@ -4,6 +4,7 @@
 //! at one site can pull so far that every good point is thrown out; here the median starts ([`Start::Median`]), and the
 //! mean stays as an option ([`Start::Mean`]).
 
+use super::joint::mean_of;
 pub use super::robust::Start;
 use super::robust::{self, Light, Location};
 use super::window;
@@ -46,10 +47,9 @@ pub struct FixedPattern {
     pub level_dn: f64,
 }
 
-/// Mean of all configurations, DN.
-pub(super) fn level(configurations: &[Array2<f32>]) -> f64 {
-    let sum: f64 = configurations.iter().filter_map(|e| e.mean()).map(f64::from).sum();
-    sum / configurations.len() as f64
+/// Mean of all configurations over the sound pixels, DN.
+pub(super) fn level_of(configurations: &[Array2<f32>], sound: &Array2<bool>) -> f64 {
+    configurations.iter().map(|e| mean_of(e, sound)).sum::<f64>() / configurations.len() as f64
 }
 
 /// Why there is no K.
@@ -72,6 +72,9 @@ pub enum PatternError {
         /// Size of the first.
         expected: (usize, usize),
     },
+    /// Nothing sound is left.
+    #[error("no pixel gets light in all flats: nothing to calibrate")]
+    NoPixels,
     /// No light.
     #[error("configuration {0} has no light: its mean is not above its dark reference")]
     Dark(usize),
@@ -111,6 +114,16 @@ pub(super) fn check_images(configurations: &[Array2<f32>]) -> Result<(), Pattern
 /// Where there are too few configurations, or they differ in size.
 pub fn paper(configurations: &[Array2<f32>], options: Options) -> Result<FixedPattern, PatternError> {
     check(configurations)?;
+    paper_of(configurations, options, &Array2::from_elem(configurations[0].dim(), true))
+}
+
+/// The same of the pixels that are sound, the others filled in; K of those is of no use.
+pub(super) fn paper_of(
+    configurations: &[Array2<f32>],
+    options: Options,
+    sound: &Array2<bool>,
+) -> Result<FixedPattern, PatternError> {
+    check(configurations)?;
     let n1 = configurations.len();
     let shape = configurations[0].dim();
     let light = Windows { images: configurations, side: options.window };
@@ -122,14 +135,13 @@ pub fn paper(configurations: &[Array2<f32>], options: Options) -> Result<FixedPa
                 .map(|e| f64::from(e[at]) / window::at(e.view(), options.window, at).max(1e-6)),
         );
     };
-    let pooled_sd = pooled_deviation(shape, n1, slopes);
+    let pooled_sd = pooled_deviation(sound, n1, slopes);
     let location = |scale: f64| Location::Kept { reach: (options.p * scale) as f32, start: options.start };
     let mut k = Array2::<f32>::zeros(shape);
     let kept = robust::estimate(configurations, &light, location(pooled_sd), &mut k);
-    let n = k.len() as f64;
-    let mean = k.iter().map(|&k| f64::from(k)).sum::<f64>() / n;
+    let mean = mean_of(&k, sound);
     k.mapv_inplace(|k| (f64::from(k) / mean) as f32);
-    let spread = k.iter().map(|&k| (f64::from(k) - 1.0).powi(2)).sum::<f64>() / n;
+    let spread = mean_of(&k.mapv(|k| (k - 1.0).powi(2)), sound);
     // Variance of the procedure itself for normal slopes, in units of s^2, and the points it keeps of n1.
     let (variance, usual) = robust::efficiency(n1, location(1.0));
     let scatter = pooled_sd * pooled_sd * variance;
@@ -139,7 +151,8 @@ pub fn paper(configurations: &[Array2<f32>], options: Options) -> Result<FixedPa
         let of_window = sigma_k2 * window::variance(at, shape, options.window);
         (scatter * share + of_window).sqrt() as f32
     });
-    Ok(FixedPattern { k, std_err, kept, pooled_sd, mean_before: mean, level_dn: level(configurations) })
+    let level_dn = level_of(configurations, sound);
+    Ok(FixedPattern { k, std_err, kept, pooled_sd, mean_before: mean, level_dn })
 }
 
 /// The light as the means over windows.
@@ -163,14 +176,15 @@ impl Light for Windows<'_> {
 /// averages sample deviations, here only points within four deviations of their site's median count, about their own
 /// mean. The search starts at the median absolute deviation.
 pub(super) fn pooled_deviation(
-    (rows, columns): (usize, usize),
+    sound: &Array2<bool>,
     n1: usize,
     slopes: impl Fn((usize, usize), &mut Vec<f64>),
 ) -> f64 {
+    let (rows, columns) = sound.dim();
     let step = (rows * columns / 10_000).max(1);
     let (mut m, mut sorted) = (Vec::with_capacity(n1), Vec::with_capacity(n1));
     let mut sites = Vec::new();
-    for i in (0..rows * columns).step_by(step) {
+    for i in (0..rows * columns).step_by(step).filter(|i| sound[(i / columns, i % columns)]) {
         slopes((i / columns, i % columns), &mut m);
         let middle = median_of(&m, &mut sorted);
         sites.extend(m.iter().map(|x| x - middle));

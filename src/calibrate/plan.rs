@@ -86,11 +86,12 @@ pub fn needs(pilot: &Dataset, noise: &NoiseReport, k_std_err: Option<f64>) -> Re
         noise.levels.iter().filter(|l| l.kind == Kind::Dark && l.var_dn2.is_finite()).collect();
     let dark_var_dn2 = darks.iter().map(|l| l.var_dn2).fold(c, f64::max);
 
-    let (images, frames_each) = super::pilot_images(pilot)?;
+    let flats = super::flats::of_pilot(pilot)?;
+    let (images, frames_each) = (&flats.images, flats.fewest());
     if images.len() < 3 {
         return Err(PatternError::TooFew(images.len()).into());
     }
-    let found = paper(&images, options)?;
+    let found = paper(images, options)?;
     let level = found.level_dn;
     // The frames' own noise is in the pilot's scatter as averaged there; in the campaign it is averaged over n2.
     let noise_var = (a * level + c) / (level * level);

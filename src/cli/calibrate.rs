@@ -2,6 +2,8 @@
 
 use super::Outcome;
 use super::common::{STOP, above_0, after_faults, may_be_written, say_faults};
+use crate::calibrate::defects::{BLIND, DEAD, Defect, HOT, UNSTABLE};
+use crate::calibrate::file::Calibration;
 use crate::calibrate::pattern::{Options, Start};
 use crate::calibrate::{Calibrated, Estimator, of_dataset};
 use crate::data_faults::examined;
@@ -42,6 +44,42 @@ pub struct Arguments {
     json: bool,
 }
 
+/// Numbers of defects by kind; a pixel may have several.
+fn counts(defects: &[Defect]) -> [(&'static str, usize); 4] {
+    [(HOT, "hot"), (DEAD, "dead"), (UNSTABLE, "unstable"), (BLIND, "blind")]
+        .map(|(flag, name)| (name, defects.iter().filter(|d| d.flags & flag != 0).count()))
+}
+
+/// Spread of K over the pixels without a defect.
+fn sd_of_sound(calibration: &Calibration) -> f64 {
+    let sound = calibration.k.iter().zip(&calibration.defects).filter(|(_, flags)| **flags == 0);
+    let off: Vec<f64> = sound.map(|(k, _)| (f64::from(*k) - 1.0).powi(2)).collect();
+    (off.iter().sum::<f64>() / off.len().max(1) as f64).sqrt()
+}
+
+/// Columns and rows that are blind as a whole, in words.
+fn places(calibration: &Calibration) -> String {
+    let blind = calibration.defects.mapv(|flags| flags & BLIND != 0);
+    let lines = |axis: usize, name: &str| {
+        let whole: Vec<usize> = blind
+            .axis_iter(ndarray::Axis(axis))
+            .enumerate()
+            .filter(|(_, line)| line.iter().all(|b| *b))
+            .map(|(i, _)| i)
+            .collect();
+        let runs = whole.chunk_by(|a, b| b - a == 1).map(|run| match run {
+            [one] => one.to_string(),
+            [first, .., last] => format!("{first} to {last}"),
+            [] => String::new(),
+        });
+        let runs: Vec<String> = runs.collect();
+        (!runs.is_empty()).then(|| format!("{name} {}", runs.join(", ")))
+    };
+    let named: Vec<String> = [lines(1, "columns"), lines(0, "rows")].into_iter().flatten().collect();
+    let n = blind.iter().filter(|b| **b).count();
+    if named.is_empty() { format!("{n} pixels") } else { format!("{n} pixels ({})", named.join("; ")) }
+}
+
 /// The side of a window has a middle.
 fn window(text: &str) -> Result<usize, String> {
     match text.parse::<usize>() {
@@ -77,24 +115,30 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     // A calibration campaign may have one level only; then it says nothing of the noise.
     let noise = noise::of_dataset(&dataset, &STOP, &mut |_, _| {}).ok();
     let provenance = format!("radcam {} from {}", env!("CARGO_PKG_VERSION"), arguments.dataset.display());
-    let Calibrated { calibration, defects, data_faults } =
+    let Calibrated { calibration, mut defects, data_faults, levels, left_out } =
         after_faults(of_dataset(&dataset, estimator, noise.as_ref(), &provenance), dataset.data_faults())?;
     calibration.write(&arguments.output)?;
     let d = &calibration.description;
     if arguments.json {
         let mut said = serde_json::to_value(d)?;
         said["data_faults"] = serde_json::to_value(&data_faults)?;
+        said["left_out"] = serde_json::to_value(&left_out)?;
+        said["defect_counts"] = counts(&defects)
+            .into_iter()
+            .map(|(name, n)| (name.to_string(), serde_json::Value::from(n)))
+            .collect();
         println!("{}", serde_json::to_string_pretty(&said)?);
         return Ok(Outcome::Agreement);
     }
     say_faults(&data_faults);
     let sd = |x: &ndarray::Array2<f32>| f64::from(x.std(0.0));
     println!("{}: {} x {} px, {}", arguments.output.display(), d.camera.width, d.camera.height, d.estimator);
+    let exposures = if levels > 1 { format!(" at {levels} levels") } else { String::new() };
     println!(
-        "  K                {} configurations of {} frames, standard deviation {:.5}",
+        "  K                {} configurations of {} frames{exposures}, standard deviation {:.5}",
         d.n1,
         d.n2,
-        sd(&calibration.k)
+        sd_of_sound(&calibration)
     );
     let error = calibration.k_std_err.mean().unwrap_or(f32::NAN);
     println!("  error of K       {error:.5} a pixel");
@@ -105,12 +149,27 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         sd(level),
         six_digits(d.dark_exposure_s)
     );
-    println!("  defects          {} of {} pixels", defects.len(), calibration.k.len());
+    let kinds: Vec<String> =
+        counts(&defects).into_iter().filter(|(_, n)| *n > 0).map(|(name, n)| format!("{n} {name}")).collect();
+    let kinds = if kinds.is_empty() { String::new() } else { format!(": {}", kinds.join(", ")) };
+    println!("  defects          {} of {} pixels{kinds}", defects.len(), calibration.k.len());
+    // Blind ones lie side by side: their place says more than a list.
+    let blind = defects.iter().any(|d| d.flags & BLIND != 0);
+    defects.retain(|d| d.flags & BLIND == 0);
     for d in defects.iter().take(LISTED) {
         println!("    x {:>5}  y {:>5}  {}", d.x, d.y, d.reason());
     }
     if defects.len() > LISTED {
         println!("    ... and {} more; page \"defects\" of the file has all", defects.len() - LISTED);
+    }
+    if blind {
+        println!(
+            "  note: no light reaches {}: outside the image circle of the lens, optically black, or overscan. K = 1 there",
+            places(&calibration)
+        );
+    }
+    for left_out in &left_out {
+        println!("  note: not used: {left_out}");
     }
     if estimator == Estimator::Smooth {
         println!("  note: nothing was moved: K contains the card, and of the lamp what is not smooth");

@@ -89,7 +89,18 @@ impl Check for DependentFrames {
                 }
             }
             let strays: Vec<usize> = transfer.strays.iter().chain(&transfer.quiet).copied().collect();
-            for &i in &strays {
+            // Another black level moves a dark along the curve: one of the same exposure then has the same noise.
+            let has_twin = |i: usize| {
+                let (own, var) = (&campaign.sets[i], |d: usize| campaign.sets[d].variance_dn2().map(|v| v.0));
+                own.kind == Kind::Dark
+                    && all.iter().filter(|d| **d != i).any(|&d| {
+                        let other = &campaign.sets[d];
+                        let ratio = var(i).zip(var(d)).map_or(0.0, |(a, b)| a / b);
+                        (other.kind, other.exposure_s) == (own.kind, own.exposure_s)
+                            && (MAX_AVERAGED_RATIO..MAX_AVERAGED_RATIO.recip()).contains(&ratio)
+                    })
+            };
+            for &i in strays.iter().filter(|i| !has_twin(**i)) {
                 let Some((off, std)) = transfer.off(campaign, i, level(i)) else { continue };
                 let lit = campaign.sets[i].is_lit();
                 // A well that is full takes noise away, unless another set of as much light has it.

@@ -3,9 +3,11 @@
 use super::EmvaError;
 use crate::data_faults::{DataFault, examined};
 use crate::dataset::image::Buffer;
-use crate::dataset::{Dataset, FrameRow, Kind, Set};
+use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
 use crate::light::Light;
+use crate::statistics::lit::Lit;
 use crate::statistics::moments::Moments;
+use crate::statistics::peak::turn_off;
 use ndarray::{Array2, Axis};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -104,8 +106,34 @@ pub struct Points {
     pub light: Light,
     /// Step of the converter, DN.
     pub code_step_dn: f64,
+    /// Stack of flats that the spatial part is of.
+    pub bright: Option<Bright>,
+    /// Pixels that are left out, in words.
+    pub left_out: Option<String>,
     /// Faults of the data.
     pub data_faults: Vec<DataFault>,
+}
+
+/// Stack of flats of the spatial part.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bright {
+    /// Number of the set.
+    pub set: u32,
+    /// Number of frames.
+    pub frames: usize,
+    /// Level above the dark, DN.
+    pub signal_dn: f64,
+    /// Level of saturation above the dark, DN: that of the variance's peak, or full scale.
+    pub saturation_dn: f64,
+    /// Number of stacks of flats with darks of their exposure.
+    pub of: usize,
+}
+
+impl Bright {
+    /// Share of saturation.
+    pub fn share(&self) -> f64 {
+        self.signal_dn / self.saturation_dn
+    }
 }
 
 /// Mean and temporal variance of the first two frames of a set: half the variance of the difference of two frames, its mean taken off
@@ -192,10 +220,11 @@ fn stack(
     photons: f64,
     stop: &AtomicBool,
     step: &(dyn Fn() + Sync),
+    part: Option<&Part>,
     (moments, buffers): &mut (Option<Moments>, [Buffer; AT_ONCE]),
 ) -> Result<Spatial, EmvaError> {
     let camera = &dataset.manifest().camera;
-    let shape = (camera.height, camera.width);
+    let shape = part.map_or((camera.height, camera.width), Part::shape);
     if let Some(moments) = moments {
         moments.reset();
     }
@@ -205,7 +234,7 @@ fn stack(
             return Err(EmvaError::Interrupted);
         }
         let frames = buffers.par_iter_mut().zip(rows);
-        frames.try_for_each(|(buffer, &r)| dataset.read_into(&dataset.rows()[r], buffer))?;
+        frames.try_for_each(|(buffer, &r)| read_part(dataset, r, buffer, part))?;
         let codes: Vec<&[u16]> = buffers[..rows.len()].iter().map(Buffer::dn).collect();
         // Only now: the size that the manifest claims is that of a frame.
         let moments = moments.get_or_insert_with(|| Moments::new(shape, camera.bit_depth));
@@ -223,6 +252,96 @@ fn stack(
     })
 }
 
+/// Rows and columns that get light.
+struct Part([std::ops::Range<usize>; 2]);
+
+impl Part {
+    fn shape(&self) -> (usize, usize) {
+        (self.0[0].len(), self.0[1].len())
+    }
+}
+
+fn read_part(
+    dataset: &Dataset,
+    row: usize,
+    buffer: &mut Buffer,
+    part: Option<&Part>,
+) -> Result<(), DatasetError> {
+    dataset.read_into(&dataset.rows()[row], buffer)?;
+    if let Some(Part([rows, columns])) = part {
+        buffer.crop(rows, columns);
+    }
+    Ok(())
+}
+
+/// Signal over the noise of a frame from which on pixels without light are told, pixel by pixel.
+const MIN_SIGNAL_OVER_NOISE: f64 = 10.0;
+
+/// The part of the frames that gets light, where optically black or overscan columns and rows stand at the edges, and
+/// words for it; nothing where all pixels get light, or too little to tell.
+fn lit_part(
+    dataset: &Dataset,
+    wanted: &Wanted<'_>,
+    flats: &[Pair],
+    darks: &[Pair],
+) -> Result<Option<(Part, String)>, EmvaError> {
+    let signal = |i: usize| flats[i].mean_dn - darks[wanted.dark_of[i]].mean_dn;
+    let usable = (0..flats.len()).filter(|&i| flats[i].full_share < 0.01);
+    let Some(brightest) = usable.max_by(|&a, &b| signal(a).total_cmp(&signal(b))) else { return Ok(None) };
+    if signal(brightest) < MIN_SIGNAL_OVER_NOISE * flats[brightest].var_dn2.max(1.0).sqrt() {
+        return Ok(None);
+    }
+    let mean = |set: &Set| -> Result<Array2<f32>, DatasetError> {
+        let [a, b] = [0, 1].map(|k| dataset.read(&dataset.rows()[set.rows[k]]));
+        Ok((a?.mapv(f32::from) + b?.mapv(f32::from)) / 2.0)
+    };
+    let dark = mean(wanted.darks[wanted.dark_of[brightest]])?;
+    let light = Lit::of(&[mean(wanted.flats[brightest])? - dark]);
+    let (blind, of) = (light.blind_pixels(), light.blind.len());
+    if blind == 0 {
+        return Ok(None);
+    }
+    let Some([rows, columns]) = light.frame() else {
+        return Err(EmvaError::Missing(format!(
+            "no light reaches {blind} of {of} pixels: the image circle of the lens is smaller than the sensor, or a part is covered. Crop the \
+             frames to the lit part, or light all of the sensor"
+        )));
+    };
+    let words = format!(
+        "no light reaches {blind} of {of} pixels (optically black or overscan): rows {} to {} and columns {} to {} are evaluated",
+        rows.start,
+        rows.end - 1,
+        columns.start,
+        columns.end - 1
+    );
+    Ok(Some((Part([rows, columns]), words)))
+}
+
+/// Frames of a stack over those of the longest from which on it may be taken for its level.
+const MIN_SHARE_OF_FRAMES: f64 = 0.5;
+
+/// Chooses the stacks of the spatial part: of those with many frames the one whose flats are nearest to half of saturation,
+/// as the standard has it (release 4.0 Linear, section 8), with darks of its exposure.
+fn choose_stacks<'a>(
+    stacks: &[[&'a Set; 2]],
+    level_dn: &dyn Fn(&Set) -> Option<f64>,
+    saturation_dn: f64,
+) -> Option<([&'a Set; 2], Bright)> {
+    let longest = stacks.iter().map(|[f, _]| f.rows.len()).max()? as f64;
+    let long = stacks.iter().filter(|[f, _]| f.rows.len() as f64 >= MIN_SHARE_OF_FRAMES * longest);
+    let found = long.filter_map(|&[flat, dark]| {
+        let signal_dn = level_dn(flat)? - level_dn(dark)?;
+        let (frames, of) = (flat.rows.len(), stacks.len());
+        Some(([flat, dark], Bright { set: flat.number, frames, signal_dn, saturation_dn, of }))
+    });
+    let off = |b: &Bright| (b.share() - 0.5).abs();
+    // Of equal ones the longest.
+    found.min_by(|(_, a), (_, b)| {
+        let alike = (off(a) - off(b)).abs() < 0.02;
+        if alike { b.frames.cmp(&a.frames) } else { off(a).total_cmp(&off(b)) }
+    })
+}
+
 /// Row means and column means of an image.
 pub(super) fn line_means(image: &Array2<f64>) -> [Vec<f64>; 2] {
     [1, 0].map(|axis| image.mean_axis(Axis(axis)).unwrap_or_default().to_vec())
@@ -234,8 +353,8 @@ struct Wanted<'a> {
     darks: Vec<&'a Set>,
     /// The dark of each flat.
     dark_of: Vec<usize>,
-    /// Bright and dark.
-    stacks: Option<[&'a Set; 2]>,
+    /// Bright and dark ones of one exposure.
+    stacks: Vec<[&'a Set; 2]>,
 }
 
 fn same_exposure(a: &FrameRow, b: &FrameRow) -> bool {
@@ -293,17 +412,16 @@ fn wanted(dataset: &Dataset) -> Result<Wanted<'_>, EmvaError> {
     };
     let dark_of = flats.iter().map(dark_of).collect::<Result<_, _>>()?;
     let stacks: Vec<&Set> = sets.iter().filter(|s| s.rows.len() > 2).collect();
-    // The largest stack of flats with a dark stack of its exposure; of equal ones the first.
+    // Every stack of flats with a dark stack of its exposure.
     let stacks = stacks
         .iter()
-        .rev()
         .filter(|s| of_kind(s, Kind::Flat))
         .filter_map(|f| {
             let dark =
                 stacks.iter().find(|d| of_kind(d, Kind::Dark) && same_exposure(settings(d), settings(f)))?;
             Some([*f, *dark])
         })
-        .max_by_key(|[f, _]| f.rows.len());
+        .collect();
     Ok(Wanted { flats, darks, dark_of, stacks })
 }
 
@@ -330,15 +448,15 @@ pub fn of_dataset(
     let chunks = |s: &Set| s.rows.len().div_ceil(AT_ONCE);
     let of = wanted.flats.len()
         + wanted.darks.len()
-        + wanted.stacks.iter().flatten().map(|s| chunks(s)).sum::<usize>();
+        + wanted.stacks.iter().map(|[f, d]| chunks(f) + chunks(d)).max().unwrap_or(0);
     let done = AtomicUsize::new(0);
     let step = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, of);
-    let read_pair = |buffers: &mut [Buffer; 2], set: &&Set| -> Result<Pair, EmvaError> {
+    let read_pair = |buffers: &mut [Buffer; 2], set: &&Set, part: Option<&Part>| -> Result<Pair, EmvaError> {
         if stop.load(Ordering::Relaxed) {
             return Err(EmvaError::Interrupted);
         }
         for (k, buffer) in buffers.iter_mut().enumerate() {
-            dataset.read_into(&dataset.rows()[set.rows[k]], buffer)?;
+            read_part(dataset, set.rows[k], buffer, part)?;
         }
         let [a, b] = buffers;
         let found = pair(a.dn(), b.dn(), camera.full_scale_dn());
@@ -348,8 +466,17 @@ pub fn of_dataset(
     // All pairs in a few pieces for each core, each with memory of its own that serves again.
     let both: Vec<&Set> = wanted.darks.iter().chain(&wanted.flats).copied().collect();
     let piece = both.len().div_ceil(4 * rayon::current_num_threads()).max(1);
-    let all = both.par_iter().with_min_len(piece).map_init(Default::default, read_pair);
-    let all = all.collect::<Result<Vec<_>, _>>()?;
+    let read_all = |part: Option<&Part>| {
+        let of = |buffers: &mut [Buffer; 2], set: &&Set| read_pair(buffers, set, part);
+        both.par_iter().with_min_len(piece).map_init(Default::default, of).collect::<Result<Vec<_>, _>>()
+    };
+    let mut all = read_all(None)?;
+    let (dark_pairs, flat_pairs) = all.split_at(wanted.darks.len());
+    let part = lit_part(dataset, &wanted, flat_pairs, dark_pairs)?;
+    let (part, left_out) = part.map_or((None, None), |(part, words)| (Some(part), Some(words)));
+    if part.is_some() {
+        all = read_all(part.as_ref())?;
+    }
     let (dark_pairs, flat_pairs) = all.split_at(wanted.darks.len());
     let temporal = wanted.flats.iter().zip(flat_pairs).zip(&wanted.dark_of);
     let temporal = temporal.map(|((set, flat), &dark)| Temporal {
@@ -365,21 +492,39 @@ pub fn of_dataset(
         pair: *pair,
         with_flat: with_flat(set),
     });
-    let spatial = match wanted.stacks {
-        None => None,
-        Some([bright, dark]) => {
-            let mut memory = Default::default();
-            Some(Arc::new([
-                stack(dataset, bright, photons(bright), stop, &step, &mut memory)?,
-                stack(dataset, dark, 0.0, stop, &step, &mut memory)?,
-            ]))
+    let temporal: Vec<Temporal> = temporal.collect();
+    let curve: Vec<(f64, f64)> = temporal.iter().map(|p| (p.signal_dn(), p.noise_dn2())).collect();
+    let dark_dn = dark_pairs.first().map_or(0.0, |p| p.mean_dn);
+    let at_full = f64::from(camera.full_scale_dn()) - dark_dn;
+    let saturation_dn = turn_off(&curve).map_or(at_full, |(_, peak)| peak);
+    // Levels of stacks that are pairs are known; of the others the first frame tells it.
+    let level_dn = |set: &Set| -> Option<f64> {
+        let place = both.iter().position(|s| s.number == set.number);
+        place.map(|i| all[i].mean_dn).or_else(|| {
+            let mut buffer = Buffer::default();
+            read_part(dataset, set.rows[0], &mut buffer, part.as_ref()).ok()?;
+            let sum: u64 = buffer.dn().iter().map(|&v| u64::from(v)).sum();
+            Some(sum as f64 / buffer.dn().len().max(1) as f64)
+        })
+    };
+    let (spatial, bright) = match choose_stacks(&wanted.stacks, &level_dn, saturation_dn) {
+        None => (None, None),
+        Some(([flat, dark], bright)) => {
+            let (mut memory, part) = (Default::default(), part.as_ref());
+            let stacks = Arc::new([
+                stack(dataset, flat, photons(flat), stop, &step, part, &mut memory)?,
+                stack(dataset, dark, 0.0, stop, &step, part, &mut memory)?,
+            ]);
+            (Some(stacks), Some(bright))
         }
     };
     Ok(Points {
-        temporal: temporal.collect(),
+        temporal,
         darks: darks.collect(),
         spatial,
-        shape: (camera.height, camera.width),
+        bright,
+        left_out,
+        shape: part.as_ref().map_or((camera.height, camera.width), Part::shape),
         full_scale_dn: f64::from(camera.full_scale_dn()),
         photons_known: unit.is_some(),
         light,

@@ -206,6 +206,9 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
     linearity(t, most, definitions, pixels, &mut sheet);
     dark_current(&points.darks, definitions, clipped, pixels, &mut sheet, &k);
     nonuniformity(&points, definitions, clipped, &k, &mut sheet);
+    if let Some(left_out) = &points.left_out {
+        sheet.note(left_out.clone());
+    }
     let by_noise = (!as_tool).then(|| gain_by_noise(&points)).flatten();
     if release4 {
         local_gains(&used, k.value, pixels, &mut sheet);
@@ -425,6 +428,14 @@ fn dark_current(
     sheet.put("u_I_var", &Value::of(&[&by_var, k], |v| v[0] / (v[1] * v[1])), "e/s");
 }
 
+/// Shares of saturation at which a stack of flats tells PRNU: half, within a factor of two below and of one and three quarters
+/// above (a named choice: noise and offsets have their part in dimmer ones, clipping in brighter ones).
+const HALF_OF_SATURATION: std::ops::RangeInclusive<f64> = 0.25..=0.875;
+
+fn is_tool(definitions: Definitions) -> bool {
+    definitions == Definitions::ReferenceTool
+}
+
 /// DSNU and PRNU with their rows, columns and pixels (eq. 66 and 67).
 fn nonuniformity(points: &Points, definitions: Definitions, clipped: bool, k: &Value, sheet: &mut Sheet) {
     let Some(stacks) = &points.spatial else {
@@ -433,6 +444,24 @@ fn nonuniformity(points: &Points, definitions: Definitions, clipped: bool, k: &V
         );
         return;
     };
+    let far = points.bright.filter(|b| !(HALF_OF_SATURATION.contains(&b.share()) || is_tool(definitions)));
+    if let Some(bright) = &points.bright {
+        let share = 100.0 * bright.share();
+        let of = if bright.of > 1 {
+            format!("nearest to half of saturation of {} stacks", bright.of)
+        } else {
+            "the only stack of flats with darks of its exposure".into()
+        };
+        let what = format!("set {} ({} frames, {share:.0} % of saturation), {of}", bright.set, bright.frames);
+        sheet.note(if far.is_some() {
+            format!(
+                "PRNU is undefined: the standard has it at half of saturation, and the flats are of {what}; take a stack of flats and one of darks \
+                 at half of saturation"
+            )
+        } else {
+            format!("PRNU and DSNU are of {what}")
+        });
+    }
     let images = stacks.each_ref().map(super::Spatial::mean_image_dn);
     let light = images[0].mean().unwrap_or(f64::NAN) - images[1].mean().unwrap_or(f64::NAN);
     let mut both: Vec<Variances> = Vec::new();
@@ -471,7 +500,11 @@ fn nonuniformity(points: &Points, definitions: Definitions, clipped: bool, k: &V
         if i == 0 {
             sheet.put("DSNU1288_DN", &Value::of(&[of_dark], |v| root(v[0])), "DN");
         }
-        let prnu = Value::of(&[bright, dark], |v| 100.0 * root(v[0] - v[1]) / light);
+        let prnu = if far.is_some() {
+            Value::undefined()
+        } else {
+            Value::of(&[bright, dark], |v| 100.0 * root(v[0] - v[1]) / light)
+        };
         sheet.put(&format!("PRNU1288{part}"), &prnu, "%");
         let named = |v: &Value| format!("{} DN²", crate::number::with_error(v.value, v.std_err()));
         if dark.value < 0.0 && !clipped {
@@ -480,7 +513,7 @@ fn nonuniformity(points: &Points, definitions: Definitions, clipped: bool, k: &V
                 named(dark)
             ));
         }
-        if bright.value < dark.value {
+        if bright.value < dark.value && far.is_none() {
             let difference = Value::of(&[bright, dark], |v| v[0] - v[1]);
             sheet.note(format!(
                 "PRNU1288{part} is undefined: the flats vary no more than the darks, by {}",

@@ -222,8 +222,11 @@ impl Taken {
         let period = calibration.period();
         for (y, x) in (0..period).flat_map(|y| (0..period).map(move |x| (y, x))) {
             let mut plane = out.slice_mut(s![y..;period, x..;period]);
-            let mean = plane.mean().unwrap_or(1.0);
-            plane /= mean;
+            let flags = calibration.defects.slice(s![y..;period, x..;period]);
+            // Pixels without light have no part in the level of those with light.
+            let sound = plane.iter().zip(&flags).filter(|(_, flags)| **flags == 0);
+            let (n, sum) = sound.fold((0.0, 0.0), |(n, sum), (v, _)| (n + 1.0, sum + v));
+            plane /= if n > 0.0 { sum / n } else { 1.0 };
         }
         out
     }

@@ -16,9 +16,9 @@ pub(super) fn variance_of_variance(p: &Point, gain: f64, constant: f64) -> f64 {
     let mean = p.mean_dn.max(0.0);
     let sigma2 = (gain * mean + constant).max(1e-12);
     let fourth = gain.powi(3) * mean - 1.0 / 120.0;
-    let spread = sigma2 * sigma2 + gain * gain * p.spatial_var_dn2;
+    let spread = sigma2 * sigma2 + gain * gain * p.spatial_var_dn2 + p.noise_spread_dn4;
     let variance = 2.0 * spread / ((p.frames - 1.0) * (p.pixels - 1.0)) + fourth / (p.frames * p.pixels);
-    variance.max(spread / ((p.frames - 1.0) * (p.pixels - 1.0)))
+    variance.max(spread / ((p.frames - 1.0) * (p.pixels - 1.0))) + p.var_unsure_dn2.powi(2)
 }
 
 /// Variance of a level's distance from the line, s^2 - A mean.
@@ -26,11 +26,15 @@ pub(super) fn variance_of_variance(p: &Point, gain: f64, constant: f64) -> f64 {
 /// Mean and variance come from the same frames. For Poisson charge their covariance is k3 / (n M) with k3 = A^2 mu, so
 /// that of k4 - 2 A k3 + A^2 sigma^2 only A^2 sigma_C^2 - q^4 / 120 is left.
 pub(super) fn residual_variance(p: &Point, gain: f64, constant: f64) -> f64 {
-    let sigma2 = (gain * p.mean_dn.max(0.0) + constant).max(1e-12);
-    let spread = sigma2 * sigma2 + gain * gain * p.spatial_var_dn2;
+    residual_variance_at(p, gain, constant, (gain * p.mean_dn.max(0.0) + constant).max(1e-12))
+}
+
+/// The same of a level whose variance is `sigma2`, DN^2.
+pub(super) fn residual_variance_at(p: &Point, gain: f64, constant: f64, sigma2: f64) -> f64 {
+    let spread = sigma2 * sigma2 + gain * gain * p.spatial_var_dn2 + p.noise_spread_dn4;
     let normal = 2.0 * spread / ((p.frames - 1.0) * (p.pixels - 1.0));
     let rest = (gain * gain * constant.max(0.0) - 1.0 / 120.0) / (p.frames * p.pixels);
-    (normal + rest).max(0.5 * normal)
+    (normal + rest).max(0.5 * normal) + p.var_unsure_dn2.powi(2) + (gain * p.mean_unsure_dn).powi(2)
 }
 
 /// Eq. (42) with the weights of eq. (40).

@@ -1,9 +1,11 @@
 //! Which levels the line cannot be asked to describe.
 
 use super::Point;
-use crate::statistics::peak::strays;
-
 use super::estimators::{residual_variance, reweighted};
+use crate::statistics::peak::{strays, turn_off};
+
+/// Adjacent levels on one side of the line from which on they are a curve, and no outliers.
+const CURVE: usize = 3;
 
 /// Marks levels whose variance lies far above that of the levels around: one of them would be taken for the peak.
 pub(super) fn exclude_strays(points: &mut [Point]) {
@@ -17,16 +19,18 @@ pub(super) fn exclude_strays(points: &mut [Point]) {
 /// Marks levels beyond the variance's peak: there the wells are full, and what varies is not the light.
 pub(super) fn exclude_past_the_peak(points: &mut [Point]) {
     let error = |p: &Point| (2.0 / ((p.frames - 1.0) * (p.pixels - 1.0))).sqrt() * p.var_dn2;
-    let usable = points.iter().filter(|p| p.excluded.is_none());
-    let Some(peak) = usable.max_by(|a, b| a.var_dn2.total_cmp(&b.var_dn2)).cloned() else { return };
-    // From the peak on, everything from the first significant fall.
+    let usable = || points.iter().filter(|p| p.excluded.is_none());
+    let Some(peak) = usable().max_by(|a, b| a.var_dn2.total_cmp(&b.var_dn2)).cloned() else { return };
+    let levels: Vec<(f64, f64)> = usable().map(|p| (p.mean_dn, p.var_dn2)).collect();
     let fallen = |p: &Point| {
         let drop = peak.var_dn2 - p.var_dn2;
         let noise = (error(p).powi(2) + error(&peak).powi(2)).sqrt();
         p.mean_dn > peak.mean_dn && drop > 5.0 * noise && drop > 0.01 * peak.var_dn2
     };
-    let first = points.iter().filter(|p| fallen(p)).map(|p| p.mean_dn).fold(f64::INFINITY, f64::min);
-    for p in points.iter_mut().filter(|p| p.excluded.is_none() && p.mean_dn >= first) {
+    // From the first significant fall on, and what turns before it.
+    let first = usable().filter(|p| fallen(p)).map(|p| p.mean_dn).fold(f64::INFINITY, f64::min);
+    let limit = turn_off(&levels).filter(|_| first.is_finite()).map_or(first, |t| first.min(t.0));
+    for p in points.iter_mut().filter(|p| p.excluded.is_none() && (p.mean_dn >= first || p.mean_dn > limit)) {
         p.excluded = Some(format!(
             "past the variance's peak at {:.0} DN: the wells or the amplifier are full",
             peak.mean_dn
@@ -34,15 +38,17 @@ pub(super) fn exclude_past_the_peak(points: &mut [Point]) {
     }
 }
 
-/// Marks single levels that stand off a line on which the others lie; a curve is left as it is.
-pub(super) fn exclude_outliers(points: &mut [Point]) {
+/// Marks single levels that stand off a line on which the others lie; a curve is left as it is. Says which.
+pub(super) fn exclude_outliers(points: &mut [Point]) -> Option<String> {
     let most = points.iter().filter(|p| p.excluded.is_none()).count() / 5;
-    for _ in 0..most {
+    let mut found: Vec<(usize, f64)> = Vec::new();
+    let before: Vec<usize> = (0..points.len()).filter(|&i| points[i].excluded.is_none()).collect();
+    while found.len() < most {
         let used: Vec<usize> = (0..points.len()).filter(|&i| points[i].excluded.is_none()).collect();
         if used.len() < 5 {
-            return;
+            break;
         }
-        let Some(line) = reweighted(points) else { return };
+        let Some(line) = reweighted(points) else { break };
         // Each level against the line of the others: the residual over the square root of its variance, both
         // freed of the level's own pull h on the line.
         let z: Vec<f64> = used
@@ -59,11 +65,27 @@ pub(super) fn exclude_outliers(points: &mut [Point]) {
         let mut sizes: Vec<f64> = z.iter().map(|z| z.abs()).collect();
         sizes.sort_by(f64::total_cmp);
         let median = sizes[sizes.len() / 2];
-        let Some(worst) = (0..z.len()).max_by(|&a, &b| z[a].abs().total_cmp(&z[b].abs())) else { return };
+        let Some(worst) = (0..z.len()).max_by(|&a, &b| z[a].abs().total_cmp(&z[b].abs())) else { break };
         if z[worst].abs() < 6.0 || z[worst].abs() < 5.0 * median {
-            return;
+            break;
         }
+        found.push((used[worst], z[worst]));
         points[used[worst]].excluded =
             Some(format!("{:+.0} standard errors off the line of the others", z[worst]));
     }
+    // Levels side by side on one side of the line are its bend.
+    let mut order = before;
+    order.sort_by(|&a, &b| points[a].mean_dn.total_cmp(&points[b].mean_dn));
+    let side = |i: usize| found.iter().find(|f| f.0 == i).map(|f| f.1 > 0.0);
+    let is_curve =
+        order.chunk_by(|&a, &b| side(a) == side(b)).any(|run| run.len() >= CURVE && side(run[0]).is_some());
+    if is_curve {
+        found.iter().for_each(|f| points[f.0].excluded = None);
+        return None;
+    }
+    let numbers: Vec<String> = found.iter().map(|f| points[f.0].set.to_string()).collect();
+    (!numbers.is_empty()).then(|| {
+        let (sets, stand) = if numbers.len() == 1 { ("set", "stands") } else { ("sets", "stand") };
+        format!("{sets} {} {stand} off the line of the others: not used", numbers.join(", "))
+    })
 }

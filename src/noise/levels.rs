@@ -3,11 +3,14 @@
 use super::NoiseError;
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, Kind, Set};
-use crate::fit::line::fit;
+use crate::first_look::Seen;
+use crate::fit::line::{fit, goodness};
 use crate::number::finite;
 use crate::reduction::Key;
 use crate::statistics::level::{Level, LevelAccumulator};
+use radcam_sim::rounded;
 use serde::Serialize;
+use sha2::{Digest, Sha256};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// One point of the photon-transfer plot.
@@ -27,6 +30,14 @@ pub struct Point {
     pub pixels: f64,
     /// Variance of the pixels' true means over the field, DN^2.
     pub spatial_var_dn2: f64,
+    /// Variance over the pixels of their noise variances, DN^4: that of the read noise.
+    pub noise_spread_dn4: f64,
+    /// Error of the variance beyond that of independent pixels, DN^2.
+    pub var_unsure_dn2: f64,
+    /// Error of the variance that all levels have together, DN^2, each with its own size and sign.
+    pub var_common_dn2: f64,
+    /// Standard error of the mean that other levels do not share, DN: a black level that moved.
+    pub mean_unsure_dn: f64,
     /// Pairs of the level as (mean above zero, variance).
     pub pairs: Vec<(f64, f64)>,
     /// Why the level takes no part in the fit.
@@ -44,6 +55,40 @@ pub struct Zero {
     pub std_err_dn: f64,
     /// Where it comes from.
     pub source: &'static str,
+    /// Standard deviation of the zero of a single set, DN, where the level of the darks moved; otherwise 0.
+    pub moved_dn: f64,
+}
+
+/// Pixels that tell nothing of the noise: hot, clipped, jumping, interpolated ones, as `diagnose` has them.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Mask {
+    /// Their places, row by row, in rising order.
+    masked: Vec<usize>,
+    /// Sets of which so many pixels are at full scale that they tell nothing, by their numbers.
+    saturated: Vec<u32>,
+    /// Digest of the mask.
+    under: String,
+}
+
+impl Mask {
+    pub(crate) fn of(seen: &Seen, dataset: &Dataset) -> Self {
+        let mask = seen.layout.mask.iter().enumerate();
+        let masked: Vec<usize> = mask.filter(|(_, used)| **used == 0.0).map(|(i, _)| i).collect();
+        let sets = dataset.sets().iter().zip(&seen.looks).filter(|(_, look)| look.saturated);
+        let mut digest = Sha256::new();
+        digest.update(env!("CARGO_PKG_VERSION"));
+        masked.iter().for_each(|i| digest.update((*i as u64).to_le_bytes()));
+        Self {
+            saturated: sets.map(|(set, _)| set.number).collect(),
+            under: digest.finalize().iter().map(|b| format!("{b:02x}")).collect(),
+            masked,
+        }
+    }
+
+    /// Key of a level that was measured under this mask.
+    pub(crate) fn key(&self, dataset: &Dataset, set: &Set) -> Key {
+        Key { under: self.under.clone(), ..Key::first(dataset, set, usize::MAX) }
+    }
 }
 
 /// What the frames of a dataset say, before any line is fitted.
@@ -57,6 +102,8 @@ pub struct Measured {
     pub black_level_dn: Option<f64>,
     /// Step of the converter, DN.
     pub code_step_dn: f64,
+    /// Numbers of sets that are at full scale in too many pixels.
+    pub saturated: Vec<u32>,
 }
 
 /// Reads every dark and flat. `progress` is told (sets done, sets).
@@ -75,11 +122,15 @@ pub fn measure(
         .iter()
         .filter(|s| matches!(dataset.settings(s).kind, Kind::Dark | Kind::Flat))
         .collect();
+    if wanted.is_empty() {
+        return Err(NoiseError::NoFrames);
+    }
+    let mask = Mask::of(&Seen::new(dataset, stop, &mut |_| {})?, dataset);
     let mut levels = Vec::new();
     let mut accumulator: Option<LevelAccumulator> = None;
     for (done, set) in wanted.iter().enumerate() {
         let settings = dataset.settings(set);
-        if let Some(level) = level_of(dataset, set, &mut accumulator, stop)? {
+        if let Some(level) = level_of(dataset, set, &mask, &mut accumulator, stop)? {
             levels.push((set.number, settings.kind, settings.exposure_s, level));
         }
         progress(done + 1, wanted.len());
@@ -89,6 +140,7 @@ pub fn measure(
         full_scale_dn: camera.full_scale_dn().into(),
         black_level_dn: camera.black_level_dn,
         code_step_dn: dataset.code_step_dn(),
+        saturated: mask.saturated,
     })
 }
 
@@ -126,7 +178,7 @@ fn clipped_because(level: &Level) -> Option<String> {
     }
 }
 
-/// Mean and variance of a set of darks or flats; `None` of others. `memory` serves the next set.
+/// Mean and variance of a set of darks or flats under a mask; `None` of others. `memory` serves the next set.
 ///
 /// # Errors
 ///
@@ -134,13 +186,14 @@ fn clipped_because(level: &Level) -> Option<String> {
 pub(crate) fn level_of(
     dataset: &Dataset,
     set: &Set,
+    mask: &Mask,
     memory: &mut Option<LevelAccumulator>,
     stop: &AtomicBool,
 ) -> Result<Option<Level>, NoiseError> {
     if !matches!(dataset.settings(set).kind, Kind::Dark | Kind::Flat) {
         return Ok(None);
     }
-    if let Some(known) = dataset.reduced().and_then(|r| r.level(&Key::first(dataset, set, usize::MAX))) {
+    if let Some(known) = dataset.reduced().and_then(|r| r.level(&mask.key(dataset, set))) {
         return Ok(known.clone());
     }
     let camera = &dataset.manifest().camera;
@@ -158,7 +211,9 @@ pub(crate) fn level_of(
         // Memory for what the frames are, not for what a damaged manifest says. Their sizes were checked by it
         // when they were read.
         let shape = (camera.height, camera.width);
-        let level = memory.get_or_insert_with(|| LevelAccumulator::new(shape, camera.bit_depth));
+        let level = memory.get_or_insert_with(|| {
+            LevelAccumulator::new(shape, camera.bit_depth).without(mask.masked.clone())
+        });
         let _ = level.add(&slices);
     }
     Ok(memory.as_ref().and_then(LevelAccumulator::finish))
@@ -180,26 +235,40 @@ pub fn zero(measured: &Measured) -> Zero {
         let hidden = if l.var_dn2 < COARSE * square { square / 12.0 } else { 0.0 };
         (scatter / l.frames as f64).max(l.var_dn2 / (l.frames * l.pixels) as f64) + hidden
     };
-    let points = darks.iter().map(|(_, _, exposure_s, l)| (*exposure_s, l.mean_dn, variance(l)));
-    if let Some(line) = fit(points.clone()) {
+    let points = || darks.iter().map(|(_, _, exposure_s, l)| (*exposure_s, l.mean_dn, variance(l)));
+    if let Some(line) = fit(points()) {
         // Means that scatter more than their frames do (temperature) widen the error.
         let inflation = if line.dof > 0 { (line.chi2 / line.dof as f64).max(1.0) } else { 1.0 };
-        let std_err_dn = (line.var_intercept * inflation).sqrt();
-        return Zero { dn: line.intercept, std_err_dn, source: "darks extrapolated to zero exposure" };
+        let moved_dn = moved(points().map(|(t, mean, variance)| (mean - line.at(t), variance)), line.dof);
+        let std_err_dn = (line.var_intercept * inflation).sqrt().hypot(moved_dn);
+        return Zero {
+            dn: line.intercept,
+            std_err_dn,
+            source: "darks extrapolated to zero exposure",
+            moved_dn,
+        };
     }
-    if let Some((weight, sum)) = points
+    if let Some((weight, sum)) = points()
         .map(|(_, mean, variance)| (1.0 / variance, mean / variance))
         .reduce(|a, b| (a.0 + b.0, a.1 + b.1))
     {
         // Part of this dark mean is dark charge, and one exposure does not tell how much. A known black level bounds
         // it: anything between the two is as likely.
-        let dark = sum / weight;
+        let mut dark = sum / weight;
+        let moved_dn = moved(points().map(|(_, mean, variance)| (mean - dark, variance)), darks.len() - 1);
+        if moved_dn > 0.0 {
+            // The frames' own scatter weighs nothing beside that of the sets.
+            dark = darks.iter().map(|(.., l)| l.mean_dn).sum::<f64>() / n;
+        }
+        let own = weight.sqrt().recip().hypot(moved_dn);
         return match measured.black_level_dn {
-            Some(black) => {
-                let std_err_dn = ((dark - black).powi(2) / 12.0 + 1.0 / weight).sqrt();
-                Zero { dn: 0.5 * (dark + black), std_err_dn, source: ONE_EXPOSURE_BOUNDED }
-            }
-            None => Zero { dn: dark, std_err_dn: weight.sqrt().recip(), source: ONE_EXPOSURE },
+            Some(black) => Zero {
+                dn: 0.5 * (dark + black),
+                std_err_dn: ((dark - black).powi(2) / 12.0).sqrt().hypot(own),
+                source: ONE_EXPOSURE_BOUNDED,
+                moved_dn,
+            },
+            None => Zero { dn: dark, std_err_dn: own, source: ONE_EXPOSURE, moved_dn },
         };
     }
     // A single frame has a mean, and the error that its pixels' scatter leaves.
@@ -209,40 +278,210 @@ pub fn zero(measured: &Measured) -> Zero {
         .filter(|(_, kind, _, l)| *kind == Kind::Dark && l.frames == 1 && l.pixels > 1 && l.black <= CLIPPED);
     if let Some((.., level)) = single.min_by(|a, b| a.2.total_cmp(&b.2)) {
         let std_err_dn = (level.spatial_var_dn2 / level.pixels as f64).sqrt();
-        return Zero { dn: level.mean_dn, std_err_dn, source: "a single dark frame" };
+        return Zero { dn: level.mean_dn, std_err_dn, source: "a single dark frame", moved_dn: 0.0 };
     }
     match measured.black_level_dn {
-        Some(dn) => Zero { dn, std_err_dn: f64::NAN, source: BLACK_LEVEL },
-        None => Zero { dn: 0.0, std_err_dn: f64::NAN, source: NO_ZERO },
+        Some(dn) => Zero { dn, std_err_dn: f64::NAN, source: BLACK_LEVEL, moved_dn: 0.0 },
+        None => Zero { dn: 0.0, std_err_dn: f64::NAN, source: NO_ZERO, moved_dn: 0.0 },
     }
+}
+
+/// Standard deviation of the zero of any set where the darks' levels, given as (deviation, variance), scatter beyond what
+/// their frames explain, DN; otherwise 0. A level that moves with time lies anywhere between those that were seen, and more
+/// darks do not average it away: that of an even distribution over the range.
+fn moved(darks: impl Iterator<Item = (f64, f64)>, dof: usize) -> f64 {
+    let (mut chi2, mut least, mut most) = (0.0, f64::INFINITY, f64::NEG_INFINITY);
+    for (off, variance) in darks {
+        chi2 += off * off / variance;
+        (least, most) = (off.min(least), off.max(most));
+    }
+    let range = most - least;
+    if dof == 0 || goodness(chi2, dof as f64) > MOVED_P || range < MIN_MOVED_DN {
+        return 0.0;
+    }
+    range / 12f64.sqrt()
 }
 
 /// Sets counted from the zero, with the reasons for those that are clipped or quantised too coarsely.
 pub fn points(measured: &Measured, zero: &Zero) -> Vec<Point> {
-    measured
-        .levels
-        .iter()
-        .map(|(set, kind, _, level)| {
-            let coarse = (level.var_dn2 < COARSE * measured.code_step_dn.powi(2)).then(|| {
-                format!(
-                    "noise of {:.2} DN is below half a step: quantisation noise is not q^2/12 there",
-                    level.var_dn2.sqrt()
-                )
-            });
-            Point {
-                set: *set,
-                kind: *kind,
-                mean_dn: level.mean_dn - zero.dn,
-                var_dn2: level.var_dn2,
-                frames: level.frames as f64,
-                pixels: level.pixels as f64,
-                spatial_var_dn2: level.spatial_var_dn2,
-                pairs: level.pairs.iter().map(|p| (p.mean_dn - zero.dn, p.var_dn2)).collect(),
-                excluded: clipped_because(level).or(coarse),
-            }
-        })
-        .collect()
+    let light = Light::of(measured, zero);
+    let step_dn = measured.code_step_dn;
+    let noise_spread_dn4 = noise_spread_dn4(measured);
+    let point = |(set, kind, _, level): &(u32, Kind, f64, Level)| {
+        let coarse = (level.var_dn2 < COARSE * step_dn.powi(2)).then(|| {
+            format!(
+                "noise of {:.2} DN is below half a step: quantisation noise is not q^2/12 there",
+                level.var_dn2.sqrt()
+            )
+        });
+        let full =
+            measured.saturated.contains(set).then(|| "2 % of the pixels or more are at full scale".into());
+        let mean_dn = level.mean_dn - zero.dn;
+        // What unequal light makes of the field's shape.
+        let by_light = if *kind == Kind::Flat { light.var_dn2(level, mean_dn) } else { 0.0 };
+        let by_rounding = by_rounding(level, noise_spread_dn4, step_dn);
+        let of_pair = |p: &crate::statistics::level::Pair| {
+            let (mean, moved) = (p.mean_dn - zero.dn, 0.5 * p.difference_dn * p.difference_dn);
+            let by_light = if *kind == Kind::Flat { light.of_scatter(level, moved, mean_dn) } else { 0.0 };
+            (mean, p.var_dn2 - by_light - by_rounding)
+        };
+        Point {
+            set: *set,
+            kind: *kind,
+            mean_dn,
+            var_dn2: level.var_dn2 - by_light - by_rounding,
+            frames: level.frames as f64,
+            pixels: level.pixels as f64,
+            spatial_var_dn2: level.spatial_var_dn2,
+            noise_spread_dn4,
+            var_unsure_dn2: LIGHT_SHAPE_ERROR * by_light,
+            var_common_dn2: ROUNDING_ERROR * by_rounding,
+            mean_unsure_dn: zero.moved_dn,
+            pairs: level.pairs.iter().map(of_pair).collect(),
+            excluded: clipped_because(level).or(full).or(coarse),
+        }
+    };
+    let mut points: Vec<Point> = measured.levels.iter().map(point).collect();
+    exclude_clamped_darks(measured, &mut points);
+    points
 }
+
+/// Share of the correction for rounding that is not known: how the pixels' noise is distributed.
+const ROUNDING_ERROR: f64 = 0.25;
+
+/// Variance of a level beyond that before rounding and q^2/12, DN^2: noise of about half a step has more or less, by where its
+/// level lies between two codes and how far the pixels' levels spread. The pixels' read noise is lognormal, with variances
+/// that spread by `noise_spread_dn4` (Johnson, Kotz and Balakrishnan 1994, ch. 14).
+fn by_rounding(level: &Level, noise_spread_dn4: f64, step_dn: f64) -> f64 {
+    // All in steps of the converter.
+    let square = step_dn * step_dn;
+    let (mean, var) = (level.mean_dn / step_dn, level.var_dn2 / square);
+    let spread = level.spatial_var_dn2.max(0.0).sqrt() / step_dn;
+    if !(COARSE..WIDE).contains(&var) || !(mean + spread).is_finite() {
+        return 0.0;
+    }
+    // Variance before rounding over its mean: exp(s z - s^2 / 2) with this s^2.
+    let relative = noise_spread_dn4 / (square * (var - 1.0 / 12.0)).powi(2);
+    let log_var = (1.0 + relative).ln().min(1.0);
+    let seen = |before: f64| {
+        let of = |&(z, weight): &(f64, f64)| {
+            let own = before * (log_var.sqrt() * z - 0.5 * log_var).exp();
+            weight * (own + rounded(mean, spread, own).variance)
+        };
+        NORMAL_POINTS.iter().map(of).sum::<f64>()
+    };
+    let (mut low, mut high) = (0.0, 2.0 * WIDE);
+    for _ in 0..50 {
+        let middle = 0.5 * (low + high);
+        if seen(middle) < var { low = middle } else { high = middle }
+    }
+    square * (var - (0.5 * (low + high) + 1.0 / 12.0))
+}
+
+/// Points and weights of the mean over a standard normal number (Gauss and Hermite; Abramowitz and Stegun, table 25.10).
+const NORMAL_POINTS: [(f64, f64); 5] = [
+    (-2.856_970_0, 0.011_257_4),
+    (-1.355_626_2, 0.222_075_9),
+    (0.0, 0.533_333_4),
+    (1.355_626_2, 0.222_075_9),
+    (2.856_970_0, 0.011_257_4),
+];
+
+/// Variance, in squares of the step, above which rounding adds q^2/12 whatever the level: what is missing is
+/// exp(-2 pi^2 0.7) = 1e-6.
+const WIDE: f64 = 0.7 + 1.0 / 12.0;
+
+/// Variance over the pixels of the read noise's variances, DN^4, as the darks show it together. A variance of unequal pixels
+/// scatters more than one of as many equal ones.
+fn noise_spread_dn4(measured: &Measured) -> f64 {
+    let darks = measured.levels.iter().filter(|(_, kind, _, l)| *kind == Kind::Dark && l.frames > 1);
+    let of = darks.map(|(.., l)| l.square_dn4 - l.var_dn2 * l.var_dn2).filter(|v| v.is_finite());
+    let median = crate::statistics::median::median(of);
+    if median.is_finite() { median.max(0.0) } else { 0.0 }
+}
+
+/// Share of the correction for unequal light that is not known: the shape of the light may differ from that of the level.
+const LIGHT_SHAPE_ERROR: f64 = 0.1;
+
+/// Unequal light of the frames of a set: in a shaded field a frame of e more light differs from the others by e times the
+/// field, of which the frame's mean takes off the even part only. What is left has the variance of e times the field's.
+struct Light {
+    /// Variance of the means of dark frames, DN^2: the black level moves the field as a whole.
+    of_darks_dn2: f64,
+    /// Spatial variance of the darks, DN^2.
+    pattern_dn2: f64,
+}
+
+impl Light {
+    fn of(measured: &Measured, zero: &Zero) -> Self {
+        let darks = measured.levels.iter().filter(|(_, kind, ..)| *kind == Kind::Dark);
+        let of = |value: &dyn Fn(&Level) -> f64| {
+            let all = darks.clone().map(|(.., l)| value(l)).filter(|v| v.is_finite());
+            let median = crate::statistics::median::median(all);
+            if median.is_finite() && zero.dn.is_finite() { median } else { 0.0 }
+        };
+        Self { of_darks_dn2: of(&|l| l.frame_mean_var_dn2), pattern_dn2: of(&|l| l.spatial_var_dn2) }
+    }
+
+    /// Variance that the frames' unequal light leaves in a level, DN^2.
+    fn var_dn2(&self, level: &Level, mean_dn: f64) -> f64 {
+        let by_noise = level.var_dn2 / level.pixels.max(1) as f64;
+        self.of_scatter(level, level.frame_mean_var_dn2 - by_noise, mean_dn)
+    }
+
+    /// The same of frames whose means have this variance, DN^2.
+    fn of_scatter(&self, level: &Level, moved_dn2: f64, mean_dn: f64) -> f64 {
+        let field = (level.spatial_var_dn2 - self.pattern_dn2).max(0.0);
+        let light = (moved_dn2 - self.of_darks_dn2).max(0.0);
+        let of = light * field / (mean_dn * mean_dn);
+        if of.is_finite() && mean_dn > 0.0 { of.min(level.var_dn2) } else { 0.0 }
+    }
+}
+
+/// Leaves out darks whose variance grows with the exposure and whose level does not: the camera takes the dark charge off
+/// the level, and its shot noise stays. Their place on the line is not known.
+fn exclude_clamped_darks(measured: &Measured, points: &mut [Point]) {
+    let of = |kind: Kind| {
+        let all = measured.levels.iter().enumerate().filter(move |(_, l)| l.1 == kind);
+        all.map(|(i, (_, _, exposure_s, _))| (i, *exposure_s))
+    };
+    let usable = |i: &usize| points[*i].excluded.is_none();
+    let shortest = of(Kind::Dark).filter(|d| usable(&d.0)).min_by(|a, b| a.1.total_cmp(&b.1));
+    let Some((first, shortest_s)) = shortest else { return };
+    let (own, base) = (|i: usize| points[i].mean_dn - points[first].mean_dn, points[first].var_dn2);
+    let above = |i: usize| points[i].var_dn2 - base;
+    let gains = of(Kind::Flat).filter(|f| usable(&f.0) && own(f.0) > 0.0).map(|f| above(f.0) / own(f.0));
+    let gain = crate::statistics::median::median(gains);
+    if !(gain > 0.0) {
+        return;
+    }
+    let clamped = |i: usize| {
+        let p = &points[i];
+        let error = (2.0 / ((p.frames - 1.0) * (p.pixels - 1.0))).sqrt() * (p.var_dn2 + base);
+        let more = above(i) - 2.0 * gain * own(i).max(0.0);
+        more > 5.0 * error && more > MIN_CLAMPED_EXCESS * base
+    };
+    let found: Vec<usize> =
+        of(Kind::Dark).filter(|d| usable(&d.0) && d.1 > shortest_s && clamped(d.0)).map(|d| d.0).collect();
+    for i in found {
+        points[i].excluded = Some(format!(
+            "a black-level clamp: {:+.1} DN of level for {:+.1} DN^2 of noise beyond the shortest dark's",
+            own_of(points, i, first),
+            points[i].var_dn2 - base
+        ));
+    }
+}
+
+fn own_of(points: &[Point], i: usize, first: usize) -> f64 {
+    points[i].mean_dn - points[first].mean_dn
+}
+
+/// Least excess of a dark's variance, over that of the shortest, for a clamp (a named choice: what matters to a user).
+const MIN_CLAMPED_EXCESS: f64 = 0.1;
+/// Chance of as much scatter of the darks' levels below which the black level moved.
+const MOVED_P: f64 = 1e-4;
+/// Least range of the darks' levels that is said, DN.
+const MIN_MOVED_DN: f64 = 0.2;
 
 /// Rows of a table as points. Each row counts as one pair of frames.
 pub fn table_points(table: &Table) -> Vec<Point> {
@@ -254,6 +493,10 @@ pub fn table_points(table: &Table) -> Vec<Point> {
         frames: 2.0,
         pixels: level.pixels.unwrap_or(f64::NAN),
         spatial_var_dn2: 0.0,
+        noise_spread_dn4: 0.0,
+        var_unsure_dn2: 0.0,
+        var_common_dn2: 0.0,
+        mean_unsure_dn: 0.0,
         pairs: vec![(level.mean_dn, level.var_dn2)],
         excluded: None,
     };

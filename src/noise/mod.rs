@@ -16,6 +16,7 @@
 //!   Linear Models", 1989, section 8.3), so that both give the same line; its goodness of fit is the deviance,
 //!   and its errors come from the observed curvature.
 
+mod curve;
 mod estimators;
 mod exclude;
 mod levels;
@@ -32,7 +33,7 @@ use crate::number::{Quantity, six_digits};
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
 use exclude::{exclude_outliers, exclude_past_the_peak, exclude_strays};
 use levels::{BLACK_LEVEL, NO_ZERO, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED, ONE_FRAME};
-pub(crate) use levels::{Counts, level_of, pixels_from_scatter};
+pub(crate) use levels::{Counts, Mask, level_of, pixels_from_scatter};
 use std::sync::atomic::AtomicBool;
 
 /// Why there is no answer.
@@ -114,7 +115,7 @@ fn estimate_with(
     }
     exclude_strays(&mut points);
     exclude_past_the_peak(&mut points);
-    exclude_outliers(&mut points);
+    notes.extend(exclude_outliers(&mut points));
     let is_lit = |p: &&Point| p.excluded.is_none() && p.kind == Kind::Flat;
     let lit = points.iter().filter(is_lit).count();
     let line = reweighted(&points).filter(|_| lit > 0);
@@ -140,13 +141,40 @@ fn estimate_with(
         estimators.push(estimate_of(Method::Likelihood, &line, zero));
     }
 
+    if let Some((gain, constant)) = common_error(&points, &line) {
+        for e in &mut estimators {
+            e.widen(gain, constant);
+        }
+    }
+    let best = estimators.iter().find(|e| e.method == Method::Reweighted).cloned().unwrap_or(best);
+    let mut chosen = Method::Reweighted;
+    if let Some(curve) = curve::fit(&points, line.slope, line.intercept, (line.chi2, line.dof))
+        .filter(|_| best.q < P_LIMIT && counts != Counts::Unknown)
+    {
+        chosen = Method::Curve;
+        notes.push(format!(
+            "the levels do not lie on a line but on a curve: at the highest the variance is {} its straight line from the dark end. A is the \
+             slope there; a line through all levels would have {}. `radcam diagnose` looks for the reason",
+            bent(curve.bend),
+            best.gain_dn_per_e
+        ));
+        estimators.push(curve.estimate(zero));
+    }
     if counts == Counts::Unknown {
         for e in &mut estimators {
             e.forget_errors();
         }
     }
     let best = estimators.iter().find(|e| e.method == Method::Reweighted).cloned().unwrap_or(best);
+    let values = estimators.iter().find(|e| e.method == chosen).cloned().unwrap_or_else(|| best.clone());
 
+    if zero.moved_dn > 0.0 {
+        notes.push(format!(
+            "the black level moved between the darks: their levels differ by {:.1} DN, and that of a flat may lie anywhere between. Let the \
+             camera warm up, or take darks beside each set of flats",
+            zero.moved_dn * 12f64.sqrt()
+        ));
+    }
     let from_one = zero.source == ONE_EXPOSURE || zero.source == ONE_EXPOSURE_BOUNDED;
     if from_one {
         notes.push(
@@ -159,7 +187,7 @@ fn estimate_with(
             zero.source
         ));
     }
-    if best.q < P_LIMIT {
+    if best.q < P_LIMIT && chosen == Method::Reweighted {
         notes.push(
             "the levels do not lie on a line: the model lacks something, and the errors above do not hold"
                 .into(),
@@ -181,15 +209,15 @@ fn estimate_with(
             }
         })
         .collect();
-    let mut read_noise_e = read_noise(&best, quantisation_dn2);
+    let mut read_noise_e = read_noise(&values, quantisation_dn2);
     if zero.source == NO_ZERO {
         // The intercept is A times what the black level is off by, and says nothing of the noise.
         (read_noise_e.value, read_noise_e.std_err) = (f64::NAN, f64::NAN);
     }
     Ok(NoiseReport {
         read_noise_e,
-        gain_dn_per_e: best.gain_dn_per_e,
-        constant_noise_var_dn2: best.constant_noise_var_dn2,
+        gain_dn_per_e: values.gain_dn_per_e,
+        constant_noise_var_dn2: values.constant_noise_var_dn2,
         offset_dn: Quantity::new(zero.dn, zero.std_err_dn, "DN"),
         offset_source: zero.source.into(),
         chi2: best.chi2,
@@ -200,6 +228,21 @@ fn estimate_with(
         data_faults: Vec::new(),
         notes,
     })
+}
+
+/// What the errors that all levels have together do to A and sigma_C^2; `None` where there are none.
+fn common_error(points: &[Point], line: &crate::fit::line::Line) -> Option<(f64, f64)> {
+    if points.iter().all(|p| p.var_common_dn2 == 0.0) {
+        return None;
+    }
+    let moved = |p: &Point| Point { var_dn2: p.var_dn2 + p.var_common_dn2, ..p.clone() };
+    let moved = reweighted(&points.iter().map(moved).collect::<Vec<_>>())?;
+    Some((moved.slope - line.slope, moved.intercept - line.intercept))
+}
+
+/// A bend in words.
+fn bent(bend: f64) -> String {
+    format!("{:.1} % {}", 100.0 * bend.abs(), if bend < 0.0 { "below" } else { "above" })
 }
 
 /// A of one lit level: the constant noise is known by its bounds only. Below it is that of quantisation, above it the variance over the pixels
@@ -300,7 +343,35 @@ pub fn of_dataset(
             six_digits(dataset.quantisation_dn2())
         ));
     }
+    report.notes.extend(masked(&measured));
+    report.notes.extend(temperature(&dataset));
     Ok(NoiseReport { data_faults: dataset.data_faults().to_vec(), ..report })
+}
+
+/// Pixels that were left out, in words.
+fn masked(measured: &Measured) -> Option<String> {
+    let level = &measured.levels.first()?.3;
+    let n = level.masked;
+    let share = crate::number::percent(n as f64 / (n + level.pixels) as f64);
+    (n > 0)
+        .then(|| format!("{n} pixels ({share}) are hot, clipped, jumping or interpolated, and are left out"))
+}
+
+/// Range of the sensor's temperature from which on it is said, K: dark current doubles in some 7 K (a named choice).
+const MIN_TEMPERATURE_RANGE_K: f64 = 1.0;
+
+/// Temperatures that drift, in words.
+fn temperature(dataset: &Dataset) -> Option<String> {
+    let rows = dataset.rows().iter().filter(|r| matches!(r.kind, Kind::Dark | Kind::Flat));
+    let all: Vec<f64> = rows.filter_map(|r| r.temperature_c).collect();
+    let least = all.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = all.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    (most - least > MIN_TEMPERATURE_RANGE_K).then(|| {
+        format!(
+            "the sensor's temperature lies between {least:.1} and {most:.1} °C over the campaign: dark current and black level go with it. \
+             Let the camera warm up, or take darks beside each set of flats"
+        )
+    })
 }
 
 /// Section IV on a table of statistics.
@@ -309,7 +380,7 @@ pub fn of_dataset(
 ///
 /// Where no line can be fitted, with the reason.
 pub fn of_table(table: &Table) -> Result<NoiseReport, NoiseError> {
-    estimate(table_points(table), &Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO })
+    estimate(table_points(table), &Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO, moved_dn: 0.0 })
 }
 
 #[cfg(test)]
@@ -327,12 +398,16 @@ mod tests {
             frames: 2.0,
             pixels,
             spatial_var_dn2: 0.0,
+            noise_spread_dn4: 0.0,
+            var_unsure_dn2: 0.0,
+            var_common_dn2: 0.0,
+            mean_unsure_dn: 0.0,
             pairs: vec![(mean_dn, var_dn2)],
             excluded: None,
         }
     }
 
-    const TABLE: Zero = Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO };
+    const TABLE: Zero = Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO, moved_dn: 0.0 };
 
     /// Levels on a line with normal scatter of the right size.
     fn scattered(seed: u32, levels: usize, pixels: f64) -> Vec<Point> {

@@ -17,6 +17,8 @@ pub enum Method {
     Reweighted,
     /// Chi-square likelihood.
     Likelihood,
+    /// A polynomial where the levels do not lie on a line: its slope at zero signal.
+    Curve,
     /// One lit level, and bounds of the constant noise.
     #[serde(rename = "one-level")]
     OneLevel,
@@ -29,6 +31,7 @@ impl Method {
             Self::Paper => "paper",
             Self::Reweighted => "reweighted",
             Self::Likelihood => "likelihood",
+            Self::Curve => "curve",
             Self::OneLevel => "one-level",
         }
     }
@@ -57,6 +60,13 @@ pub struct Estimate {
 }
 
 impl Estimate {
+    /// Adds errors of A and sigma_C^2 that go together.
+    pub(super) fn widen(&mut self, gain: f64, constant: f64) {
+        self.gain_dn_per_e.std_err = self.gain_dn_per_e.std_err.hypot(gain);
+        self.constant_noise_var_dn2.std_err = self.constant_noise_var_dn2.std_err.hypot(constant);
+        self.covariance += gain * constant;
+    }
+
     /// For data that hold no measure of their own noise.
     pub(super) fn forget_errors(&mut self) {
         self.gain_dn_per_e.std_err = f64::NAN;
@@ -93,9 +103,10 @@ pub struct LevelReport {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct NoiseReport {
-    /// A by the reweighted estimator; of one lit level by the bounds of the constant noise.
+    /// A by the reweighted estimator, or by the curve where that is there; of one lit level by the bounds of the constant
+    /// noise.
     pub gain_dn_per_e: Quantity,
-    /// sigma_C^2 by the reweighted estimator.
+    /// sigma_C^2 by the same.
     pub constant_noise_var_dn2: Quantity,
     /// Read noise with quantisation taken off, electrons: sqrt(sigma_C^2 - q^2/12) / A (eq. 27).
     pub read_noise_e: Quantity,

@@ -4,9 +4,9 @@
 
 use super::campaign::is_quiet;
 use super::left_out::words;
-use super::look::{FIRST, Look, Seen};
-use super::{Half, ObserveError, SUMMED, codes};
+use super::{Half, ObserveError, STATISTICS, SUMMED, codes};
 use crate::dataset::{Dataset, Kind, Set};
+use crate::first_look::{FIRST, Look, Seen};
 use crate::reduction::{Key, Reduced};
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
@@ -228,7 +228,7 @@ impl<'a, 'b> Reader<'a, 'b> {
         Self {
             dataset,
             layout: &seen.layout,
-            under: seen.digest(),
+            under: seen.digest(STATISTICS.iter().map(|s| s.id())),
             pool: Mutex::new(Vec::new()),
             stop,
             usual: seen.usual,
@@ -529,6 +529,9 @@ pub fn read(
     let sets = dataset.sets();
     let pieces = pieces(dataset);
     let of = pieces.len() + sets.len() / 4;
+    if dataset.rows().is_empty() {
+        return Err(ObserveError::Nothing("the dataset has no frames".into()));
+    }
     let seen = Seen::new(dataset, stop, &mut |seen| progress(seen / 4, of))?;
     let mut reader = Reader::new(dataset, &seen, stop);
     let samples = (shape.0 * shape.1) as f64 * dataset.rows().len() as f64;
@@ -589,6 +592,9 @@ pub fn record(
     let sets = dataset.sets();
     let mut out = Reduced::default();
     let pieces: Vec<Piece> = pieces(dataset).into_iter().filter(|p| wanted(&sets[p.set])).collect();
+    if dataset.rows().is_empty() {
+        return Err(ObserveError::Nothing("the dataset has no frames".into()));
+    }
     let seen = Seen::new(dataset, stop, &mut |_| {})?;
     for (set, look) in sets.iter().zip(&seen.looks).filter(|(s, _)| wanted(s)) {
         out.add_look(Key::first(dataset, set, FIRST), look.without_frames());

@@ -9,7 +9,7 @@ use crate::dataset::table::Table;
 use crate::noise::{Counts, pixels_from_scatter, table_points};
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
-use crate::statistics::peak::strays;
+use crate::statistics::peak::{strays, turn_off};
 use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, SetInfo};
 
 /// Rows up to the peak of the variance as sets of one pair each.
@@ -43,14 +43,13 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
     // Past the variance's peak the well is full: what the rows say there is not noise.
     let mut order: Vec<usize> = (0..table.levels.len()).filter(|i| !strays.contains(i)).collect();
     order.sort_by(|&a, &b| table.levels[a].mean_dn.total_cmp(&table.levels[b].mean_dn));
-    let peak =
-        order.iter().copied().max_by(|&a, &b| table.levels[a].var_dn2.total_cmp(&table.levels[b].var_dn2));
-    let peak = peak.map_or(f64::INFINITY, |i| table.levels[i].mean_dn);
+    let levels: Vec<(f64, f64)> =
+        order.iter().map(|&i| (table.levels[i].mean_dn, table.levels[i].var_dn2)).collect();
     let top = order.last().map_or(0.0, |&i| table.levels[i].mean_dn);
-    let turned = top > 1.02 * peak;
-    let limit = if turned { 0.97 * peak } else { f64::INFINITY };
+    let turned = turn_off(&levels);
+    let limit = turned.map_or(f64::INFINITY, |t| t.0);
     let kept: Vec<usize> = order.iter().copied().filter(|&i| table.levels[i].mean_dn <= limit).collect();
-    if turned {
+    if let Some((limit, peak)) = turned {
         missing.push(format!(
             "{} rows above {limit:.0} DN, at the turn-off of the variance ({peak:.0} DN), are full well and not looked at",
             order.len() - kept.len()

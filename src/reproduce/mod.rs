@@ -290,11 +290,16 @@ fn noise_line(setup: &mut Setup) -> Result<NoiseReport, ReproduceError> {
             frames: 2.0,
             pixels: level.pixels as f64,
             spatial_var_dn2: level.spatial_var_dn2,
+            noise_spread_dn4: 0.0,
+            var_unsure_dn2: 0.0,
+            var_common_dn2: 0.0,
+            mean_unsure_dn: 0.0,
             pairs: level.pairs.iter().map(|p| (p.mean_dn, p.var_dn2)).collect(),
             excluded: None,
         });
     }
-    let zero = Zero { dn: 0.0, std_err_dn: 0.0, source: "the paper's camera has no black level" };
+    let source = "the paper's camera has no black level";
+    let zero = Zero { dn: 0.0, std_err_dn: 0.0, source, moved_dn: 0.0 };
     Ok(noise::estimate(points, &zero)?)
 }
 

@@ -1,6 +1,7 @@
 //! A set of frames at one level of light: its mean, its temporal variance, and its pairs (Section IV).
 
 use super::moments::{Moments, SizeMismatch};
+use crate::number::finite;
 use serde::{Deserialize, Serialize};
 
 /// One pair of frames, as the paper takes them.
@@ -10,6 +11,9 @@ pub struct Pair {
     pub mean_dn: f64,
     /// Variance of the noise, DN^2 (eq. 38).
     pub var_dn2: f64,
+    /// Mean of the first frame less that of the second, DN.
+    #[serde(default)]
+    pub difference_dn: f64,
 }
 
 /// What a set says.
@@ -38,6 +42,17 @@ pub struct Level {
     pub stuck: f64,
     /// Frames 0 and 1, 2 and 3, and so on.
     pub pairs: Vec<Pair>,
+    /// Pixels left out by the mask.
+    #[serde(default)]
+    pub masked: u64,
+    /// Mean over the pixels of the square of their variances, without the scatter of few frames of normal noise, DN^4: above
+    /// [`var_dn2`](Self::var_dn2) squared where pixels differ in noise.
+    #[serde(default = "nan", with = "finite")]
+    pub square_dn4: f64,
+}
+
+fn nan() -> f64 {
+    f64::NAN
 }
 
 impl Level {
@@ -57,9 +72,17 @@ pub struct LevelAccumulator {
     black: u64,
     previous: Option<Vec<u16>>,
     pairs: Vec<Pair>,
+    /// Pixels that do not count, in rising order.
+    masked: Vec<usize>,
 }
 
 impl LevelAccumulator {
+    /// The same without some pixels: their places row by row, in rising order.
+    pub fn without(mut self, masked: Vec<usize>) -> Self {
+        self.masked = masked;
+        self
+    }
+
     /// For frames of (rows, columns) from a camera of so many bits.
     pub fn new(shape: (usize, usize), bit_depth: u8) -> Self {
         Self {
@@ -70,6 +93,7 @@ impl LevelAccumulator {
             black: 0,
             previous: None,
             pairs: Vec::new(),
+            masked: Vec::new(),
         }
     }
 
@@ -96,11 +120,16 @@ impl LevelAccumulator {
                 saturated += u64::from(part.iter().map(|&x| u16::from(x >= self.full_scale)).sum::<u16>());
                 black += u64::from(part.iter().map(|&x| u16::from(x == 0)).sum::<u16>());
             }
+            for &code in self.masked.iter().filter_map(|&i| frame.get(i)) {
+                sum -= u64::from(code);
+                saturated -= u64::from(code >= self.full_scale);
+                black -= u64::from(code == 0);
+            }
             self.frame_sums.push(sum);
             self.saturated += saturated;
             self.black += black;
             match self.previous.take() {
-                Some(first) => self.pairs.push(pair(&first, frame)),
+                Some(first) => self.pairs.push(pair(&first, frame, &self.masked)),
                 None => self.previous = Some(frame.to_vec()),
             }
         }
@@ -112,29 +141,37 @@ impl LevelAccumulator {
         let frames = self.moments.frames();
         let n = frames as f64;
         let full = u64::from(self.full_scale);
-        let sums = self.moments.sums();
-        let stuck_high = sums.iter().filter(|&&s| s == frames * full).count() as u64;
-        let stuck_low = sums.iter().filter(|&&s| s == 0).count() as u64;
-        let pixels = sums.len() as u64 - stuck_high - stuck_low;
+        let all = self.moments.sums();
+        let masked = all.len().min(self.masked.len());
+        // Runs between the pixels that do not count.
+        let ends = self.masked.iter().copied().chain([all.len()]);
+        let starts = std::iter::once(0).chain(self.masked.iter().map(|i| i + 1));
+        let sums = || starts.clone().zip(ends.clone()).flat_map(|(from, to)| &all[from.min(to)..to]).copied();
+        let stuck_high = sums().filter(|&s| s == frames * full).count() as u64;
+        let stuck_low = sums().filter(|&s| s == 0).count() as u64;
+        let counted = (all.len() - masked) as u64;
+        let pixels = counted - stuck_high - stuck_low;
         if frames == 0 {
             return None;
         }
         if frames < 2 || pixels < 2 {
-            let samples = n * sums.len() as f64;
-            let mean_dn = sums.iter().sum::<u64>() as f64 / samples;
+            let samples = n * counted as f64;
+            let mean_dn = sums().sum::<u64>() as f64 / samples;
             // Of one frame the noise is in it.
-            let between = sums.iter().map(|&s| (s as f64 / n - mean_dn).powi(2)).sum::<f64>();
+            let between = sums().map(|s| (s as f64 / n - mean_dn).powi(2)).sum::<f64>();
             return Some(Level {
                 frames,
                 pixels,
                 mean_dn,
                 var_dn2: f64::NAN,
-                spatial_var_dn2: between / (sums.len() as f64 - 1.0),
+                spatial_var_dn2: between / (counted as f64 - 1.0),
                 frame_mean_var_dn2: f64::NAN,
                 saturated: self.saturated as f64 / samples,
                 black: self.black as f64 / samples,
-                stuck: (stuck_high + stuck_low) as f64 / sums.len() as f64,
+                stuck: (stuck_high + stuck_low) as f64 / counted as f64,
                 pairs: Vec::new(),
+                masked: masked as u64,
+                square_dn4: f64::NAN,
             });
         }
         let m = pixels as f64;
@@ -144,10 +181,11 @@ impl LevelAccumulator {
             self.frame_sums.iter().map(|s| (s - stuck_high * full) as f64 / m).collect();
         let mean_dn = frame_means.iter().sum::<f64>() / n;
         let between_frames: f64 = frame_means.iter().map(|f| (f - mean_dn).powi(2)).sum();
-        let within_pixels = self.moments.total_spread_dn2() / n;
+        let of_masked: f64 = self.masked.iter().map(|&i| self.moments.spread_dn2(i)).sum();
+        let within_pixels = (self.moments.total_spread_dn2() - of_masked) / n;
         let var_dn2 = (within_pixels - m * between_frames).max(0.0) / ((n - 1.0) * (m - 1.0));
-        let used = sums.iter().filter(|&&s| s != 0 && s != frames * full);
-        let between_pixels: f64 = used.map(|&s| (s as f64 / n - mean_dn).powi(2)).sum::<f64>() / (m - 1.0);
+        let used = sums().filter(|&s| s != 0 && s != frames * full);
+        let between_pixels: f64 = used.map(|s| (s as f64 / n - mean_dn).powi(2)).sum::<f64>() / (m - 1.0);
         Some(Level {
             frames,
             pixels,
@@ -157,14 +195,28 @@ impl LevelAccumulator {
             frame_mean_var_dn2: between_frames / (n - 1.0),
             saturated: (self.saturated - stuck_high * frames) as f64 / samples,
             black: (self.black - stuck_low * frames) as f64 / samples,
-            stuck: (stuck_high + stuck_low) as f64 / sums.len() as f64,
+            stuck: (stuck_high + stuck_low) as f64 / counted as f64,
             pairs: self.pairs.clone(),
+            masked: masked as u64,
+            square_dn4: self.square_dn4(),
         })
     }
 }
 
-/// Eq. (37) and (38) for two frames.
-fn pair(first: &[u16], second: &[u16]) -> Pair {
+impl LevelAccumulator {
+    /// E s^4 = sigma^4 (1 + 2 / (n - 1)) for the variance s^2 of n normal numbers.
+    fn square_dn4(&self) -> f64 {
+        let n = self.moments.frames() as f64;
+        let square = |i: usize| (self.moments.spread_dn2(i) / (n * (n - 1.0))).powi(2);
+        let pixels = self.moments.sums().len();
+        let all: f64 = (0..pixels).map(square).sum();
+        let of_masked: f64 = self.masked.iter().map(|&i| square(i)).sum();
+        (all - of_masked) / (pixels - self.masked.len()) as f64 / (1.0 + 2.0 / (n - 1.0))
+    }
+}
+
+/// Eq. (37) and (38) for two frames, without some pixels.
+fn pair(first: &[u16], second: &[u16], masked: &[usize]) -> Pair {
     let (mut sum, mut difference, mut square) = (0u64, 0i64, 0u64);
     for (&a, &b) in first.iter().zip(second) {
         let d = i64::from(a) - i64::from(b);
@@ -172,10 +224,20 @@ fn pair(first: &[u16], second: &[u16]) -> Pair {
         difference += d;
         square += (d * d) as u64;
     }
-    let m = first.len() as f64;
+    for (&a, &b) in masked.iter().filter_map(|&i| first.get(i).zip(second.get(i))) {
+        let d = i64::from(a) - i64::from(b);
+        sum -= u64::from(a) + u64::from(b);
+        difference -= d;
+        square -= (d * d) as u64;
+    }
+    let m = (first.len() - masked.len().min(first.len())) as f64;
     let mean_difference = difference as f64 / m;
     let spread = square as f64 - m * mean_difference * mean_difference;
-    Pair { mean_dn: sum as f64 / (2.0 * m), var_dn2: spread / (2.0 * (m - 1.0)) }
+    Pair {
+        mean_dn: sum as f64 / (2.0 * m),
+        var_dn2: spread / (2.0 * (m - 1.0)),
+        difference_dn: mean_difference,
+    }
 }
 
 #[cfg(test)]

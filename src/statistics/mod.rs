@@ -9,6 +9,7 @@ pub mod jackknife;
 pub mod layout;
 pub mod level;
 pub mod lines;
+pub mod lit;
 pub mod median;
 pub mod moments;
 pub mod occupancy;

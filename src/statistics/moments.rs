@@ -139,6 +139,11 @@ impl Moments {
         self.sum.iter().zip(&self.square).map(|(&s, &q)| self.spread(s, q)).sum()
     }
 
+    /// The same of one pixel, DN^2.
+    pub fn spread_dn2(&self, pixel: usize) -> f64 {
+        self.spread(self.sum[pixel], self.square[pixel])
+    }
+
     /// n sum x^2 - (sum x)^2, whose terms can pass 64 bits.
     fn spread(&self, s: u64, q: u64) -> f64 {
         (u128::from(self.frames) * u128::from(q)).saturating_sub(u128::from(s) * u128::from(s)) as f64

@@ -10,6 +10,27 @@ const STRAY: f64 = 1.5;
 /// Levels around, itself included, whose median is taken.
 const AROUND: usize = 2;
 
+/// Share of the peak's level from which on the well turns.
+const TURNING: f64 = 0.97;
+/// Level over the peak's up to which another level may be its scatter.
+const BEYOND: f64 = 1.02;
+
+/// Level from which on rows of (mean above black, variance) are full well, and that of the variance's peak; `None` where
+/// the variance grows to the last. Strays must have been taken out.
+///
+/// ```
+/// use radcam::statistics::peak::turn_off;
+/// let mut levels: Vec<(f64, f64)> = (1..20).map(|i| (1000.0 * f64::from(i), 500.0 * f64::from(i))).collect();
+/// assert_eq!(turn_off(&levels), None);
+/// levels[18].1 = 100.0;
+/// assert_eq!(turn_off(&levels), Some((17_460.0, 18_000.0)));
+/// ```
+pub fn turn_off(levels: &[(f64, f64)]) -> Option<(f64, f64)> {
+    let peak = levels.iter().max_by(|a, b| a.1.total_cmp(&b.1))?.0;
+    let top = levels.iter().map(|l| l.0).fold(0.0, f64::max);
+    (top > BEYOND * peak).then_some((TURNING * peak, peak))
+}
+
 /// Places of levels, given as (mean above black, variance), whose variance lies far above that of the levels
 /// around: one of them would be taken for the peak. Nothing for fewer than five.
 ///

@@ -1,6 +1,6 @@
 //! The dark image and the response of every pixel, as pictures with a scale, and how their values are distributed.
 
-use crate::calibrate::defects::{DEAD, HOT, UNSTABLE};
+use crate::calibrate::defects::{BLIND, DEAD, HOT, UNSTABLE};
 use crate::calibrate::file::Calibration;
 use crate::dataset::image::Buffer;
 use crate::dataset::{Dataset, Kind, Set};
@@ -145,7 +145,7 @@ pub fn of(
 
 /// What a defect's flags say.
 fn kinds_of(flags: u8) -> String {
-    let all = [(HOT, "hot"), (DEAD, "dead"), (UNSTABLE, "unstable")];
+    let all = [(HOT, "hot"), (DEAD, "dead"), (UNSTABLE, "unstable"), (BLIND, "blind")];
     all.into_iter().filter(|(f, _)| flags & f != 0).map(|(_, n)| n).collect::<Vec<_>>().join(", ")
 }
 

@@ -9,7 +9,6 @@ mod quantities;
 pub use evidence::{Level, decisive, of_statistic, plot_of, statistics};
 pub use images::{Images, Map};
 pub use provenance::Provenance;
-pub(crate) use provenance::hex;
 pub use quantities::Reported;
 
 use crate::calibrate::file::Calibration;

@@ -6,6 +6,7 @@ mod bands;
 mod blind;
 mod calibration;
 mod camera;
+mod cases_numbers;
 mod conformance;
 mod containers;
 mod data_faults;

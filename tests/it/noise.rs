@@ -22,7 +22,7 @@ fn campaign(sensor: &Sensor, number: u64) -> Measured {
         level.add(&[&frames[0], &frames[1]]).unwrap();
         levels.push((i as u32, Kind::Flat, c.exposure_s, level.finish().unwrap()));
     }
-    Measured { levels, full_scale_dn: 255.0, black_level_dn: Some(0.0), code_step_dn: 1.0 }
+    Measured { levels, full_scale_dn: 255.0, black_level_dn: Some(0.0), code_step_dn: 1.0, saturated: Vec::new() }
 }
 
 /// Distance of an ordered sample from a distribution and its chance (Kolmogorov; Marsaglia's asymptotic series).
@@ -69,7 +69,8 @@ fn campaigns(n: u64) -> Campaigns {
         .map(|i| {
             let measured = campaign(&sensor, i);
             // The paper's camera has no black level: its zero is 0 DN by construction.
-            let zero = noise::Zero { dn: 0.0, std_err_dn: 0.0, source: "the paper's camera has none" };
+            let source = "the paper's camera has none";
+            let zero = noise::Zero { dn: 0.0, std_err_dn: 0.0, source, moved_dn: 0.0 };
             noise::estimate(noise::points(&measured, &zero), &zero).unwrap()
         })
         .collect();
@@ -178,6 +179,7 @@ fn cameras_are_recovered_within_stated_errors_zero_included() {
             full_scale_dn: model.full_scale_dn().into(),
             black_level_dn: Some(model.base.black_level_dn),
             code_step_dn: 1.0,
+            saturated: Vec::new(),
         };
         let zero = noise::zero(&measured);
         let offset = model.base.black_level_dn + f64::from(sensor.maps().offset_dn.mean().unwrap());

@@ -93,6 +93,22 @@ impl Buffer {
         Array2::from_shape_vec(self.shape, self.dn).unwrap_or_default()
     }
 
+    /// Keeps some rows and columns. Nothing happens where the image does not have them.
+    pub fn crop(&mut self, rows: &std::ops::Range<usize>, columns: &std::ops::Range<usize>) {
+        let (height, width) = self.shape;
+        if rows.end > height || columns.end > width || self.dn.len() != height * width {
+            return;
+        }
+        let mut to = 0;
+        for y in rows.clone() {
+            let from = y * width;
+            self.dn.copy_within(from + columns.start..from + columns.end, to);
+            to += columns.len();
+        }
+        self.dn.truncate(to);
+        self.shape = (rows.len(), columns.len());
+    }
+
     fn set(&mut self, image: Array2<u16>) {
         self.shape = image.dim();
         self.dn.clear();

@@ -1,12 +1,13 @@
 //! The first look at a campaign: at most eight frames of each set tell which pixels count, the level of the darks, and how frames usually scatter.
 
-use super::{ObserveError, STATISTICS, filled};
+pub mod filled;
+
+use crate::data_faults::ExamineError;
 use crate::dataset::{Dataset, Kind};
 use crate::reduction::{Key, Reduced};
 use crate::statistics::layout::Layout;
 use crate::statistics::median::median;
 use crate::statistics::outliers;
-use crate::study::hex;
 use ndarray::Array2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -14,7 +15,7 @@ use sha2::{Digest, Sha256};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Frames of a set that the first look reads.
-pub(super) const FIRST: usize = 8;
+pub(crate) const FIRST: usize = 8;
 /// Bytes of decoded frames that are kept from the first look for the pass over all: compressed frames take longer to decode than to look at.
 /// A named choice: a tenth of what a small machine has.
 const KEPT: usize = 256 << 20;
@@ -36,7 +37,7 @@ pub struct Look {
     clipped: Vec<usize>,
     /// True where these are 2 % of the pixels or more: the set is clipped.
     #[serde(default)]
-    pub(super) saturated: bool,
+    pub(crate) saturated: bool,
     /// Pixels of a dark set that jump: noise far above that of others, and a mean no further off than that
     /// noise.
     #[serde(default)]
@@ -55,11 +56,11 @@ pub struct Look {
     apart: Option<(bool, outliers::Apart)>,
     /// The frames, as long as there is room.
     #[serde(skip)]
-    pub(super) frames: Vec<Array2<u16>>,
+    pub(crate) frames: Vec<Array2<u16>>,
 }
 
 impl Look {
-    pub(super) fn without_frames(&self) -> Self {
+    pub(crate) fn without_frames(&self) -> Self {
         let Self { clipped, saturated, jumping, dark, pair, filled, darkest, apart, frames: _ } = self;
         Self {
             clipped: clipped.clone(),
@@ -81,7 +82,7 @@ impl Look {
     }
 }
 
-fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<Look, ObserveError> {
+fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<Look, ExamineError> {
     let set = &dataset.sets()[set];
     if let Some(known) = dataset.reduced().and_then(|r| r.look(&Key::first(dataset, set, FIRST))) {
         return Ok(known.clone());
@@ -225,14 +226,14 @@ fn first_look(
     dataset: &Dataset,
     stop: &AtomicBool,
     progress: &mut dyn FnMut(usize),
-) -> Result<Vec<Look>, ObserveError> {
+) -> Result<Vec<Look>, ExamineError> {
     let full = dataset.manifest().camera.full_scale_dn();
     let sets: Vec<usize> = (0..dataset.sets().len()).collect();
     let mut looks = Vec::with_capacity(sets.len());
     let room = AtomicUsize::new(KEPT);
     for group in sets.chunks(8) {
         if stop.load(Ordering::Relaxed) {
-            return Err(ObserveError::Interrupted);
+            return Err(ExamineError::Interrupted);
         }
         let of_set = |&set: &usize| look(dataset, set, full, &room);
         looks.extend(group.par_iter().map(of_set).collect::<Result<Vec<_>, _>>()?);
@@ -242,33 +243,30 @@ fn first_look(
 }
 
 /// What the first look at a campaign says: what every piece is read with.
-pub(super) struct Seen {
-    pub(super) layout: Layout,
-    pub(super) zero_dn: f64,
-    pub(super) usual: outliers::Usual,
+pub(crate) struct Seen {
+    pub(crate) layout: Layout,
+    pub(crate) zero_dn: f64,
+    pub(crate) usual: outliers::Usual,
     /// Longest exposure of flats, s.
-    pub(super) longest_lit_s: f64,
-    pub(super) looks: Vec<Look>,
+    pub(crate) longest_lit_s: f64,
+    pub(crate) looks: Vec<Look>,
     /// Pixels that the camera fills in from their neighbours.
-    pub(super) filled: usize,
+    pub(crate) filled: usize,
     /// Code below which one in two hundred samples of the darks lies.
-    pub(super) darkest_dn: Option<f64>,
+    pub(crate) darkest_dn: Option<f64>,
 }
 
 impl Seen {
-    pub(super) fn new(
+    pub(crate) fn new(
         dataset: &Dataset,
         stop: &AtomicBool,
         progress: &mut dyn FnMut(usize),
-    ) -> Result<Self, ObserveError> {
+    ) -> Result<Self, ExamineError> {
         let camera = &dataset.manifest().camera;
         let (full, shape) = (camera.full_scale_dn(), (camera.height, camera.width));
-        if dataset.rows().is_empty() {
-            return Err(ObserveError::Nothing("the dataset has no frames".into()));
-        }
         // Memory follows what is there: a frame must confirm the size that a header claims. Statistics have confirmed it when they were opened.
-        if dataset.reduced().is_none() {
-            dataset.read(&dataset.rows()[0])?;
+        if let Some(row) = dataset.rows().first().filter(|_| dataset.reduced().is_none()) {
+            dataset.read(row)?;
         }
         let looks = first_look(dataset, stop, progress)?;
         let (layout, zero_dn, filled) = layout(shape, full, &looks);
@@ -287,11 +285,12 @@ impl Seen {
         })
     }
 
-    /// Everything that the statistics of a piece depend on beside its frames and their settings.
-    pub(super) fn digest(&self) -> String {
+    /// Everything that the statistics of a piece depend on beside its frames and their settings; `names` are those of the
+    /// statistics.
+    pub(crate) fn digest<'n>(&self, names: impl Iterator<Item = &'n str>) -> String {
         let mut all = Sha256::new();
         all.update(env!("CARGO_PKG_VERSION"));
-        STATISTICS.iter().for_each(|s| all.update(s.id()));
+        names.for_each(|name| all.update(name));
         let layout = &self.layout;
         [layout.shape.0, layout.shape.1].iter().for_each(|n| all.update((*n as u64).to_le_bytes()));
         layout.mask.iter().for_each(|m| all.update([u8::from(*m > 0.0)]));
@@ -299,12 +298,12 @@ impl Seen {
         let numbers = [layout.gain, self.zero_dn, self.longest_lit_s];
         numbers.iter().for_each(|n| all.update(n.to_le_bytes()));
         self.usual.numbers().iter().for_each(|n| all.update(n.to_le_bytes()));
-        hex(&all.finalize())
+        all.finalize().iter().map(|b| format!("{b:02x}")).collect()
     }
 }
 
 /// The first look at every set, to be kept.
-pub fn record_looks(dataset: &Dataset, stop: &AtomicBool) -> Result<Reduced, ObserveError> {
+pub fn record_looks(dataset: &Dataset, stop: &AtomicBool) -> Result<Reduced, ExamineError> {
     let mut out = Reduced::default();
     for (set, look) in dataset.sets().iter().zip(first_look(dataset, stop, &mut |_| {})?) {
         out.add_look(Key::first(dataset, set, FIRST), look.without_frames());

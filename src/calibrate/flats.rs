@@ -1,0 +1,202 @@
+//! Mean images of the flats that K is estimated from (the e_i of eq. 46).
+
+use super::dark::{DarkError, DarkReference};
+use super::{CalibrateError, Level, average, most_configurations};
+use crate::dataset::{Dataset, Kind, Set};
+use ndarray::{Array2, Zip};
+use std::collections::BTreeMap;
+
+/// Share of the pixels at full scale from which a flat of one level has lost its pattern.
+const MAX_CLIPPED_SHARE: f64 = 1e-3;
+/// The same where other levels tell of the pixels that are clipped: glints on the card.
+const MAX_CLIPPED_SHARE_OF_MANY: f64 = 0.02;
+/// Level below which a flat is not used beside brighter ones, over the brightest: its weight would be as small, and the
+/// error of its dark reference is not.
+const MIN_LEVEL: f64 = 0.05;
+/// Standard deviations of the noise within which full scale cuts a pixel off.
+const REACH: f64 = 3.0;
+
+/// Mean images with what is known of their noise.
+#[derive(Debug, Default)]
+pub(super) struct Flats {
+    /// Dark reference taken off, DN, one for each configuration.
+    pub images: Vec<Array2<f32>>,
+    /// Variance of the temporal noise that is left in each, DN^2.
+    pub noise_dn2: Vec<f64>,
+    /// Frames in each.
+    pub frames: Vec<u64>,
+    /// Exposures and lights that are in them.
+    pub levels: usize,
+    /// Sets that are not used, with the reason.
+    pub left_out: Vec<String>,
+}
+
+impl Flats {
+    /// Fewest frames of a configuration.
+    pub(super) fn fewest(&self) -> u64 {
+        self.frames.iter().copied().min().unwrap_or(0)
+    }
+}
+
+/// One level of light of one configuration.
+struct Image {
+    signal_dn: Array2<f32>,
+    level_dn: f64,
+    frames: u64,
+    /// Temporal variance of a frame, DN^2.
+    var_dn2: f64,
+    /// Pixels whose noise reaches full scale.
+    clipped: Array2<bool>,
+}
+
+/// (A, sigma_C^2) of the campaign, where it is known.
+type Noise = Option<(f64, f64)>;
+
+fn image(
+    dataset: &Dataset,
+    sets: &[&Set],
+    dark_dn: &Array2<f32>,
+    noise: Noise,
+) -> Result<Image, CalibrateError> {
+    let full = f64::from(dataset.manifest().camera.full_scale_dn());
+    let moments = average(dataset, sets)?;
+    let mean = moments.mean_dn();
+    let signal_dn = Zip::from(&mean).and(dark_dn).map_collect(|&m, &d| m as f32 - d);
+    let level_dn = f64::from(signal_dn.mean().unwrap_or(0.0));
+    // Sets of one level differ in light: their scatter is an upper bound of the noise.
+    let scatter = moments.variance_dn2().mean().unwrap_or(f64::NAN);
+    let model = noise.map_or(f64::NAN, |(a, c)| a * level_dn.max(0.0) + c);
+    let var_dn2 = model.min(scatter).max(1.0 / 12.0);
+    let near = full - REACH * var_dn2.sqrt();
+    let clipped = mean.mapv(|m| m >= near.max(0.5 * full));
+    Ok(Image { signal_dn, level_dn, frames: moments.frames(), var_dn2, clipped })
+}
+
+/// The flats of one exposure and light in all configurations.
+pub(super) fn of_level(
+    dataset: &Dataset,
+    configurations: &BTreeMap<u32, Vec<&Set>>,
+    dark_dn: &Array2<f32>,
+    noise: Noise,
+) -> Result<Flats, CalibrateError> {
+    let full = f64::from(dataset.manifest().camera.full_scale_dn());
+    let mut out = Flats { levels: 1, ..Flats::default() };
+    for (&configuration, sets) in configurations {
+        let image = image(dataset, sets, dark_dn, noise)?;
+        let at_full = Zip::from(&image.signal_dn)
+            .and(dark_dn)
+            .fold(0usize, |n, &s, &d| n + usize::from(f64::from(s + d) >= full - 1e-3))
+            as f64
+            / image.signal_dn.len() as f64;
+        if at_full > MAX_CLIPPED_SHARE {
+            return Err(CalibrateError::Saturated { configuration, percent: 100.0 * at_full });
+        }
+        out.noise_dn2.push(image.var_dn2 / image.frames as f64);
+        out.frames.push(image.frames);
+        out.images.push(image.signal_dn);
+    }
+    Ok(out)
+}
+
+/// All flats: those of one configuration have light of one shape, and are averaged over all exposures and lights, by what
+/// each tells of K: frames times signal^2 over variance. A pixel that is clipped at some levels is told by the others.
+/// Memory holds one image for each configuration.
+pub(super) fn of_all(dataset: &Dataset, dark: &DarkReference, noise: Noise) -> Result<Flats, CalibrateError> {
+    let mut levels: BTreeMap<u32, BTreeMap<(u64, u64), Vec<&Set>>> = BTreeMap::new();
+    for set in dataset.sets() {
+        let row = dataset.settings(set);
+        if row.kind == Kind::Flat {
+            let key = (row.exposure_s.to_bits(), row.illumination.to_bits());
+            levels.entry(row.configuration).or_default().entry(key).or_default().push(set);
+        }
+    }
+    let brightest = brightest_dn(dataset, dark)?;
+    let mut out = Flats::default();
+    let mut all_levels = std::collections::BTreeSet::new();
+    let mut refused: Option<CalibrateError> = None;
+    for (configuration, levels) in levels {
+        let mut sum = Array2::<f32>::zeros(dark.level_dn.dim());
+        // Of each pixel, over that of all levels.
+        let mut pixel_weights = sum.clone();
+        let (mut weights, mut over_level, mut frames) = (0.0, 0.0, 0);
+        for ((exposure, light), sets) in levels {
+            let exposure_s = f64::from_bits(exposure);
+            let numbers: Vec<String> = sets.iter().map(|s| format!("set {}", s.number)).collect();
+            let name = numbers.join(", ");
+            let dark_dn = match dark.at(exposure_s) {
+                Ok(dark_dn) => dark_dn,
+                Err(e @ DarkError::Exposure { .. }) => {
+                    out.left_out.push(format!("{name}: no dark reference at {exposure_s} s"));
+                    refused.get_or_insert(e.into());
+                    continue;
+                }
+                Err(e) => return Err(e.into()),
+            };
+            let of = image(dataset, &sets, &dark_dn, noise)?;
+            let clipped = of.clipped.iter().filter(|c| **c).count() as f64 / of.clipped.len() as f64;
+            if clipped > MAX_CLIPPED_SHARE_OF_MANY {
+                let percent = 100.0 * clipped;
+                out.left_out.push(format!("{name}: {percent:.2} % of the pixels are at full scale"));
+                refused.get_or_insert(CalibrateError::Saturated { configuration, percent });
+                continue;
+            }
+            if of.level_dn <= MIN_LEVEL * brightest {
+                out.left_out
+                    .push(format!("{name}: {:.0} DN of light are too little beside the others", of.level_dn));
+                continue;
+            }
+            let weight = of.frames as f64 * of.level_dn.powi(2) / of.var_dn2;
+            let scale = (weight / of.level_dn) as f32;
+            Zip::from(&mut sum).and(&mut pixel_weights).and(&of.signal_dn).and(&of.clipped).for_each(
+                |sum, weights, &signal, &clipped| {
+                    if !clipped {
+                        *sum += scale * signal;
+                        *weights += weight as f32;
+                    }
+                },
+            );
+            weights += weight;
+            over_level += weight / of.level_dn;
+            frames += of.frames;
+            all_levels.insert((exposure, light));
+        }
+        // In units of the level at which an error of the dark reference would do the same.
+        if weights <= 0.0 {
+            continue;
+        }
+        let level = weights / over_level;
+        let mean = |&sum: &f32, &own: &f32| if own > 0.0 { sum / own * level as f32 } else { 0.0 };
+        out.images.push(Zip::from(&sum).and(&pixel_weights).map_collect(mean));
+        out.noise_dn2.push(level * level / weights);
+        out.frames.push(frames);
+    }
+    out.levels = all_levels.len();
+    match refused {
+        Some(refused) if out.images.is_empty() => Err(refused),
+        _ if out.images.is_empty() => Err(super::pattern::PatternError::Dark(0).into()),
+        _ => Ok(out),
+    }
+}
+
+/// Level of the brightest flats above their darks, by the first frame of each set, DN.
+fn brightest_dn(dataset: &Dataset, dark: &DarkReference) -> Result<f64, CalibrateError> {
+    let zero = f64::from(dark.level_dn.mean().unwrap_or(0.0));
+    let mut brightest = 0.0f64;
+    for set in dataset.sets() {
+        if dataset.settings(set).kind == Kind::Flat {
+            let frame = dataset.read(&dataset.rows()[set.rows[0]])?;
+            brightest = brightest.max(frame.mapv(f64::from).mean().unwrap_or(0.0) - zero);
+        }
+    }
+    Ok(brightest)
+}
+
+/// The e_i of a pilot.
+pub(super) fn of_pilot(dataset: &Dataset) -> Result<Flats, CalibrateError> {
+    let dataset = &super::looked_at(dataset)?;
+    let Some(Level { exposure_s, configurations, .. }) = most_configurations(dataset) else {
+        return Err(CalibrateError::NoFlats);
+    };
+    let dark = DarkReference::fit(&super::dark_means(dataset)?, exposure_s)?.at(exposure_s)?;
+    of_level(dataset, &configurations, &dark, None)
+}

@@ -1,0 +1,60 @@
+//! Whether K takes off more than it adds: a K of few frames has their noise in it.
+
+use super::CalibrateError;
+use super::dark::DarkReference;
+use super::defects::Defect;
+use super::pattern::FixedPattern;
+use ndarray::Array2;
+
+/// Pixels below which a spread over pixels tells too little.
+const MIN_PIXELS: f64 = 64.0;
+/// Standard errors of the pixels' variance within which their response is not seen to differ.
+const MIN_SIGMAS: f64 = 3.0;
+/// Error of K over the spread of the pixels that a campaign should reach, as the message has it.
+const WANTED: f64 = 0.5;
+
+/// Refuses a K whose error exceeds the spread of the pixels' response.
+///
+/// The variance of K over the pixels is that of their response and that of its error. The error of the dark reference
+/// is that of a level; it is in K over the level of the flats.
+pub(super) fn check(
+    pattern: &FixedPattern,
+    defects: &[Defect],
+    dark: &DarkReference,
+    flats: u64,
+    darks: u64,
+) -> Result<(), CalibrateError> {
+    let mut sound = Array2::from_elem(pattern.k.dim(), true);
+    defects.iter().for_each(|d| sound[(d.y, d.x)] = false);
+    let (mut n, mut spread, mut of_flats) = (0.0, 0.0, 0.0);
+    for ((k, e), _) in pattern.k.iter().zip(&pattern.std_err).zip(&sound).filter(|(_, sound)| **sound) {
+        n += 1.0;
+        spread += (f64::from(*k) - 1.0).powi(2);
+        of_flats += f64::from(*e).powi(2);
+    }
+    if n < MIN_PIXELS || !(pattern.level_dn > 0.0) {
+        return Ok(());
+    }
+    let (spread, of_flats) = (spread / n, of_flats / n);
+    let of_darks = (dark.std_err_dn / pattern.level_dn).powi(2);
+    let of_darks = if of_darks.is_finite() { of_darks } else { 0.0 };
+    let error = of_flats + of_darks;
+    let unsure = MIN_SIGMAS * spread * (2.0 / n).sqrt();
+    let own = spread - error;
+    // What is not seen may be as large as it could be without being seen.
+    let (prnu, at_most) = if own > unsure { (own, false) } else { (own.max(0.0) + unsure, true) };
+    if error <= prnu {
+        return Ok(());
+    }
+    let each = 0.5 * WANTED * WANTED * prnu;
+    let more = |frames: u64, of: f64| (frames as f64 * (of / each).max(1.0)).ceil() as u64;
+    let least = if at_most { "at least " } else { "" };
+    let needed_darks = more(darks, of_darks);
+    let and_darks = if needed_darks > darks {
+        format!(" and {least}{needed_darks} darks in place of {darks}")
+    } else {
+        String::new()
+    };
+    let needed = format!("{least}{} flats in place of {flats}{and_darks}", more(flats, of_flats));
+    Err(CalibrateError::TooNoisy { error: error.sqrt(), prnu: prnu.sqrt(), at_most, needed })
+}
