@@ -3,6 +3,7 @@
 use crate::calibrate::dark::DarkError;
 use crate::calibrate::defects::replacements_of;
 use crate::calibrate::file::Calibration;
+use crate::number::six_digits;
 use crate::pixel_format::{PixelFormat, WrongLength};
 use ndarray::Array2;
 use rayon::prelude::*;
@@ -11,6 +12,9 @@ use rayon::prelude::*;
 const CHUNK: usize = 65_536;
 /// Pixels that are unpacked at a time: their codes stay in the nearest cache. Whole bytes and whole groups of every packed format.
 const BLOCK: usize = 4096;
+
+/// A level so many standard deviations of a pixel's dark noise below the dark reference is one of other settings: no light makes it.
+const MAX_BELOW: f64 = 5.0;
 
 /// A calibration made ready for one exposure.
 ///
@@ -96,6 +100,32 @@ pub enum CorrectError {
     /// No exposure.
     #[error("an exposure of {0} s; write a number of seconds that is not below 0")]
     Exposure(f64),
+    /// Dark charge fills the range at this exposure.
+    #[error(
+        "at {} s the dark reference is {dark_dn:.0} DN, and the camera's largest code {full_scale_dn} DN: dark charge alone \
+         saturates it; is that the exposure, in seconds?",
+        six_digits(*exposure_s)
+    )]
+    DarkSaturates {
+        /// Exposure, s.
+        exposure_s: f64,
+        /// Median of the dark reference, DN.
+        dark_dn: f32,
+        /// Largest code, DN.
+        full_scale_dn: u16,
+    },
+    /// Frames are darker than no light makes them.
+    #[error(
+        "{below_dn:.0} DN darker than the dark reference at {} s: exposure, black level or temperature are not those of the \
+         calibration; --force goes on all the same",
+        six_digits(*exposure_s)
+    )]
+    Darker {
+        /// How far below, DN.
+        below_dn: f64,
+        /// Exposure, s.
+        exposure_s: f64,
+    },
     /// The dark reference does not reach to this exposure.
     #[error(transparent)]
     Dark(#[from] DarkError),
@@ -141,23 +171,30 @@ impl Corrector {
             return Err(CorrectError::Exposure(exposure_s));
         }
         let dark = calibration.dark.at(exposure_s)?;
+        let dark_dn = Halves::new(dark.iter().copied());
+        let full_scale_dn = match calibration.description.camera.full_scale_dn() {
+            0 => u16::MAX,
+            full => full,
+        };
+        if dark_dn.about.middle >= f32::from(full_scale_dn) {
+            return Err(CorrectError::DarkSaturates {
+                exposure_s,
+                dark_dn: dark_dn.about.middle,
+                full_scale_dn,
+            });
+        }
         Ok(Self {
             shape: dark.dim(),
-            dark_dn: Halves::new(dark.iter().copied()),
+            dark_dn,
             gain: Halves::new(calibration.k.iter().map(|&k| 1.0 / k)),
-            full_scale_dn: match calibration.description.camera.full_scale_dn() {
-                0 => u16::MAX,
-                full => full,
-            },
+            full_scale_dn,
             replace: Vec::new(),
         })
     }
 
     /// Also replaces the flagged pixels of the calibration by the mean of the nearest sound ones.
     pub fn replacing_defects(mut self, calibration: &Calibration) -> Self {
-        let format = PixelFormat::from_name(&calibration.description.camera.pixel_format);
-        let step = if format.is_ok_and(PixelFormat::is_mosaic) { 2 } else { 1 };
-        self.replace = replacements_of(&calibration.defects, step);
+        self.replace = replacements_of(&calibration.defects, calibration.period());
         self
     }
 
@@ -174,6 +211,28 @@ impl Corrector {
     /// Median of the dark reference, DN.
     pub fn dark_dn(&self) -> f32 {
         self.dark_dn.about.middle
+    }
+
+    /// Refuses a level of frames, DN, that lies below the dark reference by more than noise and the reference's error allow.
+    ///
+    /// # Errors
+    ///
+    /// That it is darker, and by how much.
+    pub fn is_lit(
+        &self,
+        calibration: &Calibration,
+        exposure_s: f64,
+        level_dn: f64,
+    ) -> Result<(), CorrectError> {
+        let below_dn = f64::from(self.dark_dn()) - level_dn;
+        let allowed_dn =
+            MAX_BELOW * calibration.dark_noise_dn(self.dark_dn()) + calibration.dark.std_err_at(exposure_s);
+        if below_dn > allowed_dn { Err(CorrectError::Darker { below_dn, exposure_s }) } else { Ok(()) }
+    }
+
+    /// Largest code of the camera, DN.
+    pub fn full_scale_dn(&self) -> u16 {
+        self.full_scale_dn
     }
 
     fn check(&self, lengths: [usize; 2]) -> Result<(), CorrectError> {

@@ -109,6 +109,13 @@ pub fn investigate(
         zero_ns = capture.resume(&dataset)?.zero_ns;
     } else {
         let plan = capture.ready(plan)?;
+        let format = capture.camera.settings().map_err(CaptureError::from)?.pixel_format;
+        if format.is_mosaic() {
+            return Err(InvestigateError::State(format!(
+                "the camera gives {format}, a colour mosaic, and one verdict holds for one colour: name a monochrome pixel_format under [camera] \
+                 of a plan; or `radcam capture`, then `radcam diagnose --plane 0,0` for each colour"
+            )));
+        }
         begins(capture, &plan, tell)?;
         state.measurement.push(Measurement { about: plan.about.clone(), sets: (0, plan.sets.len()) });
         std::fs::create_dir_all(root).map_err(DatasetError::io(root))?;

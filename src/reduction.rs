@@ -144,6 +144,7 @@ pub fn reduce(
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Dataset, ObserveError> {
     let part = gather(parts)?;
+    part.must_be_monochrome()?;
     if options.look_only {
         let facts = kept_facts(&part, &|_| true, stop)?;
         let mut looks = record_looks(&examined(&with_facts(&part, &facts), stop)?, stop)?;

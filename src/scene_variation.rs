@@ -65,6 +65,16 @@ pub enum VariationError {
         /// Rows.
         height: usize,
     },
+    /// Most pixels of the region are defects of the sensor.
+    #[error(
+        "{defects} of the region's {pixels} pixels are defects in the calibration; choose another region"
+    )]
+    Defects {
+        /// Defect pixels.
+        defects: usize,
+        /// Pixels of the region.
+        pixels: usize,
+    },
     /// Nothing to divide by.
     #[error("the region's mean is {mean_dn:.3} DN above the dark reference: no light, no scene variation")]
     Dark {
@@ -86,7 +96,7 @@ pub struct Variation {
     pub noise_var_dn2: f64,
     /// Standard error of V_s from the camera's noise alone: what scatters when the same patch is seen again.
     pub repeat_std_err: f64,
-    /// Pixels.
+    /// Sound pixels.
     pub pixels: usize,
     /// Frames averaged.
     pub frames: u64,
@@ -157,24 +167,35 @@ pub fn of_region(
     let view = part(corrected, roi)?;
     let dark = part(dark_dn, roi)?;
     let (k, k_error) = (part(&calibration.k, roi)?, part(&calibration.k_std_err, roi)?);
+    let flags = part(&calibration.defects, roi)?;
     if roi.width < 10 || roi.height < 10 {
         return Err(VariationError::Small { width: roi.width, height: roi.height });
     }
-    let pixels = view.len();
+    // Defect pixels show nothing of the surface.
+    fn sound<'a>(
+        map: &'a ArrayView2<'_, f32>,
+        flags: &'a ArrayView2<'_, u8>,
+    ) -> impl Iterator<Item = f64> + 'a {
+        map.iter().zip(flags).filter(|(_, flag)| **flag == 0).map(|(v, _)| f64::from(*v))
+    }
+    let pixels = sound(&view, &flags).count();
+    if 2 * pixels < view.len() {
+        return Err(VariationError::Defects { defects: view.len() - pixels, pixels: view.len() });
+    }
     let n = pixels as f64;
-    let mean_dn = mean(view.iter().map(|&d| f64::from(d)));
+    let mean_dn = mean(sound(&view, &flags));
     if mean_dn.is_nan() || mean_dn <= 0.0 {
         return Err(VariationError::Dark { mean_dn });
     }
-    let spatial_var_dn2 = view.iter().map(|&d| (f64::from(d) - mean_dn).powi(2)).sum::<f64>() / (n - 1.0);
-    let above_zero_dn = mean_dn + mean(dark.iter().map(|&d| f64::from(d))) - noise.offset_dn;
-    let of_k = mean(k.iter().map(|&k| f64::from(k).powi(-2)));
+    let spatial_var_dn2 = sound(&view, &flags).map(|d| (d - mean_dn).powi(2)).sum::<f64>() / (n - 1.0);
+    let above_zero_dn = mean_dn + mean(sound(&dark, &flags)) - noise.offset_dn;
+    let of_k = mean(sound(&k, &flags).map(|k| k.powi(-2)));
     let frames = frames.max(1);
     let temporal = noise.var_dn2(above_zero_dn) * of_k / frames as f64;
     // The dark reference's error d is in K too: at the level L of K's flats it cancels, at mu d^2 (1 - mu / L)^2 are left.
     let d = &calibration.description;
     let dark_error = d.dark_std_err_dn.unwrap_or(0.0);
-    let own = mean(k_error.iter().map(|&e| f64::from(e).powi(2))) - d.dark_error_of_k().powi(2);
+    let own = mean(sound(&k_error, &flags).map(|e| e.powi(2))) - d.dark_error_of_k().powi(2);
     let of_dark = dark_error * (1.0 - d.k_level_dn.map_or(0.0, |level| mean_dn / level));
     let noise_var_dn2 = temporal + mean_dn * mean_dn * own.max(0.0) + of_dark * of_dark;
     let value = |var: f64, noise: f64, mean: f64| (var - noise) / (mean * mean);
@@ -185,8 +206,9 @@ pub fn of_region(
         .map(|block| {
             let span = |i: usize, size: usize| i * size / BLOCKS..(i + 1) * size / BLOCKS;
             let (rows, columns) = (span(block / BLOCKS, roi.height), span(block % BLOCKS, roi.width));
-            view.slice(s![rows, columns]).iter().fold([0.0; 3], |[n, d, q], &v| {
-                let off = f64::from(v) - mean_dn;
+            let at = s![rows, columns];
+            sound(&view.slice(at), &flags.slice(at)).fold([0.0; 3], |[n, d, q], v| {
+                let off = v - mean_dn;
                 [n + 1.0, d + off, q + off * off]
             })
         })
@@ -206,11 +228,16 @@ pub fn of_region(
     let [aa, ac, cc] = noise.covariance;
     let of_line = (above_zero_dn * above_zero_dn * aa + 2.0 * above_zero_dn * ac + cc).max(0.0)
         * (of_k / frames as f64 / (mean_dn * mean_dn)).powi(2);
+    let std_err = (jackknife + of_line).sqrt();
+    // Whatever varies by its own mean is no surface: the mean is too small to divide by.
+    if std_err.is_nan() || (std_err >= 1.0 && whole < 3.0 * std_err) {
+        return Err(VariationError::Dark { mean_dn });
+    }
     // The same patch again: the variance of a variance of noise about a pattern that stays, 2 v^2 + 4 v (pattern's variance).
     let stays = (spatial_var_dn2 - temporal).max(0.0);
     let again = (2.0 * temporal * temporal + 4.0 * temporal * stays) / n / mean_dn.powi(4);
     Ok(Variation {
-        scene_variation: Quantity::new(whole, (jackknife + of_line).sqrt(), "1"),
+        scene_variation: Quantity::new(whole, std_err, "1"),
         mean_dn,
         spatial_var_dn2,
         noise_var_dn2,
@@ -221,7 +248,7 @@ pub fn of_region(
 }
 
 /// V_s over windows of `side` pixels side by side, and its standard error, each (windows down, windows across); NaN where a
-/// window is dark.
+/// window is dark, or more than half of it are defect pixels.
 ///
 /// # Errors
 ///
@@ -247,7 +274,7 @@ pub fn map(
                     value[(y, x)] = v.scene_variation.value as f32;
                     error[(y, x)] = v.scene_variation.std_err as f32;
                 }
-                Err(VariationError::Dark { .. }) => {}
+                Err(VariationError::Dark { .. } | VariationError::Defects { .. }) => {}
                 Err(e) => return Err(e),
             }
         }

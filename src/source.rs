@@ -60,14 +60,32 @@ impl Source {
         Ok(Self::Frames(Box::new(Dataset::join(all)?)))
     }
 
+    /// One colour of a mosaic ([`Dataset::plane`]).
+    ///
+    /// # Errors
+    ///
+    /// Where it is one plane already, or statistics whose frames are not read again.
+    pub fn plane(self, plane: [u8; 2]) -> Result<Self, DatasetError> {
+        match self {
+            Self::Frames(dataset) => Ok(Self::Frames(Box::new(dataset.plane(plane)?))),
+            Self::Table(_) => {
+                let message = "a table of statistics has no planes; leave it out".into();
+                Err(DatasetError::Manifest { path: "--plane".into(), message })
+            }
+        }
+    }
+
     /// Removes faulty sets and frames ([`examined`]); `stop` ends it. Tables are returned unchanged.
     ///
     /// # Errors
     ///
-    /// Which frame cannot be read, or that it was stopped.
+    /// That it is a colour mosaic, which frame cannot be read, or that it was stopped.
     pub fn examined(self, stop: &AtomicBool) -> Result<Self, ExamineError> {
         Ok(match self {
-            Self::Frames(dataset) => Self::Frames(Box::new(examined(&dataset, stop)?)),
+            Self::Frames(dataset) => {
+                dataset.must_be_monochrome()?;
+                Self::Frames(Box::new(examined(&dataset, stop)?))
+            }
             table => table,
         })
     }

@@ -8,7 +8,6 @@ use crate::calibrate::defects::{BLIND, Defect};
 use crate::calibrate::pattern::FixedPattern;
 use crate::dataset::image::ascii;
 use crate::dataset::{CameraInfo, write_whole};
-use crate::pixel_format::PixelFormat;
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 use std::io::Cursor;
@@ -162,10 +161,18 @@ impl Calibration {
         }
     }
 
+    /// Standard deviation of a pixel's noise in the dark, with the shot noise of the charge that brings it to `dark_dn`, DN (eq. 41); 1 DN where
+    /// it is not known or smaller.
+    pub fn dark_noise_dn(&self, dark_dn: f32) -> f64 {
+        let d = &self.description;
+        let charge_dn = d.offset_dn.map_or(0.0, |offset| f64::from(dark_dn) - offset);
+        let shot_dn2 = d.gain_dn_per_e.unwrap_or(0.0) * charge_dn.max(0.0);
+        (d.constant_noise_var_dn2.unwrap_or(0.0) + shot_dn2).max(1.0).sqrt()
+    }
+
     /// Pixels after which a colour comes again in a row and in a column: 2 in a mosaic, otherwise 1.
     pub fn period(&self) -> usize {
-        let format = PixelFormat::from_name(&self.description.camera.pixel_format);
-        if format.is_ok_and(PixelFormat::is_mosaic) { 2 } else { 1 }
+        if self.description.camera.is_mosaic() { 2 } else { 1 }
     }
 
     /// Writes the file whole or not at all, once [`read`](Self::read) has accepted it.
@@ -226,16 +233,18 @@ impl Calibration {
         let fault = |message: String| FileError { path: path.into(), message };
         let broken = |e: tiff::TiffError| fault(format!("not a sound calibration file: {e}"));
         let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(broken)?;
-        let text = decoder
-            .get_tag_ascii_string(Tag::ImageDescription)
-            .map_err(|_| fault("has no ImageDescription; not a calibration file".into()))?;
+        let text = decoder.get_tag_ascii_string(Tag::ImageDescription).map_err(|_| {
+            fault("no calibration file (no ImageDescription); `radcam calibrate` makes one".into())
+        })?;
         let value: serde_json::Value = serde_json::from_str(text.trim_end_matches('\0')).map_err(|e| {
-            fault(format!("its ImageDescription is no JSON object ({e}); not a calibration file"))
+            fault(format!("no calibration file (its ImageDescription is no JSON object: {e}); `radcam calibrate` makes one"))
         })?;
         match value.get("format").and_then(|f| f.as_str()) {
             Some(FORMAT) => {}
             other => {
-                let other = other.unwrap_or("missing");
+                let Some(other) = other else {
+                    return Err(fault("no calibration file; `radcam calibrate` makes one".into()));
+                };
                 return Err(fault(format!("format is \"{other}\", and this program reads \"{FORMAT}\"")));
             }
         }

@@ -13,9 +13,8 @@ pub mod window;
 mod worth;
 
 use crate::data_faults::{DataFault, ExamineError, examined};
-use crate::dataset::{Dataset, DatasetError, Kind, Set};
+use crate::dataset::{CameraInfo, Dataset, DatasetError, Kind, Set};
 use crate::noise::{Method, NoiseReport};
-use crate::pixel_format::PixelFormat;
 use crate::statistics::lit::Lit;
 use crate::statistics::moments::Moments;
 use dark::{DarkError, DarkMean, DarkReference};
@@ -142,6 +141,14 @@ pub(crate) fn dark_means(dataset: &Dataset) -> Result<Vec<DarkMean>, DatasetErro
     darks.into_iter().map(mean).collect()
 }
 
+/// Sensor temperature of the campaign, degrees Celsius: that of the manifest, or the mean of the darks.
+fn temperature_c(dataset: &Dataset) -> Option<f64> {
+    let darks = dataset.rows().iter().filter(|r| r.kind == Kind::Dark).filter_map(|r| r.temperature_c);
+    let (sum, count) = darks.fold((0.0, 0.0), |(sum, count), t| (sum + t, count + 1.0));
+    let mean = (count > 0.0).then(|| (100.0 * sum / count).round() / 100.0);
+    dataset.manifest().camera.temperature_c.or(mean)
+}
+
 /// The dataset without what is wrong with it.
 fn looked_at(dataset: &Dataset) -> Result<Dataset, DatasetError> {
     examined(dataset, &AtomicBool::new(false)).map_err(|e| match e {
@@ -202,8 +209,7 @@ pub fn of_dataset(
         Estimator::Smooth => flats::of_all(dataset, &dark, line)?,
         _ => flats::of_level(dataset, &configurations, &level, line)?,
     };
-    let mosaic =
-        PixelFormat::from_name(&dataset.manifest().camera.pixel_format).is_ok_and(PixelFormat::is_mosaic);
+    let mosaic = dataset.manifest().camera.is_mosaic();
     let (mut pattern, light) = if mosaic {
         // A colour's light is smooth; that of a mosaic is not, and the filters' transmissions are no part of K.
         let planes = colour::planes(&flats.images);
@@ -219,6 +225,7 @@ pub fn of_dataset(
     without_defects(&mut pattern, &defects, mosaic);
     let darks = means.iter().map(|d| d.frames).sum();
     worth::check(&pattern, &defects, &dark, flats.frames.iter().sum(), darks)?;
+    let camera = &dataset.manifest().camera;
     let description = Description {
         gain_dn_per_e: gain,
         constant_noise_var_dn2: noise.map(|n| n.constant_noise_var_dn2.value).filter(|c| c.is_finite()),
@@ -232,7 +239,7 @@ pub fn of_dataset(
         n2: flats.fewest() as usize,
         estimator: name,
         provenance: provenance.into(),
-        ..Description::of(dataset.manifest().camera.clone())
+        ..Description::of(CameraInfo { temperature_c: temperature_c(dataset), ..camera.clone() })
     };
     let calibration = Calibration::new(description, dark, pattern, &defects);
     let data_faults = dataset.data_faults().to_vec();

@@ -122,7 +122,10 @@ pub struct Identity {
 
 impl fmt::Display for Identity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} {} {} ({})", self.vendor, self.model, self.serial, self.id)
+        for word in [&self.vendor, &self.model, &self.serial].into_iter().filter(|w| !w.is_empty()) {
+            write!(f, "{word} ")?;
+        }
+        write!(f, "({})", self.id)
     }
 }
 
@@ -340,6 +343,14 @@ pub enum CameraError {
         /// Which camera.
         camera: String,
         /// How that was noticed.
+        message: String,
+    },
+    /// A recording has no more frames.
+    #[error("camera {camera}: {message}")]
+    Ended {
+        /// Which camera.
+        camera: String,
+        /// Under which settings there are no more.
         message: String,
     },
     /// It has no such feature.

@@ -3,13 +3,14 @@
 use super::sim::SharedBench;
 use super::{
     Backend, Bounds, Camera, CameraError, Capabilities, FrameStream, Identity, Settings, StreamCounts,
-    StreamOptions,
+    StreamOptions, Value,
 };
 use crate::dataset::{Dataset, Kind};
 use crate::frame::{Frame, Region, Status};
 use crate::pixel_format::PixelFormat;
 use crate::plan::BenchState;
 use radcam_sim::Scene;
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
@@ -144,6 +145,22 @@ impl Camera for ReplayCamera {
         }
     }
 
+    fn feature(&mut self, name: &str) -> Result<Value, CameraError> {
+        self.features().remove(name).ok_or_else(|| self.not_available(name))
+    }
+
+    fn features(&mut self) -> BTreeMap<String, Value> {
+        let value = |v: &toml::Value| match v {
+            toml::Value::Boolean(v) => Value::Bool(*v),
+            toml::Value::Integer(v) => Value::Int(*v),
+            toml::Value::Float(v) => Value::Float(*v),
+            toml::Value::String(v) => Value::Text(v.clone()),
+            other => Value::Text(other.to_string()),
+        };
+        let features = &self.dataset.manifest().camera.features;
+        features.iter().map(|(name, v)| (name.clone(), value(v))).collect()
+    }
+
     fn shared_bench(&self) -> Option<SharedBench> {
         Some(self.bench.clone())
     }
@@ -170,7 +187,7 @@ impl FrameStream for ReplayStream<'_> {
                 "the recording has no further frame at {} s, illumination {}, configuration {}",
                 camera.settings.exposure_s, bench.illumination, bench.configuration
             );
-            return Err(CameraError::Lost { camera: camera.identity.id.clone(), message });
+            return Err(CameraError::Ended { camera: camera.identity.id.clone(), message });
         };
         let number = camera.dataset.sets()[set].rows[camera.played[set]];
         let row = &camera.dataset.rows()[number];

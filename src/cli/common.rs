@@ -169,6 +169,15 @@ pub fn wrapped(text: &str, indent: usize) -> String {
     lines.iter().map(|l| format!("{pad}{l}")).collect::<Vec<_>>().join("\n")
 }
 
+/// `row,column` of a 2 x 2 cell.
+pub fn plane(text: &str) -> Result<[u8; 2], String> {
+    let numbers: Vec<&str> = text.split(',').map(str::trim).collect();
+    match numbers[..] {
+        [y @ ("0" | "1"), x @ ("0" | "1")] => Ok([u8::from(y == "1"), u8::from(x == "1")]),
+        _ => Err("write 0,0, 0,1, 1,0 or 1,1".into()),
+    }
+}
+
 pub fn duration(seconds: f64) -> String {
     match seconds.round() as u64 {
         s @ 0..=99 => format!("{s} s"),

@@ -3,7 +3,7 @@
 use super::Outcome;
 use super::common::can_be_written;
 use super::model::read_effects;
-use super::observe::{names, observe};
+use super::observe::{Datasets, observe};
 use crate::diagnosis::{searched, signatures};
 use crate::inference::{compare, fit, start};
 use crate::number::chance;
@@ -12,10 +12,8 @@ use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// A dataset folder, an EMVA 1288 descriptor, or a table (CSV with mean_dn and var_dn2); several datasets of one camera under one set
-    /// of settings are taken together
-    #[arg(required = true, value_name = "DATASET")]
-    datasets: Vec<PathBuf>,
+    #[command(flatten)]
+    datasets: Datasets,
     /// The model; the paper's alone where not given
     #[arg(long, value_name = "M.toml|SENSOR")]
     model: Option<PathBuf>,
@@ -41,7 +39,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         println!("{}", serde_json::to_string_pretty(&c)?);
         return Ok(outcome);
     }
-    println!("{}: {}", names(&arguments.datasets), c.agreement.words());
+    println!("{}: {}", arguments.datasets.names(), c.agreement.words());
     super::common::say_faults(&c.data_faults);
     println!(
         "  error    {:.3}, the RMS of the residuals in sigma on frames that the fit did not use (1 is agreement)",

@@ -4,15 +4,15 @@ use super::Outcome;
 use super::common::{above_0, codes};
 use crate::calibrate::file::Calibration;
 use crate::correct::{Codes, CorrectError, Corrector};
-use crate::dataset::tag::FrameTag;
+use crate::dataset::tag::{CORRECTED, FrameTag, is_corrected};
 use crate::dataset::{CameraInfo, Dataset, image, write_whole};
-use crate::import::names;
+use crate::import::{facts, pixel_format};
+use crate::number::{percent, six_digits};
 use anyhow::{Context, Result, bail};
 use ndarray::Array2;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use tiff::encoder::colortype::{Gray16, Gray32Float};
 
 #[derive(Debug, clap::Args)]
@@ -50,6 +50,12 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     if let Some(kind) = kind.filter(|k| ["png", "jpg", "jpeg", "fits", "fit", "npy", "bmp"].contains(&&**k)) {
         bail!("{}: corrected frames are written as TIFF, not as {kind}", arguments.output.display());
     }
+    if arguments.calibration.is_dir() {
+        bail!(
+            "{}: a folder; the calibration file comes first, then the frames",
+            arguments.calibration.display()
+        );
+    }
     let calibration = Calibration::read(&arguments.calibration)?;
     let make = |exposure_s| {
         let corrector = Corrector::new(&calibration, exposure_s)?;
@@ -65,20 +71,20 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         n => e.context(format!("{n} of {total} frames are corrected, and then")),
     };
     let mut corrector: Option<(f64, Corrector)> = None;
+    let mut notes = Notes::default();
     for (done, job) in jobs.iter().enumerate() {
         let mut one = || {
-            let (frame, exposure_s) = job.read(&calibration, arguments)?;
+            let (frame, exposure_s) = job.read(&calibration, arguments, &mut notes)?;
             if corrector.as_ref().is_none_or(|(at, _)| *at != exposure_s) {
-                corrector = Some((exposure_s, make(exposure_s)?));
+                let made = make(exposure_s).with_context(|| job.source().display().to_string())?;
+                corrector = Some((exposure_s, made));
             }
             let Some((_, corrector)) = &corrector else { return Ok(()) };
-            write(
-                corrector,
-                &frame,
-                codes,
-                &description(&arguments.calibration, codes, corrector),
-                &job.output,
-            )
+            notes.look(&job.source(), &frame, corrector, (&calibration, exposure_s, arguments.force))?;
+            let text = description(&arguments.calibration, codes, corrector);
+            let cut = write(corrector, &frame, codes, &text, &job.output)?;
+            notes.cut(&job.source(), cut);
+            Ok(())
         };
         one().map_err(|e: anyhow::Error| fault(e, done))?;
     }
@@ -87,7 +93,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         format!("16-bit codes, {} per DN, {} at 0 DN", c.scale, c.offset)
     });
     if arguments.json {
-        let answer = serde_json::json!({ "output": arguments.output, "frames": done, "value": scale });
+        let answer = serde_json::json!({ "output": arguments.output, "frames": done, "value": scale, "notes": notes.texts() });
         println!("{}", serde_json::to_string_pretty(&answer)?);
     } else {
         println!("{}: {done} frames corrected ({scale})", arguments.output.display());
@@ -109,15 +115,34 @@ enum Input {
 
 impl Job {
     /// The frame and its exposure.
-    fn read(&self, calibration: &Calibration, arguments: &Arguments) -> Result<(Array2<u16>, f64)> {
+    fn read(
+        &self,
+        calibration: &Calibration,
+        arguments: &Arguments,
+        notes: &mut Notes,
+    ) -> Result<(Array2<u16>, f64)> {
         match &self.input {
             Input::Row(dataset, row) => {
                 let row = &dataset.rows()[*row];
-                check(calibration, &dataset.manifest().camera, arguments.force)?;
+                let now = CameraInfo {
+                    temperature_c: row.temperature_c.or(dataset.manifest().camera.temperature_c),
+                    ..dataset.manifest().camera.clone()
+                };
+                check(calibration, &now, arguments.force)
+                    .with_context(|| dataset.root().display().to_string())?;
+                if let Some(given) = arguments.exposure_s.filter(|e| (e / row.exposure_s - 1.0).abs() > 1e-6)
+                {
+                    notes.say(
+                        dataset.root(),
+                        "exposure of rows",
+                        format!("frames of a dataset have the exposure that it states; --exposure-s {given} is for plain frames"),
+                    );
+                }
+                notes.compare(dataset.root(), &calibration.description.camera, &now);
                 Ok((dataset.read(row)?, row.exposure_s))
             }
             Input::Plain(path) => {
-                let plain = Plain::read(path, calibration, arguments.exposure_s, arguments.force)?;
+                let plain = Plain::read(path, calibration, arguments.exposure_s, arguments.force, notes)?;
                 Ok((plain.pixels, plain.exposure_s))
             }
         }
@@ -137,10 +162,23 @@ impl Job {
 
 /// Every frame of the inputs.
 fn jobs(arguments: &Arguments) -> Result<Vec<Job>> {
-    let single = arguments.input.len() == 1 && arguments.input[0].is_file();
+    let output = &arguments.output;
+    let folder = output.is_dir() || output.to_string_lossy().ends_with(std::path::is_separator);
+    let single = arguments.input.len() == 1 && arguments.input[0].is_file() && !folder;
+    let is_tiff =
+        output.extension().is_some_and(|e| ["tif", "tiff"].iter().any(|k| e.eq_ignore_ascii_case(k)));
+    if !single && !folder && is_tiff {
+        bail!("{}: several frames go into a folder; name one", output.display());
+    }
     let mut jobs = Vec::new();
     for input in &arguments.input {
         if input.is_dir() {
+            if !input.join("dataset.toml").exists() {
+                bail!(
+                    "{0}: a folder without dataset.toml; give its images, such as {0}/*.tif, or make it a dataset with `radcam import`",
+                    input.display()
+                );
+            }
             let dataset = Arc::new(Dataset::open(input)?);
             for (row, said) in dataset.rows().iter().enumerate() {
                 let name = Path::new(&said.file.replace('#', "_")).with_extension("tiff");
@@ -190,6 +228,115 @@ fn check(calibration: &Calibration, now: &CameraInfo, force: bool) -> Result<()>
     Err(CorrectError::Settings(found.join("; ") + advice).into())
 }
 
+/// Notes on frames: what a calibration knows and they do not state. Of many frames with a note of one kind the first is named.
+#[derive(Debug, Default)]
+pub struct Notes {
+    texts: Vec<String>,
+    kinds: BTreeSet<String>,
+}
+
+impl Notes {
+    fn say(&mut self, file: &Path, kind: &str, text: String) {
+        if self.kinds.insert(kind.to_string()) {
+            tracing::warn!("{}: {text}", file.display());
+            self.texts.push(format!("{}: {text}", file.display()));
+        }
+    }
+
+    /// Notes on the camera and its settings under which a frame was taken.
+    fn compare(&mut self, file: &Path, calibrated: &CameraInfo, now: &CameraInfo) {
+        for text in unknown(calibrated, now) {
+            self.say(file, &text.clone(), text);
+        }
+        if let (Some(was), Some(is)) = (calibrated.temperature_c, now.temperature_c)
+            && (is - was).abs() > FAR_C
+        {
+            self.say(
+                file,
+                "temperature",
+                format!("taken at {is} °C, and the calibration at {was} °C: the dark current differs"),
+            );
+        }
+    }
+
+    /// Holds a frame against the dark reference at its exposure and the range of the codes.
+    ///
+    /// # Errors
+    ///
+    /// That the frame is darker than the dark reference, unless `force` says that this is known.
+    pub fn look(
+        &mut self,
+        file: &Path,
+        frame: &Array2<u16>,
+        corrector: &Corrector,
+        (calibration, exposure_s, force): (&Calibration, f64, bool),
+    ) -> Result<()> {
+        let error_dn = calibration.dark.std_err_at(exposure_s);
+        if error_dn > calibration.dark_noise_dn(corrector.dark_dn()) {
+            self.say(
+                file,
+                "dark",
+                format!(
+                    "at {} s the dark reference of a pixel is known to {error_dn:.1} DN only: take darks near this exposure",
+                    six_digits(exposure_s)
+                ),
+            );
+        }
+        let mut codes: Vec<u16> = frame.iter().copied().collect();
+        let full = corrector.full_scale_dn();
+        let share = codes.iter().filter(|d| **d >= full).count() as f64 / codes.len().max(1) as f64;
+        if share > CLIPPED {
+            self.say(
+                file,
+                "clipped",
+                format!(
+                    "{} of the pixels are at full scale, {full} DN: their corrected values are too low",
+                    percent(share)
+                ),
+            );
+        }
+        let half = codes.len() / 2;
+        let median = if codes.is_empty() { 0.0 } else { f32::from(*codes.select_nth_unstable(half).1) };
+        if !force {
+            corrector
+                .is_lit(calibration, exposure_s, median.into())
+                .with_context(|| file.display().to_string())?;
+        }
+        Ok(())
+    }
+
+    /// Notes on codes that do not hold the corrected values.
+    fn cut(&mut self, file: &Path, cut: Cut) {
+        for (share, code, advice) in
+            [(cut.low, 0, "a larger OFFSET"), (cut.high, u16::MAX, "a smaller SCALE")]
+        {
+            if share > CLIPPED {
+                let text = format!("{} of the corrected pixels are cut off at code {code}", percent(share));
+                self.say(file, advice, format!("{text}; --codes SCALE,OFFSET with {advice} keeps them"));
+            }
+        }
+    }
+
+    pub fn texts(&self) -> &[String] {
+        &self.texts
+    }
+}
+
+/// Properties of camera and settings that one side does not state, so that they cannot be compared.
+pub fn unknown(calibrated: &CameraInfo, now: &CameraInfo) -> Vec<String> {
+    let (here, there) = (calibrated.unstated(now), now.unstated(calibrated));
+    let here = (!here.is_empty())
+        .then(|| format!("does not state {}: taken to be as in the calibration", here.join(", ")));
+    let there = (!there.is_empty())
+        .then(|| format!("the calibration does not state {}: taken to be as here", there.join(", ")));
+    here.into_iter().chain(there).collect()
+}
+
+/// Share of clipped pixels that is said: hot pixels of usual sensors are fewer.
+const CLIPPED: f64 = 1e-3;
+/// Difference of temperature that is said, °C: dark current doubles in some 6 to 8 °C.
+const FAR_C: f64 = 3.0;
+
 /// A frame outside a dataset, and the exposure under which it was taken.
 pub struct Plain {
     pub pixels: Array2<u16>,
@@ -197,20 +344,41 @@ pub struct Plain {
 }
 
 impl Plain {
-    /// Reads a frame and holds what it, or the dataset in whose folder it lies, says of camera and settings against the calibration. A frame
-    /// that says nothing tells its size and its codes.
+    /// Reads a frame and holds what it, its name, or the dataset in whose folder it lies, says of camera and settings against the calibration.
+    /// A frame that says nothing tells its size and its codes.
     pub fn read(
         path: &Path,
         calibration: &Calibration,
         exposure_s: Option<f64>,
         force: bool,
+        notes: &mut Notes,
     ) -> Result<Self> {
         let named = || path.display().to_string();
+        if is_corrected(path) {
+            bail!("{}: was corrected already ({CORRECTED}); give the raw frame", path.display());
+        }
         let pixels = image::read_single(path).with_context(named)?;
         let (height, width) = pixels.dim();
-        let tag = FrameTag::read(path);
         let calibrated = &calibration.description.camera;
-        let mut now = tag.as_ref().map_or_else(CameraInfo::default, |t| CameraInfo { ..t.camera.clone() });
+        let (mut now, said) = match FrameTag::read(path) {
+            Some(tag) => (tag.camera, Some(tag.exposure_s)),
+            None => {
+                let (facts, _) = facts(path)?;
+                if let Some(why) = facts.processed.as_ref().filter(|_| !force) {
+                    bail!("{}: {why}; give the raw frame, or --force", path.display());
+                }
+                let doubt = facts.doubts.iter().find(|d| d.starts_with("exposure_s"));
+                if let Some(doubt) = doubt.filter(|_| exposure_s.is_none()) {
+                    bail!("{}: {doubt}; give --exposure-s", path.display());
+                }
+                for text in &facts.overruled {
+                    notes.say(path, text, text.clone());
+                }
+                let format = facts.mosaic.as_ref().map(|p| pixel_format(p, calibrated.bit_depth));
+                let camera = CameraInfo { pixel_format: format.unwrap_or_default(), ..facts.camera_info() };
+                (camera, facts.exposure_s)
+            }
+        };
         (now.width, now.height) = (width, height);
         if now.bit_depth == 0 {
             let stored = image::stored_bits(path).with_context(named)?;
@@ -223,33 +391,39 @@ impl Plain {
                 )))
                 .with_context(named);
             }
-            if largest > calibrated.full_scale_dn() {
-                now.bit_depth = (u16::BITS - largest.leading_zeros()) as u8;
-            } else if stored < calibrated.bit_depth {
+            let (most, full) = (pixels.iter().max().copied().unwrap_or(0), calibrated.full_scale_dn());
+            if most > full && !force {
+                return Err(CorrectError::Settings(format!(
+                    "holds {most} DN, and the largest code of the calibration's {} bits is {full} DN: codes stretched to more bits, or a \
+                     calibration of frames so dim that `radcam import` took them for fewer bits (--bit-depth)",
+                    calibrated.bit_depth
+                )))
+                .with_context(named);
+            }
+            if stored < calibrated.bit_depth {
                 now.bit_depth = stored;
             }
         }
         check(calibration, &now, force).with_context(named)?;
-        let text = |p: Option<&std::ffi::OsStr>| p.unwrap_or_default().to_string_lossy().into_owned();
-        let by_name =
-            || names::facts(&text(path.parent().and_then(Path::file_name)), &text(path.file_name()));
-        let said = tag.map(|t| t.exposure_s).or_else(|| by_name().exposure_s);
+        notes.compare(path, calibrated, &now);
         if let (Some(given), Some(said)) = (exposure_s, said)
             && (given / said - 1.0).abs() > 1e-6
         {
-            tracing::warn!(file = named(), given_s = given, said_s = said, "the frame says another exposure");
+            notes.say(
+                path,
+                "exposure",
+                format!("states an exposure of {said} s, and the {given} s given are taken"),
+            );
         }
         let exposure_s = exposure_s.or(said).unwrap_or_else(|| {
             let exposure_s = calibration.dark.exposure_s;
-            // Said of the first of many.
-            static SAID: AtomicBool = AtomicBool::new(false);
-            if !SAID.swap(true, Ordering::Relaxed) {
-                tracing::warn!(
-                    file = named(),
-                    exposure_s,
-                    "says no exposure: that of the calibration's darks is taken; give --exposure-s"
-                );
-            }
+            notes.say(
+                path,
+                "no exposure",
+                format!(
+                    "states no exposure: the {exposure_s} s of the calibration's darks are taken; give --exposure-s"
+                ),
+            );
             exposure_s
         });
         Ok(Self { pixels, exposure_s })
@@ -259,7 +433,7 @@ impl Plain {
 /// What a corrected image says of itself.
 pub(super) fn description(calibration: &Path, codes: Option<Codes>, corrector: &Corrector) -> String {
     serde_json::json!({
-        "format": "radcam-corrected/1",
+        "format": CORRECTED,
         "calibration": calibration.display().to_string(),
         "value": if codes.is_some() { "scale * DN + offset" } else { "DN above the dark reference" },
         "scale": codes.map(|c| c.scale),
@@ -269,13 +443,21 @@ pub(super) fn description(calibration: &Path, codes: Option<Codes>, corrector: &
     .to_string()
 }
 
+/// Shares of pixels whose codes are cut off at 0 and at the largest.
+#[derive(Debug, Clone, Copy, Default)]
+struct Cut {
+    low: f64,
+    high: f64,
+}
+
 fn write(
     corrector: &Corrector,
     frame: &Array2<u16>,
     codes: Option<Codes>,
     description: &str,
     path: &Path,
-) -> Result<()> {
+) -> Result<Cut> {
+    let mut cut = Cut::default();
     if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
@@ -289,8 +471,12 @@ fn write(
                 codes,
                 out.as_slice_mut().unwrap_or_default(),
             )?;
+            let share =
+                |code: u16| out.iter().filter(|c| **c == code).count() as f64 / out.len().max(1) as f64;
+            cut = Cut { low: share(0), high: share(u16::MAX) };
             image::described_bytes::<Gray16>(out.view(), description)?
         }
     };
-    Ok(write_whole(path, &bytes)?)
+    write_whole(path, &bytes)?;
+    Ok(cut)
 }

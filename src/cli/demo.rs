@@ -2,6 +2,7 @@
 
 use super::capture::capture;
 use super::common::load_model;
+use super::observe::{Datasets, observe};
 use super::{Outcome, investigate, noise};
 use crate::bench::Illuminator;
 use crate::camera::{Camera, StreamOptions};
@@ -112,8 +113,9 @@ fn the_story(
         super::diagnose::print(&title, &d);
     }
     let path = arguments.output.join("report.html");
-    let all = super::observe::observe(std::slice::from_ref(&dataset))?;
-    super::report::of_diagnosis(&path, std::slice::from_ref(&dataset), &all, &d)?;
+    let datasets = Datasets::of(&dataset);
+    let all = observe(&datasets)?;
+    super::report::of_diagnosis(&path, &datasets, &all, &d)?;
     let first = d.missing.first();
     let place = d.missing.iter().position(|m| m.effect == effect.id());
     // The first name, or what this campaign cannot tell from it.
@@ -179,7 +181,7 @@ fn the_papers(
         constant_noise_var_dn2: model.constant_noise_var_dn2(0.0),
         read_noise_e: model.base.read_noise_e,
     };
-    let report = noise::estimate(dataset)?;
+    let report = noise::estimate(&Datasets::of(dataset))?;
     if arguments.json {
         println!(
             "{}",

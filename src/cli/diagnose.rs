@@ -3,7 +3,7 @@
 use super::Outcome;
 use super::common::{can_be_written, say_faults};
 use super::model::{fitted_model, read_effects};
-use super::observe::{names, observe};
+use super::observe::{Datasets, observe};
 use crate::dataset::write_whole;
 use crate::diagnosis::{Diagnosis, diagnose, searched};
 use crate::number::{Quantity, chance, percent, six_digits};
@@ -13,10 +13,8 @@ use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// A dataset folder, an EMVA 1288 descriptor, or a table (CSV with mean_dn and var_dn2); several datasets of one camera under one set
-    /// of settings are taken together
-    #[arg(required = true, value_name = "DATASET")]
-    datasets: Vec<PathBuf>,
+    #[command(flatten)]
+    datasets: Datasets,
     /// Effects that are known already; the paper's model alone where not given
     #[arg(long, value_name = "M.toml|SENSOR")]
     model: Option<PathBuf>,
@@ -56,7 +54,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&diagnosis)?);
     } else {
-        print(&names(&arguments.datasets), &diagnosis);
+        print(&arguments.datasets.names(), &diagnosis);
     }
     Ok(if diagnosis.consistent { Outcome::Agreement } else { Outcome::Disagreement })
 }

@@ -2,6 +2,7 @@
 
 use super::Outcome;
 use super::common::{STOP, after_faults, say_faults, wrapped};
+use super::observe::Colour;
 use super::progress::Show;
 use crate::data_faults::examined;
 use crate::dataset::{Dataset, write_whole};
@@ -16,6 +17,8 @@ use std::sync::Mutex;
 pub struct Arguments {
     /// A dataset folder or the descriptor of an EMVA 1288 test: a pair of flats and a pair of darks at each exposure, and a stack of each
     dataset: PathBuf,
+    #[command(flatten)]
+    colour: Colour,
     /// Folder for the datasheet (HTML, prints to A4), all numbers (JSON, CSV) and those of each plot (CSV)
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
@@ -37,7 +40,9 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
-    let dataset = examined(&Dataset::open(&arguments.dataset)?, &STOP)?;
+    let dataset = arguments.colour.open(&arguments.dataset)?;
+    dataset.must_be_monochrome()?;
+    let dataset = examined(&dataset, &STOP)?;
     let show = Mutex::new(Show::new("reading"));
     let progress = |done, of| {
         if let Ok(mut show) = show.lock() {

@@ -1,11 +1,12 @@
 //! `radcam import`
 
 use super::Outcome;
-use super::common::STOP;
+use super::common::{STOP, plane};
 use super::progress::Show;
-use crate::dataset::write_whole;
+use crate::dataset::{planes_in_words, write_whole};
 use crate::import::{
-    Found, MOSAIC, Map, MapSet, Survey, list, mosaic, must_be_free, propose, stated_mosaic, survey, write,
+    Found, MOSAIC, Map, MapSet, PATTERNS, Survey, list, mosaic, must_be_free, propose, stated_mosaic, survey,
+    write,
 };
 use anyhow::{Context, Result, bail};
 use std::io::{BufRead, IsTerminal, Write};
@@ -44,6 +45,9 @@ pub struct Arguments {
     /// Print where each value comes from
     #[arg(long)]
     explain: bool,
+    /// Keep raw Bayer frames whole: their colour pattern (RGGB, BGGR, GRBG, GBRG); or mono, where the sensor has no colour filter
+    #[arg(long, value_name = "PATTERN", value_parser = pattern, conflicts_with_all = ["map", "plane"])]
+    pattern: Option<String>,
     /// Do not ask
     #[arg(short, long)]
     yes: bool,
@@ -52,13 +56,10 @@ pub struct Arguments {
     json: bool,
 }
 
-/// `row,column` of a cell.
-fn plane(text: &str) -> Result<[u8; 2], String> {
-    let numbers: Vec<u8> = text.split(',').filter_map(|n| n.trim().parse().ok()).collect();
-    match numbers[..] {
-        [y @ (0 | 1), x @ (0 | 1)] => Ok([y, x]),
-        _ => Err("write 0,0, 0,1, 1,0 or 1,1".into()),
-    }
+/// A colour pattern, or `mono`.
+fn pattern(text: &str) -> Result<String, String> {
+    let known = PATTERNS.into_iter().chain(["mono"]).find(|p| p.eq_ignore_ascii_case(text));
+    known.map(Into::into).ok_or_else(|| format!("write {} or mono", PATTERNS.join(", ")))
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
@@ -149,7 +150,8 @@ fn found(arguments: &Arguments, go_on: &impl Fn() -> bool) -> Result<Map> {
     drop(show);
     notes.iter().for_each(|note| tracing::warn!("{note}"));
     if !damaged.is_empty() {
-        let said: Vec<String> = damaged.iter().map(|(path, why)| format!("{}: {why}", path.display())).collect();
+        let said: Vec<String> =
+            damaged.iter().map(|(path, why)| format!("{}: {why}", path.display())).collect();
         let all = said.join("; ");
         if !arguments.leave_out_damaged || frames.is_empty() {
             let rest = if frames.is_empty() { "" } else { "; --leave-out-damaged imports the others" };
@@ -157,31 +159,50 @@ fn found(arguments: &Arguments, go_on: &impl Fn() -> bool) -> Result<Map> {
         }
         tracing::warn!("left out, {} files that cannot be read: {all}", damaged.len());
     }
-    of_one_colour(&frames, arguments)?;
+    let pattern = kept_whole(&frames, arguments)?;
     Ok(Map {
         plane: arguments.plane,
+        pattern,
         frames_axis: arguments.frames_axis,
         ..propose(&frames, arguments.bit_depth)?
     })
 }
 
-/// Refuses raw Bayer frames that say so, and warns of those that look like it.
-fn of_one_colour(frames: &[Found], arguments: &Arguments) -> Result<()> {
+/// What to do with frames of a colour camera: the pattern under which they are kept whole.
+fn kept_whole(found: &[Found], arguments: &Arguments) -> Result<Option<String>> {
     if arguments.plane.is_some() {
-        return Ok(());
+        return Ok(None);
     }
-    let advice = "Give --plane 0,0 (0,1, 1,0, 1,1) and import each colour by itself";
-    if let Some(stated) = stated_mosaic(frames) {
-        bail!("colour: headers say {stated}, and the four pixels of a cell see four lights. {advice}");
+    match (&arguments.pattern, stated_mosaic(found)) {
+        (Some(given), said) => {
+            let given = Some(given.clone()).filter(|p| p != "mono");
+            if let Some(said) = said.filter(|s| Some(s) != given.as_ref()) {
+                tracing::warn!("headers say the colour pattern {said}, and --pattern counts");
+            }
+            Ok(given)
+        }
+        (None, Some(said)) if PATTERNS.contains(&said.as_str()) => bail!(
+            "colour: headers say {said}, and the four pixels of a cell see four lights. Take one colour with {}; or keep the frames whole with \
+             --pattern {said}, for `calibrate` and `correct`",
+            planes_in_words(&said)
+        ),
+        (None, Some(said)) => bail!(
+            "colour: headers say the pattern {said}, which radcam does not know; take one colour with --plane 0,0, 0,1, 1,0 or 1,1, or \
+             give --pattern"
+        ),
+        (None, None) => {
+            let apart = mosaic(found);
+            if apart > MOSAIC {
+                bail!(
+                    "the four pixels of a 2 x 2 cell differ by {:.0} % of the signal: raw Bayer frames of a colour camera? Take one colour \
+                     with --plane 0,0, 0,1, 1,0 or 1,1; or keep them whole with --pattern RGGB, BGGR, GRBG or GBRG; --pattern mono: the \
+                     sensor has no colour filter",
+                    100.0 * apart
+                );
+            }
+            Ok(None)
+        }
     }
-    let apart = mosaic(frames);
-    if apart > MOSAIC {
-        tracing::warn!(
-            "the four pixels of a 2 x 2 cell differ by {:.0} % of the signal: raw Bayer frames? {advice}",
-            100.0 * apart
-        );
-    }
-    Ok(())
 }
 
 /// The map as a file, with a line for every exposure that is to be filled in.
@@ -209,8 +230,10 @@ fn explained(map: &Map) -> String {
         let lines = set.from.iter().chain(&set.guessed).chain(&set.doubts);
         format!("\nset {k}\n{}", lines.map(|line| format!("  {line}\n")).collect::<String>())
     };
-    let settings = map.features.iter().map(|(name, value)| format!("  {name} = {value}\n")).collect::<String>();
-    let all = if settings.is_empty() { String::new() } else { format!("\nsettings of all frames\n{settings}") };
+    let settings =
+        map.features.iter().map(|(name, value)| format!("  {name} = {value}\n")).collect::<String>();
+    let all =
+        if settings.is_empty() { String::new() } else { format!("\nsettings of all frames\n{settings}") };
     all + &map.sets.iter().enumerate().map(of_set).collect::<String>()
 }
 
@@ -247,7 +270,8 @@ fn table(map: &Map) -> String {
     let scale = map.scale().words().map_or(String::new(), |words| format!(", {words}"));
     let plane =
         map.plane.map_or(String::new(), |[y, x]| format!(", row {y} and column {x} of every 2 x 2 cell"));
+    let pattern = map.pattern.as_ref().map_or(String::new(), |p| format!(", colour mosaic {p}"));
     let timed = map.sets.iter().all(|s| s.times_s.is_some());
     let times = if timed { "" } else { ", without times: drifts are looked for in the order of the names" };
-    out + &format!("\n{} bits{gain}{scale}{plane}{times}\n", map.bit_depth)
+    out + &format!("\n{} bits{gain}{scale}{plane}{pattern}{times}\n", map.bit_depth)
 }

@@ -60,10 +60,11 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let dataset = root.join("dataset");
     let (report_path, model_path) = (root.join("report.html"), root.join("model.toml"));
     let d = &found.diagnosis;
-    let all = super::observe::observe(std::slice::from_ref(&dataset))?;
-    super::report::of_diagnosis(&report_path, std::slice::from_ref(&dataset), &all, d)?;
+    let datasets = super::observe::Datasets::of(&dataset);
+    let all = super::observe::observe(&datasets)?;
+    super::report::of_diagnosis(&report_path, &datasets, &all, d)?;
     if let Some(fitted) = &d.fitted {
-        let model = fitted_model(&all, fitted, arguments.model.as_deref(), std::slice::from_ref(&dataset))?;
+        let model = fitted_model(&all, fitted, arguments.model.as_deref(), &datasets)?;
         write_whole(&model_path, model.to_toml()?.as_bytes())?;
     }
     if arguments.json {

@@ -1,6 +1,7 @@
 //! `radcam merge`
 
 use super::{Outcome, reduce};
+use crate::dataset::Dataset;
 use crate::reduction::Options;
 use anyhow::Result;
 use std::path::PathBuf;
@@ -23,5 +24,6 @@ pub struct Arguments {
 }
 
 pub fn run(a: &Arguments) -> Result<Outcome> {
-    reduce::write(&a.parts, &a.output, a.overwrite, Options { plan: None, look_only: a.look })
+    let parts = a.parts.iter().map(|p| Dataset::open(p)).collect::<Result<_, _>>()?;
+    reduce::write(parts, &a.output, a.overwrite, Options { plan: None, look_only: a.look })
 }

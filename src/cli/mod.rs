@@ -111,13 +111,14 @@ fn command() -> clap::Command {
     lenient(Arguments::command())
 }
 
-/// Ends without a word where nobody reads standard output any more, as with `| head`, and with the reason where it cannot be written:
+/// Ends without a word where nobody reads standard output or error any more, as with `| head`, and with the reason where it cannot be written:
 /// `println!` panics then.
 fn quiet_when_nobody_reads() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
         let text = info.payload().downcast_ref::<String>();
-        if let Some(text) = text.filter(|t| t.starts_with("failed printing to stdout")) {
+        let printing = |t: &&String| t.starts_with("failed printing to std");
+        if let Some(text) = text.filter(printing) {
             if text.contains("Broken pipe") {
                 std::process::exit(0);
             }

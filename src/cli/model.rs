@@ -2,9 +2,8 @@
 
 use super::Outcome;
 use super::common::{load_model, no_effect};
-use super::observe::{names, observe};
-
-use crate::dataset::{Dataset, write_whole};
+use super::observe::{Datasets, observe};
+use crate::dataset::write_whole;
 use crate::diagnosis::searched;
 use crate::inference::{Fitted, Given, compare, fit, start};
 use crate::number::{chance, six_digits, with_unit};
@@ -59,9 +58,8 @@ enum Action {
     Fit {
         /// The model file
         model: PathBuf,
-        /// A dataset folder, an EMVA 1288 descriptor, or a table; several datasets of one camera are taken together
-        #[arg(required = true, value_name = "DATASET")]
-        datasets: Vec<PathBuf>,
+        #[command(flatten)]
+        datasets: Datasets,
     },
 }
 
@@ -95,18 +93,18 @@ pub fn fitted_model(
     all: &Observations,
     fitted: &Fitted,
     given: Option<&Path>,
-    datasets: &[PathBuf],
+    datasets: &Datasets,
 ) -> Result<Model> {
     let mut model = match given {
         Some(path) => load_model(&path.to_string_lossy(), None)?,
         None => load_model("cmos12", None)?,
     };
-    let dataset = datasets.first().and_then(|path| Dataset::open(path).ok());
+    let dataset = datasets.paths.first().and_then(|path| datasets.colour.open(path).ok());
     let camera = dataset.as_ref().map(|d| &d.manifest().camera);
     if let (None, Some(camera)) = (given, camera) {
         (model.camera.vendor, model.camera.model) = (camera.vendor.clone(), camera.model.clone());
     }
-    model.about = format!("Fitted to {}", names(datasets));
+    model.about = format!("Fitted to {}", datasets.names());
     Ok(crate::model::with_fit(model, all, fitted, camera))
 }
 
@@ -189,7 +187,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
                 return Ok(Outcome::Agreement);
             }
             let c = compare(&all, &fitted);
-            println!("fitted to {}: {}", names(datasets), c.agreement.words());
+            println!("fitted to {}: {}", datasets.names(), c.agreement.words());
             let (b, e) = (&fitted.base, &fitted.base_std_err);
             println!("  A                {}", with_unit(b.gain_dn_per_e, e[0], "DN/e"));
             println!("  read noise       {}", with_unit(b.read_noise_e, e[1], "e"));

@@ -99,9 +99,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             println!("metrics at http://{bound}/metrics");
         }
     }
-    let (mut taken, mut alarms) = (0, 0);
+    let (mut taken, mut alarms) = (0u64, 0);
     let plan = load_plan(Some(arguments.plan.as_deref().unwrap_or("standard")), false, Path::new("."))?;
-    let mut job = Job { arguments, calibration: &calibration, camera: None, plan };
+    let mut job = Job { arguments, calibration: &calibration, camera: None, plan, told: false };
     if !arguments.json {
         let known = monitor.history().len();
         println!(
@@ -129,6 +129,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             Err(e) => return Err(e.into()),
         };
         taken += 1;
+        // What differs from the first check on is no change, and none of the camera that was calibrated.
+        let differs = if taken == 1 { check.against(&calibration, &limits) } else { Vec::new() };
+        alarms += differs.len();
         let found = monitor.add(check.clone());
         alarms += found.len();
         if let Some(store) = &store {
@@ -139,7 +142,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             Some(root) if !found.is_empty() => Some(job.diagnose(root, check.time_s)),
             _ => None,
         };
-        tell(arguments.json, &name, &check, &found, verdict.as_deref(), &monitor)?;
+        tell(arguments.json, &name, &check, (&found, &differs), verdict.as_deref(), &monitor)?;
         if arguments.checks.is_none_or(|n| taken < n) {
             wait(begun, arguments.every);
         }
@@ -159,6 +162,8 @@ struct Job<'a> {
     camera: Option<Box<dyn Camera>>,
     /// Whose bench moves the light.
     plan: crate::plan::Plan,
+    /// What the calibration does not state was said.
+    told: bool,
 }
 
 impl Job<'_> {
@@ -167,6 +172,12 @@ impl Job<'_> {
         if self.camera.is_none() {
             let mut camera = camera::open(&a.camera)?;
             prepare(&mut *camera, self.calibration, None)?;
+            if !std::mem::replace(&mut self.told, true) {
+                let now = camera::info(&mut *camera)?;
+                for text in super::correct::unknown(&self.calibration.description.camera, &now) {
+                    tracing::warn!("{}: {text}", a.camera);
+                }
+            }
             self.camera = Some(camera);
         }
         let Some(camera) = &mut self.camera else { unreachable!("it was opened above") };
@@ -202,7 +213,7 @@ fn tell(
     json: bool,
     name: &str,
     check: &Check,
-    alarms: &[Alarm],
+    (alarms, differs): (&[Alarm], &[String]),
     verdict: Option<&str>,
     monitor: &Monitor,
 ) -> Result<()> {
@@ -211,10 +222,15 @@ fn tell(
         let needed = monitor.checks_needed();
         let answer = serde_json::json!({
             "camera": name, "check": check, "alarms": alarms, "verdict": verdict, "learning": learning,
-            "checks_needed": needed,
+            "checks_needed": needed, "against_calibration": differs,
         });
         println!("{answer}");
         return Ok(());
+    }
+    for text in differs {
+        println!(
+            "NOT AS CALIBRATED {name}: {text}: another camera, other settings, or a calibration that holds no more"
+        );
     }
     for alarm in alarms {
         println!("ALARM {name}: {}", alarm.sentence);

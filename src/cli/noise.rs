@@ -1,19 +1,21 @@
 //! `radcam noise`
 
 use super::common::{STOP, after_faults, say_faults};
+use super::observe::{Colour, Datasets};
 use super::{Outcome, progress::Show};
 use crate::dataset::write_whole;
 use crate::noise::NoiseReport;
 use crate::number::with_error;
 use crate::report;
-use crate::source::Source;
 use anyhow::Result;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
     /// A dataset folder, an EMVA 1288 descriptor, or a table (CSV with mean_dn and var_dn2)
     dataset: PathBuf,
+    #[command(flatten)]
+    colour: Colour,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -23,14 +25,15 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
-    let report = estimate(&arguments.dataset)?;
+    let datasets = Datasets { paths: vec![arguments.dataset.clone()], colour: arguments.colour.clone() };
+    let report = estimate(&datasets)?;
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
     } else {
-        print(&arguments.dataset, &report);
+        print(&datasets.names(), &report);
     }
     if let Some(path) = &arguments.report {
-        let subtitle = arguments.dataset.display().to_string();
+        let subtitle = datasets.names();
         let page = report::noise::html("Gain and constant noise", &subtitle, &report, None);
         write_whole(path, page.as_bytes())?;
     }
@@ -38,15 +41,15 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
 }
 
 /// Section IV on whatever the path is.
-pub fn estimate(path: &Path) -> Result<NoiseReport> {
+pub fn estimate(datasets: &Datasets) -> Result<NoiseReport> {
     let mut show = Show::new("noise");
-    let source = Source::open(path)?.examined(&STOP)?;
+    let source = datasets.open()?.examined(&STOP)?;
     after_faults(source.noise_with(&STOP, &mut |done, of| show.step(done, of)), source.data_faults())
 }
 
-fn print(path: &Path, r: &NoiseReport) {
+fn print(title: &str, r: &NoiseReport) {
     let used = r.levels.iter().filter(|l| l.used).count();
-    println!("{}: {used} of {} levels used\n", path.display(), r.levels.len());
+    println!("{title}: {used} of {} levels used\n", r.levels.len());
     say_faults(&r.data_faults);
     for (name, q) in [
         ("gain A", &r.gain_dn_per_e),

@@ -2,11 +2,12 @@
 
 use super::Outcome;
 use super::common::{STOP, above_0, duration, may_be_written, open_camera, say_faults};
+use super::observe::Colour;
 use super::progress::Show;
 use crate::calibrate::plan::{campaign, needs, pilot};
 use crate::capture::Capture;
 use crate::data_faults::examined;
-use crate::dataset::{Dataset, write_whole};
+use crate::dataset::write_whole;
 use crate::noise;
 use anyhow::{Context, Result, bail};
 use indicatif::HumanBytes;
@@ -17,6 +18,8 @@ pub struct Arguments {
     /// A pilot already captured: darks, flats at several levels, three configurations or more
     #[arg(required_unless_present = "camera")]
     pilot: Option<PathBuf>,
+    #[command(flatten)]
+    colour: Colour,
     /// Capture the pilot now with this camera (aravis:ID or sim:SENSOR)
     #[arg(long, conflicts_with = "pilot", requires = "pilot_folder")]
     camera: Option<String>,
@@ -58,7 +61,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         (_, _, Some(pilot)) => pilot,
         _ => bail!("give a pilot dataset, or --camera with --pilot-folder"),
     };
-    let dataset = examined(&Dataset::open(folder)?, &STOP)?;
+    let dataset = arguments.colour.open(folder)?;
+    dataset.must_be_monochrome()?;
+    let dataset = examined(&dataset, &STOP)?;
     let noise = noise::of_dataset(&dataset, &STOP, &mut |_, _| {})?;
     let needs = needs(&dataset, &noise, arguments.k_error)?;
     let plan = campaign(&dataset, &needs);

@@ -2,6 +2,7 @@
 
 use super::Outcome;
 use super::common::{STOP, may_be_written};
+use super::observe::Colour;
 use super::progress::Show;
 use crate::dataset::Dataset;
 use crate::reduction::{self, Options};
@@ -13,6 +14,8 @@ pub struct Arguments {
     /// Parts of one campaign: dataset folders or EMVA 1288 descriptors whose frames have the set and index of the campaign, or statistics
     #[arg(required = true, value_name = "PART")]
     parts: Vec<PathBuf>,
+    #[command(flatten)]
+    colour: Colour,
     /// The statistics, a new file
     #[arg(short, long, value_name = "STATS")]
     output: PathBuf,
@@ -29,13 +32,13 @@ pub struct Arguments {
 
 pub fn run(a: &Arguments) -> Result<Outcome> {
     let plan = a.plan.as_deref().map(Dataset::open).transpose()?;
-    write(&a.parts, &a.output, a.overwrite, Options { plan, look_only: a.look })
+    let parts = a.parts.iter().map(|p| a.colour.open(p)).collect::<Result<_>>()?;
+    write(parts, &a.output, a.overwrite, Options { plan, look_only: a.look })
 }
 
 /// Reduces parts into a file.
-pub fn write(parts: &[PathBuf], output: &Path, overwrite: bool, options: Options) -> Result<Outcome> {
+pub fn write(parts: Vec<Dataset>, output: &Path, overwrite: bool, options: Options) -> Result<Outcome> {
     may_be_written(&output.to_path_buf(), overwrite)?;
-    let parts = parts.iter().map(|p| Dataset::open(p)).collect::<Result<_, _>>()?;
     let mut show = Show::new("reducing");
     let reduced = reduction::reduce(parts, &options, &STOP, &mut |done, of| show.step(done, of))?;
     reduction::write(&reduced, output)?;

@@ -1,13 +1,15 @@
 //! What the verbs on regions share: a calibration, images, a rectangle.
 
 use super::common::above_0;
-use super::correct::Plain;
+use super::correct::{Notes, Plain};
 use crate::calibrate::file::Calibration;
 use crate::correct::Corrector;
-use crate::scene_variation::{Roi, Variation, of_region};
+use crate::number::percent;
+use crate::scene_variation::{Roi, Variation, of_region, part};
 use anyhow::{Result, bail};
 use ndarray::Array2;
-use std::path::PathBuf;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 #[derive(Debug, clap::Args)]
 pub struct RegionArguments {
@@ -62,8 +64,10 @@ impl RegionArguments {
         let mut first: Option<(f64, Corrector)> = None;
         let mut sum = Array2::<f32>::zeros(calibration.k.dim());
         let mut digest = 0;
+        let mut seen: BTreeMap<u64, &Path> = BTreeMap::new();
+        let mut notes = Notes::default();
         for path in &self.images {
-            let frame = Plain::read(path, &calibration, self.exposure_s, self.force)?;
+            let frame = Plain::read(path, &calibration, self.exposure_s, self.force, &mut notes)?;
             if first.is_none() {
                 first = Some((frame.exposure_s, Corrector::new(&calibration, frame.exposure_s)?));
             }
@@ -76,10 +80,22 @@ impl RegionArguments {
                     self.images[0].display()
                 );
             }
+            notes.look(path, &frame.pixels, corrector, (&calibration, frame.exposure_s, self.force))?;
+            let (height, width) = frame.pixels.dim();
+            let roi = self.roi.unwrap_or(Roi { x: 0, y: 0, width, height });
+            clipped(path, &frame.pixels, &calibration.defects, roi, corrector.full_scale_dn())?;
             sum += &corrector.image(&frame.pixels)?;
             let of_frame = |d: u64, dn: &u16| (d ^ u64::from(*dn)).wrapping_mul(FNV_PRIME);
             // The same images in another order are the same.
-            digest ^= frame.pixels.iter().fold(FNV_OFFSET, of_frame);
+            let of_frame = frame.pixels.iter().fold(FNV_OFFSET, of_frame);
+            if let Some(other) = seen.insert(of_frame, path) {
+                bail!(
+                    "{} and {} are the same image: an average of copies is as noisy as one; give each image once",
+                    other.display(),
+                    path.display()
+                );
+            }
+            digest ^= of_frame;
         }
         let exposure_s = first.map_or(calibration.dark.exposure_s, |f| f.0);
         let count = self.images.len() as u64;
@@ -93,6 +109,30 @@ impl RegionArguments {
             calibration,
         })
     }
+}
+
+/// Share of clipped pixels that a region may have: what they hide is variance.
+const CLIPPED: f64 = 1e-3;
+
+/// Refuses a region with pixels at full scale.
+fn clipped(
+    path: &Path,
+    frame: &Array2<u16>,
+    defects: &Array2<u8>,
+    roi: Roi,
+    full_scale_dn: u16,
+) -> Result<()> {
+    let (region, flags) = (part(frame, roi)?, part(defects, roi)?);
+    let clipped = region.iter().zip(flags).filter(|(dn, flag)| **dn >= full_scale_dn && **flag == 0);
+    let share = clipped.count() as f64 / region.len().max(1) as f64;
+    if share > CLIPPED {
+        bail!(
+            "{}: {} of the region's pixels are at full scale, {full_scale_dn} DN; take images with less light",
+            path.display(),
+            percent(share)
+        );
+    }
+    Ok(())
 }
 
 impl Seen {

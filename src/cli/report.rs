@@ -3,6 +3,7 @@
 use super::Outcome;
 use super::common::{STOP, can_be_written};
 use super::model::read_effects;
+use super::observe::Datasets;
 use super::progress::Show;
 use crate::calibrate::file::Calibration;
 use crate::dataset::write_whole;
@@ -12,15 +13,13 @@ use crate::observables::Observations;
 use crate::report;
 use crate::source::Source;
 use crate::study::{Judgement, Provenance, Study};
-use anyhow::Result;
+use anyhow::{Result, bail};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// A dataset folder, an EMVA 1288 descriptor, or a table (CSV with mean_dn and var_dn2); several datasets of one camera under one set
-    /// of settings are taken together
-    #[arg(required = true, value_name = "DATASET")]
-    datasets: Vec<PathBuf>,
+    #[command(flatten)]
+    datasets: Datasets,
     /// Effects that are known already; the paper's model alone where not given
     #[arg(long, value_name = "M.toml|SENSOR")]
     model: Option<PathBuf>,
@@ -39,7 +38,18 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     can_be_written(&arguments.output)?;
     let effects = read_effects(arguments.model.as_deref())?;
     let cal = arguments.cal.as_deref().map(Calibration::read).transpose()?;
-    let source = Source::open_all(&arguments.datasets)?;
+    let source = arguments.datasets.open()?;
+    if let (Some(path), Some(cal), Source::Frames(dataset)) = (&arguments.cal, &cal, &source) {
+        let differs = cal.description.camera.differences(&dataset.manifest().camera);
+        if !differs.is_empty() {
+            bail!(
+                "--cal {}: is not of the camera and settings of {}: {}",
+                path.display(),
+                arguments.datasets.names(),
+                differs.join("; ")
+            );
+        }
+    }
     let mut show = Show::new("reading");
     let all = source.observations_with(&STOP, &mut |done, of| show.step(done, of))?;
     drop(show);
@@ -58,7 +68,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
 }
 
 fn study(
-    paths: &[PathBuf],
+    datasets: &Datasets,
     source: &Source,
     all: &Observations,
     judged: (&Judgement, Option<&Verdict>),
@@ -66,7 +76,7 @@ fn study(
 ) -> Result<Study> {
     let command: Vec<String> = std::env::args().collect();
     let mut show = Show::new("images");
-    let provenance = Provenance::of(paths, source, &command.join(" "))?;
+    let provenance = Provenance::of(&datasets.paths, source, &command.join(" "))?;
     Ok(Study::of(source, all, judged, cal, provenance, &STOP, &mut |done, of| show.step(done, of))?)
 }
 
@@ -76,18 +86,18 @@ fn write(path: &Path, study: &Study, all: &Observations) -> Result<()> {
 }
 
 /// The page of a diagnosis, for the verbs that make one.
-pub fn of_diagnosis(path: &Path, datasets: &[PathBuf], all: &Observations, d: &Diagnosis) -> Result<()> {
+pub fn of_diagnosis(path: &Path, datasets: &Datasets, all: &Observations, d: &Diagnosis) -> Result<()> {
     let judged = (&Judgement::of_diagnosis(d), Some(&d.verdict));
-    write(path, &study(datasets, &Source::open_all(datasets)?, all, judged, None)?, all)
+    write(path, &study(datasets, &datasets.open()?, all, judged, None)?, all)
 }
 
 /// The page of a comparison.
 pub fn of_comparison(
     path: &Path,
-    datasets: &[PathBuf],
+    datasets: &Datasets,
     all: &Observations,
     (c, fitted): (&Comparison, &Fitted),
 ) -> Result<()> {
     let judged = (&Judgement::of_comparison(c, fitted), None);
-    write(path, &study(datasets, &Source::open_all(datasets)?, all, judged, None)?, all)
+    write(path, &study(datasets, &datasets.open()?, all, judged, None)?, all)
 }

@@ -39,6 +39,9 @@ pub struct Arguments {
     /// Replace hot, dead and unstable pixels of the calibration by the mean of the nearest sound ones
     #[arg(long)]
     replace_defects: bool,
+    /// Go on although frames are darker than the dark reference, which no light makes
+    #[arg(long)]
+    force: bool,
     /// Exposure, s [default: the one at which the camera stands]
     #[arg(long, value_parser = above_0)]
     exposure_s: Option<f64>,
@@ -67,6 +70,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let mut options = Options {
         codes: arguments.codes,
         replace_defects: arguments.replace_defects,
+        force: arguments.force,
         exposure_s: arguments.exposure_s,
         frames: arguments.frames,
         duration: arguments.seconds,
@@ -79,6 +83,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let (identity, settings) = {
         let mut camera = camera::open(&arguments.camera)?;
         let settings = prepare(&mut *camera, &calibration, arguments.exposure_s)?;
+        for text in super::correct::unknown(&calibration.description.camera, &camera::info(&mut *camera)?) {
+            tracing::warn!("{}: {text}", arguments.camera);
+        }
         (camera.identity().clone(), settings)
     };
     let corrector = Corrector::new(&calibration, settings.exposure_s)?;

@@ -2,6 +2,7 @@
 
 use super::Outcome;
 use super::common::{STOP, load_model};
+use super::observe::Colour;
 use crate::camera;
 use crate::camera::StreamOptions;
 use crate::monitor::store::Store;
@@ -16,6 +17,8 @@ pub struct Arguments {
     /// first
     #[arg(value_name = "DATASET")]
     datasets: Vec<PathBuf>,
+    #[command(flatten)]
+    colour: Colour,
     /// A camera for the live picture and for captures
     #[arg(long, value_name = "CAMERA")]
     camera: Option<String>,
@@ -66,6 +69,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let options = Options {
         dataset: datasets.next(),
         others: datasets.collect(),
+        plane: arguments.colour.plane,
         history: arguments.history.clone(),
         camera,
         stream: StreamOptions::default(),

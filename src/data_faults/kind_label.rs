@@ -1,4 +1,5 @@
-//! Dark and flat exchanged: a dark with the level and the noise of light, a flat without light.
+//! Dark and flat exchanged: a dark with the level and the noise of light, a flat without light. Flats with far less light than their label makes
+//! have a wrong label: the law of levels needs more flats to tell.
 
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
@@ -44,14 +45,21 @@ impl Check for KindLabel {
         let lit = campaign.places(|s| s.is_lit() && !s.clipped);
         let above = |i: usize| level(i) - dark_at(campaign.sets[i].exposure_s);
         let response = median(lit.iter().map(|&i| above(i) / x(i)));
-        let unlit: Vec<usize> = lit
+        // Without darks the dimmest flat would pass for one.
+        let dim: Vec<usize> = lit
             .iter()
             .copied()
+            .filter(|_| !darks.is_empty())
             .filter(|&i| {
                 let expected = response * x(i);
                 expected > MIN_RANGE_DN.max(MIN_SIGMAS * scatter) && above(i) < MAX_UNLIT_SHARE * expected
             })
             .collect();
+        // One that has light, and far less than its label makes, has a wrong label. The darks tell nothing at an exposure that is wrong.
+        let own = |i: usize| level(i) - lowest;
+        let few_dn = MIN_LIT_SHARE * (highest - lowest);
+        let (unlit, wrong): (Vec<usize>, Vec<usize>) =
+            dim.iter().copied().partition(|&i| own(i) < few_dn || above(i).abs() < few_dn);
         // A bright dark is one of light where another of the same or a longer exposure is dark, where the charge
         // of the others says so, or where a flat without light is what it was exchanged for.
         let of_light = |&i: &usize| {
@@ -67,7 +75,7 @@ impl Check for KindLabel {
         let lit_darks: Vec<usize> = bright.iter().copied().filter(of_light).collect();
         // Where most are so, the labels mean something else.
         if lit_darks.len() * 2 > darks.len().max(1) && unlit.len() != lit_darks.len()
-            || unlit.len() * 2 > lit.len()
+            || dim.len() * 2 > lit.len()
         {
             return Vec::new();
         }
@@ -105,9 +113,24 @@ impl Check for KindLabel {
                 found.push((unlit.clone(), text));
             }
         }
-        let fault = |(sets, text): (Vec<usize>, String)| {
-            campaign.fault_of_sets(FaultKind::KindLabel, &sets, text, true)
+        let said = |i: usize| {
+            let set = &campaign.sets[i];
+            let text = format!(
+                "{}: {} s at light {} belong to {} DN, and the level is {} DN, as of exposure x light {}",
+                campaign.named(&[i]),
+                six_digits(set.exposure_s),
+                six_digits(set.illumination),
+                six_digits(dark_at(set.exposure_s) + response * x(i)),
+                six_digits(level(i)),
+                six_digits(own(i) / response),
+            );
+            (FaultKind::SettingLabel, vec![i], text)
         };
-        found.into_iter().map(fault).collect()
+        let wrong: Vec<_> = wrong.into_iter().map(said).collect();
+        let found = found.into_iter().map(|(sets, text)| (FaultKind::KindLabel, sets, text)).chain(wrong);
+        let fault = |(kind, sets, text): (FaultKind, Vec<usize>, String)| {
+            campaign.fault_of_sets(kind, &sets, text, true)
+        };
+        found.map(fault).collect()
     }
 }

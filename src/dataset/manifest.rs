@@ -19,6 +19,10 @@ pub struct Manifest {
     /// The light, where known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench: Option<BenchInfo>,
+    /// Row and column, 0 or 1, of the one pixel of every 2 x 2 cell of the files that is a frame's: one colour of a mosaic.
+    /// Size and pixel format of `camera` are then those of the plane.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plane: Option<[u8; 2]>,
     /// What `import` made of files that did not say everything.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub import: Option<ImportInfo>,
@@ -110,35 +114,88 @@ impl CameraInfo {
     /// assert!(of(Some(0.0)).differences(&of(None)).is_empty());
     /// ```
     pub fn differences(&self, now: &Self) -> Vec<String> {
-        let number = |x: Option<f64>, unit: &str| x.map_or(String::new(), |x| format!("{x} {unit}"));
-        let size = |c: &Self| {
-            if c.width * c.height == 0 { String::new() } else { format!("{} x {} px", c.width, c.height) }
-        };
-        let bits = |c: &Self| if c.bit_depth == 0 { String::new() } else { c.bit_depth.to_string() };
-        // Packing changes the bytes of a frame, and not its codes.
-        let codes = |c: &Self| match PixelFormat::from_name(&c.pixel_format) {
-            Ok(f) if f.name().starts_with("Mono") => format!("Mono of {} bits", f.bits()),
-            _ => c.pixel_format.clone(),
-        };
-        let own = [
-            ("vendor", self.vendor.clone(), now.vendor.clone()),
-            ("model", self.model.clone(), now.model.clone()),
-            ("serial", self.serial.clone(), now.serial.clone()),
-            ("size", size(self), size(now)),
-            ("bit depth", bits(self), bits(now)),
-            ("pixel format", codes(self), codes(now)),
-            ("gain", number(self.gain_db, "dB"), number(now.gain_db, "dB")),
-            ("black level", number(self.black_level_dn, "DN"), number(now.black_level_dn, "DN")),
-        ];
+        let pairs = self.properties().into_iter().zip(now.properties());
+        let own = pairs.filter_map(|((name, was), (_, is))| difference(name, was, is));
         let settings = self.features.iter().filter(|(name, _)| is_setting(name));
-        let settings = settings
-            .filter_map(|(name, was)| difference(name, was.to_string(), now.features.get(name)?.to_string()));
-        own.into_iter().filter_map(|(name, was, is)| difference(name, was, is)).chain(settings).collect()
+        let settings = settings.filter_map(|(name, was)| {
+            difference(&in_words(name), was.to_string(), now.features.get(name)?.to_string())
+        });
+        own.chain(settings).collect()
+    }
+
+    /// Properties that these frames do not state and this side knows, with the value here: they cannot be compared. Of the
+    /// features only those that image files can state, gain, offset and binning.
+    ///
+    /// ```
+    /// use radcam::dataset::CameraInfo;
+    /// let of = |gain_db| CameraInfo { gain_db, ..Default::default() };
+    /// assert_eq!(of(Some(6.0)).unstated(&of(None)), ["gain (6 dB)"]);
+    /// assert!(of(None).unstated(&of(None)).is_empty());
+    /// ```
+    pub fn unstated(&self, now: &Self) -> Vec<String> {
+        let absent = |name: &str, was: String, is: String| {
+            (!was.is_empty() && is.is_empty()).then(|| format!("{name} ({})", was.trim_matches('"')))
+        };
+        let pairs = self.properties().into_iter().zip(now.properties());
+        let own = pairs.filter_map(|((name, was), (_, is))| match name {
+            // Read from the pixels, where the file does not state them.
+            "size" | "bit depth" => None,
+            "pixel format" if !self.is_mosaic() => None,
+            _ => absent(name, was, is),
+        });
+        let features = IN_FILES.iter().filter_map(|name| {
+            let is = now.features.get(*name).map(ToString::to_string).unwrap_or_default();
+            absent(&in_words(name), self.features.get(*name)?.to_string(), is)
+        });
+        own.chain(features).collect()
+    }
+
+    /// Name and value, as text, of what is compared; empty where it is not known.
+    fn properties(&self) -> [(&'static str, String); 8] {
+        let number = |x: Option<f64>, unit: &str| x.map_or(String::new(), |x| format!("{x} {unit}"));
+        let size = if self.width * self.height == 0 {
+            String::new()
+        } else {
+            format!("{} x {} px", self.width, self.height)
+        };
+        // Packing changes the bytes of a frame, and not its codes.
+        let codes = match PixelFormat::from_name(&self.pixel_format) {
+            Ok(f) if f.name().starts_with("Mono") => format!("Mono of {} bits", f.bits()),
+            _ => self.pixel_format.clone(),
+        };
+        [
+            ("vendor", self.vendor.clone()),
+            ("model", self.model.clone()),
+            ("serial", self.serial.clone()),
+            ("size", size),
+            ("bit depth", if self.bit_depth == 0 { String::new() } else { self.bit_depth.to_string() }),
+            ("pixel format", codes),
+            ("gain", number(self.gain_db, "dB")),
+            ("black level", number(self.black_level_dn, "DN")),
+        ]
+    }
+
+    /// Whether frames are a colour mosaic of two by two pixels. Formats that radcam cannot unpack count too: files hold
+    /// mosaics of 14 bits.
+    pub fn is_mosaic(&self) -> bool {
+        self.pixel_format.get(..5).is_some_and(|start| start.eq_ignore_ascii_case("Bayer"))
     }
 
     /// Largest code, DN.
     pub fn full_scale_dn(&self) -> u16 {
         ((1u32 << self.bit_depth.min(16)) - 1) as u16
+    }
+}
+
+/// Features that the headers of image files state: gain and offset in units of the camera, and binning.
+const IN_FILES: [&str; 4] = ["GainRaw", "BlackLevelRaw", "BinningHorizontal", "BinningVertical"];
+
+/// A feature as users of image files know it.
+fn in_words(feature: &str) -> String {
+    match feature {
+        "GainRaw" => "gain setting (GainRaw)".into(),
+        "BlackLevelRaw" => "offset setting (BlackLevelRaw)".into(),
+        other => other.into(),
     }
 }
 
@@ -150,7 +207,7 @@ fn difference(name: &str, was: String, is: String) -> Option<String> {
 impl Manifest {
     /// A manifest without a bench.
     pub fn new(camera: CameraInfo) -> Self {
-        Self { format: FORMAT.into(), camera, bench: None, import: None }
+        Self { format: FORMAT.into(), camera, bench: None, plane: None, import: None }
     }
 
     /// What `import` guessed and found, as notes of a result.
@@ -165,6 +222,8 @@ impl Manifest {
         let mut found = self.camera.differences(&now.camera);
         let unit = |m: &Self| m.bench.as_ref().map(|b| b.illumination_unit.clone()).unwrap_or_default();
         found.extend(difference("illumination_unit", unit(self), unit(now)));
+        let plane = |m: &Self| m.plane.map_or("of all pixels".into(), |[y, x]| format!("{y},{x}"));
+        found.extend(difference("plane", plane(self), plane(now)));
         found
     }
 
@@ -187,8 +246,22 @@ impl Manifest {
         if !(1..=16).contains(&camera.bit_depth) {
             return Err(format!("camera.bit_depth is {}, and must lie within 1 to 16", camera.bit_depth));
         }
+        if let Ok(format) = PixelFormat::from_name(&camera.pixel_format)
+            && format.bits() < camera.bit_depth
+        {
+            return Err(format!(
+                "camera.pixel_format is {format}, of {} bits, and camera.bit_depth is {}: codes of one depth",
+                format.bits(),
+                camera.bit_depth
+            ));
+        }
         if camera.width == 0 || camera.height == 0 || camera.width.max(camera.height) > 1 << 16 {
             return Err(format!("camera size {} x {} px makes no image", camera.width, camera.height));
+        }
+        if let Some(plane) = manifest.plane.filter(|p| p.iter().any(|k| *k > 1)) {
+            let message =
+                format!("plane is {plane:?}, and is a row and a column of a 2 x 2 cell, each 0 or 1");
+            return Err(message);
         }
         if let Some(std) = manifest.bench.as_ref().and_then(|b| b.illumination_rel_std)
             && !(std.is_finite() && std >= 0.0)
@@ -217,6 +290,8 @@ mod tests {
             ("width = 4", "width = 0", "0 x 3 px"),
             ("height", "hight", "height"),
             ("[camera]", "[camera", "camera"),
+            ("= 12", "= 12\npixel_format = \"Mono8\"", "Mono8, of 8 bits, and camera.bit_depth is 12"),
+            ("[camera]", "plane = [0, 2]\n[camera]", "plane is [0, 2]"),
         ] {
             let message = Manifest::from_toml(&good.replace(from, to)).expect_err(to);
             assert!(message.contains(part), "{message}");

@@ -190,6 +190,10 @@ impl Dataset {
             return emva::open(path);
         }
         let manifest_path = path.join("dataset.toml");
+        if !path.exists() {
+            let message = "there is no such file or folder".into();
+            return Err(DatasetError::Manifest { path: path.into(), message });
+        }
         if path.is_dir() && !manifest_path.exists() {
             let message = no_manifest(path);
             return Err(DatasetError::Manifest { path: path.into(), message });
@@ -430,6 +434,47 @@ impl Dataset {
         &self.manifest
     }
 
+    /// One colour of a mosaic, as a campaign of half the size: the pixel at this row and column, 0 or 1, of every 2 x 2 cell.
+    ///
+    /// # Errors
+    ///
+    /// Where it is one plane already, or statistics whose frames are not read again.
+    pub fn plane(mut self, plane: [u8; 2]) -> Result<Self, DatasetError> {
+        let fault =
+            |message: &str| DatasetError::Manifest { path: self.root.clone(), message: message.into() };
+        if self.manifest.plane.is_some() {
+            return Err(fault("is one plane of a mosaic already; leave --plane out"));
+        }
+        if self.reduced.is_some() {
+            return Err(fault("holds statistics of all pixels; take the plane where the frames are reduced"));
+        }
+        let camera = &mut self.manifest.camera;
+        let half = |pixels: usize, from: u8| pixels.saturating_sub(from.into()).div_ceil(2);
+        (camera.height, camera.width) = (half(camera.height, plane[0]), half(camera.width, plane[1]));
+        camera.pixel_format = format!("Mono{}", camera.bit_depth);
+        self.manifest.plane = Some(plane);
+        Ok(self)
+    }
+
+    /// Refuses a colour mosaic, for statistics that hold for pixels of one kind: its planes differ in light and, with a white
+    /// balance, in gain.
+    ///
+    /// # Errors
+    ///
+    /// Where the frames are a mosaic, with its format and what to do.
+    pub fn must_be_monochrome(&self) -> Result<(), DatasetError> {
+        let camera = &self.manifest.camera;
+        if !camera.is_mosaic() {
+            return Ok(());
+        }
+        let message = format!(
+            "pixel_format is {}: a colour mosaic, whose planes differ in light and gain; measure each colour by itself with {}",
+            camera.pixel_format,
+            planes_in_words(&camera.pixel_format)
+        );
+        Err(DatasetError::Manifest { path: self.root.clone(), message })
+    }
+
     /// Every row, in the order of the file, which is the order of time.
     pub fn rows(&self) -> &[FrameRow] {
         &self.rows
@@ -505,10 +550,14 @@ impl Dataset {
             e => fault(e.to_string()),
         })?;
         let camera = &self.manifest.camera;
+        if let Some(plane) = self.manifest.plane {
+            buffer.keep_plane(plane);
+        }
         if buffer.shape() != (camera.height, camera.width) {
             let (h, w) = buffer.shape();
+            let of = self.manifest.plane.map_or(String::new(), |[y, x]| format!("has a plane {y},{x} that "));
             return Err(fault(format!(
-                "is {w} x {h} px, and dataset.toml says {} x {} px",
+                "{of}is {w} x {h} px, and dataset.toml says {} x {} px",
                 camera.width, camera.height
             )));
         }
@@ -531,6 +580,21 @@ impl Dataset {
     pub fn read_set(&self, set: &Set) -> Result<Vec<Array2<u16>>, DatasetError> {
         set.rows.iter().map(|&i| self.read(&self.rows[i])).collect()
     }
+}
+
+/// The planes of a mosaic as `--plane` takes them, with their colours; of a PFNC pixel format or a pattern such as RGGB.
+pub(crate) fn planes_in_words(mosaic: &str) -> String {
+    let pattern = mosaic.to_uppercase();
+    let start = pattern.strip_prefix("BAYER").unwrap_or(&pattern).get(..2);
+    let colours = match start {
+        Some("RG") => [" (R)", " (G)", " (G)", " (B)"],
+        Some("BG") => [" (B)", " (G)", " (G)", " (R)"],
+        Some("GR") => [" (G)", " (R)", " (B)", " (G)"],
+        Some("GB") => [" (G)", " (B)", " (R)", " (G)"],
+        _ => [""; 4],
+    };
+    let [a, b, c, d] = colours;
+    format!("--plane 0,0{a}, 0,1{b}, 1,0{c} or 1,1{d}")
 }
 
 /// What to do with a folder that has no `dataset.toml`: what lies in it says what it is.

@@ -10,6 +10,25 @@ use tiff::tags::Tag;
 /// Name and major version of the format.
 pub const FORMAT: &str = "radcam-frame/1";
 
+/// Name and major version of the description of corrected frames.
+pub const CORRECTED: &str = "radcam-corrected/1";
+
+/// Returns true for a frame that radcam has corrected already, by its ImageDescription.
+pub fn is_corrected(path: &Path) -> bool {
+    let format = description(path).and_then(|text| {
+        let value: serde_json::Value = serde_json::from_str(text.trim_end_matches('\0')).ok()?;
+        Some(value.get("format")?.as_str()? == CORRECTED)
+    });
+    format.unwrap_or(false)
+}
+
+/// ImageDescription of a TIFF.
+fn description(path: &Path) -> Option<String> {
+    let file = File::open(path).ok()?;
+    let mut decoder = tiff::decoder::Decoder::new(BufReader::new(file)).ok()?;
+    decoder.get_tag_ascii_string(Tag::ImageDescription).ok()
+}
+
 /// Settings and camera of a frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FrameTag {
@@ -62,10 +81,7 @@ impl FrameTag {
 
     /// Of a file: what it says of itself, or what the dataset says in whose folder it lies. `None` where neither does.
     pub fn read(path: &Path) -> Option<Self> {
-        let file = File::open(path).ok()?;
-        let text = tiff::decoder::Decoder::new(BufReader::new(file))
-            .and_then(|mut d| d.get_tag_ascii_string(Tag::ImageDescription));
-        if let Some(tag) = text.ok().and_then(|text| Self::from_text(&text)) {
+        if let Some(tag) = description(path).and_then(|text| Self::from_text(&text)) {
             return Some(tag);
         }
         let whole = path.canonicalize().ok()?;

@@ -435,6 +435,7 @@ pub fn of_dataset(
     stop: &AtomicBool,
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<Points, EmvaError> {
+    dataset.must_be_monochrome()?;
     let dataset = &examined(dataset, stop)?;
     let camera = &dataset.manifest().camera;
     let bench = dataset.manifest().bench.as_ref();

@@ -83,6 +83,7 @@ fn of_tag(tag: FrameTag) -> Facts {
         model: said(tag.camera.model.clone()),
         time_s: tag.timestamp_s,
         set: Some(tag.set),
+        mosaic: words::pattern(&tag.camera.pixel_format),
         camera: Some(tag.camera),
         unit_stated: true,
         from: [("kind", SELF), ("exposure_s", SELF), ("illumination", SELF)]

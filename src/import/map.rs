@@ -1,6 +1,6 @@
 //! How files become sets: the map that the user confirms, completes or writes.
 
-use super::{ImportError, Scale};
+use super::{ImportError, Scale, camera};
 use crate::dataset::{CameraInfo, Kind};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -31,6 +31,9 @@ pub struct Map {
     /// Row and column, 0 or 1, of the one pixel of every 2 x 2 cell that is kept, of raw Bayer frames.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plane: Option<[u8; 2]>,
+    /// Colour pattern of raw Bayer frames that are kept whole, such as RGGB.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pattern: Option<String>,
     /// Gain of all frames, dB.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gain_db: Option<f64>,
@@ -138,6 +141,10 @@ impl Map {
         }
         if map.plane.is_some_and(|p| p.iter().any(|k| *k > 1)) {
             return Err(ImportError::Map("plane is a row and a column of a 2 x 2 cell, each 0 or 1".into()));
+        }
+        if let Some(pattern) = map.pattern.as_ref().filter(|p| !camera::PATTERNS.contains(&p.as_str())) {
+            let known = camera::PATTERNS.join(", ");
+            return Err(ImportError::Map(format!("pattern is {pattern}, and must be one of {known}")));
         }
         let mut named: BTreeMap<&str, usize> = BTreeMap::new();
         for (k, set) in map.sets.iter().enumerate() {

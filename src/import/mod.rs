@@ -3,6 +3,7 @@
 //! [`survey`] looks at the files, [`propose`] sorts them into sets as a [`Map`], the user confirms or completes it, and [`write()`] copies the
 //! frames. What cannot be known is not guessed: [`Map::missing`] says what is to be filled in.
 
+mod camera;
 mod cards;
 mod facts;
 mod headers;
@@ -22,6 +23,7 @@ mod values;
 mod words;
 mod write;
 
+pub use camera::{PATTERNS, pixel_format};
 pub use facts::Facts;
 pub use listing::{Listing, list};
 pub use map::{MAP_FORMAT, Map, MapSet};

@@ -101,6 +101,7 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
         zero: scale.zero,
         frames_axis: None,
         plane: None,
+        pattern: None,
         gain_db: gains.first().copied(),
         vendor: first(|f| &f.vendor),
         model: first(|f| &f.model),

@@ -199,7 +199,7 @@ pub fn facts(mut said: Vec<Said>, writer: Writer) -> Facts {
 }
 
 /// The colour pattern that a header states, also as a pixel format (`BayerRG12`); `None` of a monochrome sensor.
-fn pattern(value: &str) -> Option<String> {
+pub(super) fn pattern(value: &str) -> Option<String> {
     let upper = value.trim().to_uppercase();
     const PATTERNS: [&str; 5] = ["RGGB", "BGGR", "GRBG", "GBRG", "CMYG"];
     let of_format = upper.strip_prefix("BAYER").and_then(|rest| rest.get(..2));

@@ -1,9 +1,7 @@
 //! Frames, rows and manifest of a new dataset.
 
-use super::{ImportError, Map, pixels};
-use crate::dataset::{
-    BenchInfo, CameraInfo, Dataset, FORMAT, FrameRow, ImportInfo, Kind, Manifest, write_whole,
-};
+use super::{ImportError, Map, pixel_format, pixels};
+use crate::dataset::{BenchInfo, CameraInfo, Dataset, FrameRow, ImportInfo, Kind, Manifest, write_whole};
 use std::path::Path;
 
 /// Refuses a folder that has something in it.
@@ -86,13 +84,15 @@ fn fill(
         }
     }
     let shape = taken.shape();
+    let mono = || format!("Mono{}", map.bit_depth);
+    let pattern = map.pattern.as_ref().filter(|_| map.plane.is_none());
     let mut camera = CameraInfo {
         vendor: map.vendor.clone().unwrap_or_default(),
         model: map.model.clone().unwrap_or_default(),
         width: shape.1,
         height: shape.0,
         bit_depth: map.bit_depth,
-        pixel_format: format!("Mono{}", map.bit_depth),
+        pixel_format: pattern.map_or_else(mono, |p| pixel_format(p, map.bit_depth)),
         gain_db: map.gain_db,
         ..map.camera.clone().unwrap_or_default()
     };
@@ -104,7 +104,7 @@ fn fill(
     let import = (!guessed.is_empty() || !map.notes.is_empty())
         .then(|| ImportInfo { guessed, notes: map.notes.clone() });
     let bench = BenchInfo { illumination_unit: "relative".into(), ..Default::default() };
-    let manifest = Manifest { format: FORMAT.into(), camera, bench: Some(bench), import };
+    let manifest = Manifest { bench: Some(bench), import, ..Manifest::new(camera) };
     let text = toml::to_string(&manifest).map_err(|e| ImportError::Map(e.to_string()))?;
     let rows = rows.into_inner().map_err(|e| ImportError::Map(e.to_string()))?;
     write_whole(&root.join("frames.csv"), &rows)?;

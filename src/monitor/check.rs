@@ -1,6 +1,8 @@
 //! A check: some darks and some frames of a reference flat, and what they say of the camera.
 
 use crate::calibrate::file::Calibration;
+use crate::monitor::Limits;
+use crate::number::{six_digits, with_error};
 use crate::statistics::moments::{Moments, SizeMismatch};
 use ndarray::{Array2, s};
 use serde::{Deserialize, Serialize};
@@ -12,6 +14,10 @@ const HOT_SIGMA: f64 = 6.0;
 const DEAD: f64 = 0.5;
 /// Standard errors below which the reference flat is too faint to divide by.
 const FAINT: f64 = 10.0;
+/// Least relative difference of the gain from the calibration's that is told: lag and filters of a camera bias two estimates differently.
+const MIN_GAIN_LIMIT: f64 = 0.05;
+/// Standard errors beyond the limit by which a reading differs from the calibration.
+const SIGMAS: f64 = 5.0;
 /// Pixels of a list: more are a camera that is broken otherwise.
 const LISTED: usize = 1000;
 
@@ -81,6 +87,27 @@ pub struct Check {
     pub hot: Vec<(u32, u32)>,
     /// Pixels (column, row) that are dead and were not when the camera was calibrated.
     pub dead: Vec<(u32, u32)>,
+}
+
+impl Check {
+    /// Black level and gain that are not those of the calibration, in sentences. The monitor follows what changes from check to check; a
+    /// camera that differs from its calibration from the first check on does not change.
+    pub fn against(&self, calibration: &Calibration, limits: &Limits) -> Vec<String> {
+        let d = &calibration.description;
+        let mut said = Vec::new();
+        let mut hold = |what, name: &str, unit: &str, known: Option<f64>, limit: f64| {
+            let (Some(reading), Some(known)) = (self.readings.get(&what), known) else { return };
+            if (reading.value - known).abs() > limit + SIGMAS * reading.std_err {
+                let (now, was) = (with_error(reading.value, reading.std_err), six_digits(known));
+                said.push(format!("{name} is {now} {unit}, and {was} {unit} in the calibration"));
+            }
+        };
+        hold(Followed::BlackLevel, "the black level", "DN", d.offset_dn, limits.black_level_dn);
+        let gain = d.gain_dn_per_e;
+        let limit = limits.gain.max(MIN_GAIN_LIMIT);
+        hold(Followed::Gain, "the gain", "DN/e", gain, limit * gain.unwrap_or(0.0).abs());
+        said
+    }
 }
 
 /// Frames of one kind, as they come.

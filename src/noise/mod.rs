@@ -328,6 +328,7 @@ pub fn of_dataset(
     stop: &AtomicBool,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<NoiseReport, NoiseError> {
+    dataset.must_be_monochrome()?;
     let dataset = examined(dataset, stop)?;
     let measured = measure(&dataset, stop, progress)?;
     if measured.levels.is_empty() {

@@ -218,6 +218,7 @@ pub fn of_dataset(
     stop: &AtomicBool,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Observations, ObserveError> {
+    dataset.must_be_monochrome()?;
     let dataset = &examined(dataset, stop)?;
     let camera = &dataset.manifest().camera;
     let shape = (camera.height, camera.width);

@@ -34,6 +34,8 @@ pub struct Options {
     pub codes: Option<Codes>,
     /// Replace flagged pixels.
     pub replace_defects: bool,
+    /// Go on although frames are darker than the dark reference.
+    pub force: bool,
     /// Exposure, s; `None`: the one at which the camera stands.
     pub exposure_s: Option<f64>,
     /// The stream of the camera. Frames that wait are bounded.
@@ -51,6 +53,7 @@ impl Default for Options {
         Self {
             codes: None,
             replace_defects: false,
+            force: false,
             exposure_s: None,
             // Frames that wait for lost packets hold their buffers: 100 ms at 160 frames a second.
             stream: StreamOptions {
@@ -343,11 +346,16 @@ pub fn run(
     let corrector =
         if options.replace_defects { corrector.replacing_defects(calibration) } else { corrector };
     let (codes, limit) = meaning(calibration, &corrector, options);
-    let job = Job { corrector, codes, limit, exposure_s, options, stop };
+    let job = Job { corrector, calibration, codes, limit, exposure_s, options, stop };
     loop {
         let ended = job.stream(&mut *camera, &mut tally, sinks, tell);
         match ended {
             Ok(()) => break,
+            // A recording ends; one that never began is an error.
+            Err(StreamError::Camera(CameraError::Ended { message, .. })) if tally.summary.corrected > 0 => {
+                tracing::info!(message, "the recording has ended");
+                break;
+            }
             Err(StreamError::Camera(e @ (CameraError::Lost { .. } | CameraError::Timeout { .. }))) => {
                 tracing::warn!(error = %e, "the stream is begun anew");
                 drop(camera);
@@ -421,6 +429,7 @@ fn find(
 /// What does not change while it runs.
 struct Job<'a> {
     corrector: Corrector,
+    calibration: &'a Calibration,
     codes: Codes,
     limit: u16,
     exposure_s: f64,
@@ -499,6 +508,14 @@ impl Job<'_> {
                 let _ = tally.latency.record(u64::try_from(age.as_nanos()).unwrap_or(u64::MAX));
             }
             tally.summary.mean_dn = frame.seen.mean_dn();
+            // At the first frame a wrong calibration is told; later a line goes on.
+            if tally.summary.corrected == 0
+                && !self.options.force
+                && let Err(source) =
+                    self.corrector.is_lit(self.calibration, self.exposure_s, tally.summary.mean_dn)
+            {
+                break Err(StreamError::Correct { camera: tally.summary.camera.clone(), source });
+            }
             tally.summary.corrected += 1;
             let taken = sinks.iter_mut().try_for_each(|sink| sink.take(&frame));
             pool.keep(frame);

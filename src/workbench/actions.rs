@@ -96,7 +96,7 @@ pub fn read_campaign(shared: &Arc<Shared>) {
     }
     let begun = start(shared, "reading the campaign", move |shared, job| {
         shared.desk().data = super::Data::Reading;
-        let campaign = read(&path, &job.stop, &mut |done, of| job.step(done, of));
+        let campaign = read(&path, shared.plane, &job.stop, &mut |done, of| job.step(done, of));
         let effects = shared.effects.clone();
         let laid = campaign.and_then(|campaign| shared.desk().lay(campaign, &effects));
         if let Err(e) = laid {
@@ -479,7 +479,7 @@ fn begin_capture(shared: &Arc<Shared>, plan: Plan, folder: PathBuf, extend: bool
         let live = shared.live().ok_or("there is no camera")?;
         let handle = lock(&shared.job).clone().ok_or("the work is gone")?;
         live.order(Order::Capture { plan: Box::new(plan), folder: folder.clone(), extend, job: handle })?;
-        let campaign = read(&folder, &job.stop, &mut |done, of| job.step(done, of))?;
+        let campaign = read(&folder, shared.plane, &job.stop, &mut |done, of| job.step(done, of))?;
         let effects = shared.effects.clone();
         shared.desk().lay(campaign, &effects)?;
         shared.model_changed();
@@ -515,7 +515,7 @@ pub async fn read_runs(State(shared): Desktop) -> Markup {
     let begun = start(&shared, "reading the other campaigns", |shared, job| {
         lock(&shared.runs).clear();
         for path in shared.others.clone() {
-            let said = read(&path, &job.stop, &mut |done, of| job.step(done, of)).map(|c| {
+            let said = read(&path, shared.plane, &job.stop, &mut |done, of| job.step(done, of)).map(|c| {
                 let known = given(&shared.effects).unwrap_or_default();
                 let d = diagnose(&c.all, None, searched(&c.all, &known), &mut |_| {});
                 let base = d.fitted.as_ref().map(|f| (f.base.gain_dn_per_e, f.base.read_noise_e));

@@ -227,10 +227,12 @@ pub fn entry_of(d: &Diagnosis, id: &str) -> Option<Entry> {
 /// What cannot be read.
 pub fn read(
     path: &Path,
+    plane: Option<[u8; 2]>,
     stop: &std::sync::atomic::AtomicBool,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Campaign, String> {
     let source = Source::open(path).map_err(|e| e.to_string())?;
+    let source = plane.map_or(Ok(source.clone()), |plane| source.plane(plane)).map_err(|e| e.to_string())?;
     let all = source.observations_with(stop, progress).map_err(|e| e.to_string())?;
     let kinds = crate::report::study::kinds(&all);
     Ok(Campaign { path: path.to_path_buf(), source, all, kinds })

@@ -35,6 +35,8 @@ pub struct Options {
     pub dataset: Option<PathBuf>,
     /// Other campaigns to stand beside it.
     pub others: Vec<PathBuf>,
+    /// Row and column of the one pixel of every 2 x 2 cell that is looked at, of colour mosaics.
+    pub plane: Option<[u8; 2]>,
     /// A history of `radcam monitor`, as its `--store`.
     pub history: Option<String>,
     /// The camera.
@@ -55,6 +57,7 @@ pub struct Shared {
     hosts: Vec<String>,
     dataset: Option<PathBuf>,
     others: Vec<PathBuf>,
+    plane: Option<[u8; 2]>,
     history: Option<String>,
     effects: Vec<EffectValues>,
     desk: Mutex<Desk>,
@@ -113,6 +116,7 @@ impl Workbench {
             hosts,
             dataset: options.dataset,
             others: options.others,
+            plane: options.plane,
             history: options.history,
             effects: options.effects,
             desk: Mutex::new(Desk::new(data)),

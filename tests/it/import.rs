@@ -182,9 +182,11 @@ fn shifted_codes_and_mosaics_are_written_anew() {
     let run = |more: &[&str]| {
         crate::support::radcam(&[&["import", &inputs[0], &inputs[1], "--yes"][..], more].concat())
     };
-    let warned = run(&["-o", &text("whole")]);
-    let (out, err) = (String::from_utf8_lossy(&warned.stdout), String::from_utf8_lossy(&warned.stderr));
-    assert!(out.contains("shifted down by 4 bits") && err.contains("raw Bayer"), "{out}{err}");
+    let said = refused(&["import", &inputs[0], &inputs[1], "--yes", "-o", &text("whole")]);
+    assert!(said.contains("raw Bayer") && said.contains("--plane") && said.contains("--pattern"), "{said}");
+    let whole = run(&["-o", &text("whole"), "--pattern", "mono"]);
+    let out = String::from_utf8_lossy(&whole.stdout);
+    assert!(out.contains("shifted down by 4 bits"), "{out}");
     let plane = run(&["-o", &text("plane"), "--plane", "1,1"]);
     assert!(plane.status.success() && !String::from_utf8_lossy(&plane.stderr).contains("Bayer"));
     let dataset = Dataset::open(&dir.path().join("plane")).unwrap();

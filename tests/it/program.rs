@@ -324,7 +324,10 @@ fn a_camera_is_calibrated_and_its_frames_corrected() {
         refused(&["correct", &at("cal.tiff"), &at(name), "-o", &at("x.tiff")])
     };
     assert!(plain("shifted.tiff", 64 << 4, 16).contains("multiples of"));
-    assert!(plain("deep.tiff", 60_001, 16).contains("bit depth is 16, and was 12"));
+    assert!(
+        plain("deep.tiff", 60_001, 16)
+            .contains("holds 60001 DN, and the largest code of the calibration's 12 bits")
+    );
     assert!(plain("flat8.tiff", 200, 8).contains("bit depth is 8, and was 12"));
     let lit = "[[set]]\nkind = \"target\"\nframes = 2\nexposure_s = 0.003\nillumination = 1.0\n";
     let plan = "format = \"radcam-plan/1\"\n[camera]\nregion = [400, 300, 96, 80]\n";

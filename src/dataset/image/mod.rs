@@ -109,6 +109,23 @@ impl Buffer {
         self.shape = (rows.len(), columns.len());
     }
 
+    /// Keeps the pixel at this row and column of every 2 x 2 cell.
+    pub(super) fn keep_plane(&mut self, [y, x]: [u8; 2]) {
+        let (rows, columns) = self.shape;
+        let half = |pixels: usize, from: u8| pixels.saturating_sub(from.into()).div_ceil(2);
+        let shape = (half(rows, y), half(columns, x));
+        let mut at = 0;
+        for row in (usize::from(y)..rows).step_by(2) {
+            for column in (usize::from(x)..columns).step_by(2) {
+                // Never behind the place that is read.
+                self.dn[at] = self.dn[row * columns + column];
+                at += 1;
+            }
+        }
+        self.dn.truncate(at);
+        self.shape = shape;
+    }
+
     fn set(&mut self, image: Array2<u16>) {
         self.shape = image.dim();
         self.dn.clear();

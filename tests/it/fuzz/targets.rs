@@ -141,6 +141,7 @@ fn request(bytes: &[u8]) {
         let bench = Workbench::open(Options {
             dataset: None,
             others: Vec::new(),
+            plane: None,
             history: None,
             camera: None,
             stream: Default::default(),
