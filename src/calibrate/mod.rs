@@ -249,6 +249,9 @@ pub fn of_dataset(
 /// Rounds in which pixels that the surfaces show to be dead are taken out of them.
 const ROUNDS: usize = 3;
 
+/// Least share of the pixels with light that is left without the rim of the image circle.
+const MIN_SHARE_WITHOUT_RIM: f64 = 0.7;
+
 /// K of one colour, and the pixels that get light. The pixels that are dead, or get no light, tell nothing of the light.
 fn estimate(
     estimator: Estimator,
@@ -257,6 +260,7 @@ fn estimate(
 ) -> Result<(FixedPattern, Lit), CalibrateError> {
     let mut light = Lit::of(images);
     let mut sound = light.lit.clone();
+    let of_light = light.lit_pixels() as f64;
     if !sound.iter().any(|s| *s) {
         return Err(PatternError::NoPixels.into());
     }
@@ -268,7 +272,11 @@ fn estimate(
     };
     let mut pattern = once(&sound)?;
     for _ in 0..ROUNDS {
-        light = light.with_rim(&pattern.k);
+        // A rim that is most of the picture is the lens' shading.
+        let grown = light.clone().with_rim(&pattern.k);
+        if grown.lit_pixels() as f64 >= MIN_SHARE_WITHOUT_RIM * of_light {
+            light = grown;
+        }
         let answers = |&k: &f32, &lit: &bool| lit && (defects::DEAD_K..=1.0 / defects::DEAD_K).contains(&k);
         let now = Zip::from(&pattern.k).and(&light.lit).map_collect(answers);
         if now == sound {

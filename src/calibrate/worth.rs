@@ -32,7 +32,7 @@ pub(super) fn check(
         spread += (f64::from(*k) - 1.0).powi(2);
         of_flats += f64::from(*e).powi(2);
     }
-    if n < MIN_PIXELS || !(pattern.level_dn > 0.0) {
+    if n < MIN_PIXELS || pattern.level_dn.is_nan() || pattern.level_dn <= 0.0 {
         return Ok(());
     }
     let (spread, of_flats) = (spread / n, of_flats / n);

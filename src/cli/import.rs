@@ -143,10 +143,11 @@ fn found(arguments: &Arguments, go_on: &impl Fn() -> bool) -> Result<Map> {
         bail!("no image files there: radcam reads TIFF, PNG, FITS and NumPy arrays (.npy)");
     }
     let mut show = Show::new("read");
-    let Survey { frames, damaged, notes } = survey(&listing.files, arguments.frames_axis.map(usize::from), |done, of| {
-        show.step(done, of);
-        go_on()
-    })?;
+    let Survey { frames, damaged, notes } =
+        survey(&listing.files, arguments.frames_axis.map(usize::from), |done, of| {
+            show.step(done, of);
+            go_on()
+        })?;
     drop(show);
     notes.iter().for_each(|note| tracing::warn!("{note}"));
     if !damaged.is_empty() {

@@ -20,7 +20,6 @@ pub use words::{Signature, signatures};
 
 use crate::agreement::DOUBT;
 use crate::data_faults::DataFault;
-use crate::dataset::Kind;
 use crate::features::LeftOn;
 use crate::inference::{
     Comparison, Effects, Fitted, Residual, by, compare, fit, fit_near, residuals_of, seen, start,
@@ -31,6 +30,7 @@ use crate::observables::{Observations, Setting, covariance};
 use crate::plan::Plan;
 use entry::{describe, reasons};
 use radcam_sim::effects::{Effect, Seen, Take, find, takes};
+use crate::dataset::Kind;
 use radcam_sim::predict::{BaseParameters, SetInfo};
 use rayon::prelude::*;
 use search::{Candidate, NEEDED, is_something, is_told, rivals, score, search, surely_there, without};

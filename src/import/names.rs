@@ -98,7 +98,11 @@ pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
         }
         let mut end = at;
         let mut pointed = false;
-        while digit(end) || (!pointed && matches!(bytes.get(end), Some(b'.' | b',' | b'p')) && digit(end + 1))
+        // flat.0001.10ms: a counter, and no number of 1.1.
+        let padded = (at..at + 3).all(digit) && bytes[at] == b'0';
+        let counter = padded && name[..at].ends_with('.');
+        while digit(end)
+            || (!pointed && !counter && matches!(bytes.get(end), Some(b'.' | b',' | b'p')) && digit(end + 1))
         {
             pointed |= !digit(end);
             end += 1;
@@ -131,7 +135,7 @@ pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
             _ if ends => unit,
             _ => "",
         };
-        let value = values::number(&text.replace('p', ".")).0;
+        let value = in_context(name, at, text, unit, out.last());
         let signed = name[..at].strip_suffix('-');
         let minus = signed.is_some_and(|s| s.is_empty() || s.ends_with(['_', ' ', '(', '=', '-']));
         let degrees = matches!(unit, "C" | "degC") || rest.starts_with("°C");
@@ -186,6 +190,55 @@ pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
         }
     }
     out
+}
+
+/// Shutter speeds 1/n s that are written as `1-250s` where a name cannot have a slash.
+const DENOMINATORS: [f64; 26] = [
+    2.0, 4.0, 8.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 125.0, 160.0, 200.0, 250.0, 320.0,
+    400.0, 500.0, 640.0, 800.0, 1000.0, 2000.0, 2500.0, 4000.0, 8000.0,
+];
+
+/// A number as it is read between what stands in front of it and its unit.
+fn in_context(name: &str, at: usize, text: &str, unit: &str, last: Option<&Number<'_>>) -> Reading {
+    let plain = text.replace('p', ".");
+    let value = values::number(&plain).0;
+    let before = &name[..at];
+    let pointed = plain.contains(['.', ',']);
+    let separated = |head: &str| head.is_empty() || head.ends_with(['_', '-', ' ', '=', '(']);
+    if let Some(last) = last.filter(|l| l.place.end < at) {
+        let between = &name[last.place.end..at];
+        // 10.000,5ms has two signs, and 1s500ms two units.
+        let signs = matches!(between, "." | ",") && last.pointed();
+        if signs || (last.unit.is_empty() && seconds(between).is_some() && seconds(unit).is_some()) {
+            return Reading::None;
+        }
+    }
+    let Reading::One(number) = value else { return value };
+    if let Some(head) = before.strip_suffix('.') {
+        if !pointed && separated(head) {
+            return values::number(&format!("0.{plain}")).0;
+        }
+    }
+    // Points may part the words of this name: flat.12.10ms, 0001.10ms.
+    let of_points = before.strip_suffix('.').is_some_and(|head| head.ends_with(char::is_alphabetic))
+        || (at == 0 && plain.starts_with("00"));
+    if let Some((_, rest)) = plain.split_once('.').filter(|_| of_points) {
+        return values::number(rest).0.one().map_or(value, |rest| Reading::Two(number, rest));
+    }
+    if seconds(unit) == Some(1.0) && !pointed {
+        let alone = |word: &str| {
+            ["_", "-"].iter().any(|sign| {
+                before.strip_suffix(sign).and_then(|head| head.strip_suffix(word)).is_some_and(separated)
+            })
+        };
+        if text.len() == 1 && alone("0") {
+            return Reading::Two(number, number / 10.0);
+        }
+        if before.ends_with("1-") && alone("1") && DENOMINATORS.contains(&number) {
+            return Reading::Two(number, 1.0 / number);
+        }
+    }
+    value
 }
 
 /// Whether a digit is one of `2x2`.
@@ -412,6 +465,17 @@ mod tests {
             ("", "Bias_0.000s_001.fits", Some(0.0), None, Some(Kind::Dark)),
             ("10ms", "x1f06db.tif", Some(0.01), Some(6.0), None),
             ("10ms", "aa1f06db.tif", Some(0.01), None, None),
+            ("", "dark_.5s_1.tif", Some(0.5), None, Some(Kind::Dark)),
+            ("", "dark.0001.10ms.tif", Some(0.01), None, Some(Kind::Dark)),
+            ("", "0001.10ms.tif", None, None, None),
+            ("", "dark_0010.50ms_1.tif", Some(0.0105), None, Some(Kind::Dark)),
+            ("", "dark.10ms.0001.tif", Some(0.01), None, Some(Kind::Dark)),
+            ("", "dark.12.10ms.tif", None, None, Some(Kind::Dark)),
+            ("", "dark_0_5s_1.tif", None, None, Some(Kind::Dark)),
+            ("", "dark_1-250s_1.tif", None, None, Some(Kind::Dark)),
+            ("", "dark_3_250s_1.tif", Some(250.0), None, Some(Kind::Dark)),
+            ("", "dark_10.000,5ms_1.tif", None, None, Some(Kind::Dark)),
+            ("", "dark_1s500ms_0.tif", None, None, Some(Kind::Dark)),
             ("", "dark_0ms_001.fits", None, None, Some(Kind::Dark)),
             ("", "Dark_300_secs_001.fits", Some(300.0), None, Some(Kind::Dark)),
             ("", "WhiteField 20 ms 3.tif", Some(0.02), None, Some(Kind::Flat)),

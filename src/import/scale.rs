@@ -1,8 +1,8 @@
-//! What one code of a dataset is in its files: stretched codes are taken back to those of the converter, signed and
-//! floating-point numbers become codes.
+//! What one code of a dataset is in its files: stretched codes are taken back to those of the converter, signed
+//! and floating-point numbers become codes.
 //!
-//! A dataset has codes of up to 16 bits, and quantisation of one code is part of its physics (a variance of 1/12). So a
-//! code must be a step of the converter, or fine against the noise.
+//! A dataset has codes of up to 16 bits, and quantisation of one code is part of its physics (a variance of
+//! 1/12). So a code must be a step of the converter, or fine against the noise.
 
 use crate::dataset::image::Values;
 use crate::number::six_digits;
@@ -88,8 +88,8 @@ impl Scale {
 /// Distinct numbers that are kept: continuous numbers have as many as pixels.
 const MAX_DISTINCT: usize = 200_000;
 
-/// Temporal noise, in the unit of the files, from which on floating-point numbers are rounded to whole codes: quantisation
-/// is then a twelfth of the noise at most, and accounted for (q^2/12).
+/// Temporal noise, in the unit of the files, from which on floating-point numbers are rounded to whole codes:
+/// quantisation is then a twelfth of the noise at most, and accounted for (q^2/12).
 const MIN_NOISE_OF_WHOLE_CODES: f64 = 1.0;
 
 /// The values of all frames, as far as they tell the scale.
@@ -97,7 +97,6 @@ const MIN_NOISE_OF_WHOLE_CODES: f64 = 1.0;
 pub struct Census {
     occurring: Occurring,
     numbers: Option<Numbers>,
-    frames: usize,
 }
 
 #[derive(Debug)]
@@ -118,7 +117,6 @@ impl Census {
     ///
     /// Where it holds what is no number.
     pub fn add(&mut self, values: &Values) -> Result<(), String> {
-        self.frames += 1;
         let numbers = match values {
             Values::Codes(codes) => {
                 codes.rows().into_iter().for_each(|row| match row.as_slice() {

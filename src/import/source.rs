@@ -15,7 +15,8 @@ enum Kind {
     Array(npy::Stack),
 }
 
-/// Share of their mean by which three planes of a cube differ at most where they are frames: colours differ by more.
+/// Share of their mean by which three planes of a cube differ at most where they are frames: colours differ by
+/// more.
 const SAME_LEVEL: f64 = 0.02;
 
 impl Source {

@@ -75,7 +75,7 @@ pub(super) fn fit(points: &[Point], gain: f64, constant: f64, of_line: (f64, usi
     }
     let mut curve = best?;
     let own = curve.chi2 / curve.dof.max(1) as f64;
-    if curve.dof == 0 || own > MAX_RATIO * line || !(curve.gain.0 > 0.0) {
+    if curve.dof == 0 || own > MAX_RATIO * line || curve.gain.0.is_nan() || curve.gain.0 <= 0.0 {
         return None;
     }
     // Residuals beyond the errors widen them.
@@ -89,7 +89,7 @@ pub(super) fn fit(points: &[Point], gain: f64, constant: f64, of_line: (f64, usi
 fn of_order(used: &[&Point], order: usize, gain: f64, constant: f64) -> Option<Curve> {
     let n = order + 1;
     let top = used.iter().map(|p| p.mean_dn).fold(0.0, f64::max);
-    if used.len() <= n || !(top > 0.0) {
+    if used.len() <= n || top <= 0.0 {
         return None;
     }
     let mut values: Vec<f64> = used.iter().map(|p| p.var_dn2.max(1e-12)).collect();

@@ -319,7 +319,7 @@ pub fn points(measured: &Measured, zero: &Zero) -> Vec<Point> {
         let mean_dn = level.mean_dn - zero.dn;
         // What unequal light makes of the field's shape.
         let by_light = if *kind == Kind::Flat { light.var_dn2(level, mean_dn) } else { 0.0 };
-        let by_rounding = by_rounding(level, noise_spread_dn4, step_dn);
+        let by_rounding = by_rounding(level, step_dn);
         let of_pair = |p: &crate::statistics::level::Pair| {
             let (mean, moved) = (p.mean_dn - zero.dn, 0.5 * p.difference_dn * p.difference_dn);
             let by_light = if *kind == Kind::Flat { light.of_scatter(level, moved, mean_dn) } else { 0.0 };
@@ -346,13 +346,17 @@ pub fn points(measured: &Measured, zero: &Zero) -> Vec<Point> {
     points
 }
 
-/// Share of the correction for rounding that is not known: how the pixels' noise is distributed.
-const ROUNDING_ERROR: f64 = 0.25;
+/// Share of the correction for rounding that is not known: equal pixels have two thirds of it, and pixels that differ twice
+/// as much four thirds.
+const ROUNDING_ERROR: f64 = 0.33;
+/// Variance of the logarithm of the pixels' noise variances: a standard deviation of the noise of 15 % (log-normal), as the
+/// data sheets of CMOS sensors have it. Rounded noise itself does not tell it.
+const USUAL_LOG_VAR: f64 = 0.09;
 
 /// Variance of a level beyond that before rounding and q^2/12, DN^2: noise of about half a step has more or less, by where its
-/// level lies between two codes and how far the pixels' levels spread. The pixels' read noise is lognormal, with variances
-/// that spread by `noise_spread_dn4` (Johnson, Kotz and Balakrishnan 1994, ch. 14).
-fn by_rounding(level: &Level, noise_spread_dn4: f64, step_dn: f64) -> f64 {
+/// level lies between two codes, how far the pixels' levels spread, and how the pixels differ in noise (log-normal: Johnson,
+/// Kotz and Balakrishnan 1994, ch. 14).
+fn by_rounding(level: &Level, step_dn: f64) -> f64 {
     // All in steps of the converter.
     let square = step_dn * step_dn;
     let (mean, var) = (level.mean_dn / step_dn, level.var_dn2 / square);
@@ -360,12 +364,9 @@ fn by_rounding(level: &Level, noise_spread_dn4: f64, step_dn: f64) -> f64 {
     if !(COARSE..WIDE).contains(&var) || !(mean + spread).is_finite() {
         return 0.0;
     }
-    // Variance before rounding over its mean: exp(s z - s^2 / 2) with this s^2.
-    let relative = noise_spread_dn4 / (square * (var - 1.0 / 12.0)).powi(2);
-    let log_var = (1.0 + relative).ln().min(1.0);
     let seen = |before: f64| {
         let of = |&(z, weight): &(f64, f64)| {
-            let own = before * (log_var.sqrt() * z - 0.5 * log_var).exp();
+            let own = before * (USUAL_LOG_VAR.sqrt() * z - 0.5 * USUAL_LOG_VAR).exp();
             weight * (own + rounded(mean, spread, own).variance)
         };
         NORMAL_POINTS.iter().map(of).sum::<f64>()
@@ -452,7 +453,7 @@ fn exclude_clamped_darks(measured: &Measured, points: &mut [Point]) {
     let above = |i: usize| points[i].var_dn2 - base;
     let gains = of(Kind::Flat).filter(|f| usable(&f.0) && own(f.0) > 0.0).map(|f| above(f.0) / own(f.0));
     let gain = crate::statistics::median::median(gains);
-    if !(gain > 0.0) {
+    if gain.is_nan() || gain <= 0.0 {
         return;
     }
     let clamped = |i: usize| {

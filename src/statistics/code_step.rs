@@ -1,8 +1,8 @@
 //! Step of a converter whose codes were stretched, found from the codes that occur.
 //!
-//! Programs and cameras store 8 to 14 bits in 16: times 16 or 257, with the bits repeated, or scaled by 65535/4095 and
-//! rounded. All of these are floor(step k + offset) of whole k: a digital straight line. A line is accepted if every
-//! code lies on it, and if that is no accident.
+//! Programs and cameras store 8 to 14 bits in 16: times 16 or 257, with the bits repeated, or scaled by
+//! 65535/4095 and rounded. All of these are floor(step k + offset) of whole k: a digital straight line. A line is
+//! accepted if every code lies on it, and if that is no accident.
 
 /// How often each value of 16 bits occurs.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -14,8 +14,8 @@ impl Default for Occurring {
     }
 }
 
-/// Share of the samples that may lie off the line: pixels that a camera fills in from their neighbours after its codes
-/// were stretched (a named choice; a thousandth of the pixels moves no statistic).
+/// Share of the samples that may lie off the line: pixels that a camera fills in from their neighbours after its
+/// codes were stretched (a named choice; a thousandth of the pixels moves no statistic).
 const MAX_STRAY: f64 = 1e-3;
 
 impl Occurring {
@@ -43,8 +43,8 @@ impl Occurring {
     /// Step and offset of stretched codes, or `None` where neighbouring codes occur or too few codes to tell.
     pub fn stretch(&self) -> Option<Stretch> {
         let codes = self.codes();
-        // The ends of the range are no codes of the converter where values were cut off there. A whole step is tried
-        // first: with one code off, a step that is almost whole fits too.
+        // The ends of the range are no codes of the converter where values were cut off there. A whole step is
+        // tried first: with one code off, a step that is almost whole fits too.
         let n = codes.len();
         let parts = [(0, n), (0, n.saturating_sub(1)), (1, n)];
         let cut = |(from, to): (usize, usize)| codes.get(from..to.max(from)).unwrap_or(&[]);
@@ -64,7 +64,8 @@ impl Occurring {
         of_whole_codes(&self.more_often_than(limit.last().copied()?))
     }
 
-    /// True where noise covers four successive codes, as far apart as those that lie nearest, and none between them.
+    /// True where noise covers four successive codes, as far apart as those that lie nearest, and none between
+    /// them.
     fn has_a_run(&self) -> bool {
         /// Samples of a code from which an empty neighbour is no chance.
         const MIN_SAMPLES: u64 = 30;
@@ -90,7 +91,8 @@ pub struct Stretch {
 }
 
 impl Stretch {
-    /// Code of a value. What is off the line of stretched codes belongs to the code below: they were cut off at full scale.
+    /// Code of a value. What is off the line of stretched codes belongs to the code below: they were cut off at
+    /// full scale.
     pub fn code(&self, value: f64) -> f64 {
         if self.step < 2.0 {
             return ((value - self.zero) / self.step).round();
@@ -103,12 +105,12 @@ impl Stretch {
 /// Smallest chance that codes lie on a line by accident which is taken for one: exp(-14), one in a million.
 const MIN_EVIDENCE: f64 = 14.0;
 
-/// Width of the band about its line that rounded codes leave: less than 1, whatever way they are rounded. Of steps
-/// m / (2^15 - 1) it is 1 - 3e-5; at 1 every second number lies on a line of step 2.
+/// Width of the band about its line that rounded codes leave: less than 1, whatever way they are rounded. Of
+/// steps m / (2^15 - 1) it is 1 - 3e-5; at 1 every second number lies on a line of step 2.
 const WHOLE: f64 = 1.0 - 1e-5;
 
-/// The same where four successive codes were seen often: codes of a converter have neighbours there (a named choice; two
-/// more codes at a step of 4).
+/// The same where four successive codes were seen often: codes of a converter have neighbours there (a named
+/// choice; two more codes at a step of 4).
 const MIN_EVIDENCE_OF_A_RUN: f64 = 4.0;
 
 /// Greatest common divisor of the distances of sorted whole values.
@@ -165,8 +167,8 @@ fn of_sorted(values: &[f64], window: f64, least: f64) -> Option<Stretch> {
         (width <= window && step >= least && evidence > MIN_EVIDENCE)
             .then(|| Stretch { step, zero: zero - step * (zero / step).round() })
     };
-    // A run of n steps tells their size to about 2 / n, which does not count the steps of a large gap: what programs
-    // stretch by comes first.
+    // A run of n steps tells their size to about 2 / n, which does not count the steps of a large gap: what
+    // programs stretch by comes first.
     let near = |q: &f64| window == WHOLE && (q - step).abs() <= 2.0 / longest as f64 + 1e-9;
     let known = usual_steps().into_iter().filter(near);
     let on_grid = |q: f64| values.iter().map(|v| ((v - values[from]) / q).round()).collect();

@@ -92,6 +92,11 @@ impl Lit {
         inside.iter().all(|b| !b).then_some([rows, columns])
     }
 
+    /// Number of pixels with light.
+    pub fn lit_pixels(&self) -> usize {
+        self.lit.iter().filter(|l| **l).count()
+    }
+
     /// Number of blind pixels.
     pub fn blind_pixels(&self) -> usize {
         self.blind.iter().filter(|b| **b).count()

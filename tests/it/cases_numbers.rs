@@ -231,6 +231,19 @@ fn dead_pixels_are_flagged_and_the_calibration_is_usable() {
     }
 }
 
+/// A lens that falls off to nothing over a third of its circle: the rest of the field is calibrated.
+#[test]
+fn a_wide_rim_is_no_reason_to_calibrate_nothing() {
+    let bench = Bench::new();
+    let off = |y: usize, x: usize| (y as f64 - 63.5).hypot(x as f64 - 63.5);
+    let mut camera = Camera::new(20, |y, x| ((62.0 - off(y, x)) / 20.0).clamp(0.0, 1.0));
+    [10, 100].iter().for_each(|ms| bench.dark(&mut camera, 8, *ms));
+    [10, 20, 30, 40].iter().for_each(|ms| bench.flat(&mut camera, 8, *ms, 150.0));
+    bench.import();
+    let (cal, _) = bench.calibrated(&mut camera, "smooth");
+    assert!(cal.defects[(63, 63)] == 0 && cal.defects[(0, 0)] == BLIND);
+}
+
 /// Gives every set of flats its own configuration.
 fn configurations(dataset: &str) {
     let path = Path::new(dataset).join("frames.csv");
@@ -245,6 +258,9 @@ fn configurations(dataset: &str) {
     fs::write(path, text.lines().map(line).collect::<Vec<_>>().join("\n") + "\n").unwrap();
 }
 
+/// Light at a row and a column.
+type Shape<'a> = &'a dyn Fn(usize, usize) -> f64;
+
 /// Case 19: an image circle smaller than the sensor, and optically black columns. They are blind, and K of the rest has its
 /// 1 %.
 #[test]
@@ -254,7 +270,7 @@ fn pixels_without_light_are_blind_and_the_rest_is_measured() {
         ((62.0 - off) / 4.0).clamp(0.0, 1.0)
     };
     let black = |_: usize, x: usize| if x < 4 { 0.0 } else { 1.0 };
-    let shapes: [(&dyn Fn(usize, usize) -> f64, f64); 2] = [(&circle, 0.355), (&black, 4.0 / 128.0)];
+    let shapes: [(Shape<'_>, f64); 2] = [(&circle, 0.355), (&black, 4.0 / 128.0)];
     for (shape, blind) in shapes {
         let bench = Bench::new();
         let mut camera = Camera::new(19, shape);

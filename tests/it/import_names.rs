@@ -328,6 +328,11 @@ fn times_that_are_no_exposures() {
     for (folder, name, part) in [
         ("clock", "dark_12_30_45s.tif", "exposure_s of set 0"),
         ("letters", "dark_10h30m12s.tif", "exposure_s of set 0"),
+        ("fraction", "dark_0_5s_1.tif", "is 5 or 0.5 s"),
+        ("shutter", "dark_1-250s_1.tif", "is 250 or 0.004 s"),
+        ("points", "dark.12.10ms.tif", "is 12.1 or 10 ms"),
+        ("two units", "dark_1s500ms_0.tif", "exposure_s of set 0"),
+        ("two signs", "dark_10.000,5ms_1.tif", "exposure_s of set 0"),
         ("two", "dark_10ms_20ms_1.tif", "tells 0.01 s and 0.02 s"),
         ("parts", "dark_2m30s_1.tif", "exposure_s of set 0"),
         ("apart", "20ms/dark_10ms_1.tif", "the folder 20ms says 0.02 s"),

@@ -236,8 +236,8 @@ impl Bits<'_> {
     }
 }
 
-/// Numbers of a tile compressed after Rice (section 10.4.1): blocks of differences, each with its own number of low
-/// bits. Numbers of 1 byte are unsigned, those of 2 and 4 signed, as BITPIX has them.
+/// Numbers of a tile compressed after Rice (section 10.4.1): blocks of differences, each with its own number of
+/// low bits. Numbers of 1 byte are unsigned, those of 2 and 4 signed, as BITPIX has them.
 fn rice(bytes: &[u8], pixels: usize, block: usize, width: usize) -> Option<Vec<i32>> {
     let (split_bits, most) = match width {
         1 => (3, 6),

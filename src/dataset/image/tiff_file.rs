@@ -1,8 +1,8 @@
 //! TIFF: any page of a file, by an index of its directories.
 //!
-//! The crate `tiff` decodes. It reaches page n by reading the n pages before it, so that a stack would take time with
-//! the square of its pages: the index finds the directories once, and the decoder is shown a file whose first
-//! directory is the one that is asked for.
+//! The crate `tiff` decodes. It reaches page n by reading the n pages before it, so that a stack would take time
+//! with the square of its pages: the index finds the directories once, and the decoder is shown a file whose
+//! first directory is the one that is asked for.
 
 use super::{Buffer, ImageError, Values, array};
 use std::collections::HashSet;
@@ -35,7 +35,8 @@ struct Directory {
     sub: Vec<u64>,
 }
 
-/// PhotometricInterpretation of a colour-filter mosaic (TIFF/EP) and of its planes (DNG): codes as the sensor gives them.
+/// PhotometricInterpretation of a colour-filter mosaic (TIFF/EP) and of its planes (DNG): codes as the sensor
+/// gives them.
 const CFA: u16 = 32_803;
 const LINEAR_RAW: u16 = 34_892;
 
@@ -92,10 +93,10 @@ impl Directories {
         let (count_bytes, entry_bytes, pointer) = if self.big_tiff { (8, 20, 8) } else { (2, 12, 4) };
         let mut bytes = [0u8; 8];
         file.seek(SeekFrom::Start(at))?;
-        file.read_exact(&mut bytes[..count_bytes])?;
+        file.read_exact(&mut bytes[..count_bytes]).map_err(tiff::TiffError::from)?;
         let count = number(&bytes[..count_bytes], self.big_endian).min(1 << 16) as usize;
         let mut entries = vec![0u8; count * entry_bytes + pointer];
-        file.read_exact(&mut entries)?;
+        file.read_exact(&mut entries).map_err(tiff::TiffError::from)?;
         let next = number(&entries[count * entry_bytes..], self.big_endian);
         let mut out = Directory { at, ..Directory::default() };
         for (k, entry) in entries[..count * entry_bytes].chunks_exact(entry_bytes).enumerate() {
@@ -134,8 +135,8 @@ impl Directories {
         Ok((out, next))
     }
 
-    /// Numbers of the pages that are frames: thumbnails and masks are none. A file that has nothing but a thumbnail
-    /// keeps its frame in a SubIFD (DNG).
+    /// Numbers of the pages that are frames: thumbnails and masks are none. A file that has nothing but a
+    /// thumbnail keeps its frame in a SubIFD (DNG).
     pub(super) fn frames(&self) -> Vec<usize> {
         if self.contiguous > 1 {
             return (0..self.contiguous).collect();
