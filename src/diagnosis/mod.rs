@@ -20,6 +20,7 @@ pub use words::{Signature, signatures};
 
 use crate::agreement::DOUBT;
 use crate::data_faults::DataFault;
+use crate::dataset::Kind;
 use crate::features::LeftOn;
 use crate::inference::{
     Comparison, Effects, Fitted, Residual, by, compare, fit, fit_near, residuals_of, seen, start,
@@ -30,7 +31,6 @@ use crate::observables::{Observations, Setting, covariance};
 use crate::plan::Plan;
 use entry::{describe, reasons};
 use radcam_sim::effects::{Effect, Seen, Take, find, takes};
-use crate::dataset::Kind;
 use radcam_sim::predict::{BaseParameters, SetInfo};
 use rayon::prelude::*;
 use search::{Candidate, NEEDED, is_something, is_told, rivals, score, search, surely_there, without};
@@ -222,10 +222,10 @@ pub fn diagnose(
 const CUT_OFF: f64 = 0.002;
 
 /// The model, by which noise below code 0 is not cut off where so much of it is that the black level is too low:
-/// what is missing then is black-clipping.
+/// what is missing then is black-clipping. A camera that states that it has no black level cuts by design.
 fn with_room_below(all: &Observations, model: Fitted) -> Fitted {
     let has_it = model.effects.iter().any(|(e, _)| e.id() == "black-clipping");
-    if !all.campaign.from_code_0 || has_it || !model.base.cut_at_0 {
+    if !all.campaign.from_code_0 || all.no_black_level || has_it || !model.base.cut_at_0 {
         return model;
     }
     let base = &model.base;

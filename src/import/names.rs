@@ -214,10 +214,8 @@ fn in_context(name: &str, at: usize, text: &str, unit: &str, last: Option<&Numbe
         }
     }
     let Reading::One(number) = value else { return value };
-    if let Some(head) = before.strip_suffix('.') {
-        if !pointed && separated(head) {
-            return values::number(&format!("0.{plain}")).0;
-        }
+    if !pointed && before.strip_suffix('.').is_some_and(separated) {
+        return values::number(&format!("0.{plain}")).0;
     }
     // Points may part the words of this name: flat.12.10ms, 0001.10ms.
     let of_points = before.strip_suffix('.').is_some_and(|head| head.ends_with(char::is_alphabetic))

@@ -1,7 +1,7 @@
 //! What is free in a fit, as one list of values over their scales, and the light factors beside it.
 
 use super::model::Effects;
-use super::start::{zero_bounds, MOST_SPREAD, has_flats, of_darks, reference_level};
+use super::start::{MOST_SPREAD, has_flats, of_darks, reference_level, zero_bounds};
 use crate::dataset::Kind;
 use crate::observables::{Half, Observations, Setting, mean, unequal};
 use radcam_sim::effects::{Effect, Parameter};

@@ -83,6 +83,8 @@ pub struct Observations {
     pub pixel_noise: Option<PixelNoise>,
     /// Code below which one in two hundred samples of the darks lies.
     pub darkest_dn: Option<f64>,
+    /// Whether the camera states that it has no black level: its darks are cut off at code 0 by design.
+    pub no_black_level: bool,
 }
 
 impl Observations {
@@ -404,6 +406,7 @@ pub fn of_dataset(
         together_dn4,
         pixel_noise,
         darkest_dn,
+        no_black_level: camera.black_level_dn.is_some_and(|level| level <= 0.0),
     };
     if !no_flats && !all.tells_dark_current(None) {
         all.missing.push(

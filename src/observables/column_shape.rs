@@ -79,8 +79,7 @@ impl Statistic for ColumnShape {
             let of_columns = v * line_mean(py, rows as f64);
             (of_columns * libm::cos(px * lag as f64), of_columns)
         };
-        let (striped, stripes) =
-            s.lines.iter().map(of_line).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+        let (striped, stripes) = s.lines.iter().map(of_line).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
         let own = (s.shot.across_lag(0) + s.read.across_lag(0)) / rows as f64 + s.column.lag(0);
         let alone = own / (((columns - lag) as f64) * view.dof).sqrt();
         let single = in_quadrature(&[s.unsure_var, view.rough.1]) / rows as f64;

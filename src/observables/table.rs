@@ -129,6 +129,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         together_dn4: None,
         pixel_noise: None,
         darkest_dn: None,
+        no_black_level: false,
         campaign: Campaign {
             frames,
             sets,

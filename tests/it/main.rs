@@ -33,6 +33,7 @@ mod program;
 mod real;
 mod reduction;
 mod report;
+mod sensors;
 mod support;
 
 #[cfg(feature = "aravis")]

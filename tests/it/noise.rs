@@ -22,7 +22,13 @@ fn campaign(sensor: &Sensor, number: u64) -> Measured {
         level.add(&[&frames[0], &frames[1]]).unwrap();
         levels.push((i as u32, Kind::Flat, c.exposure_s, level.finish().unwrap()));
     }
-    Measured { levels, full_scale_dn: 255.0, black_level_dn: Some(0.0), code_step_dn: 1.0, saturated: Vec::new() }
+    Measured {
+        levels,
+        full_scale_dn: 255.0,
+        black_level_dn: Some(0.0),
+        code_step_dn: 1.0,
+        saturated: Vec::new(),
+    }
 }
 
 /// Distance of an ordered sample from a distribution and its chance (Kolmogorov; Marsaglia's asymptotic series).

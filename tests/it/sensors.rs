@@ -1,0 +1,67 @@
+//! What sensors as they are sold do at the ends of their range, and what one level of light cannot tell.
+
+use crate::effects::{campaign, with};
+use crate::support::{expect, radcam, shared, small};
+use serde_json::Value;
+use std::path::Path;
+
+fn diagnosed(path: &Path) -> Value {
+    serde_json::from_slice(&radcam(&["diagnose", path.to_str().unwrap(), "--json"]).stdout).unwrap()
+}
+
+fn first(json: &Value) -> &str {
+    json["missing"][0]["effect"].as_str().unwrap_or_default()
+}
+
+/// The last fifth of a well fills ever more slowly: a full well, whose size and softness come back within four of
+/// their errors, and no nonlinearity. A bend of the amplifier is one still.
+#[test]
+fn a_soft_well_is_a_full_well() {
+    let dir = tempfile::tempdir().unwrap();
+    let model = small("cmos12", 128, 96);
+    let truth = [0.8 * f64::from(model.full_scale_dn()) / model.base.gain_dn_per_e, 1.0, 0.2];
+    campaign(with(model.clone(), "full-well-saturation", &truth), &dir.path().join("soft"));
+    let json = diagnosed(&dir.path().join("soft"));
+    assert_eq!(first(&json), "full-well-saturation", "{json:#}");
+    for (name, truth) in [("full_well_e", truth[0]), ("softness", truth[2])] {
+        let of = |part: &str| json["missing"][0]["parameters"][name][part].as_f64().unwrap();
+        assert!((of("value") - truth).abs() < 4.0 * of("std_err"), "{name}: {json:#}");
+    }
+    campaign(with(model, "nonlinearity", &[0.0, 0.03]), &dir.path().join("bent"));
+    assert_eq!(first(&diagnosed(&dir.path().join("bent"))), "nonlinearity");
+}
+
+/// A black level of 1.5 deviations of the noise: 2 % of the darks' samples are cut off at code 0, and that is said. At
+/// eight deviations nothing is missing.
+#[test]
+fn darks_that_reach_code_0_are_said() {
+    for (deviations, named) in [(1.5, "black-clipping"), (8.0, "")] {
+        let dir = tempfile::tempdir().unwrap();
+        let mut model = small("cmos12", 128, 96);
+        model.base.black_level_dn = deviations * model.constant_noise_var_dn2(0.0).sqrt();
+        campaign(model, &dir.path().join("c"));
+        let json = diagnosed(&dir.path().join("c"));
+        assert_eq!(first(&json), named, "{deviations}: {json:#}");
+    }
+}
+
+/// One flat level of a colour camera and darks whose level falls while their noise grows (ASI178MC, shared/real): no
+/// curve can be drawn through one level, and none is named; row noise is within a tenth of what numpy finds, the
+/// clamp and the unequal flats are in the list.
+#[test]
+fn one_level_of_light_draws_no_curve() {
+    let Some(root) = shared("real/asi178") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    expect(0, &["import", root.to_str().unwrap(), "--plane", "0,0", "-o", &at("c"), "--yes"]);
+    let json = diagnosed(&dir.path().join("c"));
+    let names: Vec<&str> =
+        json["missing"].as_array().unwrap().iter().filter_map(|m| m["effect"].as_str()).collect();
+    assert!(!names.contains(&"nonlinearity"), "{names:?}");
+    for name in ["row-noise", "illumination-flicker", "black-level-clamp"] {
+        assert!(names.contains(&name), "{name}: {names:?}");
+    }
+    let row = json["missing"].as_array().unwrap().iter().find(|m| m["effect"] == "row-noise").unwrap();
+    let e = row["parameters"]["e"]["value"].as_f64().unwrap();
+    assert!((e / 0.52 - 1.0).abs() < 0.1, "{e}");
+}
