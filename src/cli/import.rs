@@ -5,7 +5,7 @@ use super::common::{STOP, plane};
 use super::progress::Show;
 use crate::dataset::{planes_in_words, write_whole};
 use crate::import::{
-    Found, MOSAIC, Map, MapSet, PATTERNS, Survey, list, mosaic, must_be_free, propose, stated_mosaic, survey,
+    Found, MOSAIC, Map, MapSet, PATTERNS, Survey, list, mosaic, mosaics_at_odds, must_be_free, propose, stated_mosaic, survey,
     write,
 };
 use anyhow::{Context, Result, bail};
@@ -173,6 +173,15 @@ fn found(arguments: &Arguments, go_on: &impl Fn() -> bool) -> Result<Map> {
 fn kept_whole(found: &[Found], arguments: &Arguments) -> Result<Option<String>> {
     if arguments.plane.is_some() {
         return Ok(None);
+    }
+    if let (None, Some([one, other])) = (&arguments.pattern, mosaics_at_odds(found)) {
+        bail!(
+            "{}: the colour pattern is {}, and of {} it is {}: import them apart, or say which with --pattern",
+            one.0.display(),
+            one.1,
+            other.0.display(),
+            other.1
+        );
     }
     match (&arguments.pattern, stated_mosaic(found)) {
         (Some(given), said) => {

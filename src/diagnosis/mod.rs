@@ -177,10 +177,21 @@ pub fn diagnose(
     progress: &mut dyn FnMut(&str),
 ) -> Diagnosis {
     let base = base.unwrap_or_else(|| start(all));
-    let model = with_room_below(all, fit(all, &base, &effects));
+    let cut = fit(all, &base, &effects);
+    // Codes end at 0: where noise reaches below, it is cut off for certain, and the search goes on from there.
+    let open = with_room_below(all, &cut);
+    let (model, start) = match open {
+        Some(open) => {
+            let mut effects = open.effects.clone();
+            effects.extend(find("black-clipping").map(|e| (e, AT_CODE_0.to_vec())));
+            let clipped = fit(all, &open.base, &effects);
+            (open, clipped)
+        }
+        None => (cut.clone(), cut),
+    };
     let first = compare(all, &model);
     progress(&format!("error {:.2}", first.error));
-    let found = search(all, &model, first.error > FAR, progress);
+    let found = search(all, &start, first.error > FAR, progress);
     let (mut parts, mut whole, mut last) = parts(all, &model, found.fitted, found.first, &first);
     let mut notes = all.missing.clone();
     let weak = || parts.iter().all(|p| !surely_there(all, &whole, p.effect));
@@ -221,12 +232,15 @@ pub fn diagnose(
 /// cut off at 2.9 deviations, the noise's variance loses half a per cent).
 const CUT_OFF: f64 = 0.002;
 
-/// The model, by which noise below code 0 is not cut off where so much of it is that the black level is too low:
+/// black-clipping at code 0.
+const AT_CODE_0: [f64; 2] = [0.0, 1.0];
+
+/// The model with noise below code 0 that is not cut off, where so much of it is that the black level is too low:
 /// what is missing then is black-clipping. A camera that states that it has no black level cuts by design.
-fn with_room_below(all: &Observations, model: Fitted) -> Fitted {
+fn with_room_below(all: &Observations, model: &Fitted) -> Option<Fitted> {
     let has_it = model.effects.iter().any(|(e, _)| e.id() == "black-clipping");
     if !all.campaign.from_code_0 || all.no_black_level || has_it || !model.base.cut_at_0 {
-        return model;
+        return None;
     }
     let base = &model.base;
     let darks = all.campaign.sets.iter().zip(&all.kinds).filter(|(_, kind)| **kind == Kind::Dark);
@@ -238,11 +252,11 @@ fn with_room_below(all: &Observations, model: Fitted) -> Fitted {
     };
     let most = darks.map(|(set, _)| below(set)).fold(0.0, f64::max);
     if most < CUT_OFF {
-        return model;
+        return None;
     }
     tracing::debug!("{most:.4} of a dark's samples fall below code 0");
     let open = BaseParameters { cut_at_0: false, ..base.clone() };
-    fit(all, &open, &model.effects)
+    Some(fit(all, &open, &model.effects))
 }
 
 /// What was left on in the camera and acts like an effect; of `unknown` everything.

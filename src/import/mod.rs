@@ -301,6 +301,13 @@ pub fn stated_mosaic(found: &[Found]) -> Option<String> {
     found.iter().find_map(|f| f.facts.mosaic.clone())
 }
 
+/// Two files whose headers tell of two colour filters, with what they say.
+pub fn mosaics_at_odds(found: &[Found]) -> Option<[(&Path, &str); 2]> {
+    let mut stated = found.iter().filter_map(|f| Some((f.path.as_path(), f.facts.mosaic.as_deref()?)));
+    let first = stated.next()?;
+    stated.find(|other| other.1 != first.1).map(|other| [first, other])
+}
+
 /// By how much the four places of a 2 x 2 cell differ in the brightest frame, over its signal: raw Bayer frames do by tens of per cent.
 pub fn mosaic(found: &[Found]) -> f64 {
     let lowest = found.iter().map(|f| f.mean_dn).fold(f64::INFINITY, f64::min);

@@ -231,19 +231,6 @@ fn dead_pixels_are_flagged_and_the_calibration_is_usable() {
     }
 }
 
-/// A lens that falls off to nothing over a third of its circle: the rest of the field is calibrated.
-#[test]
-fn a_wide_rim_is_no_reason_to_calibrate_nothing() {
-    let bench = Bench::new();
-    let off = |y: usize, x: usize| (y as f64 - 63.5).hypot(x as f64 - 63.5);
-    let mut camera = Camera::new(20, |y, x| ((62.0 - off(y, x)) / 20.0).clamp(0.0, 1.0));
-    [10, 100].iter().for_each(|ms| bench.dark(&mut camera, 8, *ms));
-    [10, 20, 30, 40].iter().for_each(|ms| bench.flat(&mut camera, 8, *ms, 150.0));
-    bench.import();
-    let (cal, _) = bench.calibrated(&mut camera, "smooth");
-    assert!(cal.defects[(63, 63)] == 0 && cal.defects[(0, 0)] == BLIND);
-}
-
 /// Gives every set of flats its own configuration.
 fn configurations(dataset: &str) {
     let path = Path::new(dataset).join("frames.csv");

@@ -374,7 +374,7 @@ fn campaigns_stand_side_by_side() {
     let w = Running::start(&[&clean, &noisy, &missing].map(|p| p.to_str().unwrap()));
     w.wait("/", "The model describes the camera");
     w.send("/runs/read", "");
-    let page = w.wait("/runs", "nowhere/dataset.toml");
+    let page = w.wait("/runs", "nowhere: there is no such file or folder");
     assert!(page.contains("row-noise") && page.contains("(this one)"), "{page}");
 }
 

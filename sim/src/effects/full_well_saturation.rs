@@ -77,7 +77,7 @@ impl Effect for FullWellSaturation {
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
-        Some(vec![0.8 * plain.range_e, 0.0, 0.0])
+        Some(vec![0.8 * plain.range_e, 0.0, 0.2])
     }
 
     fn scaled(&self, values: &[f64], by: f64) -> Vec<f64> {
