@@ -441,7 +441,7 @@ def offset_drift(c, v, f):
     return v + c.s * f.t
 
 
-@kind("black level too low", CLEAN, (0.4, 2), "1", "constants")
+@kind("black level too low", "black-clipping", (0.6, 2), "1", "constants")
 def black_low(c, _, f):
     """Black level = read noise / s, without an offset pattern; codes below 0 are cut."""
     c.black, c.offset = c.read * c.gain / c.s, np.zeros((c.n, c.n))

@@ -91,7 +91,7 @@ impl Effect for BlackClipping {
 
     fn page(&self) -> Page {
         Page {
-            what: "The black level is too low, or the camera cuts off what lies below it: half of the dark noise is lost.",
+            what: "The black level is too low, or the camera cuts off what lies below it: that part of the dark noise is lost.",
             equation: "v' = max(v, level), from the black level; at 1: D = max(D, 0)",
             signature: "darks have less variance and a higher mean than the line says; one code occurs far too often",
             look_alikes: "a wrong zero moves all levels alike",
