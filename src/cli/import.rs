@@ -5,8 +5,8 @@ use super::common::{STOP, plane};
 use super::progress::Show;
 use crate::dataset::{planes_in_words, write_whole};
 use crate::import::{
-    Found, MOSAIC, Map, MapSet, PATTERNS, Survey, list, mosaic, mosaics_at_odds, must_be_free, propose, stated_mosaic, survey,
-    write,
+    Found, MOSAIC, Map, MapSet, PATTERNS, Survey, list, mosaic, mosaics_at_odds, must_be_free, propose,
+    stated_mosaic, survey, write,
 };
 use anyhow::{Context, Result, bail};
 use std::io::{BufRead, IsTerminal, Write};
