@@ -153,8 +153,8 @@ pub struct BaseParameters {
     pub setting_rel: Option<f64>,
     /// The light monitor, where there is one.
     pub monitor: Option<Monitor>,
-    /// Whether noise below code 0 is cut off, as a converter does: where a black level that is too low is itself
-    /// asked for, only black-clipping brings it.
+    /// Cut of noise below code 0, as a converter makes it. False where a diagnosis asks for a black level that is too
+    /// low: only black-clipping brings the cut then.
     pub cut_at_0: bool,
 }
 
@@ -270,7 +270,7 @@ pub struct Prediction {
     pub whole: bool,
     /// Nothing lies below this level, DN above the black level.
     pub floor_dn: f64,
-    /// Whether noise below code 0 is cut off.
+    /// Cut of noise below code 0.
     pub cut_at_0: bool,
     /// Gain of the right half over the left, minus 1, and its offset, DN; of the lower half over the upper; of odd columns over even
     /// ones; of odd rows.

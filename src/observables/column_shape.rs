@@ -2,7 +2,7 @@
 //! with a field that changes its shape.
 
 use super::expect::{FIELD, line_mean};
-use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
+use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature, line_shape};
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 use std::cell::RefCell;
@@ -11,16 +11,8 @@ use std::cell::RefCell;
 #[derive(Debug)]
 pub struct ColumnShape;
 
-/// Columns apart.
-const LAGS: [usize; 7] = super::LINE_LAGS;
-
 thread_local! {
     static COLUMNS: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
-}
-
-/// Lags that fit into half of the columns.
-fn lags(columns: usize) -> impl Iterator<Item = (usize, usize)> {
-    LAGS.into_iter().enumerate().filter(move |(_, lag)| 2 * lag < columns)
 }
 
 impl Statistic for ColumnShape {
@@ -29,10 +21,7 @@ impl Statistic for ColumnShape {
     }
 
     fn name(&self, index: usize) -> String {
-        match LAGS.get(index) {
-            Some(1) | None => "covariance of the next column's mean".into(),
-            Some(lag) => format!("covariance of column means {lag} apart"),
-        }
+        line_shape::name("column", index)
     }
 
     fn meaning(&self, _: usize) -> &'static str {
@@ -44,17 +33,14 @@ impl Statistic for ColumnShape {
     }
 
     fn sums(&self, layout: &Layout) -> usize {
-        lags(layout.shape.1).count()
+        line_shape::lags(layout.shape.1).count()
     }
 
     fn add(&self, _: &[f32], lines: &Lines, layout: &Layout, sums: &mut [f64]) {
         COLUMNS.with_borrow_mut(|columns| {
             columns.clear();
             columns.extend(lines.column_means(layout));
-            for ((_, lag), sum) in lags(columns.len()).zip(sums) {
-                let products = columns.iter().zip(&columns[lag..]).map(|(a, b)| f64::from(a * b));
-                *sum += products.sum::<f64>() / (columns.len() - lag) as f64;
-            }
+            line_shape::add(columns, sums);
         });
     }
 
@@ -64,7 +50,7 @@ impl Statistic for ColumnShape {
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let (rows, columns) = view.all.campaign.shape;
-        let (Some(s), lag) = (view.set(), LAGS[o.index.min(LAGS.len() - 1)]) else {
+        let (Some(s), lag) = (view.set(), line_shape::lag(o.index)) else {
             return Expected::plain(o, 0.0, 1.0);
         };
         // Noise of pixels and columns as a filter leaves it; the frame's mean takes its part.
@@ -85,7 +71,7 @@ impl Statistic for ColumnShape {
         let single = in_quadrature(&[s.unsure_var, view.rough.1]) / rows as f64;
         let lines: f64 = s.lines.iter().map(|l| l.0).sum();
         let error = in_quadrature(&[alone, 0.3 * view.moving, stripes, lines / rows as f64, single]);
-        let field = view.with_light * view.all.field.column_lags[o.index.min(LAGS.len() - 1)];
+        let field = view.with_light * view.all.field.column_lags[o.index.min(super::LINE_LAGS.len() - 1)];
         let error = error.hypot(FIELD * view.with_light * view.all.field.columns);
         Expected::plain(o, near - flat + striped + field, error).with_common(view.walk() * stripes)
     }

@@ -36,6 +36,8 @@ mod table;
 
 pub use campaign::{Observations, ObserveError, Setting, of_dataset};
 pub use expect::{Expected, HEAVY_DOF, View, expectations, in_quadrature, lightened};
+mod line_shape;
+
 pub use field::{Field, LINE_LAGS};
 pub use scene::{Direction, ScenePair};
 pub use table::observations as of_table;

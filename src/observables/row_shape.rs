@@ -1,7 +1,7 @@
 //! Covariance of the means of rows some way apart, DN^2: whether rows that scatter do so one by one or in bands.
 
 use super::expect::FIELD;
-use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
+use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature, line_shape};
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 
@@ -9,24 +9,13 @@ use crate::statistics::lines::Lines;
 #[derive(Debug)]
 pub struct RowShape;
 
-/// Rows apart.
-const LAGS: [usize; 7] = super::LINE_LAGS;
-
-/// Lags that fit into half of the rows.
-fn lags(rows: usize) -> impl Iterator<Item = (usize, usize)> {
-    LAGS.into_iter().enumerate().filter(move |(_, lag)| 2 * lag < rows)
-}
-
 impl Statistic for RowShape {
     fn id(&self) -> &'static str {
         "covariance of row means"
     }
 
     fn name(&self, index: usize) -> String {
-        match LAGS.get(index) {
-            Some(1) | None => "covariance of the next row's mean".into(),
-            Some(lag) => format!("covariance of row means {lag} apart"),
-        }
+        line_shape::name("row", index)
     }
 
     fn meaning(&self, _: usize) -> &'static str {
@@ -38,15 +27,12 @@ impl Statistic for RowShape {
     }
 
     fn sums(&self, layout: &Layout) -> usize {
-        lags(layout.shape.0).count()
+        line_shape::lags(layout.shape.0).count()
     }
 
     fn add(&self, _: &[f32], lines: &Lines, _: &Layout, sums: &mut [f64]) {
         let rows = lines.row_means();
-        for ((_, lag), sum) in lags(rows.len()).zip(sums) {
-            let products = rows.iter().zip(&rows[lag..]).map(|(a, b)| f64::from(a * b));
-            *sum += products.sum::<f64>() / (rows.len() - lag) as f64;
-        }
+        line_shape::add(rows, sums);
     }
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
@@ -55,7 +41,7 @@ impl Statistic for RowShape {
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let (rows, columns) = view.all.campaign.shape;
-        let (Some(s), lag) = (view.set(), LAGS[o.index.min(LAGS.len() - 1)]) else {
+        let (Some(s), lag) = (view.set(), line_shape::lag(o.index)) else {
             return Expected::plain(o, 0.0, 1.0);
         };
         // Noise of pixels and rows as a filter leaves it; the frame's mean takes its part.
@@ -81,7 +67,7 @@ impl Statistic for RowShape {
         let alone = own / (((rows - lag) as f64) * view.dof).sqrt();
         let single = in_quadrature(&[s.unsure_var, view.rough.1]) / columns as f64;
         let error = in_quadrature(&[alone, ripple, 0.3 * view.moving, lines / columns as f64, single]);
-        let field = view.with_light * view.all.field.row_lags[o.index.min(LAGS.len() - 1)];
+        let field = view.with_light * view.all.field.row_lags[o.index.min(super::LINE_LAGS.len() - 1)];
         let error = error.hypot(FIELD * view.with_light * view.all.field.rows);
         Expected::plain(o, near - flat + slow + field, error).with_common(view.ripple_error * common)
     }

@@ -90,7 +90,7 @@ pub struct Seen {
     pub lit_s: (f64, f64),
     /// Rows.
     pub rows: f64,
-    /// Whether means draw a curve over the light: there are levels enough, and they are not taken as they are.
+    /// Curve of the means over the light: true where three levels or more are measured and their light is known.
     pub means: bool,
     /// Noise of darks, DN.
     pub dark_noise_dn: f64,
