@@ -13,7 +13,8 @@ const CHUNK: usize = 65_536;
 /// Pixels that are unpacked at a time: their codes stay in the nearest cache. Whole bytes and whole groups of every packed format.
 const BLOCK: usize = 4096;
 
-/// A level so many standard deviations of a pixel's dark noise below the dark reference is one of other settings: no light makes it.
+/// A level so many standard deviations of a pixel's dark noise below the dark reference is one of other settings:
+/// no light makes it.
 const MAX_BELOW: f64 = 5.0;
 
 /// A calibration made ready for one exposure.
@@ -213,7 +214,8 @@ impl Corrector {
         self.dark_dn.about.middle
     }
 
-    /// Refuses a level of frames, DN, that lies below the dark reference by more than noise and the reference's error allow.
+    /// Refuses a level of frames, DN, that lies below the dark reference by more than noise and the reference's
+    /// error allow.
     ///
     /// # Errors
     ///

@@ -40,7 +40,8 @@ pub struct Key {
     pub(crate) to: usize,
     pub(crate) before: bool,
     pub(crate) clean: bool,
-    /// Of a piece the digest of the first look, of a level that of its mask; of looks, which nothing else decides, the version.
+    /// Of a piece the digest of the first look, of a level that of its mask; of looks, which nothing else
+    /// decides, the version.
     pub(crate) under: String,
 }
 

@@ -65,8 +65,8 @@ pub(crate) fn cut(mean: f64, variance: f64, limit: f64) -> Clipped {
     }
 }
 
-/// Limit that is approached from a knee on: v' = limit - w exp(-(v - knee) / w), w = limit - knee. A named choice of
-/// shape, with the slope 1 at the knee; wells that fill slowly differ in theirs.
+/// Limit that is approached from a knee on: v' = limit - w exp(-(v - knee) / w), w = limit - knee. A named choice
+/// of shape, with the slope 1 at the knee; wells that fill slowly differ in theirs.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SoftLimit {
     pub knee: f64,

@@ -209,8 +209,8 @@ pub struct Bench {
     pub shading: f64,
     /// Relative change of the light from one side to the other; its direction turns with the configuration.
     pub gradient: f64,
-    /// Radius of the lens' image circle over half the diagonal of the sensor; 0: the circle covers the sensor. The rim
-    /// is a twentieth of the radius wide.
+    /// Radius of the lens' image circle over half the diagonal of the sensor; 0: the circle covers the sensor.
+    /// The rim is a twentieth of the radius wide.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub image_circle: f64,
     /// Relative change of the light in an hour.

@@ -153,8 +153,8 @@ pub struct BaseParameters {
     pub setting_rel: Option<f64>,
     /// The light monitor, where there is one.
     pub monitor: Option<Monitor>,
-    /// Cut of noise below code 0, as a converter makes it. False where a diagnosis asks for a black level that is too
-    /// low: only black-clipping brings the cut then.
+    /// Cut of noise below code 0, as a converter makes it. False where a diagnosis asks for a black level that is
+    /// too low: only black-clipping brings the cut then.
     pub cut_at_0: bool,
 }
 
@@ -427,8 +427,8 @@ impl SetPrediction {
         self.shot.add_white(own);
     }
 
-    /// A curve that charge follows, before read noise: of the variance of shot noise it leaves the share `less`. `at`:
-    /// what becomes of the mean level; `bent`: of the levels at the pixels' places.
+    /// A curve that charge follows, before read noise: of the variance of shot noise it leaves the share `less`.
+    /// `at`: what becomes of the mean level; `bent`: of the levels at the pixels' places.
     pub(crate) fn bend_shot(
         &mut self,
         less: f64,

@@ -12,8 +12,8 @@ pub const HOT: u8 = 1;
 pub const DEAD: u8 = 2;
 /// Flag of a pixel whose dark values scatter more than the noise of its neighbours.
 pub const UNSTABLE: u8 = 4;
-/// Flag of a pixel that no light reaches, as its neighbours: outside the image circle of the lens, optically black, or
-/// overscan.
+/// Flag of a pixel that no light reaches, as its neighbours: outside the image circle of the lens, optically
+/// black, or overscan.
 pub const BLIND: u8 = 8;
 /// Flags of pixels whose response is not known: K = 1 stands in its place.
 pub const NO_RESPONSE: u8 = DEAD | BLIND;

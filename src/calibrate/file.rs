@@ -161,8 +161,8 @@ impl Calibration {
         }
     }
 
-    /// Standard deviation of a pixel's noise in the dark, with the shot noise of the charge that brings it to `dark_dn`, DN (eq. 41); 1 DN where
-    /// it is not known or smaller.
+    /// Standard deviation of a pixel's noise in the dark, with the shot noise of the charge that brings it to
+    /// `dark_dn`, DN (eq. 41); 1 DN where it is not known or smaller.
     pub fn dark_noise_dn(&self, dark_dn: f32) -> f64 {
         let d = &self.description;
         let charge_dn = d.offset_dn.map_or(0.0, |offset| f64::from(dark_dn) - offset);

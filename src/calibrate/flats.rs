@@ -10,8 +10,8 @@ use std::collections::BTreeMap;
 const MAX_CLIPPED_SHARE: f64 = 1e-3;
 /// The same where other levels tell of the pixels that are clipped: glints on the card.
 const MAX_CLIPPED_SHARE_OF_MANY: f64 = 0.02;
-/// Level below which a flat is not used beside brighter ones, over the brightest: its weight would be as small, and the
-/// error of its dark reference is not.
+/// Level below which a flat is not used beside brighter ones, over the brightest: its weight would be as small,
+/// and the error of its dark reference is not.
 const MIN_LEVEL: f64 = 0.05;
 /// Standard deviations of the noise within which full scale cuts a pixel off.
 const REACH: f64 = 3.0;
@@ -98,9 +98,9 @@ pub(super) fn of_level(
     Ok(out)
 }
 
-/// All flats: those of one configuration have light of one shape, and are averaged over all exposures and lights, by what
-/// each tells of K: frames times signal^2 over variance. A pixel that is clipped at some levels is told by the others.
-/// Memory holds one image for each configuration.
+/// All flats: those of one configuration have light of one shape, and are averaged over all exposures and lights,
+/// by what each tells of K: frames times signal^2 over variance. A pixel that is clipped at some levels is told
+/// by the others. Memory holds one image for each configuration.
 pub(super) fn of_all(dataset: &Dataset, dark: &DarkReference, noise: Noise) -> Result<Flats, CalibrateError> {
     let mut levels: BTreeMap<u32, BTreeMap<(u64, u64), Vec<&Set>>> = BTreeMap::new();
     for set in dataset.sets() {

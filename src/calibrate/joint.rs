@@ -18,8 +18,8 @@ const MAX_ORDER: usize = 6;
 const BLOCK: usize = 8;
 /// Blocks that are used at most, about.
 const MOST_BLOCKS: f64 = 6000.0;
-/// Residual of a block beyond which it is not used, over the robust deviation of all: the rim of an image circle and spots
-/// of a block's size are no part of the surface (Tukey's biweight constant, as for the pixels).
+/// Residual of a block beyond which it is not used, over the robust deviation of all: the rim of an image circle
+/// and spots of a block's size are no part of the surface (Tukey's biweight constant, as for the pixels).
 const MAX_BLOCK_DEVIATIONS: f64 = 4.685;
 /// Rounds of leaving such blocks out.
 const BLOCK_ROUNDS: usize = 5;
@@ -75,8 +75,8 @@ pub(super) fn mean_of(k: &Array2<f32>, sound: &Array2<bool>) -> f64 {
     sum / f64::max(n, 1.0)
 }
 
-/// The configurations with the light's surface in the place of pixels that are not sound, so that a window's mean is that of
-/// the light.
+/// The configurations with the light's surface in the place of pixels that are not sound, so that a window's mean
+/// is that of the light.
 pub(super) fn filled(configurations: &[Array2<f32>], sound: &Array2<bool>) -> Vec<Array2<f32>> {
     let blocks = Blocks::new(sound);
     let even = Array2::<f32>::ones(sound.dim());

@@ -179,8 +179,8 @@ pub struct Calibrated {
 /// configuration, however many frames went into it.
 ///
 /// Of flats with several exposures the one with the most configurations is taken, of equal ones the longest;
-/// [`Estimator::Smooth`] takes all flats. Pixels that are dead or get no light are flagged and have K = 1; a K whose error
-/// exceeds what it corrects is refused.
+/// [`Estimator::Smooth`] takes all flats. Pixels that are dead or get no light are flagged and have K = 1; a K
+/// whose error exceeds what it corrects is refused.
 ///
 /// # Errors
 ///
@@ -252,7 +252,8 @@ const ROUNDS: usize = 3;
 /// Least share of the pixels with light that is left without the rim of the image circle.
 const MIN_SHARE_WITHOUT_RIM: f64 = 0.7;
 
-/// K of one colour, and the pixels that get light. The pixels that are dead, or get no light, tell nothing of the light.
+/// K of one colour, and the pixels that get light. The pixels that are dead, or get no light, tell nothing of the
+/// light.
 fn estimate(
     estimator: Estimator,
     images: &[Array2<f32>],
@@ -302,7 +303,8 @@ fn name_of(estimator: Estimator, mosaic: bool) -> String {
     name + if mosaic { "; each plane of the colour mosaic by itself" } else { "" }
 }
 
-/// K = 1 for pixels whose response is not known, and a mean of 1 over those without a defect; of a mosaic in each plane.
+/// K = 1 for pixels whose response is not known, and a mean of 1 over those without a defect; of a mosaic in each
+/// plane.
 fn without_defects(pattern: &mut FixedPattern, defects: &[Defect], mosaic: bool) {
     let mut flags = Array2::<u8>::zeros(pattern.k.dim());
     defects.iter().for_each(|d| flags[(d.y, d.x)] = d.flags);

@@ -15,8 +15,8 @@ const WANTED: f64 = 0.5;
 
 /// Refuses a K whose error exceeds the spread of the pixels' response.
 ///
-/// The variance of K over the pixels is that of their response and that of its error. The error of the dark reference
-/// is that of a level; it is in K over the level of the flats.
+/// The variance of K over the pixels is that of their response and that of its error. The error of the dark
+/// reference is that of a level; it is in K over the level of the flats.
 pub(super) fn check(
     pattern: &FixedPattern,
     defects: &[Defect],

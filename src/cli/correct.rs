@@ -228,7 +228,8 @@ fn check(calibration: &Calibration, now: &CameraInfo, force: bool) -> Result<()>
     Err(CorrectError::Settings(found.join("; ") + advice).into())
 }
 
-/// Notes on frames: what a calibration knows and they do not state. Of many frames with a note of one kind the first is named.
+/// Notes on frames: what a calibration knows and they do not state. Of many frames with a note of one kind the
+/// first is named.
 #[derive(Debug, Default)]
 pub struct Notes {
     texts: Vec<String>,
@@ -344,8 +345,8 @@ pub struct Plain {
 }
 
 impl Plain {
-    /// Reads a frame and holds what it, its name, or the dataset in whose folder it lies, says of camera and settings against the calibration.
-    /// A frame that says nothing tells its size and its codes.
+    /// Reads a frame and holds what it, its name, or the dataset in whose folder it lies, says of camera and
+    /// settings against the calibration. A frame that says nothing tells its size and its codes.
     pub fn read(
         path: &Path,
         calibration: &Calibration,

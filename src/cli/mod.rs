@@ -111,7 +111,8 @@ fn command() -> clap::Command {
     lenient(Arguments::command())
 }
 
-/// Ends without a word where nobody reads standard output or error any more, as with `| head`, and with the reason where it cannot be written:
+/// Ends without a word where nobody reads standard output or error any more, as with `| head`, and with the
+/// reason where it cannot be written:
 /// `println!` panics then.
 fn quiet_when_nobody_reads() {
     let usual = std::panic::take_hook();

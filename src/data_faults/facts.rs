@@ -35,7 +35,8 @@ pub struct SetFacts {
     pub spread_dn2: f64,
     /// Distance of the codes that occur in the first frame, DN: 1 unless the camera counts in coarser steps.
     pub step_dn: f64,
-    /// Step of the converter, DN, as all codes of the set show it: 1 where neighbours occur, 0 where too few codes do.
+    /// Step of the converter, DN, as all codes of the set show it: 1 where neighbours occur, 0 where too few
+    /// codes do.
     #[serde(default)]
     pub code_step_dn: f64,
     /// Mean over the frames of the middle of the frame, DN, row by row: at most [`MIDDLE`] x [`MIDDLE`] pixels.

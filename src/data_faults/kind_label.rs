@@ -1,5 +1,5 @@
-//! Dark and flat exchanged: a dark with the level and the noise of light, a flat without light. Flats with far less light than their label makes
-//! have a wrong label: the law of levels needs more flats to tell.
+//! Dark and flat exchanged: a dark with the level and the noise of light, a flat without light. Flats with far
+//! less light than their label makes have a wrong label: the law of levels needs more flats to tell.
 
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
@@ -55,7 +55,8 @@ impl Check for KindLabel {
                 expected > MIN_RANGE_DN.max(MIN_SIGMAS * scatter) && above(i) < MAX_UNLIT_SHARE * expected
             })
             .collect();
-        // One that has light, and far less than its label makes, has a wrong label. The darks tell nothing at an exposure that is wrong.
+        // One that has light, and far less than its label makes, has a wrong label. The darks tell nothing at an
+        // exposure that is wrong.
         let own = |i: usize| level(i) - lowest;
         let few_dn = MIN_LIT_SHARE * (highest - lowest);
         let (unlit, wrong): (Vec<usize>, Vec<usize>) =

@@ -19,8 +19,8 @@ pub struct Manifest {
     /// The light, where known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench: Option<BenchInfo>,
-    /// Row and column, 0 or 1, of the one pixel of every 2 x 2 cell of the files that is a frame's: one colour of a mosaic.
-    /// Size and pixel format of `camera` are then those of the plane.
+    /// Row and column, 0 or 1, of the one pixel of every 2 x 2 cell of the files that is a frame's: one colour of
+    /// a mosaic. Size and pixel format of `camera` are then those of the plane.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plane: Option<[u8; 2]>,
     /// What `import` made of files that did not say everything.
@@ -123,8 +123,8 @@ impl CameraInfo {
         own.chain(settings).collect()
     }
 
-    /// Properties that these frames do not state and this side knows, with the value here: they cannot be compared. Of the
-    /// features only those that image files can state, gain, offset and binning.
+    /// Properties that these frames do not state and this side knows, with the value here: they cannot be
+    /// compared. Of the features only those that image files can state, gain, offset and binning.
     ///
     /// ```
     /// use radcam::dataset::CameraInfo;
@@ -175,8 +175,8 @@ impl CameraInfo {
         ]
     }
 
-    /// Whether frames are a colour mosaic of two by two pixels. Formats that radcam cannot unpack count too: files hold
-    /// mosaics of 14 bits.
+    /// Whether frames are a colour mosaic of two by two pixels. Formats that radcam cannot unpack count too:
+    /// files hold mosaics of 14 bits.
     pub fn is_mosaic(&self) -> bool {
         self.pixel_format.get(..5).is_some_and(|start| start.eq_ignore_ascii_case("Bayer"))
     }

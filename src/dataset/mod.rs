@@ -372,8 +372,9 @@ impl Dataset {
         self.faults.as_deref().unwrap_or_default()
     }
 
-    /// Distance of the codes of the converter, DN, as [`examined`](crate::data_faults::examined) found it from the codes
-    /// that occur: 16 of 12 bits in the upper bits of 16; 1 before it ran, and of codes that are the converter's.
+    /// Distance of the codes of the converter, DN, as [`examined`](crate::data_faults::examined) found it from
+    /// the codes that occur: 16 of 12 bits in the upper bits of 16; 1 before it ran, and of codes that are the
+    /// converter's.
     pub fn code_step_dn(&self) -> f64 {
         self.code_step_dn
     }
@@ -434,7 +435,8 @@ impl Dataset {
         &self.manifest
     }
 
-    /// One colour of a mosaic, as a campaign of half the size: the pixel at this row and column, 0 or 1, of every 2 x 2 cell.
+    /// One colour of a mosaic, as a campaign of half the size: the pixel at this row and column, 0 or 1, of every
+    /// 2 x 2 cell.
     ///
     /// # Errors
     ///
@@ -456,8 +458,8 @@ impl Dataset {
         Ok(self)
     }
 
-    /// Refuses a colour mosaic, for statistics that hold for pixels of one kind: its planes differ in light and, with a white
-    /// balance, in gain.
+    /// Refuses a colour mosaic, for statistics that hold for pixels of one kind: its planes differ in light and,
+    /// with a white balance, in gain.
     ///
     /// # Errors
     ///
@@ -582,7 +584,8 @@ impl Dataset {
     }
 }
 
-/// The planes of a mosaic as `--plane` takes them, with their colours; of a PFNC pixel format or a pattern such as RGGB.
+/// The planes of a mosaic as `--plane` takes them, with their colours; of a PFNC pixel format or a pattern such
+/// as RGGB.
 pub(crate) fn planes_in_words(mosaic: &str) -> String {
     let pattern = mosaic.to_uppercase();
     let start = pattern.strip_prefix("BAYER").unwrap_or(&pattern).get(..2);

@@ -125,8 +125,8 @@ fn delimiter(header: &str) -> u8 {
     }
 }
 
-/// Records with decimal points. A comma is the decimal sign where a column is separated otherwise or quoted; where
-/// every number with a comma may have groups of thousands as well, nobody knows.
+/// Records with decimal points. A comma is the decimal sign where a column is separated otherwise or quoted;
+/// where every number with a comma may have groups of thousands as well, nobody knows.
 fn with_points(
     records: Vec<(u64, csv::StringRecord)>,
     header: &csv::StringRecord,

@@ -402,8 +402,8 @@ fn parts(
             None => break (parts, last),
         }
     };
-    // A single addition that does not help on frames that no fit saw is none; but what is stated of the light is in
-    // no frame, and a lamp that scatters by more deviates from that alone.
+    // A single addition that does not help on frames that no fit saw is none; but what is stated of the light is
+    // in no frame, and a lamp that scatters by more deviates from that alone.
     if let [only] = parts.as_slice() {
         tracing::debug!("{} alone: error {:.4}, was {:.4}", only.effect.id(), last.error, before.error);
         let of_stated = only.effect.sets_each() && matches!(all.setting, Some(Setting::Stated(_)));

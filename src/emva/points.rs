@@ -277,8 +277,8 @@ fn read_part(
 /// Signal over the noise of a frame from which on pixels without light are told, pixel by pixel.
 const MIN_SIGNAL_OVER_NOISE: f64 = 10.0;
 
-/// The part of the frames that gets light, where optically black or overscan columns and rows stand at the edges, and
-/// words for it; nothing where all pixels get light, or too little to tell.
+/// The part of the frames that gets light, where optically black or overscan columns and rows stand at the edges,
+/// and words for it; nothing where all pixels get light, or too little to tell.
 fn lit_part(
     dataset: &Dataset,
     wanted: &Wanted<'_>,
@@ -320,8 +320,8 @@ fn lit_part(
 /// Frames of a stack over those of the longest from which on it may be taken for its level.
 const MIN_SHARE_OF_FRAMES: f64 = 0.5;
 
-/// Chooses the stacks of the spatial part: of those with many frames the one whose flats are nearest to half of saturation,
-/// as the standard has it (release 4.0 Linear, section 8), with darks of its exposure.
+/// Chooses the stacks of the spatial part: of those with many frames the one whose flats are nearest to half of
+/// saturation, as the standard has it (release 4.0 Linear, section 8), with darks of its exposure.
 fn choose_stacks<'a>(
     stacks: &[[&'a Set; 2]],
     level_dn: &dyn Fn(&Set) -> Option<f64>,

@@ -428,8 +428,9 @@ fn dark_current(
     sheet.put("u_I_var", &Value::of(&[&by_var, k], |v| v[0] / (v[1] * v[1])), "e/s");
 }
 
-/// Shares of saturation at which a stack of flats tells PRNU: half, within a factor of two below and of one and three quarters
-/// above (a named choice: noise and offsets have their part in dimmer ones, clipping in brighter ones).
+/// Shares of saturation at which a stack of flats tells PRNU: half, within a factor of two below and of one and
+/// three quarters above (a named choice: noise and offsets have their part in dimmer ones, clipping in brighter
+/// ones).
 const HALF_OF_SATURATION: std::ops::RangeInclusive<f64> = 0.25..=0.875;
 
 fn is_tool(definitions: Definitions) -> bool {

@@ -1,12 +1,13 @@
 //! Pixels that the camera fills in from their neighbours: its correction of defects.
 //!
-//! Such a pixel has no noise of its own, and shares that of its neighbours: in the mean over the image that is what a weak filter does. From frame
-//! to frame it changes as the mean of those neighbours does, to within rounding, and no other pixel does so frame after frame.
+//! Such a pixel has no noise of its own, and shares that of its neighbours: in the mean over the image that is
+//! what a weak filter does. From frame to frame it changes as the mean of those neighbours does, to within
+//! rounding, and no other pixel does so frame after frame.
 
 use ndarray::Array2;
 
-/// Neighbours whose mean fills a defect in, (row, column) from it: those in the row, in the column, all four, all eight, and copies of one: of
-/// two that are alike the first is taken for the copy, and the other counts.
+/// Neighbours whose mean fills a defect in, (row, column) from it: those in the row, in the column, all four, all
+/// eight, and copies of one: of two that are alike the first is taken for the copy, and the other counts.
 const KERNELS: [&[(isize, isize)]; 6] = [
     &[(0, -1), (0, 1)],
     &[(-1, 0), (1, 0)],
@@ -15,8 +16,9 @@ const KERNELS: [&[(isize, isize)]; 6] = [
     &[(0, 1)],
     &[(1, 0)],
 ];
-/// Temporal variance from which on chance does not do it, DN^2: of normal noise a difference of two frames then lies within rounding at one in
-/// fourteen pixels, and in all differences of four frames and two sets at one in ten million.
+/// Temporal variance from which on chance does not do it, DN^2: of normal noise a difference of two frames then
+/// lies within rounding at one in fourteen pixels, and in all differences of four frames and two sets at one in
+/// ten million.
 pub const LEAST_VAR_DN2: f64 = 40.0;
 /// Level from which on, as a share of full scale: some sets are enough.
 pub const LEAST_LEVEL: f64 = 0.25;
@@ -92,8 +94,8 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Of two sets of 8 frames of 128 x 96 pixels with a deviation of 8 DN: pixels that are filled in by each kernel are found, whole; of others none,
-    /// nor where all is smoothed.
+    /// Of two sets of 8 frames of 128 x 96 pixels with a deviation of 8 DN: pixels that are filled in by each
+    /// kernel are found, whole; of others none, nor where all is smoothed.
     #[test]
     fn filled_pixels_are_found_and_no_others() {
         let (rows, columns) = (96usize, 128usize);

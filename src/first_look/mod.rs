@@ -1,4 +1,5 @@
-//! The first look at a campaign: at most eight frames of each set tell which pixels count, the level of the darks, and how frames usually scatter.
+//! The first look at a campaign: at most eight frames of each set tell which pixels count, the level of the
+//! darks, and how frames usually scatter.
 
 pub mod filled;
 
@@ -16,8 +17,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Frames of a set that the first look reads.
 pub(crate) const FIRST: usize = 8;
-/// Bytes of decoded frames that are kept from the first look for the pass over all: compressed frames take longer to decode than to look at.
-/// A named choice: a tenth of what a small machine has.
+/// Bytes of decoded frames that are kept from the first look for the pass over all: compressed frames take longer
+/// to decode than to look at. A named choice: a tenth of what a small machine has.
 const KEPT: usize = 256 << 20;
 
 /// Standard deviations of a pixel's noise within which full scale cuts it off.
@@ -264,7 +265,8 @@ impl Seen {
     ) -> Result<Self, ExamineError> {
         let camera = &dataset.manifest().camera;
         let (full, shape) = (camera.full_scale_dn(), (camera.height, camera.width));
-        // Memory follows what is there: a frame must confirm the size that a header claims. Statistics have confirmed it when they were opened.
+        // Memory follows what is there: a frame must confirm the size that a header claims. Statistics have
+        // confirmed it when they were opened.
         if let Some(row) = dataset.rows().first().filter(|_| dataset.reduced().is_none()) {
             dataset.read(row)?;
         }
@@ -285,8 +287,8 @@ impl Seen {
         })
     }
 
-    /// Everything that the statistics of a piece depend on beside its frames and their settings; `names` are those of the
-    /// statistics.
+    /// Everything that the statistics of a piece depend on beside its frames and their settings; `names` are
+    /// those of the statistics.
     pub(crate) fn digest<'n>(&self, names: impl Iterator<Item = &'n str>) -> String {
         let mut all = Sha256::new();
         all.update(env!("CARGO_PKG_VERSION"));

@@ -84,8 +84,8 @@ impl Facts {
         self.doubts.iter().any(|d| d.starts_with(&format!("{key}:")))
     }
 
-    /// These, of the header, and where they say nothing those of names. Where they contradict each other the header
-    /// counts and it is said; where the unit decides it is asked.
+    /// These, of the header, and where they say nothing those of names. Where they contradict each other the
+    /// header counts and it is said; where the unit decides it is asked.
     pub(super) fn or(mut self, names: Self) -> Self {
         // What radcam wrote, names do not doubt.
         let names = if self.camera.is_some() { Self::default() } else { names };

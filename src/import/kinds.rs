@@ -3,8 +3,8 @@
 use crate::dataset::Kind;
 use crate::number::seconds;
 
-/// The kind that a word names: the word itself, its plural, or with `frame` or `field` behind it. A light frame is
-/// that of the sky to some and that of a card to others: it says nothing.
+/// The kind that a word names: the word itself, its plural, or with `frame` or `field` behind it. A light frame
+/// is that of the sky to some and that of a card to others: it says nothing.
 pub fn kind(word: &str) -> Option<Kind> {
     let word = word.to_lowercase();
     let is = |stems: &[&str]| {
@@ -38,8 +38,8 @@ pub struct Said {
     pub bias: bool,
 }
 
-/// The kind that a text names. Flat darks (`Flat Darks`, `flat_dark_`, `DarkFlat`) are darks; where both words stand
-/// apart from each other (`flats and darks`) the text says nothing.
+/// The kind that a text names. Flat darks (`Flat Darks`, `flat_dark_`, `DarkFlat`) are darks; where both words
+/// stand apart from each other (`flats and darks`) the text says nothing.
 pub fn of(text: &str) -> Said {
     let words = words(text);
     let mut strong: Vec<(usize, Kind)> = Vec::new();

@@ -19,7 +19,8 @@ pub struct Map {
     /// Bits by which the codes of the files were shifted up: they are shifted down again.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub shift: u8,
-    /// Values of the files that make one code: those of converters whose codes were stretched, or floating-point ones.
+    /// Values of the files that make one code: those of converters whose codes were stretched, or floating-point
+    /// ones.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub step: f64,
     /// Value of code 0 in the files.
@@ -87,8 +88,8 @@ pub struct MapSet {
     /// Rows run from the bottom to the top in the files: they are turned.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub turned: bool,
-    /// What has more than one reading, `key: why`. A set with a doubt is not imported: correct the value and remove
-    /// the line.
+    /// What has more than one reading, `key: why`. A set with a doubt is not imported: correct the value and
+    /// remove the line.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub doubts: Vec<String>,
     /// What was guessed, `key: how`; the dataset says so.

@@ -100,8 +100,8 @@ pub struct Survey {
     pub notes: Vec<String>,
 }
 
-/// Reads every file and page. A frame that lies there in two formats counts once. `frames_axis` is the axis of NumPy
-/// arrays that counts the frames; else the first.
+/// Reads every file and page. A frame that lies there in two formats counts once. `frames_axis` is the axis of
+/// NumPy arrays that counts the frames; else the first.
 ///
 /// # Errors
 ///

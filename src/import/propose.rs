@@ -20,7 +20,8 @@ struct Growing {
     mean_dn: f64,
 }
 
-/// Sorts frames into sets: by what names and headers say, else by folder and name, darks from flats by their means.
+/// Sorts frames into sets: by what names and headers say, else by folder and name, darks from flats by their
+/// means.
 ///
 /// # Errors
 ///
@@ -238,7 +239,8 @@ fn joined(sets: Vec<Growing>, found: &[Found], lowest: f64) -> Vec<Growing> {
     out
 }
 
-/// Sets of flats whose frames have levels of their own: names and headers that do not tell lights or exposures apart.
+/// Sets of flats whose frames have levels of their own: names and headers that do not tell lights or exposures
+/// apart.
 fn several_levels(sets: &[Growing], found: &[Found], lowest: f64) -> Option<String> {
     let several = |set: &Growing| {
         let mut means: Vec<f64> = set.frames.iter().map(|k| found[*k].mean_dn - lowest).collect();

@@ -1,5 +1,5 @@
-//! Settings that all frames of a dataset share: what headers tell of two of them is refused, what only some tell is
-//! said.
+//! Settings that all frames of a dataset share: what headers tell of two of them is refused, what only some tell
+//! is said.
 
 use super::{Found, ImportError, few};
 use crate::features::same_value;

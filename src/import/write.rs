@@ -16,8 +16,8 @@ pub fn must_be_free(root: &Path) -> Result<(), ImportError> {
     Ok(())
 }
 
-/// Copies the frames of a map into a new dataset folder, or makes hard links where `link` says so, and opens it. Where that fails what was
-/// copied is removed again.
+/// Copies the frames of a map into a new dataset folder, or makes hard links where `link` says so, and opens it.
+/// Where that fails what was copied is removed again.
 ///
 /// # Errors
 ///

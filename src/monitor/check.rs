@@ -14,7 +14,8 @@ const HOT_SIGMA: f64 = 6.0;
 const DEAD: f64 = 0.5;
 /// Standard errors below which the reference flat is too faint to divide by.
 const FAINT: f64 = 10.0;
-/// Least relative difference of the gain from the calibration's that is told: lag and filters of a camera bias two estimates differently.
+/// Least relative difference of the gain from the calibration's that is told: lag and filters of a camera bias
+/// two estimates differently.
 const MIN_GAIN_LIMIT: f64 = 0.05;
 /// Standard errors beyond the limit by which a reading differs from the calibration.
 const SIGMAS: f64 = 5.0;
@@ -90,8 +91,8 @@ pub struct Check {
 }
 
 impl Check {
-    /// Black level and gain that are not those of the calibration, in sentences. The monitor follows what changes from check to check; a
-    /// camera that differs from its calibration from the first check on does not change.
+    /// Black level and gain that are not those of the calibration, in sentences. The monitor follows what changes
+    /// from check to check; a camera that differs from its calibration from the first check on does not change.
     pub fn against(&self, calibration: &Calibration, limits: &Limits) -> Vec<String> {
         let d = &calibration.description;
         let mut said = Vec::new();

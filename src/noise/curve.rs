@@ -1,8 +1,8 @@
 //! The photon-transfer curve where it is no line: its slope at zero signal is A.
 //!
-//! What bends the curve grows with a higher power of the signal: charge that repels charge (Astier et al. 2019, eq. 20, to
-//! second order in the signal), a response that bends, a light that flickers in a shaded field, gains that differ from frame
-//! to frame. None of it changes the slope at the dark end.
+//! What bends the curve grows with a higher power of the signal: charge that repels charge (Astier et al. 2019,
+//! eq. 20, to second order in the signal), a response that bends, a light that flickers in a shaded field, gains
+//! that differ from frame to frame. None of it changes the slope at the dark end.
 
 use super::estimators::residual_variance_at;
 use super::{Estimate, Method, Point, Zero};
@@ -55,8 +55,8 @@ const ORDERS: [usize; 2] = [2, 3];
 /// Mean squared residual over that of the line up to which the curve explains the levels.
 const MAX_RATIO: f64 = 0.25;
 
-/// The curve of the lower order that the levels ask for (Schwarz 1978); `None` where none explains far more than the line,
-/// whose sum of squared residuals and degrees of freedom are given.
+/// The curve of the lower order that the levels ask for (Schwarz 1978); `None` where none explains far more than
+/// the line, whose sum of squared residuals and degrees of freedom are given.
 pub(super) fn fit(points: &[Point], gain: f64, constant: f64, of_line: (f64, usize)) -> Option<Curve> {
     let used: Vec<&Point> = points.iter().filter(|p| p.excluded.is_none()).collect();
     if used.iter().filter(|p| p.kind == Kind::Flat).count() < MIN_LIT {

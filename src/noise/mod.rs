@@ -358,7 +358,8 @@ fn masked(measured: &Measured) -> Option<String> {
         .then(|| format!("{n} pixels ({share}) are hot, clipped, jumping or interpolated, and are left out"))
 }
 
-/// Range of the sensor's temperature from which on it is said, K: dark current doubles in some 7 K (a named choice).
+/// Range of the sensor's temperature from which on it is said, K: dark current doubles in some 7 K (a named
+/// choice).
 const MIN_TEMPERATURE_RANGE_K: f64 = 1.0;
 
 /// Temperatures that drift, in words.

@@ -103,8 +103,8 @@ pub struct LevelReport {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct NoiseReport {
-    /// A by the reweighted estimator, or by the curve where that is there; of one lit level by the bounds of the constant
-    /// noise.
+    /// A by the reweighted estimator, or by the curve where that is there; of one lit level by the bounds of the
+    /// constant noise.
     pub gain_dn_per_e: Quantity,
     /// sigma_C^2 by the same.
     pub constant_noise_var_dn2: Quantity,

@@ -1,5 +1,5 @@
-//! Covariance of the means of columns some way apart, DN^2: whether columns that scatter do so one by one, in stripes, or
-//! with a field that changes its shape.
+//! Covariance of the means of columns some way apart, DN^2: whether columns that scatter do so one by one, in
+//! stripes, or with a field that changes its shape.
 
 use super::expect::{FIELD, line_mean};
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature, line_shape};

@@ -45,8 +45,8 @@ pub struct Level {
     /// Pixels left out by the mask.
     #[serde(default)]
     pub masked: u64,
-    /// Mean over the pixels of the square of their variances, without the scatter of few frames of normal noise, DN^4: above
-    /// [`var_dn2`](Self::var_dn2) squared where pixels differ in noise.
+    /// Mean over the pixels of the square of their variances, without the scatter of few frames of normal noise,
+    /// DN^4: above [`var_dn2`](Self::var_dn2) squared where pixels differ in noise.
     #[serde(default = "nan", with = "finite")]
     pub square_dn4: f64,
 }

@@ -3,8 +3,8 @@
 use super::median::{MAD_OF_NORMAL, median};
 use ndarray::{Array2, Axis, s};
 
-/// Share of the light's level below which a pixel gets no light: lenses fall to a tenth in their corners at worst (a named
-/// choice).
+/// Share of the light's level below which a pixel gets no light: lenses fall to a tenth in their corners at worst
+/// (a named choice).
 const MIN_LIGHT: f32 = 0.05;
 /// Side of the blocks whose medians tell the light's level, pixels: a block is no single pixel, and no dead one.
 const BLOCK: usize = 8;
@@ -55,8 +55,8 @@ impl Lit {
         Self { lit, blind }
     }
 
-    /// Counts the rim of what is blind to it: pixels beside blind ones that answer by more than so many deviations less than
-    /// the others, as `response` (1 where the light is even) says, again and again.
+    /// Counts the rim of what is blind to it: pixels beside blind ones that answer by more than so many
+    /// deviations less than the others, as `response` (1 where the light is even) says, again and again.
     pub fn with_rim(mut self, response: &Array2<f32>) -> Self {
         let (rows, columns) = self.blind.dim();
         let off =
@@ -78,8 +78,8 @@ impl Lit {
         self
     }
 
-    /// First and one past the last of the rows and columns with light, where the blind pixels are whole rows and columns at
-    /// the edges; `None` of other shapes.
+    /// First and one past the last of the rows and columns with light, where the blind pixels are whole rows and
+    /// columns at the edges; `None` of other shapes.
     pub fn frame(&self) -> Option<[std::ops::Range<usize>; 2]> {
         let line = |axis: usize| {
             let whole: Vec<bool> = self.blind.axis_iter(Axis(axis)).map(|l| l.iter().all(|b| *b)).collect();
@@ -107,7 +107,8 @@ impl Lit {
 mod tests {
     use super::*;
 
-    /// A circle, a black reference, a dead column and a dead pixel: what lies among pixels without light is blind.
+    /// A circle, a black reference, a dead column and a dead pixel: what lies among pixels without light is
+    /// blind.
     #[test]
     fn blind_pixels_are_told_from_dead_ones() {
         let mut image = Array2::from_shape_fn((64, 80), |(y, x)| {

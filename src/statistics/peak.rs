@@ -15,8 +15,8 @@ const TURNING: f64 = 0.97;
 /// Level over the peak's up to which another level may be its scatter.
 const BEYOND: f64 = 1.02;
 
-/// Level from which on rows of (mean above black, variance) are full well, and that of the variance's peak; `None` where
-/// the variance grows to the last. Strays must have been taken out.
+/// Level from which on rows of (mean above black, variance) are full well, and that of the variance's peak;
+/// `None` where the variance grows to the last. Strays must have been taken out.
 ///
 /// ```
 /// use radcam::statistics::peak::turn_off;

@@ -1,5 +1,6 @@
-//! Numbers from the wrong pixels, sets and frames: cases of the public record and measured data, through the program with
-//! real files. The camera here is drawn by hand: Poisson charge, gain, offsets, response, read noise, rounding.
+//! Numbers from the wrong pixels, sets and frames: cases of the public record and measured data, through the
+//! program with real files. The camera here is drawn by hand: Poisson charge, gain, offsets, response, read
+//! noise, rounding.
 
 use crate::support::{expect, radcam, refused, shared, small};
 use radcam::calibrate::defects::{BLIND, DEAD};
@@ -179,7 +180,8 @@ fn off(cal: &Calibration, truth: &Array2<f64>) -> f64 {
     off.mean().unwrap().sqrt()
 }
 
-/// Case 23: one dead pixel, a dead column, hot pixels; both estimators. The file is usable and the pixels are flagged.
+/// Case 23: one dead pixel, a dead column, hot pixels; both estimators. The file is usable and the pixels are
+/// flagged.
 #[test]
 fn dead_pixels_are_flagged_and_the_calibration_is_usable() {
     for (seed, estimator, column, hot) in [
@@ -248,8 +250,8 @@ fn configurations(dataset: &str) {
 /// Light at a row and a column.
 type Shape<'a> = &'a dyn Fn(usize, usize) -> f64;
 
-/// Case 19: an image circle smaller than the sensor, and optically black columns. They are blind, and K of the rest has its
-/// 1 %.
+/// Case 19: an image circle smaller than the sensor, and optically black columns. They are blind, and K of the
+/// rest has its 1 %.
 #[test]
 fn pixels_without_light_are_blind_and_the_rest_is_measured() {
     let circle = |y: usize, x: usize| {
@@ -358,7 +360,8 @@ fn hot_pixels_and_glints_are_masked_as_diagnose_masks_them() {
     assert_eq!(cal.description.n2, 32);
 }
 
-/// Case 14: a lamp that flickers by 2 % in a field that falls to a fifth in the corners. The gain is right within its error.
+/// Case 14: a lamp that flickers by 2 % in a field that falls to a fifth in the corners. The gain is right within
+/// its error.
 #[test]
 fn unequal_light_in_a_shaded_field_leaves_the_gain() {
     for (seed, fall) in [(1, 0.4), (2, 0.8), (3, 0.8)] {
@@ -388,8 +391,8 @@ fn noise_of(path: &Path) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Rows of a curve are left as they are, eight of them side by side too, and the slope at the dark end is the gain; a single
-/// row off it is left out and said.
+/// Rows of a curve are left as they are, eight of them side by side too, and the slope at the dark end is the
+/// gain; a single row off it is left out and said.
 #[test]
 fn a_curve_is_no_row_of_outliers() {
     let dir = tempfile::tempdir().unwrap();
@@ -506,8 +509,8 @@ fn a_k_that_makes_frames_noisier_is_refused() {
     assert!(said.contains("standard deviation 0.003"), "{said}");
 }
 
-/// The simulator draws dead pixels, a black reference and an image circle; every verb that reads a calibration takes the
-/// file.
+/// The simulator draws dead pixels, a black reference and an image circle; every verb that reads a calibration
+/// takes the file.
 #[test]
 fn simulated_dead_and_blind_pixels_go_through_every_verb() {
     let dir = tempfile::tempdir().unwrap();
@@ -529,7 +532,8 @@ fn simulated_dead_and_blind_pixels_go_through_every_verb() {
     assert!(Path::new(&at("page.html")).exists());
 }
 
-/// Measured data: an amateur's CMOS with a black-level clamp, a CCD whose table has a stray row, a beamline's camera.
+/// Measured data: an amateur's CMOS with a black-level clamp, a CCD whose table has a stray row, a beamline's
+/// camera.
 #[test]
 fn measured_cameras_have_their_gain() {
     let Some(real) = shared("real") else { return };
@@ -565,8 +569,8 @@ fn measured_cameras_have_their_gain() {
     assert!(said["data_faults"].to_string().contains("unequal-light"), "{}", said["data_faults"]);
 }
 
-/// Darks of 8 bits whose noise is about half a step: rounding gives them less or more than q^2/12, by where the black level
-/// lies between two codes.
+/// Darks of 8 bits whose noise is about half a step: rounding gives them less or more than q^2/12, by where the
+/// black level lies between two codes.
 #[test]
 fn quiet_darks_of_eight_bits_do_not_tilt_the_line() {
     let (mut sum, mut square, mut n) = (0.0, 0.0, 0.0);

@@ -1,5 +1,5 @@
-//! What `correct`, `scene` and `stream` read of a frame's header and name, held against the calibration. A camera of its own: no code of
-//! radcam draws it, but for the random numbers.
+//! What `correct`, `scene` and `stream` read of a frame's header and name, held against the calibration. A camera
+//! of its own: no code of radcam draws it, but for the random numbers.
 
 use crate::support::{expect, radcam, refused};
 use ndarray::Array2;
@@ -22,7 +22,8 @@ impl Drawn {
         Self { seed, gain: 0.5, black_dn: 100.0, dark_e_per_s, shape: (64, 80), drawn: 0 }
     }
 
-    /// A frame of so many electrons of light; `factor` of the row and the column multiplies light and, last, gain.
+    /// A frame of so many electrons of light; `factor` of the row and the column multiplies light and, last,
+    /// gain.
     pub fn frame_of(
         &mut self,
         light_e: f64,
@@ -161,8 +162,8 @@ fn of_fits(folder: &Folder, camera: &mut Drawn) {
     folder.calibrate();
 }
 
-/// FITS: the exposure of the header counts, 400 DN of dark charge in 4 s of it, and each setting that differs from the calibration's is
-/// refused by its name and both values. What a header does not state is said.
+/// FITS: the exposure of the header counts, 400 DN of dark charge in 4 s of it, and each setting that differs
+/// from the calibration's is refused by its name and both values. What a header does not state is said.
 #[test]
 fn fits_headers_are_held_against_the_calibration() {
     let (folder, mut camera) = (Folder::new(), Drawn::new(20, 200.0));
@@ -237,7 +238,8 @@ fn fits_headers_are_held_against_the_calibration() {
     assert!(said.contains("states no exposure") && said.contains("--exposure-s"), "{said}");
 }
 
-/// TIFF and PNG: exposure of the description, of EXIF, of text chunks, of the name; a gain in dB that differs is refused.
+/// TIFF and PNG: exposure of the description, of EXIF, of text chunks, of the name; a gain in dB that differs is
+/// refused.
 #[test]
 fn descriptions_exif_texts_and_names_say_the_exposure() {
     let (folder, mut camera) = (Folder::new(), Drawn::new(33, 200.0));
@@ -288,7 +290,8 @@ fn descriptions_exif_texts_and_names_say_the_exposure() {
     assert!(said.contains("states an exposure of 4 s") && said.contains("2 s"), "{said}");
 }
 
-/// A recording whose header settings differ from those of the calibration is no camera for it; one that does not state them is told of.
+/// A recording whose header settings differ from those of the calibration is no camera for it; one that does not
+/// state them is told of.
 #[test]
 fn a_stream_is_held_against_the_calibration_as_frames_are() {
     let (folder, mut camera) = (Folder::new(), Drawn::new(21, 200.0));

@@ -1,4 +1,5 @@
-//! Headers as programs write them: units, settings, orientation, averages. One wrong reading is a wrong number later.
+//! Headers as programs write them: units, settings, orientation, averages. One wrong reading is a wrong number
+//! later.
 
 use crate::import::fits;
 use crate::support::{expect, radcam, refused};
@@ -274,7 +275,8 @@ fn two_settings(bench: &Bench, folder: &str, dark: &[&str], flat: &[&str]) {
     }
 }
 
-/// Two black levels, gains, binnings or read-out modes make no dataset; averages and corrected frames are no frames.
+/// Two black levels, gains, binnings or read-out modes make no dataset; averages and corrected frames are no
+/// frames.
 #[test]
 fn headers_that_tell_of_two_settings_are_refused() {
     let bench = Bench::new();

@@ -7,10 +7,12 @@ use serde_json::Value;
 use std::fs;
 use std::path::Path;
 
-/// Gain of red and blue over that of green: a camera's white balance, which makes the planes equal under this light.
+/// Gain of red and blue over that of green: a camera's white balance, which makes the planes equal under this
+/// light.
 const BALANCE: [[f64; 2]; 2] = [[1.8, 1.0], [1.0, 1.5]];
 
-/// Frames of a colour camera whose white balance makes the planes' means equal, with these cards in their headers; gain 0.5 DN/e of green.
+/// Frames of a colour camera whose white balance makes the planes' means equal, with these cards in their
+/// headers; gain 0.5 DN/e of green.
 fn frames(folder: &Path, cards: &[&str]) {
     let mut camera = Drawn::new(6, 20.0);
     let balanced = |y: usize, x: usize| {
@@ -39,8 +41,9 @@ fn gain(arguments: &[&str]) -> (f64, f64) {
     (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap())
 }
 
-/// The header says the pattern: import says colour and --plane, and of frames that are kept whole every verb that takes pixels for of one kind refuses by the format's name,
-/// and with --plane each colour has its own gain, the same as `import --plane` gives. `calibrate` takes each colour by itself as it is.
+/// The header says the pattern: import says colour and --plane, and of frames that are kept whole every verb that
+/// takes pixels for of one kind refuses by the format's name, and with --plane each colour has its own gain, the
+/// same as `import --plane` gives. `calibrate` takes each colour by itself as it is.
 #[test]
 fn a_mosaic_is_measured_plane_by_plane() {
     let dir = tempfile::tempdir().unwrap();

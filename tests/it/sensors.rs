@@ -31,8 +31,8 @@ fn a_soft_well_is_a_full_well() {
     assert_eq!(first(&diagnosed(&dir.path().join("bent"))), "nonlinearity");
 }
 
-/// A black level of 1.5 deviations of the noise: 2 % of the darks' samples are cut off at code 0, and that is said. At
-/// eight deviations nothing is missing.
+/// A black level of 1.5 deviations of the noise: 2 % of the darks' samples are cut off at code 0, and that is
+/// said. At eight deviations nothing is missing.
 #[test]
 fn darks_that_reach_code_0_are_said() {
     for (deviations, named) in [(1.5, "black-clipping"), (8.0, "")] {
@@ -45,9 +45,9 @@ fn darks_that_reach_code_0_are_said() {
     }
 }
 
-/// One flat level of a colour camera and darks whose level falls while their noise grows (ASI178MC, shared/real): no
-/// curve can be drawn through one level, and none is named; row noise is what numpy finds within three errors, the
-/// clamp and the unequal flats are in the list.
+/// One flat level of a colour camera and darks whose level falls while their noise grows (ASI178MC, shared/real):
+/// no curve can be drawn through one level, and none is named; row noise is what numpy finds within three errors,
+/// the clamp and the unequal flats are in the list.
 #[test]
 fn one_level_of_light_draws_no_curve() {
     let Some(root) = shared("real/asi178") else { return };

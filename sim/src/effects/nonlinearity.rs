@@ -76,8 +76,8 @@ fn bent(p: &[f64], full_scale_dn: f64) -> impl Fn(f64) -> f64 {
     }
 }
 
-/// Part of the brightest level above which a knee is one of a well that fills, and slope beyond it below which it is
-/// (named choices: amplifiers bend by less).
+/// Part of the brightest level above which a knee is one of a well that fills, and slope beyond it below which it
+/// is (named choices: amplifiers bend by less).
 const FILLING: f64 = 0.85;
 const FILLS: f64 = 0.75;
 
@@ -277,8 +277,9 @@ impl Effect for Nonlinearity {
     }
 
     /// Beyond a full well charge still rises by a few per cent of what light brings: pixels differ, and few are full at first.
-    /// A knee in the last part of what was measured is a well that fills: so few levels lie beyond it that two slopes are as near as any curve.
-    /// A toe as wide as the range is a bend, of which other shapes tell; one within the noise of darks is what darks and lit frames differ by.
+    /// A knee in the last part of what was measured is a well that fills: so few levels lie beyond it that two
+    /// slopes are as near as any curve. A toe as wide as the range is a bend, of which other shapes tell; one
+    /// within the noise of darks is what darks and lit frames differ by.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         match p[0].round() as i32 {
             5 => p[KNEE + 1] < 0.1 || p[KNEE] > FILLING * seen.peak_dn && p[KNEE + 1] < FILLS,
