@@ -36,10 +36,12 @@ fn a_tie_is_broken_by_the_second_measurement() {
         let camera = ["investigate", "--camera", "aravis:127.0.0.1"];
         let said = expect(1, &[&camera[..], &["--plan", "quick", "--json", "-o", path]].concat());
         let found = json(&said);
-        // Alone the first measurement leaves two of them open.
+        // Alone the first measurement leaves two of them open. Times are the clock's: whether the lamp or the gain
+        // that drifts is the nearer one in the first look is chance.
         assert_eq!(found["measurements"].as_array().unwrap().len(), measurements, "{id}: {said}");
+        let near = if id == "illumination-drift" { "-drift" } else { id };
         let second = found["measurements"][1]["about"].as_str();
-        assert!(second.is_none_or(|about| about.contains(id)), "{id}: {said}");
+        assert!(second.is_none_or(|about| about.contains(near)), "{id}: {said}");
         let d = &found["diagnosis"];
         assert_eq!(d["missing"][0]["effect"], id, "{said}");
         assert!(d["missing"].as_array().unwrap().len() == 1 && found["undecided"].is_null(), "{id}: {said}");
