@@ -103,7 +103,7 @@ impl EffectValues {
             // What these choices do not use needs no value.
             let idle = !effect.uses(&choices, k);
             let usual = p.starts.first().copied().filter(|_| p.is_choice() || idle);
-            let usual = usual.or(idle.then_some(p.min.max(0.0)));
+            let usual = usual.or(idle.then_some(p.min.max(0.0))).or_else(|| effect.usual(k));
             self.parameters.get(p.name).copied().or(usual).ok_or_else(|| {
                 ModelError::Effect(format!(
                     "effect {} needs a value of {} ({} to {} {}); `radcam model fit` finds it in a dataset",

@@ -76,8 +76,9 @@ impl Check for OddFrame {
                     return places[*k] > 2 || share.is_none_or(|s| s.abs() < MIN_CARRIED_SHARE);
                 };
                 let change = if before.frames() > 0 { before.level_dn() - apart.level_dn } else { 0.0 };
+                // What is less than any slip may be carried too: a sensor that keeps 1e-5 of 60000 DN for the next dark.
                 let most = share.map_or(MAX_LAG, |s| {
-                    if s.abs() > MIN_CARRIED_SHARE { CARRIED_TOLERANCE * s.abs() } else { 0.0 }
+                    if s.abs() > MIN_CARRIED_SHARE { CARRIED_TOLERANCE * s.abs() } else { MIN_CARRIED_SHARE }
                 });
                 let carried = places[*k] <= 2 && off * change > 0.0 && off.abs() < most * change.abs();
                 let dies_away = (1..=2).contains(k)

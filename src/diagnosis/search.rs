@@ -5,6 +5,7 @@ use crate::inference::{
     residuals_of, seen, start,
 };
 
+use crate::observables::profile::LineProfile;
 use crate::observables::{Observations, Statistic, covariance, frame_scatter, succession};
 use radcam_sim::effects::{self, Effect, Needs, Seen};
 use rayon::prelude::*;
@@ -30,7 +31,7 @@ const FINISHED: usize = 4;
 const SAME: f64 = 0.01;
 /// A size is something from so many of its errors on: 0 is rejected at 1 in 80.
 const KNOWN: f64 = 2.5;
-/// The same of the scatter of settings, of which there may be two.
+/// The same of the scatter of settings or of frames, of which there may be two.
 const KNOWN_SCATTER: f64 = 1.2;
 /// A candidate whose evidence after a few rounds is below this share of the best is not fitted to the end.
 const BEHIND: f64 = 0.3;
@@ -44,6 +45,9 @@ const LINES: usize = 3;
 const MOST_OF: f64 = 0.5;
 /// A second line is followed where its evidence is this near the best line's.
 const NEAR: f64 = 40.0;
+
+/// Ratio of errors from which on a statistic is excused and not explained (a named choice).
+const WIDER: f64 = 1.5;
 
 /// A candidate after its fit.
 #[derive(Clone)]
@@ -189,7 +193,7 @@ impl Look<'_> {
         let seen = seen(self.all, &self.now.base);
         let stands = |c: &Candidate| {
             let told = || is_told(self.all, self.now, &c.fitted, c.effect, &seen);
-            (stands(c, &seen) || told()) && is_shown(self.all, c)
+            (stands(c, &seen) || told()) && is_shown(self.all, c) && !self.only_excuses(c)
         };
         let tries =
             tries.into_iter().map(|fitted| Candidate { effect, evidence: self.evidence(&fitted), fitted });
@@ -198,6 +202,20 @@ impl Look<'_> {
 
     fn evidence(&self, fitted: &Fitted) -> f64 {
         score(self.all, self.now) - score(self.all, fitted)
+    }
+
+    /// Whether a candidate does no more than widen what the profiles of lines are allowed to be off by. No
+    /// effect predicts them, and wide errors fit anything.
+    fn only_excuses(&self, c: &Candidate) -> bool {
+        let id = LineProfile.id();
+        let of = |model: &Fitted| -> Vec<Residual> {
+            residuals_of(self.all, model).into_iter().filter(|r| r.statistic == id).collect()
+        };
+        let (now, with) = (of(self.now), of(&c.fitted));
+        let widened = now.iter().zip(&with).filter(|(a, b)| b.std_err > WIDER * a.std_err);
+        let gained: f64 =
+            widened.map(|(a, b)| a.z.powi(2) - b.z.powi(2) - 2.0 * (b.std_err / a.std_err).ln()).sum();
+        gained > 0.0 && c.evidence - gained < NEEDED
     }
 }
 
@@ -294,8 +312,8 @@ pub fn is_something(fitted: &Fitted, at: usize, seen: &Seen) -> bool {
     if at_an_end(*effect, values) || effect.is_another(values, seen) {
         return false;
     }
-    // A scatter of m settings is known to 1 / root 2 m of itself: of two settings to 0.7.
-    let known = if effect.sets_each() { KNOWN_SCATTER } else { KNOWN };
+    // A scatter of m settings or frames is known to 1 / root 2 m of itself: of two to 0.7.
+    let known = if effect.sets_each() || effect.shown_by().is_some() { KNOWN_SCATTER } else { KNOWN };
     let is_known = |value: f64, error: f64| value.abs() > known * error;
     // Two that only their combination tells are each unknown.
     if effect.together(values).is_some_and(|t| is_known(t.value, fitted.std_err_of(at, &t))) {
@@ -396,10 +414,17 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
         let found = search_without(all, model, far, &not, progress);
         let seen = seen(all, &found.fitted.base);
         let added = model.effects.len()..found.fitted.effects.len();
-        // An effect fitted beside others may end at values at which it is another one, or at an end of its range.
+        // An effect fitted beside others may end at values at which it is another one, at an end of its range, or
+        // at a size that is nothing within its errors.
+        let told = |i: usize, effect: &'static dyn Effect| {
+            !effect.told_by().is_empty()
+                && is_told(all, &without(all, &found.fitted, i), &found.fitted, effect, &seen)
+        };
         let nothing = |i: &usize| {
             let (effect, values) = &found.fitted.effects[*i];
-            effect.is_another(values, &seen) || at_an_end(*effect, values)
+            effect.is_another(values, &seen)
+                || at_an_end(*effect, values)
+                || !is_something(&found.fitted, *i, &seen) && !told(*i, *effect)
         };
         let before = not.len();
         not.extend(added.filter(nothing).map(|i| found.fitted.effects[i].0.id()));

@@ -219,6 +219,7 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
         lit_s: lit
             .fold((f64::INFINITY, 0.0), |(a, b), s| (f64::min(a, s.exposure_s), f64::max(b, s.exposure_s))),
         rows: all.campaign.shape.0 as f64,
+        columns: all.campaign.shape.1 as f64,
         means: !all.means_given && lit_levels(all) >= FEWEST_LEVELS,
         dark_noise_dn: base.read_noise_e * base.gain_dn_per_e,
         line_cycles_per_px: all.campaign.line_cycles_per_px,

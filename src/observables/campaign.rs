@@ -310,7 +310,7 @@ pub fn of_dataset(
             sets: of_half().map(|c| (settings[c.set].exposure_s, after_scene[c.set])).collect(),
             zero_dn,
             codes: &of_codes,
-            line: line.map(|(place, _)| lines[half.place()].at(place)),
+            line: line.map(|(place, _)| lines[half.place()].teeth(place, shape.1)),
             noisy_levels: &noisy_levels[half.place()],
             scene: pairs[half.place()].as_ref(),
         };

@@ -322,6 +322,15 @@ impl LineSearch {
         Some((top, frequency))
     }
 
+    /// Variance in the line at a place, and one cycle a row of so many columns on either side of it, DN^2.
+    pub fn teeth(&self, top: usize, columns: usize) -> [Value; 3] {
+        let row = self.length as f64 / columns as f64;
+        super::line::TEETH.map(|away| {
+            let place = (top as f64 + away * row).round().clamp(4.0, (self.power.len() - 4) as f64);
+            self.at(place as usize)
+        })
+    }
+
     /// Variance in the line at a place, DN^2.
     pub fn at(&self, top: usize) -> Value {
         let floor = self.floor(top);

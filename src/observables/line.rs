@@ -1,4 +1,5 @@
-//! Variance in the strongest line of the noise's spectrum in read-out order, DN^2.
+//! Variance in the strongest line of the noise's spectrum in read-out order, DN^2, and one row's frequency on
+//! either side of it: what goes on while rows are blanked is a comb there.
 
 use crate::statistics::spectrum::Power;
 
@@ -13,28 +14,45 @@ impl Statistic for Line {
         "line in the spectrum"
     }
 
+    fn name(&self, index: usize) -> String {
+        let beside = ["", ", one cycle a row below it", ", one cycle a row above it"];
+        format!("line in the spectrum{}", beside[index.min(2)])
+    }
+
     fn meaning(&self, _: usize) -> &'static str {
         "at one frequency"
     }
 
     fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {
-        if let Some(v) = half.line {
-            put.put(0, v.value, v.std_err);
+        for (index, v) in half.line.into_iter().flatten().enumerate() {
+            put.put(index, v.value, v.std_err);
         }
     }
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
-        // A line elsewhere is not the one that was measured: its place is known to a part of a bin of the spectrum.
-        let (seen, bins) =
-            (view.all.campaign.line_cycles_per_px, Power::length(view.all.campaign.shape) as f64);
-        let here = |across: f64| {
-            let away = seen.map_or(0.0, |seen| (across / std::f64::consts::TAU - seen) * bins);
-            (-0.5 * away * away).exp()
+        let shape = view.all.campaign.shape;
+        let Some(seen) = view.all.campaign.line_cycles_per_px else {
+            return Expected::plain(o, 0.0, o.measured.std_err);
+        };
+        let columns = shape.1 as f64;
+        let rows = Power::length(shape) as f64 / columns;
+        let here = seen + TEETH[o.index.min(2)] / columns;
+        let tooth = |&(variance, across, down): &(f64, f64, f64)| {
+            let turns = |phase: f64| phase / std::f64::consts::TAU;
+            // Rows one after another: a comb with teeth where a row's phase agrees, each as strong as the sine is
+            // in one row there (the transform of a sine cut to one row).
+            let between = turns(down) - here * columns;
+            let away = (between - between.round()) * rows;
+            let within = std::f64::consts::PI * (turns(across) - here) * columns;
+            let cut = if within.abs() < 1e-9 { 1.0 } else { (within.sin() / within).powi(2) };
+            variance * cut * (-0.5 * away * away).exp()
         };
         // The same in all sets, but where clipping takes of it.
-        let of_sets =
-            view.prediction.sets.iter().map(|s| s.lines.iter().map(|l| l.0 * here(l.1)).sum::<f64>());
+        let of_sets = view.prediction.sets.iter().map(|s| s.lines.iter().map(tooth).sum::<f64>());
         let line = of_sets.fold(0.0, f64::max);
         Expected::plain(o, line, o.measured.std_err)
     }
 }
+
+/// Places of the line and of its neighbours, cycles a row away.
+pub const TEETH: [f64; 3] = [0.0, -1.0, 1.0];

@@ -34,7 +34,8 @@ impl Statistic for Mean {
         }
         // Temporally correlated noise averages out less.
         let memory = s.shot_memory.first().copied().unwrap_or(0.0).max(0.0);
-        let noise = ((view.of_mean + s.common) * (1.0 + 2.0 * memory) / view.n).sqrt();
+        // A fitted dark current below 0 has no noise.
+        let noise = ((view.of_mean + s.common).max(0.0) * (1.0 + 2.0 * memory) / view.n).sqrt();
         // The sums are kept in 32 bits and means in some thousandths of a DN.
         Expected::plain(o, view.mean, in_quadrature(&[noise, 0.002, view.rough.0, s.unsure_mean]))
     }

@@ -54,9 +54,15 @@ impl Statistic for LineProfile {
             unsure += USUAL_FRAMES * (s.uneven * s.uneven + telegraph + ripple) / noise;
         }
         let n = f64::max(n, 1.0);
-        Expected::plain(o, value / n, in_quadrature(&[o.measured.std_err, unsure / n]))
+        let expected = Expected::plain(o, value / n, in_quadrature(&[o.measured.std_err, unsure / n]));
+        // No effect predicts such a misfit: the fit must not bend everything else to excuse it.
+        let alone = (o.measured.value - 1.0).abs() > NOT_FITTED * o.measured.std_err;
+        if alone { expected.with_tails(expected.std_err) } else { expected }
     }
 }
+
+/// Standard errors from which on a misfit of profiles is said and does not lead the fit (a named choice).
+const NOT_FITTED: f64 = 20.0;
 
 /// Frames of a chunk, as most have them.
 const USUAL_FRAMES: f64 = 4.0;

@@ -28,6 +28,9 @@ fn expanded(p: &[f64], code: f64, full_scale_dn: f64) -> f64 {
     full_scale_dn * (sent / p[1]) * (sent / p[1])
 }
 
+/// Share of a step that codes are apart over the whole range, from which on no knee is seen (a named choice).
+const EVERYWHERE: f64 = 0.97;
+
 impl Effect for Companding {
     fn id(&self) -> &'static str {
         "companding"
@@ -81,6 +84,11 @@ impl Effect for Companding {
 
     fn uses(&self, p: &[f64], parameter: usize) -> bool {
         parameter == 0 || (parameter >= 2) == (p[0] >= 0.5)
+    }
+
+    /// Steps that are coarse from the darkest level on are those of a coarse converter.
+    fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
+        p[0] >= 0.5 && seen.code_step_dn.is_some_and(|step| step > EVERYWHERE * p[3])
     }
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {

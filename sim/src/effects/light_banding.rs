@@ -10,6 +10,9 @@ pub struct LightBanding;
 /// than lamps do.
 const SHORTEST: f64 = 0.85;
 
+/// Correlation of the first row with the last from which on a wander moves whole frames: bands are taller than the frame.
+const WHOLE_FRAMES: f64 = 0.368;
+
 /// No lamp's light ripples slower: twice the frequency of the slowest supply, a railway's 16.7 Hz.
 const SLOWEST_HZ: f64 = 33.0;
 /// Lamps on the mains ripple at twice its frequency.
@@ -115,7 +118,7 @@ impl Effect for LightBanding {
     /// What the rows of a frame share is flicker; what only rows side by side share is no lamp's.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         if p[0] >= 0.5 {
-            libm::pow(p[4], seen.rows) > 0.5 || p[4] < 1.001 * SHORTEST
+            libm::pow(p[4], seen.rows) > WHOLE_FRAMES || p[4] < 1.001 * SHORTEST
         } else {
             p[2] * seen.rows < 0.5
         }

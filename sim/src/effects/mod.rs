@@ -90,6 +90,8 @@ pub struct Seen {
     pub lit_s: (f64, f64),
     /// Rows.
     pub rows: f64,
+    /// Columns.
+    pub columns: f64,
     /// Curve of the means over the light: true where three levels or more are measured and their light is known.
     pub means: bool,
     /// Noise of darks, DN.
@@ -353,6 +355,10 @@ pub trait Effect: Sync + Send {
     /// Whether frames depend on those before them: what was exposed before the first is then not known.
     fn has_memory(&self) -> bool {
         false
+    }
+    /// Value of a parameter to draw with where a model gives none; `None`: it must be given.
+    fn usual(&self, _parameter: usize) -> Option<f64> {
+        None
     }
     /// Whether it is another effect at these values: a limit of its shape.
     fn is_another(&self, _p: &[f64], _seen: &Seen) -> bool {

@@ -2,7 +2,7 @@
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
-/// A sine in read-out order, with a new phase in every frame.
+/// A sine in read-out order, with a new phase in every frame; it goes on while the rows are blanked.
 pub struct PeriodicInterference;
 
 impl Effect for PeriodicInterference {
@@ -36,22 +36,42 @@ impl Effect for PeriodicInterference {
                 max: 0.5,
                 starts: &[],
             },
+            Parameter {
+                name: "blanking_cycles",
+                meaning: "its phase between the last pixel of a row and the first of the next, without whole cycles: line blanking",
+                unit: "1",
+                min: -0.5,
+                max: 0.5,
+                starts: &[],
+            },
         ]
     }
 
-    /// At the strongest line that was measured; without one there is nothing to look for.
+    /// At the strongest line that was measured, which is one tooth of a comb where rows are blanked, and on
+    /// either side of it with the phase that puts the tooth there; without a line there is nothing to look for.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
-        seen.line_cycles_per_px.map(|line| vec![self.parameters()[0].starts[0], line]).into_iter().collect()
+        let Some(line) = seen.line_cycles_per_px else { return Vec::new() };
+        let tooth = |away: f64| {
+            let cycles_per_px = line + away / seen.columns.max(2.0);
+            vec![self.parameters()[0].starts[0], cycles_per_px.clamp(0.0, 0.5), -away]
+        };
+        [0.0, -0.25, 0.25, -0.45, 0.45].map(tooth).to_vec()
+    }
+
+    /// A camera whose rows follow one another at once.
+    fn usual(&self, parameter: usize) -> Option<f64> {
+        (parameter == 2).then_some(0.0)
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
-        Some(vec![0.35 * plain.noise_e * plain.gain_dn_per_e, 0.0973])
+        Some(vec![0.35 * plain.noise_e * plain.gain_dn_per_e, 0.0973, 0.0])
     }
 
     fn page(&self) -> Page {
         Page {
             what: "A clock or a switching supply couples into the video signal while the frame is read.",
-            equation: "v + a sin(2 pi f n + phase), n the pixel's place in read-out order; variance + a^2 / 2",
+            equation: "v + a sin(2 pi (f n + b y) + phase), n the pixel's place in read-out order, y its row, b the cycles while a row is blanked; \
+                       variance + a^2 / 2",
             signature: "a line in the noise's spectrum in read-out order; stripes whose place changes from frame to frame",
             look_alikes: "row noise is white from row to row; a fixed phase would be fixed pattern",
             remedy: "shielding, a synchronised supply; a notch filter in read-out order",
@@ -64,7 +84,11 @@ impl Effect for PeriodicInterference {
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let across = std::f64::consts::TAU * p[1];
         for s in &mut out.sets {
-            s.lines.push((0.5 * p[0] * p[0], across, across * c.shape.1 as f64));
+            s.lines.push((
+                0.5 * p[0] * p[0],
+                across,
+                across * c.shape.1 as f64 + std::f64::consts::TAU * p[2],
+            ));
             // The fourth cumulant of a sine of random phase is -3/2 of the square of its variance.
             s.fourth -= 1.5 * 0.25 * p[0].powi(4);
         }
@@ -73,8 +97,10 @@ impl Effect for PeriodicInterference {
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
         let turn = std::f64::consts::TAU;
         let phase = turn * d.random(self.id(), d.frame, 0).uniform();
+        let columns = d.image.ncols();
         for (n, v) in d.image.iter_mut().enumerate() {
-            *v += p[0] * libm::sin(turn * p[1] * n as f64 + phase);
+            let cycles = p[1] * n as f64 + p[2] * (n / columns) as f64;
+            *v += p[0] * libm::sin(turn * cycles + phase);
         }
     }
 }

@@ -14,7 +14,7 @@ const STAYS: f64 = 0.3;
 /// Of what the variances of the pixels spread by no more than so much is shared by pixels two columns or two rows apart (a named choice: of
 /// pixels that lie anywhere it is nothing, of parts of the sensor most of it, of its edges half).
 const ALONE: f64 = 0.25;
-/// Largest share of the pixels that are a few (a named choice: sensors have some per cent at most).
+/// Largest share of the pixels that are a few (a named choice: sensors have some per cent at most). Jumps of more are the sensor's own noise.
 const FEW: f64 = 0.2;
 /// Standard errors beyond which it is.
 const SURE: f64 = 3.0;
@@ -45,7 +45,7 @@ impl Effect for RandomTelegraphNoise {
                 meaning: "share of the pixels that have two levels",
                 unit: "1",
                 min: 1e-5,
-                max: 0.5,
+                max: FEW,
                 starts: &[0.01],
             },
             Parameter {
@@ -81,11 +81,6 @@ impl Effect for RandomTelegraphNoise {
         let all =
             [(0.01, 3.0, 0.0), (0.01, 8.0, 0.0), (0.001, 20.0, 0.0), (0.01, 8.0, 0.3), (0.02, 6.0, -0.2)];
         all.map(|(share, jump, stays)| vec![share, jump * noise_e, stays]).to_vec()
-    }
-
-    /// Jumps of every fifth pixel and more are the sensor's own noise, and not a few pixels'.
-    fn is_another(&self, p: &[f64], _: &Seen) -> bool {
-        p[0] > FEW
     }
 
     fn told_by(&self) -> &'static [&'static str] {
