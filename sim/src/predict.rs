@@ -249,6 +249,8 @@ pub struct SetPrediction {
     pub parity: (f64, f64),
     /// Share of the codes around the level that occur.
     pub codes_used: f64,
+    /// Step of the codes around the level, DN: of a table whose steps grow.
+    pub step_dn: f64,
 }
 
 /// Everything that is expected.
@@ -317,6 +319,7 @@ impl SetPrediction {
             growth: (0.0, 0.0),
             parity: (0.0, 0.0),
             codes_used: 1.0,
+            step_dn: 1.0,
         }
     }
 

@@ -1,8 +1,9 @@
 //! Searches over sets of effects: several lines are followed, what others take over is dropped again.
 
+use super::HOLDS;
 use crate::inference::{
-    Effects, Fitted, Given, Residual, Scored, Screen, as_given, fit, fit_briefly, fit_near, has_flats,
-    residuals_of, seen, start,
+    Effects, Fitted, Given, Residual, Scored, Screen, as_given, compare, fit, fit_briefly, fit_near,
+    has_flats, residuals_of, seen, start,
 };
 
 use crate::observables::profile::LineProfile;
@@ -48,6 +49,11 @@ const NEAR: f64 = 40.0;
 
 /// Ratio of errors from which on a statistic is excused and not explained (a named choice).
 const WIDER: f64 = 1.5;
+
+/// Share of the best candidate's evidence from which on another explains the same (a named choice).
+const NEARLY: f64 = 0.9;
+/// Evidence from which on an effect is far beyond doubt, and its errors matter more than its size (a named choice).
+const MANY: f64 = 1e3;
 
 /// A candidate after its fit.
 #[derive(Clone)]
@@ -429,10 +435,25 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
         let before = not.len();
         not.extend(added.filter(nothing).map(|i| found.fitted.effects[i].0.id()));
         if not.len() == before {
-            return found;
+            return or_one_that_holds(all, found);
         }
     }
-    search_without(all, model, far, &not, progress)
+    or_one_that_holds(all, search_without(all, model, far, &not, progress))
+}
+
+/// A single effect with which the campaign agrees, where it does not with what was found: evidence also grows as
+/// errors become narrower, and a model whose narrow errors are wrong is no better for it.
+fn or_one_that_holds(all: &Observations, mut found: Found) -> Found {
+    let best = found.first.first().map_or(0.0, |c| c.evidence);
+    let mut others = found.first.iter().filter(|c| c.evidence > NEARLY * best).peekable();
+    if best < MANY || others.peek().is_none() || compare(all, &found.fitted).p_value >= HOLDS {
+        return found;
+    }
+    if let Some(one) = others.find(|c| compare(all, &c.fitted).p_value >= HOLDS) {
+        tracing::debug!("{} alone agrees, what was found does not", one.effect.id());
+        found.fitted = one.fitted.clone();
+    }
+    found
 }
 
 fn search_without(

@@ -111,8 +111,8 @@ fn quantised(variance: f64, spread: f64, q: f64) -> (f64, f64) {
 }
 
 /// What rounding may do to mean and variance beyond what is predicted, DN and DN^2.
-fn rough(prediction: &Prediction, noise: f64, spread: f64) -> (f64, f64) {
-    let (mean, variance) = quantised(noise, spread, prediction.code_step_dn);
+fn rough(prediction: &Prediction, s: &SetPrediction, noise: f64, spread: f64) -> (f64, f64) {
+    let (mean, variance) = quantised(noise, spread, prediction.code_step_dn.max(s.step_dn));
     // Where the noise covers few codes their widths are in it: not an equation but a bound on what is not predicted, gone where the noise
     // covers many.
     let widths = 0.5 * prediction.bit_errors_dn[..6].iter().map(|e| e * e).sum::<f64>();
@@ -274,7 +274,7 @@ impl<'a> View<'a> {
             view.left = (left(&s.shot_memory, n), left(&s.read_memory, n));
         }
         let spread = o.set.and_then(|i| all.campaign.sets.get(i)).map_or(0.0, |s| s.spread_dn);
-        view.rough = rough(prediction, view.noise, spread);
+        view.rough = rough(prediction, s, view.noise, spread);
         // Rounding errors are the same in all chunks of a level, and do not average out.
         let alike = o.set.and_then(|i| all.alike.get(i)).map_or(1.0, |n| n.sqrt());
         view.rough = (alike * view.rough.0, alike * view.rough.1);

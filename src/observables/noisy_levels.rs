@@ -19,6 +19,8 @@ const ROUNDING: f64 = 0.02;
 const OF_ONE: f64 = 0.8;
 /// Share of an excess above 0 that is not known to be none.
 const ABOVE: f64 = 0.7;
+/// Excess of two levels alone, the least there is.
+const TWO_LEVELS: f64 = -2.0;
 /// Pixels whose jumps are this part of their variance and more are all among the noisiest (a named choice).
 const CHOSEN: f64 = 1.3;
 /// Noise of less than a step makes two codes of a level, which look like two levels.
@@ -82,6 +84,8 @@ impl Statistic for NoisyLevels {
         // Above 0 lies what grows from set to set, as the shot noise of dark charge does: only what lies below
         // tells of levels.
         let above = ABOVE * o.measured.value.max(0.0);
-        Expected::plain(o, excess, in_quadrature(&[o.measured.std_err, unsure, above]))
+        // Nothing lies below two levels: what does was scaled up too much.
+        let below = (TWO_LEVELS - o.measured.value).max(0.0);
+        Expected::plain(o, excess, in_quadrature(&[o.measured.std_err, unsure, above, below]))
     }
 }

@@ -19,9 +19,10 @@ const PADDED: usize = 4;
 const FEWEST: usize = 16;
 /// Peaks that are given as starts.
 const PEAKS: usize = 3;
-/// Power of a peak over the median of all, from which on it is one: of exponentially distributed powers one in a
-/// million is 20 times the median.
-const STANDS_OUT: f64 = 5.0;
+/// Power of a peak over the median of all, from which on it is one (a named choice: of the sum over some thirty
+/// frames one chance peak in a hundred spectra). The strongest one starts a search from half as much: a chance
+/// peak costs time, and no fit keeps it.
+const STANDS_OUT: f64 = 3.0;
 
 type Plan = (usize, Arc<dyn Fft<f32>>, Vec<Complex<f32>>);
 
@@ -73,16 +74,19 @@ pub fn peaks(power: &[f64], rows: usize) -> Vec<f64> {
     // Below half a cycle over all rows there is no peak.
     let first = (PADDED / 2).max(1);
     let mut found: Vec<usize> = (first..power.len().saturating_sub(1))
-        .filter(|&k| power[k] >= power[k - 1] && power[k] > power[k + 1] && power[k] > STANDS_OUT * usual)
+        .filter(|&k| {
+            power[k] >= power[k - 1] && power[k] > power[k + 1] && power[k] > 0.5 * STANDS_OUT * usual
+        })
         .collect();
     found.sort_by(|&a, &b| power[b].total_cmp(&power[a]));
+    let strong = found.iter().filter(|&&k| power[k] > STANDS_OUT * usual).count();
     // Between bins by a parabola through the logarithms.
     let place = |k: usize| {
         let [a, b, c] = [k - 1, k, k + 1].map(|k| power[k].max(1e-300).ln());
         let bend = a - 2.0 * b + c;
         k as f64 + if bend < 0.0 { 0.5 * (a - c) / bend } else { 0.0 }
     };
-    found.into_iter().take(PEAKS).map(|k| place(k) / (PADDED * rows) as f64).collect()
+    found.into_iter().take(strong.clamp(1, PEAKS)).map(|k| place(k) / (PADDED * rows) as f64).collect()
 }
 
 #[cfg(test)]

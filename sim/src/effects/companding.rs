@@ -166,6 +166,7 @@ impl Effect for Companding {
                 s.unsure_mean = libm::hypot(s.unsure_mean, 0.5 * above);
             }
             s.codes_used *= over(&|q| 1.0 / q);
+            s.step_dn = s.step_dn.max(here);
             // Noise narrower than half a step: what is left of it depends on where it lies, from pixel to pixel, and the spread of the levels
             // has the steps in it.
             let square = here * here;
