@@ -75,9 +75,17 @@ fn there(all: &Observations) -> Needs {
     }
 }
 
-/// What BIC takes for the parameters of a model.
+/// What BIC takes for the parameters of a model, and twice the logarithm of the forms that each effect was tried
+/// in: a name with nine forms has each of them by chance as often as another its only one.
 fn price(all: &Observations, fitted: &Fitted) -> f64 {
-    fitted.parameters() as f64 * (all.list.len() as f64).ln()
+    let forms: f64 = fitted.effects.iter().map(|(e, _)| (forms(*e) as f64).ln()).sum();
+    fitted.parameters() as f64 * (all.list.len() as f64).ln() + 2.0 * forms
+}
+
+/// Combinations of the choices of an effect.
+fn forms(effect: &dyn Effect) -> usize {
+    let choices = effect.parameters().iter().filter(|p| p.is_choice());
+    choices.map(|p| p.starts.len().max(1)).product()
 }
 
 /// Minus twice the logarithm of a model's evidence.
