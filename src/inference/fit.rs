@@ -223,6 +223,7 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
         means: !all.means_given && lit_levels(all) >= FEWEST_LEVELS,
         dark_noise_dn: base.read_noise_e * base.gain_dn_per_e,
         line_cycles_per_px: all.campaign.line_cycles_per_px,
+        column_cycles: all.column_cycles.first().copied(),
         row_cycles: std::array::from_fn(|k| all.row_cycles.get(k).copied()),
         steady_dn4: all.steady_dn4.map(|v| (v.value, v.std_err)),
         darkest_dn: all.darkest_dn.map(|code| code - base.offset_dn),

@@ -3,7 +3,7 @@
 use super::read::{Chunk, Reading, read};
 use super::{
     ChunkView, Field, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, Statistic, codes,
-    covariance, frame_scatter, mean, row_spectrum, settling, successive, unequal, variance,
+    column_spectrum, covariance, frame_scatter, mean, row_spectrum, settling, successive, unequal, variance,
 };
 use crate::data_faults::{DataFault, ExamineError, examined};
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
@@ -60,6 +60,8 @@ pub struct Observations {
     pub setting: Option<Setting>,
     /// Frequencies at which row means of flats ripple, cycles per row, the strongest first.
     pub row_cycles: Vec<f64>,
+    /// Frequencies of stripes of columns that move from frame to frame, cycles per column, the strongest first.
+    pub column_cycles: Vec<f64>,
     /// True where frames that are not saved were exposed between the sets.
     pub frames_between: bool,
     /// The field of the light.
@@ -369,6 +371,7 @@ pub fn of_dataset(
         light_settings: light_settings(&infos),
         frames_between: between,
         row_cycles: row_cycles(&chunks, &settings, zero_dn),
+        column_cycles: column_cycles(&chunks),
         alike: alike(&chunks, &settings),
         field: field(&chunks, &settings, zero_dn),
         // Of flats: what a dark shows beside its charge is the offsets' pattern, which stays.
@@ -494,6 +497,20 @@ fn row_cycles(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Vec<f64>
     }
     let rows = chunks.first().map_or(0, |c| c.summary.rows_dn.len());
     if power.len() < 8 { Vec::new() } else { row_spectrum::peaks(&power, rows) }
+}
+
+/// Frequencies of stripes of columns that move from frame to frame, cycles per column.
+fn column_cycles(chunks: &[Chunk]) -> Vec<f64> {
+    let place = STATISTICS.iter().position(|s| s.id() == column_spectrum::ColumnSpectrum.id());
+    let mut power: Vec<f64> = Vec::new();
+    for c in chunks {
+        let Some(own) = place.and_then(|i| c.summary.extra.get(i)) else { continue };
+        let noise = c.summary.var.value.max(1e-12);
+        power.resize(own.len(), 0.0);
+        power.iter_mut().zip(own).for_each(|(sum, v)| *sum += v / noise);
+    }
+    let columns = chunks.first().map_or(0, |c| c.summary.columns_dn.len());
+    if power.len() < 8 { Vec::new() } else { row_spectrum::peaks(&power, columns) }
 }
 
 /// For every set the first of those that follow one another under the same light, darks in between left out.

@@ -288,6 +288,7 @@ statistics! {
     row_shape::RowShape
     column_shape::ColumnShape
     row_spectrum::RowSpectrum
+    column_spectrum::ColumnSpectrum
     row_tails::RowTails
     halves::Halves
     covariance::Covariance

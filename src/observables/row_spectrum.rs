@@ -24,10 +24,34 @@ const PEAKS: usize = 3;
 /// peak costs time, and no fit keeps it.
 const STANDS_OUT: f64 = 3.0;
 
-type Plan = (usize, Arc<dyn Fft<f32>>, Vec<Complex<f32>>);
+/// Transform of one length, with its room.
+pub(super) type Plan = (usize, Arc<dyn Fft<f32>>, Vec<Complex<f32>>);
 
 thread_local! {
-    static PLAN: RefCell<Option<Plan>> = const { RefCell::new(None) };
+    static ROWS: RefCell<Option<Plan>> = const { RefCell::new(None) };
+}
+
+/// Spectrum sums of a frame of so many lines.
+pub(super) fn count(lines: usize) -> usize {
+    if lines < FEWEST { 0 } else { PADDED * lines / 2 + 1 }
+}
+
+/// Power of the means of lines, added to the sums. `plan`: kept from frame to frame.
+pub(super) fn add_power(
+    plan: &mut Option<Plan>,
+    lines: usize,
+    means: impl Iterator<Item = f32>,
+    sums: &mut [f64],
+) {
+    let length = PADDED * lines;
+    if plan.as_ref().is_none_or(|p| p.0 != length) {
+        *plan = Some((length, FftPlanner::new().plan_fft_forward(length), vec![Complex::default(); length]));
+    }
+    let Some((_, fft, buffer)) = plan else { return };
+    buffer.fill(Complex::default());
+    buffer.iter_mut().zip(means).for_each(|(b, m)| b.re = m);
+    fft.process(buffer);
+    sums.iter_mut().zip(buffer).for_each(|(sum, v)| *sum += f64::from(v.norm_sqr()));
 }
 
 impl Statistic for RowSpectrum {
@@ -40,26 +64,12 @@ impl Statistic for RowSpectrum {
     }
 
     fn sums(&self, layout: &Layout) -> usize {
-        if layout.shape.0 < FEWEST { 0 } else { PADDED * layout.shape.0 / 2 + 1 }
+        count(layout.shape.0)
     }
 
     fn add(&self, _: &[f32], lines: &Lines, _: &Layout, sums: &mut [f64]) {
         let rows = lines.row_means();
-        PLAN.with_borrow_mut(|plan| {
-            let length = PADDED * rows.len();
-            if plan.as_ref().is_none_or(|p| p.0 != length) {
-                *plan = Some((
-                    length,
-                    FftPlanner::new().plan_fft_forward(length),
-                    vec![Complex::default(); length],
-                ));
-            }
-            let Some((_, fft, buffer)) = plan else { return };
-            buffer.fill(Complex::default());
-            buffer.iter_mut().zip(rows).for_each(|(b, m)| b.re = *m);
-            fft.process(buffer);
-            sums.iter_mut().zip(buffer).for_each(|(sum, v)| *sum += f64::from(v.norm_sqr()));
-        });
+        ROWS.with_borrow_mut(|plan| add_power(plan, rows.len(), rows.iter().copied(), sums));
     }
 
     fn expect(&self, o: &Observable, _: &View<'_>) -> Expected {
@@ -67,8 +77,8 @@ impl Statistic for RowSpectrum {
     }
 }
 
-/// Frequencies of the strongest peaks of a spectrum, cycles per row, the strongest first. `rows`: how many there
-/// are.
+/// Frequencies of the strongest peaks of a spectrum, cycles per line, the strongest first. `rows`: how many lines
+/// there are.
 pub fn peaks(power: &[f64], rows: usize) -> Vec<f64> {
     let usual = crate::statistics::median::median(power.iter().copied());
     // Below half a cycle over all rows there is no peak.

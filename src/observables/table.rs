@@ -159,5 +159,6 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         field: Field::default(),
         frames_between: false,
         row_cycles: Vec::new(),
+        column_cycles: Vec::new(),
     })
 }

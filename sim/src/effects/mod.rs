@@ -98,6 +98,8 @@ pub struct Seen {
     pub dark_noise_dn: f64,
     /// The strongest line in the spectrum of the noise in read-out order, cycles per pixel.
     pub line_cycles_per_px: Option<f64>,
+    /// The strongest frequency of stripes of columns that move from frame to frame, cycles per column.
+    pub column_cycles: Option<f64>,
     /// Frequencies at which row means of flats ripple, cycles per row, the strongest first.
     pub row_cycles: [Option<f64>; 3],
     /// Codes for each one that occurs, about the levels.

@@ -5,6 +5,11 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen,
 /// A sine in read-out order, with a new phase in every frame; it goes on while the rows are blanked.
 pub struct PeriodicInterference;
 
+/// Cycles from one row to the next.
+fn cycles_per_row(p: &[f64], columns: usize) -> f64 {
+    if p[3] >= 0.5 { 0.0 } else { p[1] * columns as f64 + p[2] }
+}
+
 impl Effect for PeriodicInterference {
     fn id(&self) -> &'static str {
         "periodic-interference"
@@ -38,24 +43,44 @@ impl Effect for PeriodicInterference {
             },
             Parameter {
                 name: "blanking_cycles",
-                meaning: "its phase between the last pixel of a row and the first of the next, without whole cycles: line blanking",
+                meaning: "shape 0: its phase between the last pixel of a row and the first of the next, without whole cycles: line blanking",
                 unit: "1",
                 min: -0.5,
                 max: 0.5,
                 starts: &[],
             },
+            Parameter {
+                name: "shape",
+                meaning: "0: in read-out order, 1: in step with the rows",
+                unit: "choice",
+                min: 0.0,
+                max: 1.0,
+                starts: &[0.0, 1.0],
+            },
         ]
     }
 
+    fn uses(&self, p: &[f64], parameter: usize) -> bool {
+        parameter != 2 || p[3] < 0.5
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        (p[3] >= 0.5).then_some("in step with the rows: stripes of columns")
+    }
+
     /// At the strongest line that was measured, which is one tooth of a comb where rows are blanked, and on
-    /// either side of it with the phase that puts the tooth there; without a line there is nothing to look for.
+    /// either side of it with the phase that puts the tooth there; and at the strongest stripes of columns.
+    /// Without either there is nothing to look for.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
-        let Some(line) = seen.line_cycles_per_px else { return Vec::new() };
-        let tooth = |away: f64| {
-            let cycles_per_px = line + away / seen.columns.max(2.0);
-            vec![self.parameters()[0].starts[0], cycles_per_px.clamp(0.0, 0.5), -away]
+        let columns = seen.columns.max(2.0);
+        let start = |cycles_per_px: f64, blanking: f64, shape: f64| {
+            vec![self.parameters()[0].starts[0], cycles_per_px.clamp(0.0, 0.5), blanking, shape]
         };
-        [0.0, -0.25, 0.25, -0.45, 0.45].map(tooth).to_vec()
+        let line = seen.line_cycles_per_px.into_iter();
+        let tooth =
+            |f: f64| [0.0, -0.25, 0.25, -0.45, 0.45].map(|away| start(f + away / columns, -away, 0.0));
+        let in_step = |f: f64| start(f, 0.0, 1.0);
+        line.flat_map(tooth).chain(seen.column_cycles.map(in_step)).collect()
     }
 
     /// A camera whose rows follow one another at once.
@@ -64,14 +89,14 @@ impl Effect for PeriodicInterference {
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
-        Some(vec![0.35 * plain.noise_e * plain.gain_dn_per_e, 0.0973, 0.0])
+        Some(vec![0.35 * plain.noise_e * plain.gain_dn_per_e, 0.0973, 0.0, 0.0])
     }
 
     fn page(&self) -> Page {
         Page {
             what: "A clock or a switching supply couples into the video signal while the frame is read.",
             equation: "v + a sin(2 pi (f n + b y) + phase), n the pixel's place in read-out order, y its row, b the cycles while a row is blanked; \
-                       variance + a^2 / 2",
+                       in step with the rows v + a sin(2 pi f x + phase), x the column; variance + a^2 / 2",
             signature: "a line in the noise's spectrum in read-out order; stripes whose place changes from frame to frame",
             look_alikes: "row noise is white from row to row; a fixed phase would be fixed pattern",
             remedy: "shielding, a synchronised supply; a notch filter in read-out order",
@@ -83,12 +108,9 @@ impl Effect for PeriodicInterference {
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let across = std::f64::consts::TAU * p[1];
+        let down = std::f64::consts::TAU * cycles_per_row(p, c.shape.1);
         for s in &mut out.sets {
-            s.lines.push((
-                0.5 * p[0] * p[0],
-                across,
-                across * c.shape.1 as f64 + std::f64::consts::TAU * p[2],
-            ));
+            s.lines.push((0.5 * p[0] * p[0], across, down));
             // The fourth cumulant of a sine of random phase is -3/2 of the square of its variance.
             s.fourth -= 1.5 * 0.25 * p[0].powi(4);
         }
@@ -98,8 +120,9 @@ impl Effect for PeriodicInterference {
         let turn = std::f64::consts::TAU;
         let phase = turn * d.random(self.id(), d.frame, 0).uniform();
         let columns = d.image.ncols();
+        let down = cycles_per_row(p, columns);
         for (n, v) in d.image.iter_mut().enumerate() {
-            let cycles = p[1] * n as f64 + p[2] * (n / columns) as f64;
+            let cycles = p[1] * (n % columns) as f64 + down * (n / columns) as f64;
             *v += p[0] * libm::sin(turn * cycles + phase);
         }
     }
