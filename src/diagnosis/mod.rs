@@ -427,6 +427,9 @@ fn parts(
         } else {
             rivals(all, &part.rest, part.effect, part.evidence)
         };
+        // Evidence also grows as errors become narrower: what has more of it, and does not hold, is no rival.
+        let evidence = part.evidence;
+        part.others.retain(|c| c.evidence <= evidence || compare(all, &c.fitted).p_value >= HOLDS);
         tracing::debug!(
             effect = part.effect.id(),
             evidence = part.evidence,

@@ -104,7 +104,7 @@ impl Verdict {
                 (None, None) => String::new(),
             };
             let cost = cost(&top.cost, whole).map_or_else(
-                || " System gain, read noise and linearity are not affected.".into(),
+                || " What it does to system gain, read noise and linearity is not known.".into(),
                 |cost| format!(" It makes {cost}."),
             );
             let sentence =

@@ -9,9 +9,10 @@ use radcam_sim::effects::find;
 pub fn heading(m: &Missing) -> String {
     let mut parts = Vec::new();
     if m.effect == "unknown" {
-        if !m.nearest.is_empty() {
-            parts.push(format!("nearest: {}", m.nearest.join(", ")));
-        }
+        parts.push(match m.nearest.as_slice() {
+            [] => "no name is near".into(),
+            names => format!("nearest: {}", names.join(", ")),
+        });
     } else {
         parts.push(format!("{} of the misfit", percent(m.share)));
         parts.push(format!("probability among the candidates: {}", percent(m.confidence)));
