@@ -66,3 +66,38 @@ fn one_level_of_light_draws_no_curve() {
     let (e, error) = (of("value"), of("std_err"));
     assert!((e - 0.52).abs() < 3.0 * error && error < 0.1, "{e} +- {error}");
 }
+
+/// Interference that goes on while rows are blanked, and interference in step with the rows: both are named, with
+/// frequency, amplitude and phase between rows within three standard errors.
+#[test]
+fn interference_is_found_with_its_line_blanking() {
+    for (blanking, shape) in [(0.31, 0.0), (0.0, 1.0)] {
+        let dir = tempfile::tempdir().unwrap();
+        let model = small("cmos12", 128, 96);
+        let amplitude_dn = 0.5 * model.constant_noise_var_dn2(0.0).sqrt();
+        let drawn = [amplitude_dn, 0.0973, blanking, shape];
+        campaign(with(model, "periodic-interference", &drawn), &dir.path().join("c"));
+        let json = diagnosed(&dir.path().join("c"));
+        assert_eq!(first(&json), "periodic-interference", "{json:#}");
+        let found = &json["missing"][0]["parameters"];
+        let names = ["amplitude_dn", "cycles_per_px", "blanking_cycles"];
+        for (name, drawn) in names.iter().zip(drawn).take(if shape > 0.5 { 2 } else { 3 }) {
+            let of = |part: &str| found[name][part].as_f64().unwrap();
+            let off = (of("value") - drawn).abs();
+            assert!(off < 3.0 * of("std_err") + 0.02 * drawn, "{name}: {drawn}, found {}", found[name]);
+        }
+    }
+}
+
+/// Codes in steps of eight noises: darks show one code, and the step is named all the same.
+#[test]
+fn steps_wider_than_the_noise_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut model = small("cmos12", 128, 96);
+    model.base.black_level_dn = 104.0;
+    let step = (8.0 * model.constant_noise_var_dn2(0.0).sqrt()).round();
+    campaign(with(model, "coarse-quantization", &[step]), &dir.path().join("c"));
+    let json = diagnosed(&dir.path().join("c"));
+    assert_eq!(first(&json), "coarse-quantization", "{json:#}");
+    assert_eq!(json["missing"][0]["parameters"]["step_dn"]["value"].as_f64().unwrap(), step);
+}
