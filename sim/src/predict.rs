@@ -625,7 +625,8 @@ impl Prediction {
             if through != 1.0 {
                 for power in [&mut s.shot, &mut s.read] {
                     let own = power.lag(0, 0);
-                    power.0.iter_mut().for_each(|p| *p = own + through * (*p - own));
+                    power.scale(through);
+                    power.add_white((1.0 - through) * own);
                 }
                 let lines: f64 = s.lines.iter().map(|l| l.0).sum();
                 kept = (1.0 - through) * (s.row.lag(0) + s.column.lag(0) + s.ripple(0.0) + lines);

@@ -13,9 +13,24 @@ pub const HALF: usize = GRID / 2 + 1;
 /// Covariances are known at lags from 0 to this, less one.
 pub const LAGS: usize = 4;
 
-/// Power of the noise at HALF x HALF spatial frequencies (row-major: vertical, horizontal), e^2 or DN^2 for each pixel.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Spectrum(pub Vec<f64>);
+/// Power of the noise at HALF x HALF spatial frequencies, e^2 or DN^2 for each pixel. Noise without correlation,
+/// which most models have only, is one number.
+#[derive(Debug, Clone)]
+pub struct Spectrum {
+    /// Power at every frequency alike.
+    white: f64,
+    /// Power beyond that, row-major: vertical, horizontal.
+    shaped: Option<Box<Powers>>,
+}
+
+/// One number for each frequency.
+type Powers = [f64; HALF * HALF];
+
+impl PartialEq for Spectrum {
+    fn eq(&self, other: &Self) -> bool {
+        (0..HALF * HALF).all(|i| self.at(i) == other.at(i))
+    }
+}
 
 /// The angle of frequency number i, radians per pixel.
 pub fn angle(i: usize) -> f64 {
@@ -30,43 +45,70 @@ fn share(i: usize) -> f64 {
 impl Spectrum {
     /// Noise without correlation.
     pub fn white(variance: f64) -> Self {
-        Self(vec![variance; HALF * HALF])
+        Self { white: variance, shaped: None }
+    }
+
+    /// Power at frequency number i, row-major.
+    fn at(&self, i: usize) -> f64 {
+        self.white + self.shaped.as_ref().map_or(0.0, |of| of[i])
+    }
+
+    /// All powers, to be changed one by one.
+    fn powers(&mut self) -> &mut Powers {
+        let white = std::mem::take(&mut self.white);
+        let shaped = self.shaped.get_or_insert_with(|| Box::new([0.0; HALF * HALF]));
+        shaped.iter_mut().for_each(|p| *p += white);
+        shaped
     }
 
     /// Multiplies the power at each frequency (vertical, horizontal angle).
     pub fn shape(&mut self, gain: impl Fn(f64, f64) -> f64) {
-        for (i, p) in self.0.iter_mut().enumerate() {
+        for (i, p) in self.powers().iter_mut().enumerate() {
             *p *= gain(angle(i / HALF), angle(i % HALF));
         }
     }
 
+    /// Multiplies the power at each frequency, row-major.
+    pub(crate) fn shape_by(&mut self, gains: impl Iterator<Item = f64>) {
+        self.powers().iter_mut().zip(gains).for_each(|(p, gain)| *p *= gain);
+    }
+
     /// Multiplies all power.
     pub fn scale(&mut self, by: f64) {
-        self.0.iter_mut().for_each(|p| *p *= by);
+        self.white *= by;
+        self.shaped.iter_mut().flat_map(|of| of.iter_mut()).for_each(|p| *p *= by);
     }
 
     /// Adds noise without correlation.
     pub fn add_white(&mut self, variance: f64) {
-        self.0.iter_mut().for_each(|p| *p += variance);
+        self.white += variance;
+    }
+
+    /// Adds noise of this power at each frequency (vertical, horizontal angle).
+    pub(crate) fn add(&mut self, power: impl Fn(f64, f64) -> f64) {
+        for (i, p) in self.powers().iter_mut().enumerate() {
+            *p += power(angle(i / HALF), angle(i % HALF));
+        }
     }
 
     /// Adds noise whose power depends on the horizontal frequency only.
     pub fn add_along_rows(&mut self, power: &[f64; HALF]) {
-        for row in self.0.as_chunks_mut::<HALF>().0 {
+        for row in self.powers().as_chunks_mut::<HALF>().0 {
             row.iter_mut().zip(power).for_each(|(p, more)| *p += more);
         }
     }
 
     /// Variance of a pixel.
     pub fn variance(&self) -> f64 {
+        let Some(shaped) = &self.shaped else { return self.white };
         // All frequencies of an axis but the first and the last stand for themselves and for those below 0.
         let twice = |of: [f64; HALF]| 2.0 * of.iter().sum::<f64>() - of[0] - of[HALF - 1];
-        let (mut lanes, rows) = ([0.0; HALF], self.0.as_chunks::<HALF>().0);
+        let (mut lanes, rows) = ([0.0; HALF], shaped.as_chunks::<HALF>().0);
         for (i, row) in rows.iter().enumerate() {
             let weight = if i == 0 || i == HALF - 1 { 1.0 } else { 2.0 };
             lanes.iter_mut().zip(row).for_each(|(sum, p)| *sum += weight * p);
         }
-        twice(lanes) / (GRID * GRID) as f64
+        self.white + twice(lanes) / (GRID * GRID) as f64
     }
 
     /// Covariance at a lag: rows down, columns to the right; at most 3 of each.
@@ -74,14 +116,12 @@ impl Spectrum {
         if (dy, dx) == (0, 0) {
             return self.variance();
         }
-        if self.of_white().is_some() {
-            return 0.0;
-        }
+        let Some(shaped) = &self.shaped else { return 0.0 };
         let lag = |d: i32| (d.unsigned_abs() as usize).min(LAGS - 1);
         let table = &cosines()[lag(dy) * LAGS + lag(dx)];
         // Sums that do not wait for each other: a fit asks for this some million times.
         let mut lanes = [0.0; HALF];
-        for (powers, cosines) in self.0.as_chunks::<HALF>().0.iter().zip(table.as_chunks::<HALF>().0) {
+        for (powers, cosines) in shaped.as_chunks::<HALF>().0.iter().zip(table.as_chunks::<HALF>().0) {
             for i in 0..HALF {
                 lanes[i] += powers[i] * cosines[i];
             }
@@ -92,54 +132,49 @@ impl Spectrum {
     /// Covariance at every lag of up to 3 rows and columns.
     pub fn lags(&self) -> [[f64; LAGS]; LAGS] {
         let mut out = [[0.0; LAGS]; LAGS];
-        if let Some(variance) = self.of_white() {
-            out[0][0] = variance;
-            return out;
-        }
-        let cosines = along_one_axis();
-        for (powers, down) in self.0.as_chunks::<HALF>().0.iter().zip(cosines) {
-            for dx in 0..LAGS {
-                let along: f64 = powers.iter().zip(cosines).map(|(p, c)| p * c[dx]).sum();
-                (0..LAGS).for_each(|dy| out[dy][dx] += along * down[dy]);
+        if let Some(shaped) = &self.shaped {
+            let cosines = along_one_axis();
+            for (powers, down) in shaped.as_chunks::<HALF>().0.iter().zip(cosines) {
+                let mut along = [0.0; LAGS];
+                for (p, c) in powers.iter().zip(cosines) {
+                    (0..LAGS).for_each(|dx| along[dx] += p * c[dx]);
+                }
+                for dy in 0..LAGS {
+                    (0..LAGS).for_each(|dx| out[dy][dx] += along[dx] * down[dy]);
+                }
             }
         }
+        out[0][0] += self.white;
         out
-    }
-
-    /// The variance, where noise is without correlation.
-    fn of_white(&self) -> Option<f64> {
-        let first = self.0[0];
-        self.0.iter().all(|p| *p == first).then_some(first)
     }
 
     /// Power of the mean over all pixels, times their number.
     pub fn of_mean(&self) -> f64 {
-        self.0[0]
+        self.at(0)
     }
 
     /// Power of the means of rows (axis 1) or of columns (axis 0), times the pixels of one: what has no variation along them.
     pub fn along(&self, axis: usize) -> f64 {
-        (0..HALF).map(|i| share(i) * self.0[if axis == 1 { i * HALF } else { i }]).sum()
+        if axis == 1 { self.along_lag(0) } else { self.across_lag(0) }
     }
 
     /// Covariance of the means of rows this far apart, at most 3, times the pixels of one.
     pub fn along_lag(&self, rows: usize) -> f64 {
-        let first = self.0[0];
-        if self.0.iter().step_by(HALF).all(|p| *p == first) {
-            return if rows == 0 { first } else { 0.0 };
-        }
-        let cosines = along_one_axis();
-        (0..HALF).map(|i| self.0[i * HALF] * cosines[i][rows.min(LAGS - 1)]).sum()
+        self.means_at(rows, HALF)
     }
 
     /// Covariance of the means of columns this far apart, at most 3, times the pixels of one.
     pub fn across_lag(&self, columns: usize) -> f64 {
-        let first = self.0[0];
-        if self.0[..HALF].iter().all(|p| *p == first) {
-            return if columns == 0 { first } else { 0.0 };
-        }
-        let cosines = along_one_axis();
-        (0..HALF).map(|i| self.0[i] * cosines[i][columns.min(LAGS - 1)]).sum()
+        self.means_at(columns, 1)
+    }
+
+    /// Covariance of the means of lines this far apart, times the pixels of one. `step`: distance from one frequency
+    /// across the lines to the next.
+    fn means_at(&self, lines: usize, step: usize) -> f64 {
+        let white = if lines == 0 { self.white } else { 0.0 };
+        let Some(shaped) = &self.shaped else { return white };
+        let all = shaped.iter().step_by(step).zip(along_one_axis());
+        white + all.map(|(p, cosines)| p * cosines[lines.min(LAGS - 1)]).sum::<f64>()
     }
 }
 
@@ -220,7 +255,7 @@ impl<'a> Filter<'a> {
 
     /// Acts on one kind of noise.
     pub fn apply(&self, noise: &mut Spectrum) {
-        noise.0.iter_mut().zip(&self.table).for_each(|(p, h)| *p *= h);
+        noise.shape_by(self.table.iter().copied());
     }
 
     /// Acts on noise that the pixels of a row share.
@@ -319,7 +354,9 @@ mod tests {
     /// The variance is the covariance at lag 0, and what lines share that of their means: for a spectrum without any symmetry but its own.
     #[test]
     fn sums_over_frequencies_agree() {
-        let noise = Spectrum((0..HALF * HALF).map(|i| 1.0 + ((7 * i) % 13) as f64).collect());
+        let mut noise = Spectrum::white(1.0);
+        noise.shape_by((0..HALF * HALF).map(|i| 1.0 + ((7 * i) % 13) as f64));
+        noise.add_white(0.5);
         assert!((noise.variance() - noise.lags()[0][0]).abs() < 1e-12);
         assert!((noise.along_lag(0) - noise.along(1)).abs() < 1e-12);
         let white = Spectrum::white(3.5);

@@ -93,10 +93,11 @@ impl Effect for BrighterFatter {
         let g: Vec<f64> =
             (0..HALF * HALF).map(|i| -2.0 * (a_v * one(i / HALF) + a_h * one(i % HALF))).collect();
         for s in &mut out.sets {
-            for (power, g) in s.shot.0.iter_mut().zip(&g) {
-                let x = 2.0 * g * s.signal.max(0.0);
-                *power *= if x.abs() < 1e-9 { 1.0 } else { libm::expm1(x) / x };
-            }
+            let signal = s.signal.max(0.0);
+            s.shot.shape_by(g.iter().map(|g| {
+                let x = 2.0 * g * signal;
+                if x.abs() < 1e-9 { 1.0 } else { libm::expm1(x) / x }
+            }));
         }
     }
 

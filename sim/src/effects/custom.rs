@@ -15,8 +15,6 @@
 //! the parameters and of mu (mean above the black level, DN), exposure (s) and illumination (relative to the bench's unit);
 //! when frames are drawn, `mean` and `variance` may also use row, column and parity (0 or 1).
 
-use crate::predict::{HALF, angle};
-
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 use exmex::{Express, FlatEx};
 use std::collections::BTreeMap;
@@ -200,13 +198,12 @@ impl Effect for Custom {
             let variables = [s.signal, info.exposure_s, info.illumination, 0.0, 0.0, 0.0];
             let of = |target: &str| self.formulas.get(target).map_or(0.0, |f| f.eval(p, &variables));
             let (variance, h, v, d) = (of("variance"), of("cov_01"), of("cov_10"), of("cov_11"));
-            for (k, power) in s.read.0.iter_mut().enumerate() {
-                let (ky, kx) = (angle(k / HALF), angle(k % HALF));
-                *power += variance
+            s.read.add(|ky, kx| {
+                variance
                     + 2.0 * h * libm::cos(kx)
                     + 2.0 * v * libm::cos(ky)
-                    + 4.0 * d * libm::cos(kx) * libm::cos(ky);
-            }
+                    + 4.0 * d * libm::cos(kx) * libm::cos(ky)
+            });
             s.row.add(of("row"));
             s.column.add(of("column"));
             s.common += of("common");
