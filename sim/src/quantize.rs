@@ -60,6 +60,16 @@ fn table() -> &'static [Pixel] {
     })
 }
 
+/// Places of a normal number as far as three deviations, with its density there.
+fn levels() -> &'static [(f64, f64)] {
+    const HALF: i32 = 24;
+    static TABLE: OnceLock<Vec<(f64, f64)>> = OnceLock::new();
+    TABLE.get_or_init(|| {
+        let at = |i: i32| 3.0 * f64::from(i) / f64::from(HALF);
+        (-HALF..=HALF).map(|i| (at(i), tail(at(i)).0)).collect()
+    })
+}
+
 /// Normal noise of this variance, in pixels whose levels have a mean and a deviation; all in steps, 0 is a code.
 pub fn rounded(level: f64, spread: f64, variance: f64) -> Rounded {
     let place = variance.max(0.0).sqrt() / WIDE * DEVIATIONS as f64;
@@ -80,13 +90,10 @@ pub fn rounded(level: f64, spread: f64, variance: f64) -> Rounded {
         [0, 1, 2, 3].map(between)
     };
     // Levels of the pixels: normal, as far as three deviations.
-    const HALF: i32 = 24;
     let spread = spread.min(EVEN);
     let mut sums = [0.0; 6];
-    for i in -HALF..=HALF {
-        let t = 3.0 * f64::from(i) / f64::from(HALF);
+    for &(t, w) in levels() {
         let [mean, slope, var, fourth] = pixel(level + spread * t);
-        let w = tail(t).0;
         for (sum, v) in sums.iter_mut().zip([1.0, mean, slope, var, var * var, fourth]) {
             *sum += w * v;
         }

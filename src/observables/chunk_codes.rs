@@ -1,6 +1,6 @@
 //! Share of the codes around a set's level that occur.
 
-use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 
 /// The share.
 #[derive(Debug)]
@@ -26,7 +26,7 @@ impl Statistic for ChunkCodes {
         let widths = view.prediction.bit_errors_dn[..6].iter().map(|e| e.abs()).fold(0.0, f64::max);
         // Codes narrower than a quarter of a step may be missed.
         let narrow = 0.3 * (widths - 0.75).max(0.0);
-        let std_err = o.measured.std_err.hypot(narrow).hypot(0.03 * (1.0 - used));
+        let std_err = in_quadrature(&[o.measured.std_err, narrow, 0.03 * (1.0 - used)]);
         Expected::plain(o, used / view.prediction.code_step_dn.max(1.0), std_err)
     }
 }

@@ -72,7 +72,7 @@ impl Statistic for ColumnShape {
         let lines: f64 = s.lines.iter().map(|l| l.0).sum();
         let error = in_quadrature(&[alone, 0.3 * view.moving, stripes, lines / rows as f64, single]);
         let field = view.with_light * view.all.field.column_lags[o.index.min(super::LINE_LAGS.len() - 1)];
-        let error = error.hypot(FIELD * view.with_light * view.all.field.columns);
+        let error = in_quadrature(&[error, FIELD * view.with_light * view.all.field.columns]);
         Expected::plain(o, near - flat + striped + field, error).with_common(view.walk() * stripes)
     }
 }

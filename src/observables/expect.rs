@@ -3,6 +3,7 @@
 use super::{Half, Observable, Observations};
 use crate::statistics::steady::PixelNoise;
 use radcam_sim::predict::{LAGS, Prediction, Ripple, SetPrediction};
+use std::cell::OnceCell;
 
 /// An expectation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,8 +70,9 @@ impl Expected {
     /// The same where the value may be off by that much more: of a cube root by a third of that share.
     pub fn unsure(self, by: f64) -> Self {
         let (measured, root, error) = self.normal;
-        let more = by / (3.0 * self.value.powf(2.0 / 3.0));
-        Self { std_err: self.std_err.hypot(by), normal: (measured, root, error.hypot(more)), ..self }
+        let more = by / (3.0 * self.value.cbrt().powi(2));
+        let std_err = in_quadrature(&[self.std_err, by]);
+        Self { std_err, normal: (measured, root, in_quadrature(&[error, more])), ..self }
     }
 
     /// Standardised residual.
@@ -80,6 +82,7 @@ impl Expected {
 }
 
 /// Root of the sum of the squares of errors: plainer and faster than a chain of [`f64::hypot`], which guards against overflow.
+#[inline]
 pub fn in_quadrature(errors: &[f64]) -> f64 {
     errors.iter().map(|e| e * e).sum::<f64>().sqrt()
 }
@@ -113,6 +116,9 @@ fn quantised(variance: f64, spread: f64, q: f64) -> (f64, f64) {
 /// What rounding may do to mean and variance beyond what is predicted, DN and DN^2.
 fn rough(prediction: &Prediction, s: &SetPrediction, noise: f64, spread: f64) -> (f64, f64) {
     let (mean, variance) = quantised(noise, spread, prediction.code_step_dn.max(s.step_dn));
+    if prediction.bit_errors_dn[..6].iter().all(|e| *e == 0.0) {
+        return (mean, variance);
+    }
     // Where the noise covers few codes their widths are in it: not an equation but a bound on what is not predicted, gone where the noise
     // covers many.
     let widths = 0.5 * prediction.bit_errors_dn[..6].iter().map(|e| e * e).sum::<f64>();
@@ -137,7 +143,11 @@ fn ripple_error(s: &SetPrediction, within: f64, rows: f64, n: f64) -> f64 {
             }
         }
     };
-    s.ripples.iter().map(of).fold(0.0, f64::hypot)
+    match s.ripples.as_slice() {
+        [] => 0.0,
+        [one] => of(one),
+        all => all.iter().map(of).fold(0.0, f64::hypot),
+    }
 }
 
 /// Covariances of the noise of a set, DN^2, by rows and columns apart; several statistics of several chunks ask for each.
@@ -233,11 +243,38 @@ pub struct View<'a> {
     /// show.
     pub with_light: f64,
     lags: Lags,
+    whole: Whole,
+    /// Spread of the pixels' noise and its shape, once a statistic has asked.
+    pixel_noise: OnceCell<(f64, PixelNoise)>,
+}
+
+/// Facts of a whole prediction: many observables ask for each.
+#[derive(Debug, Clone, Copy)]
+struct Whole {
+    all_codes: bool,
+    even_codes: bool,
+    moves_samples: bool,
+}
+
+impl Whole {
+    fn of(p: &Prediction) -> Self {
+        Self {
+            all_codes: p.sets.iter().all(|s| s.codes_used > 0.999),
+            even_codes: p.code_step_dn <= 1.0 && p.bit_errors_dn.iter().all(|e| *e == 0.0),
+            moves_samples: p.sets.iter().any(|s| s.moved != 0.0),
+        }
+    }
 }
 
 impl<'a> View<'a> {
     /// For the frames of an observable.
-    fn new(o: &Observable, prediction: &'a Prediction, all: &'a Observations, lags: Lags) -> Self {
+    fn new(
+        o: &Observable,
+        prediction: &'a Prediction,
+        all: &'a Observations,
+        lags: Lags,
+        whole: Whole,
+    ) -> Self {
         let set = o.set.and_then(|i| prediction.sets.get(i));
         let frames = prediction.frame_signal.get(o.frames.0..o.frames.1).unwrap_or(&[]);
         let n = frames.len().max(1) as f64;
@@ -265,6 +302,8 @@ impl<'a> View<'a> {
             ripple_error: 0.0,
             with_light: 0.0,
             lags,
+            whole,
+            pixel_noise: OnceCell::new(),
         };
         let Some(s) = set else { return view };
         view.ripple_of_mean = s.ripple_with_mean(shape.0, shape.0);
@@ -335,10 +374,19 @@ impl<'a> View<'a> {
     /// of the variances over their mean.
     pub fn unequal(&self) -> (f64, [f64; 3]) {
         let (spread, shape) = self.pixel_noise();
-        (spread, shape.moments(spread))
+        (*spread, shape.moments(*spread))
     }
 
-    fn pixel_noise(&self) -> (f64, PixelNoise) {
+    /// Variance of the pixels' variances over the square of their mean.
+    pub fn unequal_spread(&self) -> f64 {
+        self.pixel_noise().0
+    }
+
+    fn pixel_noise(&self) -> &(f64, PixelNoise) {
+        self.pixel_noise.get_or_init(|| self.find_pixel_noise())
+    }
+
+    fn find_pixel_noise(&self) -> (f64, PixelNoise) {
         let square = (self.noise * self.noise).max(f64::MIN_POSITIVE);
         let predicted = self.set().map_or(0.0, |s| s.unequal.max(0.0) / square);
         // Errors do not follow the fit where darks show the spread: what a fit makes small would seem known, and
@@ -353,7 +401,7 @@ impl<'a> View<'a> {
     /// Largest variance of a pixel over the mean of all: one pixel may decide a mean of fourth powers.
     pub fn noisiest(&self) -> f64 {
         let (spread, shape) = self.pixel_noise();
-        shape.largest(spread)
+        shape.largest(*spread)
     }
 
     /// By how much products of neighbours scatter more where some pixels have most of the noise and neighbours are alike, as beside the edge
@@ -415,7 +463,7 @@ impl<'a> View<'a> {
         let dof = self.dof * (count as f64 - 1.0);
         let ripple = if rows { self.ripple_error } else { 0.0 };
         // Lines of unequal pixels scatter unequally.
-        let unequal = 1.0 + self.unequal().0 / width as f64;
+        let unequal = 1.0 + self.unequal_spread() / width as f64;
         let own = value.abs().max(1e-9) * (2.0 * unequal / dof).sqrt();
         let single = in_quadrature(&[self.rough.1, s.unsure_var, s.unsure_own]) / width as f64;
         Expected::plain(
@@ -460,12 +508,17 @@ impl<'a> View<'a> {
 
     /// Whether all codes occur at all levels that are predicted.
     pub fn all_codes(&self) -> bool {
-        self.prediction.sets.iter().all(|s| s.codes_used > 0.999)
+        self.whole.all_codes
     }
 
     /// Whether the converter that is predicted has equal widths of one step.
     pub fn even_codes(&self) -> bool {
-        self.prediction.code_step_dn <= 1.0 && self.prediction.bit_errors_dn.iter().all(|e| *e == 0.0)
+        self.whole.even_codes
+    }
+
+    /// True where firmware moves samples by whole codes at any level.
+    pub fn moves_samples(&self) -> bool {
+        self.whole.moves_samples
     }
 }
 
@@ -479,6 +532,7 @@ pub fn expectations(
     wanted: impl Fn(Half) -> bool,
 ) -> Vec<Expected> {
     let mut out = Vec::with_capacity(all.list.len());
+    let whole = Whole::of(prediction);
     let (mut last, mut lags): (Option<(Place, View<'_>)>, _) = (None, (None, Lags::default()));
     for o in all.list.iter().filter(|o| wanted(o.half)) {
         let key = (o.set, o.frames);
@@ -486,7 +540,7 @@ pub fn expectations(
             if let Some(s) = o.set.filter(|s| lags.0 != Some(*s)).and_then(|s| prediction.sets.get(s)) {
                 lags = (o.set, Lags::of(s));
             }
-            last = Some((key, View::new(o, prediction, all, lags.1)));
+            last = Some((key, View::new(o, prediction, all, lags.1, whole)));
         }
         if let Some((_, view)) = &last {
             out.push(o.statistic.expect(o, view));

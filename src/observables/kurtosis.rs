@@ -80,7 +80,10 @@ impl Statistic for Kurtosis {
         // The mean of n fourth powers of normal numbers, over the square of their variance, has the variance 24 sum(rho^4) / n: what scatters
         // is the fourth Hermite polynomial, whose covariance is 24 rho^4 (Mehler 1866; Cramer 1946, 27.4, for independent numbers).
         let rho = |c: f64| (c / variance).powi(4);
-        let neighbours: f64 = (-2..=2).flat_map(|y| (-2..=2).map(move |x| rho(view.lag(y, x)))).sum();
+        // The covariance at a lag is that at the opposite one.
+        let below = (1..=2).flat_map(|y| (-2..=2).map(move |x| (y, x)));
+        let half: f64 = [(0, 1), (0, 2)].into_iter().chain(below).map(|(y, x)| rho(view.lag(y, x))).sum();
+        let neighbours = rho(view.lag(0, 0)) + 2.0 * half;
         let (rows, columns) = view.all.campaign.shape;
         let lines = rho(s.row.lag(0) + s.ripple(0.0)) * columns as f64 + rho(s.column.lag(0)) * rows as f64;
         let waves = s.lines.iter().map(|l| rho(l.0)).sum::<f64>() * o.pixels;

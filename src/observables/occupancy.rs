@@ -1,7 +1,7 @@
 //! Codes whose bit toggles next against those before it, relative: how often they occur.
 
 use super::codes::{LOW_BITS, occupancy_of};
-use super::{Expected, HalfView, Observable, Put, Statistic, View};
+use super::{Expected, HalfView, Observable, Put, Statistic, View, in_quadrature};
 
 /// The excess, for each of the low bits.
 #[derive(Debug)]
@@ -33,6 +33,6 @@ impl Statistic for Occupancy {
         let value = if view.even_codes() { 0.0 } else { occupancy_of(&|c| view.width(c), codes, o.index) };
         // Where codes are left out by a table that follows the level, which of them is not predicted.
         let table = if view.all_codes() { 0.0 } else { 2.0 };
-        Expected::plain(o, value, o.measured.std_err.hypot(table))
+        Expected::plain(o, value, in_quadrature(&[o.measured.std_err, table]))
     }
 }

@@ -68,7 +68,7 @@ impl Statistic for RowShape {
         let single = in_quadrature(&[s.unsure_var, view.rough.1]) / columns as f64;
         let error = in_quadrature(&[alone, ripple, 0.3 * view.moving, lines / columns as f64, single]);
         let field = view.with_light * view.all.field.row_lags[o.index.min(super::LINE_LAGS.len() - 1)];
-        let error = error.hypot(FIELD * view.with_light * view.all.field.rows);
+        let error = in_quadrature(&[error, FIELD * view.with_light * view.all.field.rows]);
         Expected::plain(o, near - flat + slow + field, error).with_common(view.ripple_error * common)
     }
 }

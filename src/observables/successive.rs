@@ -1,6 +1,6 @@
 //! Covariance of a pixel's noise in successive frames, DN^2.
 
-use super::{ChunkView, Expected, Observable, Put, Statistic, View};
+use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::pass::Summary;
 use crate::statistics::successive::error_of;
 
@@ -57,16 +57,17 @@ impl Statistic for Successive {
         Expected::plain(
             o,
             value,
-            o.measured
-                .std_err
-                .hypot(0.5 * view.rough.1)
-                .hypot(s.unsure_var)
-                .hypot(MOVING * view.unsure_moving())
-                .hypot(view.lines(0, 0))
-                .hypot(0.3 * view.moving)
-                .hypot(view.shared(1, 1))
+            in_quadrature(&[
+                o.measured.std_err,
+                0.5 * view.rough.1,
+                s.unsure_var,
+                MOVING * view.unsure_moving(),
+                view.lines(0, 0),
+                0.3 * view.moving,
+                view.shared(1, 1),
                 // Light of whole frames that happens to be alike in successive ones.
-                .hypot(view.with_light * view.all.field.pixels / view.dof.sqrt()),
+                view.with_light * view.all.field.pixels / view.dof.sqrt(),
+            ]),
         )
     }
 }

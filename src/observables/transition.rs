@@ -37,7 +37,7 @@ impl Statistic for Transition {
         // Firmware that moves half of a share m of the samples up by a code and half down takes counts n to
         // (1 - m) n + m (n of the next lower + n of the next higher code) / 2: of an excess of one code over both neighbours 1 - 3 m / 2 is
         // left. Where it moves some by several codes less is: as much again as the last term is not known by.
-        let moved = moved_at(f64::from(code), view.prediction);
+        let moved = if view.moves_samples() { moved_at(f64::from(code), view.prediction) } else { 0.0 };
         let (value, smeared) = (value * (1.0 - 1.5 * moved).max(0.0), 0.5 * moved * value);
         // Where codes are left out by a table that follows the level, which of them is not predicted.
         let table = if view.all_codes() { 0.0 } else { 2.0 };

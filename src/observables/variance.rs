@@ -32,7 +32,7 @@ impl Statistic for Variance {
     }
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
-        let unsure = view.set().map_or(0.0, |s| s.unsure_var.hypot(s.unsure_own));
+        let unsure = view.set().map_or(0.0, |s| in_quadrature(&[s.unsure_var, s.unsure_own]));
         Expected::plain(
             o,
             view.lag(0, 0) + view.moving,
@@ -40,7 +40,7 @@ impl Statistic for Variance {
                 o.measured.std_err,
                 // Pixels with more noise than others scatter more (their mean square over the square of their
                 // mean).
-                view.noise * (2.0 * view.unequal().0 / (o.pixels * view.dof)).sqrt(),
+                view.noise * (2.0 * view.unequal_spread() / (o.pixels * view.dof)).sqrt(),
                 view.rough.1,
                 unsure,
                 view.unsure_moving(),
