@@ -288,6 +288,22 @@ impl Free {
         at.lights.iter_mut().for_each(|l| *l = l.clamp(-30.0, 30.0));
     }
 
+    /// Factor on the scatter of all settings from one place to another; `None` where anything else differs.
+    pub fn scales_settings(&self, from: &Point, to: &Point) -> Option<f64> {
+        let is_scatter = |what: Common| match what {
+            Common::SettingRel => true,
+            Common::Of(effect, _) => self.effects[effect].sets_each(),
+            _ => false,
+        };
+        let all = || self.common.iter().zip(from.x.iter().zip(&to.x));
+        let factor =
+            all().find(|(what, (was, _))| is_scatter(**what) && **was > 0.0).map(|(_, (a, b))| b / a)?;
+        let agrees = |(what, (a, b)): (&Common, (&f64, &f64))| {
+            if is_scatter(*what) { (b - factor * a).abs() <= 1e-12 * b.abs() } else { a == b }
+        };
+        (all().all(agrees) && from.lights == to.lights).then_some(factor)
+    }
+
     /// What a value is.
     pub fn key(&self, i: usize) -> Key {
         let Common::Of(effect, parameter) = self.common[i] else { return Key::Base(self.common[i]) };

@@ -170,9 +170,10 @@ impl<'a> Iteration<'a> {
         if factors.iter().all(|(_, f)| (f - 1.0).abs() < SETTLED) {
             return true;
         }
+        let from = self.point.clone();
         factors.iter().for_each(|(i, f)| self.point.x[*i] *= f);
         self.free.clamp(&mut self.point);
-        self.now = self.layout.at(self.free, &self.point);
+        self.now = self.layout.at_from(self.free, &self.point, &self.now, &from);
         false
     }
 

@@ -90,6 +90,14 @@ impl<'a> Layout<'a> {
         State { expected, setting }
     }
 
+    /// Expectations of a model at a place, from those at another one, `known` at `from`. The scatter of settings
+    /// moves no expectation: where it alone differs, no prediction is needed.
+    pub fn at_from(&self, free: &Free, point: &Point, known: &State, from: &Point) -> State {
+        let Some(factor) = free.scales_settings(from, point) else { return self.at(free, point) };
+        let setting = known.setting.iter().map(|s| s * factor * factor).collect();
+        State { expected: known.expected.clone(), setting }
+    }
+
     /// What a model at a place expects of them.
     pub fn at(&self, free: &Free, point: &Point) -> State {
         let (base, effects) = free.unpack(point);

@@ -42,7 +42,7 @@ impl Slopes {
         let places: Vec<Option<usize>> = (0..free.common.len()).map(place).collect();
         let fresh = |i: &usize| !free.fixed[*i] && places[*i].is_none();
         let fresh: Vec<usize> = (0..places.len()).filter(fresh).collect();
-        let moved = fresh.into_par_iter().map(|i| (i, moved(layout, free, point, i)));
+        let moved = fresh.into_par_iter().map(|i| (i, moved(layout, free, point, now, i)));
         for (i, (step, there)) in moved.collect::<Vec<_>>() {
             out.put(i, step, now, &there);
         }
@@ -140,21 +140,21 @@ impl Slopes {
     /// Over the errors of the expectations.
     pub fn over_errors(&self, now: &State) -> Vec<f64> {
         let n = self.scale.len();
-        let mut out = self.expected.clone();
-        for (row, e) in out.chunks_exact_mut(n).zip(&now.expected) {
-            row.iter_mut().for_each(|s| *s /= e.normal.2);
+        let mut out = Vec::with_capacity(self.expected.len());
+        for (row, e) in self.expected.chunks_exact(n).zip(&now.expected) {
+            out.extend(row.iter().map(|s| s / e.normal.2));
         }
         out
     }
 }
 
 /// A small step of one value, within its bounds, and what is expected there.
-fn moved(layout: &Layout<'_>, free: &Free, point: &Point, i: usize) -> (f64, State) {
+fn moved(layout: &Layout<'_>, free: &Free, point: &Point, now: &State, i: usize) -> (f64, State) {
     let step = 1e-5 * point.x[i].abs().max(1e-2);
     let step = if point.x[i] + step > free.bounds[i].1 { -step } else { step };
     let mut moved = point.clone();
     moved.x[i] += step;
-    (step, layout.at(free, &moved))
+    (step, layout.at_from(free, &moved, now, point))
 }
 
 #[cfg(test)]
