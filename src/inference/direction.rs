@@ -58,7 +58,7 @@ impl<'s, 'a> Direction<'s, 'a> {
         let mut moves: Vec<f64> = now.expected.iter().zip(&there.expected).map(of).collect();
         self.system.white.apply(&mut moves, 1);
         for block in &self.system.blocks {
-            let common = block.take_common(&mut moves, 1, 0);
+            let common = block.take_common(&mut moves);
             moves.push(common / block.variance.sqrt());
         }
         moves

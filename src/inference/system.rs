@@ -49,12 +49,40 @@ pub(super) struct Block {
 }
 
 impl Block {
-    /// Takes off what its rows have in common, in proportion to their loads, at one place of rows of n numbers; and what that is.
-    pub(super) fn take_common(&self, values: &mut [f64], n: usize, place: usize) -> f64 {
-        let rows = || self.rows.iter().map(|r| r * n + place).zip(&self.loads);
-        let common = rows().map(|(at, a)| a * values[at]).sum::<f64>() / self.weight;
-        rows().for_each(|(at, a)| values[at] -= a * common);
+    /// Takes the common part of its rows, in proportion to their loads, off rows of n numbers, and returns it.
+    fn take_common_of(&self, values: &mut [f64], n: usize) -> Vec<f64> {
+        let mut common = vec![0.0; n];
+        for (r, a) in self.rows.iter().zip(&self.loads) {
+            common.iter_mut().zip(&values[r * n..][..n]).for_each(|(sum, v)| *sum += a * v);
+        }
+        common.iter_mut().for_each(|sum| *sum /= self.weight);
+        for (r, a) in self.rows.iter().zip(&self.loads) {
+            values[r * n..][..n].iter_mut().zip(&common).for_each(|(v, sum)| *v -= a * sum);
+        }
         common
+    }
+
+    /// The same of single numbers.
+    pub(super) fn take_common(&self, values: &mut [f64]) -> f64 {
+        let rows = || self.rows.iter().zip(&self.loads);
+        let common = rows().map(|(r, a)| a * values[*r]).sum::<f64>() / self.weight;
+        rows().for_each(|(r, a)| values[*r] -= a * common);
+        common
+    }
+}
+
+/// Sums of products of all rows: the piece that the vector units take.
+struct Products<'s, 'a> {
+    system: &'s System<'a>,
+    out: &'s mut Normal,
+}
+
+impl pulp::NullaryFnOnce for Products<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        (0..self.system.z.len()).for_each(|r| self.system.add_row(self.out, r));
     }
 }
 
@@ -134,8 +162,8 @@ impl<'a> System<'a> {
     /// Puts a block's common deviation into a row of its own. `scatter`: slopes of the logarithm of its error.
     fn add(&mut self, block: Block, scatter: Vec<f64>) {
         let (n, root) = (self.n, block.variance.sqrt());
-        let common = block.take_common(&mut self.z, 1, 0);
-        let last: Vec<f64> = (0..n).map(|i| block.take_common(&mut self.slopes, n, i) / root).collect();
+        let common = block.take_common(&mut self.z);
+        let last = block.take_common_of(&mut self.slopes, n).into_iter().map(|s| s / root);
         for (r, a) in block.rows.iter().zip(&block.loads) {
             self.expected_square[*r] = 1.0 - a * a / block.weight;
             self.by_light[*r] = 0.0;
@@ -159,11 +187,11 @@ impl<'a> System<'a> {
             held: (0..n).map(|i| self.is_scatter(i)).collect(),
             lights: vec![LightTerm { square: 0.0, gradient: 0.0, with: vec![0.0; n] }; self.lights],
         };
-        (0..self.z.len()).for_each(|r| self.add_row(&mut out, r));
+        pulp::Arch::new().dispatch(Products { system: self, out: &mut out });
         // Fisher's scoring (Rao 1973, section 5g): a scatter that is fitted is told by the squares of the residuals that have it.
         for (r, slopes) in &self.scatter {
             let (square, expected) = ((self.z[*r] * self.z[*r]).min(LARGE), self.expected_square[*r]);
-            for i in 0..n {
+            for i in (0..n).filter(|i| slopes[*i] != 0.0) {
                 out.gradient[i] += slopes[i] * (square - expected);
                 for j in 0..=i {
                     out.matrix[i * n + j] += 2.0 * expected * slopes[i] * slopes[j];
@@ -183,6 +211,7 @@ impl<'a> System<'a> {
     }
 
     /// Adds a row to the lower half of the matrix, to the gradient and to its light's.
+    #[inline(always)]
     fn add_row(&self, out: &mut Normal, r: usize) {
         let (n, z) = (self.n, self.z[r]);
         let row = &self.slopes[r * n..][..n];
