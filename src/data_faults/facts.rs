@@ -6,6 +6,7 @@ use crate::statistics::code_step::Occurring;
 use crate::statistics::outliers;
 use ndarray::{Array2, s};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Side of the middle of the frame that tells its orientation, pixels: 4096 pixels tell a pattern that makes up a
@@ -70,7 +71,7 @@ fn middle_side(n: usize) -> (usize, usize) {
 pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<SetFacts, ExamineError> {
     let full = dataset.manifest().camera.full_scale_dn();
     let mut out = SetFacts::default();
-    let (mut before, mut second): (Option<Array2<u16>>, Option<Array2<u16>>) = (None, None);
+    let (mut before, mut second): (Option<Arc<Array2<u16>>>, Option<Arc<Array2<u16>>>) = (None, None);
     let mut middle = Array2::<f32>::zeros((0, 0));
     let mut clipped = 0usize;
     let mut occurring = Occurring::default();
@@ -78,7 +79,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
         if stop.load(Ordering::Relaxed) {
             return Err(ExamineError::Interrupted);
         }
-        let frame = dataset.read(&dataset.rows()[row])?;
+        let frame = dataset.frame(&dataset.rows()[row])?;
         out.pixels = frame.len() as f64;
         occurring.add(frame.as_slice().unwrap_or(&[]));
         let codes = frame.as_slice().unwrap_or(&[]);
@@ -90,7 +91,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
         out.cells_dn.push(outliers::cell_means(&frame));
         out.digests.push(digest(codes));
         clipped += codes.iter().filter(|v| **v >= full).count();
-        let to = |other: &Option<Array2<u16>>| {
+        let to = |other: &Option<Arc<Array2<u16>>>| {
             other.as_ref().map_or((0, 0.0), |o| difference(codes, o.as_slice().unwrap_or(&[])))
         };
         let (changed, successive) = to(&before);

@@ -6,6 +6,7 @@
 mod emva;
 mod fault;
 pub mod image;
+mod kept;
 mod manifest;
 pub mod table;
 pub mod tag;
@@ -163,6 +164,8 @@ pub struct Dataset {
     faults: Option<Arc<[DataFault]>>,
     /// Stacks that were opened.
     opened: Arc<image::Opened>,
+    /// Frames that [`frame`](Self::frame) has read.
+    kept: Arc<kept::Kept>,
     /// Step of the converter as the codes show it, DN; 1 before the examination.
     code_step_dn: f64,
 }
@@ -261,6 +264,7 @@ impl Dataset {
             reduced: None,
             faults: None,
             opened: Arc::default(),
+            kept: Arc::default(),
             code_step_dn: 1.0,
         })
     }
@@ -455,6 +459,7 @@ impl Dataset {
         (camera.height, camera.width) = (half(camera.height, plane[0]), half(camera.width, plane[1]));
         camera.pixel_format = format!("Mono{}", camera.bit_depth);
         self.manifest.plane = Some(plane);
+        self.kept = Arc::default();
         Ok(self)
     }
 
@@ -509,12 +514,30 @@ impl Dataset {
     ///
     /// Which frame cannot be read, or has another size or larger codes than the manifest says.
     pub fn read(&self, row: &FrameRow) -> Result<Array2<u16>, DatasetError> {
+        if let Some(known) = self.kept.get(&row.file) {
+            return Ok(Arc::unwrap_or_clone(known));
+        }
         let mut buffer = image::Buffer::default();
         self.read_into(row, &mut buffer)?;
         Ok(buffer.into_array())
     }
 
-    /// The same into memory that is there: many frames one after the other cost less so.
+    /// The same, kept in memory for the next time as long as there is room: several passes decode a frame once.
+    pub(crate) fn frame(&self, row: &FrameRow) -> Result<Arc<Array2<u16>>, DatasetError> {
+        if let Some(known) = self.kept.get(&row.file) {
+            return Ok(known);
+        }
+        let frame = Arc::new(self.read(row)?);
+        self.kept.put(&row.file, &frame);
+        Ok(frame)
+    }
+
+    /// Gives the memory of [`frame`](Self::frame) back.
+    pub(crate) fn forget_frames(&self) {
+        self.kept.clear();
+    }
+
+    /// The same as [`read`](Self::read) into memory that is there: many frames one after the other cost less so.
     ///
     /// # Errors
     ///

@@ -5,6 +5,7 @@
 //! rounding, and no other pixel does so frame after frame.
 
 use ndarray::Array2;
+use std::borrow::Borrow;
 
 /// Neighbours whose mean fills a defect in, (row, column) from it: those in the row, in the column, all four, all
 /// eight, and copies of one: of two that are alike the first is taken for the copy, and the other counts.
@@ -28,13 +29,13 @@ pub const SETS: (usize, usize) = (4, 4);
 const MOST: f64 = 0.05;
 
 /// Pixels whose changes from frame to frame are those of the mean of some neighbours, to within a code.
-pub fn candidates(frames: &[Array2<u16>]) -> Vec<usize> {
-    let Some(first) = frames.first() else { return Vec::new() };
+pub fn candidates<F: Borrow<Array2<u16>>>(frames: &[F]) -> Vec<usize> {
+    let Some(first) = frames.first().map(F::borrow) else { return Vec::new() };
     let (rows, columns) = first.dim();
     if frames.len() < SETS.1 || rows < 3 || columns < 3 {
         return Vec::new();
     }
-    let pixels: Vec<&[u16]> = frames.iter().filter_map(|f| f.as_slice()).collect();
+    let pixels: Vec<&[u16]> = frames.iter().filter_map(|f| f.borrow().as_slice()).collect();
     let kernels = KERNELS.map(|k| k.iter().map(|(y, x)| y * columns as isize + x).collect::<Vec<_>>());
     let changes: Vec<Vec<i32>> = pixels
         .windows(2)

@@ -13,13 +13,11 @@ use ndarray::Array2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Frames of a set that the first look reads.
 pub(crate) const FIRST: usize = 8;
-/// Bytes of decoded frames that are kept from the first look for the pass over all: compressed frames take longer
-/// to decode than to look at. A named choice: a tenth of what a small machine has.
-const KEPT: usize = 256 << 20;
 
 /// Standard deviations of a pixel's noise within which full scale cuts it off.
 const REACH: f64 = 3.0;
@@ -55,27 +53,9 @@ pub struct Look {
     darkest: Option<u16>,
     /// How far the frames lie from each other; whether they are dark.
     apart: Option<(bool, outliers::Apart)>,
-    /// The frames, as long as there is room.
-    #[serde(skip)]
-    pub(crate) frames: Vec<Array2<u16>>,
 }
 
 impl Look {
-    pub(crate) fn without_frames(&self) -> Self {
-        let Self { clipped, saturated, jumping, dark, pair, filled, darkest, apart, frames: _ } = self;
-        Self {
-            clipped: clipped.clone(),
-            saturated: *saturated,
-            jumping: jumping.clone(),
-            dark: dark.clone(),
-            pair: *pair,
-            filled: filled.clone(),
-            darkest: *darkest,
-            apart: apart.clone(),
-            frames: Vec::new(),
-        }
-    }
-
     /// Whether it can be of frames of (rows, columns).
     pub fn fits(&self, shape: (usize, usize)) -> bool {
         let pixels = self.clipped.iter().chain(&self.jumping).chain(self.filled.iter().flatten());
@@ -83,7 +63,7 @@ impl Look {
     }
 }
 
-fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<Look, ExamineError> {
+fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ExamineError> {
     let set = &dataset.sets()[set];
     if let Some(known) = dataset.reduced().and_then(|r| r.look(&Key::first(dataset, set, FIRST))) {
         return Ok(known.clone());
@@ -94,14 +74,14 @@ fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<
         return Ok(out);
     }
     let mut sum = Array2::<f32>::zeros((0, 0));
-    let mut block: Vec<Array2<u16>> = Vec::new();
+    let mut block: Vec<Arc<Array2<u16>>> = Vec::new();
     let rows = &set.rows[..set.rows.len().min(FIRST)];
     for &r in rows {
-        let frame = dataset.read(&dataset.rows()[r])?;
+        let frame = dataset.frame(&dataset.rows()[r])?;
         if sum.dim() != frame.dim() {
             sum = Array2::zeros(frame.dim());
         }
-        sum.zip_mut_with(&frame, |m, &d| *m += f32::from(d));
+        sum.zip_mut_with(&*frame, |m, &d| *m += f32::from(d));
         block.push(frame);
     }
     if let [a, b, ..] = block.as_slice() {
@@ -134,24 +114,19 @@ fn look(dataset: &Dataset, set: usize, full: u16, room: &AtomicUsize) -> Result<
     if let (Some(dark), Some((_, var))) = (&out.dark, out.pair) {
         out.jumping = jumping(dark, &block, var);
     }
-    let bytes = block.iter().map(|f| size_of::<u16>() * f.len()).sum();
-    let taken = room.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |room| room.checked_sub(bytes));
-    if taken.is_ok() {
-        out.frames = block;
-    }
     Ok(out)
 }
 
 /// Finds pixels that jump between levels. Their means lie off as those of hot pixels do: a jump A in a share p
 /// of the frames moves the mean by p A and has noise sqrt(p (1 - p)) A. The shot noise of a hot pixel is far
 /// below its offset.
-fn jumping(dark: &Array2<f32>, block: &[Array2<u16>], usual_dn2: f64) -> Vec<usize> {
+fn jumping(dark: &Array2<f32>, block: &[Arc<Array2<u16>>], usual_dn2: f64) -> Vec<usize> {
     if block.len() < JUMPING_FRAMES {
         return Vec::new();
     }
     let mut squares = vec![0.0f32; dark.len()];
     for frame in block {
-        for ((s, &d), &mean) in squares.iter_mut().zip(frame).zip(dark) {
+        for ((s, &d), &mean) in squares.iter_mut().zip(&**frame).zip(dark) {
             *s += (f32::from(d) - mean).powi(2);
         }
     }
@@ -231,12 +206,11 @@ fn first_look(
     let full = dataset.manifest().camera.full_scale_dn();
     let sets: Vec<usize> = (0..dataset.sets().len()).collect();
     let mut looks = Vec::with_capacity(sets.len());
-    let room = AtomicUsize::new(KEPT);
     for group in sets.chunks(8) {
         if stop.load(Ordering::Relaxed) {
             return Err(ExamineError::Interrupted);
         }
-        let of_set = |&set: &usize| look(dataset, set, full, &room);
+        let of_set = |&set: &usize| look(dataset, set, full);
         looks.extend(group.par_iter().map(of_set).collect::<Result<Vec<_>, _>>()?);
         progress(looks.len());
     }
@@ -308,7 +282,7 @@ impl Seen {
 pub fn record_looks(dataset: &Dataset, stop: &AtomicBool) -> Result<Reduced, ExamineError> {
     let mut out = Reduced::default();
     for (set, look) in dataset.sets().iter().zip(first_look(dataset, stop, &mut |_| {})?) {
-        out.add_look(Key::first(dataset, set, FIRST), look.without_frames());
+        out.add_look(Key::first(dataset, set, FIRST), look);
     }
     Ok(out)
 }

@@ -1,6 +1,7 @@
 //! Reads a campaign's frames: after a first look at every set, one pass over all of them.
 //!
-//! Memory holds some frames and their sums on each core, and of the first frames of sets as many as fit into 256 MiB, however many there are.
+//! Memory holds some frames and their sums on each core, and as many decoded frames as fit into 256 MiB, however
+//! many there are.
 
 use super::campaign::is_quiet;
 use super::left_out::words;
@@ -19,6 +20,7 @@ use crate::statistics::steady::{Group, Levels, PixelNoise, Steady};
 use ndarray::Array2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
@@ -219,8 +221,8 @@ struct Reader<'a, 'b> {
     clean: bool,
     /// Longest exposure of flats, s.
     longest_lit_s: f64,
-    /// The first frames of sets, where they were kept.
-    kept: &'b [Look],
+    /// The first look at each set.
+    looks: &'b [Look],
 }
 
 impl<'a, 'b> Reader<'a, 'b> {
@@ -235,19 +237,16 @@ impl<'a, 'b> Reader<'a, 'b> {
             zero_dn: seen.zero_dn,
             clean: true,
             longest_lit_s: seen.longest_lit_s,
-            kept: &seen.looks,
+            looks: &seen.looks,
         }
     }
 
-    fn frame(&self, set: usize, place: usize) -> Result<Array2<u16>, ObserveError> {
+    fn frame(&self, set: usize, place: usize) -> Result<Arc<Array2<u16>>, ObserveError> {
         if self.stop.load(Ordering::Relaxed) {
             return Err(ObserveError::Interrupted);
         }
-        if let Some(frame) = self.kept.get(set).and_then(|of| of.frames.get(place)) {
-            return Ok(frame.clone());
-        }
         let row = self.dataset.sets()[set].rows[place];
-        Ok(self.dataset.read(&self.dataset.rows()[row])?)
+        Ok(self.dataset.frame(&self.dataset.rows()[row])?)
     }
 
     fn key(&self, p: &Piece, clean: bool) -> Key {
@@ -333,7 +332,15 @@ impl<'a, 'b> Reader<'a, 'b> {
         let size = places.len().div_ceil(count).max(1);
         for start in places.clone().step_by(size) {
             let end = (start + size).min(places.end);
-            let mut block = (start..end).map(|i| self.frame(p.set, i)).collect::<Result<Vec<_>, _>>()?;
+            let frames = (start..end).map(|i| self.frame(p.set, i));
+            if end - start < outliers::FEWEST {
+                for frame in frames {
+                    pass.add(frame?.as_slice().unwrap_or(&[])).map_err(wrong)?;
+                }
+                continue;
+            }
+            let mut block =
+                frames.map(|f| f.map(Arc::unwrap_or_clone)).collect::<Result<Vec<Array2<u16>>, _>>()?;
             let outlier = self.without_outliers(p.set, &mut block, start, dark, out);
             if let Some(outlier) = outlier {
                 return Ok(Some(start + outlier));
@@ -409,14 +416,16 @@ impl<'a, 'b> Reader<'a, 'b> {
     /// Mean of the frame before a piece, without struck samples, DN.
     fn first_frame_dn(&self, p: &Piece, from: usize, out: &mut LeftOut) -> Result<f64, ObserveError> {
         let places = from - 1..(from + outliers::BLOCK - 1).min(p.to);
-        let mut block = places.map(|i| self.frame(p.set, i)).collect::<Result<Vec<_>, _>>()?;
-        if self.clean {
-            let struck = outliers::take_struck(&mut block);
-            let own = struck.into_iter().filter(|(frame, _)| *frame == 0);
-            let before = out.struck.len();
-            out.struck.extend(own.map(|(_, pixel)| (pixel, from - 1)));
-            out.cleaned |= out.struck.len() > before;
+        if !self.clean {
+            return Ok(codes::mean_of(&self.frame(p.set, from - 1)?.mapv(f32::from), self.layout));
         }
+        let frames = places.map(|i| self.frame(p.set, i).map(Arc::unwrap_or_clone));
+        let mut block = frames.collect::<Result<Vec<_>, _>>()?;
+        let struck = outliers::take_struck(&mut block);
+        let own = struck.into_iter().filter(|(frame, _)| *frame == 0);
+        let before = out.struck.len();
+        out.struck.extend(own.map(|(_, pixel)| (pixel, from - 1)));
+        out.cleaned |= out.struck.len() > before;
         Ok(codes::mean_of(&block[0].mapv(f32::from), self.layout))
     }
 
@@ -428,7 +437,7 @@ impl<'a, 'b> Reader<'a, 'b> {
         pass: &mut Pass<'_>,
         out: &mut LeftOut,
     ) -> Result<Work, ObserveError> {
-        if pass.clipped() > CLIPPED || self.kept.get(p.set).is_some_and(|look| look.saturated) {
+        if pass.clipped() > CLIPPED || self.looks.get(p.set).is_some_and(|look| look.saturated) {
             return Ok(Work::Clipped(p.set, pass.mean_dn(), from, p.to));
         }
         let summary = pass.finish();
@@ -557,6 +566,7 @@ pub fn read(
         reader.clean = false;
     };
     drop(reader);
+    dataset.forget_frames();
     sums.chunks.retain(|c| sums.saturated.iter().all(|s| s.set != c.set));
     let mut left_out = words(dataset, &sums.left_out);
     if seen.filled > 0 {
@@ -597,7 +607,7 @@ pub fn record(
     }
     let seen = Seen::new(dataset, stop, &mut |_| {})?;
     for (set, look) in sets.iter().zip(&seen.looks).filter(|(s, _)| wanted(s)) {
-        out.add_look(Key::first(dataset, set, FIRST), look.without_frames());
+        out.add_look(Key::first(dataset, set, FIRST), look.clone());
     }
     let mut reader = Reader::new(dataset, &seen, stop);
     for clean in [true, false] {

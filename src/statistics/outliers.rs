@@ -4,6 +4,7 @@
 use super::median::{MAD_OF_NORMAL, median};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
+use std::borrow::Borrow;
 
 /// Cells along each side of a frame whose means are looked at.
 const CELLS: usize = 6;
@@ -16,6 +17,8 @@ const STRUCK: f32 = 8.0;
 const BESIDE: f32 = 4.0;
 /// Frames that are compared with each other.
 pub const BLOCK: usize = 8;
+/// Frames from which on they are compared.
+pub const FEWEST: usize = 3;
 
 /// Whether what a frame deviates by may be what the one before it carries over, dying away: of that the one before has more.
 pub fn dies_away(before_dn: f64, own_dn: f64) -> bool {
@@ -43,16 +46,18 @@ pub struct Apart {
 }
 
 /// Compares the frames of a block; nothing for fewer than three.
-pub fn apart(block: &[Array2<u16>]) -> Apart {
-    let Some(first) = block.first().filter(|_| block.len() >= 3) else { return Apart::default() };
+pub fn apart<F: Borrow<Array2<u16>>>(block: &[F]) -> Apart {
+    let Some(first) = block.first().map(F::borrow).filter(|_| block.len() >= FEWEST) else {
+        return Apart::default();
+    };
     let (rows, columns) = first.dim();
-    let cells: Vec<Vec<f64>> = block.iter().map(cell_means).collect();
+    let cells: Vec<Vec<f64>> = block.iter().map(|f| cell_means(f.borrow())).collect();
     apart_of(&cells, rows >= 2 * CELLS && columns >= 2 * CELLS)
 }
 
 /// Compares frames by their [`cell_means`]; `large`: whether the cells have several pixels.
 pub fn apart_of(cells: &[Vec<f64>], large: bool) -> Apart {
-    if cells.len() < 3 {
+    if cells.len() < FEWEST {
         return Apart::default();
     }
     let means: Vec<f64> = cells.iter().map(|c| mean_of(c)).collect();
@@ -170,7 +175,9 @@ impl Usual {
 /// Replaces samples that stand far above the same pixel in the block's other frames by the mean of those; says which (frame, pixel).
 pub fn take_struck(block: &mut [Array2<u16>]) -> Vec<(usize, usize)> {
     let n = block.len();
-    let Some(pixels) = block.first().map(Array2::len).filter(|p| n >= 3 && *p > 0) else { return Vec::new() };
+    let Some(pixels) = block.first().map(Array2::len).filter(|p| n >= FEWEST && *p > 0) else {
+        return Vec::new();
+    };
     let columns = block[0].ncols();
     let (mut most, mut sum) = (vec![0u16; pixels], vec![0u32; pixels]);
     for frame in block.iter() {
