@@ -82,7 +82,9 @@ impl pulp::NullaryFnOnce for Products<'_, '_> {
 
     #[inline(always)]
     fn call(self) {
-        (0..self.system.z.len()).for_each(|r| self.system.add_row(self.out, r));
+        for r in 0..self.system.z.len() {
+            self.system.add_row(self.out, r);
+        }
     }
 }
 
@@ -215,15 +217,26 @@ impl<'a> System<'a> {
     fn add_row(&self, out: &mut Normal, r: usize) {
         let (n, z) = (self.n, self.z[r]);
         let row = &self.slopes[r * n..][..n];
-        for (i, by) in row.iter().enumerate().filter(|(_, by)| **by != 0.0) {
+        // Loops and no closures: those are not sure to be inlined into the vector units' code.
+        for (i, by) in row.iter().enumerate() {
+            if *by == 0.0 {
+                continue;
+            }
             out.gradient[i] += by * z;
-            out.matrix[i * n..][..=i].iter_mut().zip(row).for_each(|(sum, s)| *sum += by * s);
+            for (sum, s) in out.matrix[i * n..][..=i].iter_mut().zip(row) {
+                *sum += by * s;
+            }
         }
-        let Some(light) = self.light[r].filter(|_| self.by_light[r] != 0.0) else { return };
+        let Some(light) = self.light[r] else { return };
+        if self.by_light[r] == 0.0 {
+            return;
+        }
         let (a, term) = (self.by_light[r], &mut out.lights[light]);
         term.square += a * a;
         term.gradient += a * z;
-        term.with.iter_mut().zip(row).for_each(|(w, s)| *w += a * s);
+        for (w, s) in term.with.iter_mut().zip(row) {
+            *w += a * s;
+        }
     }
 
     /// Whether a value is a scatter and moves no expectation.
