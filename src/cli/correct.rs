@@ -19,7 +19,7 @@ use tiff::encoder::colortype::{Gray16, Gray32Float};
 pub struct Arguments {
     /// The calibration file
     calibration: PathBuf,
-    /// Frames (TIFF, PNG, FITS) or dataset folders
+    /// Frames (TIFF, PNG, FITS, HDF5 of one frame) or dataset folders
     #[arg(required = true)]
     input: Vec<PathBuf>,
     /// A TIFF for one frame; a folder for several

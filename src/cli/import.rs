@@ -5,8 +5,8 @@ use super::common::{STOP, plane};
 use super::progress::Show;
 use crate::dataset::{planes_in_words, write_whole};
 use crate::import::{
-    Found, MOSAIC, Map, MapSet, PATTERNS, Survey, list, mosaic, mosaics_at_odds, must_be_free, propose,
-    stated_mosaic, survey, write,
+    Found, MOSAIC, Map, MapSet, PATTERNS, ReadOptions, Survey, list, mosaic, mosaics_at_odds, must_be_free,
+    propose, stated_mosaic, survey, write,
 };
 use anyhow::{Context, Result, bail};
 use std::io::{BufRead, IsTerminal, Write};
@@ -15,7 +15,7 @@ use std::sync::atomic::Ordering;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// Image files (TIFF and its stacks, PNG, FITS, NumPy arrays), or folders of them
+    /// Image files (TIFF and its stacks, PNG, FITS, NumPy arrays, HDF5 and NeXus), or folders of them
     #[arg(required_unless_present = "map", value_name = "FILE|FOLDER")]
     inputs: Vec<PathBuf>,
     /// The new dataset folder
@@ -36,10 +36,13 @@ pub struct Arguments {
     /// Of raw Bayer frames: row and column, 0 or 1, of the one pixel of every 2 x 2 cell that is kept; 0,0 is R of RGGB
     #[arg(long, value_name = "ROW,COLUMN", value_parser = plane, conflicts_with = "map")]
     plane: Option<[u8; 2]>,
-    /// Axis of NumPy arrays that counts the frames: 0, 1 or 2; else the first, and a question where the pixels
-    /// speak for another
+    /// Axis of NumPy arrays and HDF5 datasets that counts the frames: 0, 1 or 2; else the first, and for NumPy a
+    /// question where the pixels speak for another
     #[arg(long, value_name = "AXIS", value_parser = clap::value_parser!(u8).range(0..=2), conflicts_with = "map")]
     frames_axis: Option<u8>,
+    /// Dataset of frames in HDF5 files, such as /entry/data/data; else the only one that can be
+    #[arg(long, value_name = "PATH", conflicts_with = "map")]
+    hdf5_dataset: Option<String>,
     /// Leave out files that cannot be read; else nothing is imported while there is one
     #[arg(long, conflicts_with = "map")]
     leave_out_damaged: bool,
@@ -142,14 +145,19 @@ fn found(arguments: &Arguments, go_on: &impl Fn() -> bool) -> Result<Map> {
     let listing = list(&arguments.inputs)?;
     listing.notes.iter().for_each(|note| tracing::warn!("{note}"));
     if listing.files.is_empty() {
-        bail!("no image files there: radcam reads TIFF, PNG, FITS and NumPy arrays (.npy)");
+        bail!(
+            "no image files there: radcam reads TIFF, PNG, FITS, HDF5 (.h5, .hdf5, .nxs) and NumPy arrays (.npy)"
+        );
     }
+    let options = ReadOptions {
+        frames_axis: arguments.frames_axis.map(usize::from),
+        hdf5_dataset: arguments.hdf5_dataset.clone(),
+    };
     let mut show = Show::new("read");
-    let Survey { frames, damaged, notes } =
-        survey(&listing.files, arguments.frames_axis.map(usize::from), |done, of| {
-            show.step(done, of);
-            go_on()
-        })?;
+    let Survey { frames, damaged, notes } = survey(&listing.files, &options, |done, of| {
+        show.step(done, of);
+        go_on()
+    })?;
     drop(show);
     notes.iter().for_each(|note| tracing::warn!("{note}"));
     if !damaged.is_empty() {
@@ -167,6 +175,7 @@ fn found(arguments: &Arguments, go_on: &impl Fn() -> bool) -> Result<Map> {
         plane: arguments.plane,
         pattern,
         frames_axis: arguments.frames_axis,
+        hdf5_dataset: arguments.hdf5_dataset.clone(),
         ..propose(&frames, arguments.bit_depth)?
     })
 }

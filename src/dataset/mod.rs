@@ -640,7 +640,10 @@ fn no_manifest(folder: &Path) -> String {
     if let Some(text) = inside.iter().find(|p| is(p, &["txt"]) && emva::open(p).is_ok()) {
         return format!("has no dataset.toml; {} is an EMVA 1288 descriptor: give that file", text.display());
     }
-    if inside.iter().any(|p| p.is_dir() || is(p, &["tif", "tiff", "png", "fits", "fit", "npy"])) {
+    if inside
+        .iter()
+        .any(|p| p.is_dir() || is(p, &["tif", "tiff", "png", "fits", "fit", "npy", "h5", "hdf5", "nxs"]))
+    {
         return format!("has no dataset.toml; for loose images: radcam import {name} -o DATASET");
     }
     "has no dataset.toml: no dataset".into()

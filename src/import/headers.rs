@@ -1,7 +1,7 @@
 //! What the headers of image files say: FITS cards, descriptions of TIFF and PNG, their times.
 
 use super::words::{self, Said, Writer, of_description};
-use super::{Facts, cards};
+use super::{Facts, cards, stacks};
 use crate::dataset::image;
 use crate::dataset::tag::FrameTag;
 use std::fs::File;
@@ -32,7 +32,10 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
         return Err(image::ImageError::NotGrey(image::NO_JPEG.into()).to_string());
     }
     if start.starts_with(image::HDF5) {
-        return Err(image::ImageError::NotGrey(image::NO_HDF5.into()).to_string());
+        let images = image::Images::open(path).map_err(|e| e.to_string())?;
+        let told = stacks::told(&images.stacks())?.facts;
+        let pages = told.len();
+        return Ok((told.into_values().next().unwrap_or_default(), pages));
     }
     let mut decoder = image::tiff_head(path).map_err(|e| e.to_string())?;
     let text = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap_or_default();

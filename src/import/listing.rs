@@ -5,7 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Extensions of files that are looked at in folders.
-const EXTENSIONS: [&str; 8] = ["tif", "tiff", "dng", "png", "fits", "fit", "fts", "npy"];
+const EXTENSIONS: [&str; 13] =
+    ["tif", "tiff", "dng", "png", "fits", "fit", "fts", "npy", "h5", "hdf5", "hdf", "nxs", "nx5"];
 /// Further extensions of a packed FITS, behind its own.
 pub(super) const PACKED: [&str; 2] = ["gz", "fz"];
 

@@ -1,6 +1,6 @@
 //! How files become sets: the map that the user confirms, completes or writes.
 
-use super::{ImportError, Scale, camera};
+use super::{ImportError, ReadOptions, Scale, camera};
 use crate::dataset::{CameraInfo, Kind};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -26,9 +26,12 @@ pub struct Map {
     /// Value of code 0 in the files.
     #[serde(default, skip_serializing_if = "is_nothing")]
     pub zero: f64,
-    /// Axis of NumPy arrays that counts the frames; absent: the first.
+    /// Axis of NumPy arrays and HDF5 datasets that counts the frames; absent: the first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frames_axis: Option<u8>,
+    /// Dataset of frames in HDF5 files; absent: the only one that can be.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hdf5_dataset: Option<String>,
     /// Row and column, 0 or 1, of the one pixel of every 2 x 2 cell that is kept, of raw Bayer frames.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plane: Option<[u8; 2]>,
@@ -176,6 +179,14 @@ impl Map {
             )));
         }
         Ok(map)
+    }
+
+    /// Choices under which the files are read.
+    pub fn read_options(&self) -> ReadOptions {
+        ReadOptions {
+            frames_axis: self.frames_axis.map(usize::from),
+            hdf5_dataset: self.hdf5_dataset.clone(),
+        }
     }
 
     /// What one code is in the files. A `shift` of older maps is a step of as many bits.

@@ -17,6 +17,7 @@ mod propose;
 mod scale;
 mod settings;
 mod source;
+mod stacks;
 mod stamps;
 mod twins;
 mod values;
@@ -29,6 +30,7 @@ pub use listing::{Listing, list};
 pub use map::{MAP_FORMAT, Map, MapSet};
 pub use propose::propose;
 pub use scale::Scale;
+pub use source::ReadOptions;
 pub use write::{must_be_free, write};
 
 use crate::dataset::{DatasetError, image};
@@ -100,15 +102,14 @@ pub struct Survey {
     pub notes: Vec<String>,
 }
 
-/// Reads every file and page. A frame that lies there in two formats counts once. `frames_axis` is the axis of
-/// NumPy arrays that counts the frames; else the first.
+/// Reads every file and page. A frame that lies there in two formats counts once.
 ///
 /// # Errors
 ///
 /// Files of several sizes, two files of one name and other pixels, or that it was stopped.
 pub fn survey(
     paths: &[PathBuf],
-    frames_axis: Option<usize>,
+    options: &ReadOptions,
     mut step: impl FnMut(usize, usize) -> bool,
 ) -> Result<Survey, ImportError> {
     let mut out = Survey::default();
@@ -118,11 +119,14 @@ pub fn survey(
     for (at, path) in paths.iter().enumerate() {
         let mut go_on = || step(at, paths.len());
         let digest = twins.contains(&twins::name(path));
-        let frames = Source::open(path, frames_axis)
+        let frames = Source::open(path, options)
             .map_err(|message| ImportError::File { path: path.clone(), message })
             .and_then(|source| frames_of(path, &source, &common, digest, &mut census, &mut go_on));
         match frames {
-            Ok(frames) => out.frames.extend(frames),
+            Ok((frames, notes)) => {
+                out.frames.extend(frames);
+                out.notes.extend(notes.into_iter().map(|note| format!("{}: {note}", path.display())));
+            }
             Err(ImportError::File { message, .. }) => out.damaged.push((path.clone(), message)),
             Err(other) => return Err(other),
         }
@@ -137,7 +141,7 @@ pub fn survey(
     Ok(out)
 }
 
-/// Every frame of a file.
+/// Every frame of a file, and what was passed over in it.
 fn frames_of(
     path: &Path,
     source: &Source,
@@ -145,20 +149,26 @@ fn frames_of(
     digest: bool,
     census: &mut Census,
     go_on: &mut impl FnMut() -> bool,
-) -> Result<Vec<Found>, ImportError> {
+) -> Result<(Vec<Found>, Vec<String>), ImportError> {
     let fault = |message: String| ImportError::File { path: path.into(), message };
-    let (header, _) = headers::facts(path).map_err(fault)?;
-    let mut facts = header.or(named(path, common));
+    let header = if source.tells_all() { Facts::default() } else { headers::facts(path).map_err(fault)?.0 };
+    let names = named(path, common);
+    let mut of_file = header.clone().or(names.clone());
     if source.is_mosaic() {
-        facts.mosaic = facts.mosaic.or_else(|| Some("a colour filter (CFA)".into()));
+        of_file.mosaic = of_file.mosaic.or_else(|| Some("a colour filter (CFA)".into()));
     }
     let pages = source.pages();
     let mut out = Vec::new();
-    for &page in &pages {
+    let mut blank = 0;
+    for &page in pages {
         if !go_on() {
             return Err(ImportError::Interrupted);
         }
         let values = source.values(page).map_err(fault)?;
+        if source.is_blank(page, &values) {
+            blank += 1;
+            continue;
+        }
         census.add(&values).map_err(fault)?;
         let digest = if digest { twins::digest(&values) } else { 0 };
         let is_rounded = matches!(values, image::Values::Numbers(_));
@@ -174,8 +184,15 @@ fn frames_of(
         let cell = |y: usize, x: usize| mean(pixels.slice(s![y.., x..]).slice(s![..;2, ..;2]));
         let whole = shape.0 >= 2 && shape.1 >= 2;
         // The one time of a stack is that of its first page.
-        let mut facts = facts.clone();
-        facts.time_s = facts.time_s.filter(|_| pages.len() == 1);
+        let mut header = header.clone();
+        header.time_s = header.time_s.filter(|_| pages.len() == 1);
+        let facts = match source.told(page) {
+            Some(own) => {
+                let facts = own.clone().or(header).or(names.clone());
+                Facts { mosaic: facts.mosaic.clone().or(of_file.mosaic.clone()), ..facts }
+            }
+            None => Facts { time_s: of_file.time_s.filter(|_| pages.len() == 1), ..of_file.clone() },
+        };
         out.push(Found {
             path: path.into(),
             page: (pages.len() > 1).then_some(page),
@@ -189,7 +206,17 @@ fn frames_of(
             is_rounded,
         });
     }
-    Ok(out)
+    let mut notes = source.notes().to_vec();
+    if blank > 0 {
+        notes.push(format!(
+            "{blank} of {} frames hold nothing but zeros and are left out: never written, or cut off",
+            pages.len()
+        ));
+    }
+    if out.is_empty() && blank > 0 {
+        return Err(fault(notes.join("; ")));
+    }
+    Ok((out, notes))
 }
 
 /// Brings what was found of the values into codes of one scale.

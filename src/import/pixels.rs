@@ -38,7 +38,7 @@ impl<'a> Taken<'a> {
         let number = page.and_then(|p| p.parse().ok()).unwrap_or(0);
         let opened = match self.open.take().filter(|(of, _)| *of == source) {
             Some((_, opened)) => opened,
-            None => Source::open(&source, self.map.frames_axis.map(usize::from)).map_err(fault)?,
+            None => Source::open(&source, &self.map.read_options()).map_err(fault)?,
         };
         let (_, opened) = self.open.insert((source.clone(), opened));
         let scale = self.map.scale();

@@ -101,6 +101,7 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
         step: scale.step,
         zero: scale.zero,
         frames_axis: None,
+        hdf5_dataset: None,
         plane: None,
         pattern: None,
         gain_db: gains.first().copied(),

@@ -1,14 +1,32 @@
 //! Frames of one file, whatever holds them.
 
-use super::npy;
+use super::{Facts, npy, stacks};
 use crate::dataset::image::{Images, Values};
 use ndarray::Axis;
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
+/// Choices that a file of several arrays needs.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ReadOptions {
+    /// Axis that counts the frames of NumPy arrays and of HDF5 datasets with three axes; else the first.
+    pub frames_axis: Option<usize>,
+    /// Path of the dataset of frames in HDF5 files; else the only one that can be.
+    pub hdf5_dataset: Option<String>,
+}
+
 /// A file of frames, opened once.
-pub struct Source(Kind);
+pub struct Source {
+    kind: Kind,
+    /// Numbers of the pages that are frames.
+    pages: Vec<usize>,
+    /// Facts of single pages, where the file has them.
+    told: BTreeMap<usize, Facts>,
+    /// Frames that are passed over, in words.
+    notes: Vec<String>,
+}
 
 enum Kind {
     Images(Images),
@@ -20,35 +38,62 @@ enum Kind {
 const SAME_LEVEL: f64 = 0.02;
 
 impl Source {
-    /// Opens a file. `axis` is the one that counts the frames of a NumPy array.
+    /// Opens a file.
     ///
     /// # Errors
     ///
     /// Where the file is of no kind that radcam reads, or is damaged.
-    pub fn open(path: &Path, axis: Option<usize>) -> Result<Self, String> {
+    pub fn open(path: &Path, options: &ReadOptions) -> Result<Self, String> {
         let mut start = Vec::new();
         let file = File::open(path).map_err(|e| e.to_string())?;
         file.take(6).read_to_end(&mut start).map_err(|e| e.to_string())?;
+        let of = |kind, pages| Self { kind, pages, told: BTreeMap::new(), notes: Vec::new() };
         if start == npy::MAGIC {
-            return Ok(Self(Kind::Array(npy::read(path, axis)?)));
+            let array = npy::read(path, options.frames_axis)?;
+            let pages = (0..array.len_of(Axis(0))).collect();
+            return Ok(of(Kind::Array(array), pages));
         }
-        let images = Images::open(path).map_err(|e| e.to_string())?;
-        let out = Self(Kind::Images(images));
+        let images = Images::open_with(path, options.hdf5_dataset.as_deref(), options.frames_axis);
+        let images = images.map_err(|e| e.to_string())?;
+        let (pages, found) = (images.frames(), images.stacks());
+        if !found.is_empty() {
+            let stacks::Told { facts, notes } = stacks::told(&found)?;
+            let pages = facts.keys().copied().collect();
+            return Ok(Self { told: facts, notes, ..of(Kind::Images(images), pages) });
+        }
+        let out = of(Kind::Images(images), pages);
         out.refuse_colours()?;
         Ok(out)
     }
 
     /// Numbers of the pages that are frames.
-    pub fn pages(&self) -> Vec<usize> {
-        match &self.0 {
-            Kind::Images(images) => images.frames(),
-            Kind::Array(array) => (0..array.len_of(Axis(0))).collect(),
-        }
+    pub fn pages(&self) -> &[usize] {
+        &self.pages
+    }
+
+    /// Facts of a page, where the file has them for each.
+    pub fn told(&self, page: usize) -> Option<&Facts> {
+        self.told.get(&page)
+    }
+
+    /// True if the facts of the pages are all that the file says.
+    pub fn tells_all(&self) -> bool {
+        matches!(&self.kind, Kind::Images(images) if !images.stacks().is_empty())
+    }
+
+    /// Frames that are passed over, in words.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
+    /// True of values of a frame that was never written.
+    pub fn is_blank(&self, page: usize, values: &Values) -> bool {
+        matches!(&self.kind, Kind::Images(images) if images.is_blank(page, values))
     }
 
     /// True if the file says that its pixels lie under a colour filter.
     pub fn is_mosaic(&self) -> bool {
-        match &self.0 {
+        match &self.kind {
             Kind::Images(images) => images.frames().first().is_some_and(|page| images.is_mosaic(*page)),
             Kind::Array(_) => false,
         }
@@ -56,7 +101,7 @@ impl Source {
 
     /// Bytes of the file are frames of a dataset as they are, once their codes are.
     pub fn is_image(&self) -> bool {
-        match &self.0 {
+        match &self.kind {
             Kind::Images(images) => images.is_plain(),
             Kind::Array(_) => false,
         }
@@ -68,7 +113,7 @@ impl Source {
     ///
     /// Where there is no such page, or it cannot be read.
     pub fn values(&self, page: usize) -> Result<Values, String> {
-        let values = match &self.0 {
+        let values = match &self.kind {
             Kind::Images(images) => images.values(page).map_err(|e| e.to_string())?,
             Kind::Array(array) if page < array.len_of(Axis(0)) => {
                 Values::Numbers(array.index_axis(Axis(0), page).to_owned())
@@ -82,7 +127,7 @@ impl Source {
 
     /// Three planes of a FITS cube are three frames, or the colours of one picture.
     fn refuse_colours(&self) -> Result<(), String> {
-        let Kind::Images(images) = &self.0 else { return Ok(()) };
+        let Kind::Images(images) = &self.kind else { return Ok(()) };
         if !images.is_cube() || images.frames().len() != 3 {
             return Ok(());
         }

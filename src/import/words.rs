@@ -75,6 +75,7 @@ const EXPOSURES: &[&str] = &[
     "exposuretime",
     "xposure",
     "exposuretimeabs",
+    "counttime",
     "integrationtime",
     "inttime",
     "itime",

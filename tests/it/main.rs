@@ -19,6 +19,8 @@ mod emva;
 mod faults;
 mod frame_headers;
 mod fuzz;
+#[cfg(feature = "hdf5")]
+mod hdf5;
 mod import;
 mod import_cases;
 mod import_names;

@@ -1,7 +1,9 @@
-//! Grey images: TIFF (any page), PNG and FITS in; TIFF of 8 or 16 bits out.
+//! Grey images: TIFF (any page), PNG, FITS and HDF5 in; TIFF of 8 or 16 bits out.
 
 mod fits;
 mod fits_tiles;
+#[cfg(feature = "hdf5")]
+mod hdf5;
 mod tiff_file;
 
 use ndarray::{Array2, ArrayView2};
@@ -27,9 +29,15 @@ pub enum ImageError {
     /// Not a sound FITS.
     #[error("not a sound FITS: {0}")]
     Fits(String),
+    /// Not a sound HDF5.
+    #[error("not a sound HDF5 (NeXus): {0}")]
+    Hdf5(String),
     /// Sound, but not a grey image of unsigned 8 or 16 bits.
     #[error("is {0}; frames are grey, with 8 or 16 unsigned bits")]
     NotGrey(String),
+    /// Frames that cannot be told, or of a kind that radcam does not read; with what to do.
+    #[error("is {0}")]
+    NoFrames(String),
     /// Sound and grey, but with values that are no codes: value, row, column.
     #[error(
         "holds {0} at row {1}, column {2}, and codes are whole numbers from 0 to 65535; `radcam import` finds their step"
@@ -50,9 +58,34 @@ pub(crate) const NO_JPEG: &str = "a JPEG, whose codes are not those of the camer
 
 /// How an HDF5 file begins.
 pub(crate) const HDF5: &[u8] = b"\x89HDF\r\n\x1a\n";
-/// Why it is no frame.
-pub(crate) const NO_HDF5: &str =
-    "an HDF5 (NeXus) file, which radcam does not read; save its frames as TIFF or NumPy array";
+/// Reason of a radcam without the feature.
+#[cfg(not(feature = "hdf5"))]
+const NO_HDF5: &str = "an HDF5 (NeXus) file, and this radcam was built without the feature hdf5; save its frames as TIFF or NumPy \
+                       array";
+
+/// One dataset of frames of an HDF5 file, and the values that stand with it.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Stack {
+    /// Names of the dataset in the file.
+    pub(crate) paths: Vec<String>,
+    /// Page of the first frame.
+    pub(crate) first: usize,
+    /// Frames.
+    pub(crate) frames: usize,
+    /// Image keys of the frames (NXtomo): 0 projection, 1 flat, 2 dark, 3 invalid; empty where there are none.
+    pub(crate) keys: Vec<i64>,
+    /// Named values of all frames, with their units.
+    pub(crate) said: Vec<(String, String)>,
+    /// Named values, one for each frame.
+    pub(crate) of_frames: Vec<(String, Vec<String>)>,
+}
+
+impl Stack {
+    /// First name of the dataset.
+    pub(crate) fn path(&self) -> &str {
+        self.paths.first().map_or("", String::as_str)
+    }
+}
 
 /// What is wrong with a TIFF; of one that ends too early, that.
 pub(crate) fn tiff_words(error: &tiff::TiffError) -> String {
@@ -61,7 +94,7 @@ pub(crate) fn tiff_words(error: &tiff::TiffError) -> String {
             "cut short: the file ends before its pixels do".into()
         }
         tiff::TiffError::FormatError(tiff::TiffFormatError::TiffSignatureNotFound) => {
-            "radcam reads TIFF, PNG and FITS, and it begins like none of them".into()
+            "radcam reads TIFF, PNG, FITS, HDF5 and NumPy arrays, and it begins like none of them".into()
         }
         other => other.to_string(),
     }
@@ -214,6 +247,8 @@ enum Container {
     Tiff(tiff_file::Directories),
     Png,
     Fits(fits::Fits),
+    #[cfg(feature = "hdf5")]
+    Hdf5(Arc<hdf5::Hdf5>),
 }
 
 impl Images {
@@ -223,13 +258,22 @@ impl Images {
     ///
     /// Where the file cannot be read, or is of no kind that radcam reads.
     pub fn open(path: &Path) -> Result<Self, ImageError> {
+        Self::open_with(path, None, None)
+    }
+
+    /// The same; of an HDF5 file with the dataset that is chosen and the axis that counts its frames.
+    pub(crate) fn open_with(
+        path: &Path,
+        dataset: Option<&str>,
+        axis: Option<usize>,
+    ) -> Result<Self, ImageError> {
         let mut start = [0u8; 8];
         let read = std::io::Read::read(&mut File::open(path)?, &mut start)?;
         let start = &start[..read];
         let kind = if start.starts_with(JPEG) {
             return Err(ImageError::NotGrey(NO_JPEG.into()));
         } else if start.starts_with(HDF5) {
-            return Err(ImageError::NotGrey(NO_HDF5.into()));
+            open_hdf5(path, dataset, axis)?
         } else if start.starts_with(b"\x89PNG") {
             Container::Png
         } else if begins_as_fits(start) {
@@ -246,6 +290,29 @@ impl Images {
             Container::Tiff(directories) => directories.frames(),
             Container::Png => vec![0],
             Container::Fits(fits) => (0..fits.pages()).collect(),
+            #[cfg(feature = "hdf5")]
+            Container::Hdf5(file) => (0..file.pages()).collect(),
+        }
+    }
+
+    /// Datasets of frames of an HDF5 file; none of others.
+    pub(crate) fn stacks(&self) -> Vec<Stack> {
+        match &self.kind {
+            #[cfg(feature = "hdf5")]
+            Container::Hdf5(file) => file.stacks().cloned().collect(),
+            _ => Vec::new(),
+        }
+    }
+
+    /// True of a frame of an HDF5 file that was never written: its chunks hold nothing but the fill value.
+    pub(crate) fn is_blank(&self, page: usize, values: &Values) -> bool {
+        match &self.kind {
+            #[cfg(feature = "hdf5")]
+            Container::Hdf5(file) => file.is_blank(page, values),
+            _ => {
+                let _ = (page, values);
+                false
+            }
         }
     }
 
@@ -260,6 +327,8 @@ impl Images {
             Container::Tiff(directories) => directories.is_plain(),
             Container::Png => true,
             Container::Fits(fits) => fits.is_plain(),
+            #[cfg(feature = "hdf5")]
+            Container::Hdf5(_) => false,
         }
     }
 
@@ -298,6 +367,8 @@ impl Images {
         match &self.kind {
             Container::Tiff(directories) => directories.single(&self.path),
             Container::Fits(fits) if fits.pages() > 1 => Err(ImageError::Stack(fits.pages())),
+            #[cfg(feature = "hdf5")]
+            Container::Hdf5(file) if file.pages() > 1 => Err(ImageError::Stack(file.pages())),
             _ => Ok(0),
         }
     }
@@ -311,8 +382,20 @@ impl Images {
                 read_png(File::open(&self.path)?, buffer).map(|()| None)
             }
             Container::Fits(fits) => fits.values(page).map(Some),
+            #[cfg(feature = "hdf5")]
+            Container::Hdf5(file) => file.values(page).map(Some),
         }
     }
+}
+
+#[cfg(feature = "hdf5")]
+fn open_hdf5(path: &Path, dataset: Option<&str>, axis: Option<usize>) -> Result<Container, ImageError> {
+    Ok(Container::Hdf5(Arc::new(hdf5::Hdf5::open(path, dataset, axis)?)))
+}
+
+#[cfg(not(feature = "hdf5"))]
+fn open_hdf5(_: &Path, _: Option<&str>, _: Option<usize>) -> Result<Container, ImageError> {
+    Err(ImageError::NoFrames(NO_HDF5.into()))
 }
 
 /// Files of frames that were opened: the structure of a stack is read once, not once a page.
@@ -375,6 +458,8 @@ pub fn stored_bits(path: &Path) -> Result<u8, ImageError> {
             Ok(start[24].max(8))
         }
         Container::Fits(fits) => Ok(fits.bits()),
+        #[cfg(feature = "hdf5")]
+        Container::Hdf5(file) => Ok(file.bits()),
         Container::Tiff(directories) => {
             let page = directories.frames().first().copied().unwrap_or(0);
             Ok(directories.decoder(path, page)?.colortype()?.bit_depth())

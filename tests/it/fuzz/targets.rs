@@ -22,11 +22,12 @@ pub const TARGETS: &[Target] = &[
     ("flat-field", |b| drop(radcam::flat_field::FlatField::from_bytes(b))),
     ("formula", formula),
     ("frames", frames),
+    ("hdf5", |b| picture(&file("h5", b))),
     ("manifest", |b| drop(Manifest::from_toml(&text(b)))),
     ("map", |b| drop(radcam::import::Map::from_toml(&text(b)))),
     ("model", model),
     ("name", |b| drop(radcam::import::names::facts(&text(b), &text(b)))),
-    ("npy", |b| drop(radcam::import::survey(&[file("npy", b)], None, |_, _| true))),
+    ("npy", |b| drop(radcam::import::survey(&[file("npy", b)], &Default::default(), |_, _| true))),
     ("plan", plan),
     ("png", |b| picture(&file("png", b))),
     ("request", request),
@@ -73,7 +74,7 @@ fn picture(path: &Path) {
     let _ = image::read(path, 0);
     let _ = image::read_single(path);
     let _ = image::stored_bits(path);
-    let _ = radcam::import::survey(&[path.to_path_buf()], None, |_, _| true);
+    let _ = radcam::import::survey(&[path.to_path_buf()], &Default::default(), |_, _| true);
 }
 
 fn frames(bytes: &[u8]) {
