@@ -273,6 +273,7 @@ fn estimate(
     };
     let mut pattern = once(&sound)?;
     for _ in 0..ROUNDS {
+        about_its_median(&mut pattern, &light.lit);
         // A rim that is most of the picture is the lens' shading.
         let grown = light.clone().with_rim(&pattern.k);
         if grown.lit_pixels() as f64 >= MIN_SHARE_WITHOUT_RIM * of_light {
@@ -289,7 +290,20 @@ fn estimate(
         sound = now;
         pattern = once(&sound)?;
     }
+    about_its_median(&mut pattern, &light.lit);
     Ok((pattern, light))
+}
+
+/// Brings K to a median of 1 over the pixels with light. Where a surface cannot follow a lens that falls off
+/// steeply, K of a few pixels is thousands: a mean over all of them would make every other pixel dead. The error
+/// is relative to the light and stays.
+fn about_its_median(pattern: &mut FixedPattern, lit: &Array2<bool>) {
+    let of_light = pattern.k.iter().zip(lit).filter(|(k, lit)| **lit && k.is_finite());
+    let usual = crate::statistics::median::median(of_light.map(|(k, _)| f64::from(*k)));
+    if usual.is_finite() && usual > 0.0 {
+        pattern.k.mapv_inplace(|k| (f64::from(k) / usual) as f32);
+        pattern.mean_before *= usual;
+    }
 }
 
 fn name_of(estimator: Estimator, mosaic: bool) -> String {

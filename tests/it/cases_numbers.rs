@@ -279,6 +279,72 @@ fn pixels_without_light_are_blind_and_the_rest_is_measured() {
     }
 }
 
+/// A lens that falls off over the outer third of its circle, to a few per cent at a hard edge, and one whose
+/// corners get a few per cent: K of what is well lit is right, with one configuration and with several, and
+/// pixels of the rim are no reason to refuse.
+#[test]
+fn a_lens_that_falls_off_steeply_is_calibrated() {
+    let off = |y: usize, x: usize| (y as f64 - 63.5).hypot(x as f64 - 63.5);
+    // From 1 at two thirds of the radius to 0.03 at the rim, and nothing beyond.
+    let steep = move |y: usize, x: usize| {
+        let r = off(y, x) / 60.0;
+        if r > 1.0 { 0.0 } else { 1.0 - 0.97 * ((r - 0.667) / 0.333).clamp(0.0, 1.0) }
+    };
+    let soft = move |y: usize, x: usize| (-(off(y, x) / 48.0).powi(2)).exp();
+    let hard = move |y: usize, x: usize| if off(y, x) > 62.0 { 0.0 } else { soft(y, x) };
+    // The kink of the first is no polynomial: K has some of the lens in it.
+    let shapes: [(&str, Shape<'_>, f64); 3] =
+        [("steep", &steep, 0.02), ("soft", &soft, 0.005), ("hard", &hard, 0.005)];
+    for (k, (name, shape, most_off)) in shapes.into_iter().enumerate() {
+        for estimator in ["smooth", "joint"] {
+            let bench = Bench::new();
+            let mut camera = Camera::new(60 + k as u64, shape);
+            [10, 100].iter().for_each(|ms| bench.dark(&mut camera, 8, *ms));
+            if estimator == "smooth" {
+                [10, 20, 30, 40].iter().for_each(|ms| bench.flat(&mut camera, 8, *ms, 150.0));
+            } else {
+                for c in 0..4 {
+                    let response = camera.response.clone();
+                    for ((_, x), r) in camera.response.indexed_iter_mut() {
+                        *r *= 1.0 + 0.05 * (f64::from(c) - 1.0) * (x as f64 / SIDE as f64 - 0.5);
+                    }
+                    bench.set(&mut camera, &format!("c{c}_flat_30ms"), 8, 4500.0, 0.03);
+                    camera.response = response;
+                }
+            }
+            bench.import();
+            if estimator == "joint" {
+                configurations(&bench.at("d"));
+            }
+            let (cal, corrected) = bench.calibrated(&mut camera, estimator);
+            let lit = |at: (usize, usize)| shape(at.0, at.1) > 0.5;
+            let sound = cal.defects.indexed_iter().filter(|(at, f)| lit(*at) && **f == 0).count();
+            let all = cal.defects.indexed_iter().filter(|(at, _)| lit(*at)).count();
+            assert!(sound as f64 > 0.97 * all as f64, "{name} {estimator}: {sound} of {all}");
+            let off = fine_off(&cal, &camera.k, &lit);
+            assert!(off < most_off, "{name} {estimator}: {off}");
+            let level = corrected[(64, 64)];
+            assert!((level / 2000.0 - 1.0).abs() < 0.05, "{name} {estimator}: {level}");
+        }
+    }
+}
+
+/// Rms of K against the truth at well lit pixels, each over its mean within nine pixels: a fall that no surface
+/// follows stays in K.
+fn fine_off(cal: &Calibration, truth: &Array2<f64>, lit: &dyn Fn((usize, usize)) -> bool) -> f64 {
+    let ratio = Zip::from(&cal.k).and(truth).map_collect(|k, t| f64::from(*k) / t);
+    let used = |at: (usize, usize)| lit(at) && cal.defects[at] == 0;
+    let (mut n, mut sum) = (0.0, 0.0);
+    for ((y, x), r) in ratio.indexed_iter().filter(|(at, _)| used(*at)) {
+        let near = |at: usize| at.saturating_sub(4)..(at + 5).min(SIDE);
+        let around = near(y).flat_map(|b| near(x).map(move |a| (b, a))).filter(|at| used(*at));
+        let (m, total) = around.fold((0.0, 0.0), |(m, total), at| (m + 1.0, total + ratio[at]));
+        sum += (r * m / total - 1.0).powi(2);
+        n += 1.0;
+    }
+    f64::sqrt(sum / n)
+}
+
 /// Case 16: overscan columns. They have no part in the PRNU, and this is said.
 #[test]
 fn overscan_columns_are_left_out_and_said() {
