@@ -35,7 +35,13 @@ pub struct Needs {
     pub dark_var_dn2: f64,
     /// The standard error of K that was asked for; without one K keeps as many bits as the converter has (Section V.B).
     pub k_std_err: Option<f64>,
+    /// One configuration, for a K that contains the card and the lamp's fine structure.
+    #[serde(default)]
+    pub smooth: bool,
 }
+
+/// Frames of each of the levels that tell A where one configuration has all frames that K needs.
+const FRAMES_OF_A_LEVEL: u64 = 16;
 
 /// Frames n2 so that sigma_N^2 / n2 is at most q^2 / 9 at full scale, q = 1 DN.
 ///
@@ -70,6 +76,80 @@ pub fn for_error(k_std_err: f64, card_sd: f64, noise_var: f64) -> (u64, u64) {
     (n1, up(noise_var / half / n1 as f64).max(2))
 }
 
+/// Frames of one configuration for a standard error of K, or for K to keep `bit_depth` bits, where the relative
+/// variance of a frame's noise is `noise_var`: var K = noise_var / n2.
+///
+/// ```
+/// // Noise of 1 % in a frame, for K to 0.1 %: 100 frames.
+/// assert_eq!(radcam::calibrate::plan::frames_of_one(Some(1e-3), 12, 1e-4), 100);
+/// ```
+pub fn frames_of_one(k_std_err: Option<f64>, bit_depth: u8, noise_var: f64) -> u64 {
+    let most = k_std_err.map_or(0.1 * 2f64.powi(-2 * i32::from(bit_depth)), |e| e * e);
+    (noise_var / most * (1.0 - 1e-9)).ceil().clamp(2.0, 1e9) as u64
+}
+
+/// Needs of [`Estimator::Smooth`](super::Estimator::Smooth) from a pilot: darks and flats of one configuration or
+/// more.
+///
+/// # Errors
+///
+/// What the pilot lacks, or which frame cannot be read.
+pub fn needs_smooth(
+    pilot: &Dataset,
+    noise: &NoiseReport,
+    k_std_err: Option<f64>,
+) -> Result<Needs, CalibrateError> {
+    let flats = super::flats::of_pilot(pilot)?;
+    let levels = flats.images.iter().filter_map(|image| image.mean()).map(f64::from);
+    let level = levels.fold(0.0, f64::max);
+    if level <= 0.0 {
+        return Err(PatternError::Dark(0).into());
+    }
+    let Variances { full_scale_var_dn2, dark_var_dn2, at_level } = variances(pilot, noise, level);
+    let bit_depth = pilot.manifest().camera.bit_depth;
+    let n2 = frames_of_one(k_std_err, bit_depth, at_level);
+    let slope_sd = (at_level / n2 as f64).sqrt();
+    let s = darks_needed(dark_var_dn2, k_std_err, level);
+    Ok(Needs {
+        n1: 1,
+        n2,
+        s,
+        slope_sd,
+        worst_kept: 1.0,
+        bit_depth,
+        full_scale_var_dn2,
+        dark_var_dn2,
+        k_std_err,
+        smooth: true,
+    })
+}
+
+/// Temporal variances that a pilot tells.
+struct Variances {
+    full_scale_var_dn2: f64,
+    dark_var_dn2: f64,
+    /// Of a frame at the level of the flats, relative.
+    at_level: f64,
+}
+
+fn variances(pilot: &Dataset, noise: &NoiseReport, level: f64) -> Variances {
+    let (a, c) = (noise.gain_dn_per_e.value, noise.constant_noise_var_dn2.value);
+    let full_scale = f64::from(pilot.manifest().camera.full_scale_dn()) - noise.offset_dn.value;
+    let darks = noise.levels.iter().filter(|l| l.kind == Kind::Dark && l.var_dn2.is_finite());
+    Variances {
+        full_scale_var_dn2: a * full_scale + c,
+        dark_var_dn2: darks.map(|l| l.var_dn2).fold(c, f64::max),
+        at_level: (a * level + c) / (level * level),
+    }
+}
+
+/// Darks for a reference as good as the averaged flats: q / 3, or a third of the error wanted at the level of the
+/// flats.
+fn darks_needed(dark_var_dn2: f64, k_std_err: Option<f64>, level: f64) -> u64 {
+    let std_err_dn = k_std_err.map_or(1.0 / 3.0, |e| (e * level / 3.0).min(1.0));
+    frames_needed(dark_var_dn2, std_err_dn).max(4)
+}
+
 /// Needs from a pilot: darks and flats of at least three configurations. `k_std_err`: the standard error of K wanted, relative; `None`: so small
 /// that K keeps as many bits as the converter has, as in the paper.
 ///
@@ -79,13 +159,6 @@ pub fn for_error(k_std_err: f64, card_sd: f64, noise_var: f64) -> (u64, u64) {
 pub fn needs(pilot: &Dataset, noise: &NoiseReport, k_std_err: Option<f64>) -> Result<Needs, CalibrateError> {
     let options = Options::default();
     let camera = &pilot.manifest().camera;
-    let (a, c) = (noise.gain_dn_per_e.value, noise.constant_noise_var_dn2.value);
-    let full_scale = f64::from(camera.full_scale_dn()) - noise.offset_dn.value;
-    let full_scale_var_dn2 = a * full_scale + c;
-    let darks: Vec<_> =
-        noise.levels.iter().filter(|l| l.kind == Kind::Dark && l.var_dn2.is_finite()).collect();
-    let dark_var_dn2 = darks.iter().map(|l| l.var_dn2).fold(c, f64::max);
-
     let flats = super::flats::of_pilot(pilot)?;
     let (images, frames_each) = (&flats.images, flats.fewest());
     if images.len() < 3 {
@@ -94,7 +167,7 @@ pub fn needs(pilot: &Dataset, noise: &NoiseReport, k_std_err: Option<f64>) -> Re
     let found = paper(images, options)?;
     let level = found.level_dn;
     // The frames' own noise is in the pilot's scatter as averaged there; in the campaign it is averaged over n2.
-    let noise_var = (a * level + c) / (level * level);
+    let Variances { full_scale_var_dn2, dark_var_dn2, at_level: noise_var } = variances(pilot, noise, level);
     let card = (found.pooled_sd.powi(2) - noise_var / frames_each as f64).max(0.0);
     let wanted = k_std_err.map(|e| for_error(e, card.sqrt(), noise_var));
     let n2 = wanted.map_or_else(|| frames(full_scale_var_dn2), |(_, n2)| n2);
@@ -106,11 +179,20 @@ pub fn needs(pilot: &Dataset, noise: &NoiseReport, k_std_err: Option<f64>) -> Re
     let worst_kept = kept[kept.len() / 1000].max(0.5 * kept[kept.len() / 2]);
     let n1 = wanted
         .map_or_else(|| configurations(camera.bit_depth, options.p, slope_sd, worst_kept), |(n1, _)| n1);
-    // The dark reference as good as the averaged flats: q / 3, or a third of the error wanted at the level of the flats.
-    let dark_std_err_dn = k_std_err.map_or(1.0 / 3.0, |e| (e * level / 3.0).min(1.0));
-    let s = frames_needed(dark_var_dn2, dark_std_err_dn).max(4);
+    let s = darks_needed(dark_var_dn2, k_std_err, level);
     let bit_depth = camera.bit_depth;
-    Ok(Needs { n1, n2, s, slope_sd, worst_kept, bit_depth, full_scale_var_dn2, dark_var_dn2, k_std_err })
+    Ok(Needs {
+        n1,
+        n2,
+        s,
+        slope_sd,
+        worst_kept,
+        bit_depth,
+        full_scale_var_dn2,
+        dark_var_dn2,
+        k_std_err,
+        smooth: false,
+    })
 }
 
 fn set(kind: Kind, frames: u64, exposure_s: f64, illumination: f64, configuration: u32) -> SetPlan {
@@ -154,7 +236,8 @@ pub fn campaign(pilot: &Dataset, needs: &Needs) -> Plan {
     }
     // A few levels of light, so that the same campaign tells A and the constant noise.
     for part in [0.1, 0.3, 0.6] {
-        sets.push(set(Kind::Flat, needs.n2.max(4), exposure_s * part, light, 0));
+        let most = if needs.smooth { FRAMES_OF_A_LEVEL } else { u64::MAX };
+        sets.push(set(Kind::Flat, needs.n2.clamp(4, most), exposure_s * part, light, 0));
     }
     let n1 = needs.n1.min(100_000) as u32;
     sets.extend((0..n1).map(|k| set(Kind::Flat, needs.n2, exposure_s, light, k)));

@@ -4,7 +4,7 @@ use super::Outcome;
 use super::common::{STOP, above_0, duration, may_be_written, open_camera, say_faults};
 use super::observe::Colour;
 use super::progress::Show;
-use crate::calibrate::plan::{campaign, needs, pilot};
+use crate::calibrate::plan::{campaign, needs, needs_smooth, pilot};
 use crate::capture::Capture;
 use crate::data_faults::examined;
 use crate::dataset::write_whole;
@@ -15,7 +15,7 @@ use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// A pilot already captured: darks, flats at several levels, three configurations or more
+    /// A pilot already captured: darks, flats at several levels, three configurations or more (one for smooth)
     #[arg(required_unless_present = "camera")]
     pilot: Option<PathBuf>,
     #[command(flatten)]
@@ -33,6 +33,10 @@ pub struct Arguments {
     /// which takes very many frames of a camera of 12 bits
     #[arg(long, value_name = "ERROR", value_parser = above_0)]
     k_error: Option<f64>,
+    /// What `calibrate` will be told: joint or paper, which need several configurations, or smooth, for which one is
+    /// enough
+    #[arg(long, default_value = "joint", value_parser = ["joint", "paper", "smooth"])]
+    estimator: String,
     /// Write over a plan that is there
     #[arg(long)]
     overwrite: bool,
@@ -65,7 +69,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     dataset.must_be_monochrome()?;
     let dataset = examined(&dataset, &STOP)?;
     let noise = noise::of_dataset(&dataset, &STOP, &mut |_, _| {})?;
-    let needs = needs(&dataset, &noise, arguments.k_error)?;
+    let smooth = arguments.estimator == "smooth";
+    let needs = (if smooth { needs_smooth } else { needs })(&dataset, &noise, arguments.k_error)?;
     let plan = campaign(&dataset, &needs);
     write_whole(&arguments.output, plan.to_toml()?.as_bytes())?;
     if arguments.json {
@@ -86,6 +91,15 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         HumanBytes(bytes),
         duration(plan.seconds(None))
     );
+    if smooth {
+        println!(
+            "  n2 = {:<6} frames of one configuration: K then has {:.2e} of noise a pixel, and contains the card and the\n{:11}lamp's \
+             fine structure: radcam calibrate --estimator smooth",
+            needs.n2, needs.slope_sd, ""
+        );
+        println!("  s  = {:<6} darks at each exposure", needs.s);
+        return Ok(Outcome::Agreement);
+    }
     if let Some(error) = needs.k_std_err {
         println!(
             "  n1 = {:<6} configurations of {} frames each, for K to {} a pixel: slopes scatter by {:.5}",

@@ -389,6 +389,30 @@ fn an_error_of_k_that_is_asked_for_is_met() {
     assert!((0.0004..0.0011).contains(&error), "{out}");
 }
 
+/// A plan for one configuration, as a pilot of too few says: the error of K that was asked for is met by
+/// `--estimator smooth`, and a pilot of one configuration is enough.
+#[test]
+fn a_calibration_of_one_configuration_is_planned() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    let sensor = crate::support::small_sensor(dir.path(), "cmos12", 96, 64);
+    let sensor = sensor.to_str().unwrap();
+    expect(0, &["simulate", sensor, "--plan", "quick", "-o", &at("pilot")]);
+    let plan = ["plan-calibration", &at("pilot"), "--k-error", "0.001", "-o", &at("plan.toml")];
+    let said = refused(&plan);
+    assert!(said.contains("three configurations") && said.contains("--estimator smooth"), "{said}");
+    let said = expect(0, &[&plan[..], &["--estimator", "smooth"]].concat());
+    assert!(
+        said.contains("1 configurations") && said.contains("radcam calibrate --estimator smooth"),
+        "{said}"
+    );
+    expect(0, &["simulate", sensor, "--plan", &at("plan.toml"), "-o", &at("campaign")]);
+    let out = expect(0, &["calibrate", &at("campaign"), "--estimator", "smooth", "-o", &at("cal.tiff")]);
+    let error = out.split("error of K").nth(1).and_then(|t| t.split_whitespace().next());
+    let error: f64 = error.unwrap().parse().unwrap();
+    assert!((0.0006..0.0011).contains(&error), "{out}");
+}
+
 /// One verb continues what another run left unfinished.
 #[test]
 fn resume_from_the_command_line() {
