@@ -8,6 +8,7 @@ use crate::dataset::tag::{CORRECTED, FrameTag, is_corrected};
 use crate::dataset::{CameraInfo, Dataset, image, write_whole};
 use crate::import::{facts, pixel_format};
 use crate::number::{percent, six_digits};
+use crate::statistics::code_step::{Occurring, Stretch};
 use anyhow::{Context, Result, bail};
 use ndarray::Array2;
 use std::collections::BTreeSet;
@@ -359,7 +360,6 @@ impl Plain {
             bail!("{}: was corrected already ({CORRECTED}); give the raw frame", path.display());
         }
         let pixels = image::read_single(path).with_context(named)?;
-        let (height, width) = pixels.dim();
         let calibrated = &calibration.description.camera;
         let (mut now, said) = match FrameTag::read(path) {
             Some(tag) => (tag.camera, Some(tag.exposure_s)),
@@ -380,7 +380,7 @@ impl Plain {
                 (camera, facts.exposure_s)
             }
         };
-        (now.width, now.height) = (width, height);
+        (now.height, now.width) = pixels.dim();
         if now.bit_depth == 0 {
             let stored = image::stored_bits(path).with_context(named)?;
             let largest = pixels.iter().fold(0, |a, b| a | b);
@@ -389,6 +389,15 @@ impl Plain {
                 return Err(CorrectError::Settings(format!(
                     "all codes are multiples of {}: shifted up by {up} bits, as `radcam import` shifts them down",
                     1u32 << up
+                )))
+                .with_context(named);
+            }
+            // Darks of stretched codes lie within the range of the calibration's bits.
+            if let Some(found) = stretch(&pixels).filter(|_| stored > calibrated.bit_depth && !force) {
+                return Err(CorrectError::Settings(format!(
+                    "codes count in steps of {}: those of fewer bits, stretched to more, and the calibration is of codes in steps of 1; \
+                     `radcam import` takes them back",
+                    six_digits(found.step)
                 )))
                 .with_context(named);
             }
@@ -429,6 +438,13 @@ impl Plain {
         });
         Ok(Self { pixels, exposure_s })
     }
+}
+
+/// Step of codes that were stretched to more bits.
+fn stretch(pixels: &Array2<u16>) -> Option<Stretch> {
+    let mut occurring = Occurring::default();
+    occurring.add(pixels.as_standard_layout().as_slice().unwrap_or_default());
+    occurring.stretch()
 }
 
 /// What a corrected image says of itself.

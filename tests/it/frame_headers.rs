@@ -319,3 +319,35 @@ fn a_stream_is_held_against_the_calibration_as_frames_are() {
     let said = String::from_utf8_lossy(&radcam(&arguments).stderr).into_owned();
     assert!(said.contains("does not state gain setting (GainRaw) (100)"), "{said}");
 }
+
+/// Codes of 12 bits stretched by 65535/4095: `import` takes them back, and `correct` refuses flats and darks that
+/// were not, though the codes of a dark lie within 12 bits.
+#[test]
+fn stretched_frames_are_no_frames_of_the_calibration() {
+    let folder = Folder::new();
+    // Codes below 128 become multiples of 16, which `correct` knew before.
+    let mut camera = Drawn { black_dn: 200.0, ..Drawn::new(41, 20.0) };
+    fs::create_dir(folder.path("in")).unwrap();
+    let stretched = |image: &Array2<u16>| image.mapv(|v| ((u32::from(v) * 65_535 + 2047) / 4095) as u16);
+    let mut take = |kind: &str, ms: u32, light_e: f64| {
+        for i in 0..6 {
+            let image = camera.frame(light_e, f64::from(ms) / 1e3);
+            tiff(&folder.path(&format!("in/{kind}_{ms}ms_{i}.tif")), &stretched(&image), "", None);
+        }
+    };
+    take("dark", 10, 0.0);
+    take("dark", 4000, 0.0);
+    [10, 20, 30, 40].into_iter().for_each(|ms| take("flat", ms, 150.0 * f64::from(ms)));
+    folder.calibrate();
+    for (name, light_e) in [("dark_10ms", 0.0), ("flat_10ms", 1500.0)] {
+        let image = camera.frame(light_e, 0.01);
+        let (raw, back) = (format!("{name}_raw.tif"), format!("{name}_back.tif"));
+        tiff(&folder.path(&raw), &stretched(&image), "", None);
+        tiff(&folder.path(&back), &image, "", None);
+        let (cal, raw, out) = (folder.text("cal.tiff"), folder.text(&raw), folder.text("no.tiff"));
+        let said = refused(&["correct", &cal, &raw, "-o", &out]);
+        assert!(said.contains("steps of 16") && said.contains("radcam import"), "{said}");
+        let (mean, _) = folder.correct(&back, &[]);
+        assert!((mean - 0.5 * light_e).abs() < 3.0, "{name}: {mean}");
+    }
+}
