@@ -72,26 +72,57 @@ fn free(output: &Path, overwrite: bool) -> PyResult<()> {
     Ok(())
 }
 
+/// Row and column, 0 or 1, of one pixel of every 2 x 2 cell.
+fn checked(plane: Option<[u8; 2]>) -> PyResult<Option<[u8; 2]>> {
+    match plane {
+        Some([y, x]) if y > 1 || x > 1 => {
+            let message = format!("plane is ({y}, {x}): write (0, 0), (0, 1), (1, 0) or (1, 1)");
+            Err(pyo3::exceptions::PyValueError::new_err(message))
+        }
+        other => Ok(other),
+    }
+}
+
+/// Datasets, or one colour of them.
+fn open(paths: &[PathBuf], plane: Option<[u8; 2]>) -> PyResult<Source> {
+    let source = Source::open_all(paths).map_err(Raised::raised)?;
+    plane.map_or(Ok(source.clone()), |plane| source.plane(plane)).map_err(Raised::raised)
+}
+
+/// A dataset, or one colour of it.
+fn dataset(path: &Path, plane: Option<[u8; 2]>) -> PyResult<Dataset> {
+    let dataset = Dataset::open(path).map_err(Raised::raised)?;
+    plane.map_or(Ok(dataset.clone()), |plane| dataset.plane(plane)).map_err(Raised::raised)
+}
+
 #[pyfunction]
-#[pyo3(signature = (paths, progress=None))]
-fn noise(py: Python<'_>, paths: Vec<PathBuf>, progress: Progress<'_>) -> PyResult<String> {
+#[pyo3(signature = (paths, progress=None, plane=None))]
+fn noise(
+    py: Python<'_>,
+    paths: Vec<PathBuf>,
+    progress: Progress<'_>,
+    plane: Option<[u8; 2]>,
+) -> PyResult<String> {
+    let plane = checked(plane)?;
     run(py, progress.as_ref(), move |w| {
-        let source = Source::open_all(&paths).map_err(Raised::raised)?;
+        let source = open(&paths, plane)?;
         json(&source.noise_with(&w.stop, &mut |done, of| w.step(done, of)).map_err(Raised::raised)?)
     })
 }
 
 #[pyfunction]
-#[pyo3(signature = (paths, model=None, progress=None))]
+#[pyo3(signature = (paths, model=None, progress=None, plane=None))]
 fn compare(
     py: Python<'_>,
     paths: Vec<PathBuf>,
     model: Option<Named>,
     progress: Progress<'_>,
+    plane: Option<[u8; 2]>,
 ) -> PyResult<String> {
+    let plane = checked(plane)?;
     run(py, progress.as_ref(), move |w| {
         let effects = effects(model.as_ref())?;
-        let source = Source::open_all(&paths).map_err(Raised::raised)?;
+        let source = open(&paths, plane)?;
         let all =
             source.observations_with(&w.stop, &mut |done, of| w.step(done, of)).map_err(Raised::raised)?;
         json(&judge(&all, &fit(&all, &start(&all), &searched(&all, &effects))))
@@ -99,16 +130,18 @@ fn compare(
 }
 
 #[pyfunction]
-#[pyo3(signature = (paths, model=None, progress=None))]
+#[pyo3(signature = (paths, model=None, progress=None, plane=None))]
 fn diagnose(
     py: Python<'_>,
     paths: Vec<PathBuf>,
     model: Option<Named>,
     progress: Progress<'_>,
+    plane: Option<[u8; 2]>,
 ) -> PyResult<(String, Option<String>)> {
+    let plane = checked(plane)?;
     run(py, progress.as_ref(), move |w| {
         let effects = effects(model.as_ref())?;
-        let source = Source::open_all(&paths).map_err(Raised::raised)?;
+        let source = open(&paths, plane)?;
         let all =
             source.observations_with(&w.stop, &mut |done, of| w.step(done, of)).map_err(Raised::raised)?;
         let found = search(&all, None, searched(&all, &effects), &mut |_| {});
@@ -118,8 +151,15 @@ fn diagnose(
 }
 
 #[pyfunction]
-#[pyo3(signature = (path, release="4.0", progress=None))]
-fn emva(py: Python<'_>, path: PathBuf, release: &str, progress: Progress<'_>) -> PyResult<String> {
+#[pyo3(signature = (path, release="4.0", progress=None, plane=None))]
+fn emva(
+    py: Python<'_>,
+    path: PathBuf,
+    release: &str,
+    progress: Progress<'_>,
+    plane: Option<[u8; 2]>,
+) -> PyResult<String> {
+    let plane = checked(plane)?;
     let definitions = match release {
         "4.0" => Definitions::Release4,
         "3.1" => Definitions::Release31,
@@ -130,7 +170,7 @@ fn emva(py: Python<'_>, path: PathBuf, release: &str, progress: Progress<'_>) ->
         }
     };
     run(py, progress.as_ref(), move |w| {
-        let dataset = Dataset::open(&path).map_err(Raised::raised)?;
+        let dataset = dataset(&path, plane)?;
         let points = of_dataset(&dataset, &w.stop, &|done, of| w.step(done, of)).map_err(Raised::raised)?;
         json(&evaluate(&points, definitions).map_err(Raised::raised)?)
     })
@@ -230,7 +270,8 @@ fn capture(
 
 /// Reduces parts to a file of statistics; (frames, sets).
 #[pyfunction]
-#[pyo3(signature = (parts, output, plan=None, look=false, overwrite=false, progress=None))]
+#[pyo3(signature = (parts, output, plan=None, look=false, overwrite=false, progress=None, plane=None))]
+#[allow(clippy::too_many_arguments)] // as many as the verb has
 fn reduce(
     py: Python<'_>,
     parts: Vec<PathBuf>,
@@ -239,12 +280,14 @@ fn reduce(
     look: bool,
     overwrite: bool,
     progress: Progress<'_>,
+    plane: Option<[u8; 2]>,
 ) -> PyResult<(usize, usize)> {
     free(&output, overwrite)?;
+    let plane = checked(plane)?;
     run(py, progress.as_ref(), move |w| {
-        let open = |p: &PathBuf| Dataset::open(p).map_err(Raised::raised);
-        let options = reduction::Options { plan: plan.as_ref().map(open).transpose()?, look_only: look };
-        let parts = parts.iter().map(open).collect::<PyResult<_>>()?;
+        let plan = plan.as_deref().map(|p| dataset(p, None)).transpose()?;
+        let options = reduction::Options { plan, look_only: look };
+        let parts = parts.iter().map(|p| dataset(p, plane)).collect::<PyResult<_>>()?;
         let reduced = reduction::reduce(parts, &options, &w.stop, &mut |done, of| w.step(done, of));
         let reduced = reduced.map_err(Raised::raised)?;
         reduction::write(&reduced, &output).map_err(Raised::raised)?;
@@ -254,11 +297,18 @@ fn reduce(
 
 /// Fits a model's effects to datasets: the model as TOML.
 #[pyfunction]
-#[pyo3(signature = (text, paths, progress=None))]
-fn fit_model(py: Python<'_>, text: String, paths: Vec<PathBuf>, progress: Progress<'_>) -> PyResult<String> {
+#[pyo3(signature = (text, paths, progress=None, plane=None))]
+fn fit_model(
+    py: Python<'_>,
+    text: String,
+    paths: Vec<PathBuf>,
+    progress: Progress<'_>,
+    plane: Option<[u8; 2]>,
+) -> PyResult<String> {
+    let plane = checked(plane)?;
     run(py, progress.as_ref(), move |w| {
         let model = radcam_sim::Model::from_toml(&text).map_err(Raised::raised)?;
-        let source = Source::open_all(&paths).map_err(Raised::raised)?;
+        let source = open(&paths, plane)?;
         let all =
             source.observations_with(&w.stop, &mut |done, of| w.step(done, of)).map_err(Raised::raised)?;
         let effects = radcam::model::to_be_fitted(&model).map_err(Raised::raised)?;

@@ -171,6 +171,23 @@ def test_errors_are_named(tmp_path: Path) -> None:
     assert issubclass(radcam.NoiseError, radcam.RadcamError)
 
 
+def test_a_mosaic_is_measured_plane_by_plane(tmp_path: Path) -> None:
+    path = tmp_path / "mosaic"
+    radcam.simulate("cmos12", path, "quick", region=(0, 0, 96, 64), seed=17)
+    manifest = path / "dataset.toml"
+    manifest.write_text(manifest.read_text().replace('"Mono12"', '"BayerRG12"'))
+    with pytest.raises(radcam.NoiseError, match="colour mosaic"):
+        radcam.noise(path)
+    for verb, ours in (("noise", radcam.noise), ("diagnose", radcam.diagnose), ("compare", radcam.compare)):
+        said = program(verb, path, "--plane", "0,1", "--json")
+        assert said.returncode in (0, 1), said.stderr
+        assert json.loads(said.stdout) == ours(path, plane=(0, 1)).json(), verb
+    radcam.reduce(path, tmp_path / "green.stats", plane=(1, 0))
+    assert radcam.noise(tmp_path / "green.stats").gain_dn_per_e == radcam.noise(path, plane=(1, 0)).gain_dn_per_e
+    with pytest.raises(ValueError, match=r"plane is \(2, 0\)"):
+        radcam.noise(path, plane=(2, 0))
+
+
 def test_ctrl_c_ends_long_work(tmp_path: Path) -> None:
     threading.Timer(0.7, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
     begun = time.monotonic()

@@ -62,7 +62,7 @@ from radcam.results import (
 __all__ = [
     "HAS_ARAVIS", "CalibrateError", "Calibration", "Camera", "CameraError", "CaptureError", "Comparison", "CorrectError", "Corrector", "Dataset",
     "DatasetError", "Diagnosis", "Effect", "EmvaError", "Evaluation", "Frames", "FrameStatistics", "Missing", "Model", "ModelError", "Moments",
-    "NoiseError", "NoiseLevel", "NoiseReport", "ObserveError", "Page", "Parameter", "PlanError", "Quantity", "RadcamError", "Remainder", "Residual", "Rung",
+    "NoiseError", "NoiseLevel", "NoiseReport", "ObserveError", "Page", "Parameter", "Plane", "PlanError", "Quantity", "RadcamError", "Remainder", "Residual", "Rung",
     "Sensor", "Set", "__version__", "calibrate", "cameras", "capture", "compare", "diagnose", "effects_known", "emva", "merge", "moments",
     "noise", "reduce", "register", "simulate", "statistics", "unregister",
 ]  # fmt: skip
@@ -72,6 +72,8 @@ Path = str | PathLike[str]
 Codes = NDArray[np.uint16] | NDArray[np.uint8]
 #: True: a bar of tqdm where that is there. A function: called with (done, of).
 Progress = bool | Callable[[int, int], object]
+#: Of a colour mosaic: row and column, 0 or 1, of the one pixel of every 2 x 2 cell that is measured; (0, 0) is R of RGGB.
+Plane = tuple[int, int]
 
 
 def _paths(paths: Path | Sequence[Path]) -> list[str]:
@@ -104,38 +106,43 @@ def _told(progress: Progress, what: str) -> Iterator[Callable[[int, int], object
         yield tell
 
 
-def noise(paths: Path | Sequence[Path], *, progress: Progress = False) -> NoiseReport:
+def noise(paths: Path | Sequence[Path], *, plane: Plane | None = None, progress: Progress = False) -> NoiseReport:
     """Gain A (DN/e), constant noise (DN^2) and read noise (e) from the growth of variance with the mean.
 
-    Section IV of Healey and Kondepudy 1994, eq. (36) to (42). Two flats at two levels and darks at two exposures are enough.
+    Section IV of Healey and Kondepudy 1994, eq. (36) to (42). Two flats at two levels and darks at two exposures are enough. `plane`: one colour of
+    a mosaic, (row, column) in its 2 x 2 cell.
 
     Raises NoiseError where there is too little for a line, DatasetError where a frame cannot be read.
     """
     with _told(progress, "noise") as tell:
-        return NoiseReport.of_text(_radcam.noise(_paths(paths), tell))
+        return NoiseReport.of_text(_radcam.noise(_paths(paths), tell, plane))
 
 
-def compare(paths: Path | Sequence[Path], model: Path | Model | None = None, *, progress: Progress = False) -> Comparison:
+def compare(
+    paths: Path | Sequence[Path], model: Path | Model | None = None, *, plane: Plane | None = None, progress: Progress = False
+) -> Comparison:
     """A model (a `Model`, a file or a sensor's name; None: the paper's) against a campaign, on frames that its fit did not use."""
     with _told(progress, "reading") as tell:
-        return Comparison.of_text(_radcam.compare(_paths(paths), model, tell))
+        return Comparison.of_text(_radcam.compare(_paths(paths), model, tell, plane))
 
 
-def diagnose(paths: Path | Sequence[Path], model: Path | Model | None = None, *, progress: Progress = False) -> Diagnosis:
+def diagnose(
+    paths: Path | Sequence[Path], model: Path | Model | None = None, *, plane: Plane | None = None, progress: Progress = False
+) -> Diagnosis:
     """The physical effects that a campaign shows and the model lacks, each with its size, its evidence and how far the error falls."""
     with _told(progress, "reading") as tell:
-        text, plan = _radcam.diagnose(_paths(paths), model, tell)
+        text, plan = _radcam.diagnose(_paths(paths), model, tell, plane)
     found = _json.loads(text)
     return Diagnosis.of(found).with_plan(plan)
 
 
-def emva(path: Path, release: str = "4.0", *, progress: Progress = False) -> Evaluation:
+def emva(path: Path, release: str = "4.0", *, plane: Plane | None = None, progress: Progress = False) -> Evaluation:
     """A camera by EMVA 1288, each quantity with a standard error.
 
     `release`: "4.0", "3.1", or "reference-tool" for the definitions of PyPI's emva1288 1.0.2.
     """
     with _told(progress, "reading") as tell:
-        return Evaluation.of_text(_radcam.emva(fspath(path), release, tell))
+        return Evaluation.of_text(_radcam.emva(fspath(path), release, tell, plane))
 
 
 def calibrate(
@@ -195,6 +202,7 @@ def reduce(
     *,
     plan: Path | None = None,
     look: bool = False,
+    plane: Plane | None = None,
     overwrite: bool = False,
     progress: Progress = False,
 ) -> tuple[int, int]:
@@ -205,7 +213,7 @@ def reduce(
     look=True)`, then `plan=` with what that gave.
     """
     with _told(progress, "reducing") as tell:
-        return _radcam.reduce(_paths(parts), fspath(output), _name(plan), look, overwrite, tell)
+        return _radcam.reduce(_paths(parts), fspath(output), _name(plan), look, overwrite, tell, plane)
 
 
 def merge(
@@ -344,10 +352,10 @@ class Model:
         """Without an effect."""
         return Model(_radcam.remove_from_model(self.text, effect))
 
-    def fit(self, paths: Path | Sequence[Path], *, progress: Progress = False) -> Model:
+    def fit(self, paths: Path | Sequence[Path], *, plane: Plane | None = None, progress: Progress = False) -> Model:
         """With the values that a campaign shows."""
         with _told(progress, "reading") as tell:
-            return Model(_radcam.fit_model(self.text, _paths(paths), tell))
+            return Model(_radcam.fit_model(self.text, _paths(paths), tell, plane))
 
     def json(self) -> dict[str, Any]:
         """All of it."""
