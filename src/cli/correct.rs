@@ -6,7 +6,7 @@ use crate::calibrate::file::Calibration;
 use crate::correct::{Codes, CorrectError, Corrector};
 use crate::dataset::tag::{CORRECTED, FrameTag, is_corrected};
 use crate::dataset::{CameraInfo, Dataset, image, write_whole};
-use crate::import::{facts, pixel_format};
+use crate::import::{facts, pixel_format, region_of};
 use crate::number::{percent, six_digits};
 use crate::statistics::code_step::{Occurring, Stretch};
 use anyhow::{Context, Result, bail};
@@ -359,7 +359,7 @@ impl Plain {
         if is_corrected(path) {
             bail!("{}: was corrected already ({CORRECTED}); give the raw frame", path.display());
         }
-        let pixels = image::read_single(path).with_context(named)?;
+        let mut pixels = image::read_single(path).with_context(named)?;
         let calibrated = &calibration.description.camera;
         let (mut now, said) = match FrameTag::read(path) {
             Some(tag) => (tag.camera, Some(tag.exposure_s)),
@@ -374,6 +374,13 @@ impl Plain {
                 }
                 for text in &facts.overruled {
                     notes.say(path, text, text.clone());
+                }
+                // A calibration of whole frames is one of their overscan too.
+                if pixels.dim() != calibration.k.dim() && !force {
+                    let region = region_of(&facts, pixels.dim()).map_err(anyhow::Error::msg);
+                    if let Some(region) = region.with_context(named)? {
+                        pixels = region.of(&pixels).to_owned();
+                    }
                 }
                 let format = facts.mosaic.as_ref().map(|p| pixel_format(p, calibrated.bit_depth));
                 let camera = CameraInfo { pixel_format: format.unwrap_or_default(), ..facts.camera_info() };

@@ -49,6 +49,10 @@ pub struct Facts {
     pub bottom_up: Option<bool>,
     /// Colour pattern of two by two pixels, row by row, such as RGGB; none of monochrome sensors.
     pub mosaic: Option<String>,
+    /// Keyword and section of the part that light reaches (TRIMSEC or DATASEC of FITS).
+    pub trim_section: Option<(String, String)>,
+    /// Section of the overscan (BIASSEC of FITS).
+    pub bias_section: Option<String>,
     /// Why it is no raw frame.
     pub processed: Option<String>,
     /// Whether the unit of the exposure stands with it.
@@ -138,6 +142,8 @@ impl Facts {
         self.take(&names, "rows", |f| &mut f.bottom_up);
         self.take(&names, "mosaic", |f| &mut f.mosaic);
         self.take(&names, "processed", |f| &mut f.processed);
+        self.take(&names, "trim_section", |f| &mut f.trim_section);
+        self.take(&names, "bias_section", |f| &mut f.bias_section);
         for (name, value) in &names.differs {
             match self.feature(name) {
                 Some(said) if !crate::features::same_value(said, value) => {

@@ -1,7 +1,7 @@
 //! What the headers of image files say: FITS cards, descriptions of TIFF and PNG, their times.
 
 use super::words::{self, Said, Writer, of_description};
-use super::{Facts, cards, stacks};
+use super::{Facts, cards, ome, stacks};
 use crate::dataset::image;
 use crate::dataset::tag::FrameTag;
 use std::fs::File;
@@ -41,11 +41,14 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
     let text = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap_or_default();
     let mut found = match FrameTag::from_text(&text) {
         Some(tag) => of_tag(tag),
-        None => Facts {
-            vendor: decoder.get_tag_ascii_string(Tag::Make).ok(),
-            model: decoder.get_tag_ascii_string(Tag::Model).ok(),
-            ..of_description(&text)
-        },
+        None => {
+            let tags = Facts {
+                vendor: decoder.get_tag_ascii_string(Tag::Make).ok(),
+                model: decoder.get_tag_ascii_string(Tag::Model).ok(),
+                ..Facts::default()
+            };
+            tags.or(if ome::is_ome(&text) { ome::facts(&text) } else { of_description(&text) })
+        }
     };
     // Micro-Manager keeps the settings of every page in a tag of its own.
     if let Ok(json) = decoder.get_tag_ascii_string(Tag::Unknown(MICRO_MANAGER)) {

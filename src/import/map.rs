@@ -38,6 +38,9 @@ pub struct Map {
     /// Colour pattern of raw Bayer frames that are kept whole, such as RGGB.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pattern: Option<String>,
+    /// Part of the frames that is kept, `[column, row, width, height]` counted from 0: what is cut off is overscan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub region: Option<[usize; 4]>,
     /// Gain of all frames, dB.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gain_db: Option<f64>,

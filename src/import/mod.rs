@@ -12,9 +12,11 @@ mod listing;
 mod map;
 pub mod names;
 mod npy;
+mod ome;
 mod pixels;
 mod propose;
 mod scale;
+mod sections;
 mod settings;
 mod source;
 mod stacks;
@@ -30,6 +32,7 @@ pub use listing::{Listing, list};
 pub use map::{MAP_FORMAT, Map, MapSet};
 pub use propose::propose;
 pub use scale::Scale;
+pub use sections::{Region, region_of};
 pub use source::ReadOptions;
 pub use write::{must_be_free, write};
 
@@ -75,8 +78,10 @@ pub struct Found {
     pub page: Option<usize>,
     /// What is known of it.
     pub facts: Facts,
-    /// Rows and columns.
+    /// Rows and columns, without overscan.
     pub shape: (usize, usize),
+    /// Part of the frame in the file that is kept, and what is cut off, in words; `None` of whole frames.
+    pub region: Option<(Region, String)>,
     /// Mean, DN.
     pub mean_dn: f64,
     /// Every bit that any pixel has.
@@ -169,6 +174,16 @@ fn frames_of(
             blank += 1;
             continue;
         }
+        let (rows, columns) = match &values {
+            image::Values::Codes(codes) => codes.dim(),
+            image::Values::Numbers(numbers) => numbers.dim(),
+        };
+        let region =
+            sections::region_of(source.told(page).unwrap_or(&of_file), (rows, columns)).map_err(fault)?;
+        let values = match &region {
+            Some(region) => values.region(region.rows.clone(), region.columns.clone()),
+            None => values,
+        };
         census.add(&values).map_err(fault)?;
         let digest = if digest { twins::digest(&values) } else { 0 };
         let is_rounded = matches!(values, image::Values::Numbers(_));
@@ -186,18 +201,24 @@ fn frames_of(
         // The one time of a stack is that of its first page.
         let mut header = header.clone();
         header.time_s = header.time_s.filter(|_| pages.len() == 1);
-        let facts = match source.told(page) {
+        let mut facts = match source.told(page) {
             Some(own) => {
                 let facts = own.clone().or(header).or(names.clone());
                 Facts { mosaic: facts.mosaic.clone().or(of_file.mosaic.clone()), ..facts }
             }
             None => Facts { time_s: of_file.time_s.filter(|_| pages.len() == 1), ..of_file.clone() },
         };
+        // The pattern of a header begins at the first pixel of the file.
+        if let Some(region) = &region {
+            let first = [region.columns.start, region.rows.start].map(|n| (n % 2) as i64);
+            facts.mosaic = facts.mosaic.map(|pattern| words::shifted(&pattern, first));
+        }
         out.push(Found {
             path: path.into(),
             page: (pages.len() > 1).then_some(page),
             facts,
             shape,
+            region: region.map(|r| (r.clone(), r.cut_off((rows, columns)))),
             mean_dn: mean(pixels.view()),
             bits,
             cells_dn: if whole { [cell(0, 0), cell(0, 1), cell(1, 0), cell(1, 1)] } else { [0.0; 4] },

@@ -1,7 +1,7 @@
 //! Frames of files on their way into a dataset: copied or linked as they are, or written anew where a dataset cannot have them so.
 
 use super::source::Source;
-use super::{ImportError, Map};
+use super::{ImportError, Map, Region};
 use crate::dataset::{image, write_whole};
 use ndarray::{Array2, s};
 use std::collections::BTreeMap;
@@ -42,11 +42,24 @@ impl<'a> Taken<'a> {
         };
         let (_, opened) = self.open.insert((source.clone(), opened));
         let scale = self.map.scale();
-        let as_it_is = opened.is_image() && !turned && scale.is_identity() && self.map.plane.is_none();
+        let as_it_is = opened.is_image()
+            && !turned
+            && scale.is_identity()
+            && self.map.plane.is_none()
+            && self.map.region.is_none();
         let number = if page.is_none() { opened.pages().first().copied().unwrap_or(0) } else { number };
         let values = opened.values(number).map_err(fault)?;
         let as_it_is = as_it_is && matches!(values, image::Values::Codes(_));
-        let pixels = scale.codes(values).map_err(fault)?;
+        let mut pixels = scale.codes(values).map_err(fault)?;
+        if let Some(numbers) = self.map.region {
+            let region = Region::from_numbers(numbers, pixels.dim()).ok_or_else(|| {
+                let (rows, columns) = pixels.dim();
+                fault(format!(
+                    "is {columns} x {rows} px, and region = {numbers:?} of the map is no part of that"
+                ))
+            })?;
+            pixels = region.of(&pixels).to_owned();
+        }
         let pixels = self.anew(if turned { pixels.slice_move(s![..;-1, ..]) } else { pixels });
         self.check(&pixels).map_err(fault)?;
         if as_it_is {

@@ -2,7 +2,7 @@
 
 use super::listing::PACKED;
 use super::map::{MAP_FORMAT, Map, MapSet, SAME_LIGHT, ranges};
-use super::{Facts, Found, ImportError, LIT, depth_of, few, settings, stamps};
+use super::{Facts, Found, ImportError, LIT, Region, depth_of, few, settings, stamps};
 use crate::dataset::Kind;
 use crate::number::six_digits;
 use std::collections::BTreeMap;
@@ -46,6 +46,7 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
     }
     let shared = settings::shared(found)?;
     let (mut features, mut notes) = (shared.features, shared.notes);
+    let region = kept(found, &mut notes)?;
     let turns = turns(found, &mut features, &mut notes);
     let temperatures = settings::temperatures(found);
     let lowest = found.iter().map(|f| f.mean_dn).fold(f64::INFINITY, f64::min);
@@ -104,6 +105,7 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
         hdf5_dataset: None,
         plane: None,
         pattern: None,
+        region: region.map(|r| r.to_numbers()),
         gain_db: gains.first().copied(),
         vendor: first(|f| &f.vendor),
         model: first(|f| &f.model),
@@ -282,6 +284,26 @@ fn finished(grown: Growing, found: &[Found]) -> MapSet {
     set.temperature_c = temperatures.get(temperatures.len() / 2).copied();
     set.mean_dn = Some((10.0 * mean_dn).round() / 10.0);
     set
+}
+
+/// The part without overscan, which all frames must state alike.
+fn kept(found: &[Found], notes: &mut Vec<String>) -> Result<Option<Region>, ImportError> {
+    let Some(first) = found.iter().find(|f| f.region.is_some()) else { return Ok(None) };
+    if let Some(other) = found.iter().find(|f| f.region != first.region) {
+        let words = |f: &Found| match &f.region {
+            Some((_, cut)) => format!("{} states overscan at {cut}", f.path.display()),
+            None => format!("{} states none", f.path.display()),
+        };
+        return Err(ImportError::Files(format!(
+            "{}, and {}; a dataset is of one read-out, so import each by itself, or correct TRIMSEC",
+            words(first),
+            words(other)
+        )));
+    }
+    Ok(first.region.as_ref().map(|(region, cut)| {
+        notes.push(format!("overscan is cut off, as the headers state (TRIMSEC, DATASEC or BIASSEC): {cut}"));
+        region.clone()
+    }))
 }
 
 /// Whether rows of some frames run upwards and of others downwards: those are turned.

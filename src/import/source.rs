@@ -1,6 +1,6 @@
 //! Frames of one file, whatever holds them.
 
-use super::{Facts, npy, stacks};
+use super::{Facts, npy, ome, stacks};
 use crate::dataset::image::{Images, Values};
 use ndarray::Axis;
 use std::collections::BTreeMap;
@@ -61,7 +61,8 @@ impl Source {
             let pages = facts.keys().copied().collect();
             return Ok(Self { told: facts, notes, ..of(Kind::Images(images), pages) });
         }
-        let out = of(Kind::Images(images), pages);
+        let told = ome::planes(path, &pages);
+        let out = Self { told, ..of(Kind::Images(images), pages) };
         out.refuse_colours()?;
         Ok(out)
     }

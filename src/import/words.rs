@@ -168,6 +168,11 @@ pub fn facts(mut said: Vec<Said>, writer: Writer) -> Facts {
             {
                 out.mosaic = pattern(value);
             }
+            "biassec" if writer == Writer::Fits => out.bias_section = Some(value.clone()),
+            // The sections stand in the order of their keywords: TRIMSEC counts before DATASEC.
+            "datasec" | "trimsec" if writer == Writer::Fits => {
+                out.trim_section = Some((key.clone(), value.clone()));
+            }
             "xbayroff" => first[0] = number.unwrap_or(0.0) as i64,
             "ybayroff" => first[1] = number.unwrap_or(0.0) as i64,
             "calstat" if value.contains(['B', 'D', 'F']) => {
@@ -209,7 +214,7 @@ pub(super) fn pattern(value: &str) -> Option<String> {
 }
 
 /// The pattern as it stands from this column and row on.
-fn shifted(pattern: &str, [x, y]: [i64; 2]) -> String {
+pub(super) fn shifted(pattern: &str, [x, y]: [i64; 2]) -> String {
     let colours: Vec<char> = pattern.chars().collect();
     let [a, b, c, d] = colours[..] else { return pattern.into() };
     let [a, b, c, d] = if x % 2 == 0 { [a, b, c, d] } else { [b, a, d, c] };

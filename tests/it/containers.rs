@@ -759,3 +759,31 @@ fn tables_of_spreadsheets_are_read() {
         assert!((gain - 0.5).abs() < 0.002, "{name}: {gain}");
     }
 }
+
+/// OME-TIFF: planes of one file are parted by their exposure and channel, and the detector is the camera.
+#[test]
+fn planes_of_ome_tiff_have_their_own_exposures() {
+    let camera = Camera { bits: 12, gain: 0.5, read_noise_e: 2.0, black_dn: 32.0, most_e: 7000.0 };
+    let folder = Folder::new();
+    let plane = |t: usize, ms: f64, unit: &str| {
+        format!(r#"<Plane TheC="0" TheT="{t}" TheZ="0" ExposureTime="{ms}"{unit} DeltaT="{t}"/>"#)
+    };
+    let planes: String = (0..8)
+        .map(|t| match t / 4 {
+            0 => plane(t, 20.0, r#" ExposureTimeUnit="ms""#),
+            // The schema's unit is the second.
+            _ => plane(t, 0.04, ""),
+        })
+        .collect();
+    let text = format!(
+        r#"<?xml version="1.0" encoding="UTF-8"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Instrument ID="Instrument:0"><Detector ID="Detector:0" Model="Zyla 4.2" Manufacturer="Andor" SerialNumber="VSC-1"/></Instrument><Image ID="Image:0"><AcquisitionDate>2024-05-01T12:00:00</AcquisitionDate><Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="{SIDE}" SizeY="{SIDE}" SizeZ="1" SizeC="1" SizeT="8"><Channel ID="Channel:0:0"/><TiffData/>{planes}</Pixels></Image></OME>"#
+    );
+    let frames: Vec<Array2<u16>> = (0..8).map(|t| camera.frame(t, if t < 4 { 0.3 } else { 0.6 })).collect();
+    tiff::<Gray16>(&folder.file("flats.ome.tif"), &frames, &text);
+    let (said, dataset) = folder.import();
+    let of = |set: &radcam::dataset::Set| (dataset.settings(set).exposure_s, set.rows.len());
+    assert_eq!(dataset.sets().iter().map(of).collect::<Vec<_>>(), [(0.02, 4), (0.04, 4)], "{said}");
+    let info = &dataset.manifest().camera;
+    assert_eq!((&*info.vendor, &*info.model, &*info.serial), ("Andor", "Zyla 4.2", "VSC-1"));
+    assert_eq!(dataset.rows()[7].timestamp_s, Some(7.0));
+}

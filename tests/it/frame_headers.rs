@@ -351,3 +351,52 @@ fn stretched_frames_are_no_frames_of_the_calibration() {
         assert!((mean - 0.5 * light_e).abs() < 3.0, "{name}: {mean}");
     }
 }
+
+/// Overscan that a FITS header states is cut off by `import` and by `correct`; sections that are none are refused.
+#[test]
+fn overscan_of_fits_is_cut_off() {
+    let folder = Folder::new();
+    let mut camera = Drawn::new(42, 20.0);
+    fs::create_dir(folder.path("in")).unwrap();
+    // Eight columns behind the sensor's 72, and two rows.
+    let overscan = |y: usize, x: usize| (f64::from(u8::from(x < 72 && y < 62)), 1.0);
+    let trim = ["BIASSEC = '[73:80,1:62]'", "TRIMSEC = '[1:72,1:62]' / light", "DATASEC = '[1:80,1:62]'"];
+    let mut take = |name: &str, kind: &str, exposure_s: f64, light_e: f64, cards: &[&str]| {
+        let said = [format!("EXPTIME = {exposure_s}"), format!("IMAGETYP = '{kind}'")];
+        let all: Vec<&str> = said.iter().map(String::as_str).chain(cards.iter().copied()).collect();
+        fits(&folder.path(name), &all, &camera.frame_of(light_e, exposure_s, overscan));
+    };
+    for i in 0..6 {
+        take(&format!("in/d1_{i}.fits"), "Dark", 0.01, 0.0, &trim);
+        take(&format!("in/d2_{i}.fits"), "Dark", 4.0, 0.0, &trim);
+        for ms in [10, 20, 30, 40] {
+            let exposure_s = f64::from(ms) / 1e3;
+            take(&format!("in/f{ms}_{i}.fits"), "Flat", exposure_s, 150.0 * f64::from(ms), &trim);
+        }
+    }
+    folder.calibrate();
+    let map = fs::read_to_string(folder.path("d/dataset.toml")).unwrap();
+    assert!(map.contains("width = 72") && map.contains("height = 62"), "{map}");
+    assert!(map.contains("columns 73 to 80 of 80, rows 63 to 64 of 64"), "{map}");
+    let cal = radcam::calibrate::file::Calibration::read(&folder.path("cal.tiff")).unwrap();
+    assert_eq!(cal.description.blind, 0);
+    take("one.fits", "Light", 0.01, 1500.0, &trim);
+    let (mean, _) = folder.correct("one.fits", &[]);
+    assert!((mean - 750.0).abs() < 4.0, "{mean}");
+    // Only the overscan is stated, and one that reaches beyond the frame.
+    fs::create_dir(folder.path("in2")).unwrap();
+    take("in2/a.fits", "Dark", 0.01, 0.0, &["BIASSEC = '[1:4,1:64]'"]);
+    let said = expect(0, &["import", &folder.text("in2"), "-o", &folder.text("d2"), "--yes", "--json"]);
+    assert!(said.contains("columns 1 to 4 of 80"), "{said}");
+    fs::create_dir(folder.path("in3")).unwrap();
+    take("in3/b.fits", "Dark", 0.01, 0.0, &["TRIMSEC = '[1:160,1:128]'"]);
+    let said = refused(&["import", &folder.text("in3"), "-o", &folder.text("d3"), "--yes"]);
+    assert!(
+        said.contains("b.fits") && said.contains("[1:160,1:128]") && said.contains("80 x 64 px"),
+        "{said}"
+    );
+    // Frames of two read-outs are no dataset.
+    take("in2/c.fits", "Dark", 0.01, 0.0, &["BIASSEC = '[77:80,1:64]'"]);
+    let said = refused(&["import", &folder.text("in2"), "-o", &folder.text("d4"), "--yes"]);
+    assert!(said.contains("a.fits states overscan at columns 1 to 4"), "{said}");
+}

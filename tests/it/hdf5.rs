@@ -175,7 +175,7 @@ proptest! {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("damaged.h5");
         std::fs::write(&path, &bytes).unwrap();
-        match survey(&[path.clone()], &ReadOptions::default(), |_, _| true) {
+        match survey(std::slice::from_ref(&path), &ReadOptions::default(), |_, _| true) {
             Ok(found) => {
                 prop_assert!(found.damaged.iter().all(|(of, why)| *of == path && !why.is_empty()));
                 prop_assert!(!found.damaged.is_empty() || !found.frames.is_empty());

@@ -6,7 +6,7 @@ mod fits_tiles;
 mod hdf5;
 mod tiff_file;
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, ArrayView2, s};
 use std::fs::File;
 use std::io::{BufReader, Cursor, Seek, Write};
 use std::path::{Path, PathBuf};
@@ -182,6 +182,15 @@ impl Values {
         match self {
             Self::Numbers(numbers) if numbers.iter().all(is_code) => Self::Codes(numbers.mapv(|v| v as u16)),
             other => other,
+        }
+    }
+
+    /// Some rows and columns, which must be there.
+    #[must_use]
+    pub fn region(self, rows: std::ops::Range<usize>, columns: std::ops::Range<usize>) -> Self {
+        match self {
+            Self::Codes(codes) => Self::Codes(codes.slice(s![rows, columns]).to_owned()),
+            Self::Numbers(numbers) => Self::Numbers(numbers.slice(s![rows, columns]).to_owned()),
         }
     }
 

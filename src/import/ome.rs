@@ -1,0 +1,231 @@
+//! OME-TIFF: exposure, channel and time of every plane (OME data model 2016-06).
+
+use super::words::{self, Said, Writer};
+use super::{Facts, headers};
+use crate::dataset::image;
+use quick_xml::events::{BytesStart, Event};
+use std::collections::BTreeMap;
+use std::path::Path;
+use tiff::tags::Tag;
+
+/// True of a description that is OME-XML.
+pub fn is_ome(text: &str) -> bool {
+    let start = text.trim_start();
+    let head = start.get(..start.len().min(1000)).unwrap_or(start);
+    (start.starts_with("<?xml") || start.starts_with("<OME")) && head.contains("<OME")
+}
+
+/// Attributes of an element by their names.
+fn attributes(element: &BytesStart<'_>) -> BTreeMap<String, String> {
+    let of = |a: quick_xml::events::attributes::Attribute<'_>| {
+        let name = String::from_utf8_lossy(a.key.local_name().as_ref()).into_owned();
+        let value = String::from_utf8_lossy(&a.value).into_owned();
+        let text = quick_xml::escape::unescape(&value).map(|t| t.into_owned());
+        (name, text.unwrap_or(value))
+    };
+    element.attributes().filter_map(Result::ok).map(of).collect()
+}
+
+/// Attributes of the elements of the first image.
+#[derive(Debug, Default)]
+struct Ome {
+    images: usize,
+    pixels: BTreeMap<String, String>,
+    channels: Vec<String>,
+    planes: Vec<BTreeMap<String, String>>,
+    /// Blocks of planes with their place in the file, and whether they lie in this file.
+    tiff_data: Vec<(BTreeMap<String, String>, bool)>,
+    detectors: Vec<BTreeMap<String, String>>,
+    settings: Vec<BTreeMap<String, String>>,
+    date: Option<String>,
+}
+
+impl Ome {
+    fn of(text: &str, file: &str) -> Self {
+        let mut out = Self::default();
+        let mut reader = quick_xml::Reader::from_str(text);
+        let mut in_date = false;
+        // Of a description that is cut off, what stands before counts.
+        while let Ok(event) = reader.read_event() {
+            match event {
+                Event::Start(e) | Event::Empty(e) => {
+                    let name = e.local_name();
+                    let of = attributes(&e);
+                    in_date = name.as_ref() == b"AcquisitionDate";
+                    match name.as_ref() {
+                        b"Image" => out.images += 1,
+                        b"Detector" => out.detectors.push(of),
+                        // A second image is another stack.
+                        _ if out.images > 1 => {}
+                        b"Pixels" => out.pixels = of,
+                        b"Channel" => out.channels.push(of.get("Name").cloned().unwrap_or_default()),
+                        b"Plane" => out.planes.push(of),
+                        b"TiffData" => out.tiff_data.push((of, true)),
+                        b"UUID" => {
+                            if let (Some(last), Some(name)) = (out.tiff_data.last_mut(), of.get("FileName")) {
+                                last.1 = name == file;
+                            }
+                        }
+                        b"DetectorSettings" => out.settings.push(of),
+                        _ => {}
+                    }
+                }
+                Event::Text(text) if in_date && out.images == 1 => {
+                    out.date = Some(String::from_utf8_lossy(&text).trim().to_string());
+                }
+                Event::End(_) => in_date = false,
+                Event::Eof => break,
+                _ => {}
+            }
+        }
+        out
+    }
+
+    fn size(&self, axis: char) -> usize {
+        self.pixels.get(&format!("Size{axis}")).and_then(|n| n.parse().ok()).unwrap_or(1).max(1)
+    }
+
+    /// Place of a plane in the order of the axes.
+    fn place(&self, at: &impl Fn(char) -> usize) -> usize {
+        let order = self.pixels.get("DimensionOrder").map_or("XYZCT", String::as_str);
+        let axes: Vec<char> = order.chars().filter(|c| matches!(c, 'Z' | 'C' | 'T')).collect();
+        axes.iter()
+            .rev()
+            .fold(0usize, |place, axis| place.saturating_mul(self.size(*axis)).saturating_add(at(*axis)))
+    }
+
+    /// Directory of the file that holds a plane: by TiffData where there is any (section "TiffData" of the OME-TIFF
+    /// specification), else in the order of the axes.
+    fn directory(&self, at: &impl Fn(char) -> usize) -> Option<usize> {
+        let place = self.place(at);
+        if self.tiff_data.is_empty() {
+            return Some(place);
+        }
+        self.tiff_data.iter().find_map(|(block, here)| {
+            let number = |key: &str| block.get(key).and_then(|n| n.parse::<usize>().ok());
+            let first = self.place(&|axis| number(&format!("First{axis}")).unwrap_or(0));
+            let from = number("IFD").unwrap_or(0);
+            // Without a count: one plane where a directory is named, else all.
+            let count = number("PlaneCount").or(number("IFD").map(|_| 1)).unwrap_or(usize::MAX);
+            let inside = (first..first.saturating_add(count)).contains(&place);
+            (*here && inside).then(|| from.saturating_add(place - first))
+        })
+    }
+}
+
+/// Facts of the file: its detector, and the exposure where all planes have the same.
+pub fn facts(text: &str) -> Facts {
+    let ome = Ome::of(text, "");
+    let mut said = Vec::new();
+    if let [detector] = &ome.detectors[..] {
+        let names = [
+            ("Model", "DeviceModelName"),
+            ("Manufacturer", "DeviceVendorName"),
+            ("SerialNumber", "DeviceSerialNumber"),
+        ];
+        let of = |(key, name): (&str, &str)| Some(Said::new(name, detector.get(key)?));
+        said.extend(names.into_iter().filter_map(of));
+    }
+    if let Some(settings) = ome.settings.first() {
+        let binning = settings.get("Binning").filter(|b| b.contains('x'));
+        said.extend(binning.map(|b| Said::new("Binning", b)));
+        said.extend(settings.get("Gain").map(|g| Said::new("GainRaw", g)));
+    }
+    said.extend(ome.date.as_deref().map(|d| Said::new("DateTime", d)));
+    let mut out = words::facts(said, Writer::Lines);
+    let mut exposures: Vec<Facts> = ome.planes.iter().map(|p| plane(&ome, p)).collect();
+    exposures.dedup_by(|a, b| a.exposure_s == b.exposure_s);
+    if let [one] = &exposures[..] {
+        out = Facts { time_s: None, filter: None, ..one.clone() }.or(out);
+    }
+    out
+}
+
+/// Facts of a plane.
+fn plane(ome: &Ome, plane: &BTreeMap<String, String>) -> Facts {
+    // The schema's unit of time is the second.
+    let unit = |key: &str| plane.get(key).map_or("s", String::as_str);
+    let exposure = plane.get("ExposureTime").map(|t| format!("{t} {}", unit("ExposureTimeUnit")));
+    let said = exposure.map(|e| Said::new("ExposureTime", &e));
+    let mut out = words::facts(said.into_iter().collect(), Writer::Lines);
+    if let Some(from) = out.from.get_mut("exposure_s") {
+        *from = format!("OME Plane {from}");
+    }
+    let start = ome.date.as_deref().and_then(headers::time_s);
+    let delta = plane.get("DeltaT").and_then(|t| t.parse::<f64>().ok());
+    let unit_s = crate::number::seconds(unit("DeltaTUnit"));
+    if let (Some(start), Some(delta), Some(unit_s)) = (start, delta, unit_s) {
+        out.time_s = Some(start + delta * unit_s).filter(|t| t.is_finite());
+    }
+    let channel = plane.get("TheC").and_then(|n| n.parse::<usize>().ok()).unwrap_or(0);
+    if ome.size('C') > 1 {
+        let name = ome.channels.get(channel).filter(|n| !n.is_empty());
+        out.filter = Some(name.cloned().unwrap_or_else(|| format!("channel {channel}")));
+    }
+    out
+}
+
+/// Facts of the pages of an OME-TIFF; empty of any other file.
+pub fn planes(path: &Path, pages: &[usize]) -> BTreeMap<usize, Facts> {
+    let text = || image::tiff_head(path).ok()?.get_tag_ascii_string(Tag::ImageDescription).ok();
+    let Some(text) = text().filter(|t| is_ome(t)) else { return BTreeMap::new() };
+    let ome = Ome::of(&text, &path.file_name().unwrap_or_default().to_string_lossy());
+    // Several images of a file count their planes apart, and only some programs say where each begins.
+    if ome.images != 1 {
+        return BTreeMap::new();
+    }
+    let at = |p: &BTreeMap<String, String>| {
+        let axes = p.clone();
+        ome.directory(&move |axis: char| {
+            axes.get(&format!("The{axis}")).and_then(|n| n.parse().ok()).unwrap_or(0)
+        })
+    };
+    let of = |p: &BTreeMap<String, String>| Some((at(p)?, plane(&ome, p)));
+    ome.planes.iter().filter_map(of).filter(|(page, _)| pages.contains(page)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
+        <OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06">
+        <Instrument ID="I:0"><Detector ID="D:0" Model="Zyla 4.2" Manufacturer="Andor" SerialNumber="VSC-1"/></Instrument>
+        <Image ID="Image:0"><AcquisitionDate>2024-05-01T12:00:00</AcquisitionDate>
+        <Pixels DimensionOrder="XYCZT" SizeC="2" SizeT="2" SizeX="4" SizeY="4" SizeZ="1" Type="uint16">
+        <Channel ID="C:0" Name="red"/><Channel ID="C:1"/><TiffData/>
+        <Plane TheC="0" TheT="0" TheZ="0" ExposureTime="20" ExposureTimeUnit="ms" DeltaT="0"/>
+        <Plane TheC="1" TheT="0" TheZ="0" ExposureTime="0.5" DeltaT="1500" DeltaTUnit="ms"/>
+        <Plane TheC="1" TheT="1" TheZ="0" ExposureTime="250" ExposureTimeUnit="&#181;s"/></Pixels></Image></OME>"#;
+
+    #[test]
+    fn planes_have_their_own_exposures() {
+        assert!(is_ome(TEXT) && !is_ome("<html>") && !is_ome("ImageJ=1.53"));
+        let ome = Ome::of(TEXT, "a.ome.tif");
+        let of: Vec<Facts> = ome.planes.iter().map(|p| plane(&ome, p)).collect();
+        let exposures: Vec<_> = of.iter().map(|f| f.exposure_s.unwrap()).collect();
+        assert_eq!(exposures, [0.02, 0.5, 0.00025]);
+        assert_eq!(of[1].time_s.unwrap() - of[0].time_s.unwrap(), 1.5);
+        assert_eq!((of[0].filter.as_deref(), of[1].filter.as_deref()), (Some("red"), Some("channel 1")));
+        let of_file = facts(TEXT);
+        assert_eq!(of_file.model.as_deref(), Some("Zyla 4.2"));
+        assert_eq!((of_file.serial.as_deref(), of_file.exposure_s), (Some("VSC-1"), None));
+        let place = |c: usize, t: usize| {
+            ome.directory(&|axis| [('C', c), ('T', t)].into_iter().find(|a| a.0 == axis).map_or(0, |a| a.1))
+        };
+        assert_eq!([place(0, 0), place(1, 0), place(0, 1), place(1, 1)], [0, 1, 2, 3].map(Some));
+    }
+
+    #[test]
+    fn blocks_of_planes_lie_where_they_say() {
+        let block = r#"<TiffData IFD="7" FirstC="1" FirstT="1"/><TiffData IFD="0" PlaneCount="3"/>"#;
+        let ome = Ome::of(&TEXT.replace("<TiffData/>", block), "a.ome.tif");
+        let place = |c: usize, t: usize| {
+            ome.directory(&|axis| [('C', c), ('T', t)].into_iter().find(|a| a.0 == axis).map_or(0, |a| a.1))
+        };
+        assert_eq!([place(0, 0), place(0, 1), place(1, 1)], [Some(0), Some(2), Some(7)]);
+        let other = r#"<TiffData IFD="0" PlaneCount="4"><UUID FileName="b.ome.tif">urn</UUID></TiffData>"#;
+        let ome = Ome::of(&TEXT.replace("<TiffData/>", other), "a.ome.tif");
+        assert_eq!(ome.directory(&|_| 0), None);
+    }
+}
