@@ -56,6 +56,8 @@ fn is_system(path: &Path) -> bool {
 pub fn list(named: &[PathBuf]) -> Result<Listing, ImportError> {
     let mut files = Vec::new();
     let mut system = Vec::new();
+    // The first of the camera raw files.
+    let mut raw: Option<PathBuf> = None;
     let mut others: BTreeMap<String, usize> = BTreeMap::new();
     let mut folders: Vec<PathBuf> = Vec::new();
     let fault = |path: &Path| {
@@ -87,6 +89,9 @@ pub fn list(named: &[PathBuf]) -> Result<Listing, ImportError> {
             } else if is_image(&path) {
                 files.push(path);
             } else {
+                if crate::dataset::image::is_camera_raw(&path) {
+                    raw = raw.filter(|r: &PathBuf| *r < path).or(Some(path));
+                }
                 *others.entry(extension).or_default() += 1;
             }
         }
@@ -94,6 +99,10 @@ pub fn list(named: &[PathBuf]) -> Result<Listing, ImportError> {
     sort(&mut files);
     sort(&mut system);
     let mut notes = Vec::new();
+    if let Some(raw) = raw {
+        let message = crate::dataset::image::CAMERA_RAW;
+        notes.push(format!("passed over: {} is {message}", raw.display()));
+    }
     if !system.is_empty() {
         let names: Vec<String> = system.iter().map(|p| p.display().to_string()).collect();
         notes.push(format!("passed over, files of the operating system or hidden: {}", few(&names)));

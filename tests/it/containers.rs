@@ -473,6 +473,7 @@ fn what_is_no_frame_is_refused_by_its_reason() {
         ("cut.fits", cut, "cut short"),
         ("cut.fits.gz", zipped[..zipped.len() / 2].to_vec(), "cut short"),
         ("hdf5.tif", b"\x89HDF\r\n\x1a\n and more".to_vec(), "HDF5"),
+        ("a.nef", b"II*\0 and more".to_vec(), "unprocessed_raw -T"),
     ] {
         let folder = Folder::new();
         fs::write(folder.file(name), bytes).unwrap();

@@ -56,6 +56,19 @@ pub(crate) const JPEG: &[u8] = b"\xff\xd8\xff";
 /// Why it is no frame.
 pub(crate) const NO_JPEG: &str = "a JPEG, whose codes are not those of the camera";
 
+/// Extensions of camera raw files.
+const CAMERA_RAWS: [&str; 12] =
+    ["cr2", "cr3", "crw", "nef", "nrw", "arw", "orf", "rw2", "raf", "pef", "srw", "3fr"];
+/// What to do with them: LibRaw's program keeps every code and the masked borders.
+pub(crate) const CAMERA_RAW: &str = "a camera raw file, which radcam does not read; `unprocessed_raw -T FILE` of LibRaw (or `dcraw -D -4 -T FILE`) writes its codes \
+     as TIFF";
+
+/// True of a name that is a camera raw file's.
+pub(crate) fn is_camera_raw(path: &Path) -> bool {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    CAMERA_RAWS.contains(&&*extension)
+}
+
 /// How an HDF5 file begins.
 pub(crate) const HDF5: &[u8] = b"\x89HDF\r\n\x1a\n";
 /// Reason of a radcam without the feature.
@@ -276,6 +289,9 @@ impl Images {
         dataset: Option<&str>,
         axis: Option<usize>,
     ) -> Result<Self, ImageError> {
+        if is_camera_raw(path) {
+            return Err(ImageError::NoFrames(CAMERA_RAW.into()));
+        }
         let mut start = [0u8; 8];
         let read = std::io::Read::read(&mut File::open(path)?, &mut start)?;
         let start = &start[..read];

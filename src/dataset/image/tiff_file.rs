@@ -284,6 +284,14 @@ fn read_page(decoder: &mut Tiff, frame: u64, buffer: &mut Buffer) -> Result<Opti
     if frame > 0 {
         return further_frame(decoder, bits, shape, frame).map(Some);
     }
+    // Old and new JPEG, and that of DNG with loss.
+    if let Some(7 | 34_892) = decoder.find_tag_unsigned::<u64>(Tag::Compression)? {
+        return Err(ImageError::NoFrames(
+            "a TIFF or DNG with JPEG compression, which radcam does not read; of a DNG `unprocessed_raw -T FILE` of LibRaw (or \
+             `dcraw -D -4 -T FILE`) writes its codes as TIFF"
+                .into(),
+        ));
+    }
     if decoder.find_tag_unsigned::<u64>(Tag::FillOrder)?.is_some_and(|order| order != 1) {
         return Err(ImageError::NotGrey("a compressed TIFF with reversed bits (FillOrder 2)".into()));
     }
