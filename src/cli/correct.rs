@@ -399,21 +399,21 @@ impl Plain {
                 )))
                 .with_context(named);
             }
-            // Darks of stretched codes lie within the range of the calibration's bits.
-            if let Some(found) = stretch(&pixels).filter(|_| stored > calibrated.bit_depth && !force) {
-                return Err(CorrectError::Settings(format!(
-                    "codes count in steps of {}: those of fewer bits, stretched to more, and the calibration is of codes in steps of 1; \
-                     `radcam import` takes them back",
-                    six_digits(found.step)
-                )))
-                .with_context(named);
-            }
             let (most, full) = (pixels.iter().max().copied().unwrap_or(0), calibrated.full_scale_dn());
             if most > full && !force {
                 return Err(CorrectError::Settings(format!(
                     "holds {most} DN, and the largest code of the calibration's {} bits is {full} DN: codes stretched to more bits, or a \
                      calibration of frames so dim that `radcam import` took them for fewer bits (--bit-depth)",
                     calibrated.bit_depth
+                )))
+                .with_context(named);
+            }
+            // Darks of stretched codes lie within the range of the calibration's bits.
+            if let Some(found) = stretch(&pixels).filter(|_| stored > calibrated.bit_depth && !force) {
+                return Err(CorrectError::Settings(format!(
+                    "codes count in steps of {}: those of fewer bits, stretched to more, and the calibration is of codes in steps of 1; \
+                     `radcam import` takes them back",
+                    six_digits(found.step)
                 )))
                 .with_context(named);
             }

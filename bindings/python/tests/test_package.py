@@ -176,7 +176,7 @@ def test_a_mosaic_is_measured_plane_by_plane(tmp_path: Path) -> None:
     radcam.simulate("cmos12", path, "quick", region=(0, 0, 96, 64), seed=17)
     manifest = path / "dataset.toml"
     manifest.write_text(manifest.read_text().replace('"Mono12"', '"BayerRG12"'))
-    with pytest.raises(radcam.NoiseError, match="colour mosaic"):
+    with pytest.raises(radcam.DatasetError, match="colour mosaic"):
         radcam.noise(path)
     for verb, ours in (("noise", radcam.noise), ("diagnose", radcam.diagnose), ("compare", radcam.compare)):
         said = program(verb, path, "--plane", "0,1", "--json")
