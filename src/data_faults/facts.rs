@@ -71,7 +71,8 @@ fn middle_side(n: usize) -> (usize, usize) {
 pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<SetFacts, ExamineError> {
     let full = dataset.manifest().camera.full_scale_dn();
     let mut out = SetFacts::default();
-    let (mut before, mut second): (Option<Arc<Array2<u16>>>, Option<Arc<Array2<u16>>>) = (None, None);
+    let mut before: Option<Arc<Array2<u16>>> = None;
+    let mut second: Option<Arc<Array2<u16>>> = None;
     let mut middle = Array2::<f32>::zeros((0, 0));
     let mut clipped = 0usize;
     let mut occurring = Occurring::default();
