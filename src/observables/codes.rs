@@ -322,12 +322,14 @@ impl LineSearch {
         Some((top, frequency))
     }
 
-    /// Variance in the line at a place, and one cycle a row of so many columns on either side of it, DN^2.
-    pub fn teeth(&self, top: usize, columns: usize) -> [Value; 3] {
+    /// Variance in the line at a place, and one cycle a row of so many columns on either side of it, DN^2; `None`
+    /// beyond the ends of the spectrum.
+    pub fn teeth(&self, top: usize, columns: usize) -> [Option<Value>; 3] {
         let row = self.length as f64 / columns as f64;
         super::line::TEETH.map(|away| {
-            let place = (top as f64 + away * row).round().clamp(4.0, (self.power.len() - 4) as f64);
-            self.at(place as usize)
+            let place = (top as f64 + away * row).round();
+            (away == 0.0 || place > 64.0 && place + 4.0 < self.power.len() as f64)
+                .then(|| self.at(place as usize))
         })
     }
 

@@ -25,7 +25,9 @@ impl Statistic for Line {
 
     fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {
         for (index, v) in half.line.into_iter().flatten().enumerate() {
-            put.put(index, v.value, v.std_err);
+            if let Some(v) = v {
+                put.put(index, v.value, v.std_err);
+            }
         }
     }
 
@@ -48,7 +50,9 @@ impl Statistic for Line {
             variance * cut * (-0.5 * away * away).exp()
         };
         // The same in all sets, but where clipping takes of it.
-        let of_sets = view.prediction.sets.iter().map(|s| s.lines.iter().map(tooth).sum::<f64>());
+        // A frequency and one less it are the same: near half a cycle the teeth of both fall together.
+        let both = |l: &(f64, f64, f64)| tooth(l) + tooth(&(l.0, std::f64::consts::TAU - l.1, -l.2));
+        let of_sets = view.prediction.sets.iter().map(|s| s.lines.iter().map(both).sum::<f64>());
         let line = of_sets.fold(0.0, f64::max);
         Expected::plain(o, line, o.measured.std_err)
     }

@@ -178,7 +178,7 @@ pub struct HalfView<'a> {
     /// How often codes occur.
     codes: &'a codes::CodeStatistics,
     /// Variance in the strongest line of the spectrum, DN^2.
-    line: Option<[Value; 3]>,
+    line: Option<[Option<Value>; 3]>,
     /// Excess kurtosis of noisy pixels in short darks.
     noisy_levels: &'a [Option<Levels>; 3],
     /// A still scene at two exposures.
