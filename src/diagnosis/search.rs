@@ -453,11 +453,11 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
 /// errors become narrower, and a model whose narrow errors are wrong is no better for it.
 fn or_one_that_holds(all: &Observations, mut found: Found) -> Found {
     let best = found.first.first().map_or(0.0, |c| c.evidence);
-    let mut others = found.first.iter().filter(|c| c.evidence > NEARLY * best).peekable();
-    if best < MANY || others.peek().is_none() || compare(all, &found.fitted).p_value >= HOLDS {
+    let near: Vec<&Candidate> = found.first.iter().filter(|c| c.evidence > NEARLY * best).collect();
+    if best < MANY || near.len() < 2 || compare(all, &found.fitted).p_value >= HOLDS {
         return found;
     }
-    if let Some(one) = others.find(|c| compare(all, &c.fitted).p_value >= HOLDS) {
+    if let Some(one) = near.into_iter().find(|c| compare(all, &c.fitted).p_value >= HOLDS) {
         tracing::debug!("{} alone agrees, what was found does not", one.effect.id());
         found.fitted = one.fitted.clone();
     }
