@@ -40,8 +40,8 @@ pub struct Key {
     pub(crate) to: usize,
     pub(crate) before: bool,
     pub(crate) clean: bool,
-    /// Of a piece the digest of the first look, of a level that of its mask; of looks, which nothing else
-    /// decides, the version.
+    /// Digest of the first look for a piece, of its mask for a level; the version for looks, which nothing else
+    /// decides.
     pub(crate) under: String,
 }
 

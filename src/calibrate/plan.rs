@@ -93,7 +93,7 @@ pub fn frames_of_one(k_std_err: Option<f64>, bit_depth: u8, noise_var: f64) -> u
 ///
 /// # Errors
 ///
-/// What the pilot lacks, or which frame cannot be read.
+/// A pilot that lacks a level or darks, and a frame that cannot be read.
 pub fn needs_smooth(
     pilot: &Dataset,
     noise: &NoiseReport,
@@ -128,7 +128,7 @@ pub fn needs_smooth(
 struct Variances {
     full_scale_var_dn2: f64,
     dark_var_dn2: f64,
-    /// Of a frame at the level of the flats, relative.
+    /// Noise of a frame at the level of the flats, relative.
     at_level: f64,
 }
 
@@ -155,7 +155,7 @@ fn darks_needed(dark_var_dn2: f64, k_std_err: Option<f64>, level: f64) -> u64 {
 ///
 /// # Errors
 ///
-/// What the pilot lacks, or which frame cannot be read.
+/// A pilot that lacks a level or darks, and a frame that cannot be read.
 pub fn needs(pilot: &Dataset, noise: &NoiseReport, k_std_err: Option<f64>) -> Result<Needs, CalibrateError> {
     let options = Options::default();
     let camera = &pilot.manifest().camera;

@@ -33,7 +33,7 @@ pub struct Arguments {
     /// which takes very many frames of a camera of 12 bits
     #[arg(long, value_name = "ERROR", value_parser = above_0)]
     k_error: Option<f64>,
-    /// What `calibrate` will be told: joint or paper, which need several configurations, or smooth, for which one is
+    /// Estimator of `calibrate`: joint or paper, which need several configurations, or smooth, for which one is
     /// enough
     #[arg(long, default_value = "joint", value_parser = ["joint", "paper", "smooth"])]
     estimator: String,

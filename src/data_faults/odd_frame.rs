@@ -76,7 +76,7 @@ impl Check for OddFrame {
                     return places[*k] > 2 || share.is_none_or(|s| s.abs() < MIN_CARRIED_SHARE);
                 };
                 let change = if before.frames() > 0 { before.level_dn() - apart.level_dn } else { 0.0 };
-                // What is less than any slip may be carried too: a sensor that keeps 1e-5 of 60000 DN for the next dark.
+                // Lag of less than any slip counts too: a sensor that keeps 1e-5 of 60000 DN for the next dark.
                 let most = share.map_or(MAX_LAG, |s| {
                     if s.abs() > MIN_CARRIED_SHARE { CARRIED_TOLERANCE * s.abs() } else { MIN_CARRIED_SHARE }
                 });

@@ -175,7 +175,7 @@ impl CameraInfo {
         ]
     }
 
-    /// Whether frames are a colour mosaic of two by two pixels. Formats that radcam cannot unpack count too:
+    /// Colour mosaic of two by two pixels: true where frames are one. Formats that radcam cannot unpack count too:
     /// files hold mosaics of 14 bits.
     pub fn is_mosaic(&self) -> bool {
         self.pixel_format.get(..5).is_some_and(|start| start.eq_ignore_ascii_case("Bayer"))

@@ -52,7 +52,8 @@ const WIDER: f64 = 1.5;
 
 /// Share of the best candidate's evidence from which on another explains the same (a named choice).
 const NEARLY: f64 = 0.9;
-/// Evidence from which on an effect is far beyond doubt, and its errors matter more than its size (a named choice).
+/// Evidence from which on an effect is far beyond doubt, and the errors of its prediction matter more than its
+/// size (a named choice).
 const MANY: f64 = 1e3;
 
 /// A candidate after its fit.
@@ -75,8 +76,8 @@ fn there(all: &Observations) -> Needs {
     }
 }
 
-/// What BIC takes for the parameters of a model, and twice the logarithm of the forms that each effect was tried
-/// in: a name with nine forms has each of them by chance as often as another its only one.
+/// Price of a model's parameters by BIC, and twice the logarithm of the number of forms of each effect: a prior
+/// that is spread evenly over the forms of a name (Kass and Raftery 1995, J. Am. Stat. Assoc. 90, 773).
 fn price(all: &Observations, fitted: &Fitted) -> f64 {
     let forms: f64 = fitted.effects.iter().map(|(e, _)| (forms(*e) as f64).ln()).sum();
     fitted.parameters() as f64 * (all.list.len() as f64).ln() + 2.0 * forms
@@ -218,8 +219,8 @@ impl Look<'_> {
         score(self.all, self.now) - score(self.all, fitted)
     }
 
-    /// Whether a candidate does no more than widen what the profiles of lines are allowed to be off by. No
-    /// effect predicts them, and wide errors fit anything.
+    /// Candidate that does no more than widen the error of the profiles of lines. No effect predicts these, and
+    /// wide errors fit anything.
     fn only_excuses(&self, c: &Candidate) -> bool {
         let id = LineProfile.id();
         let of = |model: &Fitted| -> Vec<Residual> {

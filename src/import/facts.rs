@@ -57,7 +57,7 @@ pub struct Facts {
     pub processed: Option<String>,
     /// Whether the unit of the exposure stands with it.
     pub unit_stated: bool,
-    /// What has more than one reading, `key: why`. A person must settle it.
+    /// Values with more than one reading, `key: why`. A person must settle it.
     pub doubts: Vec<String>,
     /// Where the header and the names disagree: the header counts.
     pub overruled: Vec<String>,

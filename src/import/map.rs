@@ -94,7 +94,7 @@ pub struct MapSet {
     /// Rows run from the bottom to the top in the files: they are turned.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub turned: bool,
-    /// What has more than one reading, `key: why`. A set with a doubt is not imported: correct the value and
+    /// Values with more than one reading, `key: why`. A set with a doubt is not imported: correct the value and
     /// remove the line.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub doubts: Vec<String>,

@@ -31,7 +31,7 @@ impl Region {
         inside.then_some(Self { rows: y..bottom, columns: x..right })
     }
 
-    /// What is cut off of a frame of this shape, counted from 1 as FITS does.
+    /// Overscan that is cut off a frame of this shape, counted from 1 as FITS does.
     pub fn cut_off(&self, shape: (usize, usize)) -> String {
         let side = |name: &str, kept: &Range<usize>, n: usize| {
             let run = |from: usize, to: usize| match to.saturating_sub(from) {
@@ -66,7 +66,7 @@ fn section(text: &str, shape: (usize, usize)) -> Option<Region> {
     Some(Region { columns: axis(x, shape.1)?, rows: axis(y, shape.0)? })
 }
 
-/// What stays of a frame without a strip of overscan along one of its edges.
+/// Frame without a strip of overscan along one of its edges.
 fn without(strip: &Region, (rows, columns): (usize, usize)) -> Option<Region> {
     let (whole_rows, whole_columns) = (0..rows, 0..columns);
     let rest = |strip: &Range<usize>, n: usize| match (strip.start, strip.end) {
@@ -88,7 +88,7 @@ fn without(strip: &Region, (rows, columns): (usize, usize)) -> Option<Region> {
 ///
 /// # Errors
 ///
-/// Where a section is none, or reaches beyond the frame.
+/// A section that is none, or reaches beyond the frame.
 pub fn region_of(facts: &Facts, shape: (usize, usize)) -> Result<Option<Region>, String> {
     let fault = |key: &str, text: &str| {
         format!(

@@ -33,7 +33,7 @@ fn of_name(stack: &Stack) -> Option<(Kind, &str)> {
 ///
 /// # Errors
 ///
-/// Where the file says that it has neither darks nor flats.
+/// A file that has neither darks nor flats.
 pub fn told(stacks: &[Stack]) -> Result<Told, String> {
     let mut out = Told { facts: BTreeMap::new(), notes: Vec::new() };
     for stack in stacks {

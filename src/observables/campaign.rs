@@ -483,34 +483,30 @@ fn field(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Field {
 
 /// Frequencies at which the row means of flats ripple, in proportion to the signal.
 fn row_cycles(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Vec<f64> {
-    let place = STATISTICS.iter().position(|s| s.id() == row_spectrum::RowSpectrum.id());
-    let mut power: Vec<f64> = Vec::new();
-    for c in chunks.iter().filter(|c| settings[c.set].kind == Kind::Flat) {
-        let Some(own) = place.and_then(|i| c.summary.extra.get(i)) else { continue };
-        // By the noise of a row: dim sets and bright ones count by what they tell.
-        let noise = c.summary.var.value.max(1e-12);
-        let signal = c.summary.frame_means.mean_dn() - zero_dn;
-        if signal > 0.0 {
-            power.resize(own.len(), 0.0);
-            power.iter_mut().zip(own).for_each(|(sum, v)| *sum += v / noise);
-        }
-    }
+    let is_lit =
+        |c: &&Chunk| settings[c.set].kind == Kind::Flat && c.summary.frame_means.mean_dn() - zero_dn > 0.0;
     let rows = chunks.first().map_or(0, |c| c.summary.rows_dn.len());
-    if power.len() < 8 { Vec::new() } else { row_spectrum::peaks(&power, rows) }
+    cycles(chunks.iter().filter(is_lit), &row_spectrum::RowSpectrum, rows)
 }
 
 /// Frequencies of stripes of columns that move from frame to frame, cycles per column.
 fn column_cycles(chunks: &[Chunk]) -> Vec<f64> {
-    let place = STATISTICS.iter().position(|s| s.id() == column_spectrum::ColumnSpectrum.id());
+    let columns = chunks.first().map_or(0, |c| c.summary.columns_dn.len());
+    cycles(chunks.iter(), &column_spectrum::ColumnSpectrum, columns)
+}
+
+/// Peaks of a spectrum of so many line means, summed over chunks, cycles per line.
+fn cycles<'c>(chunks: impl Iterator<Item = &'c Chunk>, of: &dyn Statistic, lines: usize) -> Vec<f64> {
+    let place = STATISTICS.iter().position(|s| s.id() == of.id());
     let mut power: Vec<f64> = Vec::new();
     for c in chunks {
         let Some(own) = place.and_then(|i| c.summary.extra.get(i)) else { continue };
+        // By the noise of a line: dim sets and bright ones count by what they tell.
         let noise = c.summary.var.value.max(1e-12);
         power.resize(own.len(), 0.0);
         power.iter_mut().zip(own).for_each(|(sum, v)| *sum += v / noise);
     }
-    let columns = chunks.first().map_or(0, |c| c.summary.columns_dn.len());
-    if power.len() < 8 { Vec::new() } else { row_spectrum::peaks(&power, columns) }
+    if power.len() < 8 { Vec::new() } else { row_spectrum::peaks(&power, lines) }
 }
 
 /// For every set the first of those that follow one another under the same light, darks in between left out.

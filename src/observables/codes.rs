@@ -259,6 +259,12 @@ pub struct LineSearch {
     walk: f64,
 }
 
+/// Lowest frequencies, in steps of the spectrum: slow changes are no line.
+const SLOW: usize = 64;
+/// Steps of the spectrum on either side of a line over which the window spreads it (Hann: two, and one for a place
+/// between two).
+const BESIDE: usize = 3;
+
 impl LineSearch {
     /// For frames of this shape.
     pub fn new(shape: (usize, usize)) -> Self {
@@ -305,7 +311,7 @@ impl LineSearch {
             return None;
         }
         let n = self.power.len();
-        let from = 64.min(n / 8);
+        let from = SLOW.min(n / 8);
         // Against what is around: noise that is filtered has no line.
         let top = (from..n - 2).max_by(|&a, &b| self.power[a].total_cmp(&self.power[b]))?;
         // A sum of exponentials: relative deviation 1 / root of the frames. Ten deviations and a third more are no accident
@@ -328,7 +334,7 @@ impl LineSearch {
         let row = self.length as f64 / columns as f64;
         super::line::TEETH.map(|away| {
             let place = (top as f64 + away * row).round();
-            (away == 0.0 || place > 64.0 && place + 4.0 < self.power.len() as f64)
+            (away == 0.0 || place > SLOW as f64 && place + BESIDE as f64 + 1.0 < self.power.len() as f64)
                 .then(|| self.at(place as usize))
         })
     }
@@ -337,11 +343,12 @@ impl LineSearch {
     pub fn at(&self, top: usize) -> Value {
         let floor = self.floor(top);
         let last = self.power.len() - 1;
-        let excess: f64 = (top.saturating_sub(3)..=top + 3).map(|i| self.power[i.min(last)] - floor).sum();
+        let excess: f64 =
+            (top.saturating_sub(BESIDE)..=top + BESIDE).map(|i| self.power[i.min(last)] - floor).sum();
         // Power at one frequency of a sine of variance v is v N / 2 (the other half lies at minus it).
         let unit = 2.0 / (self.weight * self.length as f64);
         let variance = excess.max(0.0) * unit;
-        let error = floor * 7f64.sqrt() / self.frames.sqrt() * unit;
+        let error = floor * ((2 * BESIDE + 1) as f64).sqrt() / self.frames.sqrt() * unit;
         // What few frames show of the line, and what a place between two bins leaves outside those that are summed.
         let walk = self.walk.sqrt() / self.weight;
         Value { value: variance, std_err: error.hypot(variance * walk.hypot(0.02)) }

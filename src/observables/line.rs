@@ -41,8 +41,9 @@ impl Statistic for Line {
         let here = seen + TEETH[o.index.min(2)] / columns;
         let tooth = |&(variance, across, down): &(f64, f64, f64)| {
             let turns = |phase: f64| phase / std::f64::consts::TAU;
-            // Rows one after another: a comb with teeth where a row's phase agrees, each as strong as the sine is
-            // in one row there (the transform of a sine cut to one row).
+            // Teeth of a comb, rows put one after another: at frequencies at which the phase of rows agrees, each as
+            // strong as a sine cut to one row has it there, sin(x)^2 / x^2 (Bracewell, The Fourier Transform and Its
+            // Applications, ch. 10: a train of pulses).
             let between = turns(down) - here * columns;
             let away = (between - between.round()) * rows;
             let within = std::f64::consts::PI * (turns(across) - here) * columns;

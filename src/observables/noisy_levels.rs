@@ -84,7 +84,7 @@ impl Statistic for NoisyLevels {
         // Above 0 lies what grows from set to set, as the shot noise of dark charge does: only what lies below
         // tells of levels.
         let above = ABOVE * o.measured.value.max(0.0);
-        // Nothing lies below two levels: what does was scaled up too much.
+        // Excess below that of two levels alone was scaled up too much.
         let below = (TWO_LEVELS - o.measured.value).max(0.0);
         Expected::plain(o, excess, in_quadrature(&[o.measured.std_err, unsure, above, below]))
     }

@@ -132,6 +132,28 @@ impl Bench {
         serde_json::from_slice(&output.stdout).unwrap()
     }
 
+    /// Darks and the flats that an estimator needs, imported: four exposures for `smooth`, and else four
+    /// configurations with the light from another side.
+    fn measure(&self, camera: &mut Camera, estimator: &str) {
+        [10, 100].iter().for_each(|ms| self.dark(camera, 8, *ms));
+        if estimator == "smooth" {
+            [10, 20, 30, 40].iter().for_each(|ms| self.flat(camera, 8, *ms, 150.0));
+        } else {
+            for c in 0..4 {
+                let response = camera.response.clone();
+                for ((_, x), r) in camera.response.indexed_iter_mut() {
+                    *r *= 1.0 + 0.05 * (f64::from(c) - 1.0) * (x as f64 / SIDE as f64 - 0.5);
+                }
+                self.set(camera, &format!("c{c}_flat_30ms"), 8, 4500.0, 0.03);
+                camera.response = response;
+            }
+        }
+        self.import();
+        if estimator != "smooth" {
+            configurations(&self.at("d"));
+        }
+    }
+
     /// Calibrates, corrects a frame of 4000 e with and without replacing, and reads both back.
     fn calibrated(&self, camera: &mut Camera, estimator: &str) -> (Calibration, Array2<f32>) {
         let cal = self.at("cal.tiff");
@@ -200,23 +222,7 @@ fn dead_pixels_are_flagged_and_the_calibration_is_usable() {
         if column {
             camera.response.column_mut(40).fill(0.0);
         }
-        [10, 100].iter().for_each(|ms| bench.dark(&mut camera, 8, *ms));
-        if estimator == "smooth" {
-            [10, 20, 30, 40].iter().for_each(|ms| bench.flat(&mut camera, 8, *ms, 150.0));
-        } else {
-            for c in 0..4 {
-                let response = camera.response.clone();
-                for ((_, x), r) in camera.response.indexed_iter_mut() {
-                    *r *= 1.0 + 0.05 * (f64::from(c) - 1.0) * (x as f64 / SIDE as f64 - 0.5);
-                }
-                bench.set(&mut camera, &format!("c{c}_flat_30ms"), 8, 4500.0, 0.03);
-                camera.response = response;
-            }
-        }
-        bench.import();
-        if estimator != "smooth" {
-            configurations(&bench.at("d"));
-        }
+        bench.measure(&mut camera, estimator);
         let (cal, corrected) = bench.calibrated(&mut camera, estimator);
         let dead = cal.defects.iter().filter(|f| **f & DEAD != 0).count();
         let wanted = 1 + if column { SIDE } else { 0 };
@@ -299,23 +305,7 @@ fn a_lens_that_falls_off_steeply_is_calibrated() {
         for estimator in ["smooth", "joint"] {
             let bench = Bench::new();
             let mut camera = Camera::new(60 + k as u64, shape);
-            [10, 100].iter().for_each(|ms| bench.dark(&mut camera, 8, *ms));
-            if estimator == "smooth" {
-                [10, 20, 30, 40].iter().for_each(|ms| bench.flat(&mut camera, 8, *ms, 150.0));
-            } else {
-                for c in 0..4 {
-                    let response = camera.response.clone();
-                    for ((_, x), r) in camera.response.indexed_iter_mut() {
-                        *r *= 1.0 + 0.05 * (f64::from(c) - 1.0) * (x as f64 / SIDE as f64 - 0.5);
-                    }
-                    bench.set(&mut camera, &format!("c{c}_flat_30ms"), 8, 4500.0, 0.03);
-                    camera.response = response;
-                }
-            }
-            bench.import();
-            if estimator == "joint" {
-                configurations(&bench.at("d"));
-            }
+            bench.measure(&mut camera, estimator);
             let (cal, corrected) = bench.calibrated(&mut camera, estimator);
             let lit = |at: (usize, usize)| shape(at.0, at.1) > 0.5;
             let sound = cal.defects.indexed_iter().filter(|(at, f)| lit(*at) && **f == 0).count();

@@ -10,7 +10,8 @@ pub struct LightBanding;
 /// than lamps do.
 const SHORTEST: f64 = 0.85;
 
-/// Correlation of the first row with the last from which on a wander moves whole frames: bands are taller than the frame.
+/// Correlation of the first row with the last from which on a wander moves whole frames: 1/e, bands as tall as the
+/// frame (a named choice).
 const WHOLE_FRAMES: f64 = 0.368;
 
 /// No lamp's light ripples slower: twice the frequency of the slowest supply, a railway's 16.7 Hz.

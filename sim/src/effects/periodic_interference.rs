@@ -68,9 +68,8 @@ impl Effect for PeriodicInterference {
         (p[3] >= 0.5).then_some("in step with the rows: stripes of columns")
     }
 
-    /// At the strongest line that was measured, which is one tooth of a comb where rows are blanked, and on
-    /// either side of it with the phase that puts the tooth there; and at the strongest stripes of columns.
-    /// Without either there is nothing to look for.
+    /// Starts at the strongest line, which is one tooth of a comb where rows are blanked, on either side of it with
+    /// the phase that puts the tooth there, and at the strongest stripes of columns. No line, no stripes: no start.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let columns = seen.columns.max(2.0);
         let start = |cycles_per_px: f64, blanking: f64, shape: f64| {

@@ -14,7 +14,8 @@ const STAYS: f64 = 0.3;
 /// Of what the variances of the pixels spread by no more than so much is shared by pixels two columns or two rows apart (a named choice: of
 /// pixels that lie anywhere it is nothing, of parts of the sensor most of it, of its edges half).
 const ALONE: f64 = 0.25;
-/// Largest share of the pixels that are a few (a named choice: sensors have some per cent at most). Jumps of more are the sensor's own noise.
+/// Largest share of the pixels that are a few (a named choice: sensors have some per cent at most). Jumps of more
+/// are the sensor's own noise.
 const FEW: f64 = 0.2;
 /// Standard errors beyond which it is.
 const SURE: f64 = 3.0;

@@ -59,7 +59,7 @@ pub(crate) const NO_JPEG: &str = "a JPEG, whose codes are not those of the camer
 /// Extensions of camera raw files.
 const CAMERA_RAWS: [&str; 12] =
     ["cr2", "cr3", "crw", "nef", "nrw", "arw", "orf", "rw2", "raf", "pef", "srw", "3fr"];
-/// What to do with them: LibRaw's program keeps every code and the masked borders.
+/// Advice on camera raw files: LibRaw's program keeps every code and the masked borders.
 pub(crate) const CAMERA_RAW: &str = "a camera raw file, which radcam does not read; `unprocessed_raw -T FILE` of LibRaw (or `dcraw -D -4 -T FILE`) writes its codes \
      as TIFF";
 
