@@ -76,35 +76,34 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     let mut middle = Array2::<f32>::zeros((0, 0));
     let mut clipped = 0usize;
     let mut occurring = Occurring::default();
-    for &row in &set.rows {
-        if stop.load(Ordering::Relaxed) {
-            return Err(ExamineError::Interrupted);
+    for frames in in_blocks(dataset, set, stop) {
+        for (sent, frame) in frames? {
+            out.pixels = frame.len() as f64;
+            occurring.add(sent.as_slice().unwrap_or(&[]));
+            let codes = frame.as_slice().unwrap_or(&[]);
+            if out.means_dn.is_empty() {
+                out.spread_dn2 = spread(codes);
+                out.step_dn = step(codes, full);
+            }
+            out.means_dn.push(codes.iter().map(|v| u64::from(*v)).sum::<u64>() as f64 / out.pixels.max(1.0));
+            out.cells_dn.push(outliers::cell_means(&frame));
+            let sent = sent.as_slice().unwrap_or(&[]);
+            out.digests.push(digest(sent));
+            clipped += sent.iter().filter(|v| **v >= full).count();
+            let to = |other: &Option<Arc<Array2<u16>>>| {
+                other.as_ref().map_or((0, 0.0), |o| difference(codes, o.as_slice().unwrap_or(&[])))
+            };
+            let (changed, successive) = to(&before);
+            out.changed.push(changed);
+            out.successive_dn2.push(successive);
+            out.second_dn2.push(to(&second).1);
+            let part = middle_of(&frame);
+            if middle.dim() != part.dim() {
+                middle = Array2::zeros(part.dim());
+            }
+            middle += &part;
+            second = before.replace(frame);
         }
-        let frame = dataset.frame(&dataset.rows()[row])?;
-        out.pixels = frame.len() as f64;
-        occurring.add(frame.as_slice().unwrap_or(&[]));
-        let codes = frame.as_slice().unwrap_or(&[]);
-        if out.means_dn.is_empty() {
-            out.spread_dn2 = spread(codes);
-            out.step_dn = step(codes, full);
-        }
-        out.means_dn.push(codes.iter().map(|v| u64::from(*v)).sum::<u64>() as f64 / out.pixels.max(1.0));
-        out.cells_dn.push(outliers::cell_means(&frame));
-        out.digests.push(digest(codes));
-        clipped += codes.iter().filter(|v| **v >= full).count();
-        let to = |other: &Option<Arc<Array2<u16>>>| {
-            other.as_ref().map_or((0, 0.0), |o| difference(codes, o.as_slice().unwrap_or(&[])))
-        };
-        let (changed, successive) = to(&before);
-        out.changed.push(changed);
-        out.successive_dn2.push(successive);
-        out.second_dn2.push(to(&second).1);
-        let part = middle_of(&frame);
-        if middle.dim() != part.dim() {
-            middle = Array2::zeros(part.dim());
-        }
-        middle += &part;
-        second = before.replace(frame);
     }
     let stretch = occurring.stretch().map(|s| s.step);
     out.code_step_dn = stretch.unwrap_or(if occurring.has_neighbours() { 1.0 } else { 0.0 });
@@ -113,6 +112,27 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     out.middle_columns = middle.ncols();
     out.middle_dn = middle.into_iter().collect();
     Ok(out)
+}
+
+/// The frames of a set, some at a time, each as it was sent and without single samples that stand far off.
+fn in_blocks<'d>(
+    dataset: &'d Dataset,
+    set: &'d Set,
+    stop: &'d AtomicBool,
+) -> impl Iterator<Item = Result<Vec<(Arc<Array2<u16>>, Arc<Array2<u16>>)>, ExamineError>> + 'd {
+    // Blocks of a like size: a last one of a single frame has nothing to be compared with.
+    let count = set.rows.len().div_ceil(outliers::BLOCK).max(1);
+    set.rows.chunks(set.rows.len().div_ceil(count).max(1)).map(move |rows| {
+        let read = |row: &usize| {
+            if stop.load(Ordering::Relaxed) {
+                return Err(ExamineError::Interrupted);
+            }
+            Ok(dataset.frame(&dataset.rows()[*row])?)
+        };
+        let sent = rows.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+        let whole = outliers::without_struck(&sent);
+        Ok(sent.into_iter().zip(whole).collect())
+    })
 }
 
 /// Step of the converter that the sets agree on, DN; 1 where one counts in steps of 1 or none tells.

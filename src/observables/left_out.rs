@@ -28,7 +28,7 @@ pub(super) fn words(dataset: &Dataset, left_out: &[(usize, LeftOut)]) -> Vec<Str
         let shown = hit.iter().take(4).cloned().collect::<Vec<_>>().join(", ");
         let more = if hit.len() > 4 { format!(" and {} more", hit.len() - 4) } else { String::new() };
         out.push(format!(
-            "{struck} single samples stand far above the same pixel in other frames (cosmic rays) and are left out: in {shown}{more}"
+            "{struck} single samples stand far off the same pixel in other frames (cosmic rays, bit errors) and are left out: in {shown}{more}"
         ));
     }
     out

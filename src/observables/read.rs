@@ -333,15 +333,14 @@ impl<'a, 'b> Reader<'a, 'b> {
         for start in places.clone().step_by(size) {
             let end = (start + size).min(places.end);
             let frames = (start..end).map(|i| self.frame(p.set, i));
-            if end - start < outliers::FEWEST {
-                for frame in frames {
-                    pass.add(frame?.as_slice().unwrap_or(&[])).map_err(wrong)?;
-                }
-                continue;
-            }
             let mut block =
                 frames.map(|f| f.map(Arc::unwrap_or_clone)).collect::<Result<Vec<Array2<u16>>, _>>()?;
-            let outlier = self.without_outliers(p.set, &mut block, start, dark, out);
+            let outlier = if end - start < outliers::FEWEST {
+                self.without_struck(&mut block, start, out);
+                None
+            } else {
+                self.without_outliers(p.set, &mut block, start, dark, out)
+            };
             if let Some(outlier) = outlier {
                 return Ok(Some(start + outlier));
             }
@@ -350,6 +349,15 @@ impl<'a, 'b> Reader<'a, 'b> {
             }
         }
         Ok(None)
+    }
+
+    /// Takes struck samples out of a block.
+    fn without_struck(&self, block: &mut [Array2<u16>], start: usize, out: &mut LeftOut) {
+        if self.clean {
+            let struck = outliers::take_struck(block);
+            out.cleaned |= !struck.is_empty();
+            out.struck.extend(struck.into_iter().map(|(f, pixel)| (pixel, start + f)));
+        }
     }
 
     /// The frame of a block that lies far from the others, unless a few struck samples make it so; those of a block without such a frame
@@ -559,10 +567,14 @@ pub fn read(
             progress(seen, of);
         }
         let struck = sums.struck();
-        if !reader.clean || struck.is_empty() || outliers::are_rays(&struck, samples) {
+        if !reader.clean
+            || struck.is_empty()
+            || outliers::are_rays(&struck, samples, (shape.0 * shape.1) as f64)
+        {
             break sums;
         }
         // The same pixels again and again: that is the sensor, and all of it is looked at.
+        tracing::debug!("{} samples stand far off, often the same: they belong to the sensor", struck.len());
         reader.clean = false;
     };
     drop(reader);

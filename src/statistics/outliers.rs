@@ -15,6 +15,8 @@ const FAR: f64 = 12.0;
 const STRUCK: f32 = 8.0;
 /// The same for neighbours of one: charge of a ray spreads.
 const BESIDE: f32 = 4.0;
+/// The same over the noise of the pixel's own other frames, which two or three of them tell to a factor of two.
+const OF_OWN: f32 = 4.0;
 /// Frames that are compared with each other.
 pub const BLOCK: usize = 8;
 /// Frames from which on they are compared.
@@ -172,63 +174,176 @@ impl Usual {
     }
 }
 
-/// Replaces samples that stand far above the same pixel in the block's other frames by the mean of those; says which (frame, pixel).
-pub fn take_struck(block: &mut [Array2<u16>]) -> Vec<(usize, usize)> {
+/// A sample that stands far off the same pixel in the other frames of a block.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Struck {
+    /// Its frame in the block.
+    pub frame: usize,
+    /// Its pixel.
+    pub pixel: usize,
+    /// Usual code of the pixel.
+    pub usual_dn: u16,
+    /// Whether it is the centre, and not a neighbour that has part of the charge.
+    pub centre: bool,
+}
+
+/// Samples that stand far above or below the same pixel in the block's other frames: cosmic rays, and bits that a
+/// link turned over. Of two frames the one that stands off its neighbours too.
+pub fn struck<F: Borrow<Array2<u16>>>(block: &[F]) -> Vec<Struck> {
     let n = block.len();
-    let Some(pixels) = block.first().map(Array2::len).filter(|p| n >= FEWEST && *p > 0) else {
+    let frames: Vec<&[u16]> = block.iter().filter_map(|f| f.borrow().as_slice()).collect();
+    let Some(pixels) = frames.first().map(|f| f.len()).filter(|p| n >= 2 && frames.len() == n && *p > 0)
+    else {
         return Vec::new();
     };
-    let columns = block[0].ncols();
-    let (mut most, mut sum) = (vec![0u16; pixels], vec![0u32; pixels]);
-    for frame in block.iter() {
-        let Some(frame) = frame.as_slice() else { return Vec::new() };
-        for ((m, s), v) in most.iter_mut().zip(&mut sum).zip(frame) {
+    let columns = block[0].borrow().ncols();
+    let (mut least, mut most, mut sum) = (vec![u16::MAX; pixels], vec![0u16; pixels], vec![0u32; pixels]);
+    for frame in &frames {
+        for (((l, m), s), v) in least.iter_mut().zip(&mut most).zip(&mut sum).zip(*frame) {
+            *l = (*l).min(*v);
             *m = (*m).max(*v);
             *s += u32::from(*v);
         }
     }
-    let others = |i: usize| (sum[i] - u32::from(most[i])) as f32 / (n - 1) as f32;
-    // The largest of n normal numbers lies some 1.3 to 1.5 deviations above that of the others, for 3 to 8 of them, and hardly
-    // scatters by its median over the pixels.
+    let others = |i: usize, extreme: u16| (sum[i] - u32::from(extreme)) as f32 / (n - 1) as f32;
+    // The largest of n normal numbers lies some 1.3 to 1.5 deviations above the mean of the others, for 3 to 8 of
+    // them, and hardly scatters by its median over the pixels; of two it lies 0.95 above the other.
     let step = (pixels / 4096).max(1);
-    let usual = median((0..pixels).step_by(step).map(|i| f64::from(f32::from(most[i]) - others(i)))) as f32;
-    // Three frames of narrow noise on coarse codes differ by whole steps.
-    let noise = (usual / 1.4).max(if n < 4 { 2.0 } else { 0.5 });
-    let level = median((0..pixels).step_by(step).map(|i| f64::from(others(i)))) as f32;
+    let usual = median((0..pixels).step_by(step).map(|i| f64::from(f32::from(most[i]) - others(i, most[i]))));
+    let level = median((0..pixels).step_by(step).map(|i| f64::from(others(i, most[i])))) as f32;
+    // Frames of narrow noise on coarse codes differ by whole steps, of three frames by several.
+    let ranges = (0..pixels).map(|i| most[i] - least[i]);
+    let step_dn = f32::from(ranges.filter(|range| *range > 0).min().unwrap_or(1));
+    let floor = step_dn * if n < 4 { 2.0 } else { 0.5 };
+    let noise = (usual as f32 / if n < 3 { 0.95 } else { 1.4 }).max(floor);
     // Hot pixels have more shot noise: of the square root of their charge, which lies below their level in DN.
-    let limit = |i: usize| {
-        let more = (others(i) - level).max(0.0);
+    let limit = |level_dn: f32| {
+        let more = (level_dn - level).max(0.0);
         noise * (1.0 + more / (noise * noise)).sqrt()
     };
-    let mut out = Vec::new();
-    for i in (0..pixels).filter(|&i| f32::from(most[i]) - others(i) > STRUCK * limit(i)) {
-        let Some(f) = block.iter().position(|b| b.as_slice().is_some_and(|b| b[i] == most[i])) else {
+    let far = |i: usize| {
+        let (above, below) = (others(i, most[i]), others(i, least[i]));
+        f32::from(most[i]) - above > STRUCK * limit(above)
+            || below - f32::from(least[i]) > STRUCK * limit(below)
+    };
+    let mut out: Vec<Struck> = Vec::new();
+    for i in (0..pixels).filter(|&i| far(i)) {
+        let usual_dn = usual_of(&frames, i, columns);
+        let off = |f: usize| (f32::from(frames[f][i]) - f32::from(usual_dn)).abs();
+        let of_frames = (0..n).filter(|&f| off(f) > STRUCK * limit(f32::from(usual_dn)));
+        // What half of the frames have is no chance.
+        let hit: Vec<usize> = of_frames.collect();
+        if 2 * hit.len() >= n && n > 2 {
             continue;
-        };
-        let (y, x) = (i / columns, i % columns);
-        for yy in y.saturating_sub(1)..=(y + 1).min(pixels / columns - 1) {
-            for xx in x.saturating_sub(1)..=(x + 1).min(columns - 1) {
-                let at = yy * columns + xx;
-                let rest =
-                    block.iter().enumerate().filter(|(g, _)| *g != f).map(|(_, b)| f32::from(b[(yy, xx)]));
-                let mean = rest.sum::<f32>() / (n - 1) as f32;
-                let off = f32::from(block[f][(yy, xx)]) - mean;
-                if at == i || off > BESIDE * limit(at) {
-                    block[f][(yy, xx)] = mean.round() as u16;
-                }
-            }
         }
-        out.push((f, i));
+        // A pixel that is noisier than others has as much in its other frames.
+        let own = own_noise((0..n).filter(|f| !hit.contains(f)).map(|f| f32::from(frames[f][i])));
+        for frame in hit.into_iter().filter(|&f| off(f) > OF_OWN * own) {
+            out.push(Struck { frame, pixel: i, usual_dn, centre: true });
+            beside(&frames, frame, i, columns, &limit, &mut out);
+        }
     }
     out
 }
 
-/// Whether struck samples lie anywhere, as rays do, and not in the same pixels again, as pixels that blink do.
-pub fn are_rays(pixels: &[usize], samples: f64) -> bool {
-    let mut sorted = pixels.to_vec();
+/// Standard deviation of a few values by their range (Tippett 1925); 0 of a single one.
+fn own_noise(values: impl Iterator<Item = f32>) -> f32 {
+    /// Mean range of 2 to 8 normal numbers in standard deviations.
+    const RANGE: [f32; 7] = [1.128, 1.693, 2.059, 2.326, 2.534, 2.704, 2.847];
+    let (mut n, mut least, mut most) = (0usize, f32::INFINITY, 0f32);
+    for v in values {
+        (n, least, most) = (n + 1, least.min(v), most.max(v));
+    }
+    if n < 2 { 0.0 } else { (most - least) / RANGE[(n - 2).min(RANGE.len() - 1)] }
+}
+
+/// Neighbours that have part of a ray's charge.
+fn beside(
+    frames: &[&[u16]],
+    frame: usize,
+    pixel: usize,
+    columns: usize,
+    limit: &dyn Fn(f32) -> f32,
+    out: &mut Vec<Struck>,
+) {
+    let (n, rows) = (frames.len(), frames[frame].len() / columns);
+    let (y, x) = (pixel / columns, pixel % columns);
+    for yy in y.saturating_sub(1)..=(y + 1).min(rows - 1) {
+        for xx in x.saturating_sub(1)..=(x + 1).min(columns - 1) {
+            let at = yy * columns + xx;
+            // Not their mean: another of them may be struck there too.
+            let mut rest: Vec<u16> = (0..n).filter(|g| *g != frame).map(|g| frames[g][at]).collect();
+            rest.sort_unstable();
+            let usual_dn = rest[(rest.len() - 1) / 2];
+            let usual = f32::from(usual_dn);
+            if at != pixel && f32::from(frames[frame][at]) - usual > BESIDE * limit(usual) {
+                out.push(Struck { frame, pixel: at, usual_dn, centre: false });
+            }
+        }
+    }
+}
+
+/// Usual code of a pixel: the median over the frames; of two frames the one nearer to the median of the neighbours.
+fn usual_of(frames: &[&[u16]], pixel: usize, columns: usize) -> u16 {
+    let mut own: Vec<u16> = frames.iter().map(|f| f[pixel]).collect();
+    own.sort_unstable();
+    if let [a, b] = own[..] {
+        let (rows, y, x) = (frames[0].len() / columns, pixel / columns, pixel % columns);
+        let mut near: Vec<u16> = Vec::new();
+        for yy in y.saturating_sub(1)..=(y + 1).min(rows - 1) {
+            for xx in x.saturating_sub(1)..=(x + 1).min(columns - 1) {
+                if (yy, xx) != (y, x) {
+                    near.extend(frames.iter().map(|f| f[yy * columns + xx]));
+                }
+            }
+        }
+        near.sort_unstable();
+        let middle = near.get(near.len() / 2).copied().unwrap_or(a);
+        return if a.abs_diff(middle) <= b.abs_diff(middle) { a } else { b };
+    }
+    own[(own.len() - 1) / 2]
+}
+
+/// Replaces the samples of [`struck`]; says which (frame, pixel) are centres.
+pub fn take_struck(block: &mut [Array2<u16>]) -> Vec<(usize, usize)> {
+    let found = struck(block);
+    for s in &found {
+        if let Some(v) = block[s.frame].as_slice_mut().and_then(|b| b.get_mut(s.pixel)) {
+            *v = s.usual_dn;
+        }
+    }
+    found.iter().filter(|s| s.centre).map(|s| (s.frame, s.pixel)).collect()
+}
+
+/// A block without struck samples, where these are few enough to be chance.
+pub fn without_struck(block: &[std::sync::Arc<Array2<u16>>]) -> Vec<std::sync::Arc<Array2<u16>>> {
+    let found = struck(block);
+    let pixels: Vec<usize> = found.iter().filter(|s| s.centre).map(|s| s.pixel).collect();
+    let mut out = block.to_vec();
+    if found.is_empty() {
+        return out;
+    }
+    let samples = block.iter().map(|f| f.len()).sum::<usize>() as f64;
+    if !are_rays(&pixels, samples, block[0].len() as f64) {
+        return out;
+    }
+    for s in found {
+        if let Some(v) = std::sync::Arc::make_mut(&mut out[s.frame]).as_slice_mut() {
+            v[s.pixel] = s.usual_dn;
+        }
+    }
+    out
+}
+
+/// Whether struck samples lie anywhere, as rays do, and not in the same pixels again, as pixels that blink do:
+/// of `n` samples in `pixels` pixels some hit a pixel again by chance.
+pub fn are_rays(hit: &[usize], samples: f64, pixels: f64) -> bool {
+    let mut sorted = hit.to_vec();
     sorted.sort_unstable();
-    let again = sorted.windows(2).filter(|w| w[0] == w[1]).count();
-    again * 10 <= pixels.len() && (pixels.len() as f64) < 2e-3 * samples
+    let again = sorted.windows(2).filter(|w| w[0] == w[1]).count() as f64;
+    let n = hit.len() as f64;
+    let by_chance = n - pixels * (1.0 - (-n / pixels.max(1.0)).exp());
+    again <= 0.1 * n + by_chance + 3.0 * by_chance.sqrt() && n < 2e-3 * samples
 }
 
 #[cfg(test)]
@@ -254,8 +369,19 @@ mod tests {
         let mut hit = block(1);
         hit[3][(10, 20)] += 400;
         hit[3][(10, 21)] += 60;
+        // A bit that a link turned over, and two such in one pixel.
+        (hit[5][(30, 30)], hit[1][(40, 7)], hit[6][(40, 7)]) = (0, 65535, 65535);
         let before = block(1);
-        assert_eq!(take_struck(&mut hit), [(3, 10 * 64 + 20)]);
+        let found = take_struck(&mut hit);
+        assert_eq!(found, [(3, 10 * 64 + 20), (5, 30 * 64 + 30), (1, 40 * 64 + 7), (6, 40 * 64 + 7)]);
+        assert!(hit[5][(30, 30)].abs_diff(1030) < 40 && hit[1][(40, 7)].abs_diff(1007) < 40);
+        // Of two frames the one that differs from its neighbours.
+        for seed in 0..20 {
+            assert!(take_struck(&mut block(seed)[..2]).is_empty(), "seed {seed}");
+        }
+        let mut pair = block(2);
+        pair[1][(12, 12)] = 0;
+        assert_eq!(take_struck(&mut pair[..2]), [(1, 12 * 64 + 12)]);
         assert!(hit[3][(10, 20)].abs_diff(1020) < 30 && hit[3][(10, 21)] < before[3][(10, 21)] + 30);
     }
 
