@@ -297,8 +297,9 @@ impl Model {
     ///
     /// # Errors
     ///
-    /// Where a value cannot be written as TOML.
+    /// Which value is out of its bounds: what is written can be read.
     pub fn to_toml(&self) -> Result<String, ModelError> {
+        self.check()?;
         toml::to_string(self).map_err(|e| ModelError::Syntax(e.to_string()))
     }
 
