@@ -5,7 +5,7 @@ use crate::normal::upper;
 use crate::quantize::{NODES, reaches_zero, rounded, rounded_from_zero, rounded_unlike};
 
 pub use crate::normal::{NORMAL, PLACES};
-pub use crate::spectrum::{Filter, GRID, HALF, LAGS, LineNoise, Ripple, Spectrum, angle};
+pub use crate::spectrum::{Filter, GRID, HALF, LAGS, LineNoise, Ripple, Spectrum, angle, cosine_power};
 
 /// A frame of a campaign.
 #[derive(Debug, Clone, Copy, PartialEq)]

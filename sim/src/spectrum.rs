@@ -322,6 +322,54 @@ impl Ripple {
             }
         }
     }
+    /// Variance of its mean product with the cosine of `halves` half turns over so many rows (of mean square 1), over
+    /// that of a row.
+    ///
+    /// Cosines d rows apart have the sum of products (rows - d) cos(d a) - sin(d a) / sin a, a = pi halves / rows.
+    pub fn with_cosine(&self, halves: u32, rows: f64) -> f64 {
+        let a = std::f64::consts::PI * f64::from(halves) / rows;
+        match *self {
+            Self::Sine(cycles) => {
+                let turn = std::f64::consts::TAU * cycles;
+                cosine_power(halves, rows, turn)
+            }
+            Self::Wander(next) => {
+                // Sums of z^d and of (rows - d) z^d with z = next e^(i a), as (real, imaginary).
+                let next = next.clamp(1e-12, 1.0 - 1e-9);
+                let z = (next * libm::cos(a), next * libm::sin(a));
+                let end = power(next, rows);
+                let end = (end * libm::cos(a * rows), end * libm::sin(a * rows));
+                let less = (1.0 - z.0, -z.1);
+                // The sum of z^d from 1 to rows - 1, and rows - z (1 - z^rows) / (1 - z), over 1 - z, less rows.
+                let series = over(times(z, (1.0 - end.0, -end.1)), less);
+                let sines = over((z.0 - end.0, z.1 - end.1), less).1;
+                let cosines = over((rows - series.0, -series.1), less).0 - rows;
+                (rows + 2.0 * (cosines - sines / libm::sin(a))) / (rows * rows)
+            }
+        }
+    }
+}
+
+/// Mean square of the product of a sine of this turn per line and of any phase with the cosine of so many half
+/// turns over all lines (of mean square 1), over that of the sine.
+pub fn cosine_power(halves: u32, lines: f64, turn: f64) -> f64 {
+    let a = std::f64::consts::PI * f64::from(halves) / lines;
+    // Sum of e^(i t y) over all lines, its phase at the middle taken off (Dirichlet's kernel).
+    let sum = |t: f64| {
+        let half = libm::sin(0.5 * t);
+        if half.abs() < 1e-9 { lines } else { libm::sin(0.5 * lines * t) / half }
+    };
+    let sign = if halves.is_multiple_of(2) { 1.0 } else { -1.0 };
+    0.5 * ((sum(turn + a) + sign * sum(turn - a)) / lines).powi(2)
+}
+
+fn times(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
+    (a.0 * b.0 - a.1 * b.1, a.0 * b.1 + a.1 * b.0)
+}
+
+fn over(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
+    let square = b.0 * b.0 + b.1 * b.1;
+    ((a.0 * b.0 + a.1 * b.1) / square, (a.1 * b.0 - a.0 * b.1) / square)
 }
 
 /// A number of at least 0 to the power of a whole number of rows, by squaring: a fit asks for it some million times.
@@ -347,6 +395,28 @@ mod tests {
             for rows in [0u32, 1, 2, 3, 64, 479, 65_535] {
                 let (found, exact) = (power(of, f64::from(rows)), libm::pow(of, f64::from(rows)));
                 assert!((found - exact).abs() <= 1e-10 * exact, "{of}^{rows}: {found}, not {exact}");
+            }
+        }
+    }
+
+    /// Products with cosines against sums over all pairs of rows.
+    #[test]
+    fn products_with_cosines_are_those_of_the_sums() {
+        for rows in [16u32, 97] {
+            for halves in [1u32, 2] {
+                let at = |y: u32| {
+                    let turn = std::f64::consts::PI * f64::from(halves) / f64::from(rows);
+                    std::f64::consts::SQRT_2 * (turn * (f64::from(y) + 0.5)).cos()
+                };
+                for ripple in
+                    [0.013, 0.2].map(Ripple::Sine).into_iter().chain([0.3, 0.999].map(Ripple::Wander))
+                {
+                    let of = |y: u32, z: u32| at(y) * at(z) * ripple.correlation(f64::from(y.abs_diff(z)));
+                    let all = (0..rows).flat_map(|y| (0..rows).map(move |z| (y, z)));
+                    let exact = all.map(|(y, z)| of(y, z)).sum::<f64>() / f64::from(rows * rows);
+                    let found = ripple.with_cosine(halves, f64::from(rows));
+                    assert!((found - exact).abs() < 1e-9, "{ripple:?} {halves} {rows}: {found}, not {exact}");
+                }
             }
         }
     }

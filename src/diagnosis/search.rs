@@ -174,8 +174,9 @@ impl Look<'_> {
         let promising = |effect: &&'static dyn Effect| {
             let mut hinted = effect.starts(&seen);
             if let Some(first) = &first_seen {
-                hinted.extend(effect.starts(first));
-                hinted.dedup();
+                let fresh: Vec<Vec<f64>> =
+                    effect.starts(first).into_iter().filter(|s| !hinted.contains(s)).collect();
+                hinted.extend(fresh);
             }
             let starts = screen.starts(*effect, &[], &hinted);
             Some(Promising { gain: starts.first()?.gain, effect: *effect, starts })

@@ -75,6 +75,62 @@ fn together(sets: &[(&[f64], f64)]) -> Option<(f64, f64)> {
     Some((sum / variance.sqrt(), middle))
 }
 
+/// Chance of a share as large as that of the best sine through the frames of all sets, in the order in which they
+/// were taken, and its period in frames. Each set is (frame means, part of its variance that the effect claims, expected
+/// standard deviation, place of its first frame); means of sets
+/// are taken off the frames and off the sines (Lomb 1976; Scargle 1982), and of n degrees of freedom a sine of a
+/// given frequency explains the share s by chance in (1 - s)^((n - 2) / 2).
+fn rhythm(sets: &[(&[f64], f64, f64, usize)]) -> Option<(f64, f64)> {
+    let used = || sets.iter().filter(|s| s.0.len() > 1 && s.1 > CLAIMED && s.2 > 0.0);
+    let (mut values, mut places, mut of) = (Vec::new(), Vec::new(), Vec::new());
+    for (set, (means, _, deviation, first)) in used().enumerate() {
+        let n = means.len() as f64;
+        let mean = means.iter().sum::<f64>() / n;
+        for (k, m) in means.iter().enumerate() {
+            values.push((m - mean) / deviation);
+            places.push((first + k) as f64);
+            of.push(set);
+        }
+    }
+    let (n, count) = (values.len(), used().count());
+    let dof = n.checked_sub(count + 2).filter(|dof| *dof >= FEWEST)? as f64;
+    let sizes: Vec<f64> = used().map(|s| s.0.len() as f64).collect();
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let centred = |mut wave: Vec<f64>| {
+        let mut sums = vec![0.0; count];
+        wave.iter().zip(&of).for_each(|(w, set)| sums[*set] += w);
+        wave.iter_mut().zip(&of).for_each(|(w, set)| *w -= sums[*set] / sizes[*set]);
+        wave
+    };
+    let all = dot(&values, &values);
+    let length = places.last()? - places[0] + 1.0;
+    let share = |frequency: f64| {
+        let wave = |of: fn(f64) -> f64| centred(places.iter().map(|at| of(TAU * frequency * at)).collect());
+        let (u, mut v) = (wave(f64::cos), wave(f64::sin));
+        let square = dot(&u, &u).max(1e-9);
+        let along = dot(&u, &v) / square;
+        v.iter_mut().zip(&u).for_each(|(v, u)| *v -= along * u);
+        let rest = dot(&v, &v);
+        let of_rest = if rest > 1e-6 * n as f64 { dot(&v, &values).powi(2) / rest } else { 0.0 };
+        (dot(&u, &values).powi(2) / square + of_rest) / all
+    };
+    // Periods from two frames to twenty; a campaign of n frames resolves steps of 1 / n, and has so many independent
+    // frequencies.
+    let steps = (2.0 * length.min(MOST_STEPS)) as usize;
+    let frequency = |k: usize| 0.05 + 0.45 * k as f64 / steps as f64;
+    let shares = (0..=steps).map(|k| (share(frequency(k)), frequency(k)));
+    let (best, at) = shares.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|s| s.0.is_finite())?;
+    let one = 0.5 * dof * (1.0 - best.min(1.0 - 1e-12)).ln();
+    Some(((one.exp() * 0.5 * steps as f64).min(1.0), 1.0 / at))
+}
+
+/// Part of a set's scatter that an effect must claim for its frames to tell of it (a named choice).
+const CLAIMED: f64 = 0.3;
+/// Most frequencies that are tried.
+const MOST_STEPS: f64 = 2000.0;
+/// Chance below which frames that scatter one by one have no rhythm: as [`SWINGS`].
+const NO_RHYTHM: f64 = 1e-3;
+
 /// Standardised excess of the first frame's share of the variance. Of n independent frames, one frame's share
 /// times n / (n - 1) is beta-distributed with 1 / 2 and (n - 2) / 2 (Cochran 1934).
 fn first_frames(sets: &[(&[f64], f64)]) -> f64 {
@@ -123,6 +179,13 @@ pub fn in_turns(all: &Observations, part: &Part, whole: &Fitted) -> Option<Strin
     let (first, alike) = (first_frames(&sets), alike(all, whole));
     tracing::debug!("frames: swing {z:.1} at {frequency:.3} cycles, first {first:.1}, sets {alike:.1}");
     let period = 1.0 / frequency.max(1.0 / 32.0);
+    if let Some((chance, period)) =
+        rhythm(&in_order(all, &sets, |set| prediction.sets.get(set).map_or(0.0, |s| s.common.sqrt())))
+            .filter(|r| r.0 < NO_RHYTHM)
+    {
+        tracing::debug!("frames: rhythm of {period:.2} frames, chance {chance:.1e}");
+        return Some(format!("its frames repeat once in {period:.1} frames through the whole campaign"));
+    }
     let why = [
         (
             z,
@@ -135,6 +198,24 @@ pub fn in_turns(all: &Observations, part: &Part, whole: &Fitted) -> Option<Strin
         (alike, "its level moves from set to set more than from frame to frame".to_string()),
     ];
     why.into_iter().find(|(z, _)| *z > SWINGS).map(|(_, why)| why)
+}
+
+/// Sets with the expected deviation of the frames of each and the place of the first in the campaign.
+fn in_order<'s>(
+    all: &Observations,
+    sets: &[(&'s [f64], f64)],
+    deviation: impl Fn(usize) -> f64,
+) -> Vec<(&'s [f64], f64, f64, usize)> {
+    let mut first = vec![None; sets.len()];
+    for (place, frame) in all.campaign.frames.iter().enumerate() {
+        if let Some(slot) = first.get_mut(frame.set) {
+            slot.get_or_insert(place);
+        }
+    }
+    let of = |(set, (&(means, part), first)): (usize, (&(&'s [f64], f64), Option<usize>))| {
+        Some((means, part, deviation(set), first?))
+    };
+    sets.iter().zip(first).enumerate().filter_map(of).collect()
 }
 
 #[cfg(test)]
@@ -171,5 +252,21 @@ mod tests {
         assert!(first_frames(&settles.iter().map(|s| (&s[..], 1.0)).collect::<Vec<_>>()) > SWINGS);
         let single = of(0, &|s, f, r| if f == s % 8 { 9.0 } else { 0.1 * r.normal() });
         assert!(single.0 < -SWINGS, "{single:?}");
+    }
+    /// Of 300 campaigns of twelve sets of six frames with independent frames at most one has a rhythm; a sawtooth
+    /// of 7.3 frames under noise of a third of its deviation has it.
+    #[test]
+    fn a_rhythm_through_the_campaign_is_told_from_independent_frames() {
+        let of = |campaign: u32, frame: &dyn Fn(usize, &mut PixelRng) -> f64| {
+            let mut random = PixelRng::new(6, Stream::Effect, 0, campaign, 0);
+            let sets: Vec<Vec<f64>> =
+                (0..12).map(|s| (0..6).map(|f| frame(6 * s + f, &mut random)).collect()).collect();
+            let sets: Vec<_> = sets.iter().enumerate().map(|(s, m)| (&m[..], 1.0, 1.0, 6 * s)).collect();
+            rhythm(&sets).unwrap()
+        };
+        let found = (0..300).filter(|c| of(*c, &|_, r| r.normal()).0 < NO_RHYTHM).count();
+        assert!(found <= 1, "{found}");
+        let saw = of(0, &|k, r| (k as f64 / 7.3).fract() + 0.1 * r.normal());
+        assert!(saw.0 < NO_RHYTHM && (saw.1 - 7.3).abs() < 0.3, "{saw:?}");
     }
 }

@@ -45,6 +45,11 @@ impl std::fmt::Debug for Fitted {
 }
 
 impl Fitted {
+    /// Light levels of which nothing is known but what they do to the means.
+    pub(crate) fn open_lights(&self) -> usize {
+        self.free.lights.iter().filter(|light| light.known.is_none()).count()
+    }
+
     /// The prediction for all sets.
     pub fn predict(&self, all: &Observations) -> Prediction {
         let list: Vec<(&dyn Effect, &[f64])> = self.effects.iter().map(|(e, p)| (*e, p.as_slice())).collect();
@@ -210,6 +215,7 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
     let frames = &all.campaign.frames;
     let lit = all.campaign.sets.iter().filter(|s| s.light.is_some());
     let duration_s = frames.last().map_or(0.0, |l| l.time_s - frames[0].time_s);
+    let flat_sets = all.kinds.iter().filter(|kind| **kind == crate::dataset::Kind::Flat).count();
     Seen {
         peak_e: peak_dn / base.gain_dn_per_e,
         peak_dn,
@@ -221,6 +227,8 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
         rows: all.campaign.shape.0 as f64,
         columns: all.campaign.shape.1 as f64,
         means: !all.means_given && lit_levels(all) >= FEWEST_LEVELS,
+        lit_levels: if all.means_given { flat_sets } else { lit_levels(all) },
+        flat_sets,
         dark_noise_dn: base.read_noise_e * base.gain_dn_per_e,
         line_cycles_per_px: all.campaign.line_cycles_per_px,
         column_cycles: all.column_cycles.first().copied(),

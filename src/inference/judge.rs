@@ -188,7 +188,7 @@ const OPEN: (f64, f64) = (0.25, 0.05);
 
 impl<'a> Unseen<'a> {
     fn new(all: &'a Observations, fitted: &'a Fitted, half: Half) -> Self {
-        let layout = Layout::new(all, &[half.other()], fitted.free.effects.iter());
+        let layout = Layout::to_judge(all, half.other(), fitted.free.effects.iter());
         let state = layout.at(&fitted.free, &fitted.point);
         // Slopes that only served the fit would not do, but where it is so far off that errors of what was fitted hardly count.
         let served = Some(&*fitted.slopes).filter(|_| fitted.mean_square > FAR_SQUARE);

@@ -30,6 +30,8 @@ pub struct Layout<'a> {
     /// Their places in [`Observations::list`].
     pub(super) places: Vec<usize>,
     halves: Vec<Half>,
+    /// Whether those that only judge take part.
+    judges: bool,
     /// Rows that see the light of one setting of it, and its place.
     pub(super) blocks: Vec<(usize, Vec<usize>)>,
     /// Place of the setting of every set's light.
@@ -38,12 +40,34 @@ pub struct Layout<'a> {
     pub(super) chunks: Vec<Vec<usize>>,
 }
 
+fn takes_part(o: &Observable, halves: &[Half], judges: bool) -> bool {
+    halves.contains(&o.half) && (judges || !o.statistic.only_judges())
+}
+
 impl<'a> Layout<'a> {
-    /// Of these halves, under a model with these effects.
+    /// For a fit to these halves, under a model with these effects.
     pub fn new<'e>(
         all: &'a Observations,
         halves: &[Half],
+        effects: impl Iterator<Item = &'e &'static dyn effects::Effect>,
+    ) -> Self {
+        Self::of(all, halves, effects, false)
+    }
+
+    /// For a judgement by this half: with the statistics that no fit follows.
+    pub fn to_judge<'e>(
+        all: &'a Observations,
+        half: Half,
+        effects: impl Iterator<Item = &'e &'static dyn effects::Effect>,
+    ) -> Self {
+        Self::of(all, &[half], effects, true)
+    }
+
+    fn of<'e>(
+        all: &'a Observations,
+        halves: &[Half],
         mut effects: impl Iterator<Item = &'e &'static dyn effects::Effect>,
+        judges: bool,
     ) -> Self {
         let settings = if effects.any(|e| e.sets_each()) {
             (0..all.campaign.sets.len()).collect()
@@ -51,7 +75,7 @@ impl<'a> Layout<'a> {
             all.light_settings.clone()
         };
         let (places, rows): (Vec<usize>, Vec<&Observable>) =
-            all.list.iter().enumerate().filter(|(_, o)| halves.contains(&o.half)).unzip();
+            all.list.iter().enumerate().filter(|(_, o)| takes_part(o, halves, judges)).unzip();
         let mut blocks: Vec<(usize, Vec<usize>)> = Vec::new();
         let mut place: Vec<Option<usize>> = vec![None; all.campaign.sets.len()];
         for (i, o) in rows.iter().enumerate() {
@@ -73,7 +97,7 @@ impl<'a> Layout<'a> {
             chunks.entry((o.set, o.frames)).or_default().push(i);
         }
         let chunks = chunks.into_values().collect();
-        Self { all, rows, places, halves: halves.to_vec(), blocks, chunks, settings }
+        Self { all, rows, places, halves: halves.to_vec(), judges, blocks, chunks, settings }
     }
 
     /// Place of the setting of a set's light: sets that follow one another under the same light share it.
@@ -83,7 +107,7 @@ impl<'a> Layout<'a> {
 
     /// What a prediction expects of them.
     pub fn state(&self, prediction: &Prediction) -> State {
-        let expected = expectations(self.all, prediction, |h| self.halves.contains(&h));
+        let expected = expectations(self.all, prediction, |o| takes_part(o, &self.halves, self.judges));
         let of_first =
             |rows: &[usize]| self.rows[rows[0]].set.map_or(0.0, |set| prediction.sets[set].setting);
         let setting = self.blocks.iter().map(|(_, rows)| of_first(rows)).collect();

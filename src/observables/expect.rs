@@ -1,6 +1,6 @@
 //! What a prediction says of observables, in the space in which their noise is normal.
 
-use super::{Half, Observable, Observations};
+use super::{Observable, Observations};
 use crate::statistics::steady::PixelNoise;
 use radcam_sim::predict::{LAGS, Prediction, Ripple, SetPrediction};
 use std::cell::OnceCell;
@@ -529,12 +529,12 @@ type Place = (Option<usize>, (usize, usize));
 pub fn expectations(
     all: &Observations,
     prediction: &Prediction,
-    wanted: impl Fn(Half) -> bool,
+    wanted: impl Fn(&Observable) -> bool,
 ) -> Vec<Expected> {
     let mut out = Vec::with_capacity(all.list.len());
     let whole = Whole::of(prediction);
     let (mut last, mut lags): (Option<(Place, View<'_>)>, _) = (None, (None, Lags::default()));
-    for o in all.list.iter().filter(|o| wanted(o.half)) {
+    for o in all.list.iter().filter(|o| wanted(o)) {
         let key = (o.set, o.frames);
         if last.as_ref().is_none_or(|(k, _)| *k != key) {
             if let Some(s) = o.set.filter(|s| lags.0 != Some(*s)).and_then(|s| prediction.sets.get(s)) {

@@ -2,6 +2,7 @@
 //! show it. What scatters with the light of whole frames does so in proportion to it: a dark corner flickers
 //! less.
 
+use super::gradient;
 use crate::statistics::pass::Summary;
 
 /// Means of rows, and of columns, this far apart are compared.
@@ -22,6 +23,8 @@ pub struct Field {
     pub row_lags: [f64; LINE_LAGS.len()],
     /// Products of the means of columns as far apart.
     pub column_lags: [f64; LINE_LAGS.len()],
+    /// Mean products with the shapes of [`gradient`](super::gradient), in its order.
+    pub shapes: [f64; 4],
     /// Squares of the differences of the halves: lower less upper, right less left.
     pub halves: [f64; 2],
 }
@@ -51,8 +54,16 @@ impl Field {
         };
         let (of_rows, of_columns) = (product(&rows, &rows), product(&columns, &columns));
         let pixels = s.spatial_var_dn2.max(0.0) / (signal * signal);
+        let shape = |lines: &[f64], halves: u32| gradient::product(lines.iter().copied(), halves);
+        let [gradient, curvature] = gradient::HALF_TURNS;
         Self {
             pixels,
+            shapes: [
+                shape(&rows, gradient),
+                shape(&rows, curvature),
+                shape(&columns, gradient),
+                shape(&columns, curvature),
+            ],
             // Rows and columns tell nearly all of a smooth field.
             smooth: (of_rows + of_columns).min(pixels),
             rows: of_rows,

@@ -236,6 +236,11 @@ pub trait Statistic: Sync + std::fmt::Debug {
     fn sees_light(&self) -> bool {
         false
     }
+    /// Whether it judges models and is not followed by fits: where it deviates it says what a model is not, and
+    /// hardly what it is.
+    fn only_judges(&self) -> bool {
+        false
+    }
     /// How many sums over the frames it needs beside those that all share ([`Summary`]).
     fn sums(&self, _layout: &Layout) -> usize {
         0
@@ -290,6 +295,7 @@ statistics! {
     row_spectrum::RowSpectrum
     column_spectrum::ColumnSpectrum
     row_tails::RowTails
+    gradient::Gradient
     halves::Halves
     covariance::Covariance
     successive::Successive

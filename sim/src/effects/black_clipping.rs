@@ -66,7 +66,7 @@ impl Effect for BlackClipping {
             .collect()
     }
 
-    fn contradicted(&self, p: &[f64], seen: &Seen) -> Option<&'static str> {
+    fn contradicted(&self, p: &[f64], _: &[f64], seen: &Seen) -> Option<&'static str> {
         // To within rounding and what the black level is known to.
         if is_at_code_0(p) {
             return None;

@@ -31,7 +31,7 @@ impl Effect for ColumnNoise {
 
     /// Stripes move columns together.
     fn told_by(&self) -> &'static [&'static str] {
-        &["covariance of column means"]
+        &["covariance of column means", "variance of frame gradients"]
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {

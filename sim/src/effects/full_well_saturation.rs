@@ -71,6 +71,9 @@ impl Effect for FullWellSaturation {
 
     /// Near the brightest level.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        if seen.lit_levels < 3 {
+            return Vec::new();
+        }
         let hard = seen.near_peak().into_iter().map(|p| vec![p[FULL], 0.0, 0.0]);
         let soft = [(0.95, 0.1), (1.0, 0.2), (1.1, 0.25)];
         hard.chain(soft.map(|(part, softness)| vec![part * seen.peak_e.max(1.0), 1.0, softness])).collect()

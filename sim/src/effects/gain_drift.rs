@@ -1,6 +1,6 @@
 //! Gain drift: the amplifier's gain changes slowly.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
 /// A times 1 + rate * time.
 pub struct GainDrift;
@@ -23,6 +23,12 @@ impl Effect for GainDrift {
             max: 0.05,
             starts: &[1e-4, -1e-4],
         }]
+    }
+
+    /// Darks show the drift of their noise alone, and other things change that.
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        let starts = if seen.flat_sets < 2 { &[] } else { self.parameters()[0].starts };
+        starts.iter().map(|rate| vec![*rate]).collect()
     }
 
     /// One amplifier serves all pixels.

@@ -80,6 +80,9 @@ impl Held {
     }
 }
 
+/// Part of what the other kind of traps holds below which a kind holds nothing (a named choice).
+const NOTHING: f64 = 1e-3;
+
 impl Effect for ImageLag {
     fn id(&self) -> &'static str {
         "image-lag"
@@ -152,6 +155,11 @@ impl Effect for ImageLag {
 
     fn has_memory(&self) -> bool {
         true
+    }
+
+    /// Two kinds of traps of which one holds nothing are one kind.
+    fn is_another(&self, p: &[f64], _: &Seen) -> bool {
+        p[0].round() as i32 == 2 && p[1].min(p[3]) < NOTHING * p[1].max(p[3])
     }
 
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {

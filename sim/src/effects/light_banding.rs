@@ -125,7 +125,7 @@ impl Effect for LightBanding {
         }
     }
 
-    fn contradicted(&self, p: &[f64], seen: &Seen) -> Option<&'static str> {
+    fn contradicted(&self, p: &[f64], _: &[f64], seen: &Seen) -> Option<&'static str> {
         let (shortest_s, longest_s) = seen.lit_s;
         // Exposures that tell: the longest as long as half a ripple of a lamp, and one far shorter.
         let tells = longest_s * SLOWEST_HZ > 0.5 && shortest_s < 0.5 * longest_s;
@@ -137,7 +137,7 @@ impl Effect for LightBanding {
 
     /// A field that changes its shape moves columns too.
     fn told_by(&self) -> &'static [&'static str] {
-        &["covariance of column means", "variance of column means"]
+        &["covariance of column means", "variance of column means", "variance of frame gradients"]
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {

@@ -94,6 +94,10 @@ pub struct Seen {
     pub columns: f64,
     /// Curve of the means over the light: true where three levels or more are measured and their light is known.
     pub means: bool,
+    /// Levels of light whose noise is measured: a curve is drawn through three or more.
+    pub lit_levels: usize,
+    /// Flat sets: what changes with time shows between two or more.
+    pub flat_sets: usize,
     /// Noise of darks, DN.
     pub dark_noise_dn: f64,
     /// The strongest line in the spectrum of the noise in read-out order, cycles per pixel.
@@ -366,8 +370,9 @@ pub trait Effect: Sync + Send {
     fn is_another(&self, _p: &[f64], _seen: &Seen) -> bool {
         false
     }
-    /// What this campaign shows that it would not do at these values, although it may come near all that is fitted: its name does not stand then.
-    fn contradicted(&self, _p: &[f64], _seen: &Seen) -> Option<&'static str> {
+    /// What this campaign shows that it would not do at these values, with their standard errors, although it may
+    /// come near all that is fitted: its name does not stand then.
+    fn contradicted(&self, _p: &[f64], _std_err: &[f64], _seen: &Seen) -> Option<&'static str> {
         None
     }
     /// True for an effect that darks alone can show.
@@ -377,6 +382,10 @@ pub trait Effect: Sync + Send {
     /// True for an effect by which each set has a light of its own; else the light stays until another level is
     /// set.
     fn sets_each(&self) -> bool {
+        false
+    }
+    /// Whether it bends the mean over the light: where the light is known, noise alone does not tell it.
+    fn bends_means(&self) -> bool {
         false
     }
     /// The statistic that is its scatter itself: where less is measured than it would make it is not there,

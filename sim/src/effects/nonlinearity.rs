@@ -255,6 +255,9 @@ impl Effect for Nonlinearity {
             set.iter().for_each(|(i, v)| p[*i] = *v);
             p
         };
+        if seen.lit_levels < 3 {
+            return Vec::new();
+        }
         let mut out: Vec<Vec<f64>> = (0..3).map(|k| with(f64::from(k), &[(REL, 0.01)])).collect();
         if !seen.means {
             // The variance alone tells no more than one number of a bend.
@@ -286,6 +289,10 @@ impl Effect for Nonlinearity {
             8 => !(2.0 * seen.dark_noise_dn..=0.3 * seen.peak_dn).contains(&p[TOE + 1]),
             _ => false,
         }
+    }
+
+    fn bends_means(&self) -> bool {
+        true
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {

@@ -33,9 +33,10 @@ impl Effect for OffsetNoise {
         Some("variance of frame means")
     }
 
-    /// A light that blinks, or a level that wanders, runs from frame to frame.
+    /// A light that blinks, or a level that wanders, runs from frame to frame; a level that steps within a frame
+    /// tilts it.
     fn told_by(&self) -> &'static [&'static str] {
-        &["succession of frame means"]
+        &["succession of frame means", "variance of frame gradients"]
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {

@@ -10,6 +10,9 @@ fn cycles_per_row(p: &[f64], columns: usize) -> f64 {
     if p[3] >= 0.5 { 0.0 } else { p[1] * columns as f64 + p[2] }
 }
 
+/// Distance from half a cycle a pixel, in cycles a row, within which a line may lie at it (a named choice).
+const NEAR_HALF: f64 = 2.0;
+
 impl Effect for PeriodicInterference {
     fn id(&self) -> &'static str {
         "periodic-interference"
@@ -76,10 +79,13 @@ impl Effect for PeriodicInterference {
             vec![self.parameters()[0].starts[0], cycles_per_px.clamp(0.0, 0.5), blanking, shape]
         };
         let line = seen.line_cycles_per_px.into_iter();
+        // A clock of half the pixel rate: its line folds upon itself, and a fit from beside it ends beside it.
+        let half = line.clone().filter(|f| 0.5 - f < NEAR_HALF / columns);
+        let half = half.flat_map(|_| [0.0, 0.5].map(|blanking| start(0.5, blanking, 0.0)));
         let tooth =
             |f: f64| [0.0, -0.25, 0.25, -0.45, 0.45].map(|away| start(f + away / columns, -away, 0.0));
         let in_step = |f: f64| start(f, 0.0, 1.0);
-        line.flat_map(tooth).chain(seen.column_cycles.map(in_step)).collect()
+        line.flat_map(tooth).chain(half).chain(seen.column_cycles.map(in_step)).collect()
     }
 
     /// A camera whose rows follow one another at once.

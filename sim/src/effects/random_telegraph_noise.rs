@@ -89,7 +89,7 @@ impl Effect for RandomTelegraphNoise {
     }
 
     /// Deviations that hit any pixel are none of this, nor are parts of the sensor.
-    fn contradicted(&self, p: &[f64], seen: &Seen) -> Option<&'static str> {
+    fn contradicted(&self, p: &[f64], _: &[f64], seen: &Seen) -> Option<&'static str> {
         let gain = seen.peak_dn / seen.peak_e.max(1e-9);
         let stays = spread(p) * gain.powi(4);
         if let Some((found, std_err)) = seen.together_dn4

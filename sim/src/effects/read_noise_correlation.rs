@@ -44,6 +44,11 @@ impl Effect for ReadNoiseCorrelation {
         Some(if sign(p) > 0.0 { "with the same sign" } else { "with the opposite sign" })
     }
 
+    /// What grows with the light is no read noise.
+    fn told_by(&self) -> &'static [&'static str] {
+        &["covariance (0,1)"]
+    }
+
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.0, 0.4 * plain.noise_e])
     }
