@@ -17,12 +17,14 @@ use crate::dataset::{CameraInfo, Dataset, DatasetError, Kind, Set};
 use crate::noise::{Method, NoiseReport};
 use crate::statistics::lit::Lit;
 use crate::statistics::moments::Moments;
+use crate::statistics::outliers;
 use dark::{DarkError, DarkMean, DarkReference};
 use defects::Defect;
 use file::{Calibration, Description};
 use ndarray::{Array2, Zip, s};
 use pattern::{FixedPattern, Options, PatternError};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 /// How K is estimated from a dataset.
@@ -85,10 +87,14 @@ pub enum CalibrateError {
 fn average(dataset: &Dataset, sets: &[&Set]) -> Result<Moments, DatasetError> {
     let camera = &dataset.manifest().camera;
     let mut moments = Moments::new((camera.height, camera.width), camera.bit_depth);
-    for &row in sets.iter().flat_map(|s| &s.rows) {
-        let frame = dataset.read(&dataset.rows()[row])?;
-        // Its size was checked by the manifest.
-        let _ = moments.add(&[frame.as_slice().unwrap_or_default()]);
+    for rows in sets.iter().flat_map(|s| outliers::blocks(&s.rows)) {
+        let read = |row: &usize| dataset.read(&dataset.rows()[*row]).map(Arc::new);
+        let frames = rows.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+        // A cosmic ray in a dark is no dark current of its pixel.
+        let (frames, _) = outliers::without_struck(&frames);
+        // Their size was checked by the manifest.
+        let slices: Vec<&[u16]> = frames.iter().filter_map(|f| f.as_slice()).collect();
+        let _ = moments.add(&slices);
     }
     Ok(moments)
 }

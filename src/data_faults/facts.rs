@@ -120,9 +120,7 @@ fn in_blocks<'d>(
     set: &'d Set,
     stop: &'d AtomicBool,
 ) -> impl Iterator<Item = Result<Vec<(Arc<Array2<u16>>, Arc<Array2<u16>>)>, ExamineError>> + 'd {
-    // Blocks of a like size: a last one of a single frame has nothing to be compared with.
-    let count = set.rows.len().div_ceil(outliers::BLOCK).max(1);
-    set.rows.chunks(set.rows.len().div_ceil(count).max(1)).map(move |rows| {
+    outliers::blocks(&set.rows).map(move |rows| {
         let read = |row: &usize| {
             if stop.load(Ordering::Relaxed) {
                 return Err(ExamineError::Interrupted);
@@ -130,7 +128,7 @@ fn in_blocks<'d>(
             Ok(dataset.frame(&dataset.rows()[*row])?)
         };
         let sent = rows.iter().map(read).collect::<Result<Vec<_>, _>>()?;
-        let whole = outliers::without_struck(&sent);
+        let (whole, _) = outliers::without_struck(&sent);
         Ok(sent.into_iter().zip(whole).collect())
     })
 }

@@ -84,7 +84,7 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ExamineError> 
         sum.zip_mut_with(&*frame, |m, &d| *m += f32::from(d));
         block.push(frame);
     }
-    let block = outliers::without_struck(&block);
+    let (block, _) = outliers::without_struck(&block);
     if let [a, b, ..] = block.as_slice() {
         out.pair = Some(pair(a, b, full));
     }

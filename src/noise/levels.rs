@@ -8,9 +8,11 @@ use crate::fit::line::{fit, goodness};
 use crate::number::finite;
 use crate::reduction::Key;
 use crate::statistics::level::{Level, LevelAccumulator};
+use crate::statistics::outliers;
 use radcam_sim::rounded;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// One point of the photon-transfer plot.
@@ -201,12 +203,15 @@ pub(crate) fn level_of(
         level.reset();
     }
     // Eight frames at a time: one trip through memory, and no more of it for a long set.
-    for rows in set.rows.chunks(8) {
+    let mut struck = 0;
+    for rows in outliers::blocks(&set.rows) {
         if stop.load(Ordering::Relaxed) {
             return Err(NoiseError::Interrupted);
         }
-        let frames: Vec<_> =
-            rows.iter().map(|&i| dataset.read(&dataset.rows()[i])).collect::<Result<_, _>>()?;
+        let read = |i: &usize| dataset.read(&dataset.rows()[*i]).map(Arc::new);
+        let frames: Vec<_> = rows.iter().map(read).collect::<Result<_, _>>()?;
+        let (frames, hit) = outliers::without_struck(&frames);
+        struck += hit as u64;
         let slices: Vec<&[u16]> = frames.iter().filter_map(|f| f.as_slice()).collect();
         // Memory for what the frames are, not for what a damaged manifest says. Their sizes were checked by it
         // when they were read.
@@ -216,7 +221,8 @@ pub(crate) fn level_of(
         });
         let _ = level.add(&slices);
     }
-    Ok(memory.as_ref().and_then(LevelAccumulator::finish))
+    let level = memory.as_ref().and_then(LevelAccumulator::finish);
+    Ok(level.map(|level| Level { struck, ..level }))
 }
 
 /// The black level at zero exposure from the darks: their means extrapolated to no exposure.

@@ -345,6 +345,7 @@ pub fn of_dataset(
         ));
     }
     report.notes.extend(masked(&measured));
+    report.notes.extend(struck(&measured));
     report.notes.extend(temperature(&dataset));
     Ok(NoiseReport { data_faults: dataset.data_faults().to_vec(), ..report })
 }
@@ -356,6 +357,18 @@ fn masked(measured: &Measured) -> Option<String> {
     let share = crate::number::percent(n as f64 / (n + level.pixels) as f64);
     (n > 0)
         .then(|| format!("{n} pixels ({share}) are hot, clipped, jumping or interpolated, and are left out"))
+}
+
+/// Single samples that were left out, in words.
+fn struck(measured: &Measured) -> Option<String> {
+    let hit = measured.levels.iter().filter(|(.., level)| level.struck > 0).count();
+    let n: u64 = measured.levels.iter().map(|(.., level)| level.struck).sum();
+    (n > 0).then(|| {
+        format!(
+            "{n} single samples stand far off the same pixel in other frames (cosmic rays, bit errors) and are left out: in {hit} of {} sets",
+            measured.levels.len()
+        )
+    })
 }
 
 /// Range of the sensor's temperature from which on it is said, K: dark current doubles in some 7 K (a named

@@ -45,6 +45,9 @@ pub struct Level {
     /// Pixels left out by the mask.
     #[serde(default)]
     pub masked: u64,
+    /// Single samples that stood far off the same pixel in other frames, and were replaced by its usual code.
+    #[serde(default)]
+    pub struck: u64,
     /// Mean over the pixels of the square of their variances, without the scatter of few frames of normal noise,
     /// DN^4: above [`var_dn2`](Self::var_dn2) squared where pixels differ in noise.
     #[serde(default = "nan", with = "finite")]
@@ -171,6 +174,7 @@ impl LevelAccumulator {
                 stuck: (stuck_high + stuck_low) as f64 / counted as f64,
                 pairs: Vec::new(),
                 masked: masked as u64,
+                struck: 0,
                 square_dn4: f64::NAN,
             });
         }
@@ -198,6 +202,7 @@ impl LevelAccumulator {
             stuck: (stuck_high + stuck_low) as f64 / counted as f64,
             pairs: self.pairs.clone(),
             masked: masked as u64,
+            struck: 0,
             square_dn4: self.square_dn4(),
         })
     }

@@ -5,6 +5,7 @@ use super::median::{MAD_OF_NORMAL, median};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 use std::borrow::Borrow;
+use std::sync::Arc;
 
 /// Cells along each side of a frame whose means are looked at.
 const CELLS: usize = 6;
@@ -315,24 +316,30 @@ pub fn take_struck(block: &mut [Array2<u16>]) -> Vec<(usize, usize)> {
     found.iter().filter(|s| s.centre).map(|s| (s.frame, s.pixel)).collect()
 }
 
-/// A block without struck samples, where these are few enough to be chance.
-pub fn without_struck(block: &[std::sync::Arc<Array2<u16>>]) -> Vec<std::sync::Arc<Array2<u16>>> {
+/// Rows of a set in blocks of a like size: a last one of a single frame has nothing to be compared with.
+pub fn blocks<T>(rows: &[T]) -> impl Iterator<Item = &[T]> {
+    let count = rows.len().div_ceil(BLOCK).max(1);
+    rows.chunks(rows.len().div_ceil(count).max(1))
+}
+
+/// A block without struck samples, where these are few enough to be chance, and how many they are.
+pub fn without_struck(block: &[Arc<Array2<u16>>]) -> (Vec<Arc<Array2<u16>>>, usize) {
     let found = struck(block);
     let pixels: Vec<usize> = found.iter().filter(|s| s.centre).map(|s| s.pixel).collect();
     let mut out = block.to_vec();
     if found.is_empty() {
-        return out;
+        return (out, 0);
     }
     let samples = block.iter().map(|f| f.len()).sum::<usize>() as f64;
     if !are_rays(&pixels, samples, block[0].len() as f64) {
-        return out;
+        return (out, 0);
     }
     for s in found {
-        if let Some(v) = std::sync::Arc::make_mut(&mut out[s.frame]).as_slice_mut() {
+        if let Some(v) = Arc::make_mut(&mut out[s.frame]).as_slice_mut() {
             v[s.pixel] = s.usual_dn;
         }
     }
-    out
+    (out, pixels.len())
 }
 
 /// Whether struck samples lie anywhere, as rays do, and not in the same pixels again, as pixels that blink do:

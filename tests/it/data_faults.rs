@@ -4,6 +4,7 @@
 use crate::support::{expect, radcam, shared};
 use radcam::dataset::image::{read_single, tiff_bytes};
 use radcam::ndarray::{Array2, s};
+use radcam_sim::rng::{PixelRng, Stream};
 use std::path::Path;
 
 /// A small campaign on disk with its rows as text fields.
@@ -308,4 +309,42 @@ fn practice_sets_with_slips_are_told() {
         let true_gain = truth["gain_dn_per_e"].as_f64().unwrap();
         assert!((value - true_gain).abs() < 3.5 * error, "{name}: {value} +- {error}, not {true_gain}");
     }
+}
+
+/// Bits that a link turned over, one sample in 20,000 to code 0 or to full scale, darks and first frames too: every
+/// verb leaves them out and says how many, no slip is reported, no effect is named, and gain, read noise and the
+/// pixels' dark reference are those of the same campaign without them within one of their errors.
+#[test]
+fn bits_that_a_link_turned_over_change_nothing() {
+    let clean = Campaign::new("cmos12", "quick", 41);
+    let struck = Campaign::new("cmos12", "quick", 41);
+    let mut random = PixelRng::new(41, Stream::Effect, 0, 0, 0);
+    let mut turned = 0;
+    for row in 0..struck.rows.len() {
+        let mut codes = struck.frame(row);
+        for code in &mut codes {
+            let u = random.uniform();
+            if u < 5e-5 {
+                *code = if u < 2.5e-5 { 0 } else { 4095 };
+                turned += 1;
+            }
+        }
+        struck.put(row, &codes);
+    }
+    assert!(turned > 30, "{turned}");
+    let value = |json: &serde_json::Value, name: &str| {
+        (json[name]["value"].as_f64().unwrap(), json[name]["std_err"].as_f64().unwrap())
+    };
+    for verb in ["noise", "diagnose"] {
+        let (expected, found) = (clean.said(verb), struck.said(verb));
+        for name in ["gain_dn_per_e", "read_noise_e"] {
+            let ((a, error), (b, _)) = (value(&expected, name), value(&found, name));
+            assert!((a - b).abs() < error, "{verb} {name}: {a} +- {error}, {b}");
+        }
+        assert_eq!(found["data_faults"].as_array().unwrap().len(), 0, "{verb}: {:#}", found["data_faults"]);
+        let notes = found["notes"].as_array().unwrap().iter().filter_map(|n| n.as_str());
+        let said = notes.filter(|n| n.contains("bit errors")).count();
+        assert_eq!(said, 1, "{verb}: {:#}", found["notes"]);
+    }
+    assert_eq!(struck.said("diagnose")["consistent"], true);
 }
