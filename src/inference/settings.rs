@@ -13,6 +13,11 @@ use std::collections::BTreeMap;
 /// Sets from which on the order of their settings tells something.
 const FEWEST: usize = 8;
 
+/// Names of tests that tell a lamp's setting from something else.
+pub const THAT_COME_BACK: &str = "light settings that come back";
+/// See [`THAT_COME_BACK`].
+pub const AT_LONG_EXPOSURES: &str = "light settings at long exposures";
+
 /// What a test of the settings found.
 pub(super) struct Test {
     pub name: String,
@@ -37,6 +42,7 @@ pub(super) fn tests(all: &Observations, model: &Fitted, levels: &[f64]) -> Vec<T
         return Vec::new();
     }
     let mut out: Vec<Test> = coming_back(all, &scores).into_iter().collect();
+    out.extend(at_long_exposures(all, &scores));
     scores.sort_by_key(|s| s.0);
     out.extend(in_order(&scores, "time"));
     scores.sort_by(|a, b| levels[a.0].total_cmp(&levels[b.0]));
@@ -54,10 +60,37 @@ fn coming_back(all: &Observations, scores: &[Score]) -> Option<Test> {
     let (mean_square, dof) = repeats(all, scores)?;
     let alike = ChiSquared::new(dof).map_or(1.0, |c| (2.0 * c.cdf(dof * mean_square)).min(1.0));
     Some(Test {
-        name: "light settings that come back".into(),
+        name: THAT_COME_BACK.into(),
         measured: mean_square,
         predicted: 1.0,
         // Of chi-squared over its degrees of freedom.
+        std_err: (2.0 / dof).sqrt(),
+        z: -as_z(alike),
+    })
+}
+
+/// Ratio of exposures from which on the long ones are told from the short ones (a named choice).
+const LONGER: f64 = 4.0;
+
+/// Whether settings at long exposures are too alike: a lamp is off by a part of its light whatever the exposure, and
+/// an exposure that is not what was asked for by a time, which matters less the longer it is.
+fn at_long_exposures(all: &Observations, scores: &[Score]) -> Option<Test> {
+    let exposure_s = |score: &Score| all.campaign.sets[score.0].exposure_s;
+    let mut sorted: Vec<Score> = scores.to_vec();
+    sorted.sort_by(|a, b| exposure_s(a).total_cmp(&exposure_s(b)));
+    let (short, long) = sorted.split_at(sorted.len() / 2);
+    let middle = |of: &[Score]| exposure_s(&of[of.len() / 2]);
+    if middle(long) < LONGER * middle(short) {
+        return None;
+    }
+    let square = |of: &[Score]| of.iter().map(|s| s.1 * s.1).sum::<f64>() / of.len() as f64;
+    let whole = square(scores).max(1e-300);
+    let (measured, dof) = (square(long) / whole, long.len() as f64);
+    let alike = ChiSquared::new(dof).map_or(1.0, |c| (2.0 * c.cdf(dof * measured)).min(1.0));
+    Some(Test {
+        name: AT_LONG_EXPOSURES.into(),
+        measured,
+        predicted: 1.0,
         std_err: (2.0 / dof).sqrt(),
         z: -as_z(alike),
     })

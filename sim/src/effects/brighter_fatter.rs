@@ -12,8 +12,8 @@ pub struct BrighterFatter;
 /// Steps in which the charge of a frame is drawn.
 const STEPS: usize = 8;
 
-/// Ratio of the two axes that no sensor reaches (a named choice: twice what CCDs show).
-const ONE_SIDED: f64 = 6.0;
+/// Ratio of the two axes that no sensor reaches (a named choice: CCDs show up to three).
+const ONE_SIDED: f64 = 4.0;
 /// Standard errors within which an axis may have more or less.
 const SURE: f64 = 2.0;
 

@@ -33,6 +33,11 @@ impl Effect for IlluminationSetting {
         true
     }
 
+    /// What comes back at the same light, or less where the exposure is long, is no setting of a lamp.
+    fn told_by(&self) -> &'static [&'static str] {
+        &["light settings that come back", "light settings at long exposures"]
+    }
+
     fn example(&self, _: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.003])
     }
