@@ -40,6 +40,10 @@ pub struct SetFacts {
     /// codes do.
     #[serde(default)]
     pub code_step_dn: f64,
+    /// Single samples that stand far off the same pixel in other frames, and are in none of these numbers but the
+    /// digests, the pixels that differ, and the share at full scale.
+    #[serde(default)]
+    pub struck: u64,
     /// Mean over the frames of the middle of the frame, DN, row by row: at most [`MIDDLE`] x [`MIDDLE`] pixels.
     pub middle_dn: Vec<f32>,
     /// Columns of that.
@@ -77,7 +81,9 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     let mut clipped = 0usize;
     let mut occurring = Occurring::default();
     for frames in in_blocks(dataset, set, stop) {
-        for (sent, frame) in frames? {
+        let (frames, struck) = frames?;
+        out.struck += struck as u64;
+        for [sent, frame] in frames {
             out.pixels = frame.len() as f64;
             occurring.add(sent.as_slice().unwrap_or(&[]));
             let codes = frame.as_slice().unwrap_or(&[]);
@@ -114,12 +120,13 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     Ok(out)
 }
 
-/// The frames of a set, some at a time, each as it was sent and without single samples that stand far off.
+/// The frames of a set, some at a time, each as it was sent and without single samples that stand far off, and how
+/// many these are.
 fn in_blocks<'d>(
     dataset: &'d Dataset,
     set: &'d Set,
     stop: &'d AtomicBool,
-) -> impl Iterator<Item = Result<Vec<(Arc<Array2<u16>>, Arc<Array2<u16>>)>, ExamineError>> + 'd {
+) -> impl Iterator<Item = Result<(Vec<[Arc<Array2<u16>>; 2]>, usize), ExamineError>> + 'd {
     outliers::blocks(&set.rows).map(move |rows| {
         let read = |row: &usize| {
             if stop.load(Ordering::Relaxed) {
@@ -128,8 +135,8 @@ fn in_blocks<'d>(
             Ok(dataset.frame(&dataset.rows()[*row])?)
         };
         let sent = rows.iter().map(read).collect::<Result<Vec<_>, _>>()?;
-        let (whole, _) = outliers::without_struck(&sent);
-        Ok(sent.into_iter().zip(whole).collect())
+        let (whole, struck) = outliers::without_struck(&sent);
+        Ok((sent.into_iter().zip(whole).map(<[_; 2]>::from).collect(), struck))
     })
 }
 

@@ -72,12 +72,13 @@ pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, Examine
     }
     let facts = facts_of(dataset, stop)?;
     let step_dn = facts::code_step(&facts);
+    let struck = facts.iter().map(|f| f.struck).sum();
     let mut campaign = Campaign::new(dataset, facts);
     let mut faults = Vec::new();
     for check in CHECKS {
         faults.extend(check.find(&mut campaign));
     }
-    Ok(dataset.without(&campaign.rows_left_out(), faults, step_dn))
+    Ok(dataset.without(&campaign.rows_left_out(), faults, step_dn, struck))
 }
 
 /// Computes the statistics of every set, or takes them from a file of statistics.

@@ -168,6 +168,8 @@ pub struct Dataset {
     kept: Arc<kept::Kept>,
     /// Step of the converter as the codes show it, DN; 1 before the examination.
     code_step_dn: f64,
+    /// Single samples that stand far off; 0 before the examination.
+    struck: u64,
 }
 
 impl Dataset {
@@ -266,6 +268,7 @@ impl Dataset {
             opened: Arc::default(),
             kept: Arc::default(),
             code_step_dn: 1.0,
+            struck: 0,
         })
     }
 
@@ -383,6 +386,11 @@ impl Dataset {
         self.code_step_dn
     }
 
+    /// Single samples that stand far off the same pixel in other frames, as cosmic rays and bit errors do; 0 before [`examined`](crate::data_faults::examined) ran.
+    pub fn struck(&self) -> u64 {
+        self.struck
+    }
+
     /// Variance of quantisation, DN^2: q^2 / 12 (eq. 27 of Healey and Kondepudy).
     pub fn quantisation_dn2(&self) -> f64 {
         self.code_step_dn.powi(2) / 12.0
@@ -394,7 +402,13 @@ impl Dataset {
     }
 
     /// Removes rows because of these faults.
-    pub(crate) fn without(&self, out: &[bool], faults: Vec<DataFault>, code_step_dn: f64) -> Self {
+    pub(crate) fn without(
+        &self,
+        out: &[bool],
+        faults: Vec<DataFault>,
+        code_step_dn: f64,
+        struck: u64,
+    ) -> Self {
         let mut place = Vec::with_capacity(out.len());
         let mut kept = 0;
         for out in out {
@@ -414,6 +428,7 @@ impl Dataset {
             parts: parts.collect(),
             faults: Some(faults.into()),
             code_step_dn,
+            struck,
             ..self.clone()
         }
     }

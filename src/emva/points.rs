@@ -110,6 +110,8 @@ pub struct Points {
     pub bright: Option<Bright>,
     /// Pixels that are left out, in words.
     pub left_out: Option<String>,
+    /// Single samples that stand far off the same pixel in other frames.
+    pub struck: u64,
     /// Faults of the data.
     pub data_faults: Vec<DataFault>,
 }
@@ -530,6 +532,7 @@ pub fn of_dataset(
         photons_known: unit.is_some(),
         light,
         code_step_dn: dataset.code_step_dn(),
+        struck: dataset.struck(),
         data_faults: dataset.data_faults().to_vec(),
     })
 }

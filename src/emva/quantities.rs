@@ -20,6 +20,10 @@ use radcam_sim::rng::{PixelRng, Stream};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
+/// Samples that stand far off, over the pixels of a frame, from which on that is said (a named choice): one at full
+/// scale in 10,000 pixels doubles the variance of a pair.
+const STRUCK: f64 = 1e-4;
+
 /// A quantity that is only bounded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -160,6 +164,14 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
         notes: Vec::new(),
     };
     let calibration = (sheet.inputs.next(), points.light.irradiance_rel_std.unwrap_or(0.0));
+
+    if points.struck as f64 > STRUCK * pixels {
+        sheet.note(format!(
+            "{} single samples stand far off the same pixel in other frames (cosmic rays, bit errors). The standard takes all pixels as they \
+             are: variances, K and the nonuniformities contain them; noise and diagnose leave them out",
+            points.struck
+        ));
+    }
 
     // Darks that are cut off at 0 DN say less than their noise, and shift every signal.
     let underflow = underflow(&points.darks);
