@@ -546,6 +546,25 @@ fn off_a_line(places: &[f64; PLACES.len()], values: &[f64]) -> f64 {
 }
 
 impl Prediction {
+    /// Whether the camera is expected to do the same to every set, whatever light each has.
+    pub fn has_camera_of(&self, other: &Self) -> bool {
+        let dark = |base: &BaseParameters| BaseParameters {
+            flux_e_per_s: Vec::new(),
+            past_e: None,
+            setting_rel: None,
+            ..base.clone()
+        };
+        let limits = |p: &Self| (p.code_step_dn, p.floor_dn, p.smear_s, p.bloom_e, p.well_e);
+        (self.bit_errors_dn, self.taps, limits(self)) == (other.bit_errors_dn, other.taps, limits(other))
+            && (self.whole, self.cut_at_0) == (other.whole, other.cut_at_0)
+            && dark(&self.base) == dark(&other.base)
+    }
+
+    /// Whether a set has the same light and the same statistics, its frames' means aside.
+    pub fn has_set_of(&self, other: &Self, set: usize) -> bool {
+        self.light_e.get(set) == other.light_e.get(set) && self.sets.get(set) == other.sets.get(set)
+    }
+
     /// Light and dark charge of every frame and set, no noise yet.
     pub(crate) fn begin(c: &Campaign, base: &BaseParameters) -> Self {
         let light = |s: &SetInfo| base.rate_e_per_s(s) * s.exposure_s;

@@ -173,7 +173,7 @@ impl<'a> Iteration<'a> {
         let from = self.point.clone();
         factors.iter().for_each(|(i, f)| self.point.x[*i] *= f);
         self.free.clamp(&mut self.point);
-        self.now = self.layout.at_from(self.free, &self.point, &self.now, &from);
+        self.now = self.layout.at_from(self.free, &self.point, &self.now, &from, None);
         false
     }
 

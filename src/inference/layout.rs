@@ -1,8 +1,9 @@
 //! Which observables take part in a fit, and what a model expects of them.
 
 use super::free::{Free, Point};
-use crate::observables::{Expected, Half, Observable, Observations, expectations, mean};
-use radcam_sim::effects;
+use super::model::listed;
+use crate::observables::{Expected, Half, Observable, Observations, expectations_beside, mean};
+use radcam_sim::effects::{self, Chain};
 use radcam_sim::predict::Prediction;
 use std::collections::BTreeMap;
 
@@ -107,25 +108,44 @@ impl<'a> Layout<'a> {
 
     /// What a prediction expects of them.
     pub fn state(&self, prediction: &Prediction) -> State {
-        let expected = expectations(self.all, prediction, |o| takes_part(o, &self.halves, self.judges));
+        self.state_beside(prediction, None)
+    }
+
+    /// The same, where another prediction and its state are known.
+    pub fn state_beside(&self, prediction: &Prediction, known: Option<(&Prediction, &State)>) -> State {
+        let known = known.map(|(p, state)| (p, state.expected.as_slice()));
+        let wanted = |o: &Observable| takes_part(o, &self.halves, self.judges);
+        let expected = expectations_beside(self.all, prediction, wanted, known);
         let of_first =
             |rows: &[usize]| self.rows[rows[0]].set.map_or(0.0, |set| prediction.sets[set].setting);
         let setting = self.blocks.iter().map(|(_, rows)| of_first(rows)).collect();
         State { expected, setting }
     }
 
-    /// Expectations of a model at a place, from those at another one, `known` at `from`. The scatter of settings
+    /// Expectations of a model at a place, from those at another one, `known` at `from`, whose chain is `chain`. The scatter of settings
     /// moves no expectation: where it alone differs, no prediction is needed.
-    pub fn at_from(&self, free: &Free, point: &Point, known: &State, from: &Point) -> State {
-        let Some(factor) = free.scales_settings(from, point) else { return self.at(free, point) };
-        let setting = known.setting.iter().map(|s| s * factor * factor).collect();
-        State { expected: known.expected.clone(), setting }
+    pub fn at_from(
+        &self,
+        free: &Free,
+        point: &Point,
+        known: &State,
+        from: &Point,
+        chain: Option<&Chain<'_>>,
+    ) -> State {
+        if let Some(factor) = free.scales_settings(from, point) {
+            let setting = known.setting.iter().map(|s| s * factor * factor).collect();
+            return State { expected: known.expected.clone(), setting };
+        }
+        let Some(chain) = chain else { return self.at(free, point) };
+        let (base, effects) = free.unpack(point);
+        let prediction = chain.predict(&base, &listed(&effects));
+        self.state_beside(&prediction, Some((chain.prediction(), known)))
     }
 
     /// What a model at a place expects of them.
     pub fn at(&self, free: &Free, point: &Point) -> State {
         let (base, effects) = free.unpack(point);
-        let list: Vec<_> = effects.iter().map(|(e, p)| (*e as &dyn effects::Effect, p.as_slice())).collect();
+        let list = listed(&effects);
         self.state(&effects::predict(&self.all.campaign, &base, &list))
     }
 }

@@ -5,6 +5,11 @@ use radcam_sim::effects::Effect;
 /// Effects with the values of their parameters.
 pub type Effects = Vec<(&'static dyn Effect, Vec<f64>)>;
 
+/// The same as a prediction takes them.
+pub(super) fn listed(effects: &Effects) -> Vec<(&dyn Effect, &[f64])> {
+    effects.iter().map(|(e, p)| (*e as &dyn Effect, p.as_slice())).collect()
+}
+
 /// An effect with what is given of its parameters, in their order.
 pub type Given = (&'static dyn Effect, Vec<Option<f64>>);
 

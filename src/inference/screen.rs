@@ -4,11 +4,11 @@ use super::direction::Direction;
 use super::fit::{Fitted, halves};
 use super::free::Free;
 use super::layout::{Layout, State};
-use super::model::as_given;
+use super::model::{as_given, listed};
 use super::slopes::Slopes;
 use super::system::System;
 use crate::observables::Observations;
-use radcam_sim::effects::{self, Effect};
+use radcam_sim::effects::{self, Chain, Effect};
 
 /// Sizes, relative to an effect's own start, at which its shape is looked at: many shapes change with the size.
 const SIZES: [f64; 3] = [1.0, 0.1, 10.0];
@@ -52,12 +52,12 @@ fn better(best: Option<Scored>, values: Vec<f64>, gain: f64) -> Option<Scored> {
 /// The place of a fit, ready for looks in many directions.
 pub struct Screen<'a> {
     now: &'a Fitted,
-    all: &'a Observations,
     layout: Layout<'a>,
     free: Free,
     point: super::free::Point,
     state: State,
     slopes: Slopes,
+    chain: Chain<'a>,
     needed: f64,
 }
 
@@ -68,7 +68,8 @@ impl<'a> Screen<'a> {
         let (free, point) = Free::new(all, &now.base, &now.effects);
         let state = layout.at(&free, &point);
         let slopes = Slopes::new(&layout, &free, &point, &state);
-        Self { now, all, layout, free, point, state, slopes, needed }
+        let chain = Chain::new(&all.campaign, &now.base, &listed(&now.effects));
+        Self { now, layout, free, point, state, slopes, chain, needed }
     }
 
     /// Slopes at the fit.
@@ -215,9 +216,9 @@ impl<'a> Screen<'a> {
     }
 
     fn at(&self, effect: &'static dyn Effect, values: &[f64]) -> State {
-        let mut list: Vec<(&dyn Effect, &[f64])> =
-            self.now.effects.iter().map(|(e, p)| (*e as &dyn Effect, p.as_slice())).collect();
+        let mut list = listed(&self.now.effects);
         list.push((effect, values));
-        self.layout.state(&effects::predict(&self.all.campaign, &self.now.base, &list))
+        let prediction = self.chain.predict(&self.now.base, &list);
+        self.layout.state_beside(&prediction, Some((self.chain.prediction(), &self.state)))
     }
 }

@@ -1,8 +1,10 @@
 //! How expectations change with what is fitted: taken by differences, and handed from fit to fit as long as they serve.
 
-use super::free::{Free, Key, Point};
+use super::free::{Common, Free, Key, Point};
 use super::layout::{Layout, State};
+use super::model::listed;
 use crate::observables::monitor;
+use radcam_sim::effects::Chain;
 use rayon::prelude::*;
 
 /// How expectations change with the common values, at some place.
@@ -42,7 +44,11 @@ impl Slopes {
         let places: Vec<Option<usize>> = (0..free.common.len()).map(place).collect();
         let fresh = |i: &usize| !free.fixed[*i] && places[*i].is_none();
         let fresh: Vec<usize> = (0..places.len()).filter(fresh).collect();
-        let moved = fresh.into_par_iter().map(|i| (i, moved(layout, free, point, now, i)));
+        let (base, effects) = free.unpack(point);
+        let effects = listed(&effects);
+        let of_effects = fresh.iter().filter(|i| matches!(free.common[**i], Common::Of(..))).count();
+        let chain = (of_effects > 1).then(|| Chain::new(&layout.all.campaign, &base, &effects));
+        let moved = fresh.into_par_iter().map(|i| (i, moved(layout, free, point, now, chain.as_ref(), i)));
         for (i, (step, there)) in moved.collect::<Vec<_>>() {
             out.put(i, step, now, &there);
         }
@@ -149,12 +155,19 @@ impl Slopes {
 }
 
 /// A small step of one value, within its bounds, and what is expected there.
-fn moved(layout: &Layout<'_>, free: &Free, point: &Point, now: &State, i: usize) -> (f64, State) {
+fn moved(
+    layout: &Layout<'_>,
+    free: &Free,
+    point: &Point,
+    now: &State,
+    chain: Option<&Chain<'_>>,
+    i: usize,
+) -> (f64, State) {
     let step = 1e-5 * point.x[i].abs().max(1e-2);
     let step = if point.x[i] + step > free.bounds[i].1 { -step } else { step };
     let mut moved = point.clone();
     moved.x[i] += step;
-    (step, layout.at_from(free, &moved, now, point))
+    (step, layout.at_from(free, &moved, now, point, chain))
 }
 
 #[cfg(test)]

@@ -35,7 +35,7 @@ mod scene;
 mod table;
 
 pub use campaign::{Observations, ObserveError, Setting, of_dataset};
-pub use expect::{Expected, HEAVY_DOF, View, expectations, in_quadrature, lightened};
+pub use expect::{Expected, HEAVY_DOF, View, expectations, expectations_beside, in_quadrature, lightened};
 mod line_shape;
 
 pub use field::{Field, LINE_LAGS};

@@ -3,7 +3,7 @@
 //! Each does two things that check each other: it draws (acts on a frame at its place in the chain) and it predicts (shifts
 //! the expected statistics of a campaign).
 
-use crate::predict::{BaseParameters, Campaign, Prediction, Spectrum};
+use crate::predict::{Campaign, Prediction};
 
 /// Where in the chain an effect acts, in the order in which light travels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -476,7 +476,9 @@ pub fn shifted(image: &ndarray::Array2<f64>, dy: i32, dx: i32) -> ndarray::Array
     ndarray::Array2::from_shape_fn((rows, columns), |(y, x)| image[(at(y, dy, rows), at(x, dx, columns))])
 }
 
+mod chain;
 mod custom;
+pub use chain::{Chain, predict};
 pub use custom::custom;
 
 macro_rules! effects {
@@ -566,42 +568,4 @@ pub fn find(id: &str) -> Option<&'static dyn Effect> {
 /// [`Effect::example`] of an effect for a camera.
 pub fn example(id: &str, model: &crate::Model) -> Option<Vec<f64>> {
     find(id)?.example(&Plain::of(model))
-}
-
-/// Expected statistics of a campaign under the paper's model and some effects, each with its parameters, in the order of the
-/// chain.
-pub fn predict(campaign: &Campaign, base: &BaseParameters, effects: &[(&dyn Effect, &[f64])]) -> Prediction {
-    let mut order: Vec<_> = effects.to_vec();
-    order.sort_by_key(|(e, p)| e.stage_with(p));
-    let mut out = Prediction::begin(campaign, base);
-    let run = |out: &mut Prediction, from: Stage, to: Stage| {
-        for (e, p) in order.iter().filter(|(e, p)| (from..=to).contains(&e.stage_with(p))) {
-            e.predict(p, campaign, out);
-        }
-    };
-    run(&mut out, Stage::Light, Stage::Light);
-    // A dark charge that is not known to better than itself may come out below 0: its noise goes on in a straight line then, so that errors
-    // of the one show in the other. Half of the read noise is as far as that can go.
-    let least = -0.5 * base.read_noise_e * base.read_noise_e;
-    for s in &mut out.sets {
-        s.shot = Spectrum::white(s.signal.max(least.min(0.0)));
-    }
-    run(&mut out, Stage::Charge, Stage::Transfer);
-    for s in &mut out.sets {
-        let square = base.read_noise_e * base.read_noise_e;
-        s.read.add_white(square);
-        s.unequal += base.read_noise_spread.max(0.0) * square * square;
-    }
-    run(&mut out, Stage::Read, Stage::Read);
-    out.amplify(base.gain_dn_per_e);
-    run(&mut out, Stage::Amplifier, Stage::Converter);
-    let step = out.code_step_dn;
-    out.quantize(campaign, step);
-    // Firmware hands on whole codes.
-    for (e, p) in order.iter().filter(|(e, p)| e.stage_with(p) == Stage::Firmware) {
-        e.predict(p, campaign, &mut out);
-        out.quantize(campaign, 1.0);
-    }
-    out.frame_signal.iter_mut().for_each(|m| *m += base.offset_dn);
-    out
 }
