@@ -120,13 +120,16 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     Ok(out)
 }
 
+/// A frame that others hold too.
+type Shared = Arc<Array2<u16>>;
+
 /// The frames of a set, some at a time, each as it was sent and without single samples that stand far off, and how
 /// many these are.
 fn in_blocks<'d>(
     dataset: &'d Dataset,
     set: &'d Set,
     stop: &'d AtomicBool,
-) -> impl Iterator<Item = Result<(Vec<[Arc<Array2<u16>>; 2]>, usize), ExamineError>> + 'd {
+) -> impl Iterator<Item = Result<(Vec<[Shared; 2]>, usize), ExamineError>> + 'd {
     outliers::blocks(&set.rows).map(move |rows| {
         let read = |row: &usize| {
             if stop.load(Ordering::Relaxed) {

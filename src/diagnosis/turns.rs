@@ -75,26 +75,36 @@ fn together(sets: &[(&[f64], f64)]) -> Option<(f64, f64)> {
     Some((sum / variance.sqrt(), middle))
 }
 
+/// Frames of a set.
+struct Run<'s> {
+    means: &'s [f64],
+    /// Part of their variance that the effect claims.
+    part: f64,
+    /// Expected standard deviation.
+    deviation_dn: f64,
+    /// Place of the first one in the campaign.
+    first: usize,
+}
+
 /// Chance of a share as large as that of the best sine through the frames of all sets, in the order in which they
-/// were taken, and its period in frames. Each set is (frame means, part of its variance that the effect claims, expected
-/// standard deviation, place of its first frame); means of sets
-/// are taken off the frames and off the sines (Lomb 1976; Scargle 1982), and of n degrees of freedom a sine of a
-/// given frequency explains the share s by chance in (1 - s)^((n - 2) / 2).
-fn rhythm(sets: &[(&[f64], f64, f64, usize)]) -> Option<(f64, f64)> {
-    let used = || sets.iter().filter(|s| s.0.len() > 1 && s.1 > CLAIMED && s.2 > 0.0);
+/// were taken, and its period in frames. Means of sets are taken off the frames and off the sines (Lomb 1976;
+/// Scargle 1982), and of n degrees of freedom a sine of a given frequency explains the share s by chance in
+/// (1 - s)^((n - 2) / 2).
+fn rhythm(sets: &[Run<'_>]) -> Option<(f64, f64)> {
+    let used = || sets.iter().filter(|s| s.means.len() > 1 && s.part > CLAIMED && s.deviation_dn > 0.0);
     let (mut values, mut places, mut of) = (Vec::new(), Vec::new(), Vec::new());
-    for (set, (means, _, deviation, first)) in used().enumerate() {
+    for (set, Run { means, deviation_dn, first, .. }) in used().enumerate() {
         let n = means.len() as f64;
         let mean = means.iter().sum::<f64>() / n;
         for (k, m) in means.iter().enumerate() {
-            values.push((m - mean) / deviation);
+            values.push((m - mean) / deviation_dn);
             places.push((first + k) as f64);
             of.push(set);
         }
     }
     let (n, count) = (values.len(), used().count());
     let dof = n.checked_sub(count + 2).filter(|dof| *dof >= FEWEST)? as f64;
-    let sizes: Vec<f64> = used().map(|s| s.0.len() as f64).collect();
+    let sizes: Vec<f64> = used().map(|s| s.means.len() as f64).collect();
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let centred = |mut wave: Vec<f64>| {
         let mut sums = vec![0.0; count];
@@ -200,22 +210,25 @@ pub fn in_turns(all: &Observations, part: &Part, whole: &Fitted) -> Option<Strin
     why.into_iter().find(|(z, _)| *z > SWINGS).map(|(_, why)| why)
 }
 
-/// Sets with the expected deviation of the frames of each and the place of the first in the campaign.
+/// Sets as runs of frames. `deviation_dn`: what is expected of the frames of a set.
 fn in_order<'s>(
     all: &Observations,
     sets: &[(&'s [f64], f64)],
-    deviation: impl Fn(usize) -> f64,
-) -> Vec<(&'s [f64], f64, f64, usize)> {
-    let mut first = vec![None; sets.len()];
-    for (place, frame) in all.campaign.frames.iter().enumerate() {
-        if let Some(slot) = first.get_mut(frame.set) {
-            slot.get_or_insert(place);
+    deviation_dn: impl Fn(usize) -> f64,
+) -> Vec<Run<'s>> {
+    let mut place = vec![None; sets.len()];
+    for (at, frame) in all.campaign.frames.iter().enumerate() {
+        if let Some(slot) = place.get_mut(frame.set) {
+            slot.get_or_insert(at);
         }
     }
-    let of = |(set, (&(means, part), first)): (usize, (&(&'s [f64], f64), Option<usize>))| {
-        Some((means, part, deviation(set), first?))
-    };
-    sets.iter().zip(first).enumerate().filter_map(of).collect()
+    let mut out = Vec::new();
+    for (set, (&(means, part), first)) in sets.iter().zip(place).enumerate() {
+        if let Some(first) = first {
+            out.push(Run { means, part, deviation_dn: deviation_dn(set), first });
+        }
+    }
+    out
 }
 
 #[cfg(test)]
@@ -261,8 +274,11 @@ mod tests {
             let mut random = PixelRng::new(6, Stream::Effect, 0, campaign, 0);
             let sets: Vec<Vec<f64>> =
                 (0..12).map(|s| (0..6).map(|f| frame(6 * s + f, &mut random)).collect()).collect();
-            let sets: Vec<_> = sets.iter().enumerate().map(|(s, m)| (&m[..], 1.0, 1.0, 6 * s)).collect();
-            rhythm(&sets).unwrap()
+            let mut runs = Vec::new();
+            for (s, means) in sets.iter().enumerate() {
+                runs.push(Run { means, part: 1.0, deviation_dn: 1.0, first: 6 * s });
+            }
+            rhythm(&runs).unwrap()
         };
         let found = (0..300).filter(|c| of(*c, &|_, r| r.normal()).0 < NO_RHYTHM).count();
         assert!(found <= 1, "{found}");

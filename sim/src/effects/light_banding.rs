@@ -206,7 +206,7 @@ mod tests {
     fn a_ripple_that_does_not_fade_is_no_lamps() {
         let stands = |hz: f64, longest_s: f64| {
             let seen = Seen { lit_s: (1e-3, longest_s), rows: 480.0, ..Seen::default() };
-            LightBanding.contradicted(&[0.0, 0.003, 0.01, hz, 0.0], &seen).is_none()
+            LightBanding.contradicted(&[0.0, 0.003, 0.01, hz, 0.0], &[], &seen).is_none()
         };
         assert!(stands(100.0, 0.02) && !stands(0.0, 0.02));
         // Exposures too short to tell.

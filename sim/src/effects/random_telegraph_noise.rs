@@ -188,15 +188,16 @@ mod tests {
     #[test]
     fn what_any_pixel_has_is_no_telegraph_noise() {
         let seen = |steady_dn4| Seen { peak_e: 2000.0, peak_dn: 1000.0, steady_dn4, ..Seen::default() };
-        let stands =
-            |steady_dn4| RandomTelegraphNoise.contradicted(&[0.01, 20.0, 0.0], &seen(steady_dn4)).is_none();
+        let stands = |steady_dn4| {
+            RandomTelegraphNoise.contradicted(&[0.01, 20.0, 0.0], &[], &seen(steady_dn4)).is_none()
+        };
         assert!((spread(&[0.01, 20.0]) * 0.5f64.powi(4) - 6.1875).abs() < 1e-9);
         assert!(stands(Some((6.0, 0.5))) && stands(Some((2.5, 0.5))) && stands(None));
         // Not known well enough, and known to be nothing.
         assert!(stands(Some((0.0, 1.0))) && !stands(Some((0.0, 0.5))));
         let alone = |together_dn4| {
             let all = Seen { together_dn4, ..seen(Some((6.0, 0.5))) };
-            RandomTelegraphNoise.contradicted(&[0.01, 20.0, 0.0], &all).is_none()
+            RandomTelegraphNoise.contradicted(&[0.01, 20.0, 0.0], &[], &all).is_none()
         };
         assert!(alone(Some((0.5, 0.1))) && alone(Some((3.0, 1.0))) && !alone(Some((3.0, 0.5))));
     }
