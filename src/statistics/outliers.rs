@@ -16,7 +16,7 @@ const FAR: f64 = 12.0;
 const STRUCK: f32 = 8.0;
 /// The same for neighbours of one: charge of a ray spreads.
 const BESIDE: f32 = 4.0;
-/// The same over the noise of the pixel's own other frames, which two or three of them tell to a factor of two.
+/// The same over the noise of the pixel's own other frames, which five of them tell to a third.
 const OF_OWN: f32 = 4.0;
 /// Frames that are compared with each other.
 pub const BLOCK: usize = 8;
@@ -247,15 +247,16 @@ pub fn struck<F: Borrow<Array2<u16>>>(block: &[F]) -> Vec<Struck> {
     out
 }
 
-/// Standard deviation of a few values by their range (Tippett 1925); 0 of a single one.
+/// Standard deviation of some values by their range (Tippett 1925); 0 of fewer than five, which hardly tell it.
 fn own_noise(values: impl Iterator<Item = f32>) -> f32 {
-    /// Mean range of 2 to 8 normal numbers in standard deviations.
-    const RANGE: [f32; 7] = [1.128, 1.693, 2.059, 2.326, 2.534, 2.704, 2.847];
+    /// Mean range of 5 to 8 normal numbers in standard deviations.
+    const RANGE: [f32; 4] = [2.326, 2.534, 2.704, 2.847];
+    const FEWEST: usize = 5;
     let (mut n, mut least, mut most) = (0usize, f32::INFINITY, 0f32);
     for v in values {
         (n, least, most) = (n + 1, least.min(v), most.max(v));
     }
-    if n < 2 { 0.0 } else { (most - least) / RANGE[(n - 2).min(RANGE.len() - 1)] }
+    if n < FEWEST { 0.0 } else { (most - least) / RANGE[(n - FEWEST).min(RANGE.len() - 1)] }
 }
 
 /// Neighbours that have part of a ray's charge.
