@@ -322,10 +322,11 @@ impl Ripple {
             }
         }
     }
-    /// Variance of its mean product with the cosine of `halves` half turns over so many rows (of mean square 1), over
-    /// that of a row.
+    /// Variance of the mean product with a cosine of `halves` half turns over all rows (mean square 1), relative to
+    /// the variance of a row. Cosines of the discrete cosine transform (Ahmed, Natarajan and Rao 1974, IEEE Trans.
+    /// Comput. C-23, 90).
     ///
-    /// Cosines d rows apart have the sum of products (rows - d) cos(d a) - sin(d a) / sin a, a = pi halves / rows.
+    /// Products of cosines d rows apart sum to (rows - d) cos(d a) - sin(d a) / sin a, a = pi halves / rows.
     pub fn with_cosine(&self, halves: u32, rows: f64) -> f64 {
         let a = std::f64::consts::PI * f64::from(halves) / rows;
         match *self {

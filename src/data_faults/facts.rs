@@ -123,8 +123,8 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
 /// A frame that others hold too.
 type Shared = Arc<Array2<u16>>;
 
-/// The frames of a set, some at a time, each as it was sent and without single samples that stand far off, and how
-/// many these are.
+/// Frames of a set, block by block: each as sent and without single samples that stand far off, and the number of
+/// these samples.
 fn in_blocks<'d>(
     dataset: &'d Dataset,
     set: &'d Set,

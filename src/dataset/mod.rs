@@ -386,7 +386,8 @@ impl Dataset {
         self.code_step_dn
     }
 
-    /// Single samples that stand far off the same pixel in other frames, as cosmic rays and bit errors do; 0 before [`examined`](crate::data_faults::examined) ran.
+    /// Number of single samples that stand far off the same pixel in other frames (cosmic rays, bit errors); 0
+    /// before [`examined`](crate::data_faults::examined) ran.
     pub fn struck(&self) -> u64 {
         self.struck
     }

@@ -124,8 +124,8 @@ fn rhythm(sets: &[Run<'_>]) -> Option<(f64, f64)> {
         let of_rest = if rest > 1e-6 * n as f64 { dot(&v, &values).powi(2) / rest } else { 0.0 };
         (dot(&u, &values).powi(2) / square + of_rest) / all
     };
-    // Periods from two frames to twenty; a campaign of n frames resolves steps of 1 / n, and has so many independent
-    // frequencies.
+    // Periods from two frames to twenty; a campaign of n frames resolves steps of 1 / n. The chance counts n
+    // frequencies, twice the independent ones.
     let steps = (2.0 * length.min(MOST_STEPS)) as usize;
     let frequency = |k: usize| 0.05 + 0.45 * k as f64 / steps as f64;
     let shares = (0..=steps).map(|k| (share(frequency(k)), frequency(k)));

@@ -16,13 +16,14 @@ use crate::data_faults::DataFault;
 use crate::dataset::table::{Level, Table};
 use crate::noise;
 use crate::number::Quantity;
+use crate::statistics::outliers;
 use radcam_sim::rng::{PixelRng, Stream};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Samples that stand far off, over the pixels of a frame, from which on that is said (a named choice): one at full
-/// scale in 10,000 pixels doubles the variance of a pair.
-const STRUCK: f64 = 1e-4;
+/// Minimum number of samples that stand far off, over the pixels of a frame, for a note (a named choice): one at
+/// full scale in 10,000 pixels doubles the variance of a pair.
+const MIN_STRUCK_SHARE: f64 = 1e-4;
 
 /// A quantity that is only bounded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -165,11 +166,10 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
     };
     let calibration = (sheet.inputs.next(), points.light.irradiance_rel_std.unwrap_or(0.0));
 
-    if points.struck as f64 > STRUCK * pixels {
+    if points.struck as f64 > MIN_STRUCK_SHARE * pixels {
         sheet.note(format!(
-            "{} single samples stand far off the same pixel in other frames (cosmic rays, bit errors). The standard takes all pixels as they \
-             are: variances, K and the nonuniformities contain them; noise and diagnose leave them out",
-            points.struck
+            "{}. The standard takes all pixels as they are: variances, K and the nonuniformities contain them; noise and diagnose leave them out",
+            outliers::in_words(points.struck)
         ));
     }
 

@@ -194,9 +194,6 @@ impl Errors<'_> {
     }
 }
 
-/// Levels of light below which means draw no curve: a line through the darks takes up two.
-const FEWEST_LEVELS: usize = 3;
-
 /// Levels of light times exposure that are measured.
 fn lit_levels(all: &Observations) -> usize {
     let lit = all.campaign.sets.iter().filter(|s| s.light.is_some() && s.exposure_s > 0.0);
@@ -226,7 +223,7 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
             .fold((f64::INFINITY, 0.0), |(a, b), s| (f64::min(a, s.exposure_s), f64::max(b, s.exposure_s))),
         rows: all.campaign.shape.0 as f64,
         columns: all.campaign.shape.1 as f64,
-        means: !all.means_given && lit_levels(all) >= FEWEST_LEVELS,
+        means: !all.means_given && lit_levels(all) >= Seen::MIN_CURVE_LEVELS,
         lit_levels: if all.means_given { flat_sets } else { lit_levels(all) },
         flat_sets,
         dark_noise_dn: base.read_noise_e * base.gain_dn_per_e,

@@ -122,8 +122,8 @@ impl<'a> Layout<'a> {
         State { expected, setting }
     }
 
-    /// Expectations of a model at a place, from those at another one, `known` at `from`, whose chain is `chain`. The scatter of settings
-    /// moves no expectation: where it alone differs, no prediction is needed.
+    /// Expectations at `point`, given those at `from` (`known`) and its chain. The scatter of settings moves no
+    /// expectation: if it alone differs, no prediction is needed.
     pub fn at_from(
         &self,
         free: &Free,

@@ -72,8 +72,8 @@ fn coming_back(all: &Observations, scores: &[Score]) -> Option<Test> {
 /// Ratio of exposures from which on the long ones are told from the short ones (a named choice).
 const LONGER: f64 = 4.0;
 
-/// Whether settings at long exposures are too alike: a lamp is off by a part of its light whatever the exposure, and
-/// an exposure that is not what was asked for by a time, which matters less the longer it is.
+/// Lower-tail chi-square test of the settings at long exposures. A lamp is off by a part of its light at any exposure;
+/// an exposure is off by a time, which matters less the longer it is.
 fn at_long_exposures(all: &Observations, scores: &[Score]) -> Option<Test> {
     let exposure_s = |score: &Score| all.campaign.sets[score.0].exposure_s;
     let mut sorted: Vec<Score> = scores.to_vec();

@@ -30,6 +30,7 @@ use crate::data_faults::{ExamineError, examined};
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, DatasetError, Kind};
 use crate::number::{Quantity, six_digits};
+use crate::statistics::outliers;
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
 use exclude::{exclude_outliers, exclude_past_the_peak, exclude_strays};
 use levels::{BLACK_LEVEL, NO_ZERO, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED, ONE_FRAME};
@@ -363,12 +364,8 @@ fn masked(measured: &Measured) -> Option<String> {
 fn struck(measured: &Measured) -> Option<String> {
     let hit = measured.levels.iter().filter(|(.., level)| level.struck > 0).count();
     let n: u64 = measured.levels.iter().map(|(.., level)| level.struck).sum();
-    (n > 0).then(|| {
-        format!(
-            "{n} single samples stand far off the same pixel in other frames (cosmic rays, bit errors) and are left out: in {hit} of {} sets",
-            measured.levels.len()
-        )
-    })
+    (n > 0)
+        .then(|| format!("{}; left out: in {hit} of {} sets", outliers::in_words(n), measured.levels.len()))
 }
 
 /// Range of the sensor's temperature from which on it is said, K: dark current doubles in some 7 K (a named

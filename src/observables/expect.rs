@@ -534,7 +534,7 @@ pub fn expectations(
     expectations_beside(all, prediction, wanted, None)
 }
 
-/// The same, where another prediction and its expectations are known: what is expected of frames of which both say the same is taken over.
+/// Expectations as [`expectations`] gives them; those of frames that a known prediction describes alike are reused.
 pub fn expectations_beside(
     all: &Observations,
     prediction: &Prediction,

@@ -2,6 +2,7 @@
 
 use super::read::LeftOut;
 use crate::dataset::Dataset;
+use crate::statistics::outliers;
 
 /// Frames and samples that were left out, in words.
 pub(super) fn words(dataset: &Dataset, left_out: &[(usize, LeftOut)]) -> Vec<String> {
@@ -27,9 +28,7 @@ pub(super) fn words(dataset: &Dataset, left_out: &[(usize, LeftOut)]) -> Vec<Str
         hit.dedup();
         let shown = hit.iter().take(4).cloned().collect::<Vec<_>>().join(", ");
         let more = if hit.len() > 4 { format!(" and {} more", hit.len() - 4) } else { String::new() };
-        out.push(format!(
-            "{struck} single samples stand far off the same pixel in other frames (cosmic rays, bit errors) and are left out: in {shown}{more}"
-        ));
+        out.push(format!("{}; left out: in {shown}{more}", outliers::in_words(struck as u64)));
     }
     out
 }

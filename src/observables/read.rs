@@ -328,8 +328,7 @@ impl<'a, 'b> Reader<'a, 'b> {
         out: &mut LeftOut,
     ) -> Result<Option<usize>, ObserveError> {
         let wrong = |e: crate::statistics::moments::SizeMismatch| ObserveError::Nothing(e.to_string());
-        let count = places.len().div_ceil(outliers::BLOCK).max(1);
-        let size = places.len().div_ceil(count).max(1);
+        let size = outliers::block_size(places.len());
         for start in places.clone().step_by(size) {
             let end = (start + size).min(places.end);
             let frames = (start..end).map(|i| self.frame(p.set, i));

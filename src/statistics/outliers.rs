@@ -285,7 +285,8 @@ fn beside(
     }
 }
 
-/// Usual code of a pixel: the median over the frames; of two frames the one nearer to the median of the neighbours.
+/// Usual code of a pixel: the median over the frames; of two frames the code nearer to the median of the
+/// neighbours.
 fn usual_of(frames: &[&[u16]], pixel: usize, columns: usize) -> u16 {
     let mut own: Vec<u16> = frames.iter().map(|f| f[pixel]).collect();
     own.sort_unstable();
@@ -317,10 +318,21 @@ pub fn take_struck(block: &mut [Array2<u16>]) -> Vec<(usize, usize)> {
     found.iter().filter(|s| s.centre).map(|s| (s.frame, s.pixel)).collect()
 }
 
-/// Rows of a set in blocks of a like size: a last one of a single frame has nothing to be compared with.
+/// Frames of a block where `frames` are cut into blocks of nearly equal size: a last block of a single frame would
+/// have nothing to be compared with.
+pub fn block_size(frames: usize) -> usize {
+    frames.div_ceil(frames.div_ceil(BLOCK).max(1)).max(1)
+}
+
+/// Rows of a set in blocks of [`block_size`].
 pub fn blocks<T>(rows: &[T]) -> impl Iterator<Item = &[T]> {
-    let count = rows.len().div_ceil(BLOCK).max(1);
-    rows.chunks(rows.len().div_ceil(count).max(1))
+    rows.chunks(block_size(rows.len()))
+}
+
+/// Words for `n` struck samples, shared by all commands.
+pub fn in_words(n: u64) -> String {
+    let (samples, stand) = if n == 1 { ("sample", "stands") } else { ("samples", "stand") };
+    format!("{n} single {samples} {stand} far off the same pixel in other frames (cosmic rays, bit errors)")
 }
 
 /// A block without struck samples, where these are few enough to be chance, and how many they are.

@@ -38,8 +38,8 @@ impl Step<'_> {
         match *self {
             Step::Effect(effect, p) => effect.predict(p, campaign, out),
             Step::Shot => {
-                // A dark charge that is not known to better than itself may come out below 0: its noise goes on in a straight line then, so
-                // that errors of the one show in the other. Half of the read noise is as far as that can go.
+                // A fitted dark charge may be negative within its error. Its noise continues linearly, so that the
+                // error propagates, down to minus half of the read-noise variance.
                 let least = -0.5 * out.base.read_noise_e * out.base.read_noise_e;
                 for s in &mut out.sets {
                     s.shot = Spectrum::white(s.signal.max(least.min(0.0)));
@@ -87,8 +87,8 @@ fn with_offset(mut out: Prediction) -> Prediction {
     out
 }
 
-/// Expected statistics of a campaign under the paper's model and some effects, each with its parameters, in the order of the
-/// chain.
+/// Expected statistics of a campaign under the paper's model and some effects, each with its parameters, in the
+/// order of the chain.
 pub fn predict(campaign: &Campaign, base: &BaseParameters, effects: &[(&dyn Effect, &[f64])]) -> Prediction {
     let mut out = Prediction::begin(campaign, base);
     steps(effects).iter().for_each(|step| step.run(campaign, &mut out));
@@ -104,7 +104,7 @@ pub struct Chain<'e> {
 }
 
 impl<'e> Chain<'e> {
-    /// Of a model.
+    /// Runs the chain of a model.
     pub fn new(
         campaign: &'e Campaign,
         base: &BaseParameters,
@@ -126,7 +126,7 @@ impl<'e> Chain<'e> {
         &self.last
     }
 
-    /// The same as [`predict`] for another model, from the first step at which its chain is another.
+    /// Predicts another model, starting at the first step that differs; equals [`predict`].
     pub fn predict(&self, base: &BaseParameters, effects: &[(&dyn Effect, &[f64])]) -> Prediction {
         if *base != self.last.base {
             return predict(self.campaign, base, effects);
@@ -196,8 +196,8 @@ mod tests {
         }
     }
 
-    /// A model that is one more effect, one less or other values of one comes out the same to the last bit, whether its chain is gone
-    /// through from the begin or from where it differs; and so does another base.
+    /// Predictions from the first differing step equal full predictions to the last bit: for one more effect, one
+    /// less, other values and another base.
     #[test]
     fn a_chain_goes_on_from_where_it_differs() {
         let (campaign, base) = (campaign(), base());

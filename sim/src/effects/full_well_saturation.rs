@@ -71,7 +71,7 @@ impl Effect for FullWellSaturation {
 
     /// Near the brightest level.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
-        if seen.lit_levels < 3 {
+        if !seen.shows_a_curve() {
             return Vec::new();
         }
         let hard = seen.near_peak().into_iter().map(|p| vec![p[FULL], 0.0, 0.0]);

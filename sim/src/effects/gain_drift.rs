@@ -25,7 +25,7 @@ impl Effect for GainDrift {
         }]
     }
 
-    /// Darks show the drift of their noise alone, and other things change that.
+    /// Flats of two times are needed: darks show a drift of their noise only, which has other causes too.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let starts = if seen.flat_sets < 2 { &[] } else { self.parameters()[0].starts };
         starts.iter().map(|rate| vec![*rate]).collect()

@@ -33,7 +33,7 @@ impl Effect for IlluminationSetting {
         true
     }
 
-    /// What comes back at the same light, or less where the exposure is long, is no setting of a lamp.
+    /// Errors of a lamp's setting are drawn anew each time, and are as large at long exposures as at short ones.
     fn told_by(&self) -> &'static [&'static str] {
         &["light settings that come back", "light settings at long exposures"]
     }

@@ -117,6 +117,14 @@ pub struct Seen {
 }
 
 impl Seen {
+    /// Minimum number of light levels for a curve: a line through the darks takes up two.
+    pub const MIN_CURVE_LEVELS: usize = 3;
+
+    /// Returns true if the noise is measured at enough light levels for a curve.
+    pub fn shows_a_curve(&self) -> bool {
+        self.lit_levels >= Self::MIN_CURVE_LEVELS
+    }
+
     /// Starts of a charge at which something ends: near the brightest level, e. Shading and noise reach some per cent above it, and what only
     /// these reach shows in steps as fine.
     fn near_peak(&self) -> Vec<Vec<f64>> {
@@ -370,8 +378,8 @@ pub trait Effect: Sync + Send {
     fn is_another(&self, _p: &[f64], _seen: &Seen) -> bool {
         false
     }
-    /// What this campaign shows that it would not do at these values, with their standard errors, although it may
-    /// come near all that is fitted: its name does not stand then.
+    /// Contradiction between the campaign and the effect at these values and standard errors: it may fit, and its name
+    /// does not stand.
     fn contradicted(&self, _p: &[f64], _std_err: &[f64], _seen: &Seen) -> Option<&'static str> {
         None
     }
@@ -384,7 +392,7 @@ pub trait Effect: Sync + Send {
     fn sets_each(&self) -> bool {
         false
     }
-    /// Whether it bends the mean over the light: where the light is known, noise alone does not tell it.
+    /// Returns true if the effect bends the mean over the light, so that noise alone cannot show it.
     fn bends_means(&self) -> bool {
         false
     }

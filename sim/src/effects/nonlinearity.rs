@@ -255,7 +255,7 @@ impl Effect for Nonlinearity {
             set.iter().for_each(|(i, v)| p[*i] = *v);
             p
         };
-        if seen.lit_levels < 3 {
+        if !seen.shows_a_curve() {
             return Vec::new();
         }
         let mut out: Vec<Vec<f64>> = (0..3).map(|k| with(f64::from(k), &[(REL, 0.01)])).collect();

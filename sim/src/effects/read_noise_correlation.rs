@@ -44,7 +44,7 @@ impl Effect for ReadNoiseCorrelation {
         Some(if sign(p) > 0.0 { "with the same sign" } else { "with the opposite sign" })
     }
 
-    /// What grows with the light is no read noise.
+    /// Read noise is the same at every light level.
     fn told_by(&self) -> &'static [&'static str] {
         &["covariance (0,1)"]
     }
