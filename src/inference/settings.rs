@@ -75,25 +75,25 @@ const LONGER: f64 = 4.0;
 /// Lower-tail chi-square test of the settings at long exposures. A lamp is off by a part of its light at any exposure;
 /// an exposure is off by a time, which matters less the longer it is.
 fn at_long_exposures(all: &Observations, scores: &[Score]) -> Option<Test> {
-    let exposure_s = |score: &Score| all.campaign.sets[score.0].exposure_s;
-    let mut sorted: Vec<Score> = scores.to_vec();
-    sorted.sort_by(|a, b| exposure_s(a).total_cmp(&exposure_s(b)));
+    let of = |score: &Score| (all.campaign.sets[score.0].exposure_s, score.1);
+    let (measured, dof, z) = scatter_of_long(scores.iter().map(of).collect())?;
+    let std_err = (2.0 / dof).sqrt();
+    Some(Test { name: AT_LONG_EXPOSURES.into(), measured, predicted: 1.0, std_err, z })
+}
+
+/// Mean square of the deviations in the longer half of the exposures over that of all, its degrees of freedom and z.
+/// Input: (exposure in s, deviation).
+fn scatter_of_long(mut sorted: Vec<(f64, f64)>) -> Option<(f64, f64, f64)> {
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (short, long) = sorted.split_at(sorted.len() / 2);
-    let middle = |of: &[Score]| exposure_s(&of[of.len() / 2]);
-    if middle(long) < LONGER * middle(short) {
+    let middle = |of: &[(f64, f64)]| of.get(of.len() / 2).map(|s| s.0);
+    if middle(long)? < LONGER * middle(short)? {
         return None;
     }
-    let square = |of: &[Score]| of.iter().map(|s| s.1 * s.1).sum::<f64>() / of.len() as f64;
-    let whole = square(scores).max(1e-300);
-    let (measured, dof) = (square(long) / whole, long.len() as f64);
+    let square = |of: &[(f64, f64)]| of.iter().map(|s| s.1 * s.1).sum::<f64>() / of.len() as f64;
+    let (measured, dof) = (square(long) / square(&sorted).max(1e-300), long.len() as f64);
     let alike = ChiSquared::new(dof).map_or(1.0, |c| (2.0 * c.cdf(dof * measured)).min(1.0));
-    Some(Test {
-        name: AT_LONG_EXPOSURES.into(),
-        measured,
-        predicted: 1.0,
-        std_err: (2.0 / dof).sqrt(),
-        z: -as_z(alike),
-    })
+    Some((measured, dof, -as_z(alike)))
 }
 
 /// Correlation of successive settings, and the largest step between two runs of them.
@@ -132,4 +132,28 @@ fn repeats(all: &Observations, scores: &[Score]) -> Option<(f64, f64)> {
     }
     let whole = scores.iter().map(|s| s.1 * s.1).sum::<f64>() / scores.len() as f64;
     (dof >= 1.0 && whole > 0.0).then(|| (square / dof / whole, dof))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    /// Of 1000 lamps whose 16 settings scatter alike at all exposures at most one is rejected at 3.3 standard errors
+    /// (p 1e-3); of 100 exposures that are off by a time of their own nearly all are.
+    #[test]
+    fn settings_scatter_alike_at_all_exposures() {
+        let of = |seed: u64, deviation: &dyn Fn(f64) -> f64| {
+            let mut random = PixelRng::new(seed, Stream::Effect, 0, 0, 0);
+            let exposure_s = |k: i32| 1e-3 * 1.6f64.powi(k);
+            let pairs =
+                (0..16).map(|k| (exposure_s(k), random.normal() * deviation(exposure_s(k)))).collect();
+            scatter_of_long(pairs).unwrap().2
+        };
+        let rejected =
+            |n: u64, deviation: &dyn Fn(f64) -> f64| (0..n).filter(|s| of(*s, deviation) < -3.3).count();
+        assert!(rejected(1000, &|_| 1.0) <= 1);
+        let found = rejected(100, &|exposure_s| 1e-3 / exposure_s);
+        assert!(found >= 90, "{found}");
+    }
 }
