@@ -244,10 +244,11 @@ def run(
         futures = {client.submit(measure, c, model, pure=False, retries=3): c for c in todo}
         for future in as_completed(list(futures)):
             campaign = futures[future]
-            if future.status == "finished":
+            try:
+                # Waits where a worker died with a result that nobody had fetched: it is computed again.
                 row = future.result()
-            else:
-                row = {**_head(campaign), "error": f"{type(future.exception()).__name__}: {future.exception()}"}
+            except Exception as error:
+                row = {**_head(campaign), "error": f"{type(error).__name__}: {error}"}
                 row["key"] = _key(campaign, model)
             _write(to, row, there)
             # The scheduler forgets it.
