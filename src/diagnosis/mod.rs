@@ -3,6 +3,7 @@
 
 mod cost;
 mod entry;
+mod memo;
 mod search;
 mod sensor;
 mod share;
@@ -545,8 +546,12 @@ fn rungs(all: &Observations, model: &Fitted, parts: &[Part], whole: &Fitted, las
         for part in &parts[..=k] {
             effects.extend(whole.effects.iter().find(|(e, _)| e.id() == part.effect.id()).cloned());
         }
-        let fitted = fit_near(all, whole, &effects);
-        let c = compare(all, &fitted);
+        // The last rung but one lacks what was left out of the whole for the last part.
+        let c = if k + 2 == parts.len() {
+            compare(all, &parts[k + 1].rest)
+        } else {
+            compare(all, &fit_near(all, whole, &effects))
+        };
         Rung { added, error: c.error, p_value: c.p_value }
     };
     (0..parts.len()).into_par_iter().map(rung).collect()

@@ -1,6 +1,7 @@
 //! Searches over sets of effects: several lines are followed, what others take over is dropped again.
 
 use super::HOLDS;
+use super::memo::{Memo, key, of_effects};
 use crate::inference::{
     Effects, Fitted, Given, Residual, Scored, Screen, as_given, compare, fit, fit_briefly, fit_near,
     has_flats, residuals_of, seen, start,
@@ -96,15 +97,16 @@ pub fn score(all: &Observations, fitted: &Fitted) -> f64 {
 
 /// What could stand in a model in place of an effect that has this evidence, fitted beside the rest; most evidence first.
 pub fn rivals(all: &Observations, rest: &Fitted, of: &dyn Effect, evidence: f64) -> Vec<Candidate> {
-    Look { all, now: rest, guess: None, most: RIVALS, not: &[of.id()], against: evidence }.candidates()
+    let memo = &Memo::default();
+    Look { all, now: rest, guess: None, most: RIVALS, not: &[of.id()], against: evidence, memo }.candidates()
 }
 
 /// Every effect that a model lacks, fitted beside what it has; most evidence first. `fresh`: from a first guess of the paper's parameters
 /// too, since a fit that is far off may have bent what is sound to please what is not.
 /// `not`: those that are none here.
-fn candidates(all: &Observations, now: &Fitted, fresh: bool, not: &[&str]) -> Vec<Candidate> {
+fn candidates(all: &Observations, now: &Fitted, fresh: bool, not: &[&str], memo: &Memo) -> Vec<Candidate> {
     let guess = fresh.then(|| now.with_base(start(all)));
-    Look { all, now, guess, most: FITTED, not, against: 0.0 }.candidates()
+    Look { all, now, guess, most: FITTED, not, against: 0.0, memo }.candidates()
 }
 
 /// A look for what could be added to a model.
@@ -119,6 +121,7 @@ struct Look<'a> {
     not: &'a [&'a str],
     /// Its evidence.
     against: f64,
+    memo: &'a Memo,
 }
 
 /// An effect with its starts, the best first, and what that promises.
@@ -138,7 +141,13 @@ impl Look<'_> {
             .map(|p| {
                 let forms = if p.gain >= best { FORMS } else { STARTS };
                 let guess = self.guess.as_ref();
-                (p.effect, from_starts(self.all, self.now, guess, p.effect, &p.starts, forms, Some(&screen)))
+                let mut key = key(self.now);
+                key.extend([forms as u64, u64::from(guess.is_some())]);
+                let starts = p.starts.iter().map(|s| (p.effect, s.values.clone())).collect();
+                key.extend(of_effects(&starts));
+                let fits =
+                    || from_starts(self.all, self.now, guess, p.effect, &p.starts, forms, Some(&screen));
+                (p.effect, self.memo.fits(key, fits))
             })
             .collect();
         // A few rounds tell which are far behind; the others are fitted to the end.
@@ -150,7 +159,7 @@ impl Look<'_> {
                 let is_near = |t: &Fitted| self.evidence(t) > BEHIND * ahead;
                 if is_near(tries.first()?) {
                     tries.retain(is_near);
-                    tries = finished(self.all, tries);
+                    tries = finished(self.all, tries, self.memo);
                 }
                 self.standing(effect, tries)
             })
@@ -263,7 +272,11 @@ fn from_starts(
     let has_size = effect.parameters().iter().any(effects::Parameter::is_size);
     let tried = if has_size { STARTS } else { starts.len() };
     let more: Vec<&Scored> = more.take((tried + 1).saturating_sub(distinct).max(1)).collect();
-    picked.extend(more);
+    for s in more {
+        if !picked.iter().any(|p| is_near(effect, &p.values, &s.values)) {
+            picked.push(s);
+        }
+    }
     let bases: Vec<&Fitted> = std::iter::once(now).chain(guess).collect();
     let tries: Vec<(&Fitted, &Scored)> =
         bases.into_iter().flat_map(|b| picked.iter().map(move |s| (b, *s))).collect();
@@ -277,6 +290,19 @@ fn from_starts(
     sorted(all, brief.collect())
 }
 
+/// Ratio of two sizes below which a fit from the one start ends where that from the other does (a named choice: a fit passes over as much
+/// in one step).
+const NEAR_SIZE: f64 = 1.05;
+
+/// Whether two starts of an effect differ in their sizes alone, and by little.
+fn is_near(effect: &dyn Effect, one: &[f64], other: &[f64]) -> bool {
+    effect
+        .parameters()
+        .iter()
+        .zip(one.iter().zip(other))
+        .all(|(p, (a, b))| a == b || p.is_size() && a * b > 0.0 && (a / b).max(b / a) < NEAR_SIZE)
+}
+
 /// The best first.
 fn sorted(all: &Observations, mut models: Vec<Fitted>) -> Vec<Fitted> {
     models.sort_by(|a, b| score(all, a).total_cmp(&score(all, b)));
@@ -284,9 +310,9 @@ fn sorted(all: &Observations, mut models: Vec<Fitted>) -> Vec<Fitted> {
 }
 
 /// The best of some models, fitted to the end; the best first.
-fn finished(all: &Observations, mut models: Vec<Fitted>) -> Vec<Fitted> {
+fn finished(all: &Observations, mut models: Vec<Fitted>, memo: &Memo) -> Vec<Fitted> {
     models.dedup_by(|a, b| is_at(all, a, b));
-    let all_of = models.into_par_iter().take(FINISHED).map(|m| fit_near(all, &m, &m.effects));
+    let all_of = models.into_par_iter().take(FINISHED).map(|m| memo.near(all, &m, &m.effects));
     sorted(all, all_of.collect())
 }
 
@@ -426,8 +452,9 @@ const AGAIN: usize = 2;
 /// Adds effects to a model as long as the evidence pays for them. `far`: the model is so far off that its own values may be bent.
 pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn FnMut(&str)) -> Found {
     let mut not: Vec<&str> = Vec::new();
+    let memo = Memo::default();
     for _ in 0..AGAIN {
-        let found = search_without(all, model, far, &not, progress);
+        let found = search_without(all, model, far, &not, &memo, progress);
         let seen = seen(all, &found.fitted.base);
         let added = model.effects.len()..found.fitted.effects.len();
         // An effect fitted beside others may end at values at which it is another one, at an end of its range, or
@@ -448,7 +475,7 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
             return or_one_that_holds(all, found);
         }
     }
-    or_one_that_holds(all, search_without(all, model, far, &not, progress))
+    or_one_that_holds(all, search_without(all, model, far, &not, &memo, progress))
 }
 
 /// A single effect with which the campaign agrees, where it does not with what was found: evidence also grows as
@@ -471,6 +498,7 @@ fn search_without(
     model: &Fitted,
     far: bool,
     not: &[&str],
+    memo: &Memo,
     progress: &mut dyn FnMut(&str),
 ) -> Found {
     let given = model.effects.len();
@@ -490,10 +518,10 @@ fn search_without(
             }
             looked_at.push(ids(&line.fitted));
             progress(&format!("with {names:?}: trying every effect"));
-            let found = candidates(all, &line.fitted, far && depth == 0, not);
-            let mut longer = longer(all, &found, given);
+            let found = candidates(all, &line.fitted, far && depth == 0, not, memo);
+            let mut longer = longer(all, &found, given, memo);
             if longer.is_empty() {
-                longer = instead(all, &found, line, given);
+                longer = instead(all, &found, line, given, memo);
                 done.push(line.clone());
             }
             next.extend(longer);
@@ -527,7 +555,7 @@ fn search_without(
 }
 
 /// A line with the best of these candidates, and one with the second where that is near; each with what explains something else.
-fn longer(all: &Observations, found: &[Candidate], given: usize) -> Vec<Line> {
+fn longer(all: &Observations, found: &[Candidate], given: usize, memo: &Memo) -> Vec<Line> {
     let good: Vec<&Candidate> = found.iter().filter(|c| c.evidence > NEEDED).collect();
     let best = good.first().map_or(0.0, |c| c.evidence);
     let mut near: Vec<&Candidate> =
@@ -538,7 +566,7 @@ fn longer(all: &Observations, found: &[Candidate], given: usize) -> Vec<Line> {
         near.extend(good.iter().find(|c| !scatters(c) && c.evidence > MOST_OF * best));
     }
     let line = |c: &&Candidate| {
-        let fitted = without_idle(all, with_others(all, c, &good, given), given);
+        let fitted = without_idle(all, with_others(all, c, &good, given, memo), given, memo);
         // Fits of models that were far off end early: lines are compared where they have arrived.
         let fitted =
             if fitted.mean_square > FAR_SQUARE { fit(all, &fitted.base, &fitted.effects) } else { fitted };
@@ -548,10 +576,10 @@ fn longer(all: &Observations, found: &[Candidate], given: usize) -> Vec<Line> {
 }
 
 /// Lines in which a candidate that does not pay beside the others takes the place of some of them.
-fn instead(all: &Observations, found: &[Candidate], line: &Line, given: usize) -> Vec<Line> {
+fn instead(all: &Observations, found: &[Candidate], line: &Line, given: usize, memo: &Memo) -> Vec<Line> {
     let some = found.iter().filter(|c| c.evidence > -NEAR).take(2);
     let lines = some.map(|c| {
-        let fitted = without_idle(all, c.fitted.clone(), given);
+        let fitted = without_idle(all, c.fitted.clone(), given, memo);
         Line { score: score(all, &fitted), fitted }
     });
     lines.filter(|l| l.fitted.effects.len() <= line.fitted.effects.len() && l.score < line.score).collect()
@@ -564,7 +592,13 @@ fn ids(fitted: &Fitted) -> Vec<&'static str> {
 }
 
 /// A candidate's model with the other candidates that explain something else: what each gains beside it is most of what it gained alone.
-fn with_others(all: &Observations, chosen: &Candidate, good: &[&Candidate], given: usize) -> Fitted {
+fn with_others(
+    all: &Observations,
+    chosen: &Candidate,
+    good: &[&Candidate],
+    given: usize,
+    memo: &Memo,
+) -> Fitted {
     let mut model = chosen.fitted.clone();
     for other in good.iter().filter(|c| c.effect.id() != chosen.effect.id()) {
         let Some(own) = other.fitted.effects.last().filter(|_| model.effects.len() < given + MOST) else {
@@ -572,7 +606,7 @@ fn with_others(all: &Observations, chosen: &Candidate, good: &[&Candidate], give
         };
         let mut effects = model.effects.clone();
         effects.push(own.clone());
-        let both = fit_near(all, &model, &effects);
+        let both = memo.near(all, &model, &effects);
         let gain = score(all, &model) - score(all, &both);
         if gain > SOMETHING_ELSE * other.evidence && gain > NEEDED {
             model = both;
@@ -583,9 +617,13 @@ fn with_others(all: &Observations, chosen: &Candidate, good: &[&Candidate], give
 
 /// A model without one of its effects, fitted again.
 pub fn without(all: &Observations, model: &Fitted, which: usize) -> Fitted {
+    fit_near(all, model, &effects_without(model, which))
+}
+
+fn effects_without(model: &Fitted, which: usize) -> Effects {
     let mut effects = model.effects.clone();
     effects.remove(which);
-    fit_near(all, model, &effects)
+    effects
 }
 
 /// Whether an effect of a model pays for itself beyond doubt: by the square of a size over its error (Wald's test), which a fit without it
@@ -599,11 +637,12 @@ fn surely_pays(all: &Observations, model: &Fitted, which: usize) -> bool {
 }
 
 /// Drops effects whose evidence does not pay for them any more.
-fn without_idle(all: &Observations, mut model: Fitted, given: usize) -> Fitted {
+fn without_idle(all: &Observations, mut model: Fitted, given: usize, memo: &Memo) -> Fitted {
     while model.effects.len() > given + 1 {
         let doubtful =
             (given..model.effects.len() - 1).into_par_iter().filter(|i| !surely_pays(all, &model, *i));
-        let tries: Vec<Fitted> = doubtful.map(|i| without(all, &model, i)).collect();
+        let tries: Vec<Fitted> =
+            doubtful.map(|i| memo.near(all, &model, &effects_without(&model, i))).collect();
         let best = tries.into_iter().min_by(|a, b| score(all, a).total_cmp(&score(all, b)));
         match best {
             Some(less) if score(all, &less) - score(all, &model) < NEEDED => model = less,
@@ -640,7 +679,7 @@ fn with_one(all: &Observations, now: Fitted, (effect, given): &Given) -> Fitted 
         let starts = Screen::new(all, from, 0.0).starts(*effect, given, &hinted);
         from_starts(all, &now, Some(&guess), *effect, &starts, FORMS, None)
     });
-    finished(all, sorted(all, brief.concat())).into_iter().next().unwrap_or_else(|| {
+    finished(all, sorted(all, brief.concat()), &Memo::default()).into_iter().next().unwrap_or_else(|| {
         let first = hinted.into_iter().next();
         let first = first.unwrap_or_else(|| effect.parameters().iter().map(|p| p.min.max(0.0)).collect());
         let mut still = now;

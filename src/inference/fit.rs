@@ -5,6 +5,7 @@
 
 use super::free::{Common, Free, Point};
 use super::iteration::{Effort, FAR_SQUARE, Iteration};
+use super::judge::Comparison;
 use super::layout::Layout;
 use super::model::Effects;
 use super::normal::Covariance;
@@ -12,7 +13,7 @@ use super::slopes::Slopes;
 use crate::observables::{Half, Observations, codes_used, mean};
 use radcam_sim::effects::{self, Effect, Seen, Together};
 use radcam_sim::predict::{BaseParameters, Prediction};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// A model with values: the paper's parameters and effects.
 #[derive(Clone)]
@@ -35,6 +36,8 @@ pub struct Fitted {
     pub(super) covariance: Covariance,
     /// Slopes there or near.
     pub(super) slopes: Arc<Slopes>,
+    /// Comparison with the campaign that it is a fit to, by the address of its observations, once it was asked for.
+    pub(super) compared: Arc<OnceLock<(usize, Comparison)>>,
 }
 
 impl std::fmt::Debug for Fitted {
@@ -59,7 +62,12 @@ impl Fitted {
     /// The same effects beside another guess of the paper's parameters. What was free and with which errors stays that of the fit: it says
     /// nothing of the guess.
     pub fn with_base(&self, base: BaseParameters) -> Self {
-        Self { base, ..self.clone() }
+        Self { base, compared: Arc::default(), ..self.clone() }
+    }
+
+    /// Memory that it takes, about.
+    pub(crate) fn bytes(&self) -> usize {
+        self.slopes.bytes()
     }
 
     /// Covariance of two parameters of an effect, in their own units.
@@ -151,7 +159,19 @@ fn fit_for(
     let std_err = effects.iter().enumerate().map(|(i, (_, p))| of_effect(i, p)).collect();
     let base_std_err = errors.of_base(&base);
     let slopes = Arc::new(slopes);
-    Fitted { base, effects, objective, mean_square, std_err, base_std_err, free, point, covariance, slopes }
+    Fitted {
+        base,
+        effects,
+        objective,
+        mean_square,
+        std_err,
+        base_std_err,
+        free,
+        point,
+        covariance,
+        slopes,
+        compared: Arc::default(),
+    }
 }
 
 /// Standard errors of what is free, in its own units.

@@ -30,6 +30,11 @@ impl Slopes {
         Self::beside(None, layout, free, point, now)
     }
 
+    /// Memory that they take, about.
+    pub fn bytes(&self) -> usize {
+        size_of_val(self.expected.as_slice()) + size_of_val(self.setting.as_slice())
+    }
+
     /// At a place near one where they are known, maybe of another model or of other halves: of what is not known there only.
     pub fn beside(
         known: Option<&Self>,
