@@ -173,6 +173,13 @@ impl<'a> Iteration<'a> {
         let from = self.point.clone();
         factors.iter().for_each(|(i, f)| self.point.x[*i] *= f);
         self.free.clamp(&mut self.point);
+        // At an end of its range a scatter stays where it is.
+        let moves =
+            |(i, _): &(usize, f64)| (self.point.x[*i] - from.x[*i]).abs() >= SETTLED * from.x[*i].abs();
+        if !factors.iter().any(moves) {
+            self.point = from;
+            return true;
+        }
         self.now = self.layout.at_from(self.free, &self.point, &self.now, &from, None);
         false
     }

@@ -10,6 +10,9 @@ use crate::observables::{Expected, HEAVY_DOF, Observable, lightened};
 /// From here on the square of a residual says that the model is wrong, and not how large its scatter is.
 const LARGE: f64 = 16.0;
 
+/// Variance of settings over that of the frames' means below which it is none.
+const NO_SETTING: f64 = 1e-6;
+
 /// Rows and what they say of every value, at one place.
 pub struct System<'a> {
     pub(super) layout: &'a Layout<'a>,
@@ -271,7 +274,9 @@ impl<'a> System<'a> {
         let parts: Vec<_> = self.blocks.iter().zip(&self.z[self.layout.rows.len()..]).map(of).collect();
         let excess = |f: f64| parts.iter().map(|(e, own, frames)| e / (f * own + frames) - 1.0).sum::<f64>();
         if excess(1e-8) <= 0.0 {
-            return 1e-4;
+            // Beside what the frames have it is nothing already.
+            let is_nothing = parts.iter().all(|(_, own, frames)| *own < NO_SETTING * frames);
+            return if is_nothing { 1.0 } else { 1e-4 };
         }
         let (mut low, mut high) = (1e-8f64, 1e8f64);
         for _ in 0..60 {
