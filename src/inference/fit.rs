@@ -36,8 +36,8 @@ pub struct Fitted {
     pub(super) covariance: Covariance,
     /// Slopes there or near.
     pub(super) slopes: Arc<Slopes>,
-    /// Comparison with the campaign that it is a fit to, by the address of its observations, once it was asked for.
-    pub(super) compared: Arc<OnceLock<(usize, Comparison)>>,
+    /// Comparison with the first observations that it was compared with, and which those are.
+    pub(super) compared: Arc<OnceLock<(u64, Comparison)>>,
 }
 
 impl std::fmt::Debug for Fitted {

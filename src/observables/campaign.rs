@@ -14,7 +14,7 @@ use crate::statistics::median::median;
 use crate::statistics::pass::Summary;
 use crate::statistics::steady::PixelNoise;
 use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, Ordinary, SetInfo};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// Relative scatter of the light from setting to setting.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,9 +26,35 @@ pub enum Setting {
     Below(f64),
 }
 
+/// Tells observations from others; a copy, which may be changed, is another.
+#[derive(Debug)]
+pub struct Identity(u64);
+
+impl Default for Identity {
+    fn default() -> Self {
+        static NEXT: AtomicU64 = AtomicU64::new(0);
+        Self(NEXT.fetch_add(1, Ordering::Relaxed))
+    }
+}
+
+impl Identity {
+    /// A number that no others have.
+    pub fn value(&self) -> u64 {
+        self.0
+    }
+}
+
+impl Clone for Identity {
+    fn clone(&self) -> Self {
+        Self::default()
+    }
+}
+
 /// Everything that was observed.
 #[derive(Debug, Clone)]
 pub struct Observations {
+    /// These and no others.
+    pub identity: Identity,
     /// Geometry, sets and frames.
     pub campaign: Campaign,
     /// Numbers of the sets as the dataset has them.
@@ -367,6 +393,7 @@ pub fn of_dataset(
     let light_rel_std = dataset.manifest().bench.as_ref().and_then(|b| b.illumination_rel_std);
     let ordinary = pixel_noise.and_then(|p| ordinary(&p, &chunks, &infos, &kinds));
     let mut all = Observations {
+        identity: Identity::default(),
         setting: setting(dataset, &settings, light_rel_std),
         light_settings: light_settings(&infos),
         frames_between: between,

@@ -34,7 +34,7 @@ mod read;
 mod scene;
 mod table;
 
-pub use campaign::{Observations, ObserveError, Setting, of_dataset};
+pub use campaign::{Identity, Observations, ObserveError, Setting, of_dataset};
 pub use expect::{Expected, HEAVY_DOF, View, expectations, expectations_beside, in_quadrature, lightened};
 mod line_shape;
 

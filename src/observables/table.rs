@@ -1,6 +1,6 @@
 //! Observables of a table of means and variances: many labs keep only that.
 
-use super::campaign::dark_spreads;
+use super::campaign::{Identity, dark_spreads};
 use super::{
     Field, Half, Observable, Observations, ObserveError, Statistic, covariance, mean, monitor, variance,
 };
@@ -123,6 +123,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
     let kinds: Vec<Kind> =
         sets.iter().map(|s: &SetInfo| if s.light.is_some() { Kind::Flat } else { Kind::Dark }).collect();
     Ok(Observations {
+        identity: Identity::default(),
         largest_spread: 0.0,
         dark_spread_dn2: dark_spreads(&sets, &kinds),
         steady_dn4: None,
