@@ -407,6 +407,32 @@ fn gamma_of_the_whole_code_is_named() {
     }
 }
 
+/// A filter that keeps whole codes, after bright frames that are not in the campaign: named, and no lag of charge, since darks have too little
+/// noise for it to act on.
+#[test]
+fn a_filter_of_whole_codes_is_named_after_bright_frames() {
+    let named = |seed: u64, alpha: f64| {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("c");
+        let mut plan = Plan::standard();
+        plan.full_exposure_s = Some(0.02);
+        let bright = SetPlan { frames: 2, ..plan.sets[9].clone() };
+        plan.sets.insert(0, bright);
+        capture(with(unit(seed), "temporal-filter", &[alpha, 0.0]), &plan, &root);
+        let table = std::fs::read_to_string(root.join("frames.csv")).unwrap();
+        // The first two are not saved.
+        let kept: Vec<&str> = table.lines().take(1).chain(table.lines().skip(3)).collect();
+        std::fs::write(root.join("frames.csv"), kept.join("\n") + "\n").unwrap();
+        let d = diagnose(&observe(&root), None, Vec::new(), &mut |_| {});
+        let first = &d.missing[0];
+        assert_eq!(first.effect, "temporal-filter", "{alpha}: {:?}", d.missing);
+        let q = &first.parameters["alpha"];
+        assert!((q.value - alpha).abs() < 4.0 * q.std_err, "{q}");
+    };
+    named(31, 0.0226);
+    named(32, 0.0344);
+}
+
 /// The outside generator's table with two lamps and a light monitor: the scatter of the lamps, the late shutter and brighter-fatter, whose
 /// a00 is twice the sum of ours.
 #[test]
