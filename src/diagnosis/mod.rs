@@ -392,7 +392,10 @@ fn not_told(part: &Part, last: &Comparison, lit: &BTreeSet<u32>) -> Option<Strin
     let tells = |r: &&Residual| told_by.contains(&&*r.statistic) || told_by.contains(&r.observable.as_str());
     let told: Vec<Residual> = last.residuals.iter().filter(tells).cloned().collect();
     // Each statistic as a whole, and flats and darks alone: what is the same without light is so with it.
-    let mut groups = by(&told, |r| &*r.statistic);
+    let mut groups = by(&told, |r| {
+        // Tests of settings are asked for by name.
+        if told_by.contains(&r.observable.as_str()) { &*r.observable } else { &*r.statistic }
+    });
     let (flats, darks): (Vec<Residual>, Vec<Residual>) =
         told.into_iter().partition(|r| r.set.is_some_and(|set| lit.contains(&set)));
     if !flats.is_empty() && !darks.is_empty() {
@@ -400,14 +403,15 @@ fn not_told(part: &Part, last: &Comparison, lit: &BTreeSet<u32>) -> Option<Strin
         groups.extend(by(&darks, |r| &r.observable));
     }
     let worst = groups.iter().min_by(|a, b| a.chance.total_cmp(&b.chance))?;
-    // A scatter excuses what it does not explain: whether frames scatter one by one is told by a statistic that
-    // knows no size.
-    let matters = worst.excess >= MATTERS * part.evidence || part.effect.shown_by().is_some();
+    // A scatter excuses what it does not explain: whether frames, or settings, scatter one by one is told by a
+    // statistic that knows no size.
+    let is_scatter = part.effect.shown_by().is_some() || part.effect.sets_each();
+    let matters = worst.excess >= MATTERS * part.evidence || is_scatter;
     if worst.chance * groups.len() as f64 >= HOLDS || !matters {
         return None;
     }
     Some(format!(
-        "with it {} still deviates by more than chance gives (p {})",
+        "with it more is left in the {} than chance gives (p {})",
         worst.name,
         chance(worst.chance)
     ))
