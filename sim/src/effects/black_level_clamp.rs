@@ -1,10 +1,16 @@
 //! Black-level clamp: the camera takes the dark charge of covered pixels off.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 use crate::rng::PixelRng;
 
 /// The mean dark charge is taken off the black level, its shot noise stays.
 pub struct BlackLevelClamp;
+
+/// Share of the dark charge below which what is taken off is none of a clamp (a named choice: covered pixels have the dark current of the others
+/// within some ten per cent, and clamps that hold a part of it hold half at least).
+const LEAST_SHARE: f64 = 0.25;
+/// Standard errors within which it may be more.
+const SURE: f64 = 2.0;
 
 /// A Poisson number: by the product of uniform numbers (Knuth 1969, 3.4.1), and normal where there are many.
 fn poisson(mean: f64, random: &mut PixelRng) -> f64 {
@@ -41,6 +47,13 @@ impl Effect for BlackLevelClamp {
             max: 1e6,
             starts: &[1.0, 100.0],
         }]
+    }
+
+    fn contradicted(&self, p: &[f64], std_err: &[f64], seen: &Seen) -> Option<&'static str> {
+        let most = p[0] + SURE * std_err[0];
+        (most < LEAST_SHARE * (most + seen.dark_e_per_s)).then_some(
+            "the level of darks grows with the exposure by more than would be taken off, and covered pixels have the dark current of the others",
+        )
     }
 
     fn shows_in_darks(&self) -> bool {

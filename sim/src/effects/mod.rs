@@ -100,6 +100,8 @@ pub struct Seen {
     pub flat_sets: usize,
     /// Noise of darks, DN.
     pub dark_noise_dn: f64,
+    /// Growth of the darks' mean with the exposure, e/s; 0 where the campaign does not tell it.
+    pub dark_e_per_s: f64,
     /// The strongest line in the spectrum of the noise in read-out order, cycles per pixel.
     pub line_cycles_per_px: Option<f64>,
     /// The strongest frequency of stripes of columns that move from frame to frame, cycles per column.
