@@ -13,6 +13,7 @@ use super::slopes::Slopes;
 use crate::observables::{Half, Observations, codes_used, mean};
 use radcam_sim::effects::{self, Effect, Seen, Together};
 use radcam_sim::predict::{BaseParameters, Prediction};
+use std::collections::BTreeSet;
 use std::sync::{Arc, OnceLock};
 
 /// A model with values: the paper's parameters and effects.
@@ -141,6 +142,12 @@ fn fit_for(
     if let Some(dark) = free.place(Common::Dark).filter(|_| !all.tells_dark_current(half)) {
         free.fixed[dark] = true;
     }
+    if half.is_some_and(|h| repeated_settings(&layout, &free, h) < LEAST_REPEATED) {
+        let of_effects = effects.iter().enumerate().filter(|(_, (e, _))| e.sets_each());
+        let scatters = of_effects.map(|(i, _)| Common::Of(i, 0)).chain([Common::SettingRel]);
+        let places: Vec<usize> = scatters.filter_map(|s| free.place(s)).collect();
+        places.into_iter().for_each(|place| free.fixed[place] = true);
+    }
     let begins = |h| all.of(&mean::Mean).any(|o| o.half == h && o.frames.0 == 0);
     if let Some(past) = free.place(Common::Past).filter(|_| half.is_some_and(|h| !begins(h))) {
         free.fixed[past] = true;
@@ -172,6 +179,23 @@ fn fit_for(
         slopes,
         compared: Arc::default(),
     }
+}
+
+/// Settings beyond the levels of light that are open from which on a half tells their scatter (a named choice).
+const LEAST_REPEATED: usize = 3;
+
+/// Number of settings in a half beyond the levels of light that are open: what tells how much settings scatter.
+fn repeated_settings(layout: &Layout<'_>, free: &Free, half: Half) -> usize {
+    let sets = &layout.all.campaign.sets;
+    let means = layout.rows.iter().filter(|o| o.is(&mean::Mean) && o.half == half);
+    let lit: Vec<(usize, usize)> = means.filter_map(|o| Some((o.set?, sets[o.set?].light?))).collect();
+    let settings: BTreeSet<usize> = lit.iter().map(|(set, _)| layout.setting_of(*set)).collect();
+    let levels: BTreeSet<usize> = lit.iter().map(|(_, level)| *level).collect();
+    let is_known = |level: &&usize| {
+        let place = free.light_of_level.get(**level).copied().flatten();
+        place.is_some_and(|k| free.lights[k].known.is_some())
+    };
+    settings.len() - levels.len().min(settings.len()) + levels.iter().filter(is_known).count()
 }
 
 /// Standard errors of what is free, in its own units.
