@@ -433,6 +433,29 @@ fn a_filter_of_whole_codes_is_named_after_bright_frames() {
     named(32, 0.0344);
 }
 
+/// Lights of which no error is stated, each set twice, three frames each time: every half has one set of each, and the scatter of the lamp is named
+/// all the same.
+#[test]
+fn a_lamp_that_scatters_is_named_where_every_light_is_set_twice() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    let mut plan = Plan::quick();
+    plan.full_exposure_s = Some(0.02);
+    let set = plan.sets.pop().unwrap();
+    plan.sets.truncate(2);
+    let lights = (1..=8).chain((1..=7).rev());
+    let at = |k| SetPlan { frames: 3, exposure: Some(1.0), illumination: f64::from(k) / 8.0, ..set.clone() };
+    plan.sets.extend(lights.map(at));
+    capture(with(unit(33), "illumination-setting", &[0.001]), &plan, &root);
+    let manifest = std::fs::read_to_string(root.join("dataset.toml")).unwrap();
+    let kept: Vec<&str> = manifest.lines().filter(|l| !l.starts_with("illumination_rel_std")).collect();
+    std::fs::write(root.join("dataset.toml"), kept.join("\n") + "\n").unwrap();
+    let d = diagnose(&observe(&root), None, Vec::new(), &mut |_| {});
+    assert_eq!(d.missing[0].effect, "illumination-setting", "{:?}", d.missing);
+    let q = &d.missing[0].parameters["rel"];
+    assert!((q.value - 0.001).abs() < 4.0 * q.std_err, "{q}");
+}
+
 /// The outside generator's table with two lamps and a light monitor: the scatter of the lamps, the late shutter and brighter-fatter, whose
 /// a00 is twice the sum of ours.
 #[test]
