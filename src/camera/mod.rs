@@ -271,11 +271,8 @@ pub struct StreamOptions {
     pub packet_timeout: Duration,
     /// GigE Vision: time until an unfinished frame is given up.
     pub frame_retention: Duration,
-    /// GigE Vision: receive buffer of the ordinary socket, bytes.
+    /// GigE Vision: receive buffer of the socket, bytes.
     pub socket_buffer: usize,
-    /// GigE Vision: use the packet socket where the system allows it (CAP_NET_RAW). It is faster, and takes packets whose UDP checksum is
-    /// wrong: a changed byte becomes a wrong pixel. The loopback interface, which changes nothing, always uses it.
-    pub packet_socket: bool,
 }
 
 impl Default for StreamOptions {
@@ -288,7 +285,6 @@ impl Default for StreamOptions {
             packet_timeout: Duration::from_millis(40),
             frame_retention: Duration::from_millis(200),
             socket_buffer: 8 << 20,
-            packet_socket: false,
         }
     }
 }
@@ -307,6 +303,9 @@ pub struct StreamCounts {
     pub dropped: u64,
     /// Frames that the camera's numbers say were sent and of which nothing else is known.
     pub missing: u64,
+    /// Whole frames whose number had come before. They are discarded, and none of them is lost.
+    #[serde(default)]
+    pub repeated: u64,
 }
 
 impl StreamCounts {
@@ -322,6 +321,7 @@ impl StreamCounts {
         self.underruns += other.underruns;
         self.dropped += other.dropped;
         self.missing += other.missing;
+        self.repeated += other.repeated;
     }
 }
 

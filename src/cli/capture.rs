@@ -60,8 +60,8 @@ pub struct StreamArguments {
     /// Milliseconds until an unfinished frame is given up
     #[arg(long)]
     frame_retention_ms: Option<u64>,
-    /// Do not use the packet socket, even where the system allows it
-    #[arg(long)]
+    /// Nothing: the packet socket is never used
+    #[arg(long, hide = true)]
     no_packet_socket: bool,
     /// Frames held ready for the camera to fill
     #[arg(long)]
@@ -78,7 +78,6 @@ impl StreamArguments {
             packet_resend: !self.no_resend,
             packet_timeout: ms(self.packet_timeout_ms, default.packet_timeout),
             frame_retention: ms(self.frame_retention_ms, default.frame_retention),
-            packet_socket: !self.no_packet_socket,
             ..default
         }
     }

@@ -48,8 +48,8 @@ pub struct Arguments {
     /// Packet size, bytes [default: the largest that passes]
     #[arg(long, value_name = "BYTES")]
     packet_size: Option<u32>,
-    /// Receive by the packet socket where the system allows it: faster, but it takes packets whose checksum is wrong
-    #[arg(long)]
+    /// Nothing: packets of the packet socket cannot be checked before Aravis sees them
+    #[arg(long, hide = true)]
     packet_socket: bool,
     /// End after so many frames
     #[arg(long)]
@@ -78,7 +78,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         ..Options::default()
     };
     options.stream.packet_size = arguments.packet_size;
-    options.stream.packet_socket = arguments.packet_socket;
+    if arguments.packet_socket {
+        tracing::warn!("--packet-socket: the ordinary socket is used, before which packets can be checked");
+    }
     // Who it is and at what exposure it stands, before frames are promised to anybody.
     let (identity, settings) = {
         let mut camera = camera::open(&arguments.camera)?;

@@ -1,11 +1,13 @@
 //! A camera and its features.
 
+use crate::socket::{self, OpenSocket};
 use crate::stream::{Stream, StreamSetup};
 use crate::{Error, Named};
 use aravis::glib::prelude::*;
 use aravis::glib::translate::{ToGlibPtr, from_glib_full};
 use aravis::prelude::*;
 use aravis::{AccessCheckPolicy, GvPacketSizeAdjustment, RangeCheckPolicy};
+use std::collections::BTreeSet;
 use std::ffi::{CStr, c_char};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -55,6 +57,7 @@ pub fn devices() -> Vec<DeviceInfo> {
     // The list belongs to the library: one look at it at a time.
     static LIST: std::sync::Mutex<()> = std::sync::Mutex::new(());
     let _one = LIST.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let _only = socket::opening();
     // SAFETY: plain calls without arguments; the library initialises itself.
     let count = unsafe {
         aravis_sys::arv_update_device_list();
@@ -131,6 +134,40 @@ fn described(name: String, node: &aravis::GcNode) -> Option<Feature> {
     Some(Feature { name, kind, selected })
 }
 
+/// Reads so many bytes of a camera's memory.
+pub(crate) fn memory(camera: &aravis::Camera, address: u64, size: u32) -> Result<Vec<u8>, Error> {
+    let what = format!("memory at {address:#x}");
+    let device = camera.device().ok_or_else(|| Error::new(&what, "no device"))?;
+    let mut bytes = vec![0; size as usize];
+    let mut error = std::ptr::null_mut();
+    // SAFETY: the device is alive by our reference, `size` bytes at `bytes` are ours, and the error is null or ours to free.
+    let read = unsafe {
+        aravis_sys::arv_device_read_memory(
+            device.to_glib_none().0,
+            address,
+            size,
+            bytes.as_mut_ptr().cast(),
+            &mut error,
+        )
+    };
+    done(read, error, &what).map(|()| bytes)
+}
+
+/// Closes the control socket, the one that is new, to all but the camera: answers of others could be taken for its own, or make libaravis wait for
+/// weeks.
+fn hear_only(camera: &aravis::Camera, before: &BTreeSet<OpenSocket>) {
+    let Some(address) = crate::stream::address_of(camera) else { return };
+    let now = socket::udp_sockets();
+    let mut new = now.difference(before);
+    let (Some(only), None) = (new.next(), new.next()) else {
+        tracing::debug!("the control socket was not found");
+        return;
+    };
+    if let Err(e) = socket::answers_of(address).and_then(|program| socket::attach(only.fd, &program)) {
+        tracing::warn!(error = %e, "the control socket hears everybody");
+    }
+}
+
 /// An open camera, controlled by this process.
 #[derive(Debug)]
 pub struct Camera {
@@ -148,7 +185,13 @@ impl Camera {
     ///
     /// What Aravis says where no camera answers by that name.
     pub fn open(name: &str) -> Result<Self, Error> {
-        let inner = aravis::Camera::new(Some(name)).named("open")?;
+        let inner = {
+            let _only = socket::opening();
+            let before = socket::udp_sockets();
+            let inner = aravis::Camera::new(Some(name)).named("open")?;
+            hear_only(&inner, &before);
+            inner
+        };
         // Both are off by default: gain 99 of at most 24 would be accepted.
         inner.set_range_check_policy(RangeCheckPolicy::Enable);
         inner.set_access_check_policy(AccessCheckPolicy::Enable);
@@ -246,21 +289,7 @@ impl Camera {
     ///
     /// What Aravis says where the camera does not let that memory be read.
     pub fn memory(&self, address: u64, size: u32) -> Result<Vec<u8>, Error> {
-        let what = format!("memory at {address:#x}");
-        let device = self.inner.device().ok_or_else(|| Error::new(&what, "no device"))?;
-        let mut bytes = vec![0; size as usize];
-        let mut error = std::ptr::null_mut();
-        // SAFETY: the device is alive by our reference, `size` bytes at `bytes` are ours, and the error is null or ours to free.
-        let read = unsafe {
-            aravis_sys::arv_device_read_memory(
-                device.to_glib_none().0,
-                address,
-                size,
-                bytes.as_mut_ptr().cast(),
-                &mut error,
-            )
-        };
-        done(read, error, &what).map(|()| bytes)
+        memory(&self.inner, address, size)
     }
 
     /// Writes the camera's memory.

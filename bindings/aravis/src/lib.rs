@@ -1,16 +1,18 @@
 //! What radcam needs of [libaravis](https://github.com/AravisProject/aravis), and the only `unsafe` of the project.
 //!
-//! Cameras that speak GigE Vision or USB3 Vision ([`Camera`], [`Stream`]), and a virtual GigE Vision camera whose
-//! frames are painted by a callback ([`VirtualCamera`]). A leaf: nothing here knows of frames, formats or physics.
+//! Cameras that speak GigE Vision or USB3 Vision ([`Camera`], [`Stream`]). What libaravis does not check of the packets that it receives is
+//! checked by filters before its sockets. A leaf: nothing here knows of frames, formats or physics.
 //!
 //! libaravis is LGPL and linked dynamically.
 
 mod camera;
 mod server;
+mod socket;
 mod stream;
 
 pub use camera::{Camera, DeviceInfo, Feature, FeatureKind, devices};
 pub use server::{Initial, Memory, Painter, Registers, Request, VirtualCamera, address};
+pub use socket::broadcast_address;
 pub use stream::{Received, Stream, StreamCounts, StreamSetup};
 
 unsafe extern "C" {

@@ -1,13 +1,21 @@
 //! A running acquisition.
 
+use crate::socket::{self, Frames, OpenSocket};
 use crate::{Error, Named};
 use aravis::glib::prelude::*;
+use aravis::glib::translate::{ToGlibPtr, from_glib_full};
 use aravis::prelude::*;
 use aravis::{
     Buffer, BufferPayloadType, BufferStatus, GvStream, GvStreamOption, GvStreamPacketResend,
     GvStreamSocketBuffer,
 };
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use aravis_sys::{ARV_STREAM_CALLBACK_TYPE_INIT, ArvBuffer, ArvStreamCallbackType};
+use gio::prelude::*;
+use std::collections::BTreeSet;
+use std::ffi::c_void;
+use std::net::{IpAddr, Ipv4Addr};
+use std::os::fd::RawFd;
+use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -29,8 +37,6 @@ pub struct StreamSetup {
     pub frame_retention: Duration,
     /// GigE Vision: receive buffer of the ordinary socket, bytes.
     pub socket_buffer: usize,
-    /// GigE Vision: use the packet socket where the system allows it.
-    pub packet_socket: bool,
 }
 
 /// What Aravis says of a frame that came out of the stream.
@@ -84,9 +90,12 @@ pub struct Stream<'a> {
     stream: aravis::Stream,
     lost: Arc<AtomicBool>,
     payload: usize,
+    receive_buffer: Option<usize>,
     dropped: Arc<Dropped>,
     /// Where frames that wait too long are dropped: buffers that need not circulate.
     spare: Option<Arc<Spare>>,
+    /// The receiving thread refers to it, which ends with `stream`: fields are dropped in this order.
+    _opening: Box<Opening>,
 }
 
 /// Frames that made room for newer ones.
@@ -145,6 +154,103 @@ fn drop_oldest(stream: &aravis::Stream, waiting: usize, spare: &Arc<Spare>) -> A
     dropped
 }
 
+/// What the receiving thread of libaravis finds when it begins: the sockets that were open before its own.
+#[derive(Debug)]
+struct Opening {
+    before: BTreeSet<OpenSocket>,
+    /// Its socket, closed to all packets; -1 where it was not found.
+    socket: AtomicI32,
+}
+
+/// Called by libaravis on the receiving thread; first of all before that reads its socket.
+unsafe extern "C" fn at_start(data: *mut c_void, event: ArvStreamCallbackType, _buffer: *mut ArvBuffer) {
+    if event != ARV_STREAM_CALLBACK_TYPE_INIT {
+        return;
+    }
+    // SAFETY: `data` is the Opening that `open` boxed. The Stream keeps it until after libaravis has joined this thread.
+    let opening = unsafe { &*data.cast::<Opening>() };
+    if let Ok(Some(socket)) = std::panic::catch_unwind(|| opening.close()) {
+        opening.socket.store(socket, Ordering::Release);
+    }
+}
+
+impl Opening {
+    /// Lets nothing more into the one socket that is new, and throws away what it has received since it was bound.
+    fn close(&self) -> Option<RawFd> {
+        let now = socket::udp_sockets();
+        let mut new = now.difference(&self.before);
+        let (Some(only), None) = (new.next(), new.next()) else { return None };
+        socket::attach(only.fd, &socket::nothing().ok()?).ok()?;
+        socket::drain(only.fd);
+        Some(only.fd)
+    }
+}
+
+/// How often a stream is opened anew where its socket was not found: another part of the program opened one at the same time.
+const OPENINGS: usize = 5;
+
+/// A stream of libaravis. The second part is what its receiving thread refers to: it must be dropped later.
+type Opened = (aravis::Stream, Box<Opening>);
+
+/// Opens a stream whose receiving thread has not seen any packet.
+fn open(camera: &aravis::Camera) -> Result<Opened, Error> {
+    let _only = socket::opening();
+    for _ in 0..OPENINGS {
+        let opening = Box::new(Opening { before: socket::udp_sockets(), socket: AtomicI32::new(-1) });
+        let data = std::ptr::from_ref(&*opening).cast_mut().cast();
+        let mut error = std::ptr::null_mut();
+        // SAFETY: the camera is alive by our reference; `data` outlives the stream (see `Opened`), whose thread only reads it.
+        let stream = unsafe {
+            aravis_sys::arv_camera_create_stream(camera.to_glib_none().0, Some(at_start), data, &mut error)
+        };
+        if stream.is_null() {
+            // SAFETY: libaravis gives null with an error that the caller frees, or with none.
+            let why = (!error.is_null()).then(|| unsafe { from_glib_full::<_, aravis::glib::Error>(error) });
+            return Err(Error::new("stream", why.as_ref().map_or("refused", |e| e.message())));
+        }
+        // SAFETY: libaravis gives the only reference of a new object to the caller.
+        let stream: aravis::Stream = unsafe { from_glib_full(stream) };
+        let Some(gv) = stream.downcast_ref::<GvStream>() else { return Ok((stream, opening)) };
+        let found = opening.socket.load(Ordering::Acquire);
+        if found >= 0 && socket::port(found) == Some(gv.port()) {
+            return Ok((stream, opening));
+        }
+        tracing::debug!("the socket of the stream was not found; it is opened anew");
+        drop(stream);
+    }
+    Err(Error::new("stream", "its socket was not found among the open files of this process (/proc/self/fd)"))
+}
+
+/// The IPv4 address of a GigE Vision camera.
+pub(crate) fn address_of(camera: &aravis::Camera) -> Option<Ipv4Addr> {
+    let device = camera.device()?.downcast::<aravis::GvDevice>().ok()?;
+    let address = device.device_address()?.downcast::<gio::InetSocketAddress>().ok()?;
+    match IpAddr::from(address.address()) {
+        IpAddr::V4(address) => Some(address),
+        IpAddr::V6(_) => None,
+    }
+}
+
+/// First register of a stream channel, bytes of a channel, and the place of its source port in there (GigE Vision 2.0, 28.32 to 28.36).
+const CHANNELS: u64 = 0xd00;
+const CHANNEL: u64 = 0x40;
+const SOURCE_PORT: u64 = 0x1c;
+
+/// Lets the packets of this camera's frames into the stream's socket, and no others.
+fn admit(camera: &aravis::Camera, payload: usize, socket: RawFd) -> Result<(), Error> {
+    let address = address_of(camera).ok_or_else(|| Error::new("stream", "the camera has no IPv4 address"))?;
+    let channel = camera.gv_get_current_stream_channel().unwrap_or(0);
+    let register = CHANNELS + CHANNEL * u64::try_from(channel).unwrap_or(0) + SOURCE_PORT;
+    // Not every camera tells it.
+    let port = crate::camera::memory(camera, register, 4).unwrap_or_default();
+    let port = port.get(2..4).map_or(0, |b| u16::from_be_bytes([b[0], b[1]]));
+    let packet = camera.gv_get_packet_size().named("GevSCPSPacketSize")?;
+    let number = |n: usize| u32::try_from(n).map_err(|e| Error::new("PayloadSize", e));
+    let frames = Frames { camera: address, port, packet, payload: number(payload)? };
+    tracing::debug!(?frames, "packets that are let in");
+    socket::attach(socket, &socket::frames_of(frames)?)
+}
+
 impl<'a> Stream<'a> {
     pub(crate) fn start(
         camera: &'a aravis::Camera,
@@ -152,15 +258,12 @@ impl<'a> Stream<'a> {
         lost: Arc<AtomicBool>,
     ) -> Result<Self, Error> {
         if camera.is_gv_device() {
-            let options = if setup.packet_socket {
-                GvStreamOption::NONE
-            } else {
-                GvStreamOption::PACKET_SOCKET_DISABLED
-            };
-            camera.gv_set_stream_options(options);
+            // Aravis's packet socket takes every packet of the network for one of the stream until its own filter stands.
+            camera.gv_set_stream_options(GvStreamOption::PACKET_SOCKET_DISABLED);
         }
         let payload = camera.payload().named("PayloadSize")? as usize;
-        let stream = camera.create_stream().named("stream")?;
+        let (stream, opening) = open(camera)?;
+        let mut receive_buffer = None;
         if let Some(gv) = stream.downcast_ref::<GvStream>() {
             gv.set_packet_resend(if setup.packet_resend {
                 GvStreamPacketResend::Always
@@ -169,8 +272,12 @@ impl<'a> Stream<'a> {
             });
             gv.set_packet_timeout(microseconds(setup.packet_timeout));
             gv.set_frame_retention(microseconds(setup.frame_retention));
+            let socket = opening.socket.load(Ordering::Acquire);
+            receive_buffer = Some(socket::set_receive_buffer(socket, setup.socket_buffer));
+            // 0: Aravis leaves it as it is.
             gv.set_socket_buffer(GvStreamSocketBuffer::Fixed);
-            gv.set_socket_buffer_size(i32::try_from(setup.socket_buffer).unwrap_or(i32::MAX));
+            gv.set_socket_buffer_size(0);
+            admit(camera, payload, socket)?;
         }
         for _ in 0..setup.buffers.max(2) {
             stream.push_buffer(Buffer::new_allocate(payload));
@@ -178,7 +285,13 @@ impl<'a> Stream<'a> {
         let spare = setup.waiting.map(|_| Arc::<Spare>::default());
         let dropped = setup.waiting.zip(spare.as_ref()).map(|(n, spare)| drop_oldest(&stream, n, spare));
         camera.start_acquisition().named("AcquisitionStart")?;
-        Ok(Self { camera, stream, lost, payload, dropped: dropped.unwrap_or_default(), spare })
+        let dropped = dropped.unwrap_or_default();
+        Ok(Self { camera, stream, lost, payload, receive_buffer, dropped, spare, _opening: opening })
+    }
+
+    /// GigE Vision: bytes of the receive buffer that the system granted.
+    pub fn receive_buffer(&self) -> Option<usize> {
+        self.receive_buffer
     }
 
     /// Bytes of a frame.

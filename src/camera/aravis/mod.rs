@@ -586,12 +586,8 @@ impl Camera for AravisCamera {
             packet_timeout: options.packet_timeout,
             frame_retention: options.frame_retention,
             socket_buffer: options.socket_buffer,
-            packet_socket: options.packet_socket || self.loopback,
         };
         let gigevision = self.inner.is_gigevision();
-        if gigevision && !setup.packet_socket {
-            warn_of_small_buffers(options.socket_buffer);
-        }
         let lost = self.inner.is_lost();
         let stream = self.inner.stream(&setup).map_err(|e| {
             if lost {
@@ -600,6 +596,9 @@ impl Camera for AravisCamera {
                 CameraError::Backend { camera: id.clone(), feature: e.what, message: e.message }
             }
         })?;
+        if let Some(granted) = stream.receive_buffer() {
+            warn_of_a_small_buffer(granted, options.socket_buffer);
+        }
         Ok(Box::new(stream::AravisStream {
             stream,
             id,
@@ -613,14 +612,12 @@ impl Camera for AravisCamera {
 }
 
 /// Says once where the system grants a smaller socket buffer than asked for: packets are then lost whenever the receiver is late.
-fn warn_of_small_buffers(wanted_bytes: usize) {
+fn warn_of_a_small_buffer(granted_bytes: usize, wanted_bytes: usize) {
     static SAID: std::sync::Once = std::sync::Once::new();
-    let limit = std::fs::read_to_string("/proc/sys/net/core/rmem_max").ok();
-    let limit: Option<usize> = limit.and_then(|text| text.trim().parse().ok());
-    if let Some(limit_bytes) = limit.filter(|limit| *limit < wanted_bytes) {
+    if granted_bytes < wanted_bytes {
         SAID.call_once(|| {
             tracing::warn!(
-                limit_bytes,
+                granted_bytes,
                 "packets may be lost: let sockets have larger buffers by `sysctl -w net.core.rmem_max={wanted_bytes}`"
             );
         });

@@ -25,6 +25,7 @@ impl AravisStream<'_> {
         let Self { stream, settings, counter, counts, gigevision, .. } = self;
         let begun = Instant::now();
         let got = stream.next(timeout, |received| {
+            let repeated = counts.repeated;
             let shown = match arrived(received, settings, *gigevision, counter, counts) {
                 Ok(frame) => take(Ok(frame)),
                 Err(why) => {
@@ -34,7 +35,7 @@ impl AravisStream<'_> {
             };
             if shown {
                 counts.completed += 1;
-            } else {
+            } else if counts.repeated == repeated {
                 counts.failures += 1;
             }
         });
@@ -104,7 +105,7 @@ impl FrameStream for AravisStream<'_> {
         // Every lost frame leaves a gap in the numbers, whatever became of it. Aravis counts an underrun for each packet that finds no buffer.
         let left = self.counts.missing.saturating_sub(failures + dropped);
         let underruns = aravis.underruns.min(left);
-        StreamCounts { underruns, dropped, failures, missing: left - underruns, completed: self.counts.completed }
+        StreamCounts { underruns, dropped, failures, missing: left - underruns, ..self.counts }
     }
 }
 
@@ -129,7 +130,10 @@ fn arrived<'a>(
     }
     let size = (w as usize, h as usize);
     // Before the length: a frame that cannot be unpacked was sent all the same.
-    let (id, missing) = counter.take(frame_id, gigevision);
+    let Some((id, missing)) = counter.take(frame_id, gigevision) else {
+        counts.repeated += 1;
+        return Err(format!("a frame of number {frame_id} has come before"));
+    };
     counts.missing += missing;
     if bytes.len() != format.payload(size.0 * size.1) {
         let expected = format.payload(size.0 * size.1);
