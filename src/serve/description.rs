@@ -4,13 +4,13 @@
 //! its steps: what a client writes and reads back is what the camera does.
 
 use super::files::{self, BUFFER, DEFECTS};
+use super::gige::address;
 use super::processing::{BINNINGS, FEATURES, FLAT_FIELDS, PATTERNS};
 use super::{EXPOSURE_BASE_US, GAIN_STEP_DB, Names, Options, SCENES, SIZE_STEP, register, size};
 use crate::camera::sim::formats_of;
 use crate::pixel_format::PixelFormat;
 use quick_xml::Writer;
 use quick_xml::events::{BytesDecl, BytesText, Event};
-use radcam_aravis::address;
 use radcam_sim::Model;
 
 /// Builds the GenICam description file.
@@ -531,6 +531,9 @@ pub fn of(model: &Model, options: &Options) -> String {
     d.boolean("BenchControl", "BenchDark", register::DARK, "RW");
     d.number("BenchConfigurationMax", "1000000", &[]);
     d.integer("BenchControl", "BenchConfiguration", register::CONFIGURATION, (0, "BenchConfigurationMax", 1));
+    d.number("BenchFrameMax", &u32::MAX.to_string(), &[]);
+    d.integer("BenchControl", "BenchFrame", register::FRAME, (0, "BenchFrameMax", 1));
+    d.float("BenchControl", "BenchTime", register::TIME_S, (0.0, 1e9, None), ["s", "RW"]);
     d.enumeration("BenchControl", "BenchScene", register::SCENE, &SCENES.map(|(name, n, _)| (name, n)), "RW");
 
     d.transport();

@@ -1,9 +1,9 @@
 //! The memory of a served camera that its user may write: a file of flat-field coefficients, and a list of defects.
 
+use super::gige::Registers;
 use super::register;
 use crate::flat_field::{DefectList, FlatField};
 use crate::frame::Region;
-use radcam_aravis::Registers;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -84,7 +84,7 @@ pub(super) struct Keeper {
 
 impl Keeper {
     /// `size`: columns and rows of the sensor as the description has them.
-    pub fn start(memory: radcam_aravis::Memory, files: Files, size: (u32, u32)) -> Self {
+    pub fn start(memory: Registers, files: Files, size: (u32, u32)) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let told = Arc::clone(&stop);
         let work = move || {
@@ -116,7 +116,7 @@ enum Access {
 }
 
 struct Open {
-    memory: radcam_aravis::Memory,
+    memory: Registers,
     files: Files,
     size: (u32, u32),
     file: Option<Access>,

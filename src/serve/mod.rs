@@ -7,10 +7,12 @@
 //! has it, and exposure, gain and black level can have the names that older cameras give them ([`Options`]).
 //!
 //! Its clock is simulated: timestamps grow by exposure and read-out time while frames come as fast as
-//! `AcquisitionFrameRate` says. Frame n since the start shows the noise of frame number n.
+//! `AcquisitionFrameRate` says. Frame n since the start shows the noise of frame number n; a client may say by `BenchFrame` and `BenchTime`
+//! which frame comes next, and when.
 
 mod description;
 mod files;
+pub mod gige;
 pub mod processing;
 pub mod relay;
 
@@ -18,8 +20,8 @@ use crate::bench::BenchState;
 use crate::camera::sim::{formats_of, narrow};
 use crate::frame::Region;
 use crate::pixel_format::PixelFormat;
+use gige::{Initial, Painter, Registers, Request, VirtualCamera, address};
 use processing::{Pattern, Processing};
-use radcam_aravis::{Initial, Painter, Registers, Request, VirtualCamera, address};
 use radcam_sim::{Conditions, Model, Scene, Sensor};
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -61,6 +63,10 @@ mod register {
     pub const DEFECT_INDEX: u32 = 0x80AC;
     /// 1 where the list is to be taken over, 2 where that was done, 0 where there is none.
     pub const DEFECT_APPLY: u32 = 0x80B0;
+    /// Number of the next frame, by which its noise is drawn.
+    pub const FRAME: u32 = 0x80B4;
+    /// Time of the next frame, s.
+    pub const TIME_S: u32 = 0x80B8;
     /// Column and row of each defect, 4 bytes each.
     pub const DEFECT_LIST: u32 = 0x9000;
     pub const FILE_BUFFER: u32 = 0xA000;
@@ -100,9 +106,14 @@ const SIZE_STEP: u32 = 4;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ServeError {
-    /// The network or libaravis.
-    #[error(transparent)]
-    Aravis(#[from] radcam_aravis::Error),
+    /// The network.
+    #[error("virtual camera on {interface}: {message}")]
+    Network {
+        /// Address of the interface.
+        interface: IpAddr,
+        /// Why.
+        message: String,
+    },
     /// The sensor.
     #[error(transparent)]
     Model(#[from] radcam_sim::ModelError),
@@ -122,6 +133,11 @@ impl Served {
     /// Makes the camera lose this share of its packets, 0 to 1.
     pub fn set_lost_packets(&self, share: f64) {
         self.camera.set_lost_packets(share);
+    }
+
+    /// Control requests that were refused or dropped.
+    pub fn refused(&self) -> u64 {
+        self.camera.refused()
     }
 }
 
@@ -147,9 +163,12 @@ pub fn serve(
     let mut initial = Initial::default();
     set_up(&model, &mut initial);
     processing.write(&mut initial);
-    let camera = VirtualCamera::start(interface, serial, &xml, Box::new(painter), &initial)?;
-    let _files =
-        files::Keeper::start(camera.memory(), files, (size(model.camera.width), size(model.camera.height)));
+    let camera = VirtualCamera::start(interface, serial, &xml, Box::new(painter), initial)?;
+    let _files = files::Keeper::start(
+        camera.registers(),
+        files,
+        (size(model.camera.width), size(model.camera.height)),
+    );
     Ok(Served { _files, camera })
 }
 
@@ -174,6 +193,16 @@ fn set_up(model: &Model, r: &mut Initial) {
     r.set_u32(address::HEIGHT, size(body.height));
     r.set_u32(address::PIXEL_FORMAT, native_format(body.bit_depth));
     r.set_u32(address::FRAME_PERIOD_US, 10_000);
+    r.limit(address::WIDTH, 1, size(body.width));
+    r.limit(address::HEIGHT, 1, size(body.height));
+    r.limit(address::OFFSET_X, 0, size(body.width));
+    r.limit(address::OFFSET_Y, 0, size(body.height));
+    // 1000 to 0.1 frames a second, as the description has it.
+    r.limit(address::FRAME_PERIOD_US, 1000, 10_000_000);
+    for at in [register::PHOTON_FLUX, register::EXPOSURE_BASE_US] {
+        r.fix(at, 8);
+    }
+    r.set_f64(register::TIME_S, 1.0);
     let exposure_us = 1e6 * 0.01_f64.clamp(body.exposure_min_s, body.exposure_max_s);
     r.set_f64(register::EXPOSURE_US, exposure_us);
     r.set_f64(register::EXPOSURE_BASE_US, EXPOSURE_BASE_US);
@@ -241,8 +270,7 @@ struct Job {
     memory: files::Memory,
 }
 
-/// Paints frames; the next one is drawn ahead on a thread of its own, because `paint` runs where the control
-/// protocol is answered.
+/// Paints frames; the next one is drawn ahead on a thread of its own.
 struct Artist {
     sensor: Arc<Sensor>,
     names: Names,
@@ -252,7 +280,6 @@ struct Artist {
     ahead: bool,
     /// Frame memory that is not on its way.
     spare: Vec<u16>,
-    time_s: f64,
     files: files::Files,
     memory: files::Memory,
 }
@@ -272,7 +299,7 @@ impl Artist {
             }
         });
         let (spare, memory) = (Vec::new(), files::Memory::default());
-        Self { sensor, names, jobs, done, ahead: false, spare, time_s: 1.0, files, memory }
+        Self { sensor, names, jobs, done, ahead: false, spare, files, memory }
     }
 }
 
@@ -293,7 +320,9 @@ fn draw(sensor: &Sensor, job: &Job, dn: &mut Vec<u16>) {
 
 impl Painter for Artist {
     fn paint(&mut self, registers: &Registers, request: Request, frame: &mut [u8]) -> u64 {
-        let now_ns = (self.time_s * 1e9).round() as u64;
+        let number = registers.u32(register::FRAME);
+        let time_s = Some(registers.f64(register::TIME_S)).filter(|t| (0.0..1e9).contains(t)).unwrap_or(1.0);
+        let now_ns = (time_s * 1e9).round() as u64;
         let body = &self.sensor.model().camera;
         let (bit_depth, readout_s) = (body.bit_depth, body.readout_s);
         let processing = Processing::read(registers);
@@ -316,11 +345,11 @@ impl Painter for Artist {
             return now_ns;
         };
         let conditions =
-            Conditions { time_s: self.time_s - 1.0, ..conditions(&self.sensor, self.names, registers) };
+            Conditions { time_s: time_s - 1.0, ..conditions(&self.sensor, self.names, registers) };
         let region = Region { x, y, width, height };
         self.memory.refresh(&self.files, registers, self.sensor.region());
         let memory = self.memory.clone();
-        let job = Job { number: request.number, conditions, region, processing, memory };
+        let job = Job { number: number.into(), conditions, region, processing, memory };
 
         let mut dn = std::mem::take(&mut self.spare);
         let mut ready = false;
@@ -338,10 +367,12 @@ impl Painter for Artist {
         if format.pack(&dn, frame).is_err() {
             tracing::warn!(%format, "frame memory of another size than the format needs; a black frame goes out");
         }
-        self.time_s += conditions.exposure_s + readout_s;
+        let next_s = time_s + conditions.exposure_s + readout_s;
+        registers.set_u32(register::FRAME, number.wrapping_add(1));
+        registers.set_f64(register::TIME_S, next_s);
         // Most likely the next frame is asked for under the same conditions.
-        let conditions = Conditions { time_s: self.time_s - 1.0, ..conditions };
-        let next = Job { number: request.number + 1, conditions, ..job };
+        let conditions = Conditions { time_s: next_s - 1.0, ..conditions };
+        let next = Job { number: number.wrapping_add(1).into(), conditions, ..job };
         if !self.sensor.model().effects.is_empty() {
             // Effects may depend on the frame before: none may be drawn that is not asked for.
             self.spare = dn;

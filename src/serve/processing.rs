@@ -2,9 +2,9 @@
 //! table, sharpening, a test pattern, binning.
 
 use super::files::Memory;
+use super::gige::{Initial, Registers};
 use super::register;
 use crate::frame::Region;
-use radcam_aravis::{Initial, Registers};
 
 /// Features by their GenICam names, and the registers behind them.
 pub(super) const FEATURES: [(&str, u32); 8] = [

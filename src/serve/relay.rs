@@ -1,10 +1,10 @@
 //! Corrected frames offered again as a GigE Vision camera, so that any GenICam software receives them.
 
+use super::gige::{Initial, Painter, Registers, Request, VirtualCamera, address};
 use super::{ServeError, description, register};
 use crate::camera::{Identity, Settings};
 use crate::pixel_format::PixelFormat;
 use crate::stream::{Corrected, Sink, SinkCounts, StreamError};
-use radcam_aravis::{Initial, Painter, Registers, Request, VirtualCamera, address};
 use std::collections::VecDeque;
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -94,9 +94,19 @@ impl Relay {
             r.set_u32(at, value);
         }
         r.set_f64(register::EXPOSURE_US, 1e6 * settings.exposure_s);
+        // Frames are those of another camera: nothing of them can be set.
+        for (at, bytes) in [
+            (address::WIDTH, 8),
+            (address::PIXEL_FORMAT, 4),
+            (address::OFFSET_X, 8),
+            (address::TRIGGER_MODE, 8),
+            (register::EXPOSURE_US, 8),
+        ] {
+            r.fix(at, bytes);
+        }
         let shared = Shared::default();
         let hand = Hand { shared: shared.clone(), format };
-        let camera = VirtualCamera::start(interface, serial, &xml, Box::new(hand), &r)?;
+        let camera = VirtualCamera::start(interface, serial, &xml, Box::new(hand), r)?;
         Ok(Self { camera, shared })
     }
 

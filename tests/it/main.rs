@@ -21,6 +21,8 @@ mod frame_headers;
 mod fuzz;
 #[cfg(feature = "hdf5")]
 mod hdf5;
+#[cfg(feature = "aravis")]
+mod hostile_network;
 mod import;
 mod import_cases;
 mod import_names;

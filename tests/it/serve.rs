@@ -68,13 +68,17 @@ fn frames_over_the_wire_are_those_drawn_in_process() {
             black_level_dn,
             time_s: 0.0,
         };
+        // A client says which frames come next; without that they go on after those of the acquisition before.
+        let first = 1000 * (1 + drawn);
+        camera.set_feature("BenchFrame", &Value::Int(first as i64)).unwrap();
         let mut stream = camera.stream(&StreamOptions::default()).unwrap();
-        for _ in 0..3 {
+        for n in 0..3 {
             let mut frame = Frame::new(0, 0);
             stream.next(&mut frame, TIMEOUT).unwrap();
             assert_eq!(frame.status, Status::Complete);
-            // Aravis numbers the frames of its virtual camera from 65401, and 0 is left out.
-            let number = (frame.id + 65_535 - 65_401) % 65_535;
+            // Numbers begin at 1 with each acquisition.
+            assert_eq!(frame.id, n + 1);
+            let number = first + n;
             let mut here = vec![0; (width * height) as usize];
             sensor.draw(number, &conditions, region, &mut here);
             assert_eq!(frame.pixels.as_slice().unwrap(), here, "frame {number} at {conditions:?}");
@@ -110,7 +114,8 @@ fn damaged_frames_are_counted_and_never_used() {
             Status::Complete => {
                 whole += 1;
                 let mut here = vec![0; 128 * 96];
-                let number = (frame.id + 65_535 - 65_401) % 65_535;
+                // Numbers begin at 1.
+                let number = frame.id - 1;
                 sensor.draw(number, &conditions, sensor.region(), &mut here);
                 assert_eq!(frame.pixels.as_slice().unwrap(), here);
             }
@@ -235,7 +240,7 @@ fn aravis_own_tools_use_the_served_camera() {
     let mut frame = Frame::new(0, 0);
     camera.stream(&StreamOptions::default()).unwrap().next(&mut frame, TIMEOUT).unwrap();
     let mut here = vec![0; 64 * 96];
-    sensor.draw((frame.id + 65_535 - 65_401) % 65_535, &conditions, settings.region, &mut here);
+    sensor.draw(frame.id - 1, &conditions, settings.region, &mut here);
     assert_eq!(frame.pixels.as_slice().unwrap(), here);
     drop(camera);
 
@@ -717,11 +722,12 @@ fn a_calibration_in_the_camera_corrects_as_the_host_does() {
     for region in [sensor.region(), Region { x: 4, y: 2, width: 64, height: 48 }] {
         camera.set_region(region).unwrap();
         let conditions = sensor.conditions(camera.settings().unwrap().exposure_s);
+        camera.set_feature("BenchFrame", &Value::Int(100)).unwrap();
         let mut stream = camera.stream(&StreamOptions::default()).unwrap();
         let mut frame = Frame::new(0, 0);
         stream.next(&mut frame, TIMEOUT).unwrap();
         assert_eq!(frame.status, Status::Complete);
-        let number = (frame.id + 65_535 - 65_401) % 65_535;
+        let number = 100 + frame.id - 1;
         let mut raw = vec![0; (region.width * region.height) as usize];
         sensor.draw(number, &conditions, region, &mut raw);
         let mut by_whole_numbers = raw.clone();

@@ -6,12 +6,10 @@
 //! libaravis is LGPL and linked dynamically.
 
 mod camera;
-mod server;
 mod socket;
 mod stream;
 
 pub use camera::{Camera, DeviceInfo, Feature, FeatureKind, devices};
-pub use server::{Initial, Memory, Painter, Registers, Request, VirtualCamera, address};
 pub use socket::broadcast_address;
 pub use stream::{Received, Stream, StreamCounts, StreamSetup};
 
