@@ -72,6 +72,8 @@ mod first_look;
 pub mod fit;
 pub mod flat_field;
 pub mod frame;
+#[cfg(feature = "cli")]
+mod http;
 pub mod import;
 pub mod inference;
 pub mod investigate;

@@ -1,17 +1,19 @@
 //! What Prometheus reads: the last check, and alarms since the start, as OpenMetrics text.
 
 use super::{Alarm, Check};
+use axum::Router;
+use axum::http::StatusCode;
+use axum::http::header::{CONNECTION, CONTENT_TYPE};
+use axum::routing::get;
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
-use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener};
 use std::sync::atomic::AtomicU64;
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::sync::{Arc, PoisonError, RwLock};
 
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct Of {
@@ -29,6 +31,8 @@ pub struct Metrics {
     error: Family<Of, Value>,
     alarms: Family<Of, Counter>,
     checks: Family<Of, Counter>,
+    /// As it was after the last check: who reads it holds nothing up.
+    text: RwLock<Arc<str>>,
 }
 
 impl Default for Metrics {
@@ -44,7 +48,16 @@ impl Default for Metrics {
         registry.register("reading_std_err", "Its standard error", all.1.clone());
         registry.register("alarms", "Changes that were found", all.2.clone());
         registry.register("checks", "Checks that were taken", all.3.clone());
-        Self { registry, reading: all.0, error: all.1, alarms: all.2, checks: all.3 }
+        let metrics = Self {
+            registry,
+            reading: all.0,
+            error: all.1,
+            alarms: all.2,
+            checks: all.3,
+            text: RwLock::new(Arc::from("")),
+        };
+        metrics.refresh();
+        metrics
     }
 }
 
@@ -64,14 +77,19 @@ impl Metrics {
         for alarm in alarms {
             self.alarms.get_or_create(&of(camera, &alarm.what)).inc();
         }
+        self.refresh();
     }
 
-    /// The text.
-    pub fn text(&self) -> String {
+    fn refresh(&self) {
         let mut out = String::new();
         // Writing to a string does not fail.
         let _ = encode(&mut out, &self.registry);
-        out
+        *self.text.write().unwrap_or_else(PoisonError::into_inner) = out.into();
+    }
+
+    /// The text, as it was after the last check.
+    pub fn text(&self) -> Arc<str> {
+        self.text.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 
@@ -80,37 +98,25 @@ impl Metrics {
 /// # Errors
 ///
 /// Where the address cannot be bound.
-pub fn serve(address: SocketAddr, metrics: Arc<Mutex<Metrics>>) -> std::io::Result<SocketAddr> {
+pub fn serve(address: SocketAddr, metrics: Arc<Metrics>) -> std::io::Result<SocketAddr> {
+    const KIND: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
     let listener = TcpListener::bind(address)?;
+    listener.set_nonblocking(true)?;
     let bound = listener.local_addr()?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let answer = move || {
+        let text = metrics.text();
+        async move { ([(CONTENT_TYPE, KIND), (CONNECTION, "close")], text.to_string()) }
+    };
+    let none = || async { (StatusCode::NOT_FOUND, [(CONNECTION, "close")], "There is /metrics.\n") };
+    let router = Router::new().route("/metrics", get(answer)).fallback(none);
     std::thread::spawn(move || {
-        for stream in listener.incoming().flatten() {
-            let mut stream = stream;
-            let wait = Some(Duration::from_secs(2));
-            let _ = (stream.set_read_timeout(wait), stream.set_write_timeout(wait));
-            let mut request = Vec::new();
-            let mut part = [0; 1024];
-            // A request's head may come in pieces; nobody needs 16 KiB of it.
-            while !request.windows(4).any(|w| w == b"\r\n\r\n") && request.len() < 16 << 10 {
-                match stream.read(&mut part) {
-                    Ok(n) if n > 0 => request.extend_from_slice(&part[..n]),
-                    _ => break,
-                }
+        runtime.block_on(async {
+            match tokio::net::TcpListener::from_std(listener) {
+                Ok(listener) => crate::http::serve(listener, router).await,
+                Err(e) => tracing::error!(error = %e, "metrics"),
             }
-            let found = request.starts_with(b"GET /metrics");
-            let text = if found {
-                metrics.lock().unwrap_or_else(PoisonError::into_inner).text()
-            } else {
-                String::new()
-            };
-            let status = if found { "200 OK" } else { "404 Not Found" };
-            let head = format!(
-                "HTTP/1.1 {status}\r\nContent-Type: application/openmetrics-text; version=1.0.0; charset=utf-8\r\nContent-Length: {}\r\n\
-                 Connection: close\r\n\r\n",
-                text.len()
-            );
-            let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(text.as_bytes()));
-        }
+        });
     });
     Ok(bound)
 }

@@ -154,7 +154,7 @@ impl Workbench {
         runtime.block_on(async {
             let listener = TcpListener::from_std(self.listener).map_err(|e| e.to_string())?;
             tokio::select! {
-                done = async { axum::serve(listener, router).await } => done.map_err(|e| e.to_string()),
+                () = crate::http::serve(listener, router) => Ok::<(), String>(()),
                 () = ended(end) => Ok(()),
             }
         })?;
