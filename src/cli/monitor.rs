@@ -6,6 +6,7 @@ use crate::bench;
 use crate::calibrate::file::Calibration;
 use crate::camera::{self, Camera, CameraError, StreamOptions};
 use crate::capture::Capture;
+use crate::monitor::keeper::Keeper;
 use crate::monitor::metrics::{Metrics, serve};
 use crate::monitor::store::Store;
 use crate::monitor::{Alarm, Check, Limits, Monitor, Plan, TakeError, take};
@@ -16,8 +17,8 @@ use anyhow::{Context, Result, bail};
 use sha2::{Digest, Sha256};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 #[derive(Debug, clap::Args)]
@@ -87,12 +88,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     };
     let serial = &calibration.description.camera.serial;
     let name = if serial.is_empty() { arguments.camera.clone() } else { serial.clone() };
-    let store = arguments.store.as_deref().map(Store::open).transpose()?;
-    let mut monitor = match &store {
-        Some(store) => store.monitor(&name, &hash, limits)?,
-        None => Monitor::new(limits),
-    };
-    let metrics = Arc::new(Mutex::new(Metrics::default()));
+    let (mut monitor, keeper) = history(arguments.store.as_deref(), &name, &hash, limits)?;
+    let metrics = Arc::new(Metrics::default());
     if let Some(address) = arguments.metrics {
         let bound = serve(address, Arc::clone(&metrics)).with_context(|| format!("--metrics {address}"))?;
         if !arguments.json {
@@ -134,20 +131,51 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         alarms += differs.len();
         let found = monitor.add(check.clone());
         alarms += found.len();
-        if let Some(store) = &store {
-            store.keep(&name, &hash, &check, &found)?;
-        }
-        metrics.lock().unwrap_or_else(PoisonError::into_inner).take(&name, &check, &found);
+        metrics.take(&name, &check, &found);
         let verdict = match &arguments.diagnose {
             Some(root) if !found.is_empty() => Some(job.diagnose(root, check.time_s)),
             _ => None,
         };
-        tell(arguments.json, &name, &check, (&found, &differs), verdict.as_deref(), &monitor)?;
+        let told = tell(arguments.json, &name, &check, (&found, &differs), verdict.as_deref(), &monitor);
+        // Told first: a database that is away costs no alarm.
+        if let Some(keeper) = &keeper {
+            keeper.keep(check, found);
+        }
+        told?;
         if arguments.checks.is_none_or(|n| taken < n) {
             wait(begun, arguments.every);
         }
     }
+    if let Some(keeper) = keeper {
+        let patience = if STOP.load(Ordering::Relaxed) { AT_A_STOP } else { AT_THE_END };
+        keeper.finish(patience).map_err(anyhow::Error::msg)?;
+    }
     Ok(if alarms == 0 { Outcome::Agreement } else { Outcome::Disagreement })
+}
+
+/// Wait for a database that is away: at the start, at the end, and where the program is to stop at once.
+const AT_THE_START: Duration = Duration::from_secs(60);
+const AT_THE_END: Duration = Duration::from_secs(90);
+const AT_A_STOP: Duration = Duration::from_millis(700);
+
+/// The monitor as it stood after the last check that was kept, and who keeps the next ones.
+fn history(url: Option<&str>, name: &str, hash: &str, limits: Limits) -> Result<(Monitor, Option<Keeper>)> {
+    let Some(url) = url else { return Ok((Monitor::new(limits), None)) };
+    let begun = Instant::now();
+    let mut said = false;
+    loop {
+        let opened = Store::open(url).and_then(|store| Ok((store.monitor(name, hash, limits)?, store)));
+        match opened {
+            Ok((monitor, store)) => return Ok((monitor, Some(Keeper::start(store, name, hash)))),
+            Err(e) if e.is_passing() && begun.elapsed() < AT_THE_START && !STOP.load(Ordering::Relaxed) => {
+                if !std::mem::replace(&mut said, true) {
+                    tracing::warn!(error = %e, "waiting for the history");
+                }
+                wait(Instant::now(), Duration::from_secs(1));
+            }
+            Err(e) => return Err(e.into()),
+        }
+    }
 }
 
 fn wait(begun: Instant, every: Duration) {

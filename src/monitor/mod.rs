@@ -10,6 +10,7 @@ pub mod chart;
 pub mod check;
 pub mod cusum;
 #[cfg(feature = "cli")]
+pub mod keeper;
 pub mod metrics;
 #[cfg(feature = "cli")]
 pub mod store;

@@ -2,8 +2,11 @@
 
 use super::{Alarm, Changed, Check, Limits, Monitor, Reading};
 use sqlx::any::{AnyPoolOptions, install_default_drivers};
-use sqlx::migrate::Migrator;
+use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::{AnyPool, Connection, Row};
+use std::collections::BTreeSet;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
 use tokio::runtime::Runtime;
 
 static MIGRATIONS: Migrator = sqlx::migrate!("src/monitor/migrations");
@@ -14,6 +17,8 @@ pub struct Store {
     pool: AnyPool,
     runtime: Runtime,
     url: String,
+    /// SQLite: the file and its inode. SQLite itself goes on writing into a file that was removed.
+    file: Option<(PathBuf, u64)>,
 }
 
 /// The database refused.
@@ -22,6 +27,33 @@ pub struct Store {
 pub struct StoreError {
     url: String,
     message: String,
+    /// The database may answer later: it is locked, starts, or cannot be reached.
+    passing: bool,
+}
+
+impl StoreError {
+    /// Whether the same may succeed later: the database is locked, starts, or cannot be reached.
+    pub fn is_passing(&self) -> bool {
+        self.passing
+    }
+}
+
+/// Codes of databases that are busy: SQLite's BUSY and LOCKED with their extended ones; PostgreSQL's classes 08 (connection), 53 (too little of
+/// something) and 57 (shut down, or not started yet).
+fn is_passing(e: &sqlx::Error) -> bool {
+    match e {
+        sqlx::Error::Io(e) => e.kind() != std::io::ErrorKind::InvalidInput,
+        sqlx::Error::PoolTimedOut | sqlx::Error::WorkerCrashed => true,
+        sqlx::Error::Database(e) => e.code().is_some_and(|code| {
+            let sqlite = code.parse::<u32>().is_ok_and(|c| code.len() < 5 && [5, 6].contains(&(c & 0xff)));
+            sqlite || code.len() == 5 && ["08", "53", "57"].iter().any(|class| code.starts_with(class))
+        }),
+        _ => false,
+    }
+}
+
+fn inode(path: &Path) -> Option<u64> {
+    std::fs::metadata(path).ok().map(|m| m.ino())
 }
 
 /// An address without its password.
@@ -35,9 +67,14 @@ fn shown(url: &str) -> String {
     }
 }
 
+/// A time as its key. A clock that was never set is before 1970, and 64 bits end in 2262: such times stand at the end of what there is.
 fn nanoseconds(time_s: f64) -> i64 {
-    (time_s * 1e9).round() as i64
+    const END: f64 = 9.2e18;
+    (time_s * 1e9).round().clamp(-END, END) as i64
 }
+
+/// Checks of one time at most: a clock that stands still or is out of range.
+const SAME_TIME: i64 = 1_000_000;
 
 impl Store {
     /// Opens a store, and makes its tables where there are none: `sqlite:FILE` or `postgres://USER:PASSWORD@HOST/DATABASE`; a plain path is a
@@ -56,7 +93,8 @@ impl Store {
             Some(file) if !file.contains('?') => format!("sqlite:{file}?mode=rwc"),
             _ => url,
         };
-        let fault = |message: String| StoreError { url: shown(&url), message };
+        let fault = |message: String| StoreError { url: shown(&url), message, passing: false };
+        let refused = |e: sqlx::Error| StoreError { passing: is_passing(&e), ..fault(e.to_string()) };
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()
@@ -64,19 +102,41 @@ impl Store {
         install_default_drivers();
         let pool = runtime.block_on(async {
             // A pool would only say that time ran out.
-            let one = sqlx::AnyConnection::connect(&url).await.map_err(|e| fault(e.to_string()))?;
-            one.close().await.map_err(|e| fault(e.to_string()))?;
+            let one = sqlx::AnyConnection::connect(&url).await.map_err(refused)?;
+            one.close().await.map_err(refused)?;
             let wait = std::time::Duration::from_secs(10);
             let pool = AnyPoolOptions::new().max_connections(1).acquire_timeout(wait).connect(&url).await;
-            let pool = pool.map_err(|e| fault(e.to_string()))?;
-            MIGRATIONS.run(&pool).await.map_err(|e| fault(e.to_string()))?;
+            let pool = pool.map_err(refused)?;
+            MIGRATIONS.run(&pool).await.map_err(|e| match e {
+                MigrateError::Execute(e) | MigrateError::ExecuteMigration(e, _) => refused(e),
+                e => fault(e.to_string()),
+            })?;
             Ok(pool)
         })?;
-        Ok(Self { pool, runtime, url: shown(&url) })
+        let path = url.strip_prefix("sqlite:").and_then(|rest| rest.split('?').next());
+        let file = path.map(PathBuf::from).and_then(|path| Some((path.clone(), inode(&path)?)));
+        Ok(Self { pool, runtime, url: shown(&url), file })
+    }
+
+    /// Waits for a file that was taken away, and opens the one that has come in its place.
+    ///
+    /// # Errors
+    ///
+    /// Where there is none, or it cannot be opened.
+    pub fn follow(&mut self) -> Result<(), StoreError> {
+        let Some((path, known)) = &self.file else { return Ok(()) };
+        match inode(path) {
+            Some(now) if now == *known => Ok(()),
+            Some(_) => {
+                *self = Self::open(&path.to_string_lossy())?;
+                Ok(())
+            }
+            None => Err(StoreError { passing: true, ..self.fault("the file is not there") }),
+        }
     }
 
     fn fault(&self, e: impl std::fmt::Display) -> StoreError {
-        StoreError { url: self.url.clone(), message: e.to_string() }
+        StoreError { url: self.url.clone(), message: e.to_string(), passing: false }
     }
 
     /// Keeps a check and what it found, both or neither.
@@ -92,14 +152,65 @@ impl Store {
         alarms: &[Alarm],
     ) -> Result<(), StoreError> {
         let body = serde_json::to_string(check).map_err(|e| self.fault(e))?;
-        let time_ns = nanoseconds(check.time_s);
+        self.keep_as(camera, calibration, nanoseconds(check.time_s), &body, (check, alarms))
+    }
+
+    /// Keeps a check of which it is not known whether it was kept: an answer of the database may be lost. Another of the same time, by a clock
+    /// that is wrong, stands beside it.
+    ///
+    /// # Errors
+    ///
+    /// What the database says.
+    pub fn keep_again(
+        &self,
+        camera: &str,
+        calibration: &str,
+        check: &Check,
+        alarms: &[Alarm],
+    ) -> Result<(), StoreError> {
+        let body = serde_json::to_string(check).map_err(|e| self.fault(e))?;
+        let first = nanoseconds(check.time_s);
+        let taken = sqlx::query(
+            "SELECT time_ns, body FROM checks WHERE camera = $1 AND time_ns >= $2 AND time_ns < $3",
+        )
+        .bind(camera)
+        .bind(first)
+        .bind(first + SAME_TIME);
+        let rows = self.runtime.block_on(taken.fetch_all(&self.pool)).map_err(|e| self.refused(e))?;
+        let mut times = BTreeSet::new();
+        for row in rows {
+            let (time_ns, kept): (i64, String) = row
+                .try_get(0)
+                .and_then(|time_ns| Ok((time_ns, row.try_get(1)?)))
+                .map_err(|e| self.refused(e))?;
+            if kept == body {
+                return Ok(());
+            }
+            times.insert(time_ns);
+        }
+        let free = (first..first + SAME_TIME).find(|time_ns| !times.contains(time_ns)).unwrap_or(first);
+        self.keep_as(camera, calibration, free, &body, (check, alarms))
+    }
+
+    fn refused(&self, e: sqlx::Error) -> StoreError {
+        StoreError { passing: is_passing(&e), ..self.fault(e) }
+    }
+
+    fn keep_as(
+        &self,
+        camera: &str,
+        calibration: &str,
+        time_ns: i64,
+        body: &str,
+        (check, alarms): (&Check, &[Alarm]),
+    ) -> Result<(), StoreError> {
         let work = async {
             let mut all = self.pool.begin().await?;
             sqlx::query("INSERT INTO checks (camera, calibration, time_ns, body) VALUES ($1, $2, $3, $4)")
                 .bind(camera)
                 .bind(calibration)
                 .bind(time_ns)
-                .bind(&body)
+                .bind(body)
                 .execute(&mut *all)
                 .await?;
             for (what, Reading { value, std_err }) in &check.readings {
@@ -129,7 +240,7 @@ impl Store {
             }
             all.commit().await
         };
-        self.runtime.block_on(work).map_err(|e| self.fault(e))
+        self.runtime.block_on(work).map_err(|e| self.refused(e))
     }
 
     /// The checks of a camera under a calibration, the oldest first.

@@ -126,7 +126,12 @@ pub fn take(
         lost += stream.counts().lost();
     }
     let temperature_c = camera.settings()?.temperature_c;
-    let time_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |t| t.as_secs_f64());
+    let time_s = seconds_since_1970(SystemTime::now());
     let [exposure_s, long_s] = exposures;
     Ok(Taken { time_s, exposure_s, long_s, temperature_c, short, long, flat, lost }.check(calibration))
+}
+
+/// Seconds since 1970; negative where the clock was never set.
+fn seconds_since_1970(time: SystemTime) -> f64 {
+    time.duration_since(UNIX_EPOCH).map_or_else(|e| -e.duration().as_secs_f64(), |t| t.as_secs_f64())
 }

@@ -439,35 +439,37 @@ fn sqlite_keeps_the_history() {
 }
 
 /// A server of Debian's PostgreSQL on a socket of its own, as an ordinary user.
-struct Postgres(tempfile::TempDir);
+struct Postgres(tempfile::TempDir, std::path::PathBuf);
 
 impl Postgres {
     fn start() -> Option<Self> {
         let newest =
             std::fs::read_dir("/usr/lib/postgresql").ok()?.filter_map(|e| Some(e.ok()?.path())).max()?;
-        let bin = newest.join("bin");
-        let dir = tempfile::tempdir().unwrap();
-        let run = |command: &str| {
-            // PostgreSQL does not run as root.
-            let root = Command::new("id").arg("-u").output().unwrap().stdout == b"0\n";
-            let mut shell = Command::new(if root { "runuser" } else { "sh" });
-            if root {
-                shell.args(["-u", "postgres", "--", "sh"]);
-            }
-            shell
-                .args(["-c", command])
-                .current_dir(dir.path())
-                .stdout(Stdio::null())
-                .status()
-                .unwrap()
-                .success()
-        };
-        let (root, bins) = (dir.path().display(), bin.display());
-        let _ = Command::new("chmod").arg("777").arg(dir.path()).status();
-        assert!(run(&format!("{bins}/initdb -D {root}/data -U radcam --auth=trust -N")));
+        let server = Self(tempfile::tempdir().unwrap(), newest.join("bin"));
+        let root = server.0.path();
+        let _ = Command::new("chmod").arg("777").arg(root).status();
+        server.run(&format!("initdb -D {}/data -U radcam --auth=trust -N", root.display()));
+        server.control("start");
+        Some(server)
+    }
+
+    fn run(&self, command: &str) {
+        // PostgreSQL does not run as root.
+        let root = Command::new("id").arg("-u").output().unwrap().stdout == b"0\n";
+        let mut shell = Command::new(if root { "runuser" } else { "sh" });
+        if root {
+            shell.args(["-u", "postgres", "--", "sh"]);
+        }
+        let line = format!("{}/{command}", self.1.display());
+        let done = shell.args(["-c", &line]).current_dir(self.0.path()).stdout(Stdio::null()).status();
+        assert!(done.unwrap().success(), "{command}");
+    }
+
+    /// Starts or stops it.
+    fn control(&self, what: &str) {
+        let root = self.0.path().display();
         let options = format!("-c listen_addresses= -c unix_socket_directories={root} -F");
-        assert!(run(&format!("{bins}/pg_ctl -D {root}/data -o '{options}' -l {root}/log -w start")));
-        Some(Self(dir))
+        self.run(&format!("pg_ctl -D {root}/data -o '{options}' -l {root}/log -w {what}"));
     }
 
     fn url(&self) -> String {
@@ -555,13 +557,17 @@ fn the_program_finds_a_change_between_two_runs() {
 fn prometheus_reads_the_metrics() {
     use radcam::monitor::metrics::{Metrics, serve};
     use std::io::{Read, Write};
-    use std::sync::{Arc, Mutex};
+    use std::sync::Arc;
     let mut camera = Camera::new(model(64, 48));
     let calibration = camera.calibration();
     let check = camera.check(&calibration);
-    let metrics = Arc::new(Mutex::new(Metrics::default()));
-    metrics.lock().unwrap().take("SIM\"12", &check, &[]);
+    let metrics = Arc::new(Metrics::default());
+    metrics.take("SIM\"12", &check, &[]);
     let address = serve("127.0.0.1:0".parse().unwrap(), Arc::clone(&metrics)).unwrap();
+    // Clients that ask slowly, or not at all, hold nobody up.
+    let slow: Vec<_> = (0..50).map(|_| std::net::TcpStream::connect(address).unwrap()).collect();
+    slow.iter().for_each(|mut s| write!(s, "GET /metrics HT").unwrap());
+    let begun = std::time::Instant::now();
     let get = |path: &str| {
         let mut stream = std::net::TcpStream::connect(address).unwrap();
         write!(stream, "GET {path} HTTP/1.1\r\nHost: x\r\n\r\n").unwrap();
@@ -571,6 +577,7 @@ fn prometheus_reads_the_metrics() {
     };
     assert!(get("/other").starts_with("HTTP/1.1 404"));
     let answer = get("/metrics");
+    assert!(begun.elapsed().as_secs() < 2, "{:?}", begun.elapsed());
     let body = answer.split_once("\r\n\r\n").unwrap().1;
     let lines = body.lines().filter(|l| *l != "# EOF").map(|l| Ok(l.to_string()));
     let scrape = prometheus_parse::Scrape::parse(lines).unwrap();
@@ -586,4 +593,128 @@ fn prometheus_reads_the_metrics() {
     assert_eq!(value("radcam_reading", "gain"), check.readings[&Followed::Gain].value);
     assert_eq!(value("radcam_reading_std_err", "gain"), check.readings[&Followed::Gain].std_err);
     assert_eq!(value("radcam_checks_total", "all"), 1.0);
+}
+
+/// A running monitor of a small simulated camera, as fast as it can: what it prints, a line for each check.
+fn monitored(
+    dir: &Path,
+    store: &str,
+    checks: &str,
+    more: &[&str],
+    preload: Option<&Path>,
+) -> std::process::Child {
+    let model = model(64, 48);
+    let (file, cal) = (dir.join("camera.toml"), dir.join("cal.tiff"));
+    std::fs::write(&file, model.to_toml().unwrap()).unwrap();
+    Camera::new(model).calibration().write(&cal).unwrap();
+    let mut command = crate::support::program();
+    command.arg("monitor").arg("--camera").arg(format!("sim:{}", file.display())).arg("--cal").arg(&cal);
+    command.args(["--json", "--illumination", "0.8", "--checks", checks, "--store", store]).args(more);
+    if let Some(library) = preload {
+        command.env("LD_PRELOAD", library);
+    }
+    command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+}
+
+/// Exit code, lines of standard output, log.
+fn ended(child: std::process::Child) -> (Option<i32>, usize, String) {
+    let out = child.wait_with_output().unwrap();
+    let lines = String::from_utf8(out.stdout).unwrap().lines().count();
+    (out.status.code(), lines, String::from_utf8(out.stderr).unwrap())
+}
+
+/// Checks of the one camera in a history.
+fn kept(store: &str) -> usize {
+    let store = Store::open(store).unwrap();
+    let cameras = store.cameras().unwrap();
+    cameras.iter().map(|c| store.history(c).unwrap().len()).sum()
+}
+
+/// A database that another program has locked for longer than SQLite waits: checks go on and are told, and all of them are written in the end.
+#[test]
+fn a_locked_history_loses_no_check() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("history.db");
+    let store = file.to_str().unwrap();
+    Store::open(store).unwrap();
+    let script = "import sqlite3, sys, time\nc = sqlite3.connect(sys.argv[1], isolation_level=None)\n\
+                  c.execute('BEGIN EXCLUSIVE')\nprint('locked', flush=True)\ntime.sleep(8)";
+    let lock = |from: &str| {
+        let mut other =
+            Command::new("python3").args(["-c", script, from]).stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        std::io::BufRead::read_line(&mut std::io::BufReader::new(other.stdout.as_mut().unwrap()), &mut line)
+            .unwrap();
+        other
+    };
+    // At the start, and while it runs.
+    let mut other = lock(store);
+    let child = monitored(dir.path(), store, "30", &["--every", "0.3"], None);
+    other.wait().unwrap();
+    std::thread::sleep(std::time::Duration::from_secs(2));
+    let mut other = lock(store);
+    let (code, lines, log) = ended(child);
+    other.wait().unwrap();
+    assert_eq!((code, lines), (Some(0), 30), "{log}");
+    assert!(log.contains("waiting for the history") && log.contains("checks wait in memory"), "{log}");
+    assert_eq!(kept(store), 30);
+}
+
+/// A history that is moved away and back.
+#[test]
+fn an_absent_history_loses_no_check() {
+    let dir = tempfile::tempdir().unwrap();
+    let (file, away) = (dir.path().join("history.db"), dir.path().join("away.db"));
+    let store = file.to_str().unwrap();
+    Store::open(store).unwrap();
+    let child = monitored(dir.path(), store, "20", &["--every", "0.2"], None);
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    std::fs::rename(&file, &away).unwrap();
+    std::thread::sleep(std::time::Duration::from_secs(2));
+    std::fs::rename(&away, &file).unwrap();
+    let (code, lines, log) = ended(child);
+    assert_eq!((code, lines, kept(store)), (Some(0), 20, 20), "{log}");
+    assert!(log.contains("not there") && log.contains("written again"), "{log}");
+}
+
+/// A PostgreSQL server that is away for some seconds.
+#[test]
+fn a_history_whose_server_is_away_loses_no_check() {
+    let Some(server) = Postgres::start() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let url = server.url();
+    Store::open(&url).unwrap();
+    let child = monitored(dir.path(), &url, "25", &["--every", "0.2"], None);
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    server.control("stop -m immediate");
+    std::thread::sleep(std::time::Duration::from_secs(5));
+    server.control("start");
+    let (code, lines, log) = ended(child);
+    assert_eq!((code, lines, kept(&url)), (Some(0), 25, 25), "{log}");
+    assert!(log.contains("checks wait in memory") && log.contains("written again"), "{log}");
+}
+
+/// A clock that was never set, one beyond 64 bits of nanoseconds, and one that stands still.
+#[test]
+fn a_clock_out_of_range_does_not_end_a_monitor() {
+    let dir = tempfile::tempdir().unwrap();
+    let source = dir.path().join("clock.c");
+    let text = "#define _GNU_SOURCE\n#include <time.h>\n#include <unistd.h>\n#include <sys/syscall.h>\n\
+        int clock_gettime(clockid_t id, struct timespec *t) {\n int done = syscall(SYS_clock_gettime, id, t);\n\
+        if (id == CLOCK_REALTIME) { t->tv_sec = SECONDS; t->tv_nsec = 0; }\n return done; }";
+    std::fs::write(&source, text).unwrap();
+    for (name, seconds) in
+        [("before", "-1000000"), ("zero", "0"), ("after", "10000000000LL"), ("far", "800000000000LL")]
+    {
+        let library = dir.path().join(format!("{name}.so"));
+        let define = format!("-DSECONDS={seconds}");
+        let built =
+            Command::new("gcc").args(["-shared", "-fPIC", &define, "-o"]).args([&library, &source]).status();
+        assert!(built.unwrap().success());
+        let file = dir.path().join(format!("{name}.db"));
+        let store = file.to_str().unwrap();
+        let child = monitored(dir.path(), store, "5", &["--every", "0.01"], Some(&library));
+        let (code, lines, log) = ended(child);
+        assert_eq!((code, lines, kept(store)), (Some(0), 5, 5), "{name}: {log}");
+    }
 }
