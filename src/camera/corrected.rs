@@ -194,6 +194,10 @@ impl<C: Camera> Camera for Corrected<C> {
         self.camera.features()
     }
 
+    fn draw_from(&mut self, frame: u64, time_s: f64) -> bool {
+        self.camera.draw_from(frame, time_s)
+    }
+
     fn continue_after(&mut self, frames: u64, time_s: f64) -> bool {
         self.camera.continue_after(frames, time_s)
     }

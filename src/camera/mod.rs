@@ -301,7 +301,7 @@ pub struct StreamCounts {
     /// Whole frames that waited too long and made room for newer ones ([`StreamOptions::waiting`]).
     #[serde(default)]
     pub dropped: u64,
-    /// Frames that the camera's numbers say were sent and of which nothing else is known.
+    /// Frames that the camera's numbers, or its clock after an interval without it, say were taken and of which nothing else is known.
     pub missing: u64,
     /// Whole frames whose number had come before. They are discarded, and none of them is lost.
     #[serde(default)]
@@ -657,6 +657,12 @@ pub trait Camera: Send {
     /// Told before a campaign is continued: so many frames were taken, the last of them at this time, s.
     /// A simulated camera must not draw the same noise twice. Whether the camera's clock shows campaign time from now.
     fn continue_after(&mut self, _frames: u64, _time_s: f64) -> bool {
+        false
+    }
+
+    /// Says which frame a simulated camera draws next, and its time, s: its noise then follows from the place of the frame in a campaign. `false`:
+    /// a camera that cannot be told.
+    fn draw_from(&mut self, _frame: u64, _time_s: f64) -> bool {
         false
     }
 

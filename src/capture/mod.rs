@@ -16,6 +16,7 @@ use set::DeviceClock;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
+use std::time::Instant;
 
 /// Why a capture stopped. What was written before stays whole.
 #[derive(Debug, thiserror::Error)]
@@ -91,7 +92,7 @@ pub struct Summary {
     /// Exposure that counts as 1, s.
     pub full_exposure_s: Option<f64>,
     /// Device time at the start of the campaign, ns, where it is known.
-    pub zero_ns: Option<u64>,
+    pub zero_ns: Option<i64>,
 }
 
 /// Everything that is done around the frames.
@@ -131,6 +132,24 @@ impl Run {
     /// Frames of a set that are on disk.
     fn have(&self, number: usize) -> u32 {
         self.writer.written().iter().filter(|r| r.set as usize == number).count() as u32
+    }
+
+    /// Number of the first frame of a set within the campaign, and its time, s: after the exposure of the frame before.
+    fn start_of(&self, number: usize, plan: &Plan) -> (u64, f64) {
+        let settle = u64::from(plan.camera.settle_frames);
+        let first = plan.sets[..number].iter().map(|set| u64::from(set.frames) + settle).sum();
+        let before = self.writer.written().iter().rev().find(|r| (r.set as usize) < number);
+        (first, before.and_then(|r| Some(r.timestamp_s? + r.exposure_s)).unwrap_or(0.0))
+    }
+
+    /// Time since the campaign's start by the computer's clock: the last frame was written right after its exposure. `None` where there is none.
+    fn since_the_start(&self, root: &Path) -> Option<f64> {
+        let last = self.writer.written().last()?;
+        let file = last.file.split('#').next()?;
+        let written = std::fs::metadata(root.join(file)).and_then(|m| m.modified()).ok()?;
+        // A clock that was set back meanwhile: the pause counts as none.
+        let pause = written.elapsed().unwrap_or_default();
+        Some(last.timestamp_s? + last.exposure_s + pause.as_secs_f64())
     }
 
     /// What is kept of it beside the frames. `searched`: the full exposure that was searched for, s.
@@ -204,7 +223,7 @@ impl<'a> Capture<'a> {
                 (automatics, writer, plan)
             }
         };
-        // How long the pause of a continued campaign was is not known.
+        // The device may have been switched off since.
         let clock = if resume { DeviceClock::Unknown } else { DeviceClock::FromFirstFrame };
         let again = resume && self.camera.draws_again();
         if again && plan.searched {
@@ -237,7 +256,7 @@ impl<'a> Capture<'a> {
         &mut self,
         more: &Plan,
         root: &Path,
-        zero_ns: Option<u64>,
+        zero_ns: Option<i64>,
     ) -> Result<Summary, CaptureError> {
         let path = root.join(PLAN_FILE);
         let fault = |message: String| CaptureError::Resume { path: path.display().to_string(), message };
@@ -271,6 +290,8 @@ impl<'a> Capture<'a> {
             // A thousand frames more than were kept: the pilot and damaged frames were drawn too.
             if self.camera.continue_after(before + 1000, start + 1.0) {
                 run.clock = DeviceClock::Zero(0);
+            } else if let Some(seconds) = run.since_the_start(root) {
+                run.clock = DeviceClock::At(seconds, Instant::now());
             }
         }
         let outcome = (0..plan.sets.len()).try_for_each(|number| self.capture_set(number, plan, &mut run));

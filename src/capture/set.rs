@@ -6,10 +6,14 @@ use crate::dataset::FrameRow;
 use crate::frame::{Frame, Status};
 use crate::plan::{Plan, SetPlan};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 /// A set whose first frame was lost is begun again so often: another set's light and exposure first, since the frame that was lost took with
 /// it what that carries over.
 const AGAIN: usize = 3;
+
+/// Time of a campaign's start by a clock that is told, s: a device time of 0 says that there is none.
+const ZERO_S: f64 = 1.0;
 
 impl Capture<'_> {
     /// Takes the frames of a set that are not there yet. Where the first is lost the set before is exposed once more and the set begun again.
@@ -53,6 +57,12 @@ impl Capture<'_> {
         let reached = self.bench.apply(&set.bench(), self.camera)?;
         let exposure_s = self.camera.set_exposure_s(set.exposure_s.unwrap_or(1.0))?;
         let settings = self.camera.settings()?;
+        // Frames of the set that are on disk are then drawn again and discarded: whatever was interrupted, each frame and its time are the same.
+        let (first, time_s) = run.start_of(number, plan);
+        let told = self.camera.draw_from(first, ZERO_S + time_s);
+        if told {
+            run.clock = DeviceClock::Zero((ZERO_S * 1e9) as i64);
+        }
         let mut stream = self.camera.stream(&self.options)?;
         let job = TakeSet {
             number,
@@ -63,6 +73,7 @@ impl Capture<'_> {
             settings: &settings,
             stop: self.stop,
             whole,
+            again: run.again || told,
         };
         let mut tell = |p| self.progress.iter_mut().for_each(|progress| progress(p));
         let mut show = |f: &Frame| self.shown.iter_mut().for_each(|shown| shown(f));
@@ -86,6 +97,8 @@ struct TakeSet<'a> {
     stop: &'a AtomicBool,
     /// Whether the first frame must be the first that was exposed.
     whole: bool,
+    /// Frames that are on disk come again.
+    again: bool,
 }
 
 /// Who is told of what is taken.
@@ -101,9 +114,9 @@ fn take(
     run: &mut Run,
     tell: Tell<'_>,
 ) -> Result<bool, CaptureError> {
-    let TakeSet { number, set, plan, exposure_s, illumination, settings, stop, whole } = *job;
+    let TakeSet { number, set, plan, exposure_s, illumination, settings, stop, whole, again } = *job;
     let have = run.have(number);
-    let mut index = if run.again { 0 } else { have };
+    let mut index = if again { 0 } else { have };
     let Run { writer, clock, .. } = run;
     let mut frame = Frame::new(settings.region.width as usize, settings.region.height as usize);
     let mut damaged = 0;
@@ -185,8 +198,10 @@ fn take(
 /// Turns device time into seconds from the start of the campaign.
 pub(super) enum DeviceClock {
     FromFirstFrame,
-    /// Device time at the start of the campaign, ns.
-    Zero(u64),
+    /// Seconds since the start at an instant, by the computer's clock.
+    At(f64, Instant),
+    /// Device time at the start of the campaign, ns; before 0 where the camera was switched on since.
+    Zero(i64),
     Unknown,
 }
 
@@ -198,11 +213,17 @@ impl DeviceClock {
             DeviceClock::Unknown => return None,
             DeviceClock::Zero(zero) => zero,
             DeviceClock::FromFirstFrame => {
-                *self = DeviceClock::Zero(now);
-                now
+                *self = DeviceClock::Zero(now as i64);
+                now as i64
+            }
+            DeviceClock::At(seconds, then) => {
+                let since = seconds + then.elapsed().as_secs_f64();
+                let zero = (now as i64).saturating_sub((since * 1e9).round() as i64);
+                *self = DeviceClock::Zero(zero);
+                zero
             }
         };
         // Nanoseconds, and no rubbish behind them in the file.
-        Some((now as f64 - zero as f64).round() * 1e-9)
+        Some((now as i64).saturating_sub(zero) as f64 * 1e-9)
     }
 }

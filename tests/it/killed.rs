@@ -115,3 +115,74 @@ fn a_capture_that_is_killed_goes_on_as_if_nothing_had_been() {
 fn two_hundred_captures_are_killed() {
     killed(200);
 }
+
+/// Captures over the network that are killed, each of a served camera that has gone on meanwhile: frames, rows and times end as those of one that
+/// nobody disturbed.
+#[cfg(feature = "aravis")]
+fn killed_over_the_network(captures: u32) {
+    let _port = crate::support::gige_port();
+    let dir = tempfile::tempdir().unwrap();
+    let model = dir.path().join("camera.toml");
+    fs::write(&model, small("cmos12", 96, 64).to_toml().unwrap()).unwrap();
+    let mut command = program();
+    command.arg("serve").arg(&model).stdout(Stdio::null());
+    let _camera = crate::faults::Camera(command.spawn().unwrap());
+    let capture = |to: &Path| {
+        let mut command = program();
+        command.args(["capture", "--camera", "aravis:127.0.0.1", "-o"]).arg(to);
+        if to.join("dataset.toml").exists() {
+            command.arg("--resume");
+        } else {
+            command.args(["--plan", "quick"]);
+        }
+        command.stdout(Stdio::null()).stderr(Stdio::null());
+        command
+    };
+    // A camera lets go of a client that was killed within some seconds.
+    let to_its_end = |to: &Path| {
+        let begun = Instant::now();
+        while !capture(to).status().unwrap().success() {
+            assert!(begun.elapsed().as_secs() < 60, "{} does not come to its end", to.display());
+            std::thread::sleep(std::time::Duration::from_millis(300));
+        }
+    };
+    let whole = dir.path().join("whole");
+    to_its_end(&whole);
+    let expected = files(&whole);
+    let times = fs::read_to_string(whole.join("frames.csv")).unwrap();
+    assert!(times.lines().all(|row| !row.ends_with(',')), "{times}");
+    let mut in_time = 0;
+    for number in 0..captures {
+        let to = dir.path().join(format!("{number}"));
+        let mut random = PixelRng::new(8, Stream::Effect, 0, number, 0);
+        let after = (random.uniform() * FRAMES as f64) as usize;
+        let mut child = capture(&to).spawn().unwrap();
+        while rows(&to) < after && child.try_wait().unwrap().is_none() {
+            std::thread::yield_now();
+        }
+        child.kill().unwrap();
+        in_time += u32::from(!child.wait().unwrap().success());
+        to_its_end(&to);
+        let found = files(&to);
+        assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>(), "capture {number}");
+        for (name, bytes) in &expected {
+            assert!(found[name] == *bytes, "capture {number}: {} differs", name.display());
+        }
+        fs::remove_dir_all(&to).unwrap();
+    }
+    println!("{captures} captures over the network, {in_time} of them killed");
+    assert!(in_time >= captures / 2);
+}
+
+#[cfg(feature = "aravis")]
+#[test]
+fn captures_over_the_network_that_are_killed_go_on() {
+    killed_over_the_network(3);
+}
+
+#[cfg(feature = "aravis")]
+#[test]
+#[ignore = "six minutes: cargo test --release --test it -- --ignored killed::a_hundred --nocapture"]
+fn a_hundred_captures_over_the_network_are_killed() {
+    killed_over_the_network(100);
+}

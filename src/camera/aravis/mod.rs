@@ -574,6 +574,16 @@ impl Camera for AravisCamera {
         there.map(|f| f.name.clone()).collect()
     }
 
+    /// The served camera has features for it.
+    fn draw_from(&mut self, frame: u64, time_s: f64) -> bool {
+        // Its register has 32 bits.
+        let number = i64::from(frame as u32);
+        self.inner.has("BenchFrame")
+            && self.inner.has("BenchTime")
+            && self.inner.set_integer("BenchFrame", number).is_ok()
+            && self.inner.set_float("BenchTime", time_s).is_ok()
+    }
+
     fn stream(&mut self, options: &StreamOptions) -> Result<Box<dyn FrameStream + '_>, CameraError> {
         let settings = self.settings()?;
         let id = self.identity.id.clone();
