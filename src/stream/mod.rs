@@ -76,7 +76,7 @@ pub struct Corrected {
     pub pixels: Vec<u16>,
     /// Columns and rows.
     pub size: (usize, usize),
-    /// Number by the camera's count, as [`Frame::id`].
+    /// Number by the camera's count, as [`Frame::id`]; of a camera that was lost and begins at 1 again, from the last number on.
     pub id: u64,
     /// Device clock, ns, where the camera tells.
     pub timestamp_ns: Option<u64>,
@@ -283,6 +283,65 @@ struct Tally {
     last: Instant,
     /// Of streams that have ended.
     before: StreamCounts,
+    pace: Pace,
+    numbers: Numbers,
+}
+
+/// Frame numbers that go on where a camera that was found again begins at 1: no frame of a run has the number of another.
+#[derive(Debug, Default)]
+struct Numbers {
+    last: u64,
+    base: u64,
+    begun: bool,
+}
+
+impl Numbers {
+    fn of(&mut self, id: u64) -> u64 {
+        if std::mem::take(&mut self.begun) {
+            self.base = if id > self.last { 0 } else { self.last };
+        }
+        self.last = self.last.max(self.base + id);
+        self.base + id
+    }
+}
+
+/// Frames a camera took while nobody received, by its clock: it goes on while the numbers begin anew.
+#[derive(Debug, Default)]
+struct Pace {
+    /// Number and time of the last frame, ns.
+    last: Option<(u64, u64)>,
+    period_ns: f64,
+    /// Frames in a row that kept the period.
+    steady: u32,
+    /// Frames known to be lost since the last.
+    known: u64,
+}
+
+/// Frames in a row that make a period, and the part by which they may differ.
+const STEADY_FRAMES: u32 = 8;
+const STEADY_PART: f64 = 0.01;
+
+impl Pace {
+    /// Takes a frame; `begun`: the first of an acquisition. The frames that were missed before it, where the camera keeps a period and its clock
+    /// has gone on.
+    fn take(&mut self, id: u64, timestamp_ns: Option<u64>, begun: bool) -> u64 {
+        let known = std::mem::take(&mut self.known);
+        let (last, now) = (self.last.take(), timestamp_ns.filter(|t| *t > 0));
+        let Some(now) = now else { return 0 };
+        self.last = Some((id, now));
+        let Some((last_id, last_ns)) = last.filter(|(_, t)| now > *t) else { return 0 };
+        let between_ns = (now - last_ns) as f64;
+        if begun {
+            let steady = self.steady >= STEADY_FRAMES && self.period_ns > 0.0;
+            let frames = if steady { (between_ns / self.period_ns).round() - 1.0 } else { 0.0 };
+            return (frames.max(0.0) as u64).saturating_sub(known);
+        }
+        let period_ns = between_ns / id.saturating_sub(last_id).max(1) as f64;
+        let kept = (period_ns / self.period_ns - 1.0).abs() < STEADY_PART;
+        self.steady = if kept { self.steady + 1 } else { 0 };
+        self.period_ns = period_ns;
+        0
+    }
 }
 
 impl Tally {
@@ -290,7 +349,15 @@ impl Tally {
         let latency = Histogram::new(3).unwrap_or_else(|_| unreachable!("three digits are allowed"));
         let summary = Summary { camera: camera.into(), ..Summary::default() };
         let now = Instant::now();
-        Self { summary, latency, begun: now, last: now, before: StreamCounts::default() }
+        Self {
+            summary,
+            latency,
+            begun: now,
+            last: now,
+            before: StreamCounts::default(),
+            pace: Pace::default(),
+            numbers: Numbers::default(),
+        }
     }
 
     fn refresh(&mut self, now: StreamCounts, pixels: usize, sinks: &[Box<dyn Sink + '_>]) {
@@ -452,6 +519,8 @@ impl Job<'_> {
         let timeout = camera::patience(self.exposure_s);
         tally.last = Instant::now();
         let pixels = self.corrector.shape().0 * self.corrector.shape().1;
+        let (mut begun, mut lost) = (true, 0);
+        tally.numbers.begun = true;
         let outcome = loop {
             if done(self.options, tally, self.stop) {
                 break Ok(());
@@ -462,6 +531,7 @@ impl Job<'_> {
                 tell(&tally.summary);
             }
             let mut taken = None;
+            let numbers = &mut tally.numbers;
             // Short waits: Ctrl-C and the end of a duration do not wait for a camera that is silent.
             let wait = Duration::from_millis(200);
             let got = stream.next_arrived(&mut memory, wait, &mut |arrived| match arrived {
@@ -472,7 +542,7 @@ impl Job<'_> {
                     let (codes, limit) = (self.codes, self.limit);
                     let seen =
                         self.corrector.arrived_to_u16(a.format, a.bytes, codes, limit, &mut into.pixels);
-                    (into.id, into.timestamp_ns) = (a.id, a.timestamp_ns);
+                    (into.id, into.timestamp_ns) = (numbers.of(a.id), a.timestamp_ns);
                     into.seen = seen.clone().unwrap_or_default();
                     taken = Some(seen.map(|_| (frame, a.age.map(|age| age + handed.elapsed()))));
                 }
@@ -517,6 +587,8 @@ impl Job<'_> {
                 break Err(StreamError::Correct { camera: tally.summary.camera.clone(), source });
             }
             tally.summary.corrected += 1;
+            tally.before.missing += tally.pace.take(frame.id, frame.timestamp_ns, std::mem::take(&mut begun));
+            lost = stream.counts().lost();
             let taken = sinks.iter_mut().try_for_each(|sink| sink.take(&frame));
             pool.keep(frame);
             if let Err(e) = taken {
@@ -524,7 +596,43 @@ impl Job<'_> {
             }
         };
         let counts = stream.counts();
+        tally.pace.known = counts.lost().saturating_sub(lost);
         tally.before.add(counts);
         outcome
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_two_frames_of_a_run_have_one_number() {
+        let mut numbers = Numbers { begun: true, ..Numbers::default() };
+        assert_eq!([5, 6, 9, 8].map(|id| numbers.of(id)), [5, 6, 9, 8]);
+        numbers.begun = true;
+        assert_eq!([1, 2].map(|id| numbers.of(id)), [10, 11]);
+        numbers.begun = true;
+        assert_eq!([12, 13].map(|id| numbers.of(id)), [12, 13]);
+    }
+
+    #[test]
+    fn frames_of_an_interval_without_the_camera_are_counted() {
+        let mut pace = Pace::default();
+        for n in 0..20 {
+            assert_eq!(pace.take(1 + n, Some(1000 + 10 * n), n == 0), 0);
+        }
+        // 30 periods later its numbers begin anew: 29 frames were missed, 2 of which are known already.
+        pace.known = 2;
+        assert_eq!(pace.take(1, Some(1190 + 300), true), 27);
+        assert_eq!(pace.take(2, Some(1500), false), 0);
+        // A clock that began anew, one that tells nothing, and a camera without a period say nothing.
+        assert_eq!(pace.take(1, Some(5), true), 0);
+        assert_eq!((pace.take(2, None, false), pace.take(3, Some(900), true)), (0, 0));
+        let mut odd = Pace::default();
+        for (n, t) in [3, 4, 9, 11, 20, 33, 34, 50, 61, 70].into_iter().enumerate() {
+            odd.take(n as u64, Some(t), n == 0);
+        }
+        assert_eq!(odd.take(1, Some(900), true), 0);
     }
 }

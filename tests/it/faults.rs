@@ -263,6 +263,30 @@ fn a_camera_that_was_away_is_found_again() {
     drop(camera);
 }
 
+/// The program is stopped for longer than the heartbeat lasts, and for less: what the camera sent meanwhile is counted.
+#[test]
+fn frames_of_a_stopped_program_are_counted() {
+    let _port = gige_port();
+    let dir = in_memory();
+    let _camera = Camera::start(program(), dir.path(), &[]);
+    for (name, stopped_s) in [("short", 1.0), ("long", 6.0)] {
+        let folder = dir.path().join(name);
+        fs::create_dir(&folder).unwrap();
+        let mut stream = Running::start(program(), &folder, "127.0.0.1", &["--frames", "400"]);
+        stream.reaches(50);
+        let pid = stream.child.id().to_string();
+        let signal = |s: &str| assert!(Command::new("kill").args([s, &pid]).status().unwrap().success());
+        signal("-STOP");
+        std::thread::sleep(Duration::from_secs_f64(stopped_s));
+        signal("-CONT");
+        let (code, summary, log, to) = stream.ends();
+        let summary = summary.unwrap_or_else(|| panic!("{log}"));
+        println!("{name}: exit {code}, {summary:?}");
+        accounted(&summary, &numbers(&to));
+        assert_eq!(summary.reconnections > 0, name == "long", "{summary:?} {log}");
+    }
+}
+
 /// A second program is told that the first has the camera, and disturbs nothing; packets that are larger than the network takes come in
 /// fragments, and sizes that no camera takes are named.
 #[test]
