@@ -75,6 +75,12 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     while !STOP.load(Ordering::SeqCst) {
         std::thread::sleep(std::time::Duration::from_millis(50));
     }
+    if served.refused() > 0 {
+        tracing::warn!(
+            requests = served.refused(),
+            "control requests were malformed or not allowed, and were refused"
+        );
+    }
     Ok(Outcome::Agreement)
 }
 

@@ -101,18 +101,24 @@ const GVCP_PORT: u32 = 3956;
 /// Bytes of a GVCP header.
 const GVCP_HEADER: u32 = 8;
 
-const LD_W: u16 = (libc::BPF_LD | libc::BPF_W | libc::BPF_ABS) as u16;
-const LD_H: u16 = (libc::BPF_LD | libc::BPF_H | libc::BPF_ABS) as u16;
-const LD_B: u16 = (libc::BPF_LD | libc::BPF_B | libc::BPF_ABS) as u16;
-const LD_LEN: u16 = (libc::BPF_LD | libc::BPF_W | libc::BPF_LEN) as u16;
-const LD_MEM: u16 = (libc::BPF_LD | libc::BPF_W | libc::BPF_MEM) as u16;
-const STORE: u16 = libc::BPF_ST as u16;
-const AND: u16 = (libc::BPF_ALU | libc::BPF_AND | libc::BPF_K) as u16;
-const RETURN: u16 = (libc::BPF_RET | libc::BPF_K) as u16;
-const EQUAL: u16 = (libc::BPF_JMP | libc::BPF_JEQ | libc::BPF_K) as u16;
-const AT_LEAST: u16 = (libc::BPF_JMP | libc::BPF_JGE | libc::BPF_K) as u16;
-const ABOVE: u16 = (libc::BPF_JMP | libc::BPF_JGT | libc::BPF_K) as u16;
-const ANY_BIT: u16 = (libc::BPF_JMP | libc::BPF_JSET | libc::BPF_K) as u16;
+/// The code of a BPF instruction, of 8 bits.
+#[expect(clippy::cast_possible_truncation, reason = "8 bits")]
+const fn instruction(code: u32) -> u16 {
+    code as u16
+}
+
+const LD_W: u16 = instruction(libc::BPF_LD | libc::BPF_W | libc::BPF_ABS);
+const LD_H: u16 = instruction(libc::BPF_LD | libc::BPF_H | libc::BPF_ABS);
+const LD_B: u16 = instruction(libc::BPF_LD | libc::BPF_B | libc::BPF_ABS);
+const LD_LEN: u16 = instruction(libc::BPF_LD | libc::BPF_W | libc::BPF_LEN);
+const LD_MEM: u16 = instruction(libc::BPF_LD | libc::BPF_W | libc::BPF_MEM);
+const STORE: u16 = instruction(libc::BPF_ST);
+const AND: u16 = instruction(libc::BPF_ALU | libc::BPF_AND | libc::BPF_K);
+const RETURN: u16 = instruction(libc::BPF_RET | libc::BPF_K);
+const EQUAL: u16 = instruction(libc::BPF_JMP | libc::BPF_JEQ | libc::BPF_K);
+const AT_LEAST: u16 = instruction(libc::BPF_JMP | libc::BPF_JGE | libc::BPF_K);
+const ABOVE: u16 = instruction(libc::BPF_JMP | libc::BPF_JGT | libc::BPF_K);
+const ANY_BIT: u16 = instruction(libc::BPF_JMP | libc::BPF_JSET | libc::BPF_K);
 
 /// Where a jump goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
