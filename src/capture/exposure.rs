@@ -34,6 +34,9 @@ fn shrink(plan: &Plan, full: f64, longest_flat: f64, max: f64) -> f64 {
     shrink
 }
 
+/// Number of the frames of the search, which no campaign reaches.
+const PILOT_FRAME: u64 = 1 << 31;
+
 impl Capture<'_> {
     /// Gives every exposure in seconds; measures the full exposure where the plan needs it.
     pub(super) fn absolute(&mut self, plan: &Plan, counts: &mut StreamCounts) -> Result<Plan, CaptureError> {
@@ -164,6 +167,8 @@ impl Capture<'_> {
         self.camera.set_exposure_s(exposure_s)?;
         let full_scale = self.camera.settings()?.pixel_format.full_scale_dn();
         let timeout = crate::camera::patience(exposure_s);
+        // A simulated camera then finds the same exposure each time; its clock is told again before each set.
+        self.camera.draw_from(PILOT_FRAME, 1.0);
         let mut stream = self.camera.stream(&self.options)?;
         let mut frame = Frame::new(0, 0);
         let mut good = 0;
