@@ -76,6 +76,7 @@ pub mod frame;
 mod http;
 pub mod import;
 pub mod inference;
+pub mod input;
 pub mod investigate;
 pub mod light;
 pub mod model;

@@ -3,7 +3,7 @@
 //! Exposures may be given in seconds (`exposure_s`) or relative to the exposure that brings the card at
 //! illumination 1 close to full scale (`exposure`); `capture` measures that one before it starts.
 
-use crate::dataset::Kind;
+use crate::dataset::{CameraInfo, Kind};
 use crate::frame::Region;
 use crate::light::Light;
 use crate::pixel_format::PixelFormat;
@@ -138,6 +138,22 @@ fn is_zero(n: &u32) -> bool {
 impl CameraPlan {
     fn is_default(&self) -> bool {
         *self == Self::default()
+    }
+
+    /// Refuses numbers that cannot be.
+    fn check(&self) -> Result<(), String> {
+        let info = CameraInfo {
+            gain_db: self.gain_db,
+            black_level_dn: self.black_level_dn,
+            ..CameraInfo::default()
+        };
+        info.check()?;
+        match self.frame_rate_hz {
+            Some(rate) if !(rate.is_finite() && rate > 0.0) => {
+                Err(format!("camera.frame_rate_hz is {rate} Hz, and must be above 0 Hz"))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// The region, where the plan names one.
@@ -298,18 +314,19 @@ impl Plan {
     /// Where the text is no plan: line, key or set, and what is wrong.
     pub fn from_toml(text: &str) -> Result<Self, PlanError> {
         let table: toml::Table =
-            toml::from_str(text).map_err(|e| PlanError::Syntax(e.to_string().trim_end().into()))?;
+            toml::from_str(text).map_err(|e| PlanError::Syntax(crate::input::echo_lines(&e.to_string())))?;
         match table.get("format").and_then(|f| f.as_str()) {
             Some(FORMAT) => {}
             other => {
                 let other = other.unwrap_or("missing");
                 return Err(PlanError::Plan(format!(
-                    "format is {other}, and this program reads \"{FORMAT}\""
+                    "format is {}, and this program reads \"{FORMAT}\"",
+                    crate::input::echo(other)
                 )));
             }
         }
         let plan: Self =
-            toml::from_str(text).map_err(|e| PlanError::Syntax(e.to_string().trim_end().into()))?;
+            toml::from_str(text).map_err(|e| PlanError::Syntax(crate::input::echo_lines(&e.to_string())))?;
         plan.check()?;
         Ok(plan)
     }
@@ -334,6 +351,7 @@ impl Plan {
         if let Some(light) = &self.light {
             light.check().map_err(|message| PlanError::Plan(format!("light.{message}")))?;
         }
+        self.camera.check().map_err(PlanError::Plan)?;
         for (set, plan) in self.sets.iter().enumerate() {
             if plan.exposure_s.or(plan.exposure).is_some_and(|e| e > 1e6) {
                 return Err(PlanError::Set { set, message: "the exposure must be at most 1e6".into() });

@@ -351,9 +351,7 @@ pub fn write(reduced: &Dataset, path: &Path) -> Result<(), DatasetError> {
 
 /// Whether a file begins as one of statistics does.
 pub fn is_statistics(path: &Path) -> bool {
-    use std::io::Read;
-    let mut head = [0; HEAD.len()];
-    std::fs::File::open(path).and_then(|mut f| f.read_exact(&mut head)).is_ok() && head == HEAD
+    crate::input::start(path, HEAD.len() as u64).is_ok_and(|start| start == HEAD)
 }
 
 /// Opens a file of statistics as the dataset that they are of; [`Dataset::open`] does so too.
@@ -362,7 +360,7 @@ pub fn is_statistics(path: &Path) -> bool {
 ///
 /// Where it cannot be read, is damaged, or holds what cannot be.
 pub fn open(path: &Path) -> Result<Dataset, DatasetError> {
-    let bytes = std::fs::read(path).map_err(DatasetError::io(path))?;
+    let bytes = crate::input::bytes(path).map_err(DatasetError::io(path))?;
     from_bytes(&bytes, path)
 }
 

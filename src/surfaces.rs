@@ -80,12 +80,13 @@ impl Library {
     /// Where the file cannot be read or is no library.
     pub fn read(path: &Path) -> Result<Self, LibraryError> {
         let fault = |message: String| LibraryError { path: path.into(), message };
-        let text = std::fs::read_to_string(path).map_err(|e| fault(e.to_string()))?;
-        let library: Self = toml::from_str(&text).map_err(|e| fault(e.to_string().trim_end().into()))?;
+        let text = crate::input::settings(path).map_err(|e| fault(e.to_string()))?;
+        let library: Self =
+            toml::from_str(&text).map_err(|e| fault(crate::input::echo_lines(&e.to_string())))?;
         if library.format != FORMAT {
             return Err(fault(format!(
                 "format is \"{}\", and this program reads \"{FORMAT}\"",
-                library.format
+                crate::input::echo(&library.format)
             )));
         }
         let sound = |s: &Surface| s.scene_variation.is_finite() && s.std_err.is_finite() && s.std_err >= 0.0;

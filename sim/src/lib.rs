@@ -35,6 +35,7 @@ mod scene;
 pub mod sensors;
 mod spectrum;
 mod surface;
+pub mod text;
 
 pub use chart::Square;
 pub use draw::{Conditions, Expected, Sensor};

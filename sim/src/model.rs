@@ -7,6 +7,7 @@ use crate::chart::{Square, default_chart};
 use crate::effects::{self, Effect};
 use crate::optics::{Band, Optics};
 use crate::surface::Texture;
+use crate::text::{echo, echo_lines};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -78,7 +79,7 @@ impl EffectValues {
                 .map_err(ModelError::Effect);
         }
         effects::find(&self.id).ok_or_else(|| {
-            ModelError::Effect(format!("no effect \"{}\"; `radcam effects` lists them", self.id))
+            ModelError::Effect(format!("no effect \"{}\"; `radcam effects` lists them", echo(&self.id)))
         })
     }
 
@@ -285,8 +286,8 @@ impl Model {
         let model: Self = toml::from_str(text).map_err(|e| {
             let found = toml::from_str::<toml::Table>(text).ok();
             match found.as_ref().and_then(|t| t.get("format")).and_then(|f| f.as_str()) {
-                Some(format) if format != FORMAT => ModelError::Format(format.into()),
-                _ => ModelError::Syntax(e.to_string().trim_end().into()),
+                Some(format) if format != FORMAT => ModelError::Format(echo(format)),
+                _ => ModelError::Syntax(echo_lines(&e.to_string())),
             }
         })?;
         model.check()?;
@@ -310,7 +311,7 @@ impl Model {
     /// Which value is out of its bounds.
     pub fn check(&self) -> Result<(), ModelError> {
         if self.format != FORMAT {
-            return Err(ModelError::Format(self.format.clone()));
+            return Err(ModelError::Format(echo(&self.format)));
         }
         let (c, b, l) = (&self.camera, &self.base, &self.bench);
         let bounds = [
@@ -379,8 +380,9 @@ impl Model {
                     let names: Vec<_> = effect.parameters().iter().map(|p| p.name).collect();
                     let names = names.join(", ");
                     return Err(ModelError::Effect(format!(
-                        "effect {} has no parameter {name}: it has {names}",
-                        e.id
+                        "effect {} has no parameter {}: it has {names}",
+                        echo(&e.id),
+                        echo(name)
                     )));
                 };
                 within(p.name, value, (p.min, p.max), p.unit)?;

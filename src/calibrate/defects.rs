@@ -15,6 +15,8 @@ pub const UNSTABLE: u8 = 4;
 /// Flag of a pixel that no light reaches, as its neighbours: outside the image circle of the lens, optically
 /// black, or overscan.
 pub const BLIND: u8 = 8;
+/// Every flag.
+pub const ALL_FLAGS: u8 = HOT | DEAD | UNSTABLE | BLIND;
 /// Flags of pixels whose response is not known: K = 1 stands in its place.
 pub const NO_RESPONSE: u8 = DEAD | BLIND;
 

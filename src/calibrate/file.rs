@@ -4,10 +4,11 @@
 //! dark current in DN per second where it is known. ImageJ, OpenCV and tifffile open it.
 
 use crate::calibrate::dark::DarkReference;
-use crate::calibrate::defects::{BLIND, Defect};
+use crate::calibrate::defects::{ALL_FLAGS, BLIND, Defect};
 use crate::calibrate::pattern::FixedPattern;
 use crate::dataset::image::ascii;
 use crate::dataset::{CameraInfo, write_whole};
+use crate::input::{self, echo, echo_message};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 use std::io::Cursor;
@@ -102,6 +103,51 @@ impl Description {
         }
     }
 
+    /// Refuses numbers that cannot be.
+    ///
+    /// # Errors
+    ///
+    /// Which key has which value.
+    pub fn check(&self) -> Result<(), String> {
+        self.camera.check()?;
+        let (width, height, bits) = (self.camera.width, self.camera.height, self.camera.bit_depth);
+        if !(1..=16).contains(&bits) {
+            return Err(format!("camera.bit_depth is {bits}, and must lie within 1 to 16"));
+        }
+        if width.min(height) == 0 || width.max(height) > 1 << 16 {
+            return Err(format!("camera size {width} x {height} px makes no image"));
+        }
+        /// Largest number of DN or DN^2 that codes of 16 bits make.
+        const MAX_DN: f64 = 65_536.0;
+        let some = |name, value: Option<f64>, min, max| value.map(|v| (name, v, min, max));
+        let [var_gain, _, var_noise] = self.noise_covariance.map_or([None; 3], |c| c.map(Some));
+        let covariance = self.noise_covariance.map(|c| c[1]);
+        // A dark reference of no exposure is the black level alone; a day is longer than any.
+        let bounds = [
+            some("dark_exposure_s", Some(self.dark_exposure_s), 0.0, 86_400.0),
+            some("gain_dn_per_e", self.gain_dn_per_e, f64::MIN_POSITIVE, MAX_DN),
+            some("constant_noise_var_dn2", self.constant_noise_var_dn2, 0.0, MAX_DN * MAX_DN),
+            some("offset_dn", self.offset_dn, -MAX_DN, MAX_DN),
+            some("dark_std_err_dn", self.dark_std_err_dn, 0.0, MAX_DN),
+            some("dark_current_std_err_dn_per_s", self.dark_current_std_err_dn_per_s, 0.0, f64::MAX),
+            some("k_level_dn", self.k_level_dn, f64::MIN_POSITIVE, MAX_DN),
+            some("noise_covariance[0]", var_gain, 0.0, f64::MAX),
+            some("noise_covariance[1]", covariance, -f64::MAX, f64::MAX),
+            some("noise_covariance[2]", var_noise, 0.0, f64::MAX),
+        ];
+        for (name, value, min, max) in bounds.into_iter().flatten() {
+            if !(min..=max).contains(&value) {
+                let wanted = match (min, max) {
+                    (0.0, f64::MAX) => "must not be below 0".into(),
+                    (f64::MIN_POSITIVE, _) => format!("must be above 0 and at most {max}"),
+                    _ => format!("must lie within {min} to {max}"),
+                };
+                return Err(format!("{name} is {value}, and {wanted}"));
+            }
+        }
+        Ok(())
+    }
+
     /// A description of nothing but the camera.
     pub fn of(camera: CameraInfo) -> Self {
         Self {
@@ -123,6 +169,43 @@ impl Description {
             estimator: String::new(),
             provenance: String::new(),
         }
+    }
+}
+
+/// Refuses a K that no camera has.
+fn check_k(k: &Array2<f32>, defects: &Array2<u8>) -> Result<(), String> {
+    /// Bounds of K.
+    const BOUNDS: (f32, f32) = (0.1, 10.0);
+    /// Bounds of K of a pixel that is flagged: it is not used, and a corrected frame shows it.
+    const BOUNDS_OF_DEFECTS: (f32, f32) = (1e-3, 1e3);
+    /// Mean of K: 1 by its definition, less defects, shading at the rim and rounding.
+    const MEANS: (f64, f64) = (0.8, 1.25);
+    let (mut sum, mut sound) = (0.0, 0usize);
+    for (((y, x), k), flags) in k.indexed_iter().zip(defects) {
+        let (min, max) = if *flags == 0 { BOUNDS } else { BOUNDS_OF_DEFECTS };
+        if !(min..=max).contains(k) {
+            return Err(format!("K is {k} at row {y}, column {x}, and must lie within {min} to {max}"));
+        }
+        if *flags == 0 {
+            sum += f64::from(*k);
+            sound += 1;
+        }
+    }
+    let mean = if sound == 0 { 1.0 } else { sum / sound as f64 };
+    if !(MEANS.0..=MEANS.1).contains(&mean) {
+        return Err(format!("K has the mean {mean:.3}, and must have 1"));
+    }
+    Ok(())
+}
+
+/// Flags of defects from their page.
+fn flags_of(page: &Array2<f32>) -> Result<Array2<u8>, String> {
+    let known = |f: f32| f.fract() == 0.0 && (0.0..=f32::from(ALL_FLAGS)).contains(&f);
+    match page.indexed_iter().find(|(_, f)| !known(**f)) {
+        None => Ok(page.mapv(|f| f as u8)),
+        Some(((y, x), f)) => Err(format!(
+            "page {DEFECTS} holds {f} at row {y}, column {x}; flags are whole numbers from 0 to {ALL_FLAGS}"
+        )),
     }
 }
 
@@ -224,7 +307,7 @@ impl Calibration {
     /// Where the file cannot be read or is no calibration.
     pub fn read(path: &Path) -> Result<Self, FileError> {
         let bytes =
-            std::fs::read(path).map_err(|e| FileError { path: path.into(), message: e.to_string() })?;
+            input::bytes(path).map_err(|e| FileError { path: path.into(), message: e.to_string() })?;
         Self::from_bytes(&bytes, path)
     }
 
@@ -237,6 +320,7 @@ impl Calibration {
             fault("no calibration file (no ImageDescription); `radcam calibrate` makes one".into())
         })?;
         let value: serde_json::Value = serde_json::from_str(text.trim_end_matches('\0')).map_err(|e| {
+            let e = echo_message(&e.to_string());
             fault(format!("no calibration file (its ImageDescription is no JSON object: {e}); `radcam calibrate` makes one"))
         })?;
         match value.get("format").and_then(|f| f.as_str()) {
@@ -245,11 +329,16 @@ impl Calibration {
                 let Some(other) = other else {
                     return Err(fault("no calibration file; `radcam calibrate` makes one".into()));
                 };
-                return Err(fault(format!("format is \"{other}\", and this program reads \"{FORMAT}\"")));
+                return Err(fault(format!(
+                    "format is \"{}\", and this program reads \"{FORMAT}\"",
+                    echo(other)
+                )));
             }
         }
-        let description: Description = serde_json::from_value(value)
-            .map_err(|e| fault(format!("its ImageDescription was changed: {e}")))?;
+        let description: Description = serde_json::from_value(value).map_err(|e| {
+            fault(format!("its ImageDescription was changed: {}", echo_message(&e.to_string())))
+        })?;
+        description.check().map_err(fault)?;
         let size = (description.camera.height, description.camera.width);
         let mut pages = std::collections::HashMap::new();
         for (i, name) in description.pages.iter().enumerate() {
@@ -279,8 +368,10 @@ impl Calibration {
         }
         let mut take = |name: &str| pages.remove(name).ok_or_else(|| fault(format!("has no page {name}")));
         let (level_dn, k, k_std_err) = (take(DARK)?, take(K)?, take(K_ERROR)?);
-        if k.iter().any(|&k| k <= 0.0) {
-            return Err(fault("holds a K that is not above 0".into()));
+        if let Some(((y, x), e)) = k_std_err.indexed_iter().find(|(_, e)| **e < 0.0) {
+            return Err(fault(format!(
+                "page {K_ERROR} holds {e} at row {y}, column {x}; a standard error is 0 or more"
+            )));
         }
         let dark = DarkReference {
             exposure_s: description.dark_exposure_s,
@@ -291,9 +382,10 @@ impl Calibration {
             var_dn2: f64::NAN,
         };
         let defects = match take(DEFECTS) {
-            Ok(flags) => flags.mapv(|f| f as u8),
+            Ok(flags) => flags_of(&flags).map_err(fault)?,
             Err(_) => Array2::zeros(k.dim()),
         };
+        check_k(&k, &defects).map_err(fault)?;
         Ok(Self { description, dark, k, k_std_err, defects })
     }
 }

@@ -41,7 +41,7 @@ pub fn model(name: &str, seed: Option<u64>) -> Result<Model, String> {
     let mut model = if sensors::get(name).is_some() {
         sensors::load(name).map_err(|e| e.to_string())?
     } else if Path::new(name).exists() {
-        let text = std::fs::read_to_string(name).map_err(|e| match e.kind() {
+        let text = crate::input::settings(name.as_ref()).map_err(|e| match e.kind() {
             std::io::ErrorKind::InvalidData => format!("{name}: no text, and a model file is TOML"),
             _ => format!("{name}: {e}"),
         })?;

@@ -73,7 +73,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let go_on = || !STOP.load(Ordering::Relaxed);
     let map = match &arguments.map {
         Some(path) => {
-            let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+            let text = crate::input::settings(path).with_context(|| path.display().to_string())?;
             Map::from_toml(&text).with_context(|| path.display().to_string())?
         }
         None => {

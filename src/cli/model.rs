@@ -71,7 +71,7 @@ fn value(text: &str) -> Result<(String, f64), String> {
 }
 
 fn read(path: &Path) -> Result<Model> {
-    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    let text = crate::input::settings(path).with_context(|| path.display().to_string())?;
     Model::from_toml(&text).with_context(|| path.display().to_string())
 }
 

@@ -1,6 +1,7 @@
 //! `dataset.toml`: what camera and bench said of themselves.
 
 use crate::features::{LeftOn, is_setting, left_on, same_value};
+use crate::input::{echo, echo_lines};
 use crate::light::Light;
 use crate::pixel_format::PixelFormat;
 use serde::{Deserialize, Serialize};
@@ -181,6 +182,38 @@ impl CameraInfo {
         self.pixel_format.get(..5).is_some_and(|start| start.eq_ignore_ascii_case("Bayer"))
     }
 
+    /// Refuses numbers that cannot be.
+    ///
+    /// # Errors
+    ///
+    /// Which key has which value.
+    pub fn check(&self) -> Result<(), String> {
+        /// A gain of 200 dB is 10^10; no amplifier has it.
+        const MAX_GAIN_DB: f64 = 200.0;
+        let bounds = [
+            ("gain_db", self.gain_db, (-MAX_GAIN_DB, MAX_GAIN_DB), "dB"),
+            ("black_level_dn", self.black_level_dn, (-65_535.0, 65_535.0), "DN"),
+        ];
+        for (name, value, (min, max), unit) in bounds {
+            if let Some(value) = value.filter(|v| !(min..=max).contains(v)) {
+                return Err(format!(
+                    "camera.{name} is {value} {unit}, and must lie within {min} to {max} {unit}"
+                ));
+            }
+        }
+        Self::check_temperature(self.temperature_c).map_err(|message| format!("camera.{message}"))
+    }
+
+    /// Refuses a temperature below absolute zero or above the melting point of silicon.
+    pub(crate) fn check_temperature(temperature_c: Option<f64>) -> Result<(), String> {
+        match temperature_c {
+            Some(c) if !(-273.15..=1414.0).contains(&c) => {
+                Err(format!("temperature_c is {c} °C, and must lie within -273.15 to 1414 °C"))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Largest code, DN.
     pub fn full_scale_dn(&self) -> u16 {
         ((1u32 << self.bit_depth.min(16)) - 1) as u16
@@ -201,7 +234,7 @@ fn in_words(feature: &str) -> String {
 
 fn difference(name: &str, was: String, is: String) -> Option<String> {
     let differs = !was.is_empty() && !is.is_empty() && !same_value(&was, &is);
-    differs.then(|| format!("{name} is {is}, and was {was}"))
+    differs.then(|| format!("{name} is {}, and was {}", echo(&is), echo(&was)))
 }
 
 impl Manifest {
@@ -233,15 +266,15 @@ impl Manifest {
     ///
     /// What is wrong with it, in words.
     pub fn from_toml(text: &str) -> Result<Self, String> {
-        let table: toml::Table = toml::from_str(text).map_err(|e| e.to_string().trim_end().to_string())?;
+        let table: toml::Table = toml::from_str(text).map_err(|e| echo_lines(&e.to_string()))?;
         match table.get("format").and_then(|f| f.as_str()) {
             Some(FORMAT) => {}
             Some(other) => {
-                return Err(format!("format is \"{other}\", and this program reads \"{FORMAT}\""));
+                return Err(format!("format is \"{}\", and this program reads \"{FORMAT}\"", echo(other)));
             }
             None => return Err(format!("has no line format = \"{FORMAT}\"")),
         }
-        let manifest: Self = toml::from_str(text).map_err(|e| e.to_string().trim_end().to_string())?;
+        let manifest: Self = toml::from_str(text).map_err(|e| echo_lines(&e.to_string()))?;
         let camera = &manifest.camera;
         if !(1..=16).contains(&camera.bit_depth) {
             return Err(format!("camera.bit_depth is {}, and must lie within 1 to 16", camera.bit_depth));
@@ -258,6 +291,7 @@ impl Manifest {
         if camera.width == 0 || camera.height == 0 || camera.width.max(camera.height) > 1 << 16 {
             return Err(format!("camera size {} x {} px makes no image", camera.width, camera.height));
         }
+        camera.check()?;
         if let Some(plane) = manifest.plane.filter(|p| p.iter().any(|k| *k > 1)) {
             let message =
                 format!("plane is {plane:?}, and is a row and a column of a 2 x 2 cell, each 0 or 1");

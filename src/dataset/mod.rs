@@ -18,13 +18,14 @@ pub use manifest::{BenchInfo, CameraInfo, FORMAT, ImportInfo, Manifest};
 pub(crate) use write::{Aside, synchronise};
 pub use write::{Writer, write_whole};
 
+use crate::input::{self, echo, echo_message};
 use crate::reduction::{self, Reduced};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 use std::collections::{HashMap, HashSet};
 use std::fmt;
 use std::path::{Component, Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Header of `frames.csv`.
 pub const COLUMNS: [&str; 9] = [
@@ -118,7 +119,7 @@ pub enum DatasetError {
         message: String,
     },
     /// A frame is wrong.
-    #[error("frame {file} (set {set}, index {index}): {message}")]
+    #[error("frame {} (set {set}, index {index}): {message}", echo(.file))]
     Frame {
         /// Path as `frames.csv` has it.
         file: String,
@@ -164,6 +165,8 @@ pub struct Dataset {
     faults: Option<Arc<[DataFault]>>,
     /// Stacks that were opened.
     opened: Arc<image::Opened>,
+    /// Row of every file and page that was read, after links.
+    rows_of_files: Arc<Mutex<HashMap<(PathBuf, usize), String>>>,
     /// Frames that [`frame`](Self::frame) has read.
     kept: Arc<kept::Kept>,
     /// Step of the converter as the codes show it, DN; 1 before the examination.
@@ -199,15 +202,18 @@ impl Dataset {
             let message = "there is no such file or folder".into();
             return Err(DatasetError::Manifest { path: path.into(), message });
         }
-        if path.is_dir() && !manifest_path.exists() {
+        if !path.is_dir() {
+            input::open(path).map_err(DatasetError::io(path))?;
+        }
+        if !manifest_path.exists() {
             let message = no_manifest(path);
             return Err(DatasetError::Manifest { path: path.into(), message });
         }
-        let text = std::fs::read_to_string(&manifest_path).map_err(DatasetError::io(&manifest_path))?;
+        let text = input::settings(&manifest_path).map_err(DatasetError::io(&manifest_path))?;
         let manifest = Manifest::from_toml(&text)
             .map_err(|message| DatasetError::Manifest { path: manifest_path, message })?;
         let csv_path = path.join("frames.csv");
-        let text = std::fs::read_to_string(&csv_path).map_err(DatasetError::io(&csv_path))?;
+        let text = input::table(&csv_path).map_err(DatasetError::io(&csv_path))?;
         Self::new(path.into(), manifest, parse_rows(&csv_path, &text)?, &csv_path)
     }
 
@@ -236,8 +242,9 @@ impl Dataset {
         let mut sets: Vec<Set> = Vec::new();
         for (i, (line, row)) in rows.iter().enumerate() {
             check_row(row, &folders).map_err(|message| fault(*line, message))?;
-            if !files.insert(&row.file) {
-                return Err(fault(*line, format!("file {} stands in an earlier row too", row.file)));
+            // `./a` is `a`: names are compared without what does not change them.
+            if !files.insert(plain_name(&row.file)) {
+                return Err(fault(*line, format!("file {} stands in an earlier row too", echo(&row.file))));
             }
             if !places.insert((row.set, row.index)) {
                 let message = format!("set {} index {} stands in an earlier row too", row.set, row.index);
@@ -266,6 +273,7 @@ impl Dataset {
             reduced: None,
             faults: None,
             opened: Arc::default(),
+            rows_of_files: Arc::default(),
             kept: Arc::default(),
             code_step_dn: 1.0,
             struck: 0,
@@ -286,6 +294,7 @@ impl Dataset {
         };
         let Some(second) = datasets.next() else { return Ok(all) };
         all.parts.push((all.root.clone(), 0));
+        all.rows_of_files = Arc::default();
         all.rows.iter_mut().for_each(|r| r.file = all.root.join(&r.file).to_string_lossy().into_owned());
         for next in std::iter::once(second).chain(datasets) {
             let files: HashSet<PathBuf> = all
@@ -359,6 +368,7 @@ impl Dataset {
                 row.file = file.into();
             }
             self.folders.push(root);
+            self.rows_of_files = Arc::default();
         }
         Ok(self)
     }
@@ -492,7 +502,7 @@ impl Dataset {
         }
         let message = format!(
             "pixel_format is {}: a colour mosaic, whose planes differ in light and gain; measure each colour by itself with {}",
-            camera.pixel_format,
+            echo(&camera.pixel_format),
             planes_in_words(&camera.pixel_format)
         );
         Err(DatasetError::Manifest { path: self.root.clone(), message })
@@ -574,13 +584,14 @@ impl Dataset {
         // Joining a path with one that begins as it does would double it.
         let path = if roots().next().is_none() { root.join(name) } else { name.into() };
         // A link inside the folder may point out of it.
-        let inside = match (path.canonicalize(), root.canonicalize()) {
-            (Ok(path), Ok(root)) => path.starts_with(root),
-            (Err(e), _) | (_, Err(e)) => return Err(fault(format!("{}: {e}", path.display()))),
+        let whole = match (path.canonicalize(), root.canonicalize()) {
+            (Ok(path), Ok(root)) if path.starts_with(&root) => path,
+            (Ok(_), Ok(_)) => return Err(fault("the path leaves the dataset folder".into())),
+            (Err(e), _) | (_, Err(e)) => {
+                return Err(fault(format!("{}: {e}", echo(&path.display().to_string()))));
+            }
         };
-        if !inside {
-            return Err(fault("the path leaves the dataset folder".into()));
-        }
+        self.must_be_one_row(row, (whole, page)).map_err(fault)?;
         let read = if row.file.len() == name.len() {
             image::read_into(&path, None, buffer)
         } else {
@@ -611,6 +622,16 @@ impl Dataset {
             )));
         }
         Ok(())
+    }
+
+    /// Refuses a file that another row names too, by a link or a loop of links.
+    fn must_be_one_row(&self, row: &FrameRow, file: (PathBuf, usize)) -> Result<(), String> {
+        let mut known = self.rows_of_files.lock().unwrap_or_else(PoisonError::into_inner);
+        let first = known.entry(file).or_insert_with(|| row.file.clone());
+        if *first == row.file {
+            return Ok(());
+        }
+        Err(format!("is the file of row {} too, by a link: a frame is named twice", echo(first)))
     }
 
     /// Reads the frames of a set in the order of time.
@@ -667,13 +688,18 @@ fn no_manifest(folder: &Path) -> String {
 
 /// The text of a descriptor or a table; of an image that it is one.
 fn text(path: &Path) -> Result<String, DatasetError> {
-    let bytes = std::fs::read(path).map_err(DatasetError::io(path))?;
-    if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
+    let start = input::start(path, 1024).map_err(DatasetError::io(path))?;
+    if start.starts_with(b"\xff\xfe") || start.starts_with(b"\xfe\xff") {
         let message = "a text in UTF-16; save it as UTF-8".into();
         return Err(DatasetError::Manifest { path: path.into(), message });
     }
-    let is_text = !bytes.iter().take(1024).any(|b| *b == 0);
-    let text = is_text.then(|| String::from_utf8(bytes).ok()).flatten();
+    let text = match (start.contains(&0), input::table(path)) {
+        (false, Ok(text)) => Some(text),
+        (false, Err(e)) if e.kind() != std::io::ErrorKind::InvalidData => {
+            return Err(DatasetError::io(path)(e));
+        }
+        _ => None,
+    };
     text.ok_or_else(|| DatasetError::Manifest {
         path: path.into(),
         message: "no text but an image or another binary file; a dataset is a folder with dataset.toml, an EMVA 1288 descriptor, \
@@ -682,26 +708,52 @@ fn text(path: &Path) -> Result<String, DatasetError> {
     })
 }
 
+/// A file's name without `.` and double separators.
+fn plain_name(file: &str) -> std::borrow::Cow<'_, str> {
+    if file.contains("./") || file.contains("//") || file.contains("/.") {
+        let parts = file.split('/').filter(|part| !matches!(*part, "" | "."));
+        let root = if file.starts_with('/') { "/" } else { "" };
+        return (root.to_string() + &parts.collect::<Vec<_>>().join("/")).into();
+    }
+    file.into()
+}
+
 /// Splits `name.tiff#3` into name and page.
 fn split_page(file: &str) -> Result<(&str, usize), String> {
     match file.rsplit_once('#').filter(|(_, page)| !page.contains(['/', '\\'])) {
         Some((name, page)) => {
-            let page = page.parse().map_err(|_| format!("\"#{page}\" is not the number of a page"))?;
+            let page =
+                page.parse().map_err(|_| format!("\"#{}\" is not the number of a page", echo(page)))?;
             Ok((name, page))
         }
         None => Ok((file, 0)),
     }
 }
 
-/// The line of a file, from 1, at which a record begins. The reader's own count leaves out what stands between records.
-pub(crate) fn line_of(text: &str, position: Option<&csv::Position>) -> u64 {
-    let Some(position) = position else { return 0 };
-    let bytes = text.as_bytes();
-    let mut at = (position.byte() as usize).min(bytes.len());
-    while bytes.get(at).is_some_and(|b| matches!(b, b'\r' | b'\n')) {
-        at += 1;
+/// Line numbers of the records of a CSV text, in their order: what was counted is not counted again. The reader's own count leaves out what
+/// stands between records.
+pub(crate) struct Lines<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    line: u64,
+}
+
+impl<'a> Lines<'a> {
+    pub(crate) fn of(text: &'a str) -> Self {
+        Self { bytes: text.as_bytes(), at: 0, line: 1 }
     }
-    1 + bytes[..at].iter().filter(|b| **b == b'\n').count() as u64
+
+    /// Line, from 1, at which the record at this position begins.
+    pub(crate) fn line_at(&mut self, position: Option<&csv::Position>) -> u64 {
+        let Some(position) = position else { return 0 };
+        let mut at = (position.byte() as usize).clamp(self.at, self.bytes.len());
+        while self.bytes.get(at).is_some_and(|b| matches!(b, b'\r' | b'\n')) {
+            at += 1;
+        }
+        self.line += self.bytes[self.at..at].iter().filter(|b| **b == b'\n').count() as u64;
+        self.at = at;
+        self.line
+    }
 }
 
 /// What a reader of CSV says, without the place, which is told by the line.
@@ -712,9 +764,9 @@ pub(crate) fn csv_words(error: &csv::Error, header: &csv::StringRecord) -> Strin
         }
         csv::ErrorKind::Deserialize { err, .. } => {
             let column = err.field().and_then(|i| header.get(i as usize)).unwrap_or("row");
-            format!("{column}: {}", err.kind())
+            format!("{}: {}", echo(column), echo_message(&err.kind().to_string()))
         }
-        _ => error.to_string(),
+        _ => echo_message(&error.to_string()),
     }
 }
 
@@ -726,14 +778,22 @@ fn parse_rows(path: &Path, text: &str) -> Result<Vec<(u64, FrameRow)>, DatasetEr
         return Err(fault(1, format!("the header must be exactly {}", COLUMNS.join(","))));
     }
     let mut rows = Vec::new();
+    let mut lines = Lines::of(text);
     for record in reader.records() {
-        let record = record.map_err(|e| fault(line_of(text, e.position()), csv_words(&e, &header)))?;
-        let line = line_of(text, record.position());
+        let record = record.map_err(|e| fault(lines.line_at(e.position()), csv_words(&e, &header)))?;
+        let line = lines.line_at(record.position());
         let row = record.deserialize(Some(&header)).map_err(|e| fault(line, csv_words(&e, &header)))?;
         rows.push((line, row));
     }
     Ok(rows)
 }
+
+/// Longest exposure, s: eleven days, as in a plan.
+const MAX_EXPOSURE_S: f64 = 1e6;
+/// Largest illumination: more photons per pixel per second than the sun's surface sends.
+const MAX_ILLUMINATION: f64 = 1e30;
+/// Longest campaign, s: times since any epoch fit into it.
+const MAX_TIME_S: f64 = 1e12;
 
 /// What must hold of one row by itself; `folders`: where files with absolute paths may lie, if they have these.
 fn check_row(row: &FrameRow, folders: &[PathBuf]) -> Result<(), String> {
@@ -743,23 +803,28 @@ fn check_row(row: &FrameRow, folders: &[PathBuf]) -> Result<(), String> {
     let inside =
         folders.iter().find_map(|f| path.strip_prefix(f).ok()).or(folders.is_empty().then_some(path));
     if name.is_empty() || !inside.is_some_and(|p| p.components().all(plain)) {
-        return Err(format!("file {} must be a path inside the dataset folder", row.file));
+        return Err(format!("file {} must be a path inside the dataset folder", echo(&row.file)));
     }
-    if !(row.exposure_s.is_finite() && row.exposure_s > 0.0) {
+    if row.exposure_s.is_nan() || row.exposure_s <= 0.0 {
         return Err(format!("exposure_s is {}, and must be above 0 s", row.exposure_s));
     }
-    if !(row.illumination.is_finite() && row.illumination >= 0.0) {
-        return Err(format!("illumination is {}, and must not be below 0", row.illumination));
+    if row.exposure_s > MAX_EXPOSURE_S {
+        return Err(format!("exposure_s is {}, and must be at most {MAX_EXPOSURE_S} s", row.exposure_s));
+    }
+    if !(0.0..=MAX_ILLUMINATION).contains(&row.illumination) {
+        return Err(format!(
+            "illumination is {}, and must not be below 0 or above {MAX_ILLUMINATION:e}",
+            row.illumination
+        ));
     }
     if row.kind == Kind::Dark && row.illumination != 0.0 {
         return Err(format!("a dark frame has illumination 0, and this one {}", row.illumination));
     }
-    for (name, value) in [("temperature_c", row.temperature_c), ("timestamp_s", row.timestamp_s)] {
-        if value.is_some_and(|v| !v.is_finite()) {
-            return Err(format!("{name} is not a finite number"));
-        }
+    let (name, value) = ("timestamp_s", row.timestamp_s);
+    if let Some(value) = value.filter(|t| !(-MAX_TIME_S..=MAX_TIME_S).contains(t)) {
+        return Err(format!("{name} is {value}, and must be a number of seconds up to {MAX_TIME_S:e}"));
     }
-    Ok(())
+    CameraInfo::check_temperature(row.temperature_c)
 }
 
 /// Frames of one set share every setting.

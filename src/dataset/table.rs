@@ -1,6 +1,7 @@
 //! A table of statistics instead of frames: many laboratories keep only that.
 
-use super::{DatasetError, csv_words, line_of};
+use super::{DatasetError, Lines, csv_words};
+use crate::input::{self, echo};
 use serde::Deserialize;
 use std::path::Path;
 
@@ -51,7 +52,8 @@ impl Table {
             let columns = h.split([',', ';', '\t']).map(|c| c.trim().trim_matches('"'));
             columns.into_iter().any(|c| c == "mean_dn" || c == "var_dn2")
         };
-        std::fs::read_to_string(path).is_ok_and(|text| header(&text).is_some_and(named))
+        let is_text = input::start(path, 1024).is_ok_and(|start| !start.contains(&0));
+        is_text && input::table(path).is_ok_and(|text| header(&text).is_some_and(named))
     }
 
     /// Reads a table. Lines that begin with `#` are comments; columns that are not known are passed over.
@@ -80,9 +82,10 @@ impl Table {
         }
         let mut levels = Vec::new();
         let mut records = Vec::new();
+        let mut lines = Lines::of(text);
         for record in reader.records() {
-            let record = record.map_err(|e| (line_of(text, e.position()), csv_words(&e, &header)))?;
-            records.push((line_of(text, record.position()), record));
+            let record = record.map_err(|e| (lines.line_at(e.position()), csv_words(&e, &header)))?;
+            records.push((lines.line_at(record.position()), record));
         }
         for (line, record) in with_points(records, &header, delimiter)? {
             let level: Level =
@@ -97,6 +100,7 @@ impl Table {
             if level.pixels.is_some_and(|p| !(p.is_finite() && p >= 2.0)) {
                 return Err((line, "pixels must be 2 or more".into()));
             }
+            check_level(&level).map_err(|message| (line, message))?;
             levels.push(level);
         }
         if levels.is_empty() {
@@ -104,6 +108,27 @@ impl Table {
         }
         Ok(Self { levels })
     }
+}
+
+/// Refuses optional values that cannot be.
+fn check_level(level: &Level) -> Result<(), String> {
+    if let Some(e) = level.exposure_s.filter(|e| !(e.is_finite() && *e > 0.0)) {
+        return Err(format!("exposure_s is {e}, and must be above 0 s"));
+    }
+    if let Some(i) = level.illumination.filter(|i| !(i.is_finite() && *i >= 0.0)) {
+        return Err(format!("illumination is {i}, and must not be below 0"));
+    }
+    for (name, value) in [
+        ("monitor", level.monitor),
+        ("cov_01", level.cov_01),
+        ("cov_10", level.cov_10),
+        ("cov_11", level.cov_11),
+    ] {
+        if value.is_some_and(|v| !v.is_finite()) {
+            return Err(format!("{name} is not a finite number"));
+        }
+    }
+    Ok(())
 }
 
 /// Byte order mark that spreadsheets put in front of UTF-8.
@@ -155,8 +180,10 @@ fn with_points(
     for (line, record) in &records {
         for (_, field) in record.iter().enumerate().filter(|(k, f)| is_number(*k) && f.contains(',')) {
             if field.contains('.') || field.matches(',').count() > 1 {
-                let message =
-                    format!("{field} has points and commas: write numbers without groups of thousands");
+                let message = format!(
+                    "{} has points and commas: write numbers without groups of thousands",
+                    echo(field)
+                );
                 return Err((*line, message));
             }
             sure |= !thousands(field);
@@ -166,7 +193,7 @@ fn with_points(
     let Some((line, field)) = first else { return Ok(records) };
     if !sure {
         let message =
-            format!("{field}: is the comma the decimal sign or a group of thousands? Write a point");
+            format!("{}: is the comma the decimal sign or a group of thousands? Write a point", echo(&field));
         return Err((line, message));
     }
     let plain = |record: csv::StringRecord| -> csv::StringRecord {

@@ -2,7 +2,6 @@
 
 use super::{CameraInfo, Dataset, FrameRow, Kind};
 use serde::{Deserialize, Serialize};
-use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 use tiff::tags::Tag;
@@ -24,7 +23,7 @@ pub fn is_corrected(path: &Path) -> bool {
 
 /// ImageDescription of a TIFF.
 fn description(path: &Path) -> Option<String> {
-    let file = File::open(path).ok()?;
+    let file = crate::input::open(path).ok()?;
     let mut decoder = tiff::decoder::Decoder::new(BufReader::new(file)).ok()?;
     decoder.get_tag_ascii_string(Tag::ImageDescription).ok()
 }

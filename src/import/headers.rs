@@ -4,8 +4,6 @@ use super::words::{self, Said, Writer, of_description};
 use super::{Facts, cards, ome, stacks};
 use crate::dataset::image;
 use crate::dataset::tag::FrameTag;
-use std::fs::File;
-use std::io::BufReader;
 use std::path::Path;
 use tiff::decoder::ifd::Value;
 use tiff::tags::Tag;
@@ -15,10 +13,7 @@ const MICRO_MANAGER: u16 = 51_123;
 
 /// Facts of a file, and how many pages it has.
 pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
-    use std::io::Read;
-    let mut start = Vec::new();
-    let file = File::open(path).map_err(|e| e.to_string())?;
-    file.take(8).read_to_end(&mut start).map_err(|e| e.to_string())?;
+    let start = crate::input::start(path, 8).map_err(|e| e.to_string())?;
     if image::begins_as_fits(&start) {
         return Ok((words::of_cards(cards::read(path)?), 1));
     }
@@ -101,11 +96,15 @@ fn of_tag(tag: FrameTag) -> Facts {
 
 /// What the text chunks of a PNG say.
 fn of_png(path: &Path) -> Option<Facts> {
-    let decoder = png::Decoder::new(BufReader::new(File::open(path).ok()?));
-    let reader = decoder.read_info().ok()?;
+    let reader = image::png_file::decoder(path).ok()?.read_info().ok()?;
     let info = reader.info();
     let latin = info.uncompressed_latin1_text.iter().map(|t| (t.keyword.clone(), t.text.clone()));
-    let utf = info.utf8_text.iter().filter_map(|t| Some((t.keyword.clone(), t.get_text().ok()?)));
+    // A packed text is not unpacked: its size is not known before.
+    let utf = info
+        .utf8_text
+        .iter()
+        .filter(|t| !t.compressed)
+        .filter_map(|t| Some((t.keyword.clone(), t.get_text().ok()?)));
     let texts: Vec<(String, String)> = latin.chain(utf).collect();
     let mut out = words::facts(texts.iter().map(|(k, v)| Said::new(k, v)).collect(), Writer::Lines);
     for (_, text) in texts.iter().filter(|(k, _)| matches!(k.as_str(), "Comment" | "Description")) {

@@ -2,6 +2,7 @@
 
 use super::{ImportError, ReadOptions, Scale, camera};
 use crate::dataset::{CameraInfo, Kind};
+use crate::input::echo;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -135,11 +136,11 @@ impl Map {
     /// Where the text is no map: line, key and what is wrong.
     pub fn from_toml(text: &str) -> Result<Self, ImportError> {
         let map: Self =
-            toml::from_str(text).map_err(|e| ImportError::Map(e.to_string().trim_end().to_string()))?;
+            toml::from_str(text).map_err(|e| ImportError::Map(crate::input::echo_lines(&e.to_string())))?;
         if map.format != MAP_FORMAT {
             return Err(ImportError::Map(format!(
                 "format is \"{}\", and this program reads \"{MAP_FORMAT}\"",
-                map.format
+                echo(&map.format)
             )));
         }
         if !(map.step.is_finite() && map.step > 0.0 && map.zero.is_finite()) {
@@ -151,7 +152,10 @@ impl Map {
         }
         if let Some(pattern) = map.pattern.as_ref().filter(|p| !camera::PATTERNS.contains(&p.as_str())) {
             let known = camera::PATTERNS.join(", ");
-            return Err(ImportError::Map(format!("pattern is {pattern}, and must be one of {known}")));
+            return Err(ImportError::Map(format!(
+                "pattern is {}, and must be one of {known}",
+                echo(pattern)
+            )));
         }
         let mut named: BTreeMap<&str, usize> = BTreeMap::new();
         for (k, set) in map.sets.iter().enumerate() {
@@ -167,12 +171,24 @@ impl Map {
             }
             for file in &set.files {
                 if let Some(other) = named.insert(file, k) {
-                    return fault(format!("{file} stands in set {other} too"));
+                    return fault(format!("{} stands in set {other} too", echo(file)));
                 }
             }
             if let Some(times) = set.times_s.as_ref().filter(|t| t.len() != set.files.len()) {
                 let message = format!("set {k} has {} files and {} times", set.files.len(), times.len());
                 return Err(ImportError::Map(message));
+            }
+        }
+        if let Some(info) = &map.camera {
+            info.check().map_err(ImportError::Map)?;
+        }
+        let own = CameraInfo { gain_db: map.gain_db, ..CameraInfo::default() };
+        own.check().map_err(ImportError::Map)?;
+        for (k, set) in map.sets.iter().enumerate() {
+            let own = CameraInfo { temperature_c: set.temperature_c, ..CameraInfo::default() };
+            own.check().map_err(|message| ImportError::Map(format!("set {k}: {message}")))?;
+            if set.times_s.iter().flatten().any(|t| !t.is_finite()) {
+                return Err(ImportError::Map(format!("set {k}: times_s holds a value that is no number")));
             }
         }
         if !(1..=16).contains(&map.bit_depth) || map.shift > 15 {

@@ -2,6 +2,7 @@
 //!
 //! `ndarray-npy` reads the types and the byte order of this machine only, so the header is read here.
 
+use crate::input;
 use ndarray::{Array2, Array3, ArrayD, Axis, Ix3, IxDyn, ShapeBuilder};
 use std::path::Path;
 
@@ -10,6 +11,9 @@ pub type Stack = Array3<f64>;
 
 /// How an array of NumPy begins.
 pub const MAGIC: &[u8] = b"\x93NUMPY";
+
+/// Most axes of an array of NumPy (NPY_MAXDIMS of version 2).
+const MAX_AXES: usize = 64;
 
 struct Header {
     kind: char,
@@ -46,13 +50,14 @@ fn header(bytes: &[u8]) -> Result<Header, String> {
     let text = text.ok_or_else(fault)?;
     let of = |key| entry(text, key).ok_or_else(fault);
     let descr = of("descr")?;
-    let (order, rest) = descr.split_at(descr.len().min(1));
+    let (order, rest) = descr.split_at_checked(1).unwrap_or(("", descr));
     let kind = rest.chars().next().unwrap_or(' ');
     let size = rest.get(1..).and_then(|n| n.parse().ok()).unwrap_or(0);
     let known = matches!((kind, size), ('u' | 'i', 1 | 2 | 4 | 8) | ('f', 2 | 4 | 8) | ('b', 1));
     if !known || !matches!(order, "<" | ">" | "|" | "=") {
         return Err(format!(
-            "is a NumPy array of type '{descr}'; frames are whole or floating-point numbers"
+            "is a NumPy array of type '{}'; frames are whole or floating-point numbers",
+            input::echo(descr)
         ));
     }
     let shape = of("shape")?.split(',').map(str::trim).filter(|n| !n.is_empty());
@@ -70,7 +75,7 @@ fn header(bytes: &[u8]) -> Result<Header, String> {
 /// Reads an array as frames, rows, columns. `axis` is the one that counts the frames; without it the first does,
 /// unless the numbers say otherwise: then it is asked for.
 pub fn read(path: &Path, axis: Option<usize>) -> Result<Stack, String> {
-    stack(&std::fs::read(path).map_err(|e| e.to_string())?, axis)
+    stack(&input::bytes(path).map_err(|e| e.to_string())?, axis)
 }
 
 fn stack(bytes: &[u8], axis: Option<usize>) -> Result<Stack, String> {
@@ -78,8 +83,14 @@ fn stack(bytes: &[u8], axis: Option<usize>) -> Result<Stack, String> {
     let count = header.shape.iter().try_fold(1usize, |n, k| n.checked_mul(*k));
     let data = count.and_then(|n| n.checked_mul(header.bytes)).and_then(|n| bytes.get(header.at..)?.get(..n));
     let data = data.ok_or_else(|| {
-        format!("cut short: the file ends before the numbers of its shape {:?} do", header.shape)
+        let shape = input::echo(&format!("{:?}", header.shape));
+        format!("cut short: the file ends before the numbers of its shape {shape} do")
     })?;
+    // The product of the axes that are not 0 may be beyond what an array can count: `ndarray` refuses such a shape by a panic.
+    if header.shape.contains(&0) || header.shape.len() > MAX_AXES {
+        let shape = input::echo(&format!("{:?}", header.shape));
+        return Err(format!("has the shape {shape}, which holds no frames"));
+    }
     let numbers: Vec<f64> = data.chunks_exact(header.bytes).map(|b| number(b, &header)).collect();
     let shape = IxDyn(&header.shape);
     let array = if header.fortran {
@@ -99,9 +110,6 @@ fn stack(bytes: &[u8], axis: Option<usize>) -> Result<Stack, String> {
     let mut array = array.into_dimensionality::<Ix3>().map_err(|_| {
         format!("has {dims} axes; frames are (rows, columns), stacks (frames, rows, columns)")
     })?;
-    if array.is_empty() {
-        return Err(format!("has the shape {:?}, and no numbers", header.shape));
-    }
     if dims != 3 {
         return Ok(array);
     }
@@ -201,7 +209,10 @@ mod tests {
             ("<u2", "(2, 3, 4, 5)", "cut short"),
             ("|u1", "(4,)", "1 axes"),
             ("|u1", "(1, 99999999999999)", "cut short"),
-            ("|u1", "(0, 2)", "no numbers"),
+            ("|u1", "(0, 2)", "no frames"),
+            ("|u1", "(3, 0, 5)", "no frames"),
+            ("|u1", "(18446744073709551615, 0)", "no frames"),
+            ("|u1", "(0, 9223372036854775807, 4)", "no frames"),
         ] {
             let said = of(descr, "False", shape, &[0; 4]).unwrap_err();
             assert!(said.contains(part), "{said}");

@@ -4,7 +4,7 @@ use super::words::{self, Said, Writer};
 use super::{Facts, headers};
 use crate::dataset::image;
 use quick_xml::events::{BytesStart, Event};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 use tiff::tags::Tag;
 
@@ -94,23 +94,47 @@ impl Ome {
             .fold(0usize, |place, axis| place.saturating_mul(self.size(*axis)).saturating_add(at(*axis)))
     }
 
-    /// Directory of the file that holds a plane: by TiffData where there is any (section "TiffData" of the OME-TIFF
-    /// specification), else in the order of the axes.
-    fn directory(&self, at: &impl Fn(char) -> usize) -> Option<usize> {
-        let place = self.place(at);
+    /// Directories of the file that hold planes, in the order of the planes: by TiffData where there is any (section "TiffData" of the OME-TIFF
+    /// specification), else in the order of the axes. Of blocks that overlap the first counts.
+    fn directories(&self, places: &[usize]) -> Vec<Option<usize>> {
         if self.tiff_data.is_empty() {
-            return Some(place);
+            return places.iter().copied().map(Some).collect();
         }
-        self.tiff_data.iter().find_map(|(block, here)| {
+        let mut order: Vec<usize> = (0..places.len()).collect();
+        order.sort_by_key(|i| places[*i]);
+        let mut out = vec![None; places.len()];
+        // The next place in `order` without a block: a block with many planes does not walk over those before it again.
+        let mut free: Vec<usize> = (0..=order.len()).collect();
+        for (block, _) in self.tiff_data.iter().filter(|(_, here)| *here) {
             let number = |key: &str| block.get(key).and_then(|n| n.parse::<usize>().ok());
             let first = self.place(&|axis| number(&format!("First{axis}")).unwrap_or(0));
             let from = number("IFD").unwrap_or(0);
             // Without a count: one plane where a directory is named, else all.
             let count = number("PlaneCount").or(number("IFD").map(|_| 1)).unwrap_or(usize::MAX);
-            let inside = (first..first.saturating_add(count)).contains(&place);
-            (*here && inside).then(|| from.saturating_add(place - first))
-        })
+            let end = first.saturating_add(count);
+            let mut at = next_free(&mut free, order.partition_point(|i| places[*i] < first));
+            while at < order.len() && places[order[at]] < end {
+                let plane = order[at];
+                out[plane] = Some(from.saturating_add(places[plane] - first));
+                free[at] = at + 1;
+                at = next_free(&mut free, at + 1);
+            }
+        }
+        out
     }
+}
+
+/// The first free place from `at` on; places on the way are made to point there.
+fn next_free(free: &mut [usize], at: usize) -> usize {
+    let mut end = at;
+    while free[end] != end {
+        end = free[end];
+    }
+    let mut on = at;
+    while free[on] != end {
+        on = std::mem::replace(&mut free[on], end);
+    }
+    end
 }
 
 /// Facts of the file: its detector, and the exposure where all planes have the same.
@@ -174,14 +198,17 @@ pub fn planes(path: &Path, pages: &[usize]) -> BTreeMap<usize, Facts> {
     if ome.images != 1 {
         return BTreeMap::new();
     }
-    let at = |p: &BTreeMap<String, String>| {
-        let axes = p.clone();
-        ome.directory(&move |axis: char| {
-            axes.get(&format!("The{axis}")).and_then(|n| n.parse().ok()).unwrap_or(0)
-        })
+    let place = |p: &BTreeMap<String, String>| {
+        ome.place(&|axis: char| p.get(&format!("The{axis}")).and_then(|n| n.parse().ok()).unwrap_or(0))
     };
-    let of = |p: &BTreeMap<String, String>| Some((at(p)?, plane(&ome, p)));
-    ome.planes.iter().filter_map(of).filter(|(page, _)| pages.contains(page)).collect()
+    let places: Vec<usize> = ome.planes.iter().map(place).collect();
+    let known: HashSet<usize> = pages.iter().copied().collect();
+    let planes = ome.planes.iter().zip(ome.directories(&places));
+    let of = |(p, page): (&BTreeMap<String, String>, Option<usize>)| {
+        let page = page.filter(|page| known.contains(page))?;
+        Some((page, plane(&ome, p)))
+    };
+    planes.filter_map(of).collect()
 }
 
 #[cfg(test)]
@@ -198,6 +225,10 @@ mod tests {
         <Plane TheC="1" TheT="0" TheZ="0" ExposureTime="0.5" DeltaT="1500" DeltaTUnit="ms"/>
         <Plane TheC="1" TheT="1" TheZ="0" ExposureTime="250" ExposureTimeUnit="&#181;s"/></Pixels></Image></OME>"#;
 
+    fn place(ome: &Ome, (c, t): (usize, usize)) -> usize {
+        ome.place(&|axis| [('C', c), ('T', t)].into_iter().find(|a| a.0 == axis).map_or(0, |a| a.1))
+    }
+
     #[test]
     fn planes_have_their_own_exposures() {
         assert!(is_ome(TEXT) && !is_ome("<html>") && !is_ome("ImageJ=1.53"));
@@ -210,22 +241,18 @@ mod tests {
         let of_file = facts(TEXT);
         assert_eq!(of_file.model.as_deref(), Some("Zyla 4.2"));
         assert_eq!((of_file.serial.as_deref(), of_file.exposure_s), (Some("VSC-1"), None));
-        let place = |c: usize, t: usize| {
-            ome.directory(&|axis| [('C', c), ('T', t)].into_iter().find(|a| a.0 == axis).map_or(0, |a| a.1))
-        };
-        assert_eq!([place(0, 0), place(1, 0), place(0, 1), place(1, 1)], [0, 1, 2, 3].map(Some));
+        let places = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|at| place(&ome, at));
+        assert_eq!(ome.directories(&places), [0, 1, 2, 3].map(Some));
     }
 
     #[test]
     fn blocks_of_planes_lie_where_they_say() {
         let block = r#"<TiffData IFD="7" FirstC="1" FirstT="1"/><TiffData IFD="0" PlaneCount="3"/>"#;
         let ome = Ome::of(&TEXT.replace("<TiffData/>", block), "a.ome.tif");
-        let place = |c: usize, t: usize| {
-            ome.directory(&|axis| [('C', c), ('T', t)].into_iter().find(|a| a.0 == axis).map_or(0, |a| a.1))
-        };
-        assert_eq!([place(0, 0), place(0, 1), place(1, 1)], [Some(0), Some(2), Some(7)]);
+        let places = [(0, 0), (0, 1), (1, 1)].map(|at| place(&ome, at));
+        assert_eq!(ome.directories(&places), [Some(0), Some(2), Some(7)]);
         let other = r#"<TiffData IFD="0" PlaneCount="4"><UUID FileName="b.ome.tif">urn</UUID></TiffData>"#;
         let ome = Ome::of(&TEXT.replace("<TiffData/>", other), "a.ome.tif");
-        assert_eq!(ome.directory(&|_| 0), None);
+        assert_eq!(ome.directories(&[0]), [None]);
     }
 }

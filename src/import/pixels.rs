@@ -3,8 +3,9 @@
 use super::source::Source;
 use super::{ImportError, Map, Region};
 use crate::dataset::{image, write_whole};
+use crate::input;
 use ndarray::{Array2, s};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// What was taken into a dataset so far.
@@ -12,6 +13,8 @@ pub struct Taken<'a> {
     map: &'a Map,
     root: &'a Path,
     link: bool,
+    /// Files and pages that were taken, after links.
+    taken: BTreeSet<(PathBuf, usize)>,
     /// Names in the dataset of files that were copied whole.
     copies: BTreeMap<PathBuf, String>,
     /// The file that was read last.
@@ -22,7 +25,16 @@ pub struct Taken<'a> {
 
 impl<'a> Taken<'a> {
     pub fn new(map: &'a Map, root: &'a Path, link: bool) -> Self {
-        Self { map, root, link, copies: BTreeMap::new(), open: None, written: 0, shape: (0, 0) }
+        Self {
+            map,
+            root,
+            link,
+            taken: BTreeSet::new(),
+            copies: BTreeMap::new(),
+            open: None,
+            written: 0,
+            shape: (0, 0),
+        }
     }
 
     /// Rows and columns of the frames.
@@ -36,6 +48,9 @@ impl<'a> Taken<'a> {
         let source = PathBuf::from(path.unwrap_or(file));
         let fault = |message: String| ImportError::File { path: source.clone(), message };
         let number = page.and_then(|p| p.parse().ok()).unwrap_or(0);
+        if source.canonicalize().is_ok_and(|whole| !self.taken.insert((whole, number))) {
+            return Err(fault("is named twice in the map, by a link".into()));
+        }
         let opened = match self.open.take().filter(|(of, _)| *of == source) {
             Some((_, opened)) => opened,
             None => Source::open(&source, &self.map.read_options()).map_err(fault)?,
@@ -114,7 +129,8 @@ impl<'a> Taken<'a> {
                 fault(format!("cannot be linked into {}: {e}; leave --link out", self.root.display()))
             })?;
         } else {
-            std::fs::copy(source, &to).map_err(|e| fault(e.to_string()))?;
+            let copy = || std::io::copy(&mut input::open(source)?, &mut std::fs::File::create_new(&to)?);
+            copy().map_err(|e| fault(e.to_string()))?;
         }
         self.copies.insert(source.into(), name.clone());
         Ok(name)

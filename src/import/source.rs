@@ -4,8 +4,6 @@ use super::{Facts, npy, ome, stacks};
 use crate::dataset::image::{Images, Values};
 use ndarray::Axis;
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
 /// Choices that a file of several arrays needs.
@@ -26,6 +24,8 @@ pub struct Source {
     told: BTreeMap<usize, Facts>,
     /// Frames that are passed over, in words.
     notes: Vec<String>,
+    /// Every reader of datasets can read the file.
+    is_image: bool,
 }
 
 enum Kind {
@@ -44,10 +44,11 @@ impl Source {
     ///
     /// Where the file is of no kind that radcam reads, or is damaged.
     pub fn open(path: &Path, options: &ReadOptions) -> Result<Self, String> {
-        let mut start = Vec::new();
-        let file = File::open(path).map_err(|e| e.to_string())?;
-        file.take(6).read_to_end(&mut start).map_err(|e| e.to_string())?;
-        let of = |kind, pages| Self { kind, pages, told: BTreeMap::new(), notes: Vec::new() };
+        let start = crate::input::start(path, 6).map_err(|e| e.to_string())?;
+        let of = |kind, pages| {
+            let is_image = matches!(&kind, Kind::Images(images) if images.is_plain());
+            Self { kind, pages, told: BTreeMap::new(), notes: Vec::new(), is_image }
+        };
         if start == npy::MAGIC {
             let array = npy::read(path, options.frames_axis)?;
             let pages = (0..array.len_of(Axis(0))).collect();
@@ -95,17 +96,14 @@ impl Source {
     /// True if the file says that its pixels lie under a colour filter.
     pub fn is_mosaic(&self) -> bool {
         match &self.kind {
-            Kind::Images(images) => images.frames().first().is_some_and(|page| images.is_mosaic(*page)),
+            Kind::Images(images) => self.pages.first().is_some_and(|page| images.is_mosaic(*page)),
             Kind::Array(_) => false,
         }
     }
 
     /// Bytes of the file are frames of a dataset as they are, once their codes are.
     pub fn is_image(&self) -> bool {
-        match &self.kind {
-            Kind::Images(images) => images.is_plain(),
-            Kind::Array(_) => false,
-        }
+        self.is_image
     }
 
     /// Values of a page: codes where they are whole and fit into 16 bits.

@@ -6,7 +6,6 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeSet;
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -78,7 +77,7 @@ fn files_of(dataset: &Dataset, paths: &[PathBuf]) -> Vec<PathBuf> {
 
 fn hash(path: &Path) -> Result<String, DatasetError> {
     let fault = |e| DatasetError::io(path)(e);
-    let mut file = File::open(path).map_err(fault)?;
+    let mut file = crate::input::open(path).map_err(fault)?;
     let (mut state, mut buffer) = (Sha256::new(), vec![0; 1 << 16]);
     loop {
         match file.read(&mut buffer).map_err(fault)? {

@@ -314,10 +314,10 @@ fn difference_variance(a: &Frame, b: &Frame) -> f64 {
 
 /// Whether a folder holds a capture that has not all frames of its plan.
 pub fn is_incomplete(folder: &Path) -> bool {
-    let Ok(text) = std::fs::read_to_string(folder.join(PLAN_FILE)) else { return false };
+    let Ok(text) = crate::input::settings(&folder.join(PLAN_FILE)) else { return false };
     let Ok(plan) = Plan::from_toml(&text) else { return false };
     let rows =
-        std::fs::read_to_string(folder.join("frames.csv")).map_or(0, |t| t.lines().count().saturating_sub(1));
+        crate::input::table(&folder.join("frames.csv")).map_or(0, |t| t.lines().count().saturating_sub(1));
     (rows as u64) < plan.frames()
 }
 

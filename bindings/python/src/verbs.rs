@@ -218,7 +218,7 @@ fn plan(name: &str) -> PyResult<Plan> {
         let message = format!("no plan \"{name}\": neither a file nor one of quick, standard, emva1288");
         return Err(PlanError::new_err(message));
     }
-    let text = if name.contains('\n') { name.into() } else { std::fs::read_to_string(name)? };
+    let text = if name.contains('\n') { name.into() } else { radcam::input::settings(name.as_ref())? };
     Plan::from_toml(&text).map_err(Raised::raised)
 }
 

@@ -16,6 +16,7 @@
 //! when frames are drawn, `mean` and `variance` may also use row, column and parity (0 or 1).
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+use crate::text::{echo, echo_message};
 use exmex::{Express, FlatEx};
 use std::collections::BTreeMap;
 
@@ -24,6 +25,33 @@ const TARGETS: [&str; 10] =
     ["mean", "variance", "cov_01", "cov_10", "cov_11", "parity_01", "parity_10", "row", "column", "common"];
 /// What a formula may use beside its parameters.
 const VARIABLES: [&str; 6] = ["mu", "exposure", "illumination", "row", "column", "parity"];
+
+/// Characters of a formula. The parser takes time with their square: the longest allowed takes some milliseconds, 10^6 took minutes.
+const MAX_FORMULA_CHARACTERS: usize = 10_000;
+/// Parentheses inside one another; each takes a step of the stack.
+const MAX_FORMULA_DEPTH: usize = 200;
+/// Parameters of an effect of formulas. A fit of more has no use of them.
+const MAX_PARAMETERS: usize = 1000;
+
+/// Refuses a formula that is longer or deeper than any that a person writes.
+fn must_be_short(text: &str) -> Result<(), String> {
+    let characters = text.chars().count();
+    if characters > MAX_FORMULA_CHARACTERS {
+        return Err(format!("has {characters} characters; a formula has {MAX_FORMULA_CHARACTERS} at most"));
+    }
+    let mut depth = 0usize;
+    for c in text.chars() {
+        match c {
+            '(' | '[' | '{' => depth += 1,
+            ')' | ']' | '}' => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+        if depth > MAX_FORMULA_DEPTH {
+            return Err(format!("has more than {MAX_FORMULA_DEPTH} parentheses inside one another"));
+        }
+    }
+    Ok(())
+}
 
 /// One formula, ready to be evaluated.
 struct Formula {
@@ -113,18 +141,38 @@ pub fn custom(
     if formulas.is_empty() {
         return Err(format!("custom effect {name} has no formulas; it may change {}", TARGETS.join(", ")));
     }
+    let full_name = name;
+    let name = &*echo(name);
+    if values.len() > MAX_PARAMETERS {
+        return Err(format!(
+            "custom effect {name} has {} parameters; it may have {MAX_PARAMETERS}",
+            values.len()
+        ));
+    }
+    if let Some((parameter, [min, max])) =
+        bounds.iter().find(|(_, [min, max])| min.is_nan() || max.is_nan() || min > max)
+    {
+        return Err(format!(
+            "custom effect {name}: bounds of {} are {min} to {max}; the first must not be above the second",
+            echo(parameter)
+        ));
+    }
     let keep = |text: &str| -> &'static str { Box::leak(text.to_string().into_boxed_str()) };
     let names: Vec<&String> = values.keys().collect();
     let mut ready = BTreeMap::new();
     for (target, text) in formulas {
         if !TARGETS.contains(&target.as_str()) {
             return Err(format!(
-                "custom effect {name}: a formula cannot change {target}, only {}",
+                "custom effect {name}: a formula cannot change {}, only {}",
+                echo(target),
                 TARGETS.join(", ")
             ));
         }
-        let expression = exmex::parse::<f64>(text)
-            .map_err(|e| format!("custom effect {name}: {target} = \"{text}\": {e}"))?;
+        must_be_short(text).map_err(|e| format!("custom effect {name}: {target} {e}"))?;
+        let shown = echo(text);
+        let expression = exmex::parse::<f64>(text).map_err(|e| {
+            format!("custom effect {name}: {target} = \"{shown}\": {}", echo_message(&e.to_string()))
+        })?;
         let places = expression
             .var_names()
             .iter()
@@ -134,7 +182,8 @@ pub fn custom(
                 }
                 VARIABLES.iter().position(|v| v == variable).map(Err).ok_or_else(|| {
                     format!(
-                        "custom effect {name}: {target} uses {variable}, which is no parameter and none of {}",
+                        "custom effect {name}: {target} uses {}, which is no parameter and none of {}",
+                        echo(variable),
                         VARIABLES.join(", ")
                     )
                 })
@@ -144,7 +193,7 @@ pub fn custom(
         let place: Vec<f64> = names.iter().map(|n| values[*n]).collect();
         formula
             .sound(&place)
-            .map_err(|at| format!("custom effect {name}: {target} = \"{text}\" is no number at {at}"))?;
+            .map_err(|at| format!("custom effect {name}: {target} = \"{shown}\" is no number at {at}"))?;
         ready.insert(target.clone(), formula);
     }
     let parameters: Vec<Parameter> = values
@@ -157,7 +206,7 @@ pub fn custom(
         })
         .collect();
     Ok(Box::leak(Box::new(Custom {
-        name: keep(name),
+        name: keep(full_name),
         parameters: Box::leak(parameters.into_boxed_slice()),
         formulas: ready,
     })))

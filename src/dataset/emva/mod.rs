@@ -9,6 +9,7 @@ mod write;
 pub use write::{DESCRIPTOR, write_descriptor};
 
 use super::{BenchInfo, CameraInfo, Dataset, DatasetError, FrameRow, Kind, Manifest};
+use crate::input::echo;
 use crate::number::seconds;
 use std::path::Path;
 
@@ -39,15 +40,17 @@ fn parse(text: &str) -> Result<Parsed, (u64, String)> {
         let line = line.split('#').next().unwrap_or("");
         let words: Vec<&str> = line.split_whitespace().collect();
         let float = |word: &str| {
-            let value: f64 =
-                word.replace(',', ".").parse().map_err(|_| fault(format!("\"{word}\" is not a number")))?;
+            let value: f64 = word
+                .replace(',', ".")
+                .parse()
+                .map_err(|_| fault(format!("\"{}\" is not a number", echo(word))))?;
             Ok(value)
         };
         // Nanoseconds, as the standard's tool has it, unless a unit stands behind the number.
         let exposure = |word: &str| {
             let end = word.find(|c: char| c.is_alphabetic() && !matches!(c, 'e' | 'E')).unwrap_or(word.len());
             let unit_s = if end == word.len() { Some(1e-9) } else { seconds(&word[end..]) };
-            let unit_s = unit_s.ok_or_else(|| fault(format!("\"{word}\": write ns, us, ms or s")))?;
+            let unit_s = unit_s.ok_or_else(|| fault(format!("\"{}\": write ns, us, ms or s", echo(word))))?;
             Ok(float(&word[..end])? * unit_s)
         };
         // A bias frame has no exposure: as good as none is a nanosecond.
@@ -71,7 +74,8 @@ fn parse(text: &str) -> Result<Parsed, (u64, String)> {
             [] | ["v", ..] => {}
             ["n", bits, width, height] => {
                 let whole = |word: &str| {
-                    word.parse::<usize>().map_err(|_| fault(format!("\"{word}\" is not a whole number")))
+                    word.parse::<usize>()
+                        .map_err(|_| fault(format!("\"{}\" is not a whole number", echo(word))))
                 };
                 let bit_depth = whole(bits)?;
                 if !(1..=16).contains(&bit_depth) {
@@ -105,8 +109,9 @@ fn parse(text: &str) -> Result<Parsed, (u64, String)> {
             }
             [word, ..] => {
                 return Err(fault(format!(
-                    "\"{word}\" begins no line of an EMVA 1288 descriptor (v, n, b, d, dc, i), and the file is no table \
-                     with mean_dn and var_dn2 either"
+                    "\"{}\" begins no line of an EMVA 1288 descriptor (v, n, b, d, dc, i), and the file is no table \
+                     with mean_dn and var_dn2 either",
+                    echo(word)
                 )));
             }
         }

@@ -5,15 +5,12 @@
 use super::fits_tiles::Tiles;
 use super::{Cards, FITS_RECORD, ImageError, Values, array, cards_of};
 use flate2::read::MultiGzDecoder;
-use std::fs::File;
 use std::io::{Cursor, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// How a gzipped file begins (RFC 1952).
 pub(super) const GZIP: &[u8] = b"\x1f\x8b";
-/// Deflate packs at most about a thousand to one (RFC 1951): what a file can hold once it is unpacked.
-pub(super) const MAX_DEFLATE_RATIO: u64 = 1100;
 
 /// A FITS file whose headers were read.
 #[derive(Debug, Clone)]
@@ -115,14 +112,15 @@ fn data_size(cards: &Cards, axes: &[usize]) -> Result<Option<u64>, ImageError> {
 
 impl Fits {
     pub(super) fn open(path: &Path) -> Result<Self, ImageError> {
-        let mut file = File::open(path)?;
+        let mut file = crate::input::open(path)?;
         let mut start = [0u8; 2];
         let packed = file.read_exact(&mut start).is_ok() && start == *GZIP;
         file.rewind()?;
         if !packed {
             return Self::of(Data::File(path.into()), &mut file);
         }
-        let most = file.metadata()?.len().saturating_mul(MAX_DEFLATE_RATIO);
+        let size = file.metadata()?.len();
+        let most = crate::input::max_unpacked_bytes(size);
         let mut bytes = Vec::new();
         let unpacked = MultiGzDecoder::new(file).take(most).read_to_end(&mut bytes);
         unpacked.map_err(|e| ImageError::Fits(format!("damaged or cut short as a gzipped file: {e}")))?;
@@ -130,7 +128,9 @@ impl Fits {
             return Err(ImageError::NotGrey("a gzipped file that is no FITS: unpack it".into()));
         }
         let bytes = Arc::new(bytes);
-        Self::of(Data::Unpacked(bytes.clone()), &mut Cursor::new(bytes.as_slice()))
+        let out = Self::of(Data::Unpacked(bytes.clone()), &mut Cursor::new(bytes.as_slice()))?;
+        must_be_image(out.image.width, out.image.height, size)?;
+        Ok(out)
     }
 
     #[cfg(test)]
@@ -216,7 +216,7 @@ impl Fits {
             return Err(ImageError::NoPage(plane));
         }
         let mut file: Box<dyn Bytes + '_> = match &self.data {
-            Data::File(path) => Box::new(File::open(path)?),
+            Data::File(path) => Box::new(crate::input::open(path)?),
             Data::Unpacked(bytes) => Box::new(Cursor::new(bytes.as_slice())),
         };
         if let Some(tiles) = &image.tiles {
@@ -305,10 +305,20 @@ fn image(cards: &Cards, axes: &[usize], at: u64, size: u64) -> Result<Image, Ima
     Ok(Image { at, width, height, planes, coding, tiles: None })
 }
 
+/// Refuses an image that is packed as no image is.
+fn must_be_image(width: usize, height: usize, size: u64) -> Result<(), ImageError> {
+    if super::is_packed_too_much(width as u64, height as u64, 8, size) {
+        return Err(ImageError::Fits(super::too_much(width, height, size)));
+    }
+    Ok(())
+}
+
 fn tiled(cards: &Cards, table: &[usize], at: u64, size: u64) -> Result<Image, ImageError> {
     let axes = axes(cards, "Z")?;
     let (width, height, planes) = sizes(&axes)?;
     let coding = coding(cards, "ZBITPIX")?;
+    must_be_image(width, height, size)?;
     let tiles = Tiles::new(cards, table, &axes, &coding, at, size)?;
+    must_be_image(width, height.saturating_mul(tiles.depth()), size)?;
     Ok(Image { at, width, height, planes, coding, tiles: Some(tiles) })
 }

@@ -1,10 +1,14 @@
 //! Tile-compressed images of FITS (FITS standard 4.0, section 10): RICE_1, GZIP_1, GZIP_2 and NOCOMPRESS, all
 //! without loss. What loses (quantised floating-point numbers, HCOMPRESS) is refused by its name.
 
-use super::fits::{Bytes, Coding, MAX_DEFLATE_RATIO, number, text};
+use super::fits::{Bytes, Coding, number, text};
 use super::{Cards, ImageError};
 use flate2::read::GzDecoder;
 use std::io::{Read, SeekFrom};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Number of tiles along the third axis, and the scaled numbers of their planes.
+type Layer = (usize, Vec<f64>);
 
 /// Where the tiles of an image lie.
 #[derive(Debug, Clone)]
@@ -19,6 +23,8 @@ pub(super) struct Tiles {
     descriptor: (usize, usize),
     /// First byte of the heap and its end.
     heap: (u64, u64),
+    /// Planes that were unpacked last, by the number of their tiles along the third axis.
+    unpacked: Arc<Mutex<Option<Layer>>>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -85,7 +91,8 @@ impl Tiles {
                     _ => None,
                 };
             }
-            place += column_bytes(form).ok_or_else(|| fault(format!("TFORM{k} is '{form}'")))?;
+            let bytes = column_bytes(form).ok_or_else(|| fault(format!("TFORM{k} is '{form}'")))?;
+            place = bytes.saturating_add(place);
         }
         if coding.bits < 0 && lossy {
             return Err(ImageError::NotGrey(
@@ -128,10 +135,19 @@ impl Tiles {
         }
         let heap = count(cards, "THEAP", Some((row_bytes * rows) as f64))? as u64;
         let end = table_at + (row_bytes * rows) as u64;
-        if end > size || descriptor.0 + 2 * descriptor.1 > row_bytes {
+        if end > size || descriptor.0.saturating_add(2 * descriptor.1) > row_bytes {
             return Err(fault(format!("cut short: {end} bytes are needed, {size} are there")));
         }
-        Ok(Self { method, axes, tile, table_at, row_bytes, descriptor, heap: (table_at + heap, size) })
+        Ok(Self {
+            method,
+            axes,
+            tile,
+            table_at,
+            row_bytes,
+            descriptor,
+            heap: (table_at + heap, size),
+            unpacked: Arc::default(),
+        })
     }
 
     /// Scaled numbers of one plane.
@@ -141,28 +157,44 @@ impl Tiles {
         plane: usize,
         coding: &Coding,
     ) -> Result<Vec<f64>, ImageError> {
+        let (layer, pixels) = (plane / self.tile[2], self.axes[0] * self.axes[1]);
+        let from = plane % self.tile[2] * pixels;
+        // Tiles that reach over several planes are unpacked once, not once for each plane.
+        let mut kept = self.unpacked.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, numbers)) = kept.as_ref().filter(|(of, _)| *of == layer) {
+            return Ok(numbers[from..from + pixels].to_vec());
+        }
+        let numbers = self.layer(file, layer, coding)?;
+        let out = numbers[from..from + pixels].to_vec();
+        *kept = (self.tile[2] > 1).then_some((layer, numbers));
+        Ok(out)
+    }
+
+    /// Scaled numbers of the planes over which one tile reaches.
+    fn layer(&self, file: &mut dyn Bytes, layer: usize, coding: &Coding) -> Result<Vec<f64>, ImageError> {
         let [width, height, planes] = self.axes;
         let across: Vec<usize> = self.tile.iter().zip(self.axes).map(|(t, n)| n.div_ceil(*t)).collect();
-        let mut out = vec![f64::NAN; width * height];
-        let layer = plane / self.tile[2];
+        let depth = self.tile[2].min(planes - layer * self.tile[2]);
+        let mut out = vec![f64::NAN; width * height * depth];
         for tile in 0..across[0] * across[1] {
             let (x, y) = (tile % across[0] * self.tile[0], tile / across[0] * self.tile[1]);
-            let size = [
-                self.tile[0].min(width - x),
-                self.tile[1].min(height - y),
-                self.tile[2].min(planes - layer * self.tile[2]),
-            ];
+            let size = [self.tile[0].min(width - x), self.tile[1].min(height - y), depth];
             let pixels = size.iter().product();
             let bytes = self.tile_bytes(file, layer * across[0] * across[1] + tile)?;
-            let numbers = self.unpacked(&bytes, pixels, coding).ok_or_else(|| {
+            let numbers = self.unpacked_tile(&bytes, pixels, coding).ok_or_else(|| {
                 ImageError::Fits(format!("damaged: tile {tile} does not unpack to {pixels} numbers"))
             })?;
-            let from = plane % self.tile[2] * size[0] * size[1];
-            for (k, row) in numbers[from..from + size[0] * size[1]].chunks_exact(size[0]).enumerate() {
-                out[(y + k) * width + x..][..size[0]].copy_from_slice(row);
+            for (k, row) in numbers.chunks_exact(size[0]).enumerate() {
+                let (z, row_at) = (k / size[1], y + k % size[1]);
+                out[(z * height + row_at) * width + x..][..size[0]].copy_from_slice(row);
             }
         }
         Ok(out)
+    }
+
+    /// Planes over which one tile reaches.
+    pub(super) fn depth(&self) -> usize {
+        self.tile[2]
     }
 
     fn tile_bytes(&self, file: &mut dyn Bytes, row: usize) -> Result<Vec<u8>, ImageError> {
@@ -185,7 +217,7 @@ impl Tiles {
     }
 
     /// Scaled numbers of a tile; `None` where its bytes do not hold so many.
-    fn unpacked(&self, bytes: &[u8], pixels: usize, coding: &Coding) -> Option<Vec<f64>> {
+    fn unpacked_tile(&self, bytes: &[u8], pixels: usize, coding: &Coding) -> Option<Vec<f64>> {
         let each = coding.bytes_each();
         let bytes = match self.method {
             Method::Rice(block, width) => {
@@ -193,7 +225,8 @@ impl Tiles {
                 return Some(numbers.into_iter().map(|n| coding.scaled(n.into())).collect());
             }
             Method::Gzip { shuffled } => {
-                let most = (bytes.len() as u64).saturating_mul(MAX_DEFLATE_RATIO);
+                // One byte more than the tile has tells of a tile that is too long.
+                let most = (pixels * each) as u64 + 1;
                 let mut out = Vec::new();
                 GzDecoder::new(bytes).take(most).read_to_end(&mut out).ok()?;
                 let apart = |out: Vec<u8>| {

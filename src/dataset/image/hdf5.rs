@@ -12,7 +12,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Deflate packs at most about a thousand to one (RFC 1951): bytes that a file can hold for each of its own.
+/// Deflate packs at most about a thousand to one (RFC 1951): bytes of all frames that a file can hold for each of its own.
 const MAX_PACKING: u64 = 1100;
 /// Least width and height of a dataset that is taken for frames without being named: tables and vectors of axes
 /// are narrower.
@@ -144,10 +144,10 @@ impl Hdf5 {
     /// three.
     pub(super) fn open(path: &Path, choice: Option<&str>, axis: Option<usize>) -> Result<Self, ImageError> {
         // A file that another program cuts off while it is mapped would end radcam.
-        let storage = FileStorage::open(path).map_err(|e| fault(&e))?;
+        let storage = FileStorage::from_file(crate::input::open(path)?).map_err(|e| fault(&e))?;
         let bytes = std::fs::metadata(path)?.len();
         let most = bytes.saturating_mul(MAX_PACKING).saturating_add(1 << 16);
-        let limit = usize::try_from(most).unwrap_or(usize::MAX);
+        let limit = usize::try_from(super::input::max_unpacked_bytes(bytes)).unwrap_or(usize::MAX);
         let mut filters = FilterRegistry::new();
         filters.register(LZF, Box::new(|_, data, _| lzf(data)));
         let options = OpenOptions {
@@ -164,7 +164,7 @@ impl Hdf5 {
         let mut parts = Vec::new();
         let mut first = 0;
         for candidate in chosen {
-            let part = tree.part(candidate, axis, first, most)?;
+            let part = tree.part(candidate, axis, first, (most, bytes))?;
             first += part.stack.frames;
             parts.push(part);
         }
@@ -491,7 +491,7 @@ impl Tree {
         candidate: Candidate,
         axis: Option<usize>,
         first: usize,
-        most_bytes: u64,
+        (most_bytes, file_bytes): (u64, u64),
     ) -> Result<Part, ImageError> {
         let Candidate { dataset, paths, .. } = candidate;
         let each = bytes_each(dataset.dtype()).unwrap_or(8);
@@ -509,6 +509,13 @@ impl Tree {
         let frames = usize::try_from(frames).unwrap_or(0);
         if frames == 0 {
             return Err(ImageError::NoFrames(format!("an HDF5 file whose {} has no frames yet", paths[0])));
+        }
+        let pixels = sizes.iter().product::<u64>() / frames as u64;
+        if super::is_packed_too_much(pixels, 1, 8, file_bytes) {
+            return Err(ImageError::Hdf5(format!(
+                "{} has frames of {pixels} px in {file_bytes} bytes: large images are packed 64 to 1 at most",
+                paths[0]
+            )));
         }
         let mut stack = Stack { paths, first, frames, ..Stack::default() };
         self.describe(&dataset, &mut stack)?;

@@ -4,11 +4,12 @@ mod fits;
 mod fits_tiles;
 #[cfg(feature = "hdf5")]
 mod hdf5;
+pub(crate) mod png_file;
 mod tiff_file;
 
+use crate::input;
 use ndarray::{Array2, ArrayView2, s};
-use std::fs::File;
-use std::io::{BufReader, Cursor, Seek, Write};
+use std::io::{Cursor, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use tiff::encoder::{TiffEncoder, colortype};
@@ -25,7 +26,7 @@ pub enum ImageError {
     Tiff(#[from] tiff::TiffError),
     /// Not a sound PNG.
     #[error("not a sound PNG: {0}")]
-    Png(#[from] ::image::ImageError),
+    Png(#[from] png::DecodingError),
     /// Not a sound FITS.
     #[error("not a sound FITS: {0}")]
     Fits(String),
@@ -292,9 +293,7 @@ impl Images {
         if is_camera_raw(path) {
             return Err(ImageError::NoFrames(CAMERA_RAW.into()));
         }
-        let mut start = [0u8; 8];
-        let read = std::io::Read::read(&mut File::open(path)?, &mut start)?;
-        let start = &start[..read];
+        let start = &*input::start(path, 8)?;
         let kind = if start.starts_with(JPEG) {
             return Err(ImageError::NotGrey(NO_JPEG.into()));
         } else if start.starts_with(HDF5) {
@@ -404,7 +403,7 @@ impl Images {
             Container::Tiff(directories) => directories.page(&self.path, page, buffer),
             Container::Png => {
                 first_page_only(page)?;
-                read_png(File::open(&self.path)?, buffer).map(|()| None)
+                png_file::read(&self.path, buffer).map(|()| None)
             }
             Container::Fits(fits) => fits.values(page).map(Some),
             #[cfg(feature = "hdf5")]
@@ -477,10 +476,8 @@ pub fn stored_bits(path: &Path) -> Result<u8, ImageError> {
     let images = Images::open(path)?;
     match &images.kind {
         Container::Png => {
-            let mut start = [0u8; 26];
-            std::io::Read::read_exact(&mut File::open(path)?, &mut start)?;
             // The bit depth of the IHDR chunk (PNG specification, 11.2.2).
-            Ok(start[24].max(8))
+            Ok(input::start(path, 26)?.get(24).copied().unwrap_or(8).max(8))
         }
         Container::Fits(fits) => Ok(fits.bits()),
         #[cfg(feature = "hdf5")]
@@ -492,6 +489,18 @@ pub fn stored_bits(path: &Path) -> Result<u8, ImageError> {
     }
 }
 
+/// True of a frame that takes more memory than a packed file of this size may make; `each`: bytes of a pixel in memory.
+fn is_packed_too_much(width: u64, height: u64, each: u64, size: u64) -> bool {
+    width.saturating_mul(height).saturating_mul(each) > input::max_unpacked_bytes(size)
+}
+
+/// Reason of such a file.
+fn too_much(width: usize, height: usize, size: u64) -> String {
+    format!(
+        "{width} x {height} px in {size} bytes: large images are packed 64 to 1 at most; save as plain TIFF"
+    )
+}
+
 fn first_page_only(page: usize) -> Result<(), ImageError> {
     if page == 0 { Ok(()) } else { Err(ImageError::NoPage(page)) }
 }
@@ -500,34 +509,6 @@ fn array<T>(width: usize, height: usize, pixels: Vec<T>) -> Result<Array2<T>, Im
     let found = pixels.len();
     Array2::from_shape_vec((height, width), pixels)
         .map_err(|_| ImageError::NotGrey(format!("{width} x {height} px with {found} values")))
-}
-
-fn read_png(file: File, buffer: &mut Buffer) -> Result<(), ImageError> {
-    use ::image::codecs::png::PngDecoder;
-    use ::image::{ColorType, ImageDecoder};
-    let size = file.metadata()?.len();
-    // A header may claim anything: deflate packs at most about a thousand to one (RFC 1951).
-    let mut limits = ::image::Limits::default();
-    limits.max_alloc = Some(size.saturating_mul(1100).saturating_add(1 << 20));
-    let decoder = PngDecoder::with_limits(BufReader::with_capacity(1 << 16, file), limits.clone())?;
-    let (width, height) = decoder.dimensions();
-    limits.reserve(decoder.total_bytes())?;
-    let pixels = width as usize * height as usize;
-    match decoder.color_type() {
-        ColorType::L16 => {
-            buffer.dn.resize(pixels, 0);
-            decoder.read_image(bytemuck::cast_slice_mut(&mut buffer.dn))?;
-        }
-        ColorType::L8 => {
-            buffer.bytes.resize(pixels, 0);
-            decoder.read_image(&mut buffer.bytes)?;
-            buffer.dn.clear();
-            buffer.dn.extend(buffer.bytes.iter().map(|b| u16::from(*b)));
-        }
-        other => return Err(ImageError::NotGrey(format!("{other:?}"))),
-    }
-    buffer.shape = (height as usize, width as usize);
-    Ok(())
 }
 
 /// Size of a FITS record, bytes, and of a card in it (FITS standard 4.0, section 3.1 and 4.1).
@@ -667,7 +648,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("x.tiff");
         let write = |codes: [i32; 2]| {
-            let mut encoder = TiffEncoder::new(File::create(&path).unwrap()).unwrap();
+            let mut encoder = TiffEncoder::new(std::fs::File::create(&path).unwrap()).unwrap();
             encoder.write_image::<colortype::GrayI32>(2, 1, &codes).unwrap();
             read(&path, 0)
         };

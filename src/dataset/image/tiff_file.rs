@@ -48,7 +48,7 @@ fn number(bytes: &[u8], big_endian: bool) -> u64 {
 
 impl Directories {
     pub(super) fn read(path: &Path) -> Result<Self, ImageError> {
-        let mut file = BufReader::with_capacity(1 << 12, File::open(path)?);
+        let mut file = BufReader::with_capacity(1 << 12, crate::input::open(path)?);
         let mut head = [0u8; 16];
         let mut had = 0;
         while had < head.len() {
@@ -175,7 +175,7 @@ impl Directories {
         if let Some((place, CFA | LINEAR_RAW)) = directory.photometric {
             shown.push((place, order(1u16.to_le_bytes().to_vec())));
         }
-        let file = Shown { file: File::open(path)?, at: 0, shown };
+        let file = Shown { file: crate::input::open(path)?, at: 0, shown };
         Ok(Decoder::new(BufReader::new(file))?)
     }
 

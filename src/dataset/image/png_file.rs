@@ -1,0 +1,60 @@
+//! PNG: grey frames of 8 or 16 bits, row by row. Colour profiles and texts are skipped, not unpacked.
+
+use super::{Buffer, ImageError, is_packed_too_much, too_much};
+use crate::input;
+use png::{BitDepth, ColorType, Decoder, Transformations};
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+/// A decoder that unpacks no profile; texts are kept as they stand in the file, those that are packed too.
+pub(crate) fn decoder(path: &Path) -> std::io::Result<Decoder<BufReader<File>>> {
+    let mut decoder = Decoder::new(BufReader::with_capacity(1 << 16, input::open(path)?));
+    // A megabyte of profile unpacks to a gigabyte.
+    decoder.set_ignore_iccp_chunk(true);
+    Ok(decoder)
+}
+
+/// Reads the frame of a file.
+pub(super) fn read(path: &Path, buffer: &mut Buffer) -> Result<(), ImageError> {
+    let size = std::fs::metadata(path)?.len();
+    let mut decoder = decoder(path)?;
+    decoder.set_ignore_text_chunk(true);
+    decoder.set_transformations(Transformations::EXPAND);
+    let mut reader = decoder.read_info()?;
+    let (colour, depth) = reader.output_color_type();
+    let bits = if depth == BitDepth::Sixteen { 16 } else { 8 };
+    if colour != ColorType::Grayscale {
+        return Err(ImageError::NotGrey(format!("a PNG of {colour:?}, {bits} bits each")));
+    }
+    let (width, height) = (reader.info().width as usize, reader.info().height as usize);
+    // Codes are kept in 16 bits.
+    if is_packed_too_much(width as u64, height as u64, 2, size) {
+        return Err(ImageError::NoFrames(format!("a PNG of {}", too_much(width, height, size))));
+    }
+    let row_bytes = reader.output_line_size(width as u32).unwrap_or(usize::MAX);
+    buffer.dn.clear();
+    if reader.info().interlaced {
+        buffer.bytes.resize(row_bytes.saturating_mul(height), 0);
+        reader.next_frame(&mut buffer.bytes)?;
+        put(&buffer.bytes, bits, &mut buffer.dn);
+    } else {
+        // Memory grows with the rows that are there, not with those that the header claims.
+        buffer.bytes.resize(row_bytes, 0);
+        for _ in 0..height {
+            reader.read_row(&mut buffer.bytes)?;
+            put(&buffer.bytes, bits, &mut buffer.dn);
+        }
+    }
+    buffer.shape = (height, width);
+    Ok(())
+}
+
+/// Appends codes; those of 16 bits are big-endian.
+fn put(bytes: &[u8], bits: u64, dn: &mut Vec<u16>) {
+    if bits == 16 {
+        dn.extend(bytes.as_chunks::<2>().0.iter().map(|b| u16::from_be_bytes(*b)));
+    } else {
+        dn.extend(bytes.iter().map(|b| u16::from(*b)));
+    }
+}
