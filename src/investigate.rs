@@ -4,7 +4,7 @@
 //! Everything is one campaign in one dataset: what is measured later stands behind what was there, in the order of time.
 
 use crate::capture::{Capture, CaptureError, PLAN_FILE};
-use crate::dataset::{Dataset, DatasetError, write_whole};
+use crate::dataset::{Dataset, DatasetError, Folder, write_whole};
 use crate::diagnosis::{Diagnosis, diagnose, searched};
 use crate::inference::Given;
 use crate::observables::{ObserveError, of_dataset};
@@ -94,14 +94,19 @@ pub fn investigate(
     known: &[Given],
     tell: &mut dyn FnMut(Event<'_>),
 ) -> Result<Found, InvestigateError> {
+    let _held = Folder::hold(root)?;
     let dataset = root.join("dataset");
     let state_path = root.join(STATE_FILE);
     let mut state = State::default();
     let mut zero_ns;
     if dataset.join("dataset.toml").exists() {
-        if let Ok(text) = std::fs::read_to_string(&state_path) {
+        if let Ok(text) = crate::input::settings(&state_path) {
             let fault = |e: toml::de::Error| {
-                InvestigateError::State(format!("{}: {}", state_path.display(), e.to_string().trim_end()))
+                InvestigateError::State(format!(
+                    "{}: {}",
+                    state_path.display(),
+                    crate::input::echo_lines(&e.to_string())
+                ))
             };
             state = toml::from_str(&text).map_err(fault)?;
         }
@@ -118,7 +123,6 @@ pub fn investigate(
         }
         begins(capture, &plan, tell)?;
         state.measurement.push(Measurement { about: plan.about.clone(), sets: (0, plan.sets.len()) });
-        std::fs::create_dir_all(root).map_err(DatasetError::io(root))?;
         keep(&state, &state_path)?;
         zero_ns = capture.run(&plan, &dataset)?.zero_ns;
     }
@@ -141,7 +145,7 @@ pub fn investigate(
         } else {
             let first = opened.sets().len();
             let plan_path = dataset.join(PLAN_FILE);
-            let before = std::fs::read(&plan_path).map_err(DatasetError::io(&plan_path))?;
+            let before = crate::input::bytes(&plan_path).map_err(DatasetError::io(&plan_path))?;
             let sets = (first, first + next.sets.len());
             state.measurement.push(Measurement { about: next.about.clone(), sets });
             keep(&state, &state_path)?;
@@ -172,7 +176,7 @@ pub fn investigate(
 /// The exposures of a further plan in seconds, by the full exposure of the campaign.
 fn absolute(plan: &Plan, dataset: &Path) -> Result<Plan, InvestigateError> {
     let path = dataset.join(PLAN_FILE);
-    let text = std::fs::read_to_string(&path).map_err(DatasetError::io(&path))?;
+    let text = crate::input::settings(&path).map_err(DatasetError::io(&path))?;
     let first = Plan::from_toml(&text).map_err(CaptureError::from)?;
     Ok(plan.absolute(first.full_exposure_s.unwrap_or(1.0), |e| e))
 }

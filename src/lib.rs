@@ -84,6 +84,7 @@ pub mod monitor;
 pub mod noise;
 pub mod number;
 pub mod observables;
+mod output;
 pub mod pixel_format;
 pub mod plan;
 pub mod plot;

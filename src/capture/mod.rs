@@ -5,7 +5,7 @@ mod set;
 
 use crate::bench::{BenchError, Illuminator};
 use crate::camera::{Automatic, Camera, CameraError, StreamCounts, StreamOptions, Value};
-use crate::dataset::{CameraInfo, Dataset, DatasetError, Manifest, Writer};
+use crate::dataset::{CameraInfo, Dataset, DatasetError, Folder, Manifest, Writer};
 use crate::frame::Frame;
 use crate::light::Light;
 use crate::pixel_format::PixelFormat;
@@ -214,17 +214,19 @@ impl<'a> Capture<'a> {
         let resume = plan.is_none();
         let searched = plan.is_some_and(|p| p.full_exposure_s.is_none() && p.needs_full_exposure());
         let (automatics, writer, plan) = match plan {
-            None => self.reopen(root)?,
+            None => self.reopen(Folder::existing(root)?, root)?,
             Some(plan) => {
+                // Before the camera moves: another capture may have begun here.
+                let held = Folder::hold(root)?;
+                held.must_be_free(root, &[PLAN_FILE])?;
                 let automatics = self.set_up(plan)?;
                 let plan = self.absolute(plan, &mut counts)?;
-                let manifest = self.manifest(&plan, &automatics)?;
-                let writer = Writer::create(root, &manifest, &[(PLAN_FILE, &plan.to_toml()?)])?;
-                (automatics, writer, plan)
+                self.begin(held, root, plan, automatics)?
             }
         };
-        // The device may have been switched off since.
-        let clock = if resume { DeviceClock::Unknown } else { DeviceClock::FromFirstFrame };
+        // The device may have been switched off since, and how long the pause was is not known.
+        let began = !resume || writer.written().is_empty();
+        let clock = if began { DeviceClock::FromFirstFrame } else { DeviceClock::Unknown };
         let again = resume && self.camera.draws_again();
         if again && plan.searched {
             self.search(&plan, &mut counts)?;
@@ -260,7 +262,8 @@ impl<'a> Capture<'a> {
     ) -> Result<Summary, CaptureError> {
         let path = root.join(PLAN_FILE);
         let fault = |message: String| CaptureError::Resume { path: path.display().to_string(), message };
-        let text = std::fs::read_to_string(&path).map_err(|e| fault(e.to_string()))?;
+        let held = Folder::existing(root)?;
+        let text = crate::input::settings(&path).map_err(|e| fault(e.to_string()))?;
         let mut plan = Plan::from_toml(&text)?;
         // A campaign whose exposures were given in seconds has none that counts as 1: the search finds it.
         let mut counts = StreamCounts::default();
@@ -269,7 +272,7 @@ impl<'a> Capture<'a> {
         plan.full_exposure_s = more.full_exposure_s;
         plan.sets.extend(more.sets);
         crate::dataset::write_whole(&path, plan.to_toml()?.as_bytes())?;
-        let (automatics, writer, plan) = self.reopen(root)?;
+        let (automatics, writer, plan) = self.reopen(held, root)?;
         let clock = zero_ns.map_or(DeviceClock::Unknown, DeviceClock::Zero);
         let run = Run { writer, clock, counts, begun_again: Vec::new(), again: false };
         self.carry_out(run, &plan, root, automatics, None)
@@ -298,7 +301,7 @@ impl<'a> Capture<'a> {
         let frames = run.writer.written().len() as u64 - before;
         let line = run.log(searched, frames, &outcome);
         tracing::info!(counts = line.trim_end(), "buffer statistics");
-        let log = std::fs::OpenOptions::new().create(true).append(true).open(root.join(LOG_FILE));
+        let log = crate::output::append(&root.join(LOG_FILE), true);
         if let Err(e) = log.and_then(|mut log| std::io::Write::write_all(&mut log, line.as_bytes())) {
             tracing::warn!(error = %e, "the buffer statistics could not be kept");
         }
@@ -412,14 +415,32 @@ impl<'a> Capture<'a> {
         Ok(manifest)
     }
 
+    /// Begins a dataset with a plan whose exposures are in seconds.
+    fn begin(
+        &mut self,
+        held: Folder,
+        root: &Path,
+        plan: Plan,
+        automatics: Vec<Automatic>,
+    ) -> Result<(Vec<Automatic>, Writer, Plan), CaptureError> {
+        let manifest = self.manifest(&plan, &automatics)?;
+        let writer = Writer::create_in(held, root, &manifest, &[(PLAN_FILE, &plan.to_toml()?)])?;
+        Ok((automatics, writer, plan))
+    }
+
     /// Opens a dataset to be continued and brings the camera to its settings.
-    fn reopen(&mut self, root: &Path) -> Result<(Vec<Automatic>, Writer, Plan), CaptureError> {
+    fn reopen(&mut self, held: Folder, root: &Path) -> Result<(Vec<Automatic>, Writer, Plan), CaptureError> {
         let fault = |message: String| CaptureError::Resume { path: root.display().to_string(), message };
         let plan_path = root.join(PLAN_FILE);
-        let text = std::fs::read_to_string(&plan_path)
-            .map_err(|e| fault(format!("{}: {e}", plan_path.display())))?;
+        let text =
+            crate::input::settings(&plan_path).map_err(|e| fault(format!("{}: {e}", plan_path.display())))?;
         let mut plan = Plan::from_toml(&text)?;
-        let (writer, manifest) = Writer::resume(root)?;
+        // Killed after the plan and before the manifest, which comes last.
+        if !root.join("dataset.toml").exists() {
+            let automatics = self.set_up(&plan)?;
+            return self.begin(held, root, plan, automatics);
+        }
+        let (writer, manifest) = Writer::resume_in(held, root)?;
         let was = &manifest.camera;
         let identity = self.camera.identity();
         for (name, now, was) in [

@@ -1,6 +1,7 @@
 //! `radcam budget`
 
 use super::Outcome;
+use super::common::can_be_written;
 use super::region::RegionArguments;
 use crate::budget::{NAMES, Parts};
 use crate::dataset::write_whole;
@@ -30,6 +31,7 @@ fn moments(view: ArrayView2<'_, f32>) -> (f64, f64) {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    can_be_written(&arguments.report)?;
     let seen = arguments.region.read()?;
     let v = seen.variation()?;
     let noise = CameraNoise::of(&seen.calibration)?;

@@ -59,7 +59,13 @@ pub fn load_plan(name: Option<&str>, resume: bool, root: &Path) -> Result<Plan> 
         return plan_of(name.unwrap_or("standard"));
     }
     let stored = root.join(PLAN_FILE);
-    let text = std::fs::read_to_string(&stored).with_context(|| stored.display().to_string())?;
+    if !stored.exists() {
+        bail!(
+            "{}: no capture was begun here (no {PLAN_FILE}), so none can be continued; leave --resume out",
+            root.display()
+        );
+    }
+    let text = crate::input::settings(&stored).with_context(|| stored.display().to_string())?;
     let plan = Plan::from_toml(&text).with_context(|| stored.display().to_string())?;
     let Some(name) = name else { return Ok(plan) };
     let given = plan_of(name)?;
@@ -84,7 +90,7 @@ fn plan_of(name: &str) -> Result<Plan> {
     if !Path::new(name).exists() {
         bail!("no plan \"{name}\": neither a file nor one of quick, standard, emva1288");
     }
-    let text = std::fs::read_to_string(name).with_context(|| name.to_string())?;
+    let text = crate::input::settings(name.as_ref()).with_context(|| name.to_string())?;
     Plan::from_toml(&text).with_context(|| name.to_string())
 }
 
@@ -99,12 +105,19 @@ pub fn open_camera(name: &str, plan: &Plan) -> Result<(Box<dyn Camera>, Box<dyn 
 pub fn can_be_written<'a>(paths: impl IntoIterator<Item = &'a PathBuf>) -> Result<()> {
     for path in paths {
         let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        if path.is_dir() {
+        if path.is_dir() && !path.is_symlink() {
             bail!("{} is a folder; name a file", path.display());
         }
+        crate::output::must_be_file_or_new(path).with_context(|| path.display().to_string())?;
         tempfile::tempfile_in(folder).with_context(|| format!("{} cannot be written", path.display()))?;
     }
     Ok(())
+}
+
+/// Makes the folders of a relative path below an output folder; refuses links.
+pub fn folders_below(root: &Path, relative: &Path) -> Result<()> {
+    let made = crate::output::folders_below(root, relative);
+    made.map_err(|(path, e)| anyhow::Error::new(e).context(path.display().to_string()))
 }
 
 /// Refuses to write over a file unless that is asked for.

@@ -1,13 +1,14 @@
 //! `radcam correct`
 
 use super::Outcome;
-use super::common::{above_0, codes};
+use super::common::{above_0, codes, folders_below};
 use crate::calibrate::file::Calibration;
 use crate::correct::{Codes, CorrectError, Corrector};
 use crate::dataset::tag::{CORRECTED, FrameTag, is_corrected};
 use crate::dataset::{CameraInfo, Dataset, image, write_whole};
 use crate::import::{facts, pixel_format, region_of};
 use crate::number::{percent, six_digits};
+use crate::output::folder_of;
 use crate::statistics::code_step::{Occurring, Stretch};
 use anyhow::{Context, Result, bail};
 use ndarray::Array2;
@@ -83,6 +84,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             let Some((_, corrector)) = &corrector else { return Ok(()) };
             notes.look(&job.source(), &frame, corrector, (&calibration, exposure_s, arguments.force))?;
             let text = description(&arguments.calibration, codes, corrector);
+            job.make_folder(&arguments.output)?;
             let cut = write(corrector, &frame, codes, &text, &job.output)?;
             notes.cut(&job.source(), cut);
             Ok(())
@@ -149,6 +151,15 @@ impl Job {
         }
     }
 
+    /// Makes the folders of the output below the folder that the user named.
+    fn make_folder(&self, root: &Path) -> Result<()> {
+        let folder = folder_of(&self.output);
+        match folder.strip_prefix(root) {
+            Ok(below) => folders_below(root, below),
+            Err(_) => Ok(std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?),
+        }
+    }
+
     /// The file that is read.
     fn source(&self) -> PathBuf {
         match &self.input {
@@ -165,7 +176,7 @@ impl Job {
 fn jobs(arguments: &Arguments) -> Result<Vec<Job>> {
     let output = &arguments.output;
     let folder = output.is_dir() || output.to_string_lossy().ends_with(std::path::is_separator);
-    let single = arguments.input.len() == 1 && arguments.input[0].is_file() && !folder;
+    let single = arguments.input.len() == 1 && !arguments.input[0].is_dir() && !folder;
     let is_tiff =
         output.extension().is_some_and(|e| ["tif", "tiff"].iter().any(|k| e.eq_ignore_ascii_case(k)));
     if !single && !folder && is_tiff {
@@ -209,6 +220,7 @@ fn free(jobs: &[Job], arguments: &Arguments) -> Result<()> {
                 output.display()
             );
         }
+        crate::output::must_be_file_or_new(output).with_context(|| output.display().to_string())?;
         if whole(output).is_some_and(|path| read.contains(&path)) {
             bail!("{} is read, and would be overwritten; choose another output", output.display());
         }
@@ -482,9 +494,6 @@ fn write(
     path: &Path,
 ) -> Result<Cut> {
     let mut cut = Cut::default();
-    if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-    }
     let bytes = match codes {
         None => image::described_bytes::<Gray32Float>(corrector.image(frame)?.view(), description)?,
         Some(codes) => {

@@ -220,7 +220,7 @@ fn clear(output: &Path, dataset: &Path) -> Result<()> {
         }
         std::fs::remove_dir_all(dataset).with_context(|| dataset.display().to_string())?;
     }
-    std::fs::create_dir_all(output).with_context(|| output.display().to_string())
+    crate::output::folder(output).with_context(|| output.display().to_string())
 }
 
 /// How the frames came.

@@ -9,7 +9,7 @@ use crate::dataset::{Dataset, write_whole};
 use crate::emva::{Definitions, Evaluation, Limit, Points, evaluate, names, of_dataset, plots};
 use crate::number::Quantity;
 use crate::report;
-use anyhow::{Context, Result};
+use anyhow::Result;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
@@ -79,7 +79,7 @@ fn write(
     evaluation: &Evaluation,
 ) -> Result<()> {
     let tables = folder.join("plots");
-    std::fs::create_dir_all(&tables).with_context(|| tables.display().to_string())?;
+    super::common::folders_below(folder, "plots".as_ref())?;
     let plots = plots(points, evaluation);
     let command: Vec<String> = std::env::args().collect();
     let head = report::emva::Head {

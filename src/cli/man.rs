@@ -1,6 +1,7 @@
 //! `radcam man`
 
 use super::Outcome;
+use crate::dataset::write_whole;
 use anyhow::{Context, Result};
 use std::path::PathBuf;
 
@@ -13,8 +14,14 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let folder = &arguments.output;
-    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-    clap_mangen::generate_to(super::command(), folder).with_context(|| folder.display().to_string())?;
+    crate::output::folder(folder).with_context(|| folder.display().to_string())?;
+    // The generator writes through links.
+    let made = tempfile::tempdir()?;
+    clap_mangen::generate_to(super::command(), made.path())?;
+    for page in made.path().read_dir()? {
+        let page = page?;
+        write_whole(&folder.join(page.file_name()), &crate::input::bytes(&page.path())?)?;
+    }
     println!("{}: the manual pages; man {}/radcam.1", folder.display(), folder.display());
     Ok(Outcome::Agreement)
 }

@@ -1,6 +1,6 @@
 //! `radcam noise`
 
-use super::common::{STOP, after_faults, say_faults};
+use super::common::{STOP, after_faults, can_be_written, say_faults};
 use super::observe::{Colour, Datasets};
 use super::{Outcome, progress::Show};
 use crate::dataset::write_whole;
@@ -25,6 +25,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    can_be_written(&arguments.report)?;
     let datasets = Datasets { paths: vec![arguments.dataset.clone()], colour: arguments.colour.clone() };
     let report = estimate(&datasets)?;
     if arguments.json {

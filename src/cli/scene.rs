@@ -1,6 +1,7 @@
 //! `radcam scene`
 
 use super::Outcome;
+use super::common::can_be_written;
 use super::region::RegionArguments;
 use crate::dataset::{image, write_whole};
 use crate::number::with_error;
@@ -25,6 +26,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    can_be_written(&arguments.map_output)?;
     let seen = arguments.region.read()?;
     let v = seen.variation()?;
     let (rows, columns) = seen.corrected.dim();

@@ -16,7 +16,7 @@ pub use emva::{DESCRIPTOR, write_descriptor};
 pub use fault::{DataFault, FaultKind};
 pub use manifest::{BenchInfo, CameraInfo, FORMAT, ImportInfo, Manifest};
 pub(crate) use write::{Aside, synchronise};
-pub use write::{Writer, write_whole};
+pub use write::{Folder, Writer, write_whole};
 
 use crate::input::{self, echo, echo_message};
 use crate::reduction::{self, Reduced};

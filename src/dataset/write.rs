@@ -5,8 +5,10 @@
 
 use super::tag::FrameTag;
 use super::{COLUMNS, CameraInfo, Dataset, DatasetError, FrameRow, Manifest, image};
+use crate::input;
+use crate::output::{self, Held, HoldError, folder_of};
 use ndarray::Array2;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use tiff::encoder::colortype::{Gray8, Gray16};
@@ -18,19 +20,63 @@ pub struct Writer {
     rows: File,
     camera: CameraInfo,
     written: Vec<FrameRow>,
+    /// Last, so that it is dropped last.
+    _held: Folder,
 }
 
 /// What the names of unfinished files begin with.
 const ASIDE: &str = ".radcam-";
 
+/// Folder of a campaign, held for one writer until this is dropped. A folder that was made for it and stayed empty is removed.
+#[derive(Debug)]
+pub struct Folder(#[allow(dead_code)] Held); // held, not read
+
+impl Folder {
+    /// Makes the folder where there is none, and keeps other writers out.
+    ///
+    /// # Errors
+    ///
+    /// Where another program writes there, or the path is a link or cannot be made.
+    pub fn hold(root: &Path) -> Result<Self, DatasetError> {
+        Held::take(root).map(Self).map_err(|e| match e {
+            HoldError::Busy => busy(root),
+            HoldError::Io(e) => DatasetError::io(root)(e),
+        })
+    }
+
+    /// The same of a folder that is there.
+    ///
+    /// # Errors
+    ///
+    /// As [`hold`](Self::hold), and where there is no such folder.
+    pub fn existing(root: &Path) -> Result<Self, DatasetError> {
+        fs::metadata(root).map_err(DatasetError::io(root))?;
+        Self::hold(root)
+    }
+
+    /// Refuses a folder that holds more than the beginnings of a campaign that never got its manifest; `beside` are names of further files.
+    pub(crate) fn must_be_free(&self, root: &Path, beside: &[&str]) -> Result<(), DatasetError> {
+        if unfinished_start(root, beside).map_err(DatasetError::io(root))? {
+            return Ok(());
+        }
+        let message = "is not empty; choose a new folder, or continue it with --resume".into();
+        Err(DatasetError::Manifest { path: root.into(), message })
+    }
+}
+
+fn busy(root: &Path) -> DatasetError {
+    let message = "another program is writing to this dataset".into();
+    DatasetError::Manifest { path: root.into(), message }
+}
+
 /// Writes a whole file aside, synchronises it and puts it in place: it is there whole or not at all.
 ///
 /// # Errors
 ///
-/// Where the file cannot be written; nothing of it is left then.
+/// Where the path is a link, device, FIFO, socket or folder, or the file cannot be written; nothing of it is left then.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), DatasetError> {
     Aside::write(path, bytes)?.put_in_place()?;
-    synchronise(folder(path))
+    synchronise(folder_of(path))
 }
 
 /// A file that is written aside, and perhaps not on the disk yet. It is removed where it is dropped.
@@ -44,12 +90,13 @@ impl Aside {
     /// Writes a file that is to lie at `path`.
     pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<Self, DatasetError> {
         let write = || {
+            output::must_be_file_or_new(path)?;
             // Readable as any new file is, not by its owner alone.
             let mut aside = tempfile::Builder::new();
             aside.prefix(ASIDE);
             #[cfg(unix)]
             aside.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-            let mut file = aside.tempfile_in(folder(path))?;
+            let mut file = aside.tempfile_in(folder_of(path))?;
             file.write_all(bytes)?;
             Ok(Self { file, path: path.into() })
         };
@@ -59,32 +106,36 @@ impl Aside {
     /// Synchronises it and gives it its name; what the folder holds is on the disk after [`synchronise`].
     pub(crate) fn put_in_place(self) -> Result<(), DatasetError> {
         let Self { file, path } = self;
-        let placed = file.as_file().sync_all().and_then(|()| Ok(file.persist(&path)?));
-        placed.map(drop).map_err(DatasetError::io(&path))
+        let place = || {
+            file.as_file().sync_all()?;
+            output::must_be_file_or_new(&path)?;
+            file.persist(&path)?;
+            Ok(())
+        };
+        place().map_err(DatasetError::io(&path))
     }
 }
 
 /// Brings the names in a folder to the disk.
 pub(crate) fn synchronise(folder: &Path) -> Result<(), DatasetError> {
-    File::open(folder).and_then(|f| f.sync_all()).map_err(DatasetError::io(folder))
-}
-
-fn folder(path: &Path) -> &Path {
-    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
+    output::synchronise(folder).map_err(DatasetError::io(folder))
 }
 
 fn name(number: usize) -> String {
     format!("frames/{number:05}.tiff")
 }
 
+/// Makes the folder of the frames where there is none.
+fn frames_folder(root: &Path) -> Result<(), DatasetError> {
+    let path = root.join("frames");
+    output::folder(&path).map_err(DatasetError::io(&path))
+}
+
 /// Opens `frames.csv` for appending, and keeps other programs out while it is open.
 fn lock(root: &Path) -> Result<File, DatasetError> {
     let path = root.join("frames.csv");
-    let rows = OpenOptions::new().append(true).open(&path).map_err(DatasetError::io(&path))?;
-    rows.try_lock().map_err(|_| DatasetError::Manifest {
-        path: root.into(),
-        message: "another program is writing to this dataset".into(),
-    })?;
+    let rows = output::append(&path, false).map_err(DatasetError::io(&path))?;
+    rows.try_lock().map_err(|_| busy(root))?;
     Ok(rows)
 }
 
@@ -100,14 +151,14 @@ fn remove_leftovers(root: &Path) -> Result<(), DatasetError> {
 }
 
 /// Whether a folder holds nothing but the beginnings of a campaign that never got its manifest.
-fn unfinished_start(root: &Path, beside: &[(&str, &str)]) -> std::io::Result<bool> {
+fn unfinished_start(root: &Path, beside: &[&str]) -> std::io::Result<bool> {
     for entry in fs::read_dir(root)? {
         let entry = entry?;
         let name = entry.file_name().to_string_lossy().into_owned();
         let ours = match &*name {
             "frames" => fs::read_dir(entry.path())?.next().is_none(),
-            "frames.csv" => fs::read_to_string(entry.path())?.lines().count() <= 1,
-            name => name.starts_with(ASIDE) || beside.iter().any(|(known, _)| *known == name),
+            "frames.csv" => input::table(&entry.path())?.lines().count() <= 1,
+            name => name.starts_with(ASIDE) || beside.contains(&name),
         };
         if !ours {
             return Ok(false);
@@ -126,12 +177,18 @@ impl Writer {
     ///
     /// Where the folder is not empty or cannot be written.
     pub fn create(root: &Path, manifest: &Manifest, beside: &[(&str, &str)]) -> Result<Self, DatasetError> {
-        let fault = || DatasetError::io(root);
-        if root.exists() && !unfinished_start(root, beside).map_err(fault())? {
-            let message = "is not empty; choose a new folder, or continue it with --resume".into();
-            return Err(DatasetError::Manifest { path: root.into(), message });
-        }
-        fs::create_dir_all(root.join("frames")).map_err(fault())?;
+        Self::create_in(Folder::hold(root)?, root, manifest, beside)
+    }
+
+    /// The same in a folder that is held already.
+    pub(crate) fn create_in(
+        held: Folder,
+        root: &Path,
+        manifest: &Manifest,
+        beside: &[(&str, &str)],
+    ) -> Result<Self, DatasetError> {
+        held.must_be_free(root, &beside.iter().map(|(name, _)| *name).collect::<Vec<_>>())?;
+        frames_folder(root)?;
         for (name, text) in beside {
             write_whole(&root.join(name), text.as_bytes())?;
         }
@@ -143,7 +200,8 @@ impl Writer {
         write_whole(&root.join("dataset.toml"), text.as_bytes())?;
         let rows = lock(root)?;
         remove_leftovers(root)?;
-        Ok(Self { root: root.into(), rows, camera: manifest.camera.clone(), written: Vec::new() })
+        let camera = manifest.camera.clone();
+        Ok(Self { root: root.into(), rows, camera, written: Vec::new(), _held: held })
     }
 
     /// Continues a campaign. A last row that a crash cut short is taken off; every whole row is kept.
@@ -152,10 +210,16 @@ impl Writer {
     ///
     /// Where the folder is no dataset, a frame of it cannot be read, or another program writes to it.
     pub fn resume(root: &Path) -> Result<(Self, Manifest), DatasetError> {
+        Self::resume_in(Folder::existing(root)?, root)
+    }
+
+    /// The same in a folder that is held already.
+    pub(crate) fn resume_in(held: Folder, root: &Path) -> Result<(Self, Manifest), DatasetError> {
         let path = root.join("frames.csv");
         // First the lock: another program may be in the middle of a row.
         let rows = lock(root)?;
-        let text = fs::read(&path).map_err(DatasetError::io(&path))?;
+        frames_folder(root)?;
+        let text = input::bytes(&path).map_err(DatasetError::io(&path))?;
         let whole = text.iter().rposition(|&b| b == b'\n').map_or(0, |end| end + 1);
         if (1..text.len()).contains(&whole) {
             tracing::warn!(file = %path.display(), bytes = text.len() - whole, "cut off an unfinished row");
@@ -168,7 +232,8 @@ impl Writer {
         }
         let manifest = dataset.manifest().clone();
         let camera = manifest.camera.clone();
-        let writer = Self { root: root.into(), rows, camera, written: dataset.rows().to_vec() };
+        let written = dataset.rows().to_vec();
+        let writer = Self { root: root.into(), rows, camera, written, _held: held };
         Ok((writer, manifest))
     }
 
@@ -201,8 +266,9 @@ impl Writer {
         // A frame whose row a crash has cut off keeps its name; where it is this very frame, drawn again, it is the one.
         let mut number = self.written.len();
         let there = loop {
-            match fs::read(self.root.join(name(number))) {
-                Err(_) => break false,
+            match input::bytes(&self.root.join(name(number))) {
+                Err(e) if e.kind() == std::io::ErrorKind::NotFound => break false,
+                Err(e) => return Err(fault(e.to_string())),
                 Ok(found) if found == bytes => break true,
                 Ok(_) => number += 1,
             }
@@ -232,6 +298,7 @@ impl Writer {
 mod tests {
     use super::*;
     use crate::dataset::Kind;
+    use std::fs::OpenOptions;
 
     fn row(set: u32, index: u32) -> FrameRow {
         FrameRow {

@@ -1,7 +1,9 @@
 //! Frames, rows and manifest of a new dataset.
 
 use super::{ImportError, Map, pixel_format, pixels};
-use crate::dataset::{BenchInfo, CameraInfo, Dataset, FrameRow, ImportInfo, Kind, Manifest, write_whole};
+use crate::dataset::{
+    BenchInfo, CameraInfo, Dataset, Folder, FrameRow, ImportInfo, Kind, Manifest, write_whole,
+};
 use std::path::Path;
 
 /// Refuses a folder that has something in it.
@@ -28,8 +30,9 @@ pub fn write(
     link: bool,
     step: impl FnMut(usize, usize) -> bool,
 ) -> Result<Dataset, ImportError> {
-    must_be_free(root)?;
     let new = !root.exists();
+    let _held = Folder::hold(root)?;
+    must_be_free(root)?;
     let outcome = fill(map, root, link, step).and_then(|()| Ok(Dataset::open(root)?));
     if outcome.is_err() {
         for file in ["dataset.toml", "frames.csv"] {
@@ -55,7 +58,7 @@ fn fill(
         return Err(ImportError::Map(format!("missing: {}", missing.join("; "))));
     }
     let frames = root.join("frames");
-    std::fs::create_dir_all(&frames)
+    crate::output::folder(&frames)
         .map_err(|e| ImportError::File { path: frames.clone(), message: e.to_string() })?;
     let all: usize = map.sets.iter().map(|s| s.files.len()).sum();
     let mut rows = csv::Writer::from_writer(Vec::new());

@@ -552,7 +552,7 @@ pub async fn calibrate(State(shared): Desktop) -> Markup {
             return Err(CANCELLED.into());
         }
         let folder = folder_of(&campaign.path);
-        std::fs::create_dir_all(&folder).map_err(|e| format!("{}: {e}", folder.display()))?;
+        crate::output::folder(&folder).map_err(|e| format!("{}: {e}", folder.display()))?;
         made.calibration.write(&folder.join("cal.tiff")).map_err(|e| e.to_string())
     });
     if let Err(e) = begun {
@@ -595,6 +595,7 @@ pub async fn report(State(shared): Desktop) -> Response {
         let study =
             Study::of(&campaign.source, &campaign.all, judged, None, provenance, &never, &mut |_, _| {});
         let page = crate::report::study::html(&study.map_err(|e| e.to_string())?, &campaign.kinds);
+        crate::output::folder(&folder).map_err(|e| format!("{}: {e}", folder.display()))?;
         let path = folder.join("report.html");
         crate::dataset::write_whole(&path, page.as_bytes()).map_err(|e| e.to_string())?;
         Ok(page)

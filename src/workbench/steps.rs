@@ -74,13 +74,14 @@ impl Steps {
     /// A file that cannot be understood, by its name.
     pub fn read(folder: &Path) -> Result<Self, String> {
         let path = folder.join("steps.toml");
-        let text = match std::fs::read_to_string(&path) {
+        let text = match crate::input::settings(&path) {
             Ok(text) => text,
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Self::default()),
             Err(e) => return Err(format!("{}: {e}", path.display())),
         };
         let fault = |message: String| format!("{}: {message}; move it away to begin anew", path.display());
-        let steps: Self = toml::from_str(&text).map_err(|e| fault(e.to_string().trim_end().into()))?;
+        let steps: Self =
+            toml::from_str(&text).map_err(|e| fault(crate::input::echo_lines(&e.to_string())))?;
         if steps.format != FORMAT {
             return Err(fault(format!("format \"{}\" is not {FORMAT}", steps.format)));
         }
@@ -94,7 +95,7 @@ impl Steps {
     /// Where the folder cannot be written.
     pub fn write(&self, folder: &Path, model: &Model) -> Result<(), String> {
         let fault = |e: &dyn std::fmt::Display| format!("{} cannot be kept: {e}", folder.display());
-        std::fs::create_dir_all(folder).map_err(|e| fault(&e))?;
+        crate::output::folder(folder).map_err(|e| fault(&e))?;
         let text = toml::to_string(self).map_err(|e| fault(&e))?;
         write_whole(&folder.join("steps.toml"), text.as_bytes()).map_err(|e| e.to_string())?;
         let text = model.to_toml().map_err(|e| fault(&e))?;
