@@ -92,6 +92,8 @@ pub mod reduction;
 pub mod report;
 pub mod reproduce;
 pub mod scene_variation;
+#[cfg(feature = "cli")]
+mod secret;
 #[cfg(feature = "aravis")]
 pub mod serve;
 pub mod source;

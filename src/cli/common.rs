@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// Set by Ctrl-C; the second one ends the program at once.
+/// Set by Ctrl-C or SIGTERM; the second one ends the program at once, the first after [`GRACE`] at the latest.
 pub static STOP: AtomicBool = AtomicBool::new(false);
 
 /// Exit code of a run that Ctrl-C ended, as shells have it: 128 and the signal's number.
@@ -37,11 +37,20 @@ pub fn start_logging(verbose: u8) {
         .init();
 }
 
+/// Time in which a verb may end by itself after a signal. What waits for a camera, a file system or a long sum cannot; all together ends within a
+/// second.
+const GRACE: Duration = Duration::from_millis(800);
+
 pub fn catch_interrupts() {
     let handler = || {
         if STOP.swap(true, Ordering::SeqCst) {
             std::process::exit(INTERRUPTED.into());
         }
+        std::thread::spawn(|| {
+            std::thread::sleep(GRACE);
+            eprintln!("radcam: interrupted");
+            std::process::exit(INTERRUPTED.into());
+        });
     };
     if let Err(e) = ctrlc::set_handler(handler) {
         tracing::debug!(error = %e, "Ctrl-C will end the program at once");

@@ -5,10 +5,28 @@
 
 #![allow(clippy::print_stdout, clippy::print_stderr)] // printing is what a command line is for
 
+// All that the verbs print goes through `terminal`: these stand in for the macros of the same names.
+macro_rules! print {
+    ($($text:tt)*) => { $crate::cli::terminal::out(format_args!($($text)*)) };
+}
+macro_rules! println {
+    () => { $crate::cli::terminal::out(format_args!("\n")) };
+    ($($text:tt)*) => {{
+        $crate::cli::terminal::out(format_args!("{}\n", format_args!($($text)*)))
+    }};
+}
+macro_rules! eprintln {
+    ($($text:tt)*) => {{
+        $crate::cli::terminal::err(format_args!("{}\n", format_args!($($text)*)))
+    }};
+}
+
 mod common;
 mod observe;
 mod progress;
 mod region;
+mod secret;
+mod terminal;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use common::{INTERRUPTED, STOP};
@@ -143,8 +161,16 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         println!("{FIRST_STEPS}");
         return 2;
     }
-    let matches = command().get_matches_from(arguments);
-    let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|e| e.exit());
+    let parsed = command().try_get_matches_from(arguments);
+    let arguments = match parsed.and_then(|matches| Arguments::from_arg_matches(&matches)) {
+        Ok(arguments) => arguments,
+        // Help and version.
+        Err(e) if !e.use_stderr() => e.exit(),
+        Err(e) => {
+            terminal::err(format_args!("{}", e.render()));
+            return 2;
+        }
+    };
     common::start_logging(arguments.verbose);
     common::catch_interrupts();
     match arguments.verb.run() {
@@ -166,7 +192,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
 
 /// An error with its causes, those left out that it has said already.
 fn once(error: &anyhow::Error) -> String {
-    error.chain().fold(String::new(), |mut said, cause| {
+    let said = error.chain().fold(String::new(), |mut said, cause| {
         let cause = cause.to_string();
         if said.is_empty() {
             said = cause;
@@ -174,7 +200,26 @@ fn once(error: &anyhow::Error) -> String {
             said = format!("{said}: {cause}");
         }
         said
-    })
+    });
+    in_part(&said)
+}
+
+/// A message without the middle of lines that no message has: values of a file are cut where they are named, and this is for those that are not.
+fn in_part(message: &str) -> String {
+    /// Longer than paths that a person names.
+    const MAX_WORD: usize = 400;
+    /// Longer than the longest list of questions.
+    const MAX_LINE: usize = 4000;
+    let cut = |text: &str, most: usize| {
+        let characters = text.chars().count();
+        if characters <= most {
+            return text.to_string();
+        }
+        let part = |from: usize| text.chars().skip(from).take(40).collect::<String>();
+        format!("{}...{}", part(0), part(characters - 40))
+    };
+    let words = |line: &str| line.split(' ').map(|word| cut(word, MAX_WORD)).collect::<Vec<_>>().join(" ");
+    message.lines().map(|line| cut(&words(line), MAX_LINE)).collect::<Vec<_>>().join("\n")
 }
 
 #[cfg(test)]

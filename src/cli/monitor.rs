@@ -29,7 +29,8 @@ pub struct Arguments {
     /// The calibration file
     #[arg(long, value_name = "CAL.tiff")]
     cal: PathBuf,
-    /// History: a SQLite file, or postgres://USER:PASSWORD@HOST/DATABASE; nothing is kept where not given
+    /// History: a SQLite file, or postgres://USER@HOST/DATABASE with the password in PGPASSWORD or ~/.pgpass; @FILE or env:NAME hold the whole
+    /// address; nothing is kept where not given
     #[arg(long, value_name = "URL")]
     store: Option<String>,
     /// A plan whose [bench] names the features that move the light
@@ -74,7 +75,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
-    let bytes = std::fs::read(&arguments.cal).with_context(|| arguments.cal.display().to_string())?;
+    let bytes = crate::input::bytes(&arguments.cal).with_context(|| arguments.cal.display().to_string())?;
     let calibration = Calibration::read(&arguments.cal)?;
     // Checks are held against those under the same calibration, exposure and light.
     let mut digest = Sha256::new_with_prefix(&bytes);
@@ -88,7 +89,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     };
     let serial = &calibration.description.camera.serial;
     let name = if serial.is_empty() { arguments.camera.clone() } else { serial.clone() };
-    let (mut monitor, keeper) = history(arguments.store.as_deref(), &name, &hash, limits)?;
+    let address = arguments.store.as_deref().map(super::secret::database).transpose()?;
+    let (mut monitor, keeper) = history(address.as_deref(), &name, &hash, limits)?;
     let metrics = Arc::new(Metrics::default());
     if let Some(address) = arguments.metrics {
         let bound = serve(address, Arc::clone(&metrics)).with_context(|| format!("--metrics {address}"))?;

@@ -8,6 +8,7 @@ use crate::camera::StreamOptions;
 use crate::monitor::store::Store;
 use crate::workbench::{Options, Workbench};
 use anyhow::{Result, bail};
+use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
@@ -22,7 +23,7 @@ pub struct Arguments {
     /// A camera for the live picture and for captures
     #[arg(long, value_name = "CAMERA")]
     camera: Option<String>,
-    /// The history that `radcam monitor --store` keeps, as a page
+    /// The history that `radcam monitor --store` keeps, as a page; @FILE or env:NAME hold an address with a password
     #[arg(long, value_name = "URL")]
     history: Option<String>,
     /// Effects that the model begins with
@@ -43,7 +44,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     if arguments.datasets.is_empty() && arguments.camera.is_none() && arguments.history.is_none() {
         bail!("name a dataset, a camera with --camera, or a history with --history");
     }
-    if let Some(url) = &arguments.history {
+    let history = arguments.history.as_deref().map(super::secret::database).transpose()?;
+    if let Some(url) = &history {
         // Opened once here: what is wrong is said at once, and a name that was mistyped makes no new file.
         let file = url.strip_prefix("sqlite:").unwrap_or(url);
         if !file.contains("://") && !std::path::Path::new(file).exists() {
@@ -70,7 +72,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         dataset: datasets.next(),
         others: datasets.collect(),
         plane: arguments.colour.plane,
-        history: arguments.history.clone(),
+        history,
         camera,
         stream: StreamOptions::default(),
         effects,
@@ -79,12 +81,27 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let workbench = Workbench::open(options).map_err(anyhow::Error::msg)?;
     let url = workbench.url();
     println!("{url}\nThe page is there until Ctrl-C.");
-    if arguments.open {
-        let opened = std::process::Command::new("xdg-open").arg(&url).spawn();
-        if let Err(e) = opened {
-            tracing::warn!("the browser could not be opened (xdg-open: {e}); open the address by hand");
-        }
-    }
+    // Until the page ends: the browser reads it when it comes to it.
+    let _page = arguments.open.then(|| open_in_browser(&url));
     workbench.serve(&STOP).map_err(anyhow::Error::msg)?;
     Ok(Outcome::Agreement)
+}
+
+/// Opens the page by a file that the user alone can read: every user of the machine reads command lines, and the address holds the token.
+fn open_in_browser(url: &str) -> Option<tempfile::NamedTempFile> {
+    let open = || {
+        let mut page = tempfile::Builder::new().prefix("radcam-").suffix(".html").tempfile()?;
+        let text = format!(
+            "<!doctype html><meta charset=\"utf-8\"><meta name=\"referrer\" content=\"no-referrer\"><title>radcam</title>\
+             <meta http-equiv=\"refresh\" content=\"0;url={url}\"><a href=\"{url}\">Open the workbench</a>"
+        );
+        page.write_all(text.as_bytes())?;
+        std::process::Command::new("xdg-open").arg(page.path()).spawn()?;
+        Ok(page)
+    };
+    open()
+        .inspect_err(|e: &std::io::Error| {
+            tracing::warn!("the browser could not be opened (xdg-open: {e}); open the address by hand");
+        })
+        .ok()
 }

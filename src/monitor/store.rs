@@ -1,6 +1,7 @@
 //! The history of checks and alarms in a database: SQLite in a file, or a PostgreSQL server. The same tables and the same statements.
 
 use super::{Alarm, Changed, Check, Limits, Monitor, Reading};
+use crate::secret::shown;
 use sqlx::any::{AnyPoolOptions, install_default_drivers};
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::{AnyPool, Connection, Row};
@@ -8,6 +9,10 @@ use std::collections::BTreeSet;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use tokio::runtime::Runtime;
+
+mod thinned;
+
+pub use thinned::{Period, Point};
 
 static MIGRATIONS: Migrator = sqlx::migrate!("src/monitor/migrations");
 
@@ -56,17 +61,6 @@ fn inode(path: &Path) -> Option<u64> {
     std::fs::metadata(path).ok().map(|m| m.ino())
 }
 
-/// An address without its password.
-fn shown(url: &str) -> String {
-    match (url.split_once("://"), url.rsplit_once('@')) {
-        (Some((kind, rest)), Some((_, host))) if rest.contains('@') => {
-            let user = rest.split([':', '@']).next().unwrap_or_default();
-            format!("{kind}://{user}@{host}")
-        }
-        _ => url.into(),
-    }
-}
-
 /// A time as its key. A clock that was never set is before 1970, and 64 bits end in 2262: such times stand at the end of what there is.
 fn nanoseconds(time_s: f64) -> i64 {
     const END: f64 = 9.2e18;
@@ -95,6 +89,12 @@ impl Store {
         };
         let fault = |message: String| StoreError { url: shown(&url), message, passing: false };
         let refused = |e: sqlx::Error| StoreError { passing: is_passing(&e), ..fault(e.to_string()) };
+        // SQLite follows links, and waits for a FIFO.
+        if let Some(file) =
+            url.strip_prefix("sqlite:").and_then(|f| f.trim_start_matches("//").split('?').next())
+        {
+            crate::output::must_be_file_or_new(file.as_ref()).map_err(|e| fault(e.to_string()))?;
+        }
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()
@@ -323,15 +323,4 @@ impl Store {
 /// The name of a change, as in JSON.
 pub fn name(what: Changed) -> String {
     serde_json::to_value(what).ok().and_then(|w| w.as_str().map(Into::into)).unwrap_or_default()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::shown;
-
-    #[test]
-    fn a_password_is_not_shown() {
-        assert_eq!(shown("postgres://me:secret@host/db"), "postgres://me@host/db");
-        assert_eq!(shown("sqlite:/a/b.db?mode=rwc"), "sqlite:/a/b.db?mode=rwc");
-    }
 }

@@ -7,7 +7,7 @@
 use super::Shared;
 use axum::body::Body;
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use std::sync::Arc;
@@ -36,6 +36,12 @@ fn refuse(code: StatusCode, why: &'static str) -> Response {
     (code, [(header::CONTENT_TYPE, "text/plain; charset=utf-8")], why).into_response()
 }
 
+/// A path of this server: one that begins with two slashes is another server for a browser.
+fn room(path: &str) -> String {
+    let plain = path.chars().all(|c| c.is_ascii_alphanumeric() || matches!(c, '/' | '.' | '-' | '_'));
+    if plain { format!("/{}", path.trim_start_matches('/')) } else { "/".into() }
+}
+
 /// Lets a request through, or says why not.
 pub async fn guard(State(shared): State<Arc<Shared>>, request: Request<Body>, next: Next) -> Response {
     let headers = request.headers();
@@ -48,15 +54,18 @@ pub async fn guard(State(shared): State<Arc<Shared>>, request: Request<Body>, ne
     }
     let foreign = text(headers, header::ORIGIN).is_some_and(|o| o != format!("http://{host}"));
     let cross = headers.get("sec-fetch-site").is_some_and(|v| v == "cross-site" || v == "same-site");
-    if foreign || cross {
+    let given = request.uri().query().unwrap_or_default().split('&').find_map(|q| q.strip_prefix("token="));
+    let told = given.is_some_and(|t| same(t, &shared.token));
+    // A browser that was given the address by a file or another program says that it comes from elsewhere.
+    let opens = request.method() == Method::GET && told;
+    if foreign || (cross && !opens) {
         return refuse(StatusCode::FORBIDDEN, "This server does not answer to other pages.\n");
     }
     let cookie = format!("radcam-{}=", shared.port);
     let cookies = text(headers, header::COOKIE).unwrap_or_default();
     let known = cookies.split("; ").filter_map(|c| c.strip_prefix(&cookie)).any(|t| same(t, &shared.token));
-    let given = request.uri().query().unwrap_or_default().split('&').find_map(|q| q.strip_prefix("token="));
     if !known || given.is_some() {
-        if !given.is_some_and(|t| same(t, &shared.token)) {
+        if !told {
             return refuse(
                 StatusCode::FORBIDDEN,
                 "Open the address that radcam workbench printed: it holds the token.\n",
@@ -64,8 +73,20 @@ pub async fn guard(State(shared): State<Arc<Shared>>, request: Request<Body>, ne
         }
         // The token leaves the address, so that no history and no screenshot holds it.
         let cookie = format!("{cookie}{}; Path=/; HttpOnly; SameSite=Strict", shared.token);
-        let mut answer =
-            (StatusCode::SEE_OTHER, [(header::LOCATION, request.uri().path().to_string())]).into_response();
+        let room = room(request.uri().path());
+        let mut answer = if cross {
+            // A redirect would still count as coming from elsewhere, and bring no cookie.
+            let text = format!(
+                "<!doctype html><meta charset=\"utf-8\"><meta http-equiv=\"refresh\" content=\"0;url={room}\">"
+            );
+            let kind = HeaderValue::from_static("text/html; charset=utf-8");
+            (StatusCode::OK, [(header::CONTENT_TYPE, kind)], text).into_response()
+        } else {
+            (StatusCode::SEE_OTHER, [(header::LOCATION, room)]).into_response()
+        };
+        let headers = answer.headers_mut();
+        headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
+        headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
         if let Ok(value) = HeaderValue::from_str(&cookie) {
             answer.headers_mut().insert(header::SET_COOKIE, value);
         }

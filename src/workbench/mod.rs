@@ -164,7 +164,8 @@ impl Workbench {
         if let Some(live) = self.shared.live() {
             live.end();
         }
-        runtime.shutdown_timeout(std::time::Duration::from_secs(3));
+        // Long work ends with the program.
+        runtime.shutdown_timeout(std::time::Duration::from_millis(300));
         Ok(())
     }
 }

@@ -414,6 +414,117 @@ fn a_history_of_checks_is_shown() {
     browser(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
 }
 
+/// 100,000 checks (70 days, one a minute): a page of some hundred kilobytes, whose curves keep least and largest values.
+#[test]
+fn a_long_history_is_thinned() {
+    use radcam::monitor::store::Store;
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("history.db");
+    let name = file.to_str().unwrap();
+    drop(Store::open(name).unwrap());
+    // One check stands out; one in five hundred brings an alarm.
+    let script = r#"
+import json, sqlite3, sys
+db = sqlite3.connect(sys.argv[1])
+n = 100000
+times = [1700000000000000000 + 60000000000 * i for i in range(n)]
+value = lambda i: 99.0 if i == 54321 else 64.0 + 0.1 * (i * 37 % 11)
+names = ["black_level", "gain", "signal", "dark_noise"]
+body = json.dumps({"time_s": 0, "about": "x" * 500})
+db.executemany("INSERT INTO checks VALUES ('LINE 1', 'c', ?, ?)", ((t, body) for t in times))
+db.executemany("INSERT INTO readings VALUES ('LINE 1', ?, ?, ?, 0.05)", ((t, k, value(i)) for i, t in enumerate(times) for k in names))
+db.executemany("INSERT INTO alarms VALUES ('LINE 1', ?, ?, 'gain', ?)", ((t, t, f"alarm {i}") for i, t in enumerate(times) if i % 500 == 0))
+db.commit()
+"#;
+    let made = Command::new("python3").args(["-c", script, name]).status().unwrap();
+    assert!(made.success());
+    let w = Running::start(&["--history", name]);
+    let begun = std::time::Instant::now();
+    let page = w.page("/history");
+    println!("{} bytes in {:?}", page.len(), begun.elapsed());
+    assert!(page.len() < 2_000_000, "{} bytes", page.len());
+    assert!(begun.elapsed().as_secs() < 10, "{:?}", begun.elapsed());
+    assert!(
+        page.contains("100000 checks") && page.contains("99.0") | page.contains(",99,"),
+        "the one that stands out"
+    );
+    // Alarms come a hundred at a time, the newest first.
+    let rows = |page: &str| page.matches("alarm ").count();
+    assert!(
+        rows(&page) == 100 && page.contains("alarm 99500") && page.contains("200 changes"),
+        "{}",
+        rows(&page)
+    );
+    let older = w.page("/history?camera=LINE%201&alarms=1");
+    assert!(rows(&older) == 100 && older.contains("alarm 0<") && !older.contains("alarm 99500"));
+    // A day is one check a minute, each of them there.
+    let day = w.page("/history?days=1");
+    assert!(day.contains("1441 checks") && day.len() < 2_000_000, "{}", day.len());
+    for wrong in ["days=nan", "days=-1", "alarms=18446744073709551615", "camera=none"] {
+        assert!(w.page(&format!("/history?{wrong}")).contains("History of checks"), "{wrong}");
+    }
+}
+
+/// C11: a folder or a file of the workbench that is a link to another place is refused, and that place stays as it is.
+#[test]
+#[cfg(unix)]
+fn the_workbench_follows_no_link_out_of_its_dataset() {
+    let dir = tempfile::tempdir().unwrap();
+    let other = dir.path().join("other");
+    std::fs::create_dir(&other).unwrap();
+    let model = other.join("model.toml");
+    std::fs::write(&model, "mine").unwrap();
+    for inside in [false, true] {
+        let place = dir.path().join(format!("{inside}"));
+        std::fs::create_dir(&place).unwrap();
+        let Some(dataset) = copy("clean", &place) else { return };
+        let folder = dataset.join("workbench");
+        if inside {
+            std::fs::create_dir(&folder).unwrap();
+            std::os::unix::fs::symlink(&model, folder.join("model.toml")).unwrap();
+        } else {
+            std::os::unix::fs::symlink(&other, &folder).unwrap();
+        }
+        let w = Running::start(&[dataset.to_str().unwrap()]);
+        let page = w.wait("/", "is a link");
+        assert!(page.contains("workbench"), "{page}");
+        w.ask("GET", "/save/report.html", &[("Cookie", &w.cookie())]);
+        assert_eq!(std::fs::read_to_string(&model).unwrap(), "mine");
+        assert_eq!(other.read_dir().unwrap().count(), 1);
+    }
+}
+
+/// C13: the address with the token leads to a page of this server, whatever its path; one that a file or another program opened too.
+#[test]
+fn the_token_leads_nowhere_else() {
+    let dir = tempfile::tempdir().unwrap();
+    let Some(dataset) = copy("clean", dir.path()) else { return };
+    let w = Running::start(&[dataset.to_str().unwrap()]);
+    for path in [
+        "//other.example/x",
+        "///other.example",
+        "/\\other.example",
+        "//other.example",
+        "/%5cother.example",
+        "/;//other.example",
+    ] {
+        let (status, text) = w.ask("GET", &format!("{path}?token={}", w.token), &[]);
+        let to = text.lines().find_map(|l| l.strip_prefix("location: ")).unwrap_or("/");
+        assert!(
+            matches!(status, 303 | 400) && to.starts_with('/') && !to.starts_with("//") && !to.contains('\\'),
+            "{path}: {text}"
+        );
+    }
+    let (status, text) =
+        w.ask("GET", &format!("/data?token={}", w.token), &[("Sec-Fetch-Site", "cross-site")]);
+    assert!(status == 200 && text.contains("0;url=/data\"") && text.contains("SameSite=Strict"), "{text}");
+    assert!(!text.split_once("\r\n\r\n").unwrap().1.contains(&w.token), "{text}");
+    for (method, token) in [("POST", &*w.token), ("GET", "00000000000000000000000000000000")] {
+        let (status, _) = w.ask(method, &format!("/?token={token}"), &[("Sec-Fetch-Site", "cross-site")]);
+        assert_eq!(status, 403, "{method}");
+    }
+}
+
 /// What was kept and cannot be understood is named, and nothing is written over it.
 #[test]
 fn steps_that_are_spoilt_are_named() {

@@ -1,66 +1,146 @@
-//! What `radcam monitor` keeps: alarms, and every reading over time.
+//! What `radcam monitor` keeps: alarms a page at a time, and every reading over time, thinned by the database.
 
-use super::shell::{self, Part};
-use crate::monitor::store::{Store, StoreError};
-use crate::monitor::{Check, Followed, clock};
+use super::shell;
+use crate::monitor::store::{Period, Point, Store, StoreError};
+use crate::monitor::{Followed, clock};
 use crate::plot::{Plot, Shape, axis, series};
 use crate::report::plot::wide;
 use crate::workbench::{Shared, aside};
 use axum::extract::{Query, State};
 use maud::{Markup, html};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// A camera's checks and alarms.
-struct Kept {
-    camera: String,
-    checks: Vec<Check>,
-    /// Name, time and sentence.
-    alarms: Vec<(String, f64, String)>,
+/// Alarms of a page.
+const ALARMS: u64 = 100;
+/// Cameras of a page; of more one is chosen.
+const CAMERAS: usize = 10;
+
+/// What is asked for.
+#[derive(Default, serde::Deserialize)]
+pub struct Asked {
+    /// Anything: the main part alone.
+    pub part: Option<String>,
+    /// One camera.
+    pub camera: Option<String>,
+    /// Days before the last check; all where not given.
+    pub days: Option<f64>,
+    /// Page of the alarms, from 0.
+    pub alarms: Option<u64>,
 }
 
-fn read(url: &str) -> Result<Vec<Kept>, StoreError> {
+/// A part of a camera's history.
+struct Kept {
+    camera: String,
+    period: Option<Period>,
+    curves: BTreeMap<Followed, Vec<Point>>,
+    marked: BTreeMap<Followed, Vec<Point>>,
+    /// Number of all alarms, and time and sentence of those of the page.
+    alarms: (u64, Vec<(f64, String)>),
+}
+
+/// Names of all cameras, and what is shown.
+struct Read {
+    cameras: Vec<String>,
+    shown: Vec<Kept>,
+}
+
+fn read(url: &str, asked: &Asked) -> Result<Read, StoreError> {
     let store = Store::open(url)?;
-    let of =
-        |camera: String| Ok(Kept { checks: store.history(&camera)?, alarms: store.alarms(&camera)?, camera });
-    store.cameras()?.into_iter().map(of).collect()
+    let days = asked.days.filter(|d| d.is_finite() && *d > 0.0);
+    let of = |camera: &String| {
+        let period = store.period(camera, days)?;
+        let curves = period.map_or(Ok(BTreeMap::new()), |p| store.curves(camera, &p))?;
+        let marked = period.map_or(Ok(BTreeMap::new()), |p| store.marked(camera, &p))?;
+        let skip = asked.alarms.unwrap_or(0).saturating_mul(ALARMS);
+        let alarms = store.alarms_page(camera, skip, ALARMS)?;
+        Ok(Kept { camera: camera.clone(), period, curves, marked, alarms })
+    };
+    let cameras = store.cameras()?;
+    let chosen = |camera: &&String| asked.camera.as_ref().is_none_or(|c| c == *camera);
+    let shown = cameras.iter().filter(chosen).take(CAMERAS).map(of).collect::<Result<_, _>>()?;
+    Ok(Read { cameras, shown })
 }
 
 /// The page, or its main part.
-pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Part>) -> Markup {
+pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Asked>) -> Markup {
     let url = shared.history.clone();
-    let kept = aside(move || url.map(|u| read(&u).map_err(|e| e.to_string()))).await;
+    let part = q.part.is_some();
+    let kept =
+        aside(move || url.map(|u| read(&u, &q).map_err(|e| e.to_string()).map(|r| body(&r, &q)))).await;
     let body = match kept {
-        Ok(Some(Ok(all))) => body(&all),
+        Ok(Some(Ok(body))) => body,
         Ok(Some(Err(e))) | Err(e) => shell::alert(&e),
         Ok(None) => html! { p { "Name a history: " code { "radcam workbench --history history.db" } } },
     };
     let main = shell::main(&shared, "/history", body);
-    if q.part.is_some() { main } else { shell::page(&shared, "/history", main) }
+    if part { main } else { shell::page(&shared, "/history", main) }
 }
 
-fn body(all: &[Kept]) -> Markup {
+/// Address of another part of the history.
+fn address(camera: Option<&str>, days: Option<f64>, alarms: u64) -> String {
+    let escaped = |text: &str| -> String {
+        let of =
+            |b: u8| if b.is_ascii_alphanumeric() { char::from(b).to_string() } else { format!("%{b:02X}") };
+        text.bytes().map(of).collect()
+    };
+    let parts = [
+        camera.map(|c| format!("camera={}", escaped(c))),
+        days.map(|d| format!("days={d}")),
+        (alarms > 0).then(|| format!("alarms={alarms}")),
+    ];
+    let parts: Vec<String> = parts.into_iter().flatten().collect();
+    if parts.is_empty() { "/history".into() } else { format!("/history?{}", parts.join("&")) }
+}
+
+fn body(read: &Read, q: &Asked) -> Markup {
+    let camera = q.camera.as_deref();
     html! {
         h1 { "History of checks" }
-        @if all.is_empty() { p { "No check was kept yet." } }
-        @for kept in all {
-            section {
-                h2 { (kept.camera) }
-                @if let [first, .., last] = &kept.checks[..] {
-                    p { (kept.checks.len()) " checks from " (clock(first.time_s)) " to " (clock(last.time_s)) "." }
+        @if read.cameras.is_empty() { p { "No check was kept yet." } }
+        @if read.cameras.len() > 1 {
+            p { "Cameras: " @for name in &read.cameras { a href=(address(Some(name), q.days, 0)) { (name) } " " } }
+        }
+        @if !read.cameras.is_empty() {
+            p {
+                "Checks of the last: "
+                @for (name, days) in [("day", Some(1.0)), ("week", Some(7.0)), ("month", Some(30.0)), ("all", None)] {
+                    a href=(address(camera, days, 0)) aria-current=[(q.days == days).then_some("true")] { (name) } " "
                 }
-                @if kept.alarms.is_empty() { p { "Nothing changed." } } @else {
-                    div.scroll tabindex="0" role="region" aria-label={ "changes of " (kept.camera) } {
-                        table {
-                            thead { tr { th.text { "found" } th.text { "what changed, since when, what it costs" } } }
-                            @for (_, time_s, sentence) in kept.alarms.iter().rev() {
-                                tr { th scope="row" { (clock(*time_s)) } td.text { (sentence) } }
-                            }
+            }
+        }
+        @for kept in &read.shown { (section(kept, q)) }
+    }
+}
+
+fn section(kept: &Kept, q: &Asked) -> Markup {
+    let (all, alarms) = &kept.alarms;
+    let page = q.alarms.unwrap_or(0);
+    let older = (page + 1).saturating_mul(ALARMS) < *all;
+    html! {
+        section {
+            h2 { (kept.camera) }
+            @if let Some(p) = kept.period.filter(|p| p.checks > 1) {
+                p { (p.checks) " checks from " (clock(p.from_s)) " to " (clock(p.to_s)) "." }
+            }
+            @if *all == 0 { p { "Nothing changed." } } @else {
+                div.scroll tabindex="0" role="region" aria-label={ "changes of " (kept.camera) } {
+                    table {
+                        thead { tr { th.text { "found" } th.text { "what changed, since when, what it costs" } } }
+                        @for (time_s, sentence) in alarms {
+                            tr { th scope="row" { (clock(*time_s)) } td.text { (sentence) } }
                         }
                     }
                 }
-                @for figure in figures(kept) { (wide(&figure)) }
+                @if *all > ALARMS {
+                    p {
+                        (all) " changes. "
+                        @if page > 0 { a href=(address(Some(&kept.camera), q.days, page - 1)) { "newer" } " " }
+                        @if older { a href=(address(Some(&kept.camera), q.days, page + 1)) { "older" } }
+                    }
+                }
             }
+            @for figure in figures(kept) { (wide(&figure)) }
         }
     }
 }
@@ -72,19 +152,15 @@ fn identifier(text: &str) -> String {
 
 /// A figure for each reading, the checks after which something was found marked.
 fn figures(kept: &Kept) -> Vec<Plot> {
-    let Some(begun) = kept.checks.first().map(|c| c.time_s) else { return Vec::new() };
-    let followed: BTreeSet<Followed> = kept.checks.iter().flat_map(|c| c.readings.keys().copied()).collect();
-    // Times are kept to the nanosecond.
-    let found = |time_s: f64| kept.alarms.iter().any(|a| (a.1 - time_s).abs() < 1e-6);
+    let Some(begun) = kept.period.map(|p| p.from_s) else { return Vec::new() };
+    let followed: BTreeSet<Followed> = kept.curves.keys().copied().collect();
+    let points = |of: &[Point]| {
+        of.iter().map(|p| [(p.time_s - begun) / 3600.0, p.value, p.std_err]).collect::<Vec<_>>()
+    };
     let figure = |what: Followed| {
-        let point = |c: &Check| {
-            let r = c.readings.get(&what)?;
-            Some([(c.time_s - begun) / 3600.0, r.value, r.std_err])
-        };
-        let mut all = vec![series("check", Shape::Points, kept.checks.iter().filter_map(point).collect())];
-        let marked: Vec<_> = kept.checks.iter().filter(|c| found(c.time_s)).filter_map(point).collect();
-        if !marked.is_empty() {
-            all.push(series("something changed", Shape::Points, marked));
+        let mut all = vec![series("check", Shape::Points, points(&kept.curves[&what]))];
+        if let Some(marked) = kept.marked.get(&what) {
+            all.push(series("something changed", Shape::Points, points(marked)));
         }
         Plot {
             id: identifier(&format!("{}-{what:?}", kept.camera)).into(),

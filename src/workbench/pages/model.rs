@@ -21,7 +21,8 @@ use std::sync::Arc;
 /// The page, or its main part.
 pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Part>) -> Markup {
     if shared.dataset.is_none() && shared.live().is_none() && shared.history.is_some() {
-        return super::history::page(State(shared), Query(q)).await;
+        let asked = super::history::Asked { part: q.part, ..Default::default() };
+        return super::history::page(State(shared), Query(asked)).await;
     }
     let body = main(&shared);
     // One's own effect stands outside the part that is drawn again, so that what is typed stays.

@@ -25,7 +25,7 @@ pub fn command(text: &str) -> Markup {
 fn title(shared: &Shared) -> String {
     let name = shared.dataset.as_ref().map(|p| p.display().to_string());
     name.or_else(|| shared.live().map(|l| l.identity.clone()))
-        .or_else(|| shared.history.clone())
+        .or_else(|| shared.history.as_deref().map(crate::secret::shown))
         .unwrap_or_default()
 }
 
