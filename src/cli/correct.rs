@@ -348,6 +348,8 @@ pub fn unknown(calibrated: &CameraInfo, now: &CameraInfo) -> Vec<String> {
 
 /// Share of clipped pixels that is said: hot pixels of usual sensors are fewer.
 const CLIPPED: f64 = 1e-3;
+/// Longest exposure, s: as in a plan.
+const MAX_EXPOSURE_S: f64 = 1e6;
 /// Difference of temperature that is said, °C: dark current doubles in some 6 to 8 °C.
 const FAR_C: f64 = 3.0;
 
@@ -455,6 +457,13 @@ impl Plain {
             );
             exposure_s
         });
+        // A bias frame has none.
+        if !(0.0..=MAX_EXPOSURE_S).contains(&exposure_s) {
+            bail!(
+                "{}: states an exposure of {exposure_s} s, which cannot be; give --exposure-s",
+                path.display()
+            );
+        }
         Ok(Self { pixels, exposure_s })
     }
 }

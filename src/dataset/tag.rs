@@ -72,10 +72,17 @@ impl FrameTag {
         }
     }
 
+    /// True of numbers that can be.
+    fn is_sound(&self) -> bool {
+        let exposure = self.exposure_s.is_finite() && self.exposure_s > 0.0;
+        let light = self.illumination.is_finite() && self.illumination >= 0.0;
+        exposure && light && self.timestamp_s.is_none_or(f64::is_finite) && self.camera.check().is_ok()
+    }
+
     /// Of an ImageDescription; `None` where it says something else.
     pub fn from_text(text: &str) -> Option<Self> {
         let tag: Self = serde_json::from_str(text.trim_end_matches('\0')).ok()?;
-        (tag.format == FORMAT).then_some(tag)
+        (tag.format == FORMAT && tag.is_sound()).then_some(tag)
     }
 
     /// Of a file: what it says of itself, or what the dataset says in whose folder it lies. `None` where neither does.

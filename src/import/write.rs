@@ -12,6 +12,12 @@ use std::path::Path;
 ///
 /// Where the folder holds something.
 pub fn must_be_free(root: &Path) -> Result<(), ImportError> {
+    if let Ok(found) = std::fs::symlink_metadata(root)
+        && !found.is_dir()
+    {
+        let kind = crate::input::name_of(found.file_type());
+        return Err(ImportError::Files(format!("{} is {kind}; choose a new folder", root.display())));
+    }
     if root.exists() && root.read_dir().map_or(true, |mut inside| inside.next().is_some()) {
         return Err(ImportError::Files(format!("{} is there already; choose a new folder", root.display())));
     }

@@ -203,7 +203,7 @@ fn fifos_and_devices_are_refused_by_name() {
     let fifo = p.text("fifo");
     assert!(Command::new("mkfifo").arg(&fifo).status().unwrap().success());
     for (target, kind) in [("/dev/zero", "is a device"), (&*fifo, "is a FIFO")] {
-        let case = Path::new(target).file_name().unwrap().to_str().unwrap().to_string();
+        let case = format!("of-{}", Path::new(target).file_name().unwrap().to_str().unwrap());
         let link = |name: &str| {
             let path = p.path(&format!("{case}/{name}"));
             fs::create_dir_all(path.parent().unwrap()).unwrap();
@@ -553,6 +553,22 @@ fn numbers_that_cannot_be_are_refused() {
         let path = p.write("plan.toml", text);
         let said = refused(&["simulate", "cmos12", "--plan", &path, "-o", &p.text("none")]);
         assert!(said.contains(part) && said.contains("plan.toml"), "{part}: {said}");
+    }
+}
+
+/// W6: a frame's own description with numbers that cannot be says nothing.
+#[test]
+fn descriptions_that_cannot_be_say_nothing() {
+    use radcam::dataset::tag::FrameTag;
+    let tag = |exposure_s: &str| {
+        format!(
+            "{{\"format\":\"radcam-frame/1\",\"kind\":\"flat\",\"set\":0,\"index\":0,\"exposure_s\":{exposure_s},\
+             \"illumination\":1.0,\"camera\":{{\"width\":4,\"height\":4,\"bit_depth\":12}}}}"
+        )
+    };
+    assert!(FrameTag::from_text(&tag("0.01")).is_some());
+    for value in ["-0.01", "0", "-0.0"] {
+        assert!(FrameTag::from_text(&tag(value)).is_none(), "{value}");
     }
 }
 

@@ -241,7 +241,7 @@ fn signalled(child: Child, signal: &str, after: Duration) -> (Option<i32>, Durat
     (child.wait().unwrap().code(), begun.elapsed())
 }
 
-/// Every verb ends within a second of SIGINT and SIGTERM, whatever it does.
+/// Every verb ends within a second of SIGINT and SIGTERM, whatever it does; half a second more for a machine that is busy.
 #[test]
 #[cfg(unix)]
 fn signals_end_every_verb() {
@@ -266,7 +266,7 @@ fn signals_end_every_verb() {
             command.args(&arguments).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
             let (code, took) = signalled(command.spawn().unwrap(), signal, Duration::from_millis(700));
             println!("{arguments:?} {signal}: {code:?} after {took:?}");
-            assert!(took < Duration::from_millis(1200), "{arguments:?} {signal}: {took:?}");
+            assert!(took < Duration::from_millis(1500), "{arguments:?} {signal}: {took:?}");
             assert!(matches!(code, Some(0 | 2 | 130)), "{arguments:?} {signal}: {code:?}");
         }
     }
@@ -278,7 +278,7 @@ fn signals_end_every_verb() {
     std::thread::sleep(Duration::from_millis(500));
     if child.try_wait().unwrap().is_none() {
         let (_, took) = signalled(child, "-TERM", Duration::ZERO);
-        assert!(took < Duration::from_millis(1200), "{took:?}");
+        assert!(took < Duration::from_millis(1500), "{took:?}");
     }
 }
 
