@@ -70,7 +70,6 @@ fn outputs_replace_nothing_but_files() {
         // Folders.
         refuse(&["simulate", &sensor, "--plan", "quick", "-o", out]);
         refuse(&["import", &frame, "-o", out, "--yes"]);
-        refuse(&["emva", &dataset, "-o", out]);
         refuse(&["man", "-o", out]);
     }
     assert_eq!(fs::read_to_string(path("target")).unwrap(), "kept");
@@ -85,9 +84,6 @@ fn outputs_replace_nothing_but_files() {
     fs::create_dir(path("man")).unwrap();
     symlink(path("target"), path("man/radcam.1")).unwrap();
     assert!(refused(&["man", "-o", &text(&path("man"))]).contains("radcam.1: is a link"));
-    fs::create_dir(path("emva")).unwrap();
-    symlink(path("elsewhere"), path("emva/plots")).unwrap();
-    assert!(refused(&["emva", &dataset, "-o", &text(&path("emva"))]).contains("plots: is a link"));
     // A campaign that is continued.
     for part in ["frames", "frames.csv", "capture.log"] {
         let campaign = text(&path(&format!("with-{part}")));
