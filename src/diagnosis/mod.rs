@@ -410,11 +410,7 @@ fn not_told(part: &Part, last: &Comparison, lit: &BTreeSet<u32>) -> Option<Strin
     if worst.chance * groups.len() as f64 >= HOLDS || !matters {
         return None;
     }
-    Some(format!(
-        "with it more is left in the {} than chance gives (p {})",
-        worst.name,
-        chance(worst.chance)
-    ))
+    Some(format!("with it more is left in the {} than chance gives (p {})", worst.name, chance(worst.chance)))
 }
 
 /// The one measurement that tells most, in words, and its sets.

@@ -21,13 +21,10 @@ mod frame_headers;
 mod fuzz;
 #[cfg(feature = "hdf5")]
 mod hdf5;
-<<<<<<< HEAD
+mod hostile_files;
 #[cfg(feature = "aravis")]
 mod hostile_network;
-=======
-mod hostile_files;
 mod hostile_outputs;
->>>>>>> 893352d (Secrets, history and names: nothing shown that is not meant to be)
 mod import;
 mod import_cases;
 mod import_names;
