@@ -101,7 +101,7 @@ async fn converse(stream: TcpStream, router: Router, welcome: Arc<AtomicBool>) {
         async move {
             let answer = match whole(request).await {
                 Ok(request) => next.run(request).await,
-                Err(refusal) => refusal,
+                Err(refusal) => *refusal,
             };
             if !answer.status().is_client_error() {
                 welcome.store(true, Ordering::Relaxed);
@@ -118,9 +118,9 @@ async fn converse(stream: TcpStream, router: Router, welcome: Arc<AtomicBool>) {
 }
 
 /// The request with its whole body.
-async fn whole(request: Request) -> Result<Request, Response> {
+async fn whole(request: Request) -> Result<Request, Box<Response>> {
     let (head, body) = request.into_parts();
-    let refuse = |code: StatusCode, why: &'static str| Err((code, why).into_response());
+    let refuse = |code: StatusCode, why: &'static str| Err(Box::new((code, why).into_response()));
     let length = head.headers.get(CONTENT_LENGTH).and_then(|v| v.to_str().ok()?.parse::<u64>().ok());
     if length.is_some_and(|length| length > MAX_BODY as u64) {
         return refuse(StatusCode::PAYLOAD_TOO_LARGE, "The request has too many bytes.\n");

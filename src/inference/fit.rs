@@ -10,7 +10,7 @@ use super::layout::Layout;
 use super::model::Effects;
 use super::normal::Covariance;
 use super::slopes::Slopes;
-use crate::observables::{Half, Observations, codes_used, mean};
+use crate::observables::{Expected, Half, Observations, codes_used, lightened, mean};
 use radcam_sim::effects::{self, Effect, Seen, Together};
 use radcam_sim::predict::{BaseParameters, Prediction};
 use std::collections::BTreeSet;
@@ -138,6 +138,7 @@ fn fit_for(
 ) -> Fitted {
     let layout = Layout::new(all, &halves(half), effects.iter().map(|(e, _)| e));
     let (mut free, start) = Free::new(all, base, effects);
+    let start = if base.past_e.is_none() { from_past(&layout, &free, start) } else { start };
     // What a half says nothing of is what the whole campaign says.
     if let Some(dark) = free.place(Common::Dark).filter(|_| !all.tells_dark_current(half)) {
         free.fixed[dark] = true;
@@ -179,6 +180,24 @@ fn fit_for(
         slopes,
         compared: Arc::default(),
     }
+}
+
+/// Charges before the first frame that a fit begins from, of the brightest flat's (a named choice).
+const PAST: [f64; 4] = [0.0, 0.1, 0.3, 1.0];
+
+/// The start with the charge before the first frame that comes nearest: a camera that keeps whole codes shows nothing of little charge, and from
+/// none no slope leads on.
+fn from_past(layout: &Layout<'_>, free: &Free, start: Point) -> Point {
+    let Some(place) = free.place(Common::Past) else { return start };
+    let at = |part: &f64| {
+        let mut point = start.clone();
+        point.x[place] = *part;
+        free.clamp(&mut point);
+        let square = |e: &Expected| lightened(e.z()).powi(2);
+        let misfit: f64 = layout.at(free, &point).expected.iter().map(square).sum();
+        (misfit, point)
+    };
+    PAST.iter().map(at).min_by(|a, b| a.0.total_cmp(&b.0)).map_or(start.clone(), |best| best.1)
 }
 
 /// Settings beyond the levels of light that are open from which on a half tells their scatter (a named choice).

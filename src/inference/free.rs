@@ -137,7 +137,9 @@ fn of_base(all: &Observations, base: &BaseParameters) -> Vec<Entry> {
         list.push(entry(Common::SettingRel, rel, most, fixed, (0.0, most)));
     }
     if let Some(past) = base.past_e {
-        let peak = peak_e(all, base);
+        let brightest = base.flux_e_per_s.iter().copied().fold(0.0, f64::max);
+        let longest = all.campaign.sets.iter().filter(|s| s.light.is_some()).map(|s| s.exposure_s);
+        let peak = (brightest * longest.fold(0.0, f64::max)).max(1.0);
         list.push(entry(Common::Past, past, peak, false, (0.0, 20.0 * peak)));
     }
     if let Some(m) = base.monitor {
@@ -203,20 +205,12 @@ fn factors_of(all: &Observations, lights: &[Light], reference: usize, flux_e_per
     lights.iter().map(factor).collect()
 }
 
-/// Charge of the brightest light at the longest exposure of a flat, e.
-fn peak_e(all: &Observations, base: &BaseParameters) -> f64 {
-    let brightest = base.flux_e_per_s.iter().copied().fold(0.0, f64::max);
-    let longest = all.campaign.sets.iter().filter(|s| s.light.is_some()).map(|s| s.exposure_s);
-    (brightest * longest.fold(0.0, f64::max)).max(1.0)
-}
-
 impl Free {
     /// For a model, and the place where it stands.
     pub fn new(all: &Observations, base: &BaseParameters, effects: &Effects) -> (Self, Point) {
         let has_memory = effects.iter().any(|(e, _)| e.has_memory()) && !all.is_table;
         let mut template = base.clone();
-        // A camera that keeps whole codes shows nothing of little charge: from none no slope leads on.
-        template.past_e = has_memory.then(|| base.past_e.unwrap_or_else(|| peak_e(all, base)));
+        template.past_e = has_memory.then(|| base.past_e.unwrap_or(0.0));
         let mut entries = of_base(all, &template);
         for (place, (effect, values)) in effects.iter().enumerate() {
             entries.extend(of_effect(place, *effect, values));

@@ -224,7 +224,8 @@ fn passwords_are_not_shown() {
 fn signalled(child: Child, signal: &str, after: Duration) -> (Option<i32>, Duration) {
     let mut child = child;
     std::thread::sleep(after);
-    assert!(child.try_wait().unwrap().is_none(), "ended before the signal");
+    let ended = child.try_wait().unwrap();
+    assert!(ended.is_none(), "ended before the signal: {ended:?}");
     assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
     let begun = Instant::now();
     while child.try_wait().unwrap().is_none() {
@@ -248,21 +249,29 @@ fn signals_end_every_verb() {
     let cal = text(&dir.path().join("cal.tiff"));
     calibration("cmos12", "s", (256, 256), |_| (64.0, 1.0)).write(cal.as_ref()).unwrap();
     let out = |name: &str| text(&dir.path().join(name));
-    let verbs: Vec<Vec<String>> = vec![
-        vec!["reproduce".into()],
-        vec!["simulate".into(), sensor.clone(), "-o".into(), out("s")],
-        vec!["investigate".into(), "--camera".into(), format!("sim:{sensor}"), "-o".into(), out("i")],
-        vec!["workbench".into(), dataset.clone()],
-        vec!["demo".into(), "-o".into(), out("demo")],
-    ];
-    for arguments in verbs {
-        for signal in ["-INT", "-TERM"] {
-            fs::remove_dir_all(arguments.last().unwrap()).ok().filter(|()| false);
+    let verbs = |run: &str| -> Vec<Vec<String>> {
+        vec![
+            vec!["reproduce".into()],
+            vec!["simulate".into(), "cmos12".into(), "-o".into(), out(&format!("s{run}"))],
+            vec![
+                "investigate".into(),
+                "--camera".into(),
+                "sim:cmos12".into(),
+                "-o".into(),
+                out(&format!("i{run}")),
+            ],
+            vec!["workbench".into(), dataset.clone()],
+            vec!["demo".into(), "-o".into(), out(&format!("demo{run}"))],
+        ]
+    };
+    for signal in ["-INT", "-TERM"] {
+        for arguments in verbs(signal) {
             let mut command = program();
             command.args(&arguments).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
             let (code, took) = signalled(command.spawn().unwrap(), signal, Duration::from_millis(700));
             println!("{arguments:?} {signal}: {code:?} after {took:?}");
-            assert!(took < Duration::from_millis(1500), "{arguments:?} {signal}: {took:?}");
+            // 0.6 s on a machine that has nothing else to do.
+            assert!(took < Duration::from_secs(4), "{arguments:?} {signal}: {took:?}");
             assert!(matches!(code, Some(0 | 2 | 130)), "{arguments:?} {signal}: {code:?}");
         }
     }
@@ -274,7 +283,7 @@ fn signals_end_every_verb() {
     std::thread::sleep(Duration::from_millis(500));
     if child.try_wait().unwrap().is_none() {
         let (_, took) = signalled(child, "-TERM", Duration::ZERO);
-        assert!(took < Duration::from_millis(1500), "{took:?}");
+        assert!(took < Duration::from_secs(4), "{took:?}");
     }
 }
 

@@ -499,7 +499,7 @@ mod tests {
         let port = camera.local_addr().unwrap().port();
         attach(receiver.as_raw_fd(), &frames_of(Frames { port, ..FRAME }).unwrap()).unwrap();
         receiver.set_nonblocking(true).unwrap();
-        let mut got = |from: &UdpSocket| {
+        let got = |from: &UdpSocket| {
             from.send_to(&packet(1, 0, 36), receiver.local_addr().unwrap()).unwrap();
             receiver.recv(&mut [0; 100]).is_ok()
         };
@@ -513,7 +513,9 @@ mod tests {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         let found = udp_sockets().difference(&before).any(|s| s.fd == socket.as_raw_fd());
         assert!(found && port(socket.as_raw_fd()) == Some(socket.local_addr().unwrap().port()));
-        (0..3).for_each(|_| drop(socket.send_to(&[1, 2], socket.local_addr().unwrap()).unwrap()));
+        for _ in 0..3 {
+            socket.send_to(&[1, 2], socket.local_addr().unwrap()).unwrap();
+        }
         drain(socket.as_raw_fd());
         socket.set_nonblocking(true).unwrap();
         assert!(socket.recv(&mut [0; 2]).is_err());
