@@ -61,9 +61,10 @@ fn inode(path: &Path) -> Option<u64> {
     std::fs::metadata(path).ok().map(|m| m.ino())
 }
 
-/// A time as its key. A clock that was never set is before 1970, and 64 bits end in 2262: such times stand at the end of what there is.
+/// A time as its key. A clock that was never set is before 1970, and 64 bits end in 2262: such times stand at the end of what there is, which
+/// differences have to fit into too.
 fn nanoseconds(time_s: f64) -> i64 {
-    const END: f64 = 9.2e18;
+    const END: f64 = 4.6e18;
     (time_s * 1e9).round().clamp(-END, END) as i64
 }
 

@@ -77,7 +77,7 @@ impl Store {
         // Both ends are rounded to the microsecond by the way of a floating-point number.
         let (from, to) = (from.saturating_sub(ROUNDING_NS), to.saturating_add(ROUNDING_NS));
         let parts = if period.checks <= MAX_POINTS.unsigned_abs() { i64::MAX } else { MAX_POINTS / 2 };
-        let width = if parts == i64::MAX { 1 } else { (to - from) / parts + 1 };
+        let width = if parts == i64::MAX { 1 } else { to.saturating_sub(from) / parts + 1 };
         let query = sqlx::query(
             "SELECT quantity, (time_ns - $4) / $5 AS part, MIN(time_ns), MAX(time_ns), MIN(value), MAX(value), AVG(std_err), COUNT(*) \
              FROM readings WHERE camera = $1 AND time_ns BETWEEN $2 AND $3 GROUP BY quantity, part ORDER BY quantity, part",

@@ -116,7 +116,8 @@ fn body(read: &Read, q: &Asked) -> Markup {
 fn section(kept: &Kept, q: &Asked) -> Markup {
     let (all, alarms) = &kept.alarms;
     let page = q.alarms.unwrap_or(0);
-    let older = (page + 1).saturating_mul(ALARMS) < *all;
+    let next = page.saturating_add(1);
+    let older = next.saturating_mul(ALARMS) < *all;
     html! {
         section {
             h2 { (kept.camera) }
@@ -136,7 +137,7 @@ fn section(kept: &Kept, q: &Asked) -> Markup {
                     p {
                         (all) " changes. "
                         @if page > 0 { a href=(address(Some(&kept.camera), q.days, page - 1)) { "newer" } " " }
-                        @if older { a href=(address(Some(&kept.camera), q.days, page + 1)) { "older" } }
+                        @if older { a href=(address(Some(&kept.camera), q.days, next)) { "older" } }
                     }
                 }
             }
