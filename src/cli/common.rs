@@ -39,7 +39,7 @@ pub fn start_logging(verbose: u8) {
 
 /// Time in which a verb may end by itself after a signal. What waits for a camera, a file system or a long sum cannot; all together ends within a
 /// second.
-const GRACE: Duration = Duration::from_millis(600);
+const GRACE: Duration = Duration::from_millis(3000);
 
 pub fn catch_interrupts() {
     let handler = || {
