@@ -12,7 +12,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// Set by Ctrl-C or SIGTERM; the second one ends the program at once, the first after [`GRACE`] at the latest.
+/// Set by Ctrl-C or SIGTERM; the second one ends the program at once, the first after [`GRACE`] unless the
+/// verb has [`heard`].
 pub static STOP: AtomicBool = AtomicBool::new(false);
 
 /// Exit code of a run that Ctrl-C ended, as shells have it: 128 and the signal's number.
@@ -37,9 +38,19 @@ pub fn start_logging(verbose: u8) {
         .init();
 }
 
-/// Time in which a verb may end by itself after a signal. What waits for a camera, a file system or a long sum cannot; all together ends within a
-/// second.
-const GRACE: Duration = Duration::from_millis(3000);
+/// Time in which a verb has to hear a signal: what waits for a camera, a file system or a long sum does not.
+const GRACE: Duration = Duration::from_millis(600);
+/// Time that a verb which has heard it may take to write what it has (a named choice; a second signal ends it
+/// at once).
+const TO_FINISH: Duration = Duration::from_secs(10);
+
+/// Set by [`heard`].
+static HEARD: AtomicBool = AtomicBool::new(false);
+
+/// Tells that a verb has heard the signal and is about to end: files and summaries are written to their end.
+pub fn heard() {
+    HEARD.store(true, Ordering::SeqCst);
+}
 
 pub fn catch_interrupts() {
     let handler = || {
@@ -48,6 +59,9 @@ pub fn catch_interrupts() {
         }
         std::thread::spawn(|| {
             std::thread::sleep(GRACE);
+            if HEARD.load(Ordering::SeqCst) {
+                std::thread::sleep(TO_FINISH);
+            }
             eprintln!("radcam: interrupted");
             std::process::exit(INTERRUPTED.into());
         });
@@ -62,7 +76,8 @@ pub fn load_model(name: &str, seed: Option<u64>) -> Result<Model> {
     sim::model(name, seed).map_err(anyhow::Error::msg)
 }
 
-/// A plan by name or from a file; the plan of a campaign that is continued, which is that one where it is named again.
+/// A plan by name or from a file; the plan of a campaign that is continued, which is that one where it is
+/// named again.
 pub fn load_plan(name: Option<&str>, resume: bool, root: &Path) -> Result<Plan> {
     if !resume {
         return plan_of(name.unwrap_or("standard"));

@@ -1,7 +1,7 @@
 //! The program's verbs, one file each: parse, call the library, print.
 //!
-//! Results go to standard output, progress and logs to standard error. Exit codes: 0 done and in agreement, 1 done
-//! and the answer is a disagreement, 2 it could not be done.
+//! Results go to standard output, progress and logs to standard error. Exit codes: 0 done and in agreement, 1
+//! done and the answer is a disagreement, 2 it could not be done.
 
 #![allow(clippy::print_stdout, clippy::print_stderr)] // printing is what a command line is for
 
@@ -76,7 +76,8 @@ macro_rules! verbs {
     };
 }
 
-// A verb is one file, with `Arguments` and `run`, and one line here: module, name, what `radcam --help` says of it.
+// A verb is one file, with `Arguments` and `run`, and one line here: module, name, what `radcam --help` says
+// of it.
 verbs! {
     cameras Cameras "List the cameras that answer, and the simulated ones"
     capture Capture "Capture a plan with a camera into a dataset folder"
@@ -204,7 +205,8 @@ fn once(error: &anyhow::Error) -> String {
     in_part(&said)
 }
 
-/// A message without the middle of lines that no message has: values of a file are cut where they are named, and this is for those that are not.
+/// A message without the middle of lines that no message has: values of a file are cut where they are named,
+/// and this is for those that are not.
 fn in_part(message: &str) -> String {
     /// Longer than paths that a person names.
     const MAX_WORD: usize = 400;

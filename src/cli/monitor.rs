@@ -1,7 +1,7 @@
 //! `radcam monitor`
 
 use super::Outcome;
-use super::common::{STOP, above_0, load_plan, seconds};
+use super::common::{STOP, above_0, heard, load_plan, seconds};
 use crate::bench;
 use crate::calibrate::file::Calibration;
 use crate::camera::{self, Camera, CameraError, StreamOptions};
@@ -29,8 +29,8 @@ pub struct Arguments {
     /// The calibration file
     #[arg(long, value_name = "CAL.tiff")]
     cal: PathBuf,
-    /// History: a SQLite file, or postgres://USER@HOST/DATABASE with the password in PGPASSWORD or ~/.pgpass; @FILE or env:NAME hold the whole
-    /// address; nothing is kept where not given
+    /// History: a SQLite file, or postgres://USER@HOST/DATABASE with the password in PGPASSWORD or ~/.pgpass;
+    /// @FILE or env:NAME hold the whole address; nothing is kept where not given
     #[arg(long, value_name = "URL")]
     store: Option<String>,
     /// A plan whose [bench] names the features that move the light
@@ -149,6 +149,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         }
     }
     if let Some(keeper) = keeper {
+        if STOP.load(Ordering::Relaxed) {
+            heard();
+        }
         let patience = if STOP.load(Ordering::Relaxed) { AT_A_STOP } else { AT_THE_END };
         keeper.finish(patience).map_err(anyhow::Error::msg)?;
     }

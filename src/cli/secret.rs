@@ -1,4 +1,5 @@
-//! Addresses of databases, whose passwords do not stand on the command line: every user of the machine reads that.
+//! Addresses of databases, whose passwords do not stand on the command line: every user of the machine reads
+//! that.
 
 use crate::secret::{has_password, shown};
 use anyhow::{Context, Result, bail};

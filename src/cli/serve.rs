@@ -43,7 +43,7 @@ fn share(text: &str) -> Result<f64, String> {
 
 #[cfg(feature = "aravis")]
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
-    use super::common::{STOP, load_model};
+    use super::common::{STOP, heard, load_model};
     use std::io::{Read, Write};
     use std::sync::atomic::Ordering;
 
@@ -75,6 +75,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     while !STOP.load(Ordering::SeqCst) {
         std::thread::sleep(std::time::Duration::from_millis(50));
     }
+    heard();
     if served.refused() > 0 {
         tracing::warn!(
             requests = served.refused(),

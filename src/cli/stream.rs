@@ -1,7 +1,7 @@
 //! `radcam stream`
 
 use super::Outcome;
-use super::common::{STOP, above_0, codes, seconds};
+use super::common::{STOP, above_0, codes, heard, seconds};
 use crate::calibrate::file::Calibration;
 use crate::camera;
 use crate::correct::{Codes, Corrector};
@@ -9,6 +9,7 @@ use crate::stream::{Files, Options, Sink, Summary, meaning, prepare, run as corr
 use anyhow::Result;
 use std::io::IsTerminal;
 use std::path::PathBuf;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 /// Corrected frames that may wait for the disk.
@@ -118,7 +119,13 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     }
     let mut show = Show { last: Instant::now(), terminal: std::io::stderr().is_terminal() };
     let mut open = || camera::open(&arguments.camera);
-    let summary = correct(&mut open, &calibration, &options, &mut sinks, &mut |s| show.tell(s), &STOP)?;
+    let mut tell = |summary: &Summary| {
+        if STOP.load(Ordering::Relaxed) {
+            heard();
+        }
+        show.tell(summary);
+    };
+    let summary = correct(&mut open, &calibration, &options, &mut sinks, &mut tell, &STOP)?;
     show.end();
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&summary)?);

@@ -1,4 +1,5 @@
-//! Output to a terminal. Names of devices, files and fields come from outside, and may hold sequences that move the cursor or change what was printed.
+//! Output to a terminal. Names of devices, files and fields come from outside, and may hold sequences that
+//! move the cursor or change what was printed.
 
 use std::fmt::Arguments;
 

@@ -14,8 +14,8 @@ use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// A dataset folder, an EMVA 1288 descriptor or a table; with --camera the folder that is captured into. More datasets stand beside the
-    /// first
+    /// A dataset folder, an EMVA 1288 descriptor or a table; with --camera the folder that is captured into.
+    /// More datasets stand beside the first
     #[arg(value_name = "DATASET")]
     datasets: Vec<PathBuf>,
     #[command(flatten)]
@@ -23,7 +23,8 @@ pub struct Arguments {
     /// A camera for the live picture and for captures
     #[arg(long, value_name = "CAMERA")]
     camera: Option<String>,
-    /// The history that `radcam monitor --store` keeps, as a page; @FILE or env:NAME hold an address with a password
+    /// The history that `radcam monitor --store` keeps, as a page; @FILE or env:NAME hold an address with a
+    /// password
     #[arg(long, value_name = "URL")]
     history: Option<String>,
     /// Effects that the model begins with
@@ -87,7 +88,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     Ok(Outcome::Agreement)
 }
 
-/// Opens the page by a file that the user alone can read: every user of the machine reads command lines, and the address holds the token.
+/// Opens the page by a file that the user alone can read: every user of the machine reads command lines, and
+/// the address holds the token.
 fn open_in_browser(url: &str) -> Option<tempfile::NamedTempFile> {
     let open = || {
         let mut page = tempfile::Builder::new().prefix("radcam-").suffix(".html").tempfile()?;

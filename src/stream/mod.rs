@@ -1,7 +1,8 @@
 //! A camera's frames, corrected as they come, for as long as the line runs.
 //!
-//! The bytes that the camera sends are unpacked, corrected and looked at in one pass where they lie. What is not fast enough never makes the
-//! camera wait: of frames that wait the oldest is dropped, and counted. A camera that is lost is looked for until it is back.
+//! The bytes that the camera sends are unpacked, corrected and looked at in one pass where they lie. What is
+//! not fast enough never makes the camera wait: of frames that wait the oldest is dropped, and counted. A
+//! camera that is lost is looked for until it is back.
 
 mod files;
 mod ring;
@@ -29,8 +30,8 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// How a stream is corrected.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// What the codes mean; `None`: as the camera has them, one code for a DN, with the mean of the dark reference as the black level, and none
-    /// above its full scale.
+    /// What the codes mean; `None`: as the camera has them, one code for a DN, with the mean of the dark
+    /// reference as the black level, and none above its full scale.
     pub codes: Option<Codes>,
     /// Replace flagged pixels.
     pub replace_defects: bool,
@@ -76,7 +77,8 @@ pub struct Corrected {
     pub pixels: Vec<u16>,
     /// Columns and rows.
     pub size: (usize, usize),
-    /// Number by the camera's count, as [`Frame::id`]; of a camera that was lost and begins at 1 again, from the last number on.
+    /// Number by the camera's count, as [`Frame::id`]; of a camera that was lost and begins at 1 again, from
+    /// the last number on.
     pub id: u64,
     /// Device clock, ns, where the camera tells.
     pub timestamp_ns: Option<u64>,
@@ -191,8 +193,8 @@ pub enum StreamError {
     Dataset(#[from] Box<DatasetError>),
 }
 
-/// Brings a camera to what a calibration holds for: switches off what distorts, sets format, region, gain and black level, and the exposure
-/// where one is given.
+/// Brings a camera to what a calibration holds for: switches off what distorts, sets format, region, gain and
+/// black level, and the exposure where one is given.
 ///
 /// # Errors
 ///
@@ -287,7 +289,8 @@ struct Tally {
     numbers: Numbers,
 }
 
-/// Frame numbers that go on where a camera that was found again begins at 1: no frame of a run has the number of another.
+/// Frame numbers that go on where a camera that was found again begins at 1: no frame of a run has the number
+/// of another.
 #[derive(Debug, Default)]
 struct Numbers {
     last: u64,
@@ -322,8 +325,8 @@ const STEADY_FRAMES: u32 = 8;
 const STEADY_PART: f64 = 0.01;
 
 impl Pace {
-    /// Takes a frame; `begun`: the first of an acquisition. The frames that were missed before it, where the camera keeps a period and its clock
-    /// has gone on.
+    /// Takes a frame; `begun`: the first of an acquisition. The frames that were missed before it, where the
+    /// camera keeps a period and its clock has gone on.
     fn take(&mut self, id: u64, timestamp_ns: Option<u64>, begun: bool) -> u64 {
         let known = std::mem::take(&mut self.known);
         let (last, now) = (self.last.take(), timestamp_ns.filter(|t| *t > 0));
@@ -384,12 +387,13 @@ fn done(options: &Options, tally: &Tally, stop: &AtomicBool) -> bool {
         || options.duration.is_some_and(|d| tally.begun.elapsed() >= d)
 }
 
-/// Corrects a camera's frames until it is told to stop. `open` opens the camera, and again where it was lost; `tell` hears once a second and at
-/// the end how it stands.
+/// Corrects a camera's frames until it is told to stop. `open` opens the camera, and again where it was lost;
+/// `tell` hears how it stands once a second, before the camera is stopped, and at the end.
 ///
 /// # Errors
 ///
-/// Where the camera is not there at the start or stays away, where the calibration does not hold for it, and what a sink says.
+/// Where the camera is not there at the start or stays away, where the calibration does not hold for it, and
+/// what a sink says.
 pub fn run(
     open: &mut dyn FnMut() -> Result<Box<dyn Camera>, CameraError>,
     calibration: &Calibration,
@@ -595,6 +599,9 @@ impl Job<'_> {
                 break Err(e);
             }
         };
+        // Before the camera is stopped, which takes its time.
+        tally.refresh(stream.counts(), pixels, sinks);
+        tell(&tally.summary);
         let counts = stream.counts();
         tally.pace.known = counts.lost().saturating_sub(lost);
         tally.before.add(counts);
