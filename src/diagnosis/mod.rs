@@ -25,6 +25,7 @@ use crate::dataset::Kind;
 use crate::features::LeftOn;
 use crate::inference::{
     Comparison, Effects, Fitted, Residual, by, compare, fit, fit_near, residuals_of, seen, start,
+    words_of_settings,
 };
 use crate::number::Quantity;
 use crate::number::{chance, percent};
@@ -410,7 +411,11 @@ fn not_told(part: &Part, last: &Comparison, lit: &BTreeSet<u32>) -> Option<Strin
     if worst.chance * groups.len() as f64 >= HOLDS || !matters {
         return None;
     }
-    Some(format!("with it more is left in the {} than chance gives (p {})", worst.name, chance(worst.chance)))
+    let said = match words_of_settings(&worst.name) {
+        Some(words) => words.to_string(),
+        None => format!("with it {} still deviates by more than chance gives", worst.name),
+    };
+    Some(format!("{said} (p {})", chance(worst.chance)))
 }
 
 /// The one measurement that tells most, in words, and its sets.

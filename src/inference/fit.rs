@@ -1,7 +1,9 @@
-//! Fits a model's free parameters to observables: generalised least squares with errors that the model itself predicts.
+//! Fits a model's free parameters to observables: generalised least squares with errors that the model itself
+//! predicts.
 //!
-//! Within a round the errors are held (quasi-likelihood: McCullagh and Nelder 1989, ch. 9), so that no parameter gains by widening the
-//! error of something else: flicker is told by the scatter of frames, and the scatter of a lamp's settings by that of sets.
+//! Within a round the errors are held (quasi-likelihood: McCullagh and Nelder 1989, ch. 9), so that no
+//! parameter gains by widening the error of something else: flicker is told by the scatter of frames, and the
+//! scatter of a lamp's settings by that of sets.
 
 use super::free::{Common, Free, Point};
 use super::iteration::{Effort, FAR_SQUARE, Iteration};
@@ -60,8 +62,8 @@ impl Fitted {
         effects::predict(&all.campaign, &self.base, &list)
     }
 
-    /// The same effects beside another guess of the paper's parameters. What was free and with which errors stays that of the fit: it says
-    /// nothing of the guess.
+    /// The same effects beside another guess of the paper's parameters. What was free and with which errors
+    /// stays that of the fit: it says nothing of the guess.
     pub fn with_base(&self, base: BaseParameters) -> Self {
         Self { base, compared: Arc::default(), ..self.clone() }
     }
@@ -99,12 +101,14 @@ pub fn fit(all: &Observations, base: &BaseParameters, effects: &Effects) -> Fitt
     fit_for(Effort::Full, all, None, base, effects, None)
 }
 
-/// The same beside another fit whose slopes serve at first; a model that is far off, as exactly as it is to be compared with others.
+/// The same beside another fit whose slopes serve at first; a model that is far off, as exactly as it is to
+/// be compared with others.
 pub(crate) fn fit_near(all: &Observations, near: &Fitted, effects: &Effects) -> Fitted {
     fit_for(Effort::Rival, all, None, &near.base, effects, Some(&near.slopes))
 }
 
-/// A fit again, on the observables of one half and those of both. Where it is far off few rounds will do: the halves tell how far.
+/// A fit again, on the observables of one half and those of both. Where it is far off few rounds will do: the
+/// halves tell how far.
 pub(super) fn fit_half(all: &Observations, half: Half, whole: &Fitted) -> Fitted {
     let effort = if whole.mean_square > FAR_SQUARE { Effort::Short } else { Effort::Full };
     fit_for(effort, all, Some(half), &whole.base, &whole.effects, Some(&whole.slopes))
@@ -185,8 +189,8 @@ fn fit_for(
 /// Charges before the first frame that a fit begins from, of the brightest flat's (a named choice).
 const PAST: [f64; 4] = [0.0, 0.1, 0.3, 1.0];
 
-/// The start with the charge before the first frame that comes nearest: a camera that keeps whole codes shows nothing of little charge, and from
-/// none no slope leads on.
+/// The start with the charge before the first frame that comes nearest: a camera that keeps whole codes shows
+/// nothing of little charge, and from none no slope leads on.
 fn from_past(layout: &Layout<'_>, free: &Free, start: Point) -> Point {
     let Some(place) = free.place(Common::Past) else { return start };
     let at = |part: &f64| {

@@ -24,6 +24,7 @@ pub use judge::{Comparison, OfStatistic, Residual, by_statistic, compare};
 pub(crate) use judge::{by, residuals_of};
 pub use model::{Effects, Given, as_given};
 pub use screen::{Scored, Screen};
+pub(crate) use settings::words as words_of_settings;
 #[cfg(test)]
 pub(crate) use settings::{AT_LONG_EXPOSURES, THAT_COME_BACK};
 pub(crate) use start::has_flats;

@@ -18,6 +18,19 @@ pub const THAT_COME_BACK: &str = "light settings that come back";
 /// See [`THAT_COME_BACK`].
 pub const AT_LONG_EXPOSURES: &str = "light settings at long exposures";
 
+/// Deviation that a test of this name finds, in words.
+pub fn words(name: &str) -> Option<&'static str> {
+    match name {
+        THAT_COME_BACK => {
+            Some("sets of the same light and exposure agree, and errors of a lamp are drawn anew each time")
+        }
+        AT_LONG_EXPOSURES => Some(
+            "sets scatter less at long exposures, and errors of a lamp are as large at long exposures as at short ones",
+        ),
+        _ => None,
+    }
+}
+
 /// What a test of the settings found.
 pub(super) struct Test {
     pub name: String,

@@ -67,7 +67,8 @@ fn look(model: Model) -> (Observations, Diagnosis) {
     (all, d)
 }
 
-/// Draws a camera with these effects and compares the model that has them, fitted, with it; what deviates where it does.
+/// Draws a camera with these effects and compares the model that has them, fitted, with it; what deviates
+/// where it does.
 ///
 /// What is drawn and what is predicted are two pieces of code.
 fn deviation(seed: u64, effects: &[(&str, f64)]) -> Option<String> {
@@ -96,8 +97,9 @@ fn deviations_from(model: Model, held: &[(&'static dyn Effect, Vec<f64>)]) -> Op
         println!("{effects:?} error {:.3}, p {:.1e}", c.error, c.p_value);
         c
     };
-    // Some 1400 residuals: the error of an error of 1 is 0.02; six of them, and what the predictions leave out. Under a light that ripples
-    // twenty statistics of some frames share one random number: of 50 such groups the error of the error is 0.1, of four campaigns 0.05.
+    // Some 1400 residuals: the error of an error of 1 is 0.02; six of them, and what the predictions leave
+    // out. Under a light that ripples twenty statistics of some frames share one random number: of 50 such
+    // groups the error of the error is 0.1, of four campaigns 0.05.
     let ripples = held.iter().any(|(e, _)| e.id() == "light-banding");
     let all: Vec<_> = (0..if ripples { 4 } else { 1 }).map(|k| one(1_000_000 * k)).collect();
     let error = (all.iter().map(|c| c.error * c.error).sum::<f64>() / all.len() as f64).sqrt();
@@ -124,7 +126,8 @@ fn asked_for(id: &str) -> bool {
     std::env::var("EFFECTS_ONLY").map_or(true, |only| only.split(',').any(|o| o == id))
 }
 
-/// For every effect: a campaign drawn by it is described by the model that holds it, fitted, on frames that the fit did not see.
+/// For every effect: a campaign drawn by it is described by the model that holds it, fitted, on frames that
+/// the fit did not see.
 #[test]
 fn what_is_drawn_is_what_is_predicted() {
     let bad: Vec<String> = EFFECTS
@@ -214,8 +217,9 @@ fn strengths_and_pairs_are_what_is_predicted() {
     assert!(bad.is_empty(), "{bad:#?}");
 }
 
-/// Some of them, and those that did not agree once: wells after what neighbours share, bands that a well cuts, what is left of a change of
-/// level from pixel to pixel, codes that a filter moves away from those that are too wide.
+/// Some of them, and those that did not agree once: wells after what neighbours share, bands that a well
+/// cuts, what is left of a change of level from pixel to pixel, codes that a filter moves away from those
+/// that are too wide.
 #[test]
 fn some_strengths_and_pairs_are_what_is_predicted() {
     let pair = |a: (&'static str, f64), b: (&'static str, f64)| vec![a, b];
@@ -268,11 +272,13 @@ fn hidden_effects_are_named() {
     assert!(right * 100 >= 95 * all && alarms <= 1);
 }
 
-/// The practice sets of an outside generator, through the program: the hidden effect first, its size, and the error after.
+/// The practice sets of an outside generator, through the program: the hidden effect first, its size, and the
+/// error after.
 #[test]
 fn practice_sets_are_diagnosed() {
     let Some(root) = shared("practice") else { return };
-    // Name, parameter, truth. The generator's brighter-fatter acts in 16 steps, on the charge before each: 15/16 of ours.
+    // Name, parameter, truth. The generator's brighter-fatter acts in 16 steps, on the charge before each:
+    // 15/16 of ours.
     let sets = [
         ("brighter-fatter", "a_vertical_per_e", 3e-6 * 15.0 / 16.0),
         ("brighter-fatter", "a_horizontal_per_e", 2.2e-6 * 15.0 / 16.0),
@@ -301,7 +307,8 @@ fn practice_sets_are_diagnosed() {
         let q = &json["missing"][0]["parameters"][parameter];
         let (value, error) = (q["value"].as_f64().unwrap(), q["std_err"].as_f64().unwrap());
         if name == "adc-nonlinearity" {
-            // Weights of high bits are known up to a common factor and an offset of the camera's: which code edges they give is not compared.
+            // Weights of high bits are known up to a common factor and an offset of the camera's: which code
+            // edges they give is not compared.
             continue;
         }
         assert!((value - truth).abs() < 3.0 * error, "{name}: {parameter} {value} +- {error}, truth {truth}");
@@ -407,8 +414,8 @@ fn gamma_of_the_whole_code_is_named() {
     }
 }
 
-/// A filter that keeps whole codes, after bright frames that are not in the campaign: named, and no lag of charge, since darks have too little
-/// noise for it to act on.
+/// A filter that keeps whole codes, after bright frames that are not in the campaign: named, and no lag of
+/// charge, since darks have too little noise for it to act on.
 #[test]
 fn a_filter_of_whole_codes_is_named_after_bright_frames() {
     let named = |seed: u64, alpha: f64| {
@@ -433,8 +440,8 @@ fn a_filter_of_whole_codes_is_named_after_bright_frames() {
     named(32, 0.0344);
 }
 
-/// Lights of which no error is stated, each set twice, three frames each time: every half has one set of each, and the scatter of the lamp is named
-/// all the same.
+/// Lights of which no error is stated, each set twice, three frames each time: every half has one set of
+/// each, and the scatter of the lamp is named all the same.
 #[test]
 fn a_lamp_that_scatters_is_named_where_every_light_is_set_twice() {
     let dir = tempfile::tempdir().unwrap();
@@ -447,17 +454,47 @@ fn a_lamp_that_scatters_is_named_where_every_light_is_set_twice() {
     let at = |k| SetPlan { frames: 3, exposure: Some(1.0), illumination: f64::from(k) / 8.0, ..set.clone() };
     plan.sets.extend(lights.map(at));
     capture(with(unit(33), "illumination-setting", &[0.001]), &plan, &root);
-    let manifest = std::fs::read_to_string(root.join("dataset.toml")).unwrap();
-    let kept: Vec<&str> = manifest.lines().filter(|l| !l.starts_with("illumination_rel_std")).collect();
-    std::fs::write(root.join("dataset.toml"), kept.join("\n") + "\n").unwrap();
+    without_stated_light(&root);
     let d = diagnose(&observe(&root), None, Vec::new(), &mut |_| {});
     assert_eq!(d.missing[0].effect, "illumination-setting", "{:?}", d.missing);
     let q = &d.missing[0].parameters["rel"];
     assert!((q.value - 0.001).abs() < 4.0 * q.std_err, "{q}");
 }
 
-/// The outside generator's table with two lamps and a light monitor: the scatter of the lamps, the late shutter and brighter-fatter, whose
-/// a00 is twice the sum of ours.
+/// A second gain from a level on that is 0.8 % off: sets of the same light agree, so that no lamp scatters, and no name of the catalogue stands.
+#[test]
+fn two_gains_that_do_not_match_are_no_scatter_of_the_lamp() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    let mut model = unit(41);
+    let map = |name: &str, text: &str| [(name.to_string(), text.to_string())].into();
+    model.effects.push(EffectValues {
+        id: "custom".into(),
+        name: Some("two-gains".into()),
+        formulas: map("mean", "s * mu * (1 + tanh((mu - 1500) / 2)) / 2"),
+        parameters: [("s".to_string(), 0.008)].into(),
+        bounds: [("s".to_string(), [0.0, 1.0])].into(),
+        units: map("s", "1"),
+        ..Default::default()
+    });
+    campaign(model, &root);
+    without_stated_light(&root);
+    let d = diagnose(&observe(&root), None, Vec::new(), &mut |_| {});
+    assert_eq!(d.missing[0].effect, "unknown", "{:?}", d.missing);
+    let said: String = d.missing.iter().flat_map(|m| m.evidence.clone()).collect();
+    assert!(said.contains("sets of the same light and exposure agree"), "{said}");
+}
+
+/// Takes what is stated of the light's error out of a dataset.
+fn without_stated_light(root: &Path) {
+    let path = root.join("dataset.toml");
+    let manifest = std::fs::read_to_string(&path).unwrap();
+    let kept: Vec<&str> = manifest.lines().filter(|l| !l.starts_with("illumination_rel_std")).collect();
+    std::fs::write(&path, kept.join("\n") + "\n").unwrap();
+}
+
+/// The outside generator's table with two lamps and a light monitor: the scatter of the lamps, the late
+/// shutter and brighter-fatter, whose a00 is twice the sum of ours.
 #[test]
 fn a_table_with_lamps_and_a_monitor_is_diagnosed() {
     let Some(root) = shared("practice") else { return };
@@ -478,7 +515,8 @@ fn a_table_with_lamps_and_a_monitor_is_diagnosed() {
     assert!(json["error_after"].as_f64().unwrap() < 1.15, "{out}");
 }
 
-/// A measured table: the turn-off is found, the line fails, the first addition helps at least six-fold, the rest is described.
+/// A measured table: the turn-off is found, the line fails, the first addition helps at least six-fold, the
+/// rest is described.
 #[test]
 fn a_real_table_is_diagnosed() {
     let Some(root) = shared("real") else { return };
@@ -615,8 +653,9 @@ proptest::proptest! {
     }
 }
 
-/// Clean cameras under campaigns that others take: one dark and a sweep; pairs of a flat and its dark; one exposure at several lights; two
-/// short sets of darks. None raises an alarm: of three cameras each, where one in a hundred does by chance.
+/// Clean cameras under campaigns that others take: one dark and a sweep; pairs of a flat and its dark; one
+/// exposure at several lights; two short sets of darks. None raises an alarm: of three cameras each, where
+/// one in a hundred does by chance.
 #[test]
 fn campaigns_of_other_shapes_raise_no_alarm() {
     let set = |kind, frames, exposure: f64, light: f64| SetPlan {
@@ -721,7 +760,8 @@ fn bad_campaigns_are_named() {
     assert!(expect(0, &["effects", "Vignetting"]).contains("part of the base model"));
 }
 
-/// Tables of several lamp levels and exposures, with and without a bend: rows of one illumination share a light that is not known.
+/// Tables of several lamp levels and exposures, with and without a bend: rows of one illumination share a
+/// light that is not known.
 #[test]
 fn tables_with_exposures_and_lights_are_diagnosed() {
     let dir = tempfile::tempdir().unwrap();

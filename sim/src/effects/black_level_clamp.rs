@@ -6,8 +6,8 @@ use crate::rng::PixelRng;
 /// The mean dark charge is taken off the black level, its shot noise stays.
 pub struct BlackLevelClamp;
 
-/// Share of the dark charge below which what is taken off is none of a clamp (a named choice: covered pixels have the dark current of the others
-/// within some ten per cent, and clamps that hold a part of it hold half at least).
+/// Share of the dark charge below which what is taken off is none of a clamp (a named choice): covered pixels have
+/// the dark current of the others, so that a clamp takes nearly all of it.
 const LEAST_SHARE: f64 = 0.25;
 /// Standard errors within which it may be more.
 const SURE: f64 = 2.0;
@@ -95,5 +95,23 @@ impl Effect for BlackLevelClamp {
                 d.image[(y, x)] += poisson(mean, &mut random) - mean;
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A clamp takes most of the dark charge off; what is a tenth of it within two standard errors is none.
+    #[test]
+    fn a_small_part_of_the_dark_charge_is_no_clamp() {
+        let of = |taken: f64, std_err: f64, left: f64| {
+            let seen = Seen { dark_e_per_s: left, ..Seen::default() };
+            BlackLevelClamp.contradicted(&[taken], &[std_err], &seen).is_some()
+        };
+        assert!(of(6.5, 0.8, 43.0));
+        assert!(!of(343.0, 41.0, 290.0) && !of(0.2, 0.02, -0.1) && !of(5.0, 1.0, 0.0));
+        // Too few frames to tell.
+        assert!(!of(6.5, 6.0, 43.0));
     }
 }
