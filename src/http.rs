@@ -1,4 +1,5 @@
-//! Connections of the page and of the metrics: bounded in number and in time, so that whoever holds them open in vain locks nobody out.
+//! Connections of the page and of the metrics: bounded in number and in time, so that whoever holds them open
+//! in vain locks nobody out.
 
 use axum::Router;
 use axum::body::{Body, to_bytes};
@@ -45,7 +46,8 @@ struct Door {
 }
 
 impl Door {
-    /// Lets a connection in. Where the house is full the oldest that has not got anything must go; where all have, nobody else comes in.
+    /// Lets a connection in. Where the house is full the oldest that has not got anything must go; where all
+    /// have, nobody else comes in.
     fn enter(&mut self, peer: IpAddr) -> Option<(u64, Arc<AtomicBool>, Arc<Notify>)> {
         let crowded = self.guests.iter().filter(|g| g.peer == peer).count() >= MAX_OF_A_PEER;
         if crowded || self.guests.len() >= MAX_CONNECTIONS {

@@ -1,14 +1,16 @@
 //! Opens every file that others wrote: regular files only, after links, and never more bytes than their size.
 //!
-//! A FIFO makes its reader wait, a device has no end. Both are refused by name, so a dataset that comes by mail cannot hold radcam up or fill the
-//! memory through a link. All readers use these functions; a test searches the sources for others.
+//! A FIFO makes its reader wait, a device has no end. Both are refused by name, so a dataset that comes by
+//! mail cannot hold radcam up or fill the memory through a link. All readers use these functions; a test
+//! searches the sources for others.
 
 pub use radcam_sim::text::{echo, echo_lines, echo_message};
 use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::{Error, ErrorKind, Read, Result};
 use std::path::Path;
 
-/// Largest settings file (manifest, plan, model, map, library), bytes. The largest known is a model with a table of code widths, 2 MB.
+/// Largest settings file (manifest, plan, model, map, library), bytes. The largest known is a model with a
+/// table of code widths, 2 MB.
 pub const MAX_SETTINGS_BYTES: u64 = 1 << 26;
 
 /// Largest text table (`frames.csv`, EMVA 1288 descriptor, table of statistics), bytes: some 10^7 rows.
@@ -18,7 +20,7 @@ pub const MAX_TABLE_BYTES: u64 = 1 << 30;
 ///
 /// # Errors
 ///
-/// Where the path cannot be opened, or leads to a FIFO, device, socket or folder.
+/// The path cannot be opened, or leads to a FIFO, device, socket or folder.
 pub fn open(path: &Path) -> Result<File> {
     // Before the file is opened: opening a device may move a tape or start a watchdog.
     must_be_regular(&std::fs::metadata(path)?)?;
@@ -129,8 +131,8 @@ fn invalid(message: &str) -> Error {
 
 /// Largest image in memory that a packed file of `size` bytes may make, bytes.
 ///
-/// Deflate packs a constant image a thousand to one, and frames with noise four to one at most. So a file may hold 256 MiB of a constant image,
-/// and beyond that 64 times its own size.
+/// Deflate packs a constant image a thousand to one, and frames with noise four to one at most. So a file may
+/// hold 256 MiB of a constant image, and beyond that 64 times its own size.
 pub(crate) fn max_unpacked_bytes(size: u64) -> u64 {
     const SMALL_IMAGE: u64 = 1 << 28;
     const MAX_PACKING_OF_LARGE_IMAGES: u64 = 64;

@@ -1,7 +1,7 @@
 //! Places that radcam writes to: regular files and new names, in folders that are no links.
 //!
-//! A file is written beside its place and renamed, which would replace a device or a FIFO by a file, and a link in a dataset that came from
-//! elsewhere could lead anywhere. Both are refused by name.
+//! A file is written beside its place and renamed, which would replace a device or a FIFO by a file, and a
+//! link in a dataset that came from elsewhere could lead anywhere. Both are refused by name.
 
 use crate::input::name_of;
 use std::fs::{File, OpenOptions};
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 ///
 /// # Errors
 ///
-/// Where the path is a link, device, FIFO, socket or folder, or cannot be looked at.
+/// The path is a link, device, FIFO, socket or folder, or cannot be looked at.
 pub fn must_be_file_or_new(path: &Path) -> Result<()> {
     match std::fs::symlink_metadata(path) {
         Ok(found) if found.is_file() => Ok(()),
@@ -26,7 +26,7 @@ pub fn must_be_file_or_new(path: &Path) -> Result<()> {
 ///
 /// # Errors
 ///
-/// Where the path is a link or a file, or the folder cannot be made.
+/// The path is a link or a file, or the folder cannot be made.
 pub fn folder(path: &Path) -> Result<()> {
     must_be_folder_or_new(path)?;
     std::fs::create_dir_all(path)?;
@@ -77,7 +77,7 @@ pub fn append(path: &Path, create: bool) -> Result<File> {
 ///
 /// # Errors
 ///
-/// What the file system says.
+/// An error of the file system.
 pub fn synchronise(folder: &Path) -> Result<()> {
     File::open(folder)?.sync_all()
 }
@@ -105,12 +105,13 @@ fn refusal(kind: &str, needed: &str) -> Error {
 
 /// A folder held for one writer, from the moment it is made until this is dropped.
 ///
-/// The lock is on the folder itself: a file in it can be renamed away. A folder that was made for it and stayed empty is removed.
+/// The lock is on the folder itself: a file in it can be renamed away. A folder that was made for it and
+/// stayed empty is removed.
 #[derive(Debug)]
 pub struct Held {
     path: PathBuf,
     made: bool,
-    /// Where the system cannot lock folders there is no handle, and `frames.csv` alone is locked.
+    /// Handle of the folder; none on systems that cannot lock folders: `frames.csv` alone is locked there.
     _handle: Option<File>,
 }
 
@@ -119,7 +120,7 @@ pub struct Held {
 pub enum HoldError {
     /// Another program holds it.
     Busy,
-    /// What the file system says.
+    /// An error of the file system.
     Io(Error),
 }
 
@@ -128,7 +129,7 @@ impl Held {
     ///
     /// # Errors
     ///
-    /// Where another program holds the folder, the path is a link, or it cannot be made.
+    /// Another program holds the folder, the path is a link, or it cannot be made.
     pub fn take(path: &Path) -> std::result::Result<Self, HoldError> {
         // A folder that its last holder removes while it is opened here is made again.
         for _ in 0..100 {

@@ -11,7 +11,8 @@ pub fn echo(value: &str) -> String {
     }
 }
 
-/// A parser's message of one sentence, which may repeat a value anywhere: its first 50 and last 30 characters where it is long.
+/// A parser's message of one sentence, which may repeat a value anywhere: its first 50 and last 30 characters
+/// where it is long.
 pub fn echo_message(message: &str) -> String {
     const LONG: usize = 120;
     let characters = message.chars().count();

@@ -107,7 +107,7 @@ impl Description {
     ///
     /// # Errors
     ///
-    /// Which key has which value.
+    /// Key and value.
     pub fn check(&self) -> Result<(), String> {
         self.camera.check()?;
         let (width, height, bits) = (self.camera.width, self.camera.height, self.camera.bit_depth);

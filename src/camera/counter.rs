@@ -14,8 +14,8 @@ pub struct FrameCounter {
 }
 
 impl FrameCounter {
-    /// The running number of a frame, and how many were skipped before it; `None` where a frame of this number came before. `bits16` tells a
-    /// camera that wraps.
+    /// The running number of a frame, and how many were skipped before it; `None` where a frame of this
+    /// number came before. `bits16` tells a camera that wraps.
     pub fn take(&mut self, id: u64, bits16: bool) -> Option<(u64, u64)> {
         const PERIOD: u64 = 65_535; // 0 is never used
         let last = self.last.unwrap_or(id);
@@ -78,7 +78,7 @@ mod tests {
         assert_eq!((counter.take(7, true), counter.take(9, true)), (None, None));
         assert_eq!(counter.take(8, true), Some((8, 0)));
         assert_eq!(counter.take(8, true), None);
-        // The same 16 bits a lap later are another frame.
+        // A lap later these 16 bits are another frame's.
         for id in 10..=65_535 {
             assert_eq!(counter.take(id, true), Some((id, 0)));
         }

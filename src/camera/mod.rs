@@ -61,7 +61,8 @@ pub struct Listed {
     pub protocol: String,
 }
 
-/// Opens a camera by its name: `aravis:ID` (an IP address, an Aravis id or a serial number), `sim:SENSOR` or `replay:DATASET`.
+/// Opens a camera by its name: `aravis:ID` (an IP address, an Aravis id or a serial number), `sim:SENSOR` or
+/// `replay:DATASET`.
 ///
 /// ```
 /// let camera = radcam::camera::open("sim:cmos12")?;
@@ -227,7 +228,8 @@ pub fn info(camera: &mut dyn Camera) -> Result<CameraInfo, CameraError> {
     Ok(CameraInfo { features, ..settings.info(camera.identity()) })
 }
 
-/// How long a frame is waited for: twice the exposure, since one may be under way, and time for the camera to answer; a day at most.
+/// How long a frame is waited for: twice the exposure, since one may be under way, and time for the camera to
+/// answer; a day at most.
 pub fn patience(exposure_s: f64) -> Duration {
     Duration::from_secs_f64((2.0 * exposure_s.max(0.0) + 5.0).min(86_400.0))
 }
@@ -260,8 +262,9 @@ pub struct Automatic {
 pub struct StreamOptions {
     /// Frames held ready for the camera to fill.
     pub buffers: usize,
-    /// Whole frames that may wait to be taken: one more, and the oldest is dropped and counted. `None`: all wait, and a frame that finds no
-    /// free buffer is an underrun. Keep it below `buffers`, so that one is always free.
+    /// Whole frames that may wait to be taken: one more, and the oldest is dropped and counted. `None`: all
+    /// wait, and a frame that finds no free buffer is an underrun. Keep it below `buffers`, so that one is
+    /// always free.
     pub waiting: Option<usize>,
     /// GigE Vision: bytes of a packet; `None` negotiates the largest that passes.
     pub packet_size: Option<u32>,
@@ -301,9 +304,10 @@ pub struct StreamCounts {
     /// Whole frames that waited too long and made room for newer ones ([`StreamOptions::waiting`]).
     #[serde(default)]
     pub dropped: u64,
-    /// Frames that the camera's numbers, or its clock after an interval without it, say were taken and of which nothing else is known.
+    /// Frames that the camera's numbers, or its clock after an interval without it, say were taken and of
+    /// which nothing else is known.
     pub missing: u64,
-    /// Whole frames whose number had come before. They are discarded, and none of them is lost.
+    /// Number of whole frames whose number had come before. They are discarded, and none of them is lost.
     #[serde(default)]
     pub repeated: u64,
 }
@@ -439,8 +443,8 @@ pub trait FrameStream {
     /// [`CameraError::Timeout`] where no frame came in time, [`CameraError::Lost`] where the camera is gone.
     fn next(&mut self, frame: &mut Frame, timeout: Duration) -> Result<(), CameraError>;
 
-    /// Waits for the next frame and shows its bytes to `take` where they are, without a copy. A damaged frame is counted and comes as its
-    /// reason. A backend whose frames do not come as bytes uses `memory`.
+    /// Waits for the next frame and shows its bytes to `take` where they are, without a copy. A damaged frame
+    /// is counted and comes as its reason. A backend whose frames do not come as bytes uses `memory`.
     ///
     /// # Errors
     ///
@@ -510,7 +514,8 @@ pub trait Camera: Send {
     ///
     /// # Errors
     ///
-    /// [`CameraError::NotAvailable`] where it has no such setting, [`CameraError::OutOfRange`], or what it refuses.
+    /// [`CameraError::NotAvailable`] where it has no such setting, [`CameraError::OutOfRange`], or what it
+    /// refuses.
     fn set_gain_db(&mut self, _value: f64) -> Result<f64, CameraError> {
         Err(self.not_available("Gain"))
     }
@@ -519,7 +524,8 @@ pub trait Camera: Send {
     ///
     /// # Errors
     ///
-    /// [`CameraError::NotAvailable`] where it has no such setting, [`CameraError::OutOfRange`], or what it refuses.
+    /// [`CameraError::NotAvailable`] where it has no such setting, [`CameraError::OutOfRange`], or what it
+    /// refuses.
     fn set_black_level_dn(&mut self, _value: f64) -> Result<f64, CameraError> {
         Err(self.not_available("BlackLevel"))
     }
@@ -528,7 +534,8 @@ pub trait Camera: Send {
     ///
     /// # Errors
     ///
-    /// [`CameraError::NotAvailable`] where it has no such setting, [`CameraError::OutOfRange`], or what it refuses.
+    /// [`CameraError::NotAvailable`] where it has no such setting, [`CameraError::OutOfRange`], or what it
+    /// refuses.
     fn set_frame_rate_hz(&mut self, _value: f64) -> Result<f64, CameraError> {
         Err(self.not_available("AcquisitionFrameRate"))
     }
@@ -610,7 +617,8 @@ pub trait Camera: Send {
         Vec::new()
     }
 
-    /// Writes a file into the camera. `go_on` hears how many bytes are done, and ends it by false: what is then in the file is the camera's own choice.
+    /// Writes a file into the camera. `go_on` hears how many bytes are done, and ends it by false: what is
+    /// then in the file is the camera's own choice.
     ///
     /// # Errors
     ///
@@ -638,8 +646,8 @@ pub trait Camera: Send {
         Err(self.not_available(name))
     }
 
-    /// Settings worth keeping beside a capture, by GenICam name; of a feature that several entries of a selector share
-    /// `Name[Entry]`.
+    /// Settings worth keeping beside a capture, by GenICam name; of a feature that several entries of a
+    /// selector share `Name[Entry]`.
     fn features(&mut self) -> BTreeMap<String, Value> {
         BTreeMap::new()
     }
@@ -649,19 +657,21 @@ pub trait Camera: Send {
         Vec::new()
     }
 
-    /// Whether it draws the same frames again from its first on: a campaign is then gone on with by drawing once more what is on disk.
+    /// Whether it draws the same frames again from its first on: a campaign is then gone on with by drawing
+    /// once more what is on disk.
     fn draws_again(&self) -> bool {
         false
     }
 
-    /// Told before a campaign is continued: so many frames were taken, the last of them at this time, s.
-    /// A simulated camera must not draw the same noise twice. Whether the camera's clock shows campaign time from now.
+    /// Told before a campaign is continued: so many frames were taken, the last of them at this time, s. A
+    /// simulated camera must not draw the same noise twice. Whether the camera's clock shows campaign time
+    /// from now.
     fn continue_after(&mut self, _frames: u64, _time_s: f64) -> bool {
         false
     }
 
-    /// Says which frame a simulated camera draws next, and its time, s: its noise then follows from the place of the frame in a campaign. `false`:
-    /// a camera that cannot be told.
+    /// Says which frame a simulated camera draws next, and its time, s: its noise then follows from the place
+    /// of the frame in a campaign. `false`: a camera that cannot be told.
     fn draw_from(&mut self, _frame: u64, _time_s: f64) -> bool {
         false
     }
@@ -671,7 +681,8 @@ pub trait Camera: Send {
         None
     }
 
-    /// Photons per pixel per second that its own bench gives at illumination 1, where it says so: a simulated or served camera.
+    /// Photons per pixel per second that its own bench gives at illumination 1, where it says so: a simulated
+    /// or served camera.
     fn photon_flux_per_s(&mut self) -> Option<f64> {
         None
     }

@@ -134,7 +134,8 @@ impl Run {
         self.writer.written().iter().filter(|r| r.set as usize == number).count() as u32
     }
 
-    /// Number of the first frame of a set within the campaign, and its time, s: after the exposure of the frame before.
+    /// Number of the first frame of a set within the campaign, and its time, s: after the exposure of the
+    /// frame before.
     fn start_of(&self, number: usize, plan: &Plan) -> (u64, f64) {
         let settle = u64::from(plan.camera.settle_frames);
         let first = plan.sets[..number].iter().map(|set| u64::from(set.frames) + settle).sum();
@@ -142,7 +143,8 @@ impl Run {
         (first, before.and_then(|r| Some(r.timestamp_s? + r.exposure_s)).unwrap_or(0.0))
     }
 
-    /// Time since the campaign's start by the computer's clock: the last frame was written right after its exposure. `None` where there is none.
+    /// Time since the campaign's start by the computer's clock: the last frame was written right after its
+    /// exposure. `None` where there is none.
     fn since_the_start(&self, root: &Path) -> Option<f64> {
         let last = self.writer.written().last()?;
         let file = last.file.split('#').next()?;
@@ -186,8 +188,8 @@ impl<'a> Capture<'a> {
     ///
     /// # Errors
     ///
-    /// What camera, bench, disk or plan refuse, a set with too many damaged frames, or that it was stopped. What was written before stays
-    /// whole, and [`resume`](Self::resume) goes on with it.
+    /// What camera, bench, disk or plan refuse, a set with too many damaged frames, or that it was stopped.
+    /// What was written before stays whole, and [`resume`](Self::resume) goes on with it.
     pub fn run(&mut self, plan: &Plan, root: &Path) -> Result<Summary, CaptureError> {
         self.start(Some(plan), root)
     }
@@ -237,8 +239,8 @@ impl<'a> Capture<'a> {
         self.carry_out(run, &plan, root, automatics, searched)
     }
 
-    /// Finds the full exposure of a plan that needs it, with everything as a capture has it, and gives every exposure in seconds: what a
-    /// campaign will take can then be said before it starts.
+    /// Finds the full exposure of a plan that needs it, with everything as a capture has it, and gives every
+    /// exposure in seconds: what a campaign will take can then be said before it starts.
     ///
     /// # Errors
     ///
@@ -248,8 +250,9 @@ impl<'a> Capture<'a> {
         self.absolute(plan, &mut StreamCounts::default())
     }
 
-    /// Adds the sets of another plan to a campaign that is complete, under its settings and with its full exposure: one campaign in the order
-    /// of time. `zero_ns` is what its summary said, where this is the same run of the camera.
+    /// Adds the sets of another plan to a campaign that is complete, under its settings and with its full
+    /// exposure: one campaign in the order of time. `zero_ns` is what its summary said, where this is the
+    /// same run of the camera.
     ///
     /// # Errors
     ///
@@ -315,8 +318,8 @@ impl<'a> Capture<'a> {
         Ok(Summary { frames, counts: run.counts, automatics, full_exposure_s, zero_ns })
     }
 
-    /// Switches off what distorts radiometry, brings the camera to the plan's settings, and switches off what these have made available; last
-    /// come the features that the plan names, whatever they do.
+    /// Switches off what distorts radiometry, brings the camera to the plan's settings, and switches off what
+    /// these have made available; last come the features that the plan names, whatever they do.
     fn set_up(&mut self, plan: &Plan) -> Result<Vec<Automatic>, CaptureError> {
         let first = self.camera.disable_automatics()?;
         self.settings_of(plan)?;

@@ -8,15 +8,16 @@ use crate::plan::{Plan, SetPlan};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-/// A set whose first frame was lost is begun again so often: another set's light and exposure first, since the frame that was lost took with
-/// it what that carries over.
+/// A set whose first frame was lost is begun again so often: another set's light and exposure first, since
+/// the frame that was lost took with it what that carries over.
 const AGAIN: usize = 3;
 
 /// Time of a campaign's start by a clock that is told, s: a device time of 0 says that there is none.
 const ZERO_S: f64 = 1.0;
 
 impl Capture<'_> {
-    /// Takes the frames of a set that are not there yet. Where the first is lost the set before is exposed once more and the set begun again.
+    /// Takes the frames of a set that are not there yet. Where the first is lost the set before is exposed
+    /// once more and the set begun again.
     pub(super) fn capture_set(
         &mut self,
         number: usize,
@@ -27,7 +28,8 @@ impl Capture<'_> {
         if run.have(number) >= set.frames && !run.again {
             return Ok(());
         }
-        // An operator is not asked to move the light for it; frames that are discarded at the start of each set are no transition.
+        // An operator is not asked to move the light for it; frames that are discarded at the start of each
+        // set are no transition.
         let before = number.checked_sub(1).map(|k| &plan.sets[k]);
         let before = before.filter(|b| self.bench.moves_itself() || b.bench() == set.bench());
         let before = before.filter(|_| plan.camera.settle_frames == 0);
@@ -57,7 +59,8 @@ impl Capture<'_> {
         let reached = self.bench.apply(&set.bench(), self.camera)?;
         let exposure_s = self.camera.set_exposure_s(set.exposure_s.unwrap_or(1.0))?;
         let settings = self.camera.settings()?;
-        // Frames of the set that are on disk are then drawn again and discarded: whatever was interrupted, each frame and its time are the same.
+        // Frames of the set that are on disk are then drawn again and discarded: whatever was interrupted,
+        // each frame and its time are the same.
         let (first, time_s) = run.start_of(number, plan);
         let told = self.camera.draw_from(first, ZERO_S + time_s);
         if told {

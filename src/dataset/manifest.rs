@@ -186,7 +186,7 @@ impl CameraInfo {
     ///
     /// # Errors
     ///
-    /// Which key has which value.
+    /// Key and value.
     pub fn check(&self) -> Result<(), String> {
         /// A gain of 200 dB is 10^10; no amplifier has it.
         const MAX_GAIN_DB: f64 = 200.0;

@@ -280,9 +280,11 @@ impl Dataset {
         })
     }
 
-    /// Several datasets of one camera under one set of settings as one: sets and times of each follow those of the one before.
+    /// Several datasets of one camera under one set of settings as one: sets and times of each follow those
+    /// of the one before.
     ///
-    /// Their light levels are told apart, for nobody knows that two campaigns had the same light. The pause between them is not known.
+    /// Their light levels are told apart, for nobody knows that two campaigns had the same light. The pause
+    /// between them is not known.
     ///
     /// # Errors
     ///
@@ -518,7 +520,8 @@ impl Dataset {
         &self.sets
     }
 
-    /// Whether the light is stated in photons, without an error of its own: nominal, as an EMVA 1288 descriptor has it.
+    /// Whether the light is stated in photons, without an error of its own: nominal, as an EMVA 1288
+    /// descriptor has it.
     pub fn light_is_nominal(&self) -> bool {
         let bench = self.manifest.bench.as_ref();
         bench.is_some_and(|b| b.illumination_unit == "photons/px/s" && b.illumination_rel_std.is_none())
@@ -730,8 +733,8 @@ fn split_page(file: &str) -> Result<(&str, usize), String> {
     }
 }
 
-/// Line numbers of the records of a CSV text, in their order: what was counted is not counted again. The reader's own count leaves out what
-/// stands between records.
+/// Line numbers of the records of a CSV text, in their order: what was counted is not counted again. The
+/// reader's own count leaves out what stands between records.
 pub(crate) struct Lines<'a> {
     bytes: &'a [u8],
     at: usize,

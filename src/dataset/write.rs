@@ -27,7 +27,8 @@ pub struct Writer {
 /// What the names of unfinished files begin with.
 const ASIDE: &str = ".radcam-";
 
-/// Folder of a campaign, held for one writer until this is dropped. A folder that was made for it and stayed empty is removed.
+/// Folder of a campaign, held for one writer until this is dropped. A folder that was made for it and stayed
+/// empty is removed.
 #[derive(Debug)]
 pub struct Folder(#[allow(dead_code)] Held); // held, not read
 
@@ -36,7 +37,7 @@ impl Folder {
     ///
     /// # Errors
     ///
-    /// Where another program writes there, or the path is a link or cannot be made.
+    /// Another program writes there, or the path is a link or cannot be made.
     pub fn hold(root: &Path) -> Result<Self, DatasetError> {
         Held::take(root).map(Self).map_err(|e| match e {
             HoldError::Busy => busy(root),
@@ -44,7 +45,7 @@ impl Folder {
         })
     }
 
-    /// The same of a folder that is there.
+    /// A hold on a folder that is there.
     ///
     /// # Errors
     ///
@@ -54,7 +55,8 @@ impl Folder {
         Self::hold(root)
     }
 
-    /// Refuses a folder that holds more than the beginnings of a campaign that never got its manifest; `beside` are names of further files.
+    /// Refuses a folder that holds more than the beginnings of a campaign that never got its manifest;
+    /// `beside` are names of further files.
     pub(crate) fn must_be_free(&self, root: &Path, beside: &[&str]) -> Result<(), DatasetError> {
         if unfinished_start(root, beside).map_err(DatasetError::io(root))? {
             return Ok(());
@@ -73,7 +75,8 @@ fn busy(root: &Path) -> DatasetError {
 ///
 /// # Errors
 ///
-/// Where the path is a link, device, FIFO, socket or folder, or the file cannot be written; nothing of it is left then.
+/// The path is a link, device, FIFO, socket or folder, or the file cannot be written; nothing of it is left
+/// then.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), DatasetError> {
     Aside::write(path, bytes)?.put_in_place()?;
     synchronise(folder_of(path))
@@ -170,8 +173,8 @@ fn unfinished_start(root: &Path, beside: &[&str]) -> std::io::Result<bool> {
 impl Writer {
     /// Starts a campaign in a folder that is new or empty.
     ///
-    /// `beside` are further files, by name. The manifest comes last: a folder without one is no campaign yet and may
-    /// be started again.
+    /// `beside` are further files, by name. The manifest comes last: a folder without one is no campaign yet
+    /// and may be started again.
     ///
     /// # Errors
     ///
@@ -180,7 +183,7 @@ impl Writer {
         Self::create_in(Folder::hold(root)?, root, manifest, beside)
     }
 
-    /// The same in a folder that is held already.
+    /// Creates it in a folder that is held already; see [`Self::create`].
     pub(crate) fn create_in(
         held: Folder,
         root: &Path,
@@ -213,7 +216,7 @@ impl Writer {
         Self::resume_in(Folder::existing(root)?, root)
     }
 
-    /// The same in a folder that is held already.
+    /// Continues it in a folder that is held already; see [`Self::resume`].
     pub(crate) fn resume_in(held: Folder, root: &Path) -> Result<(Self, Manifest), DatasetError> {
         let path = root.join("frames.csv");
         // First the lock: another program may be in the middle of a row.
@@ -263,7 +266,8 @@ impl Writer {
             image::described_bytes::<Gray16>(pixels.view(), &text)
         }
         .map_err(|e| fault(e.to_string()))?;
-        // A frame whose row a crash has cut off keeps its name; where it is this very frame, drawn again, it is the one.
+        // A frame whose row a crash has cut off keeps its name; where it is this very frame, drawn again, it
+        // is the one.
         let mut number = self.written.len();
         let there = loop {
             match input::bytes(&self.root.join(name(number))) {

@@ -72,7 +72,7 @@ impl Memo {
         made
     }
 
-    /// The same as [`fit_near`].
+    /// A fit as of [`fit_near`].
     pub fn near(&self, all: &Observations, near: &Fitted, effects: &Effects) -> Fitted {
         let mut key = key(near);
         key.extend(of_effects(effects));

@@ -14,22 +14,24 @@ use rayon::prelude::*;
 
 /// Effects added at most.
 const MOST: usize = 8;
-/// Evidence (twice the logarithm of a Bayes factor, by BIC) that an addition needs: with some 30 candidates tried, chance
-/// reaches this less than once in a hundred campaigns.
+/// Evidence (twice the logarithm of a Bayes factor, by BIC) that an addition needs: with some 30 candidates
+/// tried, chance reaches this less than once in a hundred campaigns.
 pub const NEEDED: f64 = 9.0;
 /// Candidates that are fitted, of those that promise most.
 const FITTED: usize = 11;
 /// The same where what stands in a model already is compared with others.
 const RIVALS: usize = 4;
-/// What promises less than this share of the evidence of what stands in a model already is not fitted as a rival of it. A named choice: on
-/// the 182 cameras of docs/CONFUSION.md as many are right, unknown and wrong as without it.
+/// What promises less than this share of the evidence of what stands in a model already is not fitted as a
+/// rival of it. A named choice: on the 182 cameras of docs/CONFUSION.md as many are right, unknown and wrong
+/// as without it.
 const NO_RIVAL: f64 = 0.03;
 /// Starts of one candidate that are fitted for a few rounds; of the most promising candidate, one of every form.
 const STARTS: usize = 3;
 const FORMS: usize = 10;
 /// Of the starts of a candidate so many are fitted to the end.
 const FINISHED: usize = 4;
-/// Two fits whose scores differ by less, in proportion to the mean square of their residuals, have come to the same place (a named choice).
+/// Two fits whose scores differ by less, in proportion to the mean square of their residuals, have come to
+/// the same place (a named choice).
 const SAME: f64 = 0.01;
 /// A size is something from so many of its errors on: 0 is rejected at 1 in 80.
 const KNOWN: f64 = 2.5;
@@ -39,7 +41,8 @@ const KNOWN_SCATTER: f64 = 1.2;
 const BEHIND: f64 = 0.3;
 /// A candidate that gains this share of its evidence beside another one explains something else.
 const SOMETHING_ELSE: f64 = 0.5;
-/// An effect is not left out for a try where a size squared over its error's square is this multiple of what it costs (a named choice).
+/// An effect is not left out for a try where a size squared over its error's square is this multiple of what
+/// it costs (a named choice).
 const SURELY: f64 = 4.0;
 /// Lines that are followed at once.
 const LINES: usize = 3;
@@ -95,15 +98,16 @@ pub fn score(all: &Observations, fitted: &Fitted) -> f64 {
     fitted.objective + price(all, fitted)
 }
 
-/// What could stand in a model in place of an effect that has this evidence, fitted beside the rest; most evidence first.
+/// What could stand in a model in place of an effect that has this evidence, fitted beside the rest; most
+/// evidence first.
 pub fn rivals(all: &Observations, rest: &Fitted, of: &dyn Effect, evidence: f64) -> Vec<Candidate> {
     let memo = &Memo::default();
     Look { all, now: rest, guess: None, most: RIVALS, not: &[of.id()], against: evidence, memo }.candidates()
 }
 
-/// Every effect that a model lacks, fitted beside what it has; most evidence first. `fresh`: from a first guess of the paper's parameters
-/// too, since a fit that is far off may have bent what is sound to please what is not.
-/// `not`: those that are none here.
+/// Every effect that a model lacks, fitted beside what it has; most evidence first. `fresh`: from a first
+/// guess of the paper's parameters too, since a fit that is far off may have bent what is sound to please
+/// what is not. `not`: those that are none here.
 fn candidates(all: &Observations, now: &Fitted, fresh: bool, not: &[&str], memo: &Memo) -> Vec<Candidate> {
     let guess = fresh.then(|| now.with_base(start(all)));
     Look { all, now, guess, most: FITTED, not, against: 0.0, memo }.candidates()
@@ -206,7 +210,8 @@ impl Look<'_> {
         found
     }
 
-    /// Those that are fitted. What moves only errors is not seen by a look at expectations: it is fitted in any case.
+    /// Those that are fitted. What moves only errors is not seen by a look at expectations: it is fitted in
+    /// any case.
     fn chosen(&self, promising: Vec<Promising>) -> Vec<Promising> {
         let needed = NEEDED.max(NO_RIVAL * self.against);
         let (always, rest): (Vec<_>, Vec<_>) = promising.into_iter().partition(|p| p.gain.is_infinite());
@@ -244,7 +249,8 @@ impl Look<'_> {
     }
 }
 
-/// Models with one more effect, from the most promising of its starts, after a few rounds of a fit; the best first.
+/// Models with one more effect, from the most promising of its starts, after a few rounds of a fit; the best
+/// first.
 fn from_starts(
     all: &Observations,
     now: &Fitted,
@@ -290,11 +296,11 @@ fn from_starts(
     sorted(all, brief.collect())
 }
 
-/// Ratio of two sizes below which a fit from the one start ends where that from the other does (a named choice: a fit passes over as much
-/// in one step).
+/// Ratio of two sizes below which a fit from the one start ends where that from the other does (a named
+/// choice: a fit passes over as much in one step).
 const NEAR_SIZE: f64 = 1.05;
 
-/// Whether two starts of an effect differ in their sizes alone, and by little.
+/// True for two starts of an effect that differ in their sizes alone, and by little.
 fn is_near(effect: &dyn Effect, one: &[f64], other: &[f64]) -> bool {
     effect
         .parameters()
@@ -347,8 +353,8 @@ fn is_shown(all: &Observations, c: &Candidate) -> bool {
     (n == 0.0 || sum / n > NOT_THERE) && (frames == 0.0 || in_turn.abs() / frames.sqrt() < IN_TURN)
 }
 
-/// A parameter that is nothing within its error explains nothing, nor does one at the end of its range, nor what has become another
-/// effect.
+/// A parameter that is nothing within its error explains nothing, nor does one at the end of its range, nor
+/// what has become another effect.
 pub fn is_something(fitted: &Fitted, at: usize, seen: &Seen) -> bool {
     let ((effect, values), errors) = (&fitted.effects[at], &fitted.std_err[at]);
     if at_an_end(*effect, values) || effect.is_another(values, seen) {
@@ -449,7 +455,8 @@ const FAR_SQUARE: f64 = 4.0;
 /// Searches again without an effect that has become none of its kind at most.
 const AGAIN: usize = 2;
 
-/// Adds effects to a model as long as the evidence pays for them. `far`: the model is so far off that its own values may be bent.
+/// Adds effects to a model as long as the evidence pays for them. `far`: the model is so far off that its own
+/// values may be bent.
 pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn FnMut(&str)) -> Found {
     let mut not: Vec<&str> = Vec::new();
     let memo = Memo::default();
@@ -554,7 +561,8 @@ fn search_without(
     Found { fitted: best.unwrap_or_else(|| model.clone()), first }
 }
 
-/// A line with the best of these candidates, and one with the second where that is near; each with what explains something else.
+/// A line with the best of these candidates, and one with the second where that is near; each with what
+/// explains something else.
 fn longer(all: &Observations, found: &[Candidate], given: usize, memo: &Memo) -> Vec<Line> {
     let good: Vec<&Candidate> = found.iter().filter(|c| c.evidence > NEEDED).collect();
     let best = good.first().map_or(0.0, |c| c.evidence);
@@ -591,7 +599,8 @@ fn ids(fitted: &Fitted) -> Vec<&'static str> {
     ids
 }
 
-/// A candidate's model with the other candidates that explain something else: what each gains beside it is most of what it gained alone.
+/// A candidate's model with the other candidates that explain something else: what each gains beside it is
+/// most of what it gained alone.
 fn with_others(
     all: &Observations,
     chosen: &Candidate,
@@ -626,8 +635,8 @@ fn effects_without(model: &Fitted, which: usize) -> Effects {
     effects
 }
 
-/// Whether an effect of a model pays for itself beyond doubt: by the square of a size over its error (Wald's test), which a fit without it
-/// would give to within a small factor.
+/// Whether an effect of a model pays for itself beyond doubt: by the square of a size over its error (Wald's
+/// test), which a fit without it would give to within a small factor.
 fn surely_pays(all: &Observations, model: &Fitted, which: usize) -> bool {
     let (effect, values) = &model.effects[which];
     let parameters = effect.parameters();
@@ -652,8 +661,8 @@ fn without_idle(all: &Observations, mut model: Fitted, given: usize, memo: &Memo
     model
 }
 
-/// Finds values of effects' parameters that are not given: one effect after the other is added to what is known. What moves nothing
-/// that was measured stays at its first start.
+/// Finds values of effects' parameters that are not given: one effect after the other is added to what is
+/// known. What moves nothing that was measured stays at its first start.
 pub fn searched(all: &Observations, given: &[Given]) -> Effects {
     let known = |(e, values): &Given| Some((*e, values.iter().copied().collect::<Option<Vec<f64>>>()?));
     if given.iter().all(|g| known(g).is_some()) {

@@ -86,7 +86,8 @@ fn stack(bytes: &[u8], axis: Option<usize>) -> Result<Stack, String> {
         let shape = input::echo(&format!("{:?}", header.shape));
         format!("cut short: the file ends before the numbers of its shape {shape} do")
     })?;
-    // The product of the axes that are not 0 may be beyond what an array can count: `ndarray` refuses such a shape by a panic.
+    // The product of the axes that are not 0 may be beyond what an array can count: `ndarray` refuses such a
+    // shape by a panic.
     if header.shape.contains(&0) || header.shape.len() > MAX_AXES {
         let shape = input::echo(&format!("{:?}", header.shape));
         return Err(format!("has the shape {shape}, which holds no frames"));

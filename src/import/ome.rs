@@ -94,8 +94,9 @@ impl Ome {
             .fold(0usize, |place, axis| place.saturating_mul(self.size(*axis)).saturating_add(at(*axis)))
     }
 
-    /// Directories of the file that hold planes, in the order of the planes: by TiffData where there is any (section "TiffData" of the OME-TIFF
-    /// specification), else in the order of the axes. Of blocks that overlap the first counts.
+    /// Directories of the file that hold planes, in the order of the planes: by TiffData where there is any
+    /// (section "TiffData" of the OME-TIFF specification), else in the order of the axes. Of blocks that
+    /// overlap the first counts.
     fn directories(&self, places: &[usize]) -> Vec<Option<usize>> {
         if self.tiff_data.is_empty() {
             return places.iter().copied().map(Some).collect();
@@ -103,7 +104,8 @@ impl Ome {
         let mut order: Vec<usize> = (0..places.len()).collect();
         order.sort_by_key(|i| places[*i]);
         let mut out = vec![None; places.len()];
-        // The next place in `order` without a block: a block with many planes does not walk over those before it again.
+        // The next place in `order` without a block: a block with many planes does not walk over those before
+        // it again.
         let mut free: Vec<usize> = (0..=order.len()).collect();
         for (block, _) in self.tiff_data.iter().filter(|(_, here)| *here) {
             let number = |key: &str| block.get(key).and_then(|n| n.parse::<usize>().ok());

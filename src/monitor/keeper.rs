@@ -1,4 +1,5 @@
-//! A history that is written while the monitor goes on: a database that is locked or away holds nothing up, and costs no check.
+//! A history that is written while the monitor goes on: a database that is locked or away holds nothing up,
+//! and costs no check.
 
 use super::store::{Store, StoreError};
 use super::{Alarm, Check};
@@ -94,7 +95,7 @@ impl Keeper {
     ///
     /// # Errors
     ///
-    /// How many are not, and why.
+    /// Number of those that are not, and the reason.
     pub fn finish(self, patience: Duration) -> Result<(), String> {
         self.0.lock().ends = true;
         self.0.changed.notify_all();
@@ -109,7 +110,7 @@ impl Keeper {
 }
 
 impl Shared {
-    /// What became of the oldest check that waits.
+    /// Notes the outcome for the oldest check that waits.
     fn written(&self, check: &Check, outcome: Result<(), StoreError>) {
         let mut inside = self.lock();
         match outcome {

@@ -1,4 +1,5 @@
-//! The history of checks and alarms in a database: SQLite in a file, or a PostgreSQL server. The same tables and the same statements.
+//! The history of checks and alarms in a database: SQLite in a file, or a PostgreSQL server. The same tables
+//! and the same statements.
 
 use super::{Alarm, Changed, Check, Limits, Monitor, Reading};
 use crate::secret::shown;
@@ -37,14 +38,14 @@ pub struct StoreError {
 }
 
 impl StoreError {
-    /// Whether the same may succeed later: the database is locked, starts, or cannot be reached.
+    /// True where another attempt may succeed: the database is locked, starts, or cannot be reached.
     pub fn is_passing(&self) -> bool {
         self.passing
     }
 }
 
-/// Codes of databases that are busy: SQLite's BUSY and LOCKED with their extended ones; PostgreSQL's classes 08 (connection), 53 (too little of
-/// something) and 57 (shut down, or not started yet).
+/// Codes of databases that are busy: SQLite's BUSY and LOCKED with their extended ones; PostgreSQL's classes
+/// 08 (connection), 53 (too little of something) and 57 (shut down, or not started yet).
 fn is_passing(e: &sqlx::Error) -> bool {
     match e {
         sqlx::Error::Io(e) => e.kind() != std::io::ErrorKind::InvalidInput,
@@ -61,8 +62,8 @@ fn inode(path: &Path) -> Option<u64> {
     std::fs::metadata(path).ok().map(|m| m.ino())
 }
 
-/// A time as its key. A clock that was never set is before 1970, and 64 bits end in 2262: such times stand at the end of what there is, which
-/// differences have to fit into too.
+/// A time as its key. A clock that was never set is before 1970, and 64 bits end in 2262: such times stand at
+/// the end of what there is, which differences have to fit into too.
 fn nanoseconds(time_s: f64) -> i64 {
     const END: f64 = 4.6e18;
     (time_s * 1e9).round().clamp(-END, END) as i64
@@ -72,8 +73,8 @@ fn nanoseconds(time_s: f64) -> i64 {
 const SAME_TIME: i64 = 1_000_000;
 
 impl Store {
-    /// Opens a store, and makes its tables where there are none: `sqlite:FILE` or `postgres://USER:PASSWORD@HOST/DATABASE`; a plain path is a
-    /// SQLite file.
+    /// Opens a store, and makes its tables where there are none: `sqlite:FILE` or
+    /// `postgres://USER:PASSWORD@HOST/DATABASE`; a plain path is a SQLite file.
     ///
     /// # Errors
     ///
@@ -123,7 +124,7 @@ impl Store {
     ///
     /// # Errors
     ///
-    /// Where there is none, or it cannot be opened.
+    /// There is none, or it cannot be opened.
     pub fn follow(&mut self) -> Result<(), StoreError> {
         let Some((path, known)) = &self.file else { return Ok(()) };
         match inode(path) {
@@ -156,8 +157,8 @@ impl Store {
         self.keep_as(camera, calibration, nanoseconds(check.time_s), &body, (check, alarms))
     }
 
-    /// Keeps a check of which it is not known whether it was kept: an answer of the database may be lost. Another of the same time, by a clock
-    /// that is wrong, stands beside it.
+    /// Keeps a check of which it is not known whether it was kept: an answer of the database may be lost.
+    /// Another of the same time, by a clock that is wrong, stands beside it.
     ///
     /// # Errors
     ///

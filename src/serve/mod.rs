@@ -1,14 +1,16 @@
 //! The simulator as a GigE Vision camera on the network.
 //!
-//! Any GenICam client can drive it: exposure, gain, black level, region and format change the physics, and the
-//! features `BenchIllumination`, `BenchDark`, `BenchConfiguration`, `BenchScene` and `DeviceTemperature` move the bench.
+//! Any GenICam client can drive it: exposure, gain, black level, region and format change the physics, and
+//! the features `BenchIllumination`, `BenchDark`, `BenchConfiguration`, `BenchScene` and `DeviceTemperature`
+//! move the bench.
 //!
-//! It offers what cameras do to their pixels beside measuring: [`processing::Processing`], all of it off. A feature can be stuck, as firmware
-//! has it, and exposure, gain and black level can have the names that older cameras give them ([`Options`]).
+//! It offers what cameras do to their pixels beside measuring: [`processing::Processing`], all of it off. A
+//! feature can be stuck, as firmware has it, and exposure, gain and black level can have the names that older
+//! cameras give them ([`Options`]).
 //!
 //! Its clock is simulated: timestamps grow by exposure and read-out time while frames come as fast as
-//! `AcquisitionFrameRate` says. Frame n since the start shows the noise of frame number n; a client may say by `BenchFrame` and `BenchTime`
-//! which frame comes next, and when.
+//! `AcquisitionFrameRate` says. Frame n since the start shows the noise of frame number n; a client may say
+//! by `BenchFrame` and `BenchTime` which frame comes next, and when.
 
 mod description;
 mod files;

@@ -1,5 +1,6 @@
-//! What cables, switches, power, disks and other clients do to a stream. Every pixel of every frame follows from its number, so that none that
-//! is wrong can be accepted unseen; the network is two namespaces with a program between them that does the damage.
+//! What cables, switches, power, disks and other clients do to a stream. Every pixel of every frame follows
+//! from its number, so that none that is wrong can be accepted unseen; the network is two namespaces with a
+//! program between them that does the damage.
 
 use crate::support::{calibration, expect, gige_port, program, small};
 use radcam::correct::{Codes, Corrector};
@@ -157,13 +158,14 @@ impl Running {
     }
 }
 
-/// A folder in memory, where there is one: every frame is brought to the disk, and one that is busy with others' files would take longer than the
-/// camera. What a slow disk does has a test of its own.
+/// A folder in memory, where there is one: every frame is brought to the disk, and one that is busy with
+/// others' files would take longer than the camera. What a slow disk does has a test of its own.
 pub fn in_memory() -> tempfile::TempDir {
     tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
 }
 
-/// The numbers of the frames in a folder: every pixel of each is right, and the camera's numbers run as those in the pixels do.
+/// The numbers of the frames in a folder: every pixel of each is right, and the camera's numbers run as those
+/// in the pixels do.
 pub fn numbers(to: &Path) -> Vec<u32> {
     let rows = fs::read_to_string(to.join("frames.csv")).unwrap();
     let mut out: Vec<(u32, u64)> = Vec::new();
@@ -219,8 +221,9 @@ fn packets_are_lost_doubled_reordered_and_changed() {
     );
 }
 
-/// The cable is pulled for longer than the heartbeat lasts, the interface goes down and up, the camera loses power and comes back with other
-/// settings: each time the stream goes on by itself, and says how long it was without the camera.
+/// The cable is pulled for longer than the heartbeat lasts, the interface goes down and up, the camera loses
+/// power and comes back with other settings: each time the stream goes on by itself, and says how long it was
+/// without the camera.
 #[test]
 fn a_camera_that_was_away_is_found_again() {
     let Some(mut network) = Network::new() else { return };
@@ -263,7 +266,8 @@ fn a_camera_that_was_away_is_found_again() {
     drop(camera);
 }
 
-/// The program is stopped for longer than the heartbeat lasts, and for less: what the camera sent meanwhile is counted.
+/// The program is stopped for longer than the heartbeat lasts, and for less: what the camera sent meanwhile
+/// is counted.
 #[test]
 fn frames_of_a_stopped_program_are_counted() {
     let _port = gige_port();
@@ -287,8 +291,8 @@ fn frames_of_a_stopped_program_are_counted() {
     }
 }
 
-/// A second program is told that the first has the camera, and disturbs nothing; packets that are larger than the network takes come in
-/// fragments, and sizes that no camera takes are named.
+/// A second program is told that the first has the camera, and disturbs nothing; packets that are larger than
+/// the network takes come in fragments, and sizes that no camera takes are named.
 #[test]
 fn two_clients_and_a_wrong_packet_size() {
     let Some(network) = Network::new() else { return };
@@ -327,8 +331,8 @@ fn two_clients_and_a_wrong_packet_size() {
     assert!(code == 2 && log.contains("GevSCPSPacketSize"), "{log}");
 }
 
-/// A disk that is slower than the camera costs the oldest frames, counted; a full one ends the stream with the file's name; what was written is
-/// whole, also where the program is killed.
+/// A disk that is slower than the camera costs the oldest frames, counted; a full one ends the stream with
+/// the file's name; what was written is whole, also where the program is killed.
 #[test]
 fn slow_and_full_disks_and_a_kill() {
     let dir = tempfile::tempdir().unwrap();
@@ -409,8 +413,8 @@ fn second_loopback() -> bool {
     there
 }
 
-/// Corrected frames that are offered again: Aravis's own program receives them whole, and a client that shares nothing with Aravis saves them,
-/// each pixel what `correct` makes of the frame of that number.
+/// Corrected frames that are offered again: Aravis's own program receives them whole, and a client that
+/// shares nothing with Aravis saves them, each pixel what `correct` makes of the frame of that number.
 #[test]
 fn corrected_frames_are_served_again() {
     let _port = gige_port();
@@ -506,8 +510,9 @@ fn corrected_frames_are_served_again() {
     assert_eq!(summary.reconnections, 0, "{summary:?}");
 }
 
-/// Two cameras of two megapixels, corrected live for RADCAM_MINUTES (ten where not given): the rates that Aravis's own program and ours sustain,
-/// and every frame accounted for by the number in its pixels. In release: its figures stand in docs/BENCHMARKS.md.
+/// Two cameras of two megapixels, corrected live for RADCAM_MINUTES (ten where not given): the rates that
+/// Aravis's own program and ours sustain, and every frame accounted for by the number in its pixels. In
+/// release: its figures stand in docs/BENCHMARKS.md.
 #[test]
 #[ignore = "ten minutes; run it in release"]
 fn two_cameras_for_ten_minutes() {
@@ -594,8 +599,8 @@ fn two_cameras_for_ten_minutes() {
             "checked"
         }
         fn take(&mut self, frame: &Arc<Corrected>) -> Result<(), StreamError> {
-            // The number stands in the first pixels, of every frame; all pixels of every hundredth are compared, so that what is timed is the stream
-            // and not this test.
+            // The number stands in the first pixels, of every frame; all pixels of every hundredth are
+            // compared, so that what is timed is the stream and not this test.
             let head = number_of(&frame.pixels[..8], FULL_SCALE_DN).expect("no number");
             let number = if !head.is_multiple_of(100) {
                 head
@@ -692,8 +697,8 @@ fn two_cameras_at_once() {
     drop(cameras);
 }
 
-/// The computer's clock is set forward by an hour and back by two while frames come: each comes through, and the latency is that of frames, not of
-/// clocks.
+/// The computer's clock is set forward by an hour and back by two while frames come: each comes through, and
+/// the latency is that of frames, not of clocks.
 #[test]
 fn the_clock_is_set_while_frames_come() {
     let _port = gige_port();
@@ -743,8 +748,8 @@ fn resident() -> u64 {
     4096 * pages.split(' ').nth(1).unwrap().parse::<u64>().unwrap()
 }
 
-/// Served and received in this process, each frame looked at in place: memory after the first tenth is memory at the end. So many cameras opened,
-/// used and closed leave nothing behind either.
+/// Served and received in this process, each frame looked at in place: memory after the first tenth is memory
+/// at the end. So many cameras opened, used and closed leave nothing behind either.
 fn no_growth(frames: u64, openings: u32) {
     use radcam::camera::{self, StreamOptions, Value};
     use radcam::frame::Frame;

@@ -1,4 +1,5 @@
-//! Files that others wrote to do harm: no end, no size, values that cannot be, links that lead elsewhere. Each is refused by name and soon.
+//! Files that others wrote to do harm: no end, no size, values that cannot be, links that lead elsewhere.
+//! Each is refused by name and soon.
 
 use crate::support::{calibration, expect, program, refused};
 use flate2::{Compression, write::ZlibEncoder};
@@ -307,7 +308,8 @@ fn shapes_without_pixels_are_refused() {
     }
 }
 
-/// W1, W2, C9: time in proportion to rows, pages and characters. What took half a minute to minutes takes less than a second in a release.
+/// W1, W2, C9: time in proportion to rows, pages and characters. What took half a minute to minutes takes
+/// less than a second in a release.
 #[test]
 fn readers_are_linear() {
     let p = Place::new();

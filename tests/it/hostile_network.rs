@@ -166,7 +166,7 @@ fn values_that_silence_the_camera_are_refused() {
         assert_eq!(write(at, value), [0x80, 2], "{at:#x} = {value}");
     }
     assert_eq!(write(0x11c, 1), [0x80, 4]);
-    // The same within a longer write.
+    // Such values within a longer write.
     let both = client.ask(&request(WRITEMEM, &words(&[0xd00, 5000, 36]))).unwrap();
     assert_eq!(both[..2], [0x80, 2]);
     assert_eq!(write(0xa00, 0), [0, 0]);
@@ -220,7 +220,8 @@ fn stream_under_attack(frames: u32, attacks: &[&[&str]], more: &[&str]) {
     );
 }
 
-/// Whole frames and damaged packets from another host and from another port of the camera's, a thousand a second of each.
+/// Whole frames and damaged packets from another host and from another port of the camera's, a thousand a
+/// second of each.
 #[test]
 fn forged_frames_of_others_are_not_taken() {
     let _port = gige_port();
@@ -240,8 +241,8 @@ fn forged_frames_of_others_are_not_taken() {
     );
 }
 
-/// Malformed packets with the sender's address and port forged too: nobody can tell them from the camera's, and still none of them ends the
-/// stream. Whole frames under this sender are out of reach.
+/// Malformed packets with the sender's address and port forged too: nobody can tell them from the camera's,
+/// and still none of them ends the stream. Whole frames under this sender are out of reach.
 #[test]
 fn malformed_packets_with_a_forged_sender_do_not_end_a_stream() {
     let _port = gige_port();
@@ -276,8 +277,8 @@ fn may_spoof() -> bool {
     may
 }
 
-/// A million packets of each kind from the camera's very port, and ten thousand frames under a thousand forged packets a second: its figures stand
-/// in docs/ROBUSTNESS.md.
+/// A million packets of each kind from the camera's very port, and ten thousand frames under a thousand
+/// forged packets a second: its figures stand in docs/ROBUSTNESS.md.
 #[test]
 #[ignore = "ten minutes: cargo test --release --test it -- --ignored hostile_network:: --nocapture"]
 fn millions_of_forged_packets() {

@@ -33,8 +33,9 @@ fn rows(root: &Path) -> usize {
     fs::read_to_string(root.join("frames.csv")).map_or(0, |t| t.lines().count().saturating_sub(1))
 }
 
-/// Kills as many captures by SIGKILL at random instants, some again while they go on; each must end, frame for frame and row for row, as the one that
-/// nobody disturbed. Lag makes each frame depend on those before it.
+/// Kills as many captures by SIGKILL at random instants, some again while they go on; each must end, frame
+/// for frame and row for row, as the one that nobody disturbed. Lag makes each frame depend on those before
+/// it.
 fn killed(captures: u32) {
     let dir = tempfile::tempdir().unwrap();
     let mut model = small("cmos12", 64, 48);
@@ -75,7 +76,8 @@ fn killed(captures: u32) {
                 .stderr(Stdio::null())
                 .spawn()
                 .unwrap();
-            // By its progress, then at any instant within a frame: the time alone would depend on what else the machine does.
+            // By its progress, then at any instant within a frame: the time alone would depend on what else
+            // the machine does.
             let after = (random.uniform() * FRAMES as f64) as usize;
             while rows(&to) < after && child.try_wait().unwrap().is_none() {
                 std::thread::yield_now();
@@ -116,8 +118,8 @@ fn two_hundred_captures_are_killed() {
     killed(200);
 }
 
-/// Captures over the network that are killed, each of a served camera that has gone on meanwhile: frames, rows and times end as those of one that
-/// nobody disturbed.
+/// Captures over the network that are killed, each of a served camera that has gone on meanwhile: frames,
+/// rows and times end as those of one that nobody disturbed.
 #[cfg(feature = "aravis")]
 fn killed_over_the_network(captures: u32) {
     let _port = crate::support::gige_port();

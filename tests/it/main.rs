@@ -40,10 +40,9 @@ mod real;
 mod reduction;
 mod report;
 mod sensors;
-mod support;
-
 #[cfg(feature = "aravis")]
 mod serve;
 mod source;
+mod support;
 mod workbench;
 mod wrong_inputs;

@@ -1,4 +1,5 @@
-//! A calibrated camera that changes: each change is found when theory says and named as what it is, and nothing is found where nothing changed.
+//! A calibrated camera that changes: each change is found when theory says and named as what it is, and
+//! nothing is found where nothing changed.
 
 use crate::support::{calibration, expect, radcam, small};
 use radcam::calibrate::dark::{DarkMean, DarkReference};
@@ -131,8 +132,9 @@ fn found(monitor: &mut Monitor, camera: &mut Camera, calibration: &Calibration) 
     panic!("nothing was found in 60 checks");
 }
 
-/// A percent of gain, half a DN of black level, two percent of lamp, ten hot pixels: each is named as what it is, after no more than twice the
-/// mean number of checks that theory gives and two (a sum's delay has an exponential tail: of 10 trials none is later).
+/// A percent of gain, half a DN of black level, two percent of lamp, ten hot pixels: each is named as what it
+/// is, after no more than twice the mean number of checks that theory gives and two (a sum's delay has an
+/// exponential tail: of 10 trials none is later).
 #[test]
 fn changes_are_found_in_time_and_named() {
     let start = model(160, 120);
@@ -205,8 +207,8 @@ fn changes_are_found_in_time_and_named() {
     }
 }
 
-/// The README's darks, at 1 and 20 ms, know the dark current to 8 DN/s a pixel: of what long darks show at ten times the exposure nothing is called
-/// hot that is not, and a pixel of 2000 DN/s is.
+/// The README's darks, at 1 and 20 ms, know the dark current to 8 DN/s a pixel: of what long darks show at
+/// ten times the exposure nothing is called hot that is not, and a pixel of 2000 DN/s is.
 #[test]
 fn darks_of_short_exposures_make_no_hot_pixels() {
     let mut camera = Camera::new(model(160, 120));
@@ -217,8 +219,8 @@ fn darks_of_short_exposures_make_no_hot_pixels() {
     assert_eq!(camera.check(&calibration).hot, [(7777 % 160, 7777 / 160)]);
 }
 
-/// A lamp that fails is light's, not gain's and no dead pixels, and it is told once. It comes back as it was; then gain and light change at once, and both
-/// are named.
+/// A lamp that fails is light's, not gain's and no dead pixels, and it is told once. It comes back as it was;
+/// then gain and light change at once, and both are named.
 #[test]
 fn a_lamp_that_fails_and_two_changes_at_once_are_named() {
     let start = model(160, 120);
@@ -254,7 +256,8 @@ fn a_lamp_that_fails_and_two_changes_at_once_are_named() {
     assert!((light[0].change.value + 0.2).abs() < 5.0 * light[0].change.std_err, "{all:?}");
 }
 
-/// A check without light between two flickers, and a store that takes what is found: nothing is told twice in a check.
+/// A check without light between two flickers, and a store that takes what is found: nothing is told twice in
+/// a check.
 #[test]
 fn alarms_of_a_check_are_different_ones() {
     use radcam::monitor::Reading;
@@ -285,7 +288,8 @@ fn alarms_of_a_check_are_different_ones() {
     }
 }
 
-/// A flat of 1000 DN known to 2 DN and a gain known to 4 %, or no light; what a monitor says of each check, by number.
+/// A flat of 1000 DN known to 2 DN and a gain known to 4 %, or no light; what a monitor says of each check,
+/// by number.
 fn told(lights: &[f64]) -> (Vec<(usize, Changed)>, Monitor) {
     use radcam::monitor::Reading;
     use radcam_sim::rng::{PixelRng, Stream as Numbers};
@@ -305,8 +309,9 @@ fn told(lights: &[f64]) -> (Vec<(usize, Changed)>, Monitor) {
     (all, monitor)
 }
 
-/// A monitor that begins without light is not blind to it afterwards; a lamp that was dim for a while and is as it was is told once; one that is
-/// out in between does not hide a later change; and what is read for the first time is still being learned.
+/// A monitor that begins without light is not blind to it afterwards; a lamp that was dim for a while and is
+/// as it was is told once; one that is out in between does not hide a later change; and what is read for the
+/// first time is still being learned.
 #[test]
 fn what_the_light_did_before_hides_nothing() {
     let lights = |parts: &[(usize, f64)]| -> Vec<f64> {
@@ -344,8 +349,9 @@ fn ten_thousand_quiet_checks_raise_at_most_one_alarm() {
     assert!(quiet(10_000) <= 1);
 }
 
-/// Readings as independent normal numbers, of monitors that learn from the first check on: 180 000 checks raise no more alarms than stated,
-/// whether the change that matters is a half, one, two or six standard errors of a check.
+/// Readings as independent normal numbers, of monitors that learn from the first check on: 180 000 checks
+/// raise no more alarms than stated, whether the change that matters is a half, one, two or six standard
+/// errors of a check.
 #[test]
 fn what_is_learned_from_few_checks_raises_no_more_alarms() {
     learning(60);
@@ -498,8 +504,8 @@ fn postgresql_keeps_the_history() {
     storage(&server.url());
 }
 
-/// The program with a simulated camera: it learns, is ended and goes on; another camera of that serial number whose gain is 3 % higher is found,
-/// in the history, on standard output, and in what Prometheus reads.
+/// The program with a simulated camera: it learns, is ended and goes on; another camera of that serial number
+/// whose gain is 3 % higher is found, in the history, on standard output, and in what Prometheus reads.
 #[test]
 fn the_program_finds_a_change_between_two_runs() {
     let dir = tempfile::tempdir().unwrap();
@@ -542,7 +548,8 @@ fn the_program_finds_a_change_between_two_runs() {
         alarms.iter().any(|a| a.contains("ALARM SIM12: Gain is") && a.contains("higher since")),
         "{text}"
     );
-    // Its own gain is what a diagnosis fits: nothing is missing from the model, and the campaign is there to be calibrated from.
+    // Its own gain is what a diagnosis fits: nothing is missing from the model, and the campaign is there to
+    // be calibrated from.
     let campaign = std::fs::read_dir(&campaigns).unwrap().next().unwrap().unwrap().path();
     assert!(text.contains(campaign.to_str().unwrap()) && !text.contains("no diagnosis"), "{text}");
     assert_eq!(radcam::dataset::Dataset::open(&campaign).unwrap().rows().len(), 240);
@@ -630,7 +637,8 @@ fn kept(store: &str) -> usize {
     cameras.iter().map(|c| store.history(c).unwrap().len()).sum()
 }
 
-/// A database that another program has locked for longer than SQLite waits: checks go on and are told, and all of them are written in the end.
+/// A database that another program has locked for longer than SQLite waits: checks go on and are told, and
+/// all of them are written in the end.
 #[test]
 fn a_locked_history_loses_no_check() {
     let dir = tempfile::tempdir().unwrap();

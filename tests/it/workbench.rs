@@ -58,8 +58,8 @@ impl Running {
     }
 }
 
-/// Without the token, from another page, under another name or by a path that leaves the dataset it refuses; with what the browser was given it
-/// answers.
+/// Without the token, from another page, under another name or by a path that leaves the dataset it refuses;
+/// with what the browser was given it answers.
 #[test]
 fn it_answers_to_nobody_else() {
     let dir = tempfile::tempdir().unwrap();
@@ -119,7 +119,8 @@ fn it_answers_to_nobody_else() {
     }
 }
 
-/// Another interface needs a flag, and a warning is printed; it answers under that interface's address. All interfaces at once have no address.
+/// Another interface needs a flag, and a warning is printed; it answers under that interface's address. All
+/// interfaces at once have no address.
 #[test]
 fn another_interface_is_warned_of() {
     let dir = tempfile::tempdir().unwrap();
@@ -179,8 +180,9 @@ fn radcam_path() -> String {
     program().get_program().to_string_lossy().into_owned()
 }
 
-/// Open, see the misfit, read the evidence, add, watch the error fall, switch, undo, try a formula, reload, second tab, restart; and the error on the
-/// page is the one that `radcam compare` prints of the model that was kept, to the last digit.
+/// Open, see the misfit, read the evidence, add, watch the error fall, switch, undo, try a formula, reload,
+/// second tab, restart; and the error on the page is the one that `radcam compare` prints of the model that
+/// was kept, to the last digit.
 #[test]
 fn the_whole_story_in_a_browser() {
     let dir = tempfile::tempdir().unwrap();
@@ -316,8 +318,9 @@ impl Running {
     }
 }
 
-/// A camera whose first campaign leaves two names open: the measurement that decides is taken from the page, added to the campaign, and the verdict is
-/// one name. Then report, model file and a calibration that cannot be had.
+/// A camera whose first campaign leaves two names open: the measurement that decides is taken from the page,
+/// added to the campaign, and the verdict is one name. Then report, model file and a calibration that cannot
+/// be had.
 #[test]
 fn a_tie_is_broken_from_the_page() {
     let dir = tempfile::tempdir().unwrap();
@@ -378,7 +381,8 @@ fn campaigns_stand_side_by_side() {
     assert!(page.contains("row-noise") && page.contains("(this one)"), "{page}");
 }
 
-/// The history of a monitor: what changed, the newest first, and a figure of each reading; a history that is not there is refused and not made.
+/// The history of a monitor: what changed, the newest first, and a figure of each reading; a history that is
+/// not there is refused and not made.
 #[test]
 fn a_history_of_checks_is_shown() {
     use radcam::monitor::store::Store;
@@ -414,7 +418,8 @@ fn a_history_of_checks_is_shown() {
     browser(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
 }
 
-/// 100,000 checks (70 days, one a minute): a page of some hundred kilobytes, whose curves keep least and largest values.
+/// 100,000 checks (70 days, one a minute): a page of some hundred kilobytes, whose curves keep least and
+/// largest values.
 #[test]
 fn a_long_history_is_thinned() {
     use radcam::monitor::store::Store;
@@ -465,7 +470,8 @@ db.commit()
     }
 }
 
-/// C11: a folder or a file of the workbench that is a link to another place is refused, and that place stays as it is.
+/// C11: a folder or a file of the workbench that is a link to another place is refused, and that place stays
+/// as it is.
 #[test]
 #[cfg(unix)]
 fn the_workbench_follows_no_link_out_of_its_dataset() {
@@ -494,7 +500,8 @@ fn the_workbench_follows_no_link_out_of_its_dataset() {
     }
 }
 
-/// C13: the address with the token leads to a page of this server, whatever its path; one that a file or another program opened too.
+/// C13: the address with the token leads to a page of this server, whatever its path; one that a file or
+/// another program opened too.
 #[test]
 fn the_token_leads_nowhere_else() {
     let dir = tempfile::tempdir().unwrap();

@@ -140,7 +140,8 @@ pub(crate) fn memory(camera: &aravis::Camera, address: u64, size: u32) -> Result
     let device = camera.device().ok_or_else(|| Error::new(&what, "no device"))?;
     let mut bytes = vec![0; size as usize];
     let mut error = std::ptr::null_mut();
-    // SAFETY: the device is alive by our reference, `size` bytes at `bytes` are ours, and the error is null or ours to free.
+    // SAFETY: the device is alive by our reference, `size` bytes at `bytes` are ours, and the error is null
+    // or ours to free.
     let read = unsafe {
         aravis_sys::arv_device_read_memory(
             device.to_glib_none().0,
@@ -153,8 +154,8 @@ pub(crate) fn memory(camera: &aravis::Camera, address: u64, size: u32) -> Result
     done(read, error, &what).map(|()| bytes)
 }
 
-/// Closes the control socket, the one that is new, to all but the camera: answers of others could be taken for its own, or make libaravis wait for
-/// weeks.
+/// Closes the control socket, the one that is new, to all but the camera: answers of others could be taken
+/// for its own, or make libaravis wait for weeks.
 fn hear_only(camera: &aravis::Camera, before: &BTreeSet<OpenSocket>) {
     let Some(address) = crate::stream::address_of(camera) else { return };
     let now = socket::udp_sockets();
@@ -209,7 +210,8 @@ impl Camera {
         self.lost.load(Ordering::Acquire)
     }
 
-    /// Whether a GigE Vision camera sends lost packets again when it is asked to (GVCP capability register, GigE Vision 2.0, 28.4).
+    /// Whether a GigE Vision camera sends lost packets again when it is asked to (GVCP capability register,
+    /// GigE Vision 2.0, 28.4).
     pub fn resends(&self) -> bool {
         const GVCP_CAPABILITY: u64 = 0x934;
         const PACKET_RESEND: u8 = 1 << 2;
@@ -217,7 +219,8 @@ impl Camera {
             && self.memory(GVCP_CAPABILITY, 4).is_ok_and(|b| b.last().is_some_and(|b| b & PACKET_RESEND != 0))
     }
 
-    /// Whether this process may write to the camera. GigE Vision gives control to one client at a time; others may look.
+    /// Whether this process may write to the camera. GigE Vision gives control to one client at a time;
+    /// others may look.
     pub fn has_control(&self) -> bool {
         let device = self.inner.device().and_then(|d| d.downcast::<aravis::GvDevice>().ok());
         device.is_none_or(|d| d.is_controller())
@@ -302,8 +305,8 @@ impl Camera {
         let device = self.inner.device().ok_or_else(|| Error::new(&what, "no device"))?;
         let size = u32::try_from(bytes.len()).map_err(|e| Error::new(&what, e))?;
         let mut error = std::ptr::null_mut();
-        // SAFETY: the device is alive by our reference, libaravis copies `size` bytes from `bytes` and does not write to them, and the error is
-        // null or ours to free.
+        // SAFETY: the device is alive by our reference, libaravis copies `size` bytes from `bytes` and does
+        // not write to them, and the error is null or ours to free.
         let written = unsafe {
             aravis_sys::arv_device_write_memory(
                 device.to_glib_none().0,
@@ -330,8 +333,8 @@ impl Camera {
         Ok((register.address().named(feature)?, register.length().named(feature)?))
     }
 
-    /// Whether a command that was executed is done: its register no longer holds what was written (GenApi, IsDone). One whose register cannot be
-    /// read counts as done.
+    /// Whether a command that was executed is done: its register no longer holds what was written (GenApi,
+    /// IsDone). One whose register cannot be read counts as done.
     pub fn is_done(&self, command: &str) -> bool {
         let node = self.inner.device().and_then(|d| d.feature(command));
         let mut child = node.and_then(|n| n.first_child());
@@ -361,7 +364,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn float(&self, feature: &str) -> Result<f64, Error> {
         self.inner.float(feature).named(feature)
     }
@@ -370,7 +374,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn float_bounds(&self, feature: &str) -> Result<(f64, f64), Error> {
         self.inner.float_bounds(feature).named(feature)
     }
@@ -391,7 +396,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn set_float(&self, feature: &str, value: f64) -> Result<(), Error> {
         self.inner.set_float(feature, value).named(feature)
     }
@@ -400,7 +406,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn integer(&self, feature: &str) -> Result<i64, Error> {
         self.inner.integer(feature).named(feature)
     }
@@ -409,7 +416,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn integer_bounds(&self, feature: &str) -> Result<(i64, i64), Error> {
         self.inner.integer_bounds(feature).named(feature)
     }
@@ -423,7 +431,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn set_integer(&self, feature: &str, value: i64) -> Result<(), Error> {
         self.inner.set_integer(feature, value).named(feature)
     }
@@ -432,7 +441,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn boolean(&self, feature: &str) -> Result<bool, Error> {
         self.inner.boolean(feature).named(feature)
     }
@@ -441,7 +451,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn set_boolean(&self, feature: &str, value: bool) -> Result<(), Error> {
         self.inner.set_boolean(feature, value).named(feature)
     }
@@ -450,7 +461,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn string(&self, feature: &str) -> Result<String, Error> {
         self.inner.string(feature).map(Into::into).named(feature)
     }
@@ -459,7 +471,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn set_string(&self, feature: &str, value: &str) -> Result<(), Error> {
         self.inner.set_string(feature, value).named(feature)
     }
@@ -468,7 +481,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn entries(&self, feature: &str) -> Result<Vec<String>, Error> {
         let entries = self.inner.dup_available_enumerations_as_strings(feature).named(feature)?;
         Ok(entries.into_iter().map(Into::into).collect())
@@ -478,7 +492,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn execute(&self, feature: &str) -> Result<(), Error> {
         self.inner.execute_command(feature).named(feature)
     }
@@ -487,7 +502,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn exposure_s(&self) -> Result<f64, Error> {
         self.inner.exposure_time().map(|us| us * 1e-6).named("ExposureTime")
     }
@@ -496,7 +512,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn exposure_bounds_s(&self) -> Result<(f64, f64), Error> {
         let (min, max) = self.inner.exposure_time_bounds().named("ExposureTime")?;
         Ok((min * 1e-6, max * 1e-6))
@@ -506,7 +523,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn set_exposure_s(&self, value: f64) -> Result<(), Error> {
         self.inner.set_exposure_time(value * 1e6).named("ExposureTime")
     }
@@ -515,7 +533,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn gain(&self) -> Result<f64, Error> {
         self.inner.gain().named("Gain")
     }
@@ -524,7 +543,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn gain_bounds(&self) -> Result<(f64, f64), Error> {
         self.inner.gain_bounds().named("Gain")
     }
@@ -533,7 +553,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn set_gain(&self, value: f64) -> Result<(), Error> {
         self.inner.set_gain(value).named("Gain")
     }
@@ -547,7 +568,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn frame_rate_hz(&self) -> Result<f64, Error> {
         self.inner.frame_rate().named("AcquisitionFrameRate")
     }
@@ -556,7 +578,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn frame_rate_bounds_hz(&self) -> Result<(f64, f64), Error> {
         self.inner.frame_rate_bounds().named("AcquisitionFrameRate")
     }
@@ -565,7 +588,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn set_frame_rate_hz(&self, value: f64) -> Result<(), Error> {
         self.inner.set_frame_rate(value).named("AcquisitionFrameRate")
     }
@@ -574,7 +598,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn pixel_format(&self) -> Result<u32, Error> {
         self.inner.pixel_format().map(|f| f.raw()).named("PixelFormat")
     }
@@ -583,7 +608,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn pixel_formats(&self) -> Result<Vec<u32>, Error> {
         let codes = self.inner.dup_available_pixel_formats().named("PixelFormat")?;
         Ok(codes.into_iter().filter_map(|c| u32::try_from(c).ok()).collect())
@@ -593,7 +619,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn set_pixel_format(&self, code: u32) -> Result<(), Error> {
         self.inner.set_pixel_format(aravis::PixelFormat::from_raw(code)).named("PixelFormat")
     }
@@ -602,7 +629,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn region(&self) -> Result<[i32; 4], Error> {
         let (x, y, w, h) = self.inner.region().named("Width")?;
         Ok([x, y, w, h])
@@ -612,7 +640,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn set_region(&self, [x, y, w, h]: [i32; 4]) -> Result<(), Error> {
         self.inner.set_region(x, y, w, h).named("Width")
     }
@@ -621,7 +650,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn set_software_trigger(&self) -> Result<(), Error> {
         self.inner.set_trigger("Software").named("TriggerMode")
     }
@@ -630,7 +660,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn clear_triggers(&self) -> Result<(), Error> {
         self.inner.clear_triggers().named("TriggerMode")
     }
@@ -639,7 +670,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not answer.
+    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
+    /// answer.
     pub fn software_trigger(&self) -> Result<(), Error> {
         self.inner.software_trigger().named("TriggerSoftware")
     }

@@ -1,7 +1,9 @@
-//! What radcam needs of [libaravis](https://github.com/AravisProject/aravis), and the only `unsafe` of the project.
+//! What radcam needs of [libaravis](https://github.com/AravisProject/aravis), and the only `unsafe` of the
+//! project.
 //!
-//! Cameras that speak GigE Vision or USB3 Vision ([`Camera`], [`Stream`]). What libaravis does not check of the packets that it receives is
-//! checked by filters before its sockets. A leaf: nothing here knows of frames, formats or physics.
+//! Cameras that speak GigE Vision or USB3 Vision ([`Camera`], [`Stream`]). What libaravis does not check of
+//! the packets that it receives is checked by filters before its sockets. A leaf: nothing here knows of
+//! frames, formats or physics.
 //!
 //! libaravis is LGPL and linked dynamically.
 

@@ -1,7 +1,8 @@
 //! Sockets that libaravis opens, and filters in the kernel that keep from it what it does not check.
 //!
-//! libaravis 0.8.26 looks at neither the sender nor the length of the datagrams that it receives (docs/aravis-faults.md). It does not hand out
-//! its sockets. They are found among the open files of this process: those that were not there before.
+//! libaravis 0.8.26 looks at neither the sender nor the length of the datagrams that it receives
+//! (docs/aravis-faults.md). It does not hand out its sockets. They are found among the open files of this
+//! process: those that were not there before.
 
 use crate::Error;
 use std::collections::BTreeSet;
@@ -71,7 +72,8 @@ pub(crate) fn port(fd: RawFd) -> Option<u16> {
         .then(|| u16::from_be(address.sin_port))
 }
 
-/// Gives a socket a receive buffer of so many bytes, beyond the system's limit where this process may, and tells what it has.
+/// Gives a socket a receive buffer of so many bytes, beyond the system's limit where this process may, and
+/// tells what it has.
 pub(crate) fn set_receive_buffer(fd: RawFd, bytes: usize) -> usize {
     let wanted = libc::c_int::try_from(bytes).unwrap_or(libc::c_int::MAX);
     if !set_option(fd, libc::SO_RCVBUFFORCE, wanted) {
@@ -120,7 +122,7 @@ const AT_LEAST: u16 = instruction(libc::BPF_JMP | libc::BPF_JGE | libc::BPF_K);
 const ABOVE: u16 = instruction(libc::BPF_JMP | libc::BPF_JGT | libc::BPF_K);
 const ANY_BIT: u16 = instruction(libc::BPF_JMP | libc::BPF_JSET | libc::BPF_K);
 
-/// Where a jump goes.
+/// Target of a jump.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum To {
     Next,
@@ -193,7 +195,8 @@ pub(crate) fn nothing() -> Result<Vec<libc::sock_filter>, Error> {
     program.build()
 }
 
-/// Answers of a camera to control requests: from its address and its control port, of the length that their header states.
+/// Answers of a camera to control requests: from its address and its control port, of the length that their
+/// header states.
 pub(crate) fn answers_of(camera: Ipv4Addr) -> Result<Vec<libc::sock_filter>, Error> {
     let mut p = Program::default();
     from(&mut p, camera, GVCP_PORT);
@@ -212,7 +215,7 @@ fn from(p: &mut Program, camera: Ipv4Addr, port: u32) {
     }
 }
 
-/// What the frames of an acquisition look like.
+/// Form of an acquisition's frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Frames {
     /// Address of the camera.
@@ -240,8 +243,9 @@ const IMAGE_LEADER: u32 = 36;
 const CHUNK_LEADER: u32 = 12;
 const SHORTEST_TRAILER: u32 = 4;
 
-/// Packets of a camera's frames: from its address (and port), whole headers, leaders of images, and numbers and lengths that lie within a frame of
-/// this size. libaravis relies on each: docs/aravis-faults.md has the packets with which it fails.
+/// Packets of a camera's frames: from its address (and port), whole headers, leaders of images, and numbers
+/// and lengths that lie within a frame of this size. libaravis relies on each: docs/aravis-faults.md has the
+/// packets with which it fails.
 pub(crate) fn frames_of(frames: Frames) -> Result<Vec<libc::sock_filter>, Error> {
     let smallest = IP_UDP + HEADERS[1] + IMAGE_LEADER;
     if frames.packet <= smallest || frames.payload == 0 {
@@ -312,7 +316,8 @@ fn formats(p: &mut Program, frames: &Frames, header: u32) {
     p.jump(AT_LEAST, UDP + header + rest, To::Accept, To::Drop);
 }
 
-/// Payload types (GigE Vision 2.0, table 24-4): 1 image, 4 chunk data, 5 chunk data with an image; bit 14 says that chunks follow.
+/// Payload types (GigE Vision 2.0, table 24-4): 1 image, 4 chunk data, 5 chunk data with an image; bit 14
+/// says that chunks follow.
 fn leader(p: &mut Program, header: u32) {
     let chunk = p.label();
     p.step(LD_LEN, 0);
@@ -334,7 +339,8 @@ pub(crate) fn attach(fd: RawFd, program: &[libc::sock_filter]) -> Result<(), Err
     let all = libc::sock_fprog { len, filter: program.as_ptr().cast_mut() };
     #[expect(clippy::cast_possible_truncation, reason = "16")]
     let size = size_of::<libc::sock_fprog>() as libc::socklen_t;
-    // SAFETY: the kernel copies `len` instructions from `program`, which lives until the call returns, and checks each and the descriptor.
+    // SAFETY: the kernel copies `len` instructions from `program`, which lives until the call returns, and
+    // checks each and the descriptor.
     let set = unsafe {
         libc::setsockopt(fd, libc::SOL_SOCKET, libc::SO_ATTACH_FILTER, std::ptr::from_ref(&all).cast(), size)
     };

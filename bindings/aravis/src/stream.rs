@@ -24,8 +24,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 pub struct StreamSetup {
     /// Buffers for the camera to fill.
     pub buffers: usize,
-    /// Frames that may wait to be taken. One more, and the oldest goes back to the camera, counted in [`StreamCounts::dropped`].
-    /// `None`: all wait, and frames that find no free buffer are lost.
+    /// Frames that may wait to be taken. One more, and the oldest goes back to the camera, counted in
+    /// [`StreamCounts::dropped`]. `None`: all wait, and frames that find no free buffer are lost.
     pub waiting: Option<usize>,
     /// GigE Vision: bytes of a packet; `None` lets Aravis find the largest that passes.
     pub packet_size: Option<u32>,
@@ -105,14 +105,15 @@ struct Dropped {
     damaged: AtomicU64,
 }
 
-/// Empty buffers that Aravis holds ready where there are spare ones: as many as frames begin before the next is complete.
+/// Empty buffers that Aravis holds ready where there are spare ones: as many as frames begin before the next
+/// is complete.
 const READY: usize = 6;
 
 /// How long Aravis is left with the buffers that it holds ready: six frames of 2000 a second take 3 ms.
 const LOOK_AGAIN: Duration = Duration::from_millis(2);
 
-/// Empty buffers that Aravis does not need now. It fills those that it has in turn; where frames come and go, few of them serve, and stay in the
-/// cache. Where frames wait, for lost packets or for the reader, all do.
+/// Empty buffers that Aravis does not need now. It fills those that it has in turn; where frames come and go,
+/// few of them serve, and stay in the cache. Where frames wait, for lost packets or for the reader, all do.
 #[derive(Debug, Default)]
 struct Spare(Mutex<Vec<Buffer>>);
 
@@ -136,7 +137,8 @@ impl Spare {
     }
 }
 
-/// Keeps no more than so many frames waiting. Runs on the thread that receives, so that a slow reader never costs the newest frame.
+/// Keeps no more than so many frames waiting. Runs on the thread that receives, so that a slow reader never
+/// costs the newest frame.
 fn drop_oldest(stream: &aravis::Stream, waiting: usize, spare: &Arc<Spare>) -> Arc<Dropped> {
     let dropped = Arc::new(Dropped::default());
     let (counts, spare) = (Arc::clone(&dropped), Arc::clone(spare));
@@ -154,7 +156,7 @@ fn drop_oldest(stream: &aravis::Stream, waiting: usize, spare: &Arc<Spare>) -> A
     dropped
 }
 
-/// What the receiving thread of libaravis finds when it begins: the sockets that were open before its own.
+/// Sockets that were open before that of libaravis's receiving thread.
 #[derive(Debug)]
 struct Opening {
     before: BTreeSet<OpenSocket>,
@@ -167,7 +169,8 @@ unsafe extern "C" fn at_start(data: *mut c_void, event: ArvStreamCallbackType, _
     if event != ARV_STREAM_CALLBACK_TYPE_INIT {
         return;
     }
-    // SAFETY: `data` is the Opening that `open` boxed. The Stream keeps it until after libaravis has joined this thread.
+    // SAFETY: `data` is the Opening that `open` boxed. The Stream keeps it until after libaravis has joined
+    // this thread.
     let opening = unsafe { &*data.cast::<Opening>() };
     if let Ok(Some(socket)) = std::panic::catch_unwind(|| opening.close()) {
         opening.socket.store(socket, Ordering::Release);
@@ -175,7 +178,8 @@ unsafe extern "C" fn at_start(data: *mut c_void, event: ArvStreamCallbackType, _
 }
 
 impl Opening {
-    /// Lets nothing more into the one socket that is new, and throws away what it has received since it was bound.
+    /// Lets nothing more into the one socket that is new, and throws away what it has received since it was
+    /// bound.
     fn close(&self) -> Option<RawFd> {
         let now = socket::udp_sockets();
         let mut new = now.difference(&self.before);
@@ -186,7 +190,8 @@ impl Opening {
     }
 }
 
-/// How often a stream is opened anew where its socket was not found: another part of the program opened one at the same time.
+/// Number of times that a stream is opened anew where its socket was not found: another part of the program
+/// opened one at the same time.
 const OPENINGS: usize = 5;
 
 /// A stream of libaravis. The second part is what its receiving thread refers to: it must be dropped later.
@@ -199,7 +204,8 @@ fn open(camera: &aravis::Camera) -> Result<Opened, Error> {
         let opening = Box::new(Opening { before: socket::udp_sockets(), socket: AtomicI32::new(-1) });
         let data = std::ptr::from_ref(&*opening).cast_mut().cast();
         let mut error = std::ptr::null_mut();
-        // SAFETY: the camera is alive by our reference; `data` outlives the stream (see `Opened`), whose thread only reads it.
+        // SAFETY: the camera is alive by our reference; `data` outlives the stream (see `Opened`), whose
+        // thread only reads it.
         let stream = unsafe {
             aravis_sys::arv_camera_create_stream(camera.to_glib_none().0, Some(at_start), data, &mut error)
         };
@@ -231,7 +237,8 @@ pub(crate) fn address_of(camera: &aravis::Camera) -> Option<Ipv4Addr> {
     }
 }
 
-/// First register of a stream channel, bytes of a channel, and the place of its source port in there (GigE Vision 2.0, 28.32 to 28.36).
+/// First register of a stream channel, bytes of a channel, and the place of its source port in there (GigE
+/// Vision 2.0, 28.32 to 28.36).
 const CHANNELS: u64 = 0xd00;
 const CHANNEL: u64 = 0x40;
 const SOURCE_PORT: u64 = 0x1c;
@@ -258,7 +265,8 @@ impl<'a> Stream<'a> {
         lost: Arc<AtomicBool>,
     ) -> Result<Self, Error> {
         if camera.is_gv_device() {
-            // Aravis's packet socket takes every packet of the network for one of the stream until its own filter stands.
+            // Aravis's packet socket takes every packet of the network for one of the stream until its own
+            // filter stands.
             camera.gv_set_stream_options(GvStreamOption::PACKET_SOCKET_DISABLED);
         }
         let payload = camera.payload().named("PayloadSize")? as usize;
@@ -308,7 +316,8 @@ impl<'a> Stream<'a> {
         self.camera.software_trigger().named("TriggerSoftware")
     }
 
-    /// Waits for the next frame and shows it to `take`. `Ok(None)`: none came in time. An error: control was lost.
+    /// Waits for the next frame and shows it to `take`. `Ok(None)`: none came in time. An error: control was
+    /// lost.
     ///
     /// # Errors
     ///
@@ -336,7 +345,8 @@ impl<'a> Stream<'a> {
     fn pop(&self, timeout: Duration) -> Result<Buffer, Silence> {
         let end = Instant::now() + timeout;
         loop {
-            // In slices: a lost camera is noticed in the middle of a long wait, and while a frame waits for lost packets the next ones find buffers.
+            // In slices: a lost camera is noticed in the middle of a long wait, and while a frame waits for
+            // lost packets the next ones find buffers.
             if let Some(spare) = &self.spare {
                 spare.top_up(&self.stream);
             }
@@ -366,9 +376,9 @@ impl<'a> Stream<'a> {
         if pointer.is_null() || length != self.payload {
             return Received::Damaged(format!("{length} bytes of {}", self.payload));
         }
-        // SAFETY: Aravis owns `length` initialised bytes at `pointer` (checked above against the size that the buffer
-        // was allocated with). The buffer has been popped, so that no other thread writes to it until it is pushed
-        // back, which `next` does after the borrow has ended; buffers are never cloned.
+        // SAFETY: Aravis owns `length` initialised bytes at `pointer` (checked above against the size that
+        // the buffer was allocated with). The buffer has been popped, so that no other thread writes to it
+        // until it is pushed back, which `next` does after the borrow has ended; buffers are never cloned.
         let bytes = unsafe { std::slice::from_raw_parts(pointer.cast_const(), length) };
         let (x, y, width, height) = buffer.image_region();
         Received::Complete {

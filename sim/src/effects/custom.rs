@@ -10,10 +10,11 @@
 //! units = { k = "DN/s" }
 //! ```
 //!
-//! Formulas give the change of `mean` (DN), `variance`, `cov_01`, `cov_10`, `cov_11`, `row`, `column`, `common` (DN^2), and of
-//! `parity_01`, `parity_10` (what a neighbour covariance from odd columns, rows has more than from even ones), in terms of
-//! the parameters and of mu (mean above the black level, DN), exposure (s) and illumination (relative to the bench's unit);
-//! when frames are drawn, `mean` and `variance` may also use row, column and parity (0 or 1).
+//! Formulas give the change of `mean` (DN), `variance`, `cov_01`, `cov_10`, `cov_11`, `row`, `column`,
+//! `common` (DN^2), and of `parity_01`, `parity_10` (what a neighbour covariance from odd columns, rows has
+//! more than from even ones), in terms of the parameters and of mu (mean above the black level, DN), exposure
+//! (s) and illumination (relative to the bench's unit); when frames are drawn, `mean` and `variance` may also
+//! use row, column and parity (0 or 1).
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 use crate::text::{echo, echo_message};
@@ -26,7 +27,8 @@ const TARGETS: [&str; 10] =
 /// What a formula may use beside its parameters.
 const VARIABLES: [&str; 6] = ["mu", "exposure", "illumination", "row", "column", "parity"];
 
-/// Characters of a formula. The parser takes time with their square: the longest allowed takes some milliseconds, 10^6 took minutes.
+/// Characters of a formula. The parser takes time with their square: the longest allowed takes some
+/// milliseconds, 10^6 took minutes.
 const MAX_FORMULA_CHARACTERS: usize = 10_000;
 /// Parentheses inside one another; each takes a step of the stack.
 const MAX_FORMULA_DEPTH: usize = 200;
@@ -302,8 +304,9 @@ impl Effect for Custom {
     }
 }
 
-/// Noise of this variance and these covariances with the next column, the next row and along the diagonals, made of white noise by the
-/// filter whose power is theirs; where no noise has them the nearest that there is.
+/// Noise of this variance and these covariances with the next column, the next row and along the diagonals,
+/// made of white noise by the filter whose power is theirs; where no noise has them the nearest that there
+/// is.
 fn correlated(white: &ndarray::Array2<f64>, variance: f64, [h, v, d]: [f64; 3]) -> ndarray::Array2<f64> {
     const REACH: i32 = 4;
     let power = |ky: f64, kx: f64| {

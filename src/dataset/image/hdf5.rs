@@ -12,7 +12,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Deflate packs at most about a thousand to one (RFC 1951): bytes of all frames that a file can hold for each of its own.
+/// Deflate packs at most about a thousand to one (RFC 1951): bytes of all frames that a file can hold for
+/// each of its own.
 const MAX_PACKING: u64 = 1100;
 /// Least width and height of a dataset that is taken for frames without being named: tables and vectors of axes
 /// are narrower.
@@ -140,8 +141,8 @@ fn lzf(data: &[u8]) -> Result<Vec<u8>, Error> {
 }
 
 impl Hdf5 {
-    /// Finds the frames. `choice` is the path of the dataset to be taken, `axis` the one that counts the frames of
-    /// three.
+    /// Finds the frames. `choice` is the path of the dataset to be taken, `axis` the one that counts the
+    /// frames of three.
     pub(super) fn open(path: &Path, choice: Option<&str>, axis: Option<usize>) -> Result<Self, ImageError> {
         // A file that another program cuts off while it is mapped would end radcam.
         let storage = FileStorage::from_file(crate::input::open(path)?).map_err(|e| fault(&e))?;

@@ -489,7 +489,8 @@ pub fn stored_bits(path: &Path) -> Result<u8, ImageError> {
     }
 }
 
-/// True of a frame that takes more memory than a packed file of this size may make; `each`: bytes of a pixel in memory.
+/// True of a frame that takes more memory than a packed file of this size may make; `each`: bytes of a pixel
+/// in memory.
 fn is_packed_too_much(width: u64, height: u64, each: u64, size: u64) -> bool {
     width.saturating_mul(height).saturating_mul(each) > input::max_unpacked_bytes(size)
 }

@@ -1,4 +1,5 @@
-//! Parts of a history for a page: counts, thinned curves, one page of alarms. The database thins, so memory does not grow with the history.
+//! Parts of a history for a page: counts, thinned curves, one page of alarms. The database thins, so memory
+//! does not grow with the history.
 
 use super::{Store, StoreError, nanoseconds};
 use crate::monitor::Followed;
@@ -44,7 +45,7 @@ impl Store {
     ///
     /// # Errors
     ///
-    /// What the database says.
+    /// An answer of the database that is an error.
     pub fn period(&self, camera: &str, days: Option<f64>) -> Result<Option<Period>, StoreError> {
         let Some((_, last)) = self.span(camera, i64::MIN)? else { return Ok(None) };
         let from = days.map_or(i64::MIN, |d| last.saturating_sub(nanoseconds(d * 86_400.0)));
@@ -66,12 +67,12 @@ impl Store {
         Ok(of(0)?.zip(of(1)?))
     }
 
-    /// Curves of the readings in a period, each of at most 2000 points: single readings where there are no more checks, else least and largest
-    /// value of 1000 equal parts of the period.
+    /// Curves of the readings in a period, each of at most 2000 points: single readings where there are no
+    /// more checks, else least and largest value of 1000 equal parts of the period.
     ///
     /// # Errors
     ///
-    /// What the database says.
+    /// An answer of the database that is an error.
     pub fn curves(&self, camera: &str, period: &Period) -> Result<Curves, StoreError> {
         let (from, to) = period.bounds();
         // Both ends are rounded to the microsecond by the way of a floating-point number.
@@ -98,7 +99,7 @@ impl Store {
     ///
     /// # Errors
     ///
-    /// What the database says.
+    /// An answer of the database that is an error.
     pub fn marked(&self, camera: &str, period: &Period) -> Result<Curves, StoreError> {
         let (from, to) = period.bounds();
         let query = sqlx::query(
@@ -133,7 +134,7 @@ impl Store {
     ///
     /// # Errors
     ///
-    /// What the database says.
+    /// An answer of the database that is an error.
     pub fn alarms_page(
         &self,
         camera: &str,

@@ -1,4 +1,5 @@
-//! Requests of the control protocol (GVCP; GigE Vision 2.0, chapters 13 to 18), each checked before a register is touched.
+//! Requests of the control protocol (GVCP; GigE Vision 2.0, chapters 13 to 18), each checked before a
+//! register is touched.
 
 use super::registers::{MIN_PACKET, REGISTER_SPACE, Registers, Rules, address, word};
 use std::net::SocketAddr;
@@ -8,14 +9,15 @@ use std::time::{Duration, Instant};
 const KEY: u8 = 0x42;
 /// Bytes of a header: key, flags, command, length, request id.
 const HEADER: usize = 8;
-/// Longest datagram of the control protocol behind the headers of IP and UDP (GigE Vision 2.0, 13.1: 576 bytes in all).
+/// Longest datagram of the control protocol behind the headers of IP and UDP (GigE Vision 2.0, 13.1: 576
+/// bytes in all).
 const LONGEST: usize = MIN_PACKET as usize - 28;
 /// Bytes that are read at most at once: a header and an address stand before them.
 const LONGEST_READ: u16 = LONGEST as u16 - HEADER as u16 - 4;
 /// Bytes of the answer to a search.
 const DISCOVERY: usize = 0xf8;
-/// Shortest and longest heartbeat timeout: one that is too short would cost control between two requests, one that is too long would leave a
-/// camera with a client that is gone.
+/// Shortest and longest heartbeat timeout: one that is too short would cost control between two requests, one
+/// that is too long would leave a camera with a client that is gone.
 const HEARTBEAT: [Duration; 2] = [Duration::from_millis(500), Duration::from_secs(600)];
 
 const DISCOVERY_CMD: u16 = 0x0002;
@@ -38,7 +40,7 @@ enum Status {
     InvalidHeader = 0x800e,
 }
 
-/// Who may write, and what is answered.
+/// The client that may write, and the answers to all.
 pub struct Control {
     registers: Registers,
     rules: Rules,
@@ -64,7 +66,7 @@ fn number(bytes: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_be_bytes(bytes.get(at..at + 4)?.try_into().ok()?))
 }
 
-/// Whether a datagram asks who is there.
+/// True for a datagram that asks for cameras (discovery).
 pub(super) fn is_discovery(datagram: &[u8]) -> bool {
     datagram.first() == Some(&KEY) && half(datagram, 2) == Some(DISCOVERY_CMD)
 }
@@ -230,7 +232,7 @@ impl Control {
     }
 }
 
-/// Whether bytes are one or more entries of this size.
+/// True for one or more whole entries of this size.
 fn whole(body: &[u8], entry: usize) -> bool {
     !body.is_empty() && body.len().is_multiple_of(entry)
 }
@@ -373,7 +375,8 @@ mod tests {
         assert_eq!(status(&mut c, &take), 0);
     }
 
-    /// Random bytes, and sound headers with random bodies: no panic, and an answer is never longer than a request may be.
+    /// Random bytes, and sound headers with random bodies: no panic, and an answer is never longer than a
+    /// request may be.
     #[test]
     fn a_million_random_datagrams() {
         let mut c = control();

@@ -44,19 +44,19 @@ struct Acquisition {
     block: usize,
 }
 
-/// Whether a client has started an acquisition and said where its frames go.
+/// True while an acquisition runs whose destination is known.
 fn runs(bytes: &[u8]) -> bool {
     word(bytes, address::ACQUISITION) != 0
         && word(bytes, address::PRIVILEGE) != 0
         && word(bytes, address::STREAM_PORT) & 0xffff != 0
 }
 
-/// Whether frames wait for a trigger, of software or of a line.
+/// True where frames wait for a trigger, of software or of a line.
 fn triggered(bytes: &[u8]) -> bool {
     word(bytes, address::TRIGGER_MODE) == 1
 }
 
-/// Whether a software trigger waits.
+/// True where a software trigger waits.
 fn asked(bytes: &[u8]) -> bool {
     word(bytes, address::TRIGGER_SOURCE) == 1 && word(bytes, address::TRIGGER_SOFTWARE) == 1
 }

@@ -1,7 +1,9 @@
-//! A GigE Vision camera on the network, in safe Rust: the control protocol (GVCP), the registers behind it, and the frames (GVSP).
+//! A GigE Vision camera on the network, in safe Rust: the control protocol (GVCP), the registers behind it,
+//! and the frames (GVSP).
 //!
-//! Datagrams come from anybody. Every one is checked for its length, its command, its addresses and its values before a register is touched
-//! ([`control`]); what is wrong is refused with the status that GigE Vision 2.0 gives it, or dropped where it is no request, and counted.
+//! Datagrams come from anybody. Every one is checked for its length, its command, its addresses and its
+//! values before a register is touched ([`control`]); what is wrong is refused with the status that GigE
+//! Vision 2.0 gives it, or dropped where it is no request, and counted.
 
 pub mod control;
 mod frames;
@@ -57,11 +59,12 @@ pub struct VirtualCamera {
 }
 
 impl VirtualCamera {
-    /// Answers on `interface` (its IPv4 address) with the description file `xml`, its registers as `initial` says.
+    /// Answers on `interface` (its IPv4 address) with the description file `xml`, its registers as `initial`
+    /// says.
     ///
     /// # Errors
     ///
-    /// Where the interface cannot be bound, or another camera is served there.
+    /// The interface cannot be bound, or another camera is served there.
     pub fn start(
         interface: IpAddr,
         serial: &str,
@@ -140,7 +143,7 @@ impl VirtualCamera {
         self.registers.clone()
     }
 
-    /// Whether a client has started an acquisition and not ended it.
+    /// True from a client's start of an acquisition to its end.
     pub fn is_acquiring(&self) -> bool {
         self.registers.u32(address::ACQUISITION) != 0
     }
@@ -184,7 +187,8 @@ fn not_bound(e: &std::io::Error) -> String {
     }
 }
 
-/// Sockets that hear clients who look for cameras on the whole network. Without them a camera is still found by its address.
+/// Sockets that hear clients who look for cameras on the whole network. Without them a camera is still found
+/// by its address.
 fn broadcasts(interface: Ipv4Addr) -> Vec<UdpSocket> {
     let subnet = radcam_aravis::broadcast_address(interface).filter(|a| *a != interface);
     let all = [Some(Ipv4Addr::BROADCAST), subnet];

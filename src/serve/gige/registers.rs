@@ -6,8 +6,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// Registers that every served camera has: those of Aravis's fake camera where the standard leaves the address open, so that clients written
-/// for that one work, and bootstrap registers (GigE Vision 2.0, chapter 28).
+/// Registers that every served camera has: those of Aravis's fake camera where the standard leaves the
+/// address open, so that clients written for that one work, and bootstrap registers (GigE Vision 2.0, chapter
+/// 28).
 pub mod address {
     /// IPv4 address of the camera.
     pub const CURRENT_IP: u32 = 0x24;
@@ -41,7 +42,7 @@ pub mod address {
     pub const OFFSET_Y: u32 = 0x134;
     /// Period of the frames, microseconds.
     pub const FRAME_PERIOD_US: u32 = 0x138;
-    /// Where the description file lies, 512 bytes of text of which the first half is used.
+    /// Address of the description file, 512 bytes of text of which the first half is used.
     pub const XML_URL: u32 = 0x200;
     /// 1 where frames wait for a trigger.
     pub const TRIGGER_MODE: u32 = 0x300;
@@ -71,7 +72,8 @@ pub mod address {
 
 /// Bytes of register space; behind it lies the description file.
 pub const REGISTER_SPACE: u32 = 0x1_0000;
-/// The description file is filled up with zeros to a multiple of the longest read (Aravis reads 512 bytes at once).
+/// The description file is filled up with zeros to a multiple of the longest read (Aravis reads 512 bytes at
+/// once).
 const XML_STEP: usize = 512;
 
 /// Smallest packet: every GigE Vision device takes 576 bytes (GigE Vision 2.0, 28.33: the size that IPv4 grants).
@@ -157,7 +159,8 @@ impl Registers {
         self.wake();
     }
 
-    /// Waits until no frame is under way: one frame has one state of the registers, and none is under way once its end was acknowledged.
+    /// Waits until no frame is under way: one frame has one state of the registers, and none is under way
+    /// once its end was acknowledged.
     pub(super) fn turn_to_write(&self) -> MutexGuard<'_, ()> {
         self.0.writers.fetch_add(1, Ordering::Relaxed);
         let turn = self.0.turn.lock().unwrap_or_else(PoisonError::into_inner);
@@ -165,7 +168,8 @@ impl Registers {
         turn
     }
 
-    /// Waits for the requests that write. They go first: a camera that is always behind its frame rate obeys all the same.
+    /// Waits for the requests that write. They go first: a camera that is always behind its frame rate obeys
+    /// all the same.
     pub(super) fn turn_to_paint(&self) -> MutexGuard<'_, ()> {
         while self.0.writers.load(Ordering::Relaxed) > 0 {
             std::thread::sleep(Duration::from_micros(50));
@@ -200,7 +204,7 @@ fn range(address: u32, bytes: usize) -> Option<Range<usize>> {
 /// Values that clients may write into a 32-bit register.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limit {
-    /// Which register.
+    /// Name of the register.
     pub address: u32,
     /// Bits that count.
     pub mask: u32,
@@ -210,7 +214,7 @@ pub struct Limit {
     pub max: u32,
 }
 
-/// What clients may write.
+/// Registers that clients may write.
 #[derive(Debug, Clone, Default)]
 pub struct Rules {
     /// Ranges that nobody writes.
@@ -219,7 +223,7 @@ pub struct Rules {
     pub limits: Vec<Limit>,
 }
 
-/// What the registers hold when the camera begins to answer, and what of it clients may change.
+/// Values of the registers when the camera begins to answer, and the bits that clients may change.
 #[derive(Debug, Clone, Default)]
 pub struct Initial {
     values: Vec<(u32, Vec<u8>)>,

@@ -1,4 +1,5 @@
-//! What `radcam monitor` keeps: alarms a page at a time, and every reading over time, thinned by the database.
+//! Page of what `radcam monitor` keeps: alarms a page at a time, and every reading over time, thinned by the
+//! database.
 
 use super::shell;
 use crate::monitor::store::{Period, Point, Store, StoreError};
@@ -16,7 +17,7 @@ const ALARMS: u64 = 100;
 /// Cameras of a page; of more one is chosen.
 const CAMERAS: usize = 10;
 
-/// What is asked for.
+/// Query of the page.
 #[derive(Default, serde::Deserialize)]
 pub struct Asked {
     /// Anything: the main part alone.
