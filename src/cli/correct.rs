@@ -5,7 +5,7 @@ use super::common::{above_0, codes, folders_below};
 use crate::calibrate::file::Calibration;
 use crate::correct::{Codes, CorrectError, Corrector};
 use crate::dataset::tag::{CORRECTED, FrameTag, is_corrected};
-use crate::dataset::{CameraInfo, Dataset, image, write_whole};
+use crate::dataset::{CameraInfo, Dataset, MAX_EXPOSURE_S, image, write_whole};
 use crate::import::{facts, pixel_format, region_of};
 use crate::number::{percent, six_digits};
 use crate::output::folder_of;
@@ -348,8 +348,6 @@ pub fn unknown(calibrated: &CameraInfo, now: &CameraInfo) -> Vec<String> {
 
 /// Share of clipped pixels that is said: hot pixels of usual sensors are fewer.
 const CLIPPED: f64 = 1e-3;
-/// Longest exposure, s: as in a plan.
-const MAX_EXPOSURE_S: f64 = 1e6;
 /// Difference of temperature that is said, °C: dark current doubles in some 6 to 8 °C.
 const FAR_C: f64 = 3.0;
 

@@ -8,6 +8,7 @@ mod fault;
 pub mod image;
 mod kept;
 mod manifest;
+mod rows;
 pub mod table;
 pub mod tag;
 mod write;
@@ -15,16 +16,18 @@ mod write;
 pub use emva::{DESCRIPTOR, write_descriptor};
 pub use fault::{DataFault, FaultKind};
 pub use manifest::{BenchInfo, CameraInfo, FORMAT, ImportInfo, Manifest};
+pub(crate) use rows::{Lines, MAX_EXPOSURE_S, csv_words};
 pub(crate) use write::{Aside, synchronise};
 pub use write::{Folder, Writer, write_whole};
 
-use crate::input::{self, echo, echo_message};
+use crate::input::{self, echo};
 use crate::reduction::{self, Reduced};
 use ndarray::Array2;
+use rows::{check_row, parse_rows, plain_name, same_settings, split_page};
 use serde::{Deserialize, Serialize};
 use std::collections::{HashMap, HashSet};
 use std::fmt;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Header of `frames.csv`.
@@ -709,139 +712,6 @@ fn text(path: &Path) -> Result<String, DatasetError> {
                   or a table (CSV with mean_dn and var_dn2)"
             .into(),
     })
-}
-
-/// A file's name without `.` and double separators.
-fn plain_name(file: &str) -> std::borrow::Cow<'_, str> {
-    if file.contains("./") || file.contains("//") || file.contains("/.") {
-        let parts = file.split('/').filter(|part| !matches!(*part, "" | "."));
-        let root = if file.starts_with('/') { "/" } else { "" };
-        return (root.to_string() + &parts.collect::<Vec<_>>().join("/")).into();
-    }
-    file.into()
-}
-
-/// Splits `name.tiff#3` into name and page.
-fn split_page(file: &str) -> Result<(&str, usize), String> {
-    match file.rsplit_once('#').filter(|(_, page)| !page.contains(['/', '\\'])) {
-        Some((name, page)) => {
-            let page =
-                page.parse().map_err(|_| format!("\"#{}\" is not the number of a page", echo(page)))?;
-            Ok((name, page))
-        }
-        None => Ok((file, 0)),
-    }
-}
-
-/// Line numbers of the records of a CSV text, in their order: what was counted is not counted again. The
-/// reader's own count leaves out what stands between records.
-pub(crate) struct Lines<'a> {
-    bytes: &'a [u8],
-    at: usize,
-    line: u64,
-}
-
-impl<'a> Lines<'a> {
-    pub(crate) fn of(text: &'a str) -> Self {
-        Self { bytes: text.as_bytes(), at: 0, line: 1 }
-    }
-
-    /// Line, from 1, at which the record at this position begins.
-    pub(crate) fn line_at(&mut self, position: Option<&csv::Position>) -> u64 {
-        let Some(position) = position else { return 0 };
-        let mut at = (position.byte() as usize).clamp(self.at, self.bytes.len());
-        while self.bytes.get(at).is_some_and(|b| matches!(b, b'\r' | b'\n')) {
-            at += 1;
-        }
-        self.line += self.bytes[self.at..at].iter().filter(|b| **b == b'\n').count() as u64;
-        self.at = at;
-        self.line
-    }
-}
-
-/// What a reader of CSV says, without the place, which is told by the line.
-pub(crate) fn csv_words(error: &csv::Error, header: &csv::StringRecord) -> String {
-    match error.kind() {
-        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
-            format!("has {len} fields, and the header {expected_len}")
-        }
-        csv::ErrorKind::Deserialize { err, .. } => {
-            let column = err.field().and_then(|i| header.get(i as usize)).unwrap_or("row");
-            format!("{}: {}", echo(column), echo_message(&err.kind().to_string()))
-        }
-        _ => echo_message(&error.to_string()),
-    }
-}
-
-fn parse_rows(path: &Path, text: &str) -> Result<Vec<(u64, FrameRow)>, DatasetError> {
-    let fault = |line, message| DatasetError::Row { path: path.into(), line, message };
-    let mut reader = csv::ReaderBuilder::new().has_headers(true).from_reader(text.as_bytes());
-    let header = reader.headers().map_err(|e| fault(1, e.to_string()))?.clone();
-    if header.iter().ne(COLUMNS) {
-        return Err(fault(1, format!("the header must be exactly {}", COLUMNS.join(","))));
-    }
-    let mut rows = Vec::new();
-    let mut lines = Lines::of(text);
-    for record in reader.records() {
-        let record = record.map_err(|e| fault(lines.line_at(e.position()), csv_words(&e, &header)))?;
-        let line = lines.line_at(record.position());
-        let row = record.deserialize(Some(&header)).map_err(|e| fault(line, csv_words(&e, &header)))?;
-        rows.push((line, row));
-    }
-    Ok(rows)
-}
-
-/// Longest exposure, s: eleven days, as in a plan.
-const MAX_EXPOSURE_S: f64 = 1e6;
-/// Largest illumination: more photons per pixel per second than the sun's surface sends.
-const MAX_ILLUMINATION: f64 = 1e30;
-/// Longest campaign, s: times since any epoch fit into it.
-const MAX_TIME_S: f64 = 1e12;
-
-/// What must hold of one row by itself; `folders`: where files with absolute paths may lie, if they have these.
-fn check_row(row: &FrameRow, folders: &[PathBuf]) -> Result<(), String> {
-    let (name, _) = split_page(&row.file)?;
-    let path = Path::new(name);
-    let plain = |c| matches!(c, Component::Normal(_) | Component::CurDir);
-    let inside =
-        folders.iter().find_map(|f| path.strip_prefix(f).ok()).or(folders.is_empty().then_some(path));
-    if name.is_empty() || !inside.is_some_and(|p| p.components().all(plain)) {
-        return Err(format!("file {} must be a path inside the dataset folder", echo(&row.file)));
-    }
-    if row.exposure_s.is_nan() || row.exposure_s <= 0.0 {
-        return Err(format!("exposure_s is {}, and must be above 0 s", row.exposure_s));
-    }
-    if row.exposure_s > MAX_EXPOSURE_S {
-        return Err(format!("exposure_s is {}, and must be at most {MAX_EXPOSURE_S} s", row.exposure_s));
-    }
-    if !(0.0..=MAX_ILLUMINATION).contains(&row.illumination) {
-        return Err(format!(
-            "illumination is {}, and must not be below 0 or above {MAX_ILLUMINATION:e}",
-            row.illumination
-        ));
-    }
-    if row.kind == Kind::Dark && row.illumination != 0.0 {
-        return Err(format!("a dark frame has illumination 0, and this one {}", row.illumination));
-    }
-    let (name, value) = ("timestamp_s", row.timestamp_s);
-    if let Some(value) = value.filter(|t| !(-MAX_TIME_S..=MAX_TIME_S).contains(t)) {
-        return Err(format!("{name} is {value}, and must be a number of seconds up to {MAX_TIME_S:e}"));
-    }
-    CameraInfo::check_temperature(row.temperature_c)
-}
-
-/// Frames of one set share every setting.
-fn same_settings(first: &FrameRow, row: &FrameRow) -> Result<(), String> {
-    let differs = [
-        ("kind", first.kind != row.kind),
-        ("exposure_s", first.exposure_s != row.exposure_s),
-        ("illumination", first.illumination != row.illumination),
-        ("configuration", first.configuration != row.configuration),
-    ];
-    match differs.iter().find(|(_, differs)| *differs) {
-        Some((name, _)) => Err(format!("{name} differs from the first frame of set {}", row.set)),
-        None => Ok(()),
-    }
 }
 
 #[cfg(test)]
