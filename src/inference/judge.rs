@@ -178,6 +178,8 @@ struct Unseen<'a> {
     light: usize,
     /// Light levels that the fit saw.
     lights: Vec<bool>,
+    /// Row of the mean of each set.
+    means: Vec<Option<usize>>,
     /// Of light settings that the fit used: their error and its uncertainty, in units of the light.
     told: BTreeMap<usize, (f64, f64)>,
     /// Variance of a light setting that the fit did not use, in units of the light squared; by set.
@@ -210,7 +212,11 @@ impl<'a> Unseen<'a> {
         let told = settings_told(all, fitted, half);
         let lights = lights_seen(all, half);
         let open = vec![false; settings.len()];
-        let mut out = Self { all, fitted, layout, state, slopes, light, lights, told, scatter, open };
+        let mut means = vec![None; settings.len()];
+        for (r, o) in layout.rows.iter().enumerate().filter(|(_, o)| o.is(&mean::Mean)) {
+            o.set.into_iter().for_each(|set| means[set] = Some(r));
+        }
+        let mut out = Self { all, fitted, layout, state, slopes, light, lights, means, told, scatter, open };
         out.find_open();
         out
     }
@@ -228,20 +234,28 @@ impl<'a> Unseen<'a> {
         }
     }
 
-    /// Standardised residual of a row; `None` for light levels that one half alone has, and for sets whose
-    /// level is open.
+    /// Standardised residual of a row; `None` for means that alone tell the light of their level, and for sets
+    /// whose level is open.
     fn judged(&self, r: usize, o: &Observable, e: &Expected) -> Option<Own> {
         let level = o.set.and_then(|s| self.all.campaign.sets[s].light);
         let sees_light = o.statistic.sees_light();
-        if sees_light && level.is_some_and(|l| !self.lights[l]) {
-            return None;
+        let factor = level.and_then(|l| self.fitted.free.light_of_level.get(l).copied().flatten());
+        if let Some(set) = o.set.filter(|_| level.is_some_and(|l| !self.lights[l])) {
+            let is_mean = o.is(&mean::Mean);
+            let means = if is_mean { self.means_before(r, set) } else { vec![(self.means[set]?, 0.0)] };
+            if !means.is_empty() {
+                // Under the setting of another set nothing of its own scatters.
+                let own = if is_mean && means.iter().all(|m| m.1 > 0.0) { self.scatter[set] } else { 0.0 };
+                return self.judged_beside(r, e, &means, own);
+            }
+            if factor.is_none_or(|k| self.fitted.free.lights[k].known.is_none()) {
+                return None;
+            }
         }
         if o.set.is_some_and(|s| self.open[s]) {
             return None;
         }
-        let n = self.fitted.free.common.len();
-        let row = &self.slopes[r * n..][..n];
-        let factor = level.and_then(|l| self.fitted.free.light_of_level.get(l).copied().flatten());
+        let row = self.slopes_of(r);
         let by_light = row[self.light];
         let mut variance = 1.0 + self.fitted.covariance.of(row, factor.map(|k| (k, by_light))).max(0.0);
         let (mut z, mut by_setting) = (e.z(), 0.0);
@@ -253,9 +267,54 @@ impl<'a> Unseen<'a> {
             by_setting = by_light * shift * e.std_err;
             variance += by_light * by_light * left;
         }
+        Some(Own::new(z, variance, by_setting, e))
+    }
+
+    /// Means of other sets of a light level before the mean of one, each with the variance of its setting in units of
+    /// the light squared; 0 under the same setting.
+    fn means_before(&self, r: usize, set: usize) -> Vec<(usize, f64)> {
+        let sets = &self.all.campaign.sets;
+        let of = |other: usize| {
+            let mean = self.means[other].filter(|m| *m < r && sets[other].light == sets[set].light)?;
+            let is_same = self.layout.setting_of(other) == self.layout.setting_of(set);
+            Some((mean, if is_same { 0.0 } else { self.scatter[other] }))
+        };
+        (0..sets.len()).filter_map(of).collect()
+    }
+
+    /// Standardised residual of a row at a light level that the fit did not see: means of the half tell its light. Of
+    /// the means of a level each is judged beside those before it, so that the residuals are independent (recursive
+    /// residuals: Brown, Durbin and Evans 1975). `own`: variance of the setting of its own set.
+    fn judged_beside(&self, r: usize, e: &Expected, means: &[(usize, f64)], own: f64) -> Option<Own> {
+        let by_light = self.slopes_of(r)[self.light];
+        let mut slopes = self.slopes_of(r).to_vec();
+        let of_light = |mean: usize| self.slopes_of(mean)[self.light];
+        let weights: Vec<f64> =
+            means.iter().map(|(mean, setting)| (of_light(*mean).powi(-2) + setting).recip()).collect();
+        let all: f64 = weights.iter().sum();
+        let mut shift = 0.0;
+        for ((mean, _), weight) in means.iter().zip(&weights) {
+            let follows = by_light * weight / all / of_light(*mean);
+            shift += follows * self.state.expected[*mean].z();
+            slopes.iter_mut().zip(self.slopes_of(*mean)).for_each(|(own, of_mean)| *own -= follows * of_mean);
+        }
+        let told = by_light * by_light * (all.recip() + own);
+        let variance = 1.0 + told + self.fitted.covariance.of(&slopes, None).max(0.0);
+        shift.is_finite().then(|| Own::new(e.z() - shift, variance, shift * e.std_err, e))
+    }
+
+    fn slopes_of(&self, r: usize) -> &[f64] {
+        let n = self.fitted.free.common.len();
+        &self.slopes[r * n..][..n]
+    }
+}
+
+impl Own {
+    /// For a residual over the error of its expectation, and its variance.
+    fn new(z: f64, variance: f64, shift: f64, e: &Expected) -> Self {
         let own = z / variance.sqrt();
         let z = if e.heavy { lightened(own) } else { own };
-        Some(Own { z, wider: variance.sqrt(), shift: by_setting })
+        Self { z, wider: variance.sqrt(), shift }
     }
 }
 
