@@ -182,14 +182,9 @@ pub fn diagnose(
     let base = base.unwrap_or_else(|| start(all));
     let cut = fit(all, &base, &effects);
     // Codes end at 0: where noise reaches below, it is cut off for certain, and the search goes on from there.
-    let open = with_room_below(all, &cut);
-    let (model, start) = match open {
-        Some(open) => {
-            let mut effects = open.effects.clone();
-            effects.extend(find("black-clipping").map(|e| (e, AT_CODE_0.to_vec())));
-            let clipped = fit(all, &open.base, &effects);
-            (open, clipped)
-        }
+    let room = with_room_below(all, &cut);
+    let (model, start) = match &room {
+        Some(room) => (room.model.clone(), with_cut(all, &room.model)),
         None => (cut.clone(), cut),
     };
     let first = compare(all, &model);
@@ -202,6 +197,15 @@ pub fn diagnose(
         notes.extend(parts.iter().map(trace));
         (parts, whole, last) = (Vec::new(), model.clone(), first.clone());
     }
+    // Samples that the range of the codes cuts off are evidence, though a lower read noise fits the darks as well.
+    if let Some(room) = &room {
+        if parts.iter().all(|p| p.effect.id() != CUT) {
+            whole = with_cut(all, &whole);
+            (parts, last) = (left_out(all, &model, &whole), compare(all, &whole));
+        }
+        let part = parts.iter_mut().find(|p| p.effect.id() == CUT);
+        part.into_iter().for_each(|part| part.evidence = part.evidence.max(0.0) + room.evidence);
+    }
     progress(&format!("error {:.2} with {} effects added", last.error, parts.len()));
     let mut ladder = vec![Rung { added: None, error: first.error, p_value: first.p_value }];
     ladder.extend(rungs(all, &model, &parts, &whole, &last));
@@ -209,6 +213,9 @@ pub fn diagnose(
     let mut missing = missing(all, &parts, &whole, [&first, &last], &ladder, remainder.as_ref());
     for m in &mut missing {
         m.evidence.extend(suspects(&m.effect, &all.left_on));
+        if let Some(room) = room.as_ref().filter(|_| m.effect == CUT) {
+            m.evidence.insert(0, room.to_string());
+        }
     }
     let next = next_measurement(all, &parts, &missing);
     Diagnosis {
@@ -235,31 +242,64 @@ pub fn diagnose(
 /// cut off at 2.9 deviations, the noise's variance loses half a per cent).
 const CUT_OFF: f64 = 0.002;
 
-/// black-clipping at code 0.
+/// The effect that cuts noise off below a code.
+const CUT: &str = "black-clipping";
+/// The same at code 0.
 const AT_CODE_0: [f64; 2] = [0.0, 1.0];
 
-/// The model with noise below code 0 that is not cut off, where so much of it is that the black level is too low:
-/// what is missing then is black-clipping. A camera that states that it has no black level cuts by design.
-fn with_room_below(all: &Observations, model: &Fitted) -> Option<Fitted> {
-    let has_it = model.effects.iter().any(|(e, _)| e.id() == "black-clipping");
+/// A model with noise below code 0 cut off.
+fn with_cut(all: &Observations, model: &Fitted) -> Fitted {
+    let mut effects = model.effects.clone();
+    effects.extend(find(CUT).map(|e| (e, AT_CODE_0.to_vec())));
+    fit(all, &model.base, &effects)
+}
+
+/// A camera whose codes end within the noise of its darks.
+struct RoomBelow {
+    /// The model with noise below code 0 that is not cut off.
+    model: Fitted,
+    /// Largest share of a dark's samples below code 0.
+    share: f64,
+    /// Twice the logarithm of the likelihood ratio: of the samples that the model expects below code 0 none is there (Poisson).
+    evidence: f64,
+}
+
+impl std::fmt::Display for RoomBelow {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "by the noise of the darks {} of their samples would lie below code 0, where none can be",
+            percent(self.share)
+        )
+    }
+}
+
+/// The same, where so much of the noise lies below code 0 that the black level is too low: what is missing then is
+/// black-clipping. A camera that states that it has no black level cuts by design.
+fn with_room_below(all: &Observations, model: &Fitted) -> Option<RoomBelow> {
+    let has_it = model.effects.iter().any(|(e, _)| e.id() == CUT);
     if !all.campaign.from_code_0 || all.no_black_level || has_it || !model.base.cut_at_0 {
         return None;
     }
     let base = &model.base;
-    let darks = all.campaign.sets.iter().zip(&all.kinds).filter(|(_, kind)| **kind == Kind::Dark);
     let below = |set: &SetInfo| {
         let noise_dn = base.read_noise_e * base.gain_dn_per_e;
         let level_dn = base.offset_dn + base.gain_dn_per_e * base.dark_e_per_s * set.exposure_s;
         let deviation = noise_dn.hypot(set.spread_dn).max(1e-6);
         0.5 * libm::erfc((level_dn + 0.5) / deviation * std::f64::consts::FRAC_1_SQRT_2)
     };
-    let most = darks.map(|(set, _)| below(set)).fold(0.0, f64::max);
-    if most < CUT_OFF {
+    let shares: Vec<f64> = all.campaign.sets.iter().map(below).collect();
+    let is_dark = |set: &usize| all.kinds[*set] == Kind::Dark;
+    let share = (0..shares.len()).filter(is_dark).map(|set| shares[set]).fold(0.0, f64::max);
+    if share < CUT_OFF {
         return None;
     }
-    tracing::debug!("{most:.4} of a dark's samples fall below code 0");
+    tracing::debug!("{share:.4} of a dark's samples fall below code 0");
+    let pixels = (all.campaign.shape.0 * all.campaign.shape.1) as f64;
+    let darks = all.campaign.frames.iter().filter(|frame| is_dark(&frame.set));
+    let evidence = 2.0 * darks.map(|frame| shares[frame.set] * pixels).sum::<f64>();
     let open = BaseParameters { cut_at_0: false, ..base.clone() };
-    Some(fit(all, &open, &model.effects))
+    Some(RoomBelow { model: fit(all, &open, &model.effects), share, evidence })
 }
 
 /// What was left on in the camera and acts like an effect; of `unknown` everything.
