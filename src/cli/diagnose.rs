@@ -4,6 +4,7 @@ use super::Outcome;
 use super::common::{can_be_written, say_faults};
 use super::model::{fitted_model, read_effects};
 use super::observe::{Datasets, observe};
+use crate::agreement::P_LIMIT;
 use crate::dataset::write_whole;
 use crate::diagnosis::{Diagnosis, diagnose, searched};
 use crate::number::{Quantity, chance, percent, six_digits};
@@ -119,22 +120,21 @@ pub fn print(title: &str, d: &Diagnosis) {
     for r in &d.ladder {
         let bar = "#".repeat((r.error.ln().max(0.0) * 6.0).round().min(40.0) as usize);
         println!(
-            "  {:<34} {:>8.3}  {:>9}  {bar}",
+            "  {:<34} {:>8.3}  {:>9}  {:<8}  {bar}",
             r.added.as_ref().map_or("starting model".into(), |added| format!("+ {added}")),
             r.error,
-            chance(r.p_value)
+            chance(r.p_value),
+            if r.p_value < P_LIMIT { "rejected" } else { "" }
         );
     }
     println!(
-        "  error: RMS of (measured - predicted) / standard error over all statistics (means, variances, covariances, ...),"
+        "  error: RMS of (measured - predicted) / standard error on frames that the fit did not see; about 1 is agreement"
     );
-    println!("         each on frames that were held out of the fit; 1 is agreement");
+    println!("  p: chance of deviations as large if the model is right; below 0.001 it is rejected");
     println!(
-        "  starting model: the linear sensor of Healey and Kondepudy 1994, and the effects of --model if given, fitted"
+        "  starting model: the linear sensor of Healey and Kondepudy 1994, with the effects of --model;"
     );
-    println!(
-        "  p: probability of deviations at least as large if the model is right; below 0.001 the model is rejected"
-    );
+    println!("  misfit: what it leaves above the noise");
     if let Some(next) = &d.next_measurement {
         println!("\n  next measurement: {next}\n    (as a plan for `radcam capture`: --next PLAN.toml)");
     }

@@ -19,6 +19,8 @@ pub use share::Remainder;
 pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
+use verdict::WEAK;
+
 use crate::agreement::DOUBT;
 use crate::data_faults::DataFault;
 use crate::dataset::Kind;
@@ -30,7 +32,7 @@ use crate::inference::{
 use crate::number::Quantity;
 use crate::number::{chance, percent};
 use crate::observables::profile::LineProfile;
-use crate::observables::{Observations, STATISTICS, Setting, Statistic, covariance};
+use crate::observables::{NO_PATCH, Observations, STATISTICS, Setting, Statistic, covariance};
 use crate::plan::Plan;
 use entry::{describe, reasons};
 use radcam_sim::effects::{Effect, Seen, Take, find, takes};
@@ -191,7 +193,7 @@ pub fn diagnose(
     progress(&format!("error {:.2}", first.error));
     let found = search(all, &start, first.error > FAR, progress);
     let (mut parts, mut whole, mut last) = parts(all, &model, found.fitted, found.first, &first);
-    let mut notes = all.missing.clone();
+    let mut notes: Vec<String> = all.missing.clone();
     let weak = || parts.iter().all(|p| !surely_there(all, &whole, p.effect));
     if first.p_value >= DOUBT && (score(all, &model) - score(all, &whole) < TRACE || weak()) {
         notes.extend(parts.iter().map(trace));
@@ -216,6 +218,10 @@ pub fn diagnose(
         if let Some(room) = room.as_ref().filter(|_| m.effect == CUT) {
             m.evidence.insert(0, room.to_string());
         }
+    }
+    // Smear matters where it, or what it cannot be told from, is named.
+    if missing.iter().all(|m| !["smear", "exposure-offset", "unknown"].contains(&m.effect.as_str())) {
+        notes.retain(|note| note != NO_PATCH);
     }
     let next = next_measurement(all, &parts, &missing);
     Diagnosis {
@@ -512,13 +518,13 @@ fn parts(
     let mut order: Vec<usize> = (0..parts.len()).collect();
     order.sort_by(|&a, &b| explains[b].total_cmp(&explains[a]));
     let mut slots: Vec<Option<Part>> = parts.into_iter().map(Some).collect();
-    let mut parts: Vec<Part> = order.into_iter().filter_map(|i| slots[i].take()).collect();
+    let mut parts: Vec<Part> = order.iter().filter_map(|i| slots[*i].take()).collect();
     let alone = parts.len() == 1;
     for (k, part) in parts.iter_mut().enumerate() {
         part.others = if alone {
             first.iter().filter(|c| c.effect.id() != part.effect.id()).cloned().collect()
-        } else if k > 0 && (part.nameless > part.evidence || last.p_value < HOLDS) {
-            // Its name is in doubt anyway.
+        } else if k > 0 && (better(part).is_some() || last.p_value < HOLDS || explains[order[k]] < WEAK) {
+            // Its name is in doubt anyway, or it matters to nobody what its name is.
             Vec::new()
         } else {
             rivals(all, &part.rest, part.effect, part.evidence)
@@ -663,9 +669,12 @@ fn with_ties(parts: &[Part], whole: &Fitted, named: Vec<Missing>, split: Option<
     out
 }
 
+/// Evidence that is not worth more than a bare mention (Kass and Raftery 1995, section 3.2).
+const BARELY: f64 = 2.0;
+
 /// What explains a part better than its name does, where something without a name does.
 fn better(part: &Part) -> Option<String> {
-    (part.nameless > part.evidence).then(|| {
+    (part.nameless > part.evidence + BARELY).then(|| {
         format!(
             "a smooth function of the level that has no name explains it better than {} does: evidence {:.0} and {:.0}",
             part.effect.id(),

@@ -4,8 +4,8 @@ use super::{Cost, Missing, Remainder};
 use crate::agreement::Agreement;
 use crate::features::LeftOn;
 use crate::inference::{Comparison, Fitted};
-use crate::number::{percent, with_unit};
-use radcam_sim::effects::find;
+use crate::number::{Quantity, percent, with_unit};
+use radcam_sim::effects::{Parameter, Stage, find};
 use serde::{Deserialize, Serialize};
 
 /// The verdict.
@@ -79,15 +79,15 @@ impl Verdict {
         whole: &Fitted,
     ) -> Self {
         let Some(top) = missing.first() else {
-            let agreement = first.agreement;
+            let (agreement, wider) = (first.agreement, first.error.max(1.0));
             let sentence = match agreement {
                 Agreement::Fails => {
                     "Deviations are larger than chance allows, but too small to be named.".into()
                 }
                 _ => format!(
                     "The camera agrees with the model to within the noise of this campaign. {}, {}.",
-                    told("Gain", whole.base.gain_dn_per_e, whole.base_std_err[0], "DN/e"),
-                    told("read noise", whole.base.read_noise_e, whole.base_std_err[1], "e")
+                    told("Gain", whole.base.gain_dn_per_e, wider * whole.base_std_err[0], "DN/e"),
+                    told("read noise", whole.base.read_noise_e, wider * whole.base_std_err[1], "e")
                 ),
             };
             return Self::Describes { agreement, sentence };
@@ -130,7 +130,8 @@ fn told(name: &str, value: f64, std_err: f64, unit: &'static str) -> String {
     format!("{name} not determined by this campaign")
 }
 
-/// What the camera does, how much, what it costs and what to do.
+/// The verdict on named effects. Its first sentence says what, how much, what it costs and what to do; the others
+/// where it comes from, what else there is, and what more can be done.
 fn sentence(
     top: &Missing,
     or: &[String],
@@ -140,48 +141,86 @@ fn sentence(
 ) -> String {
     let page = find(&top.effect).map(|e| e.page());
     let what = page.map_or_else(|| format!("It has {}.", top.effect), |p| p.what.to_string());
-    let mut sizes: Vec<String> = top
-        .parameters
-        .iter()
-        .filter(|(_, q)| q.unit != "choice")
-        .map(|(name, q)| format!("{name} = {q}"))
-        .collect();
-    sizes.extend(top.form.clone());
-    let size = format!("{} ({})", top.effect, sizes.join("; "));
-    let shows = if top.partial {
+    let subject =
+        if find(&top.effect).is_some_and(|e| e.stage() == Stage::Light) { "light" } else { "camera" };
+    let (shows, close) =
+        if top.partial { ("behaves mostly like", ", and is not quite that") } else { ("shows", "") };
+    let costs = cost(&top.cost, whole).map_or_else(
+        || "it does not bias system gain, read noise or linearity".to_string(),
+        |cost| format!("ignoring it makes {cost}"),
+    );
+    // What to do first stands before a semicolon.
+    let (first, more) = page.map_or(("", None), |p| match p.remedy.split_once("; ") {
+        Some((first, more)) => (first, Some(more.trim_start_matches("or ").trim_start_matches("else "))),
+        None => (p.remedy, None),
+    });
+    let remedy = match (first, or) {
+        ("", _) => String::new(),
+        (first, []) => format!("; remedy: {first}"),
+        (_, _) => "; measure which it is before you correct anything".into(),
+    };
+    let partial = if top.partial {
         let rest = remainder.and_then(|r| r.largest.first());
         let rest = rest.map_or(String::new(), |text| format!("; most of the rest is in {text}"));
-        format!(
-            "The camera behaves mostly like {size}, and is not quite that: it explains {} of the misfit{rest}.",
-            percent(top.share)
-        )
+        format!(" It explains {} of the misfit{rest}.", percent(top.share))
     } else {
-        format!("The camera shows {size}.")
+        String::new()
     };
     let tie = if or.is_empty() {
         String::new()
     } else {
-        format!(" This campaign cannot distinguish it from {}.", or.join(" or "))
+        format!(" or {} (this campaign cannot tell which)", or.join(" or "))
     };
     let others = || missing.iter().skip(1).filter(|m| m.tied_with.is_none() && m.effect != "unknown");
     let also: Vec<String> = others()
         .filter(|m| m.share >= WEAK)
-        .map(|m| format!("{} ({} of the misfit)", m.effect, percent(m.share)))
+        .map(|m| format!("{}{} ({} of the misfit)", m.effect, size(m), percent(m.share)))
         .collect();
     let weak: Vec<&str> = others().filter(|m| m.share < WEAK).map(|m| m.effect.as_str()).collect();
     let also = if also.is_empty() { String::new() } else { format!(" It also shows {}.", also.join(", ")) };
     let weak =
         if weak.is_empty() { String::new() } else { format!(" Less than 1 % each: {}.", weak.join(", ")) };
-    let cost = cost(&top.cost, whole).map_or_else(
-        || " It does not bias system gain, read noise or linearity.".into(),
-        |cost| format!(" Ignoring it makes {cost}."),
-    );
-    let remedy = page.map_or(String::new(), |p| format!(" Remedy: {}.", p.remedy));
-    format!("{shows} {what}{tie}{also}{weak}{cost}{remedy}")
+    let more = more.map_or(String::new(), |more| format!(" Further remedies: {more}."));
+    let meaning = meaning(top).map_or(String::new(), |text| format!(" ({text})"));
+    let size = size(top);
+    let head = format!("The {subject} {shows} {}{size}{meaning}{tie}{close}: {costs}{remedy}", top.effect);
+    format!("{}.{partial}{also}{weak} {what}{more}", head.trim_end_matches('.'))
+}
+
+/// The parameter that says how strong an effect is: of those that may be 0 the one that is known best.
+fn main_size(m: &Missing) -> Option<(&'static Parameter, &Quantity)> {
+    let effect = find(&m.effect)?;
+    let sizes = effect.parameters().iter().filter_map(|p| Some((p, m.parameters.get(p.name)?)));
+    let known = |q: &Quantity| if q.std_err > 0.0 { (q.value / q.std_err).abs() } else { 0.0 };
+    let (sizes, others): (Vec<_>, Vec<_>) =
+        sizes.filter(|(p, _)| !p.is_choice()).partition(|(p, _)| p.is_size());
+    sizes.into_iter().max_by(|a, b| known(a.1).total_cmp(&known(b.1))).or_else(|| others.into_iter().next())
+}
+
+/// How strong it is; parts of a whole in per cent.
+fn size(m: &Missing) -> String {
+    let Some((p, q)) = main_size(m) else { return String::new() };
+    let is_part = p.unit == "1" && ["relative", "share", "part"].iter().any(|word| p.meaning.contains(word));
+    if is_part {
+        format!(" of {}", with_unit(100.0 * q.value, 100.0 * q.std_err, "%"))
+    } else {
+        format!(" of {q}")
+    }
+}
+
+/// What its size and its form mean.
+fn meaning(m: &Missing) -> Option<String> {
+    let size = main_size(m).map(|(p, _)| {
+        // Of which shape it is a parameter is no matter for a reader.
+        let text = p.meaning.split_once(": ").filter(|(of, _)| of.chars().any(|c| c.is_ascii_digit()));
+        text.map_or(p.meaning, |(_, text)| text).to_string()
+    });
+    let parts: Vec<String> = size.into_iter().chain(m.form.clone()).collect();
+    (!parts.is_empty()).then(|| parts.join("; "))
 }
 
 /// Share of the misfit below which an effect is listed without its share.
-const WEAK: f64 = 0.01;
+pub(super) const WEAK: f64 = 0.01;
 /// Costs below this share are not said: no one measures a gain to a thousandth (EMVA 1288 asks for no more than a
 /// per cent).
 const SAID: f64 = 1e-3;

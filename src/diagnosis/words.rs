@@ -43,11 +43,18 @@ pub fn signatures(residuals: &[Residual]) -> Vec<Signature> {
 /// Darks: below this level, DN, a set has hardly any light (a named choice).
 const DARK_DN: f64 = 20.0;
 
+/// Deviations beyond so many times what is predicted are said in their unit and not in per cent (a named choice).
+const MANY_TIMES: f64 = 10.0;
+
 fn describe(name: &str, of: &[&Residual]) -> String {
     let worst = of.iter().max_by(|a, b| a.z.abs().total_cmp(&b.z.abs()));
     let Some(worst) = worst else { return name.to_string() };
-    let off = if worst.predicted.abs() > 5.0 * worst.std_err {
-        format!("{:+.2} % from the prediction", 100.0 * (worst.measured / worst.predicted - 1.0))
+    let off = if worst.predicted.abs() > 5.0 * worst.std_err
+        && (worst.measured - worst.predicted).abs() < MANY_TIMES * worst.predicted.abs()
+    {
+        let rel = (worst.measured - worst.predicted) / worst.predicted.abs();
+        let decimals = if rel.abs() < 0.1 { 2 } else { 0 };
+        format!("{:+.decimals$} % from the prediction", 100.0 * rel)
     } else {
         let unit = if worst.unit.is_empty() { String::new() } else { format!(" {}", pretty(&worst.unit)) };
         format!("{:+.3}{unit} from the prediction", worst.measured - worst.predicted)
@@ -58,12 +65,11 @@ fn describe(name: &str, of: &[&Residual]) -> String {
     };
     let grows = match power(of) {
         Some(power) => format!(", in proportion to mean^{power:.1}"),
-        None if !worst.is_of_first_frames() && darks_deviate(of) => {
-            ", in darks too: independent of the light".into()
-        }
+        None if !worst.is_of_first_frames() && darks_deviate(of) => ", in darks too".into(),
         None => String::new(),
     };
-    format!("{name}{place}: {off}, {:+.1} standard errors{grows} ({})", worst.z, worst.meaning)
+    let decimals = usize::from(worst.z.abs() < 100.0);
+    format!("{name}{place}: {off}, {:+.decimals$} standard errors{grows} ({})", worst.z, worst.meaning)
 }
 
 /// Whether darks deviate by twice their errors, of at least three among four.

@@ -85,6 +85,7 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ExamineError> 
         block.push(frame);
     }
     let (block, _) = outliers::without_struck(&block);
+    let full = block.first().and_then(|frame| top_code(frame, full)).unwrap_or(full);
     if let [a, b, ..] = block.as_slice() {
         out.pair = Some(pair(a, b, full));
     }
@@ -116,6 +117,26 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ExamineError> 
         out.jumping = jumping(dark, &block, var);
     }
     Ok(out)
+}
+
+/// Codes that pile up this far below full scale at most are the top of the converter: steps of codes, a black level
+/// that is taken off, and digital gain leave the last ones out (a named choice).
+const TOP: f64 = 1.0 / 64.0;
+/// Smallest share of the pixels that pile up at the top code.
+const PILE: f64 = 1e-3;
+/// Smallest number of pixels at the top code over that at the next one below: noise of any kind falls off there.
+const ABOVE_NEXT: usize = 5;
+
+/// The code at which a frame piles up, a little below full scale.
+fn top_code(frame: &Array2<u16>, full: u16) -> Option<u16> {
+    let top = *frame.iter().max()?;
+    if top >= full || f64::from(top) < f64::from(full) * (1.0 - TOP) {
+        return None;
+    }
+    let at = |code: u16| frame.iter().filter(|other| **other == code).count();
+    let (at_top, next) = (at(top), frame.iter().copied().filter(|code| *code < top).max());
+    let at_next = next.map_or(0, at);
+    (at_top as f64 >= PILE * frame.len() as f64 && at_top >= ABOVE_NEXT * at_next.max(1)).then_some(top)
 }
 
 /// Finds pixels that jump between levels. Their means lie off as those of hot pixels do: a jump A in a share p

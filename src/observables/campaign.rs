@@ -273,7 +273,9 @@ pub fn of_dataset(
     let mut missing = left_out;
     if !saturated.is_empty() {
         let numbers: Vec<String> = saturated.iter().map(|s| sets[s.set].number.to_string()).collect();
-        missing.push(format!("sets {} are clipped at full scale and not looked at", numbers.join(", ")));
+        let which = if numbers.len() == 1 { "set" } else { "sets" };
+        let are = if numbers.len() == 1 { "is" } else { "are" };
+        missing.push(format!("{which} {} {are} clipped at full scale and not looked at", numbers.join(", ")));
     }
     if chunks.is_empty() {
         return Err(ObserveError::Nothing(
@@ -646,6 +648,10 @@ pub(super) fn is_quiet(summary: &Summary) -> bool {
 /// Temporal variance of darks below which EMVA 1288 does not take it for measured, DN^2 (release 4, section 6.6).
 const LEAST_DARK_VAR_DN2: f64 = 0.24;
 
+/// What a campaign without a scene leaves open.
+pub(crate) const NO_PATCH: &str =
+    "no scene with a bright patch at two exposures: smear cannot be told from an exposure offset";
+
 /// What a campaign without some sets, or of few pixels, leaves open.
 fn cannot_be_told(shape: (usize, usize), patch: bool, settings: &[FrameRow]) -> Vec<String> {
     let mut missing = Vec::new();
@@ -656,10 +662,7 @@ fn cannot_be_told(shape: (usize, usize), patch: bool, settings: &[FrameRow]) -> 
         ));
     }
     if !patch {
-        missing.push(
-            "no scene with a bright patch at two exposures: smear cannot be told from an exposure offset"
-                .into(),
-        );
+        missing.push(NO_PATCH.into());
     }
     if settings.iter().all(|s| s.kind != Kind::Dark) {
         missing.push("no darks: what is read noise and what is offset cannot be told".into());

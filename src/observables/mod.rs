@@ -34,6 +34,7 @@ mod read;
 mod scene;
 mod table;
 
+pub(crate) use campaign::NO_PATCH;
 pub use campaign::{Identity, Observations, ObserveError, Setting, of_dataset};
 pub use expect::{Expected, HEAVY_DOF, View, expectations, expectations_beside, in_quadrature, lightened};
 mod line_shape;

@@ -32,7 +32,7 @@ fn a_soft_well_is_a_full_well() {
 }
 
 /// A black level of 1.5 deviations of the noise: 2 % of the darks' samples are cut off at code 0, and that is
-/// said. At eight deviations nothing is missing.
+/// said. At eight deviations nothing is missing. Four frames a dark, where a lower read noise would fit as well.
 #[test]
 fn darks_that_reach_code_0_are_said() {
     for (deviations, named) in [(1.5, "black-clipping"), (8.0, "")] {
@@ -43,6 +43,14 @@ fn darks_that_reach_code_0_are_said() {
         let json = diagnosed(&dir.path().join("c"));
         assert_eq!(first(&json), named, "{deviations}: {json:#}");
     }
+    let dir = tempfile::tempdir().unwrap();
+    let mut model = small("cmos12", 128, 96);
+    model.base.read_noise_e = 2.3;
+    model.base.black_level_dn = 1.6;
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    std::fs::write(at("m.toml"), model.to_toml().unwrap()).unwrap();
+    expect(0, &["simulate", &at("m.toml"), "--plan", "quick", "-o", &at("c")]);
+    assert_eq!(first(&diagnosed(&dir.path().join("c"))), "black-clipping");
 }
 
 /// One flat level of a colour camera and darks whose level falls while their noise grows (ASI178MC, shared/real):
