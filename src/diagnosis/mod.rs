@@ -575,7 +575,7 @@ fn without_one<'p>(all: &Observations, parts: &'p [Part], last: &Comparison) -> 
 /// What is too weak for a name.
 fn trace(part: &Part) -> String {
     format!(
-        "a trace of {}, evidence {:.0}: the model holds without it, and below {TRACE:.0} no name is given",
+        "a trace of {} (evidence {:.0}): the model holds without it, and a name needs some four standard errors",
         part.effect.id(),
         part.evidence
     )

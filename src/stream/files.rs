@@ -1,7 +1,7 @@
 //! Corrected frames as files.
 
 use super::{Corrected, Ring, Sink, SinkCounts, StreamError};
-use crate::dataset::{Aside, DatasetError, image, synchronise};
+use crate::dataset::{Aside, DatasetError, Folder, image, synchronise};
 use ndarray::ArrayView2;
 use std::fs::{self, File};
 use std::io::Write;
@@ -36,6 +36,8 @@ struct Job {
     description: String,
     /// Frames of earlier groups.
     written: u64,
+    /// Keeps other writers out of the folder.
+    _held: Folder,
 }
 
 impl Job {
@@ -97,13 +99,15 @@ impl Files {
     pub fn create(root: &Path, description: &str, waiting: usize) -> Result<Self, StreamError> {
         let fault = |message: String| StreamError::Files { path: root.into(), message };
         let io = |e: std::io::Error| fault(e.to_string());
+        let held = Folder::hold(root).map_err(disk)?;
         if fs::read_dir(root).is_ok_and(|mut entries| entries.next().is_some()) {
             return Err(fault("is not empty; choose a new folder".into()));
         }
-        fs::create_dir_all(root.join("frames")).map_err(io)?;
+        crate::output::folder(&root.join("frames")).map_err(io)?;
         let mut rows = File::create_new(root.join("frames.csv")).map_err(io)?;
         writeln!(rows, "{COLUMNS}").map_err(io)?;
-        let mut job = Job { root: root.into(), rows, description: description.into(), written: 0 };
+        let mut job =
+            Job { root: root.into(), rows, description: description.into(), written: 0, _held: held };
         let ring = Arc::new(Ring::<Arc<Corrected>>::new(waiting));
         let (written, failed) = (Arc::new(AtomicU64::new(0)), Arc::new(Mutex::new(None)));
         let (inbox, count, slot) = (Arc::clone(&ring), Arc::clone(&written), Arc::clone(&failed));
