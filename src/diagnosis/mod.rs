@@ -357,7 +357,7 @@ fn missing(
             );
         }
     }
-    let place = place_of_unknown(parts, first_in_doubt.as_deref(), left);
+    let place = place_of_unknown(parts, first_in_doubt.as_deref(), (left, last.error));
     if place == Place::Nowhere {
         return out;
     }

@@ -102,15 +102,25 @@ pub fn score(all: &Observations, fitted: &Fitted) -> f64 {
 /// evidence first.
 pub fn rivals(all: &Observations, rest: &Fitted, of: &dyn Effect, evidence: f64) -> Vec<Candidate> {
     let memo = &Memo::default();
-    Look { all, now: rest, guess: None, most: RIVALS, not: &[of.id()], against: evidence, memo }.candidates()
+    Look { all, now: rest, guess: None, most: RIVALS, not: &[(of.id(), None)], against: evidence, memo }
+        .candidates()
 }
 
 /// Every effect that a model lacks, fitted beside what it has; most evidence first. `fresh`: from a first
 /// guess of the paper's parameters too, since a fit that is far off may have bent what is sound to please
 /// what is not. `not`: those that are none here.
-fn candidates(all: &Observations, now: &Fitted, fresh: bool, not: &[&str], memo: &Memo) -> Vec<Candidate> {
+fn candidates(all: &Observations, now: &Fitted, fresh: bool, not: &[Banned], memo: &Memo) -> Vec<Candidate> {
     let guess = fresh.then(|| now.with_base(start(all)));
     Look { all, now, guess, most: FITTED, not, against: 0.0, memo }.candidates()
+}
+
+/// An effect that is none here: in one of its forms, by the bits of its choices, or in all of them.
+type Banned = (&'static str, Option<Vec<u64>>);
+
+/// Bits of an effect's choices.
+fn choices(effect: &dyn Effect, values: &[f64]) -> Vec<u64> {
+    let of = effect.parameters().iter().zip(values).filter(|(p, _)| p.is_choice());
+    of.map(|(_, v)| v.to_bits()).collect()
 }
 
 /// A look for what could be added to a model.
@@ -122,7 +132,7 @@ struct Look<'a> {
     /// So many are fitted, of those that promise most.
     most: usize,
     /// Those that are not to be among them.
-    not: &'a [&'a str],
+    not: &'a [Banned],
     /// Its evidence.
     against: f64,
     memo: &'a Memo,
@@ -180,7 +190,12 @@ impl Look<'_> {
     /// Effects that the model lacks and this campaign could tell of, by what they promise, the most first.
     fn screened(&self, screen: &Screen<'_>) -> Vec<Promising> {
         let mut ids: Vec<&str> = self.now.effects.iter().map(|(e, _)| e.id()).collect();
-        ids.extend(self.not.iter().copied());
+        ids.extend(self.not.iter().filter(|(_, form)| form.is_none()).map(|(id, _)| *id));
+        let is_banned = |effect: &'static dyn Effect, values: &[f64]| {
+            self.not.iter().any(|(id, form)| {
+                *id == effect.id() && form.as_ref().is_some_and(|form| *form == choices(effect, values))
+            })
+        };
         let there = there(self.all);
         let first_seen = self.guess.as_ref().map(|g| seen(self.all, &g.base));
         let seen = seen(self.all, &self.now.base);
@@ -191,7 +206,8 @@ impl Look<'_> {
                     effect.starts(first).into_iter().filter(|s| !hinted.contains(s)).collect();
                 hinted.extend(fresh);
             }
-            let starts = screen.starts(*effect, &[], &hinted);
+            let mut starts = screen.starts(*effect, &[], &hinted);
+            starts.retain(|start| !is_banned(*effect, &start.values));
             Some(Promising { gain: starts.first()?.gain, effect: *effect, starts })
         };
         let lit = has_flats(self.all);
@@ -261,10 +277,7 @@ fn from_starts(
     screen: Option<&Screen<'_>>,
 ) -> Vec<Fitted> {
     // Of each combination of choices the best start, then others.
-    let choices = |v: &[f64]| -> Vec<u64> {
-        let of = effect.parameters().iter().zip(v).filter(|(p, _)| p.is_choice());
-        of.map(|(_, v)| v.to_bits()).collect()
-    };
+    let choices = |v: &[f64]| choices(effect, v);
     let mut picked: Vec<&Scored> = Vec::new();
     for s in starts {
         if !picked.iter().any(|p| choices(&p.values) == choices(&s.values)) {
@@ -453,12 +466,12 @@ pub struct Found {
 const FAR_SQUARE: f64 = 4.0;
 
 /// Searches again without an effect that has become none of its kind at most.
-const AGAIN: usize = 2;
+const AGAIN: usize = 3;
 
 /// Adds effects to a model as long as the evidence pays for them. `far`: the model is so far off that its own
 /// values may be bent.
 pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn FnMut(&str)) -> Found {
-    let mut not: Vec<&str> = Vec::new();
+    let mut not: Vec<Banned> = Vec::new();
     let memo = Memo::default();
     for _ in 0..AGAIN {
         let found = search_without(all, model, far, &not, &memo, progress);
@@ -477,7 +490,12 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
                 || !is_something(&found.fitted, *i, &seen) && !told(*i, *effect)
         };
         let before = not.len();
-        not.extend(added.filter(nothing).map(|i| found.fitted.effects[i].0.id()));
+        // Another form of it may be something.
+        let banned = |i: usize| {
+            let (effect, values) = &found.fitted.effects[i];
+            (effect.id(), Some(choices(*effect, values)))
+        };
+        not.extend(added.filter(nothing).map(banned));
         if not.len() == before {
             return or_one_that_holds(all, found);
         }
@@ -504,7 +522,7 @@ fn search_without(
     all: &Observations,
     model: &Fitted,
     far: bool,
-    not: &[&str],
+    not: &[Banned],
     memo: &Memo,
     progress: &mut dyn FnMut(&str),
 ) -> Found {
@@ -547,7 +565,9 @@ fn search_without(
             done.extend(lines.iter().cloned());
         }
     }
-    let best = done.into_iter().min_by(|a, b| a.score.total_cmp(&b.score));
+    // What one more effect must bring in a line it must bring between lines too: two are no better than one that explains the same.
+    let priced = |l: &Line| l.score + NEEDED * l.fitted.effects.len() as f64;
+    let best = done.into_iter().min_by(|a, b| priced(a).total_cmp(&priced(b)));
     // A model that came a long way may have been led astray: from a first guess of the paper's parameters too.
     let best = best.map(|l| {
         let from = |base| fit(all, base, &l.fitted.effects);

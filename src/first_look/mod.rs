@@ -308,3 +308,23 @@ pub fn record_looks(dataset: &Dataset, stop: &AtomicBool) -> Result<Reduced, Exa
     }
     Ok(out)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::top_code;
+    use ndarray::Array2;
+
+    /// Codes that pile up at 1022 of 1023; noise that ends there by itself; a well that is full far below.
+    #[test]
+    fn codes_pile_up_at_the_top() {
+        let frame = |code: &dyn Fn(usize) -> u16| Array2::from_shape_fn((40, 50), |(r, c)| code(50 * r + c));
+        assert_eq!(
+            top_code(&frame(&|i| if i % 10 == 0 { 1022 } else { 900 + 2 * (i % 50) as u16 }), 1023),
+            Some(1022)
+        );
+        assert_eq!(top_code(&frame(&|i| 1022 - (i % 60) as u16), 1023), None);
+        assert_eq!(top_code(&frame(&|i| if i % 10 == 0 { 900 } else { 600 }), 1023), None);
+        assert_eq!(top_code(&frame(&|_| 1022), 1023), Some(1022));
+        assert_eq!(top_code(&frame(&|_| 1023), 1023), None);
+    }
+}

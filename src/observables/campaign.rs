@@ -11,6 +11,7 @@ use crate::features::LeftOn;
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
+use crate::statistics::occupancy::lattice_of;
 use crate::statistics::pass::Summary;
 use crate::statistics::steady::PixelNoise;
 use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, Ordinary, SetInfo};
@@ -88,6 +89,8 @@ pub struct Observations {
     pub row_cycles: Vec<f64>,
     /// Frequencies of stripes of columns that move from frame to frame, cycles per column, the strongest first.
     pub column_cycles: Vec<f64>,
+    /// Greatest common divisor of the distances between all codes that occur; 1 where that is not known.
+    pub lattice_dn: u16,
     /// True where frames that are not saved were exposed between the sets.
     pub frames_between: bool,
     /// The field of the light.
@@ -401,6 +404,7 @@ pub fn of_dataset(
         frames_between: between,
         row_cycles: row_cycles(&chunks, &settings, zero_dn),
         column_cycles: column_cycles(&chunks),
+        lattice_dn: lattice(&chunks),
         alike: alike(&chunks, &settings),
         field: field(&chunks, &settings, zero_dn),
         // Of flats: what a dark shows beside its charge is the offsets' pattern, which stays.
@@ -516,6 +520,14 @@ fn row_cycles(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Vec<f64>
         |c: &&Chunk| settings[c.set].kind == Kind::Flat && c.summary.frame_means.mean_dn() - zero_dn > 0.0;
     let rows = chunks.first().map_or(0, |c| c.summary.rows_dn.len());
     cycles(chunks.iter().filter(is_lit), &row_spectrum::RowSpectrum, rows)
+}
+
+/// Greatest common divisor of the distances between codes that occur; what is cut off at both ends is left out.
+fn lattice(chunks: &[Chunk]) -> u16 {
+    let codes = chunks.first().map_or(0, |c| c.summary.occupancy.0.len());
+    let occurs =
+        |code: &usize| chunks.iter().any(|c| c.summary.occupancy.0.get(*code).is_some_and(|n| *n > 0));
+    lattice_of((1..codes.saturating_sub(1)).filter(occurs))
 }
 
 /// Frequencies of stripes of columns that move from frame to frame, cycles per column.

@@ -46,3 +46,33 @@ impl Occupancy {
         self.0.last().map_or(0.0, |&n| n as f64) / self.0.iter().sum::<u64>().max(1) as f64
     }
 }
+
+/// Greatest common divisor of the distances between codes in order; 1 for fewer than two.
+pub fn lattice_of(mut codes: impl Iterator<Item = usize>) -> u16 {
+    let (mut divisor, Some(mut last)) = (0, codes.next()) else { return 1 };
+    for code in codes {
+        let (mut a, mut b) = (divisor, code - last);
+        while b > 0 {
+            (a, b) = (b, a % b);
+        }
+        (divisor, last) = (a, code);
+        if divisor == 1 {
+            break;
+        }
+    }
+    u16::try_from(divisor.max(1)).unwrap_or(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::lattice_of;
+
+    #[test]
+    fn codes_of_one_step_have_it() {
+        assert_eq!(lattice_of([24, 32, 56, 64, 4080].into_iter()), 8);
+        assert_eq!(lattice_of([25, 33, 57, 4081].into_iter()), 8);
+        // Squares of a table of roots.
+        assert_eq!(lattice_of((1..400).map(|i| i * i / 40)), 1);
+        assert_eq!((lattice_of([].into_iter()), lattice_of([5].into_iter())), (1, 1));
+    }
+}

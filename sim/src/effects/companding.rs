@@ -96,6 +96,10 @@ impl Effect for Companding {
     }
 
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        // A table of roots, and two slopes, give codes that are no multiples of one step.
+        if seen.lattice_dn > 1 {
+            return Vec::new();
+        }
         let full = seen.full_scale_dn;
         let mut all: Vec<Vec<f64>> = [1.8, 1.4, 1.0, 0.5, 0.25, 0.125, 0.0625]
             .map(|part| vec![0.0, part * full, 0.3 * full, 4.0])
