@@ -219,7 +219,7 @@ pub fn diagnose(
             m.evidence.insert(0, room.to_string());
         }
     }
-    // Smear matters where it, or what it cannot be told from, is named.
+    // The note on smear is kept where smear, or what looks like it, is named.
     if missing.iter().all(|m| !["smear", "exposure-offset", "unknown"].contains(&m.effect.as_str())) {
         notes.retain(|note| note != NO_PATCH);
     }
@@ -266,7 +266,8 @@ struct RoomBelow {
     model: Fitted,
     /// Largest share of a dark's samples below code 0.
     share: f64,
-    /// Twice the logarithm of the likelihood ratio: of the samples that the model expects below code 0 none is there (Poisson).
+    /// Twice the logarithm of the likelihood ratio: of the samples that the model expects below code 0 none is
+    /// there (Poisson).
     evidence: f64,
 }
 
@@ -524,7 +525,7 @@ fn parts(
         part.others = if alone {
             first.iter().filter(|c| c.effect.id() != part.effect.id()).cloned().collect()
         } else if k > 0 && (better(part).is_some() || last.p_value < HOLDS || explains[order[k]] < WEAK) {
-            // Its name is in doubt anyway, or it matters to nobody what its name is.
+            // Its name is in doubt anyway, or its share is too small to matter.
             Vec::new()
         } else {
             rivals(all, &part.rest, part.effect, part.evidence)

@@ -565,7 +565,8 @@ fn search_without(
             done.extend(lines.iter().cloned());
         }
     }
-    // What one more effect must bring in a line it must bring between lines too: two are no better than one that explains the same.
+    // One more effect must bring as much between lines as within one: two are no better than one that explains
+    // the same.
     let priced = |l: &Line| l.score + NEEDED * l.fitted.effects.len() as f64;
     let best = done.into_iter().min_by(|a, b| priced(a).total_cmp(&priced(b)));
     // A model that came a long way may have been led astray: from a first guess of the paper's parameters too.

@@ -67,7 +67,7 @@ pub(super) enum Place {
 /// choice: with the right names an error of 10 is left by nothing, and 1438 by samples at both ends of the codes).
 const HOPELESS: f64 = 10.0;
 
-/// `doubt`: why the strongest name is not right. `left`: share of what is left, and the error.
+/// Place of `unknown`. `doubt`: why the strongest name is not right; `left`: share of what is left, and the error.
 pub(super) fn place_of_unknown(parts: &[Part], doubt: Option<&str>, left: (f64, f64)) -> Place {
     let (left, error) = left;
     let better = parts.first().is_some_and(|p| better(p).is_some());

@@ -149,7 +149,7 @@ fn sentence(
         || "it does not bias system gain, read noise or linearity".to_string(),
         |cost| format!("ignoring it makes {cost}"),
     );
-    // What to do first stands before a semicolon.
+    // The first remedy stands before a semicolon.
     let (first, more) = page.map_or(("", None), |p| match p.remedy.split_once("; ") {
         Some((first, more)) => (first, Some(more.trim_start_matches("or ").trim_start_matches("else "))),
         None => (p.remedy, None),
@@ -197,7 +197,7 @@ fn main_size(m: &Missing) -> Option<(&'static Parameter, &Quantity)> {
     sizes.into_iter().max_by(|a, b| known(a.1).total_cmp(&known(b.1))).or_else(|| others.into_iter().next())
 }
 
-/// How strong it is; parts of a whole in per cent.
+/// Strength of an effect; parts of a whole in per cent.
 fn size(m: &Missing) -> String {
     let Some((p, q)) = main_size(m) else { return String::new() };
     let is_part = p.unit == "1" && ["relative", "share", "part"].iter().any(|word| p.meaning.contains(word));
@@ -208,10 +208,10 @@ fn size(m: &Missing) -> String {
     }
 }
 
-/// What its size and its form mean.
+/// Meaning of its size and its form.
 fn meaning(m: &Missing) -> Option<String> {
     let size = main_size(m).map(|(p, _)| {
-        // Of which shape it is a parameter is no matter for a reader.
+        // The shape that a parameter belongs to tells a reader nothing.
         let text = p.meaning.split_once(": ").filter(|(of, _)| of.chars().any(|c| c.is_ascii_digit()));
         text.map_or(p.meaning, |(_, text)| text).to_string()
     });

@@ -11,7 +11,6 @@ use crate::features::LeftOn;
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
-use crate::statistics::occupancy::lattice_of;
 use crate::statistics::pass::Summary;
 use crate::statistics::steady::PixelNoise;
 use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, Ordinary, SetInfo};
@@ -89,7 +88,7 @@ pub struct Observations {
     pub row_cycles: Vec<f64>,
     /// Frequencies of stripes of columns that move from frame to frame, cycles per column, the strongest first.
     pub column_cycles: Vec<f64>,
-    /// Greatest common divisor of the distances between all codes that occur; 1 where that is not known.
+    /// Step of which all codes that occur are multiples, from one of them on; 1 where there is none.
     pub lattice_dn: u16,
     /// True where frames that are not saved were exposed between the sets.
     pub frames_between: bool,
@@ -331,6 +330,7 @@ pub fn of_dataset(
         });
     }
     let line = lines[0].with(&lines[1]).strongest();
+    let lattice_dn = codes::lattice(&codes);
     let mut filled = [codes::Filled::default(), codes::Filled::default()];
     let mut pairs = [None, None];
     for (half, codes) in Half::TURNS.into_iter().zip(codes) {
@@ -404,7 +404,7 @@ pub fn of_dataset(
         frames_between: between,
         row_cycles: row_cycles(&chunks, &settings, zero_dn),
         column_cycles: column_cycles(&chunks),
-        lattice_dn: lattice(&chunks),
+        lattice_dn,
         alike: alike(&chunks, &settings),
         field: field(&chunks, &settings, zero_dn),
         // Of flats: what a dark shows beside its charge is the offsets' pattern, which stays.
@@ -520,14 +520,6 @@ fn row_cycles(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Vec<f64>
         |c: &&Chunk| settings[c.set].kind == Kind::Flat && c.summary.frame_means.mean_dn() - zero_dn > 0.0;
     let rows = chunks.first().map_or(0, |c| c.summary.rows_dn.len());
     cycles(chunks.iter().filter(is_lit), &row_spectrum::RowSpectrum, rows)
-}
-
-/// Greatest common divisor of the distances between codes that occur; what is cut off at both ends is left out.
-fn lattice(chunks: &[Chunk]) -> u16 {
-    let codes = chunks.first().map_or(0, |c| c.summary.occupancy.0.len());
-    let occurs =
-        |code: &usize| chunks.iter().any(|c| c.summary.occupancy.0.get(*code).is_some_and(|n| *n > 0));
-    lattice_of((1..codes.saturating_sub(1)).filter(occurs))
 }
 
 /// Frequencies of stripes of columns that move from frame to frame, cycles per column.
@@ -660,7 +652,7 @@ pub(super) fn is_quiet(summary: &Summary) -> bool {
 /// Temporal variance of darks below which EMVA 1288 does not take it for measured, DN^2 (release 4, section 6.6).
 const LEAST_DARK_VAR_DN2: f64 = 0.24;
 
-/// What a campaign without a scene leaves open.
+/// Limit of campaigns without a scene.
 pub(crate) const NO_PATCH: &str =
     "no scene with a bright patch at two exposures: smear cannot be told from an exposure offset";
 

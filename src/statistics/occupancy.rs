@@ -47,20 +47,24 @@ impl Occupancy {
     }
 }
 
-/// Greatest common divisor of the distances between codes in order; 1 for fewer than two.
-pub fn lattice_of(mut codes: impl Iterator<Item = usize>) -> u16 {
-    let (mut divisor, Some(mut last)) = (0, codes.next()) else { return 1 };
-    for code in codes {
-        let (mut a, mut b) = (divisor, code - last);
-        while b > 0 {
-            (a, b) = (b, a % b);
-        }
-        (divisor, last) = (a, code);
-        if divisor == 1 {
-            break;
-        }
-    }
-    u16::try_from(divisor.max(1)).unwrap_or(1)
+/// Largest step of codes that is looked for.
+const MOST_STEP: usize = 256;
+/// Share of samples that may lie between the steps: those that stand for struck ones are means of others.
+const BETWEEN: f64 = 1e-3;
+/// Smallest number of steps that tell one (a named choice).
+const STEPS: usize = 16;
+
+/// Step of which nearly all codes that occur are multiples, from one of them on; 1 where there is none. `counts`: of each code.
+pub fn lattice_of(counts: &[u64]) -> u16 {
+    let all: u64 = counts.iter().sum();
+    let most = counts.iter().enumerate().max_by_key(|(_, n)| **n).map_or(0, |(code, _)| code);
+    let has = |step: &usize| {
+        let on = counts.iter().skip(most % step).step_by(*step).filter(|n| **n > 0);
+        let (steps, samples) = on.fold((0, 0), |(steps, sum), n| (steps + 1, sum + n));
+        steps >= STEPS && samples as f64 >= (1.0 - BETWEEN) * all as f64
+    };
+    let found = (2..=MOST_STEP).rev().find(has).unwrap_or(1);
+    u16::try_from(found).unwrap_or(1)
 }
 
 #[cfg(test)]
@@ -69,10 +73,19 @@ mod tests {
 
     #[test]
     fn codes_of_one_step_have_it() {
-        assert_eq!(lattice_of([24, 32, 56, 64, 4080].into_iter()), 8);
-        assert_eq!(lattice_of([25, 33, 57, 4081].into_iter()), 8);
-        // Squares of a table of roots.
-        assert_eq!(lattice_of((1..400).map(|i| i * i / 40)), 1);
-        assert_eq!((lattice_of([].into_iter()), lattice_of([5].into_iter())), (1, 1));
+        let of = |codes: &mut dyn Iterator<Item = usize>| {
+            let mut counts = vec![0; 4096];
+            codes.for_each(|code| counts[code] += 100);
+            counts
+        };
+        assert_eq!(lattice_of(&of(&mut (0..500).map(|i| 8 * i))), 8);
+        let mut shifted = of(&mut (0..500).map(|i| 8 * i + 1));
+        shifted[1003] = 20;
+        assert_eq!(lattice_of(&shifted), 8, "samples that stand for struck ones");
+        shifted[1005] = 200;
+        assert_eq!(lattice_of(&shifted), 1);
+        // Squares of a table of roots, and all codes; too few to tell.
+        assert_eq!(lattice_of(&of(&mut (1..400).map(|i| i * i / 40))), 1);
+        assert_eq!((lattice_of(&vec![1; 4096]), lattice_of(&[]), lattice_of(&[0, 5, 0, 5])), (1, 1, 1));
     }
 }

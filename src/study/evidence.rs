@@ -108,7 +108,7 @@ fn in_errors(j: &Judgement, name: &str) -> Option<Plot> {
     }
     plot.id = format!("{}-in-errors", plot.id).into();
     plot.title = format!("{name}, in standard errors").into();
-    plot.y = axis("(measured − expected) / standard error");
+    plot.y = axis("deviation, standard errors");
     Some(plot)
 }
 

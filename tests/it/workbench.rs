@@ -194,7 +194,7 @@ fn the_whole_story_in_a_browser() {
     assert_eq!(seen["heading"], "The camera shows interpixel-crosstalk");
     let sentence = seen["sentence"].as_str().unwrap();
     assert!(
-        sentence.contains("a = 0.0117") && sentence.contains("% too low") && sentence.contains("Remedy"),
+        sentence.contains("of 1.17") && sentence.contains("% too low") && sentence.contains("remedy: "),
         "{sentence}"
     );
     let error = |arguments: &[&str], code| -> f64 {

@@ -88,7 +88,8 @@ impl Effect for Companding {
 
     /// Steps that are coarse from the darkest level on are those of a coarse converter.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
-        p[0] >= 0.5 && seen.code_step_dn.is_some_and(|step| step > EVERYWHERE * p[3])
+        // A table of roots, and two slopes, give codes that are no multiples of one step.
+        seen.lattice_dn > 1 || p[0] >= 0.5 && seen.code_step_dn.is_some_and(|step| step > EVERYWHERE * p[3])
     }
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {
@@ -96,10 +97,6 @@ impl Effect for Companding {
     }
 
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
-        // A table of roots, and two slopes, give codes that are no multiples of one step.
-        if seen.lattice_dn > 1 {
-            return Vec::new();
-        }
         let full = seen.full_scale_dn;
         let mut all: Vec<Vec<f64>> = [1.8, 1.4, 1.0, 0.5, 0.25, 0.125, 0.0625]
             .map(|part| vec![0.0, part * full, 0.3 * full, 4.0])

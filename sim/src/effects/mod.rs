@@ -110,7 +110,7 @@ pub struct Seen {
     pub row_cycles: [Option<f64>; 3],
     /// Codes for each one that occurs, about the levels.
     pub code_step_dn: Option<f64>,
-    /// Greatest common divisor of the distances between all codes that occur.
+    /// Step of which all codes that occur are multiples, from one of them on; 1 where there is none.
     pub lattice_dn: u16,
     /// Covariance of the pixels' variances between short darks and its error, DN^4: what stays with its pixels.
     pub steady_dn4: Option<(f64, f64)>,
