@@ -319,11 +319,11 @@ mod tests {
     fn codes_pile_up_at_the_top() {
         let frame = |code: &dyn Fn(usize) -> u16| Array2::from_shape_fn((40, 50), |(r, c)| code(50 * r + c));
         assert_eq!(
-            top_code(&frame(&|i| if i % 10 == 0 { 1022 } else { 900 + 2 * (i % 50) as u16 }), 1023),
+            top_code(&frame(&|i| if i.is_multiple_of(10) { 1022 } else { 900 + 2 * (i % 50) as u16 }), 1023),
             Some(1022)
         );
         assert_eq!(top_code(&frame(&|i| 1022 - (i % 60) as u16), 1023), None);
-        assert_eq!(top_code(&frame(&|i| if i % 10 == 0 { 900 } else { 600 }), 1023), None);
+        assert_eq!(top_code(&frame(&|i| if i.is_multiple_of(10) { 900 } else { 600 }), 1023), None);
         assert_eq!(top_code(&frame(&|_| 1022), 1023), Some(1022));
         assert_eq!(top_code(&frame(&|_| 1023), 1023), None);
     }

@@ -54,7 +54,8 @@ const BETWEEN: f64 = 1e-3;
 /// Smallest number of steps that tell one (a named choice).
 const STEPS: usize = 16;
 
-/// Step of which nearly all codes that occur are multiples, from one of them on; 1 where there is none. `counts`: of each code.
+/// Step of which nearly all codes that occur are multiples, from one of them on; 1 where there is none. `counts`:
+/// of each code.
 pub fn lattice_of(counts: &[u64]) -> u16 {
     let all: u64 = counts.iter().sum();
     let most = counts.iter().enumerate().max_by_key(|(_, n)| **n).map_or(0, |(code, _)| code);
@@ -86,6 +87,6 @@ mod tests {
         assert_eq!(lattice_of(&shifted), 1);
         // Squares of a table of roots, and all codes; too few to tell.
         assert_eq!(lattice_of(&of(&mut (1..400).map(|i| i * i / 40))), 1);
-        assert_eq!((lattice_of(&vec![1; 4096]), lattice_of(&[]), lattice_of(&[0, 5, 0, 5])), (1, 1, 1));
+        assert_eq!((lattice_of(&[1; 4096]), lattice_of(&[]), lattice_of(&[0, 5, 0, 5])), (1, 1, 1));
     }
 }
