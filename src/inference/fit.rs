@@ -305,6 +305,6 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
             of.max_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)))
         }),
         code_step_dn: share.filter(|s| *s > 0.0).map(f64::recip),
-        lattice_dn: all.lattice_dn,
+        stretch_dn: all.stretch_dn,
     }
 }

@@ -88,8 +88,8 @@ pub struct Observations {
     pub row_cycles: Vec<f64>,
     /// Frequencies of stripes of columns that move from frame to frame, cycles per column, the strongest first.
     pub column_cycles: Vec<f64>,
-    /// Step of which all codes that occur are multiples, from one of them on; 1 where there is none.
-    pub lattice_dn: u16,
+    /// Distance of the codes that occur, where all lie on one line of steps; 1 where they do not.
+    pub stretch_dn: f64,
     /// True where frames that are not saved were exposed between the sets.
     pub frames_between: bool,
     /// The field of the light.
@@ -330,7 +330,7 @@ pub fn of_dataset(
         });
     }
     let line = lines[0].with(&lines[1]).strongest();
-    let lattice_dn = codes::lattice(&codes);
+    let stretch_dn = codes::stretch_dn(&codes);
     let mut filled = [codes::Filled::default(), codes::Filled::default()];
     let mut pairs = [None, None];
     for (half, codes) in Half::TURNS.into_iter().zip(codes) {
@@ -404,7 +404,7 @@ pub fn of_dataset(
         frames_between: between,
         row_cycles: row_cycles(&chunks, &settings, zero_dn),
         column_cycles: column_cycles(&chunks),
-        lattice_dn,
+        stretch_dn,
         alike: alike(&chunks, &settings),
         field: field(&chunks, &settings, zero_dn),
         // Of flats: what a dark shows beside its charge is the offsets' pattern, which stays.

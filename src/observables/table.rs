@@ -161,6 +161,6 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         frames_between: false,
         row_cycles: Vec::new(),
         column_cycles: Vec::new(),
-        lattice_dn: 1,
+        stretch_dn: 1.0,
     })
 }

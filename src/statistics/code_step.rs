@@ -31,6 +31,13 @@ impl Occurring {
         self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a += b);
     }
 
+    /// Counts of the codes from 0 on; what lies beyond 16 bits is left out.
+    pub fn of_counts(counts: &[u64]) -> Self {
+        let mut out = Self::default();
+        out.0.iter_mut().zip(counts).for_each(|(sum, n)| *sum = *n);
+        out
+    }
+
     /// Codes that occur, the lowest first.
     pub fn codes(&self) -> Vec<f64> {
         self.more_often_than(0)

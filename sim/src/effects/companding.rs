@@ -86,10 +86,10 @@ impl Effect for Companding {
         parameter == 0 || (parameter >= 2) == (p[0] >= 0.5)
     }
 
-    /// Steps that are coarse from the darkest level on are those of a coarse converter.
+    /// Codes on one line of steps, and steps that are coarse from the darkest level on, are those of a coarse
+    /// converter: a table of roots and two slopes have steps of several sizes.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
-        // A table of roots, and two slopes, give codes that are no multiples of one step.
-        seen.lattice_dn > 1 || p[0] >= 0.5 && seen.code_step_dn.is_some_and(|step| step > EVERYWHERE * p[3])
+        seen.stretch_dn > 1.0 || p[0] >= 0.5 && seen.code_step_dn.is_some_and(|step| step > EVERYWHERE * p[3])
     }
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {
@@ -124,7 +124,7 @@ impl Effect for Companding {
                        one step q(D)^2 / 12",
             signature: "codes are missing, the more the brighter; the noise of a step grows with the level; the means stay",
             look_alikes: "coarse quantisation leaves the same codes out at all levels",
-            remedy: "a pixel format with all bits; else allow for the step in the noise",
+            remedy: "a pixel format with all bits; allow for the step in the noise",
             measure: "the histogram of flats at several levels: which codes occur",
             sets: takes::SWEEP,
             source: "EMVA 1288 release 4, section 2 (raw data are required); IEEE 1241-2010",

@@ -110,8 +110,8 @@ pub struct Seen {
     pub row_cycles: [Option<f64>; 3],
     /// Codes for each one that occurs, about the levels.
     pub code_step_dn: Option<f64>,
-    /// Step of which all codes that occur are multiples, from one of them on; 1 where there is none.
-    pub lattice_dn: u16,
+    /// Distance of the codes that occur, where all lie on one line of steps; 1 where they do not.
+    pub stretch_dn: f64,
     /// Covariance of the pixels' variances between short darks and its error, DN^4: what stays with its pixels.
     pub steady_dn4: Option<(f64, f64)>,
     /// The same of pixels two columns or two rows apart, DN^4, whichever is surer: noisy pixels that are parts of the sensor.
