@@ -2,6 +2,7 @@
 //! their share of the misfit, with what they cost the user. What is left has a share of its own.
 
 mod cost;
+mod cut;
 mod entry;
 mod memo;
 mod search;
@@ -19,8 +20,6 @@ pub use share::Remainder;
 pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 
-use verdict::WEAK;
-
 use crate::agreement::DOUBT;
 use crate::data_faults::DataFault;
 use crate::dataset::Kind;
@@ -34,9 +33,10 @@ use crate::number::{chance, percent};
 use crate::observables::profile::LineProfile;
 use crate::observables::{NO_PATCH, Observations, STATISTICS, Setting, Statistic, covariance};
 use crate::plan::Plan;
+use cut::{CUT, CutOff, with_cut};
 use entry::{describe, reasons};
 use radcam_sim::effects::{Effect, Seen, Take, find, takes};
-use radcam_sim::predict::{BaseParameters, SetInfo};
+use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
 use search::{Candidate, NEEDED, is_something, is_told, rivals, score, search, surely_there, without};
 use sensor::sensor;
@@ -184,9 +184,9 @@ pub fn diagnose(
     let base = base.unwrap_or_else(|| start(all));
     let cut = fit(all, &base, &effects);
     // Codes end at 0: where noise reaches below, it is cut off for certain, and the search goes on from there.
-    let room = with_room_below(all, &cut);
-    let (model, start) = match &room {
-        Some(room) => (room.model.clone(), with_cut(all, &room.model)),
+    let cut_off = CutOff::of(all, &cut);
+    let (model, start) = match &cut_off {
+        Some(open) => (open.model.clone(), with_cut(all, &open.model)),
         None => (cut.clone(), cut),
     };
     let first = compare(all, &model);
@@ -199,14 +199,14 @@ pub fn diagnose(
         notes.extend(parts.iter().map(trace));
         (parts, whole, last) = (Vec::new(), model.clone(), first.clone());
     }
-    // Samples that the range of the codes cuts off are evidence, though a lower read noise fits the darks as well.
-    if let Some(room) = &room {
+    // Samples that the range of the codes cuts off are evidence, though a lower read noise fits the darks as
+    // well.
+    if let Some(cut_off) = &cut_off {
         if parts.iter().all(|p| p.effect.id() != CUT) {
             whole = with_cut(all, &whole);
             (parts, last) = (left_out(all, &model, &whole), compare(all, &whole));
         }
-        let part = parts.iter_mut().find(|p| p.effect.id() == CUT);
-        part.into_iter().for_each(|part| part.evidence = part.evidence.max(0.0) + room.evidence);
+        cut_off.weigh(&mut parts);
     }
     progress(&format!("error {:.2} with {} effects added", last.error, parts.len()));
     let mut ladder = vec![Rung { added: None, error: first.error, p_value: first.p_value }];
@@ -215,8 +215,8 @@ pub fn diagnose(
     let mut missing = missing(all, &parts, &whole, [&first, &last], &ladder, remainder.as_ref());
     for m in &mut missing {
         m.evidence.extend(suspects(&m.effect, &all.left_on));
-        if let Some(room) = room.as_ref().filter(|_| m.effect == CUT) {
-            m.evidence.insert(0, room.to_string());
+        if let Some(cut_off) = cut_off.as_ref().filter(|_| m.effect == CUT) {
+            m.evidence.insert(0, cut_off.to_string());
         }
     }
     // The note on smear is kept where smear, or what looks like it, is named.
@@ -242,71 +242,6 @@ pub fn diagnose(
         fitted: Some(whole),
         comparisons: vec![first, last],
     }
-}
-
-/// Share of the samples of a dark that fall below code 0 from which on a black level is too low (a named choice:
-/// cut off at 2.9 deviations, the noise's variance loses half a per cent).
-const CUT_OFF: f64 = 0.002;
-
-/// The effect that cuts noise off below a code.
-const CUT: &str = "black-clipping";
-/// The same at code 0.
-const AT_CODE_0: [f64; 2] = [0.0, 1.0];
-
-/// A model with noise below code 0 cut off.
-fn with_cut(all: &Observations, model: &Fitted) -> Fitted {
-    let mut effects = model.effects.clone();
-    effects.extend(find(CUT).map(|e| (e, AT_CODE_0.to_vec())));
-    fit(all, &model.base, &effects)
-}
-
-/// A camera whose codes end within the noise of its darks.
-struct RoomBelow {
-    /// The model with noise below code 0 that is not cut off.
-    model: Fitted,
-    /// Largest share of a dark's samples below code 0.
-    share: f64,
-    /// Twice the logarithm of the likelihood ratio: of the samples that the model expects below code 0 none is
-    /// there (Poisson).
-    evidence: f64,
-}
-
-impl std::fmt::Display for RoomBelow {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(
-            f,
-            "by the noise of the darks {} of their samples would lie below code 0, where none can be",
-            percent(self.share)
-        )
-    }
-}
-
-/// The same, where so much of the noise lies below code 0 that the black level is too low: what is missing then is
-/// black-clipping. A camera that states that it has no black level cuts by design.
-fn with_room_below(all: &Observations, model: &Fitted) -> Option<RoomBelow> {
-    let has_it = model.effects.iter().any(|(e, _)| e.id() == CUT);
-    if !all.campaign.from_code_0 || all.no_black_level || has_it || !model.base.cut_at_0 {
-        return None;
-    }
-    let base = &model.base;
-    let below = |set: &SetInfo| {
-        let noise_dn = base.read_noise_e * base.gain_dn_per_e;
-        let level_dn = base.offset_dn + base.gain_dn_per_e * base.dark_e_per_s * set.exposure_s;
-        let deviation = noise_dn.hypot(set.spread_dn).max(1e-6);
-        0.5 * libm::erfc((level_dn + 0.5) / deviation * std::f64::consts::FRAC_1_SQRT_2)
-    };
-    let shares: Vec<f64> = all.campaign.sets.iter().map(below).collect();
-    let is_dark = |set: &usize| all.kinds[*set] == Kind::Dark;
-    let share = (0..shares.len()).filter(is_dark).map(|set| shares[set]).fold(0.0, f64::max);
-    if share < CUT_OFF {
-        return None;
-    }
-    tracing::debug!("{share:.4} of a dark's samples fall below code 0");
-    let pixels = (all.campaign.shape.0 * all.campaign.shape.1) as f64;
-    let darks = all.campaign.frames.iter().filter(|frame| is_dark(&frame.set));
-    let evidence = 2.0 * darks.map(|frame| shares[frame.set] * pixels).sum::<f64>();
-    let open = BaseParameters { cut_at_0: false, ..base.clone() };
-    Some(RoomBelow { model: fit(all, &open, &model.effects), share, evidence })
 }
 
 /// What was left on in the camera and acts like an effect; of `unknown` everything.
@@ -358,7 +293,7 @@ fn missing(
             );
         }
     }
-    let place = place_of_unknown(parts, first_in_doubt.as_deref(), (left, last.error));
+    let place = place_of_unknown(parts, first_in_doubt.as_deref(), left, last.error);
     if place == Place::Nowhere {
         return out;
     }
@@ -519,13 +454,13 @@ fn parts(
     let mut order: Vec<usize> = (0..parts.len()).collect();
     order.sort_by(|&a, &b| explains[b].total_cmp(&explains[a]));
     let mut slots: Vec<Option<Part>> = parts.into_iter().map(Some).collect();
-    let mut parts: Vec<Part> = order.iter().filter_map(|i| slots[*i].take()).collect();
+    let mut parts: Vec<Part> = order.into_iter().filter_map(|i| slots[i].take()).collect();
     let alone = parts.len() == 1;
     for (k, part) in parts.iter_mut().enumerate() {
         part.others = if alone {
             first.iter().filter(|c| c.effect.id() != part.effect.id()).cloned().collect()
-        } else if k > 0 && (better(part).is_some() || last.p_value < HOLDS || explains[order[k]] < WEAK) {
-            // Its name is in doubt anyway, or its share is too small to matter.
+        } else if k > 0 && (better(part).is_some() || last.p_value < HOLDS) {
+            // Its name is in doubt anyway.
             Vec::new()
         } else {
             rivals(all, &part.rest, part.effect, part.evidence)
