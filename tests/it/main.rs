@@ -29,6 +29,7 @@ mod import;
 mod import_cases;
 mod import_names;
 mod investigate;
+mod judge;
 mod killed;
 mod models;
 mod monitor;

@@ -1,0 +1,142 @@
+//! Models judged on frames that no fit saw: the error is 1, and its parts are, in campaigns of every shape.
+
+use crate::effects::{campaign, capture, observe, unit, with};
+use radcam::dataset::Kind;
+use radcam::diagnosis::diagnose;
+use radcam::inference::{compare, fit, start};
+use radcam::plan::{Plan, SetPlan};
+use radcam_sim::EffectValues;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Takes what is stated of the light's error out of a dataset.
+fn without_stated_light(root: &Path) {
+    let path = root.join("dataset.toml");
+    let manifest = std::fs::read_to_string(&path).unwrap();
+    let kept: Vec<&str> = manifest.lines().filter(|l| !l.starts_with("illumination_rel_std")).collect();
+    std::fs::write(&path, kept.join("\n") + "\n").unwrap();
+}
+
+/// Eight lights at one exposure, each of the lower seven set twice, three frames each time: every set goes to one
+/// half as a whole, both of a light to the same, and the other half knows nothing of its light.
+fn lights_twice(model: radcam_sim::Model, root: &Path) {
+    let mut plan = Plan::quick();
+    plan.full_exposure_s = Some(0.02);
+    let set = plan.sets.pop().unwrap();
+    plan.sets.truncate(2);
+    let lights = (1..=8).chain((1..=7).rev());
+    let at = |k| SetPlan { frames: 3, exposure: Some(1.0), illumination: f64::from(k) / 8.0, ..set.clone() };
+    plan.sets.extend(lights.map(at));
+    capture(model, &plan, root);
+    without_stated_light(root);
+}
+
+/// Residuals at lights that the fit did not see are of unit size, over 16 clean cameras: the means of lights that are
+/// set twice, the noise of pixels, rows and columns, and neighbours, each within four standard errors.
+#[test]
+fn residuals_at_lights_of_one_half_are_of_unit_size() {
+    let mut of: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+    for seed in 60..76 {
+        let dir = tempfile::tempdir().unwrap();
+        lights_twice(unit(seed), &dir.path().join("c"));
+        let all = observe(&dir.path().join("c"));
+        let judged = compare(&all, &fit(&all, &start(&all), &Vec::new()));
+        for r in judged.residuals.iter().filter(|r| r.level_dn > 20.0) {
+            of.entry(r.statistic.to_string()).or_default().push(r.z);
+        }
+    }
+    for name in
+        ["mean", "temporal variance", "variance of row means", "variance of column means", "covariance"]
+    {
+        let z = &of[name];
+        let n = z.len() as f64;
+        let rms = (z.iter().map(|z| z * z).sum::<f64>() / n).sqrt();
+        println!("{name}: {rms:.3} of {n}");
+        assert!(n >= 100.0 && (rms - 1.0).abs() < 4.0 / (2.0 * n).sqrt(), "{name}: {rms} of {n}");
+    }
+}
+
+/// Lights of which no error is stated, each set twice, three frames each time: every half has one set of
+/// each, and the scatter of the lamp is named all the same.
+#[test]
+fn a_lamp_that_scatters_is_named_where_every_light_is_set_twice() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    lights_twice(with(unit(33), "illumination-setting", &[0.001]), &root);
+    let d = diagnose(&observe(&root), None, Vec::new(), &mut |_| {});
+    assert_eq!(d.missing[0].effect, "illumination-setting", "{:?}", d.missing);
+    let q = &d.missing[0].parameters["rel"];
+    assert!((q.value - 0.001).abs() < 4.0 * q.std_err, "{q}");
+}
+
+/// A second gain from a level on that is 0.8 % off: sets of the same light agree, so that no lamp scatters, and
+/// no name of the catalogue stands.
+#[test]
+fn two_gains_that_do_not_match_are_no_scatter_of_the_lamp() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    let mut model = unit(41);
+    let map = |name: &str, text: &str| [(name.to_string(), text.to_string())].into();
+    model.effects.push(EffectValues {
+        id: "custom".into(),
+        name: Some("two-gains".into()),
+        formulas: map("mean", "s * mu * (1 + tanh((mu - 1500) / 2)) / 2"),
+        parameters: [("s".to_string(), 0.008)].into(),
+        bounds: [("s".to_string(), [0.0, 1.0])].into(),
+        units: map("s", "1"),
+        ..Default::default()
+    });
+    campaign(model, &root);
+    without_stated_light(&root);
+    let d = diagnose(&observe(&root), None, Vec::new(), &mut |_| {});
+    assert_eq!(d.missing[0].effect, "unknown", "{:?}", d.missing);
+    let said: String = d.missing.iter().flat_map(|m| m.evidence.clone()).collect();
+    assert!(said.contains("sets of the same light and exposure agree"), "{said}");
+}
+
+/// Clean cameras under campaigns that others take: one dark and a sweep; pairs of a flat and its dark; one
+/// exposure at several lights, of ten frames and of five; two short sets of darks. None raises an alarm, of
+/// three cameras each, where one in a hundred does by chance; and the error is 1 in each.
+#[test]
+fn campaigns_of_other_shapes_raise_no_alarm() {
+    let set = |kind, frames, exposure: f64, light: f64| SetPlan {
+        kind,
+        frames,
+        exposure_s: Some(0.02 * exposure),
+        exposure: None,
+        illumination: light,
+        configuration: 0,
+    };
+    let dark = |frames, exposure| set(Kind::Dark, frames, exposure, 0.0);
+    let flat = |frames, exposure, light| set(Kind::Flat, frames, exposure, light);
+    let sweep = |frames, levels: u32| {
+        (1..=levels).map(move |i| flat(frames, f64::from(i) / f64::from(levels), 1.0)).collect::<Vec<_>>()
+    };
+    let pairs = (1..=10).flat_map(|i| [flat(4, f64::from(i) / 10.0, 1.0), dark(4, f64::from(i) / 10.0)]);
+    let lights = [0.1, 0.3, 0.5, 0.7, 0.9].map(|light| flat(10, 1.0, light));
+    let few = (1..=10).map(|i| flat(5, 1.0, f64::from(i) / 10.0));
+    let shapes: [(&str, Vec<SetPlan>); 6] = [
+        ("one dark", [vec![dark(8, 1.0)], sweep(8, 8)].concat()),
+        ("pairs", pairs.collect()),
+        ("lights", [vec![dark(10, 1.0)], lights.to_vec()].concat()),
+        ("lights of few frames", [vec![dark(5, 1.0)], few.collect(), vec![dark(5, 0.05)]].concat()),
+        ("short darks", [vec![dark(4, 0.05), dark(4, 1.0)], sweep(4, 5)].concat()),
+        ("quick", [vec![dark(4, 1.0), dark(4, 6.0)], sweep(4, 8)].concat()),
+    ];
+    for (name, sets) in shapes {
+        for seed in 1..=3 {
+            let mut model = unit(seed);
+            model.base.dark_current_e_per_s = 20.0;
+            let dir = tempfile::tempdir().unwrap();
+            capture(
+                model,
+                &Plan { sets: sets.clone(), full_exposure_s: Some(0.02), ..Plan::standard() },
+                &dir.path().join("c"),
+            );
+            let d = diagnose(&observe(&dir.path().join("c")), None, Vec::new(), &mut |_| {});
+            assert!(d.consistent, "{name}, seed {seed}: {}", d.verdict.sentence());
+            // 80 cameras of docs/CONFUSION.md have errors of 0.87 to 1.02.
+            assert!((0.8..1.15).contains(&d.error_before), "{name}, seed {seed}: {}", d.error_before);
+        }
+    }
+}
