@@ -134,7 +134,7 @@ pub fn print(title: &str, d: &Diagnosis) {
     println!(
         "  starting model: the linear sensor of Healey and Kondepudy 1994, with the effects of --model;"
     );
-    println!("  misfit: what it leaves above the noise");
+    println!("  misfit: its deviations above the noise");
     if let Some(next) = &d.next_measurement {
         println!("\n  next measurement: {next}\n    (as a plan for `radcam capture`: --next PLAN.toml)");
     }

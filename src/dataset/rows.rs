@@ -1,4 +1,4 @@
-//! Rows of `frames.csv`: how they are read, and what must hold of each.
+//! Rows of `frames.csv`: their reader and their checks.
 
 use super::{COLUMNS, CameraInfo, DatasetError, FrameRow, Kind};
 use crate::input::{echo, echo_message};
@@ -52,7 +52,7 @@ impl<'a> Lines<'a> {
     }
 }
 
-/// What a reader of CSV says, without the place, which is told by the line.
+/// Message of a CSV reader without its place: the line stands before it.
 pub(crate) fn csv_words(error: &csv::Error, header: &csv::StringRecord) -> String {
     match error.kind() {
         csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
@@ -91,7 +91,7 @@ const MAX_ILLUMINATION: f64 = 1e30;
 /// Longest campaign, s: times since any epoch fit into it.
 const MAX_TIME_S: f64 = 1e12;
 
-/// What must hold of one row by itself; `folders`: where files with absolute paths may lie, if they have these.
+/// Checks of one row by itself; `folders`: where files with absolute paths may lie, if they have these.
 pub(super) fn check_row(row: &FrameRow, folders: &[PathBuf]) -> Result<(), String> {
     let (name, _) = split_page(&row.file)?;
     let path = Path::new(name);

@@ -465,7 +465,7 @@ pub struct Found {
 /// Mean square of the residuals beyond which a fit may have ended early.
 const FAR_SQUARE: f64 = 4.0;
 
-/// Searches again without an effect that has become none of its kind at most.
+/// Repeated searches, each without the forms of effects that had become nothing.
 const AGAIN: usize = 3;
 
 /// Adds effects to a model as long as the evidence pays for them. `far`: the model is so far off that its own

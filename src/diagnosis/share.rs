@@ -63,13 +63,14 @@ pub(super) enum Place {
     Nowhere,
 }
 
-/// Error with all names in the model from which on they do not describe the campaign, whatever their share (a named
-/// choice: with the right names an error of 10 is left by nothing, and 1438 by samples at both ends of the codes).
+/// Error with all names in the model from which on they do not describe the campaign, whatever their share (a
+/// named choice: of 235 campaigns with the right names the largest error is 1.7, and samples at both ends of the
+/// codes leave 1438).
 const HOPELESS: f64 = 10.0;
 
-/// Place of `unknown`. `doubt`: why the strongest name is not right; `left`: share of what is left, and the error.
-pub(super) fn place_of_unknown(parts: &[Part], doubt: Option<&str>, left: (f64, f64)) -> Place {
-    let (left, error) = left;
+/// Place of `unknown`. `doubt`: reason against the strongest name; `left`: share of the remainder; `error`: with all
+/// names in the model.
+pub(super) fn place_of_unknown(parts: &[Part], doubt: Option<&str>, left: f64, error: f64) -> Place {
     let better = parts.first().is_some_and(|p| better(p).is_some());
     match left {
         _ if parts.is_empty() && left > 0.0 || doubt.is_some() || better => Place::First,
@@ -93,13 +94,12 @@ pub(super) fn shares(parts: &[Part], fitted: &[Residual]) -> Vec<f64> {
 mod tests {
     use super::{Place, place_of_unknown};
 
-    /// A hundredth of the misfit is listed last, the larger part first, and so is an error that no name brings down.
+    /// First without any name, against a name in doubt, and where no name brings the error down.
     #[test]
-    fn what_is_left_has_its_place() {
-        let place = |share, error| place_of_unknown(&[], None, (share, error));
-        assert_eq!(place(0.001, 1.0), Place::First, "no name at all");
-        assert_eq!(place_of_unknown(&[], Some("why"), (0.0, 1.0)), Place::First);
-        assert_eq!(place(0.0, 1.1), Place::Nowhere);
-        assert_eq!(place(0.0, 11.0), Place::First);
+    fn a_remainder_has_its_place() {
+        let place = |share, error| place_of_unknown(&[], None, share, error);
+        assert_eq!(place(0.001, 1.0), Place::First);
+        assert_eq!(place_of_unknown(&[], Some("its frames swing"), 0.0, 1.0), Place::First);
+        assert_eq!((place(0.0, 1.1), place(0.0, 11.0)), (Place::Nowhere, Place::First));
     }
 }

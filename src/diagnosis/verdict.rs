@@ -149,9 +149,8 @@ fn sentence(
         || "it does not bias system gain, read noise or linearity".to_string(),
         |cost| format!("ignoring it makes {cost}"),
     );
-    // The first remedy stands before a semicolon.
     let (first, more) = page.map_or(("", None), |p| match p.remedy.split_once("; ") {
-        Some((first, more)) => (first, Some(more.trim_start_matches("or ").trim_start_matches("else "))),
+        Some((first, more)) => (first, Some(more)),
         None => (p.remedy, None),
     });
     let remedy = match (first, or) {
@@ -197,30 +196,26 @@ fn main_size(m: &Missing) -> Option<(&'static Parameter, &Quantity)> {
     sizes.into_iter().max_by(|a, b| known(a.1).total_cmp(&known(b.1))).or_else(|| others.into_iter().next())
 }
 
-/// Strength of an effect; parts of a whole in per cent.
+/// Strength of an effect; sizes without a unit in per cent.
 fn size(m: &Missing) -> String {
-    let Some((p, q)) = main_size(m) else { return String::new() };
-    let is_part = p.unit == "1" && ["relative", "share", "part"].iter().any(|word| p.meaning.contains(word));
-    if is_part {
-        format!(" of {}", with_unit(100.0 * q.value, 100.0 * q.std_err, "%"))
-    } else {
-        format!(" of {q}")
+    match main_size(m) {
+        Some((p, q)) if p.unit == "1" && p.is_size() => {
+            format!(" of {}", with_unit(100.0 * q.value, 100.0 * q.std_err, "%"))
+        }
+        Some((_, q)) => format!(" of {q}"),
+        None => String::new(),
     }
 }
 
 /// Meaning of its size and its form.
 fn meaning(m: &Missing) -> Option<String> {
-    let size = main_size(m).map(|(p, _)| {
-        // The shape that a parameter belongs to tells a reader nothing.
-        let text = p.meaning.split_once(": ").filter(|(of, _)| of.chars().any(|c| c.is_ascii_digit()));
-        text.map_or(p.meaning, |(_, text)| text).to_string()
-    });
+    let size = main_size(m).map(|(p, _)| p.plain_meaning().to_string());
     let parts: Vec<String> = size.into_iter().chain(m.form.clone()).collect();
     (!parts.is_empty()).then(|| parts.join("; "))
 }
 
 /// Share of the misfit below which an effect is listed without its share.
-pub(super) const WEAK: f64 = 0.01;
+const WEAK: f64 = 0.01;
 /// Costs below this share are not said: no one measures a gain to a thousandth (EMVA 1288 asks for no more than a
 /// per cent).
 const SAID: f64 = 1e-3;

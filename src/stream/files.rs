@@ -165,3 +165,22 @@ impl Drop for Files {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::Files;
+
+    /// A second stream into a folder is refused while the first writes, and after it.
+    #[test]
+    fn a_folder_has_one_writer() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("frames of a line");
+        let first = Files::create(&root, "", 4).unwrap();
+        let said = |outcome: Result<Files, _>| {
+            outcome.err().map(|e: super::StreamError| e.to_string()).unwrap_or_default()
+        };
+        assert!(said(Files::create(&root, "", 4)).contains("another program"));
+        drop(first);
+        assert!(said(Files::create(&root, "", 4)).contains("not empty"));
+    }
+}

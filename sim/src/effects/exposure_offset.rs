@@ -43,7 +43,7 @@ impl Effect for ExposureOffset {
             equation: "effective exposure = commanded exposure + t0",
             signature: "mean against exposure is a straight line that misses zero, in proportion to the light",
             look_alikes: "smear does the same on flats, but on a scene only in the columns through what is bright; a toe of the response near black takes the same from every light",
-            remedy: "add t0 to every exposure; or vary the light at a fixed exposure",
+            remedy: "add t0 to every exposure; vary the light at a fixed exposure",
             measure: "a still scene with a bright patch at a long and at a short exposure",
             sets: takes::SCENES,
             source: "EMVA 1288 release 4, section 6 (linearity by exposure time)",

@@ -43,7 +43,7 @@ impl Effect for IlluminationFlicker {
             equation: "light of a frame = mean light * (1 + rel N(0,1)); variance of frame means + (rel mu)^2",
             signature: "scatter of the frame means in proportion to the light; nothing within a frame once its mean is taken off",
             look_alikes: "gain noise looks the same without a light monitor, except that dark charge shares it",
-            remedy: "a stabilised, DC-driven lamp; exposures of whole mains periods; or a monitor diode",
+            remedy: "a stabilised, DC-driven lamp; exposures of whole mains periods; a monitor diode",
             measure: "a run of flats with a photodiode beside the camera",
             sets: takes::REFERENCE,
             source: "EMVA 1288 release 4, section 6 (stability of the light source)",

@@ -192,7 +192,7 @@ impl Effect for ImageLag {
             remedy: "discard the first frames after a change of level, which makes the mean right; to correct a photon-transfer gain, \
                      divide the temporal variance (read noise taken off, over many frames and not from differences of successive ones) by \
                      (1 - f)^2 + f^2 where the held charge is read with the next frame, by (1 - f) / (1 + f) where it is read over many \
-                     frames, f being the fraction; or use a longer reset or charge \
+                     frames, f being the fraction; use a longer reset or charge \
                      flushing",
             measure: "darks directly after bright flats, and bright flats directly after darks",
             sets: takes::TRANSITIONS,

@@ -148,6 +148,12 @@ impl Parameter {
     pub fn is_size(&self) -> bool {
         self.min <= 0.0 && self.max >= 0.0 && !self.is_choice() && !self.starts.is_empty()
     }
+
+    /// Its meaning without the choice that it belongs to, which stands before a colon.
+    pub fn plain_meaning(&self) -> &'static str {
+        let split = self.meaning.split_once(": ").filter(|(of, _)| of.chars().any(|c| c.is_ascii_digit()));
+        if self.is_choice() { self.meaning } else { split.map_or(self.meaning, |(_, plain)| plain) }
+    }
 }
 
 /// A combination of parameters.
@@ -219,7 +225,7 @@ pub struct Page {
     pub signature: &'static str,
     /// How to tell it from what looks like it.
     pub look_alikes: &'static str,
-    /// What to do about it.
+    /// What to do about it: the first remedy, and further ones after semicolons.
     pub remedy: &'static str,
     /// The measurement that separates it from its look-alikes.
     pub measure: &'static str,

@@ -334,7 +334,7 @@ impl Effect for Nonlinearity {
             look_alikes: "brighter-fatter lowers the variance too, but leaves the mean alone and correlates neighbours; lamp settings scatter \
                           the means about a straight line and leave the variance alone; an exposure offset moves the line as a narrow toe does, \
                           but in proportion to the light",
-            remedy: "switch gamma and knee off; else correct by the inverse curve, or stay where it is straight",
+            remedy: "switch gamma and knee off; correct by the inverse curve, or stay where it is straight",
             measure: "an exposure sweep at fixed light: the mean tells nonlinearity from brighter-fatter",
             sets: takes::SWEEP,
             source: "Janesick 2007, Photon Transfer, ch. 7; EMVA 1288 release 4, linearity",

@@ -41,7 +41,7 @@ impl Effect for ReadoutLowpass {
             equation: "y(x) = (1 - alpha) v(x) + alpha y(x - 1); power times (1 - alpha)^2 / (1 - 2 alpha cos k_x + alpha^2)",
             signature: "pixels correlated along the row only, in darks as in flats; variance lower in both",
             look_alikes: "crosstalk correlates both axes and leaves darks alone",
-            remedy: "a slower pixel clock; or deconvolve along the row",
+            remedy: "a slower pixel clock; deconvolve along the row",
             measure: "darks and flats with the covariances along rows and columns",
             sets: takes::DARKS,
             source: "Janesick 2001, Scientific Charge-Coupled Devices, ch. 6",
