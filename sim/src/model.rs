@@ -83,6 +83,29 @@ impl EffectValues {
         })
     }
 
+    /// Checks its name and its values.
+    ///
+    /// # Errors
+    ///
+    /// There is no such effect or parameter, or a value is out of its bounds.
+    pub fn check(&self) -> Result<(), ModelError> {
+        let effect = self.effect()?;
+        for (name, &value) in &self.parameters {
+            let Some(p) = effect.parameters().iter().find(|p| p.name == name) else {
+                let names: Vec<_> = effect.parameters().iter().map(|p| p.name).collect();
+                return Err(ModelError::Effect(format!(
+                    "effect {} has no parameter {}: it has {}",
+                    echo(&self.id),
+                    echo(name),
+                    names.join(", ")
+                )));
+            };
+            within(p.name, value, (p.min, p.max), p.unit)
+                .map_err(|e| ModelError::Effect(format!("effect {}: {e}", echo(&self.id))))?;
+        }
+        Ok(())
+    }
+
     /// Values in the order of the effect's parameters, as far as they are given.
     pub fn given(&self, effect: &dyn Effect) -> Vec<Option<f64>> {
         effect.parameters().iter().map(|p| self.parameters.get(p.name).copied()).collect()
@@ -245,7 +268,7 @@ pub enum ModelError {
     #[error("{0}")]
     Effect(String),
     /// A value outside its physical bounds.
-    #[error("{field} is {value} {unit}, and must lie within {min} to {max} {unit}")]
+    #[error("{field} is {value}{0}, and must lie within {min} to {max}{0}", after_number(unit))]
     OutOfRange {
         /// Table and key.
         field: &'static str,
@@ -258,6 +281,11 @@ pub enum ModelError {
         /// Unit of the three.
         unit: &'static str,
     },
+}
+
+/// A unit as it follows a number; parts of one have none.
+fn after_number(unit: &str) -> String {
+    if ["", "1"].contains(&unit) { String::new() } else { format!(" {unit}") }
 }
 
 fn within(
@@ -373,21 +401,7 @@ impl Model {
         for (field, value, min, max, unit) in bounds.into_iter().chain(bands).chain(textures).chain(squares) {
             within(field, value, (min, max), unit)?;
         }
-        for e in &self.effects {
-            let effect = e.effect()?;
-            for (name, &value) in &e.parameters {
-                let Some(p) = effect.parameters().iter().find(|p| p.name == name) else {
-                    let names: Vec<_> = effect.parameters().iter().map(|p| p.name).collect();
-                    let names = names.join(", ");
-                    return Err(ModelError::Effect(format!(
-                        "effect {} has no parameter {}: it has {names}",
-                        echo(&e.id),
-                        echo(name)
-                    )));
-                };
-                within(p.name, value, (p.min, p.max), p.unit)?;
-            }
-        }
+        self.effects.iter().try_for_each(EffectValues::check)?;
         let pixels = f64::from(c.width) * f64::from(c.height);
         within("camera.width x height", pixels, (1.0, MAX_PIXELS), "px")
     }

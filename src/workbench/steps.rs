@@ -85,6 +85,9 @@ impl Steps {
         if steps.format != FORMAT {
             return Err(fault(format!("format \"{}\" is not {FORMAT}", steps.format)));
         }
+        for entry in steps.step.iter().flat_map(|s| &s.entries) {
+            entry.effect.check().map_err(|e| fault(e.to_string()))?;
+        }
         Ok(steps)
     }
 
@@ -147,6 +150,19 @@ mod tests {
         assert_eq!(Steps::read(folder.path()).unwrap(), steps);
         std::fs::write(folder.path().join("steps.toml"), "format = \"other/2\"").unwrap();
         assert!(Steps::read(folder.path()).unwrap_err().contains("other/2"));
+        for (effect, said) in [
+            ("id = \"illumination-flicker\"\nparameters = { rel = nan }", "effect illumination-flicker: rel is NaN, and"),
+            ("id = \"illumination-flicker\"\nparameters = { rel = -1.0 }", "rel is -1, and must lie within 0 to 0.5;"),
+            ("id = \"ghosts\"", "ghosts"),
+        ] {
+            let text = format!(
+                "format = \"{FORMAT}\"\n[[step]]\nwhat = \"a\"\nerror = 1.0\np_value = 0.5\n\
+                 [[step.entries]]\non = true\n[step.entries.effect]\n{effect}"
+            );
+            std::fs::write(folder.path().join("steps.toml"), text).unwrap();
+            let refused = Steps::read(folder.path()).unwrap_err();
+            assert!(refused.contains(said) && refused.contains("steps.toml"), "{refused}");
+        }
         for (name, formula, parameters) in
             [("", "k*mu", "k=1"), ("a", "k *", "k=1"), ("a", "k*mu", "k"), ("a", "k*mu", "k=x")]
         {

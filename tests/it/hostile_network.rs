@@ -3,14 +3,20 @@
 use crate::faults::{Camera, Running, in_memory, numbers};
 use crate::support::{gige_port, program, small};
 use radcam_sim::rng::{PixelRng, Stream};
+use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
 use std::collections::BTreeSet;
+use std::ffi::OsStr;
 use std::fs;
-use std::net::UdpSocket;
+use std::net::{Ipv4Addr, UdpSocket};
+use std::os::fd::AsFd;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 const CAMERA: &str = "127.0.0.1";
+/// Addresses of the camera, its client and another host on the wire of [`Hosts`].
+const ADDRESSES: [&str; 3] = ["10.78.0.1", "10.78.0.2", "10.78.0.3"];
 const GVCP_PORT: u16 = 3956;
 const READREG: u16 = 0x80;
 const READMEM: u16 = 0x84;
@@ -32,7 +38,7 @@ struct Client(UdpSocket);
 
 impl Client {
     fn new(camera: &str) -> Self {
-        let socket = UdpSocket::bind(("127.0.0.1", 0)).unwrap();
+        let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).unwrap();
         socket.set_read_timeout(Some(Duration::from_secs(2))).unwrap();
         socket.connect((camera, GVCP_PORT)).unwrap();
         Self(socket)
@@ -90,6 +96,68 @@ fn random_request(number: u64) -> Vec<u8> {
     let body: Vec<u8> = (0..length).map(|_| byte()).collect();
     let commands = [2, READREG, 0x82, READMEM, WRITEMEM];
     if byte() < 128 { body } else { request(commands[usize::from(byte()) % commands.len()], &body) }
+}
+
+/// The camera, its client and another host on one wire: network namespaces on a bridge.
+struct Hosts([String; 3]);
+
+impl Hosts {
+    /// `None`, with the reason printed, where namespaces cannot be made.
+    fn new() -> Option<Self> {
+        static MADE: AtomicU32 = AtomicU32::new(0);
+        let own = format!("radcam-{}-h{}", std::process::id(), MADE.fetch_add(1, Ordering::Relaxed));
+        let hosts = Self(["camera", "client", "other"].map(|host| format!("{own}-{host}")));
+        let ip = |line: String| {
+            let status = Command::new("ip").args(line.split(' ')).stderr(Stdio::null()).status();
+            status.is_ok_and(|s| s.success())
+        };
+        if !hosts.0.iter().all(|host| ip(format!("netns add {host}"))) {
+            println!("SKIPPED: network namespaces need root and iproute2");
+            return None;
+        }
+        let [switch, ..] = &hosts.0;
+        assert!(ip(format!("-n {switch} link add wire type bridge")));
+        for (host, address) in hosts.0.iter().zip(ADDRESSES) {
+            if host != switch {
+                let end = &host[host.len() - 6..];
+                assert!(ip(format!("-n {host} link add wire type veth peer name {end} netns {switch}")));
+                assert!(ip(format!("-n {switch} link set {end} master wire up")));
+            }
+            assert!(ip(format!("-n {host} addr add {address}/24 dev wire")));
+            assert!(ip(format!("-n {host} link set wire up")) && ip(format!("-n {host} link set lo up")));
+        }
+        Some(hosts)
+    }
+
+    /// A program on one of them.
+    fn command(&self, host: usize, name: impl AsRef<OsStr>) -> Command {
+        let mut command = Command::new("ip");
+        command.args(["netns", "exec", &self.0[host]]).arg(name);
+        command
+    }
+
+    /// Runs a part of the test on one of them.
+    fn on<T: Send>(&self, host: usize, part: impl FnOnce() -> T + Send) -> T {
+        let namespace = fs::File::open(Path::new("/run/netns").join(&self.0[host])).unwrap();
+        let moved = || {
+            move_into_link_name_space(namespace.as_fd(), Some(LinkNameSpaceType::Network)).unwrap();
+            part()
+        };
+        std::thread::scope(|threads| threads.spawn(moved).join().unwrap())
+    }
+
+    fn camera(&self, folder: &Path) -> Camera {
+        let radcam = program().get_program().to_owned();
+        Camera::start(self.command(0, radcam), folder, &["--interface", ADDRESSES[0]])
+    }
+}
+
+impl Drop for Hosts {
+    fn drop(&mut self) {
+        for host in &self.0 {
+            let _ = Command::new("ip").args(["netns", "del", host]).stderr(Stdio::null()).status();
+        }
+    }
 }
 
 /// Sends every hostile request and so many random ones; the program must answer after each group.
@@ -178,10 +246,12 @@ fn values_that_silence_the_camera_are_refused() {
 struct Forger(Child);
 
 impl Forger {
-    fn start(arguments: &[&str]) -> Self {
+    /// On another host, where there are several.
+    fn start(hosts: Option<&Hosts>, arguments: &[&str]) -> Self {
         let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/outside/forge.py");
-        let mut command = Command::new("python3");
-        Self(command.arg(script).arg(CAMERA).args(arguments).stdout(Stdio::null()).spawn().unwrap())
+        let mut command = hosts.map_or_else(|| Command::new("python3"), |h| h.command(2, "python3"));
+        command.arg(script).arg(hosts.map_or(CAMERA, |_| ADDRESSES[0])).args(arguments);
+        Self(command.stdout(Stdio::null()).spawn().unwrap())
     }
 }
 
@@ -201,12 +271,16 @@ fn only_true_frames(to: &Path) -> usize {
 }
 
 /// A stream of so many frames while others forge packets at these rates.
-fn stream_under_attack(frames: u32, attacks: &[&[&str]], more: &[&str]) {
+fn stream_under_attack(hosts: Option<&Hosts>, frames: u32, attacks: &[&[&str]], more: &[&str]) {
     let dir = in_memory();
     let wanted = frames.to_string();
     let arguments = [&["--frames", &wanted][..], more].concat();
-    let mut stream = Running::start(program(), dir.path(), CAMERA, &arguments);
-    let forgers: Vec<Forger> = attacks.iter().map(|a| Forger::start(a)).collect();
+    let (radcam, camera) = match hosts {
+        Some(hosts) => (hosts.command(1, program().get_program()), ADDRESSES[0]),
+        None => (program(), CAMERA),
+    };
+    let mut stream = Running::start(radcam, dir.path(), camera, &arguments);
+    let forgers: Vec<Forger> = attacks.iter().map(|a| Forger::start(hosts, a)).collect();
     stream.reaches(frames as usize / 2);
     let busy = forgers.into_iter().map(|mut f| f.0.try_wait().unwrap().is_none());
     assert!(busy.fold(true, |all, one| all & one), "a forger ended: {attacks:?}");
@@ -230,13 +304,15 @@ fn forged_frames_of_others_are_not_taken() {
     let dir = in_memory();
     let _camera = Camera::start(program(), dir.path(), &[]);
     let host = |kind| [kind, "--from", "127.0.0.3"];
-    stream_under_attack(200, &[&host("frames"), &["frames"]], &[]);
+    stream_under_attack(None, 200, &[&host("frames"), &["frames"]], &[]);
     stream_under_attack(
+        None,
         200,
         &[&host("sound"), &host("short"), &["cut"], &["random"]],
         &["--packet-size", "1400"],
     );
     stream_under_attack(
+        None,
         200,
         &[&host("long"), &host("headers"), &["headers"]],
         &["--packet-size", "1400", "--packet-socket"],
@@ -254,19 +330,48 @@ fn malformed_packets_with_a_forged_sender_do_not_end_a_stream() {
     let dir = in_memory();
     let _camera = Camera::start(program(), dir.path(), &[]);
     for kind in ["short", "long", "random"] {
-        stream_under_attack(60, &[&[kind, "--spoof", "--rate", "20000"]], &[]);
+        stream_under_attack(None, 60, &[&[kind, "--spoof", "--rate", "20000"]], &[]);
     }
     // These can stand in the place of true packets: frames are lost, and the stream goes on.
     let mut stream =
         Running::start(program(), dir.path(), CAMERA, &["--frames", "100000", "--packet-size", "1400"]);
     let mut forgers = ["sound", "headers", "cut"]
-        .map(|k| Forger::start(&[k, "--spoof", "--count", "30000", "--rate", "30000"]));
+        .map(|k| Forger::start(None, &[k, "--spoof", "--count", "30000", "--rate", "30000"]));
     forgers.iter_mut().for_each(|f| assert!(f.0.wait().unwrap().success()));
     let to = stream.to.clone();
     let rows = || fs::read_to_string(to.join("frames.csv")).map_or(0, |t| t.lines().count());
     let written = rows();
     stream.reaches(written + 20);
     stream.child.kill().unwrap();
+}
+
+/// The control port of a camera, attacked from another host: B1 and its kind on a wire.
+#[test]
+fn no_request_of_another_host_ends_a_served_camera() {
+    let Some(hosts) = Hosts::new() else { return };
+    let dir = in_memory();
+    let mut camera = hosts.camera(dir.path());
+    hosts.on(2, || attacked(&mut camera.0, ADDRESSES[0], 5000));
+}
+
+/// Frames and damaged packets of another host on the wire, under its own address, and under the camera's with
+/// another port: none is taken, by either socket. Under the camera's address and port malformed ones end nothing.
+#[test]
+fn another_host_on_the_wire_forges_no_frame() {
+    let Some(hosts) = Hosts::new() else { return };
+    let dir = in_memory();
+    let _camera = hosts.camera(dir.path());
+    let own = |kind| [kind, "--from", ADDRESSES[2]];
+    let port = |kind| [kind, "--spoof", "--port", "40000"];
+    let size = &["--packet-size", "1400"][..];
+    let under_attack = |attacks: &[&[&str]], more: &[&str]| stream_under_attack(Some(&hosts), 100, attacks, more);
+    under_attack(&[&own("frames"), &port("frames")], size);
+    under_attack(&[&own("frames"), &port("frames")], &[size, &["--packet-socket"]].concat());
+    under_attack(&[&own("short"), &own("sound"), &port("cut"), &port("random")], size);
+    under_attack(&[&own("long"), &own("headers"), &port("headers"), &port("sound")], size);
+    for kind in ["short", "long", "random"] {
+        under_attack(&[&[kind, "--spoof", "--rate", "5000"]], size);
+    }
 }
 
 fn may_spoof() -> bool {
@@ -286,9 +391,9 @@ fn ten_thousand_frames_under_attack() {
     let _port = gige_port();
     let dir = in_memory();
     let _camera = Camera::start(program(), dir.path(), &[]);
-    stream_under_attack(10_000, &[], &[]);
-    stream_under_attack(10_000, &[&["frames", "--from", "127.0.0.3"]], &[]);
-    stream_under_attack(10_000, &[&["frames"]], &[]);
+    stream_under_attack(None, 10_000, &[], &[]);
+    stream_under_attack(None, 10_000, &[&["frames", "--from", "127.0.0.3"]], &[]);
+    stream_under_attack(None, 10_000, &[&["frames"]], &[]);
 }
 
 /// A million packets of each kind from the camera's very port.
@@ -305,7 +410,7 @@ fn millions_of_forged_packets() {
         let folder = dir.path().join(kind);
         fs::create_dir(&folder).unwrap();
         let mut stream = Running::start(program(), &folder, CAMERA, &["--frames", "1000000"]);
-        let mut forger = Forger::start(&[kind, "--spoof", "--count", "1000000", "--rate", "1e9"]);
+        let mut forger = Forger::start(None, &[kind, "--spoof", "--count", "1000000", "--rate", "1e9"]);
         assert!(forger.0.wait().unwrap().success());
         let rows = fs::read_to_string(stream.to.join("frames.csv")).map_or(0, |t| t.lines().count());
         stream.reaches(rows + 20);

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Sends forged stream packets (GVSP) to whoever receives the frames of a GigE Vision camera.
 
-    forge.py CAMERA KIND [--from ADDRESS] [--spoof] [--rate PACKETS_PER_S] [--count PACKETS]
+    forge.py CAMERA KIND [--from ADDRESS] [--spoof] [--port PORT] [--rate PACKETS_PER_S] [--count PACKETS]
 
 The camera tells by its registers where its frames go and what they look like. KIND is one of
 
@@ -13,8 +13,8 @@ The camera tells by its registers where its frames go and what they look like. K
     random   random bytes of any length
     sound    random values in every field of a sound header, random lengths
 
-They come from a port of ADDRESS [default: the camera's]; with --spoof, which needs root, from the very port of the camera. Ends after COUNT
-packets, or when it is killed; prints how many it sent.
+They come from a port of ADDRESS [default: the camera's]; with --spoof, which needs root, they bear that address on whatever host, and PORT
+[default: the very port of the camera]. Ends after COUNT packets, or when it is killed; prints how many it sent.
 """
 import argparse
 import random
@@ -108,6 +108,7 @@ def main():
     arguments.add_argument("kind", choices=("frames", "short", "cut", "long", "headers", "random", "sound"))
     arguments.add_argument("--from", dest="sender")
     arguments.add_argument("--spoof", action="store_true")
+    arguments.add_argument("--port", type=int)
     arguments.add_argument("--rate", type=float, default=1000)
     arguments.add_argument("--count", type=int, default=1 << 62)
     given = arguments.parse_args()
@@ -116,7 +117,7 @@ def main():
     to = (socket.inet_ntoa(struct.pack(">I", register(given.camera, ADDRESS))), port)
     sender = given.sender or given.camera
     if given.spoof:
-        send = spoofed((sender, register(given.camera, SOURCE)), to)
+        send = spoofed((sender, given.port or register(given.camera, SOURCE)), to)
     else:
         s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         s.bind((sender, 0))
