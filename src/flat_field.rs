@@ -116,7 +116,8 @@ impl FlatField {
             return Err(LayoutError("binary places that are not known"));
         }
         let (width, height) = (long(12), long(16));
-        if u64::from(width) * u64::from(height) * 4 != rest.len() as u64 {
+        let claimed = (u64::from(width) * u64::from(height)).checked_mul(4);
+        if claimed != Some(rest.len() as u64) {
             return Err(LayoutError("another length than its size says"));
         }
         let pixels = rest.chunks_exact(4).map(|p| [[p[0], p[1]], [p[2], p[3]]].map(u16::from_le_bytes));
