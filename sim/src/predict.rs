@@ -498,22 +498,28 @@ impl SetPrediction {
         self.ripples.iter().map(|(v, r)| v * r.with_mean(to as f64, rows as f64)).sum()
     }
 
-    /// Mean over pairs of pixels of the square of the covariance that whole lines, bands or frames give them, DN^4.
+    /// Mean over pairs of pixels of the square of the covariance that normal noise of lines and bands gives them,
+    /// DN^4.
     pub fn shared_squares(&self, rows: usize, columns: usize) -> f64 {
         let height = rows as f64;
-        let of = |(v, ripple): &(f64, Ripple)| {
-            v * v
-                * match *ripple {
-                    // cos^2 x = (1 + cos 2x) / 2.
-                    Ripple::Sine(cycles) => 0.5 + 0.5 * Ripple::Sine(2.0 * cycles).with_mean(height, height),
-                    Ripple::Wander(next) => Ripple::Wander(next * next).with_mean(height, height),
-                }
+        let wander = |(v, ripple): &(f64, Ripple)| match *ripple {
+            Ripple::Sine(_) => 0.0,
+            Ripple::Wander(next) => v * v * Ripple::Wander(next * next).with_mean(height, height),
         };
-        let lines: f64 = self.lines.iter().map(|l| 0.5 * l.0 * l.0).sum();
-        self.ripples.iter().map(of).sum::<f64>()
-            + lines
+        self.ripples.iter().map(wander).sum::<f64>()
             + self.row.lag(0).powi(2) / height
             + self.column.lag(0).powi(2) / columns as f64
+    }
+
+    /// Sines of one random phase a frame: the variance of each, DN^2, and the mean over pairs of pixels of the cosine
+    /// of twice the phase between them.
+    pub fn sines(&self, rows: usize) -> impl Iterator<Item = (f64, f64)> {
+        let height = rows as f64;
+        let down = self.ripples.iter().filter_map(move |(v, ripple)| match *ripple {
+            Ripple::Sine(cycles) => Some((*v, Ripple::Sine(2.0 * cycles).with_mean(height, height))),
+            Ripple::Wander(_) => None,
+        });
+        down.chain(self.lines.iter().map(|l| (l.0, 0.0)))
     }
 
     /// Variance of a frame's mean over rows x columns pixels by what pixels and lines have of their own.
