@@ -26,9 +26,10 @@ pub struct SetFacts {
     pub digests: Vec<u64>,
     /// Pixels that differ from the frame before; 0 for the first.
     pub changed: Vec<u64>,
-    /// Half the variance over the pixels of the difference to the frame before, DN^2; 0 for the first.
+    /// Half the variance over the pixels of the difference to the frame before, DN^2, the means of rows and columns
+    /// taken off; 0 for the first.
     pub successive_dn2: Vec<f64>,
-    /// Half the variance of the difference to the frame two before, DN^2; 0 for the first two.
+    /// The same of the difference to the frame two before; 0 for the first two.
     pub second_dn2: Vec<f64>,
     /// Share of the samples at full scale.
     pub clipped: f64,
@@ -97,7 +98,9 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
             out.digests.push(digest(sent));
             clipped += sent.iter().filter(|v| **v >= full).count();
             let to = |other: &Option<Arc<Array2<u16>>>| {
-                other.as_ref().map_or((0, 0.0), |o| difference(codes, o.as_slice().unwrap_or(&[])))
+                other
+                    .as_ref()
+                    .map_or((0, 0.0), |o| difference(codes, o.as_slice().unwrap_or(&[]), frame.ncols()))
             };
             let (changed, successive) = to(&before);
             out.changed.push(changed);
@@ -191,17 +194,37 @@ fn step(codes: &[u16], full: u16) -> f64 {
     }
 }
 
-/// Pixels that differ, and half the variance of the difference, DN^2.
-fn difference(a: &[u16], b: &[u16]) -> (u64, f64) {
-    let (mut changed, mut sum, mut square) = (0u64, 0i64, 0u64);
-    for (&a, &b) in a.iter().zip(b) {
-        let d = i64::from(a) - i64::from(b);
-        changed += u64::from(d != 0);
-        sum += d;
-        square += (d * d) as u64;
+/// Smallest number of rows, and of columns, whose means are taken off a difference.
+const FEW: f64 = 8.0;
+
+/// Pixels that differ, and half the variance of the difference, DN^2, by what pixels have of their own: the means of
+/// rows and columns are taken off, which light bands and the noise of lines move.
+fn difference(a: &[u16], b: &[u16], columns: usize) -> (u64, f64) {
+    let columns = columns.max(1);
+    let (mut changed, mut total, mut square, mut of_rows) = (0u64, 0i64, 0u64, 0.0);
+    let mut of_columns = vec![0i64; columns];
+    for (a, b) in a.chunks_exact(columns).zip(b.chunks_exact(columns)) {
+        let mut sum = 0i64;
+        for ((&a, &b), column) in a.iter().zip(b).zip(&mut of_columns) {
+            let d = i64::from(a) - i64::from(b);
+            changed += u64::from(d != 0);
+            sum += d;
+            *column += d;
+            square += (d * d) as u64;
+        }
+        total += sum;
+        of_rows += (sum as f64).powi(2);
     }
-    let n = (a.len() as f64).max(1.0);
-    (changed, 0.5 * (square as f64 / n - (sum as f64 / n).powi(2)).max(0.0))
+    let (n, rows) = ((a.len() as f64).max(1.0), a.len() as f64 / columns as f64);
+    let of_columns = of_columns.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
+    let of_frame = (total as f64).powi(2) / n;
+    // Lines of few pixels leave little beside their means.
+    let (shared, dof) = if rows >= FEW && columns as f64 >= FEW {
+        (of_rows / columns as f64 + of_columns / rows - of_frame, (rows - 1.0) * (columns as f64 - 1.0))
+    } else {
+        (of_frame, n)
+    };
+    (changed, 0.5 * (square as f64 - shared).max(0.0) / dof)
 }
 
 /// FNV-1a over the codes (Fowler, Noll and Vo), in four lanes: frames that differ have the same by a chance of
@@ -235,6 +258,28 @@ mod tests {
         let mut exchanged = frame.clone();
         exchanged.swap(4, 8);
         assert_ne!(digest(&frame), digest(&exchanged));
+    }
+
+    /// Light bands and the noise of lines leave the variance of the pixels, 2 a frame, within five standard errors.
+    #[test]
+    fn what_lines_share_is_no_difference() {
+        use radcam_sim::rng::{PixelRng, Stream};
+        let (rows, columns) = (64usize, 96usize);
+        let frame = |f: u64| -> Vec<u16> {
+            let normal = |at: usize| PixelRng::new(8, Stream::Frame, f, at as u32, 0).normal();
+            let value = |i: usize| {
+                let (y, x) = (i / columns, i % columns);
+                1000.0
+                    + 200.0 * (0.02 * y as f64 + 2.0 * f as f64).sin()
+                    + 50.0 * normal(10_000 + x)
+                    + 4.0 * normal(i)
+            };
+            (0..rows * columns).map(|i| value(i).round() as u16).collect()
+        };
+        let (changed, variance) = difference(&frame(0), &frame(1), columns);
+        let truth = 16.0 + 1.0 / 12.0;
+        let error = truth * (2.0 / (rows * columns) as f64).sqrt();
+        assert!(changed > 5000 && (variance - truth).abs() < 5.0 * error, "{variance}");
     }
 
     #[test]

@@ -52,11 +52,12 @@ impl Check for OddFrame {
             let places: Vec<usize> = (0..view.kept.len()).filter(|p| view.kept[*p]).collect();
             let signal = (apart.level_dn - zero.at(view.exposure_s)).max(1.0);
             let least = if *dark { MIN_OFFSET_DN } else { (MIN_RELATIVE_OFFSET * signal).max(MIN_OFFSET_DN) };
-            let scatter = usual_scatter.of_frame_dn(view);
+            // Light bands and flicker move the means of short exposures, and not those of others.
+            let scatter = usual_scatter.of_frame_dn(view).max(apart.usual_mean_dn());
             // Hot pixels make cells scatter.
             let noise = view.variance_dn2().map_or(0.0, |v| v.0);
             let of_cell = (noise * CELLS_PER_FRAME / view.facts.pixels.max(1.0)).sqrt();
-            let cell = usual.far_cell_dn(*dark, signal).max(least).max(MIN_SIGMAS * of_cell);
+            let cell = usual.far_cell_dn(apart, *dark, signal).max(least).max(MIN_SIGMAS * of_cell);
             let far = |k: &usize| {
                 let off = apart.mean_dn[*k];
                 let by_cell = apart.cell_dn.get(*k).is_some_and(|c| *c > cell);

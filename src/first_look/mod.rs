@@ -52,7 +52,7 @@ pub struct Look {
     #[serde(default)]
     darkest: Option<u16>,
     /// How far the frames lie from each other; whether they are dark.
-    apart: Option<(bool, outliers::Apart)>,
+    pub(crate) apart: Option<(bool, outliers::Apart)>,
 }
 
 impl Look {

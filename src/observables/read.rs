@@ -408,7 +408,9 @@ impl<'a, 'b> Reader<'a, 'b> {
             let step = |k: usize| apart.mean_dn[k] - apart.mean_dn[k - 1];
             start <= 1 && outlier == 2 && outliers::dies_away(step(outlier - 1), step(outlier))
         };
-        let mut outliers = self.usual.outliers(&apart, dark, start, self.zero_dn);
+        let none = outliers::Apart::default();
+        let of_set = self.looks.get(set).and_then(|l| l.apart.as_ref()).map_or(&none, |(_, apart)| apart);
+        let mut outliers = self.usual.outliers(&apart, of_set, dark, start, self.zero_dn);
         outliers.retain(|outlier| !carried(*outlier) && !settling(*outlier));
         // Where many deviate none is an outlier.
         outliers.first().copied().filter(|_| outliers.len() * 3 <= block.len())

@@ -48,6 +48,18 @@ pub struct Apart {
     pub level_dn: f64,
 }
 
+impl Apart {
+    /// Usual deviation of the means within the block itself, as a standard deviation, DN; no number for an empty one.
+    pub fn usual_mean_dn(&self) -> f64 {
+        median(self.mean_dn.iter().map(|m| m.abs())) / MAD_OF_NORMAL
+    }
+
+    /// The same of the cells, DN.
+    fn usual_cell_dn(&self) -> f64 {
+        median(self.cell_dn.iter().copied())
+    }
+}
+
 /// Compares the frames of a block; nothing for fewer than three.
 pub fn apart<F: Borrow<Array2<u16>>>(block: &[F]) -> Apart {
     let Some(first) = block.first().map(F::borrow).filter(|_| block.len() >= FEWEST) else {
@@ -144,15 +156,17 @@ impl Usual {
         [self.flat_rel, self.dark_dn, self.flat_cell, self.dark_cell_dn]
     }
 
-    /// Deviation of a cell from which on a frame lies far from the others, DN; `above`: its level above the darks, DN.
-    pub fn far_cell_dn(&self, dark: bool, above: f64) -> f64 {
+    /// Deviation of a cell from which on a frame of a set lies far from the others, DN; `above`: its level above the
+    /// darks, DN.
+    pub fn far_cell_dn(&self, of_set: &Apart, dark: bool, above: f64) -> f64 {
         let of_dark = if self.dark_cell_dn.is_finite() { self.dark_cell_dn } else { 0.0 };
         let cell = if dark { self.dark_cell_dn } else { (self.flat_cell * above.sqrt()).hypot(of_dark) };
-        0.5 * FAR * cell.max(0.05)
+        0.5 * FAR * cell.max(of_set.usual_cell_dn()).max(0.05)
     }
 
-    /// Places of frames in a block that lie far from the others; `start`: place of its first frame in the set.
-    pub fn outliers(&self, a: &Apart, dark: bool, start: usize, zero_dn: f64) -> Vec<usize> {
+    /// Places of frames in a block that lie far from the others; `of_set`: frames of its set; `start`: place of its
+    /// first frame in the set.
+    pub fn outliers(&self, a: &Apart, of_set: &Apart, dark: bool, start: usize, zero_dn: f64) -> Vec<usize> {
         let above = (a.level_dn - zero_dn).max(1.0);
         let (mean, cell) = if dark {
             (self.dark_dn, self.dark_cell_dn)
@@ -164,6 +178,9 @@ impl Usual {
                 (self.flat_cell * above.sqrt()).hypot(dark(self.dark_cell_dn)),
             )
         };
+        // What frames of this set usually have is no flash: light bands and flicker that other exposures average out.
+        let mean = mean.max(a.usual_mean_dn()).max(of_set.usual_mean_dn());
+        let cell = cell.max(a.usual_cell_dn()).max(of_set.usual_cell_dn());
         // Rounding to whole codes alone moves a mean by some hundredths.
         let (mean, cell) = (mean.max(0.02), cell.max(0.05));
         let far = |i: &usize| {
@@ -409,19 +426,36 @@ mod tests {
     fn a_flash_and_a_shadow_are_outliers() {
         let blocks: Vec<(bool, Apart)> = (0..8).map(|s| (false, apart(&block(s)))).collect();
         let usual = Usual::of(&blocks, 100.0);
-        assert!(blocks.iter().all(|(_, a)| usual.outliers(a, false, 8, 100.0).is_empty()));
+        assert!(blocks.iter().all(|(_, a)| usual.outliers(a, &Apart::default(), false, 8, 100.0).is_empty()));
         let mut flash = block(30);
         flash[5].mapv_inplace(|v| v + 12);
-        assert_eq!(usual.outliers(&apart(&flash), false, 8, 100.0), [5]);
+        assert_eq!(usual.outliers(&apart(&flash), &Apart::default(), false, 8, 100.0), [5]);
         let mut shadow = block(31);
         shadow[6].slice_mut(ndarray::s![..12, 40..]).mapv_inplace(|v| v - 20);
-        assert_eq!(usual.outliers(&apart(&shadow), false, 8, 100.0), [6]);
+        assert_eq!(usual.outliers(&apart(&shadow), &Apart::default(), false, 8, 100.0), [6]);
         // In the second frame of a set too, and never the first.
         let mut second = block(32);
         second[1].mapv_inplace(|v| v + 12);
-        assert_eq!(usual.outliers(&apart(&second), false, 0, 100.0), [1]);
+        assert_eq!(usual.outliers(&apart(&second), &Apart::default(), false, 0, 100.0), [1]);
         let mut first = block(33);
         first[0].mapv_inplace(|v| v + 12);
-        assert!(usual.outliers(&apart(&first), false, 0, 100.0).is_empty());
+        assert!(usual.outliers(&apart(&first), &Apart::default(), false, 0, 100.0).is_empty());
+    }
+
+    /// Light bands of one set among sets without: three of its frames happen to be alike, and the fourth is no flash.
+    #[test]
+    fn bands_of_one_exposure_are_no_outliers() {
+        let blocks: Vec<(bool, Apart)> = (0..8).map(|s| (false, apart(&block(s)))).collect();
+        let usual = Usual::of(&blocks, 100.0);
+        let mut banded = block(40);
+        for (frame, phase) in banded.iter_mut().zip([1.0, 1.2, 0.9, 4.0, 2.6, 5.5, 3.3, 0.2]) {
+            for (y, mut row) in frame.outer_iter_mut().enumerate() {
+                let band = 60.0 * (0.07 * y as f64 + phase).sin();
+                row.mapv_inplace(|v| (f64::from(v) + band).round() as u16);
+            }
+        }
+        let (of_set, of_half) = (apart(&banded), apart(&banded[..4]));
+        assert!(usual.outliers(&of_half, &of_set, false, 8, 100.0).is_empty());
+        assert!(usual.outliers(&of_set, &of_set, false, 8, 100.0).is_empty());
     }
 }
