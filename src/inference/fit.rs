@@ -298,6 +298,7 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
         line_cycles_per_px: all.campaign.line_cycles_per_px,
         column_cycles: all.column_cycles.first().copied(),
         row_cycles: std::array::from_fn(|k| all.row_cycles.get(k).copied()),
+        ripple_hz: std::array::from_fn(|k| all.ripple_hz.get(k).copied()),
         steady_dn4: all.steady_dn4.map(|v| (v.value, v.std_err)),
         darkest_dn: all.darkest_dn.map(|code| code - base.offset_dn),
         together_dn4: all.together_dn4.and_then(|of| {

@@ -31,6 +31,7 @@ mod expect;
 mod field;
 mod left_out;
 mod read;
+mod ripple;
 mod scene;
 mod table;
 

@@ -160,6 +160,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         field: Field::default(),
         frames_between: false,
         row_cycles: Vec::new(),
+        ripple_hz: Vec::new(),
         column_cycles: Vec::new(),
         stretch_dn: 1.0,
     })

@@ -151,8 +151,14 @@ mod tests {
         std::fs::write(folder.path().join("steps.toml"), "format = \"other/2\"").unwrap();
         assert!(Steps::read(folder.path()).unwrap_err().contains("other/2"));
         for (effect, said) in [
-            ("id = \"illumination-flicker\"\nparameters = { rel = nan }", "effect illumination-flicker: rel is NaN, and"),
-            ("id = \"illumination-flicker\"\nparameters = { rel = -1.0 }", "rel is -1, and must lie within 0 to 0.5;"),
+            (
+                "id = \"illumination-flicker\"\nparameters = { rel = nan }",
+                "effect illumination-flicker: rel is NaN, and",
+            ),
+            (
+                "id = \"illumination-flicker\"\nparameters = { rel = -1.0 }",
+                "rel is -1, and must lie within 0 to 0.5;",
+            ),
             ("id = \"ghosts\"", "ghosts"),
         ] {
             let text = format!(

@@ -7,6 +7,29 @@ use radcam::diagnosis::diagnose;
 use radcam::plan::Plan;
 use radcam_sim::rng::{PixelRng, Stream};
 
+/// Strong bands at the short exposures alone, since the others are whole ripples: no frame is taken for a flash, and no
+/// set for one that was filtered; frequency and amplitude within five standard errors, which few frames tell roughly.
+#[test]
+fn strong_bands_are_no_slip() {
+    for (seed, cycles, hz) in [(0u64, 0.06, 100.0), (1, 0.011, 150.0), (2, 0.12, 100.0)] {
+        let mut model = small("cmos12", 96, 256);
+        model.base.seed = 201 + seed;
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("c");
+        let (mut camera, mut bench) = camera(with(model, "light-banding", &[0.0, 0.2, cycles, hz, 0.97]));
+        Capture::new(&mut camera, &mut bench).run(&Plan::standard(), &root).unwrap();
+        let all = observe(&root);
+        assert!(all.data_faults.is_empty(), "{:?}", all.data_faults);
+        assert!(all.missing.iter().all(|m| !m.contains("flash")), "{:?}", all.missing);
+        let d = diagnose(&all, None, Vec::new(), &mut |_| {});
+        assert_eq!(d.missing[0].effect, "light-banding", "{:?}", d.missing);
+        for (name, truth) in [("rel", 0.2), ("cycles_per_row", cycles)] {
+            let q = &d.missing[0].parameters[name];
+            assert!((q.value - truth).abs() < 5.0 * q.std_err, "{name} {truth}: {q}");
+        }
+    }
+}
+
 /// 40 sines of amplitude 0.005 to 0.3 and 0.002 to 0.4 cycles a row, of mains lamps or 80 to 1000 Hz. All must
 /// be named first; the number within three standard errors is printed (docs/CONFUSION.md).
 #[test]
@@ -36,5 +59,5 @@ fn bands_of_many_lamps() {
         both += usize::from(right);
     }
     println!("{first} of 40 first, {both} within three standard errors");
-    assert!(first == 40 && both >= 28, "{first} first, {both} within three standard errors");
+    assert!(first == 40 && both >= 36, "{first} first, {both} within three standard errors");
 }

@@ -364,7 +364,8 @@ fn another_host_on_the_wire_forges_no_frame() {
     let own = |kind| [kind, "--from", ADDRESSES[2]];
     let port = |kind| [kind, "--spoof", "--port", "40000"];
     let size = &["--packet-size", "1400"][..];
-    let under_attack = |attacks: &[&[&str]], more: &[&str]| stream_under_attack(Some(&hosts), 100, attacks, more);
+    let under_attack =
+        |attacks: &[&[&str]], more: &[&str]| stream_under_attack(Some(&hosts), 100, attacks, more);
     under_attack(&[&own("frames"), &port("frames")], size);
     under_attack(&[&own("frames"), &port("frames")], &[size, &["--packet-socket"]].concat());
     under_attack(&[&own("short"), &own("sound"), &port("cut"), &port("random")], size);

@@ -56,7 +56,7 @@ impl Effect for LightBanding {
             },
             Parameter {
                 name: "rel",
-                meaning: "amplitude of the ripple (shape 1: its standard deviation), relative to the light",
+                meaning: "amplitude of the ripple, of a wander its standard deviation, relative to the light",
                 unit: "1",
                 min: 0.0,
                 max: 1.0,
@@ -97,21 +97,26 @@ impl Effect for LightBanding {
         Some(if p[0] >= 0.5 { "a slow wander down the rows" } else { "a sine down the rows" })
     }
 
-    /// Starts from the peaks of the spectrum of the row means, then from fixed frequencies. Each peak is tried
-    /// with the ripple of the mains and with one ripple for each lobe of sinc(f T): the fit does not cross from
-    /// one lobe to the next.
+    /// Starts from the peaks of the spectrum of the row means, then from fixed frequencies, each with the ripples that
+    /// the exposures tell. Where these tell none: with that of the mains, and with one ripple for each lobe of
+    /// sinc(f T), since a fit does not cross from one lobe to the next.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let rows = seen.rows.max(2.0);
         let per_image = [0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 6.5, 10.0, 15.0].map(|n| n / rows);
         let peaks = seen.row_cycles.into_iter().flatten().filter(|f| *f > 1e-4);
-        let [slow, fast] = [0.2, 1.0].map(|turns| turns / seen.frame_s.max(1e-5));
         let lines = |cycles: f64, hz: &[f64]| -> Vec<Vec<f64>> {
             hz.iter().map(|hz| vec![0.0, 0.003, cycles, *hz, 0.0]).collect()
         };
-        let mut hz = vec![slow, fast, MAINS_HZ[0], MAINS_HZ[1]];
-        hz.extend((1..=LOBES).map(|k| f64::from(k) * LOBE / seen.lit_s.1.max(1e-5)));
-        let mut all: Vec<Vec<f64>> = peaks.filter(|f| *f < 0.5).flat_map(|f| lines(f, &hz)).collect();
-        all.extend(per_image.into_iter().filter(|f| *f < 0.5).flat_map(|f| lines(f, &[slow, fast])));
+        let told: Vec<f64> = seen.ripple_hz.into_iter().flatten().collect();
+        let (of_peaks, of_others) = if told.is_empty() {
+            let [slow, fast] = [0.2, 1.0].map(|turns| turns / seen.frame_s.max(1e-5));
+            let lobes = (1..=LOBES).map(|k| f64::from(k) * LOBE / seen.lit_s.1.max(1e-5));
+            ([slow, fast, MAINS_HZ[0], MAINS_HZ[1]].into_iter().chain(lobes).collect(), vec![slow, fast])
+        } else {
+            (told.clone(), told[..1].to_vec())
+        };
+        let mut all: Vec<Vec<f64>> = peaks.filter(|f| *f < 0.5).flat_map(|f| lines(f, &of_peaks)).collect();
+        all.extend(per_image.into_iter().filter(|f| *f < 0.5).flat_map(|f| lines(f, &of_others)));
         all.extend([0.92, 0.97, 0.99].map(|next| vec![1.0, 0.003, 0.01, 0.0, next]));
         all
     }

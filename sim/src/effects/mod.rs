@@ -108,6 +108,8 @@ pub struct Seen {
     pub column_cycles: Option<f64>,
     /// Frequencies at which row means of flats ripple, cycles per row, the strongest first.
     pub row_cycles: [Option<f64>; 3],
+    /// Frequencies at which a lamp that makes these bands ripples, Hz, the likeliest first.
+    pub ripple_hz: [Option<f64>; 3],
     /// Codes for each one that occurs, about the levels.
     pub code_step_dn: Option<f64>,
     /// Distance of the codes that occur, where all lie on one line of steps; 1 where they do not.
@@ -151,8 +153,8 @@ impl Parameter {
 
     /// Its meaning without the choice that it belongs to, which stands before a colon.
     pub fn plain_meaning(&self) -> &'static str {
-        let split = self.meaning.split_once(": ").filter(|(of, _)| of.chars().any(|c| c.is_ascii_digit()));
-        if self.is_choice() { self.meaning } else { split.map_or(self.meaning, |(_, plain)| plain) }
+        let of_choice = |of: &str| of.starts_with("shape") && of.ends_with(|c: char| c.is_ascii_digit());
+        self.meaning.split_once(": ").filter(|(of, _)| of_choice(of)).map_or(self.meaning, |(_, plain)| plain)
     }
 }
 
