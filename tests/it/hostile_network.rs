@@ -375,6 +375,46 @@ fn another_host_on_the_wire_forges_no_frame() {
     }
 }
 
+/// C2: a capture while another host forges frames under its own address and under the camera's is, bit for bit, the
+/// one that nobody disturbed.
+#[test]
+fn no_forged_frame_is_captured() {
+    let Some(hosts) = Hosts::new() else { return };
+    let dir = in_memory();
+    let model = dir.path().join("camera.toml");
+    fs::write(&model, small("cmos12", 96, 64).to_toml().unwrap()).unwrap();
+    let radcam = program().get_program().to_owned();
+    let mut serve = hosts.command(0, &radcam);
+    serve.arg("serve").arg(&model).args(["--interface", ADDRESSES[0]]).stdout(Stdio::null());
+    let _camera = Camera(serve.spawn().unwrap());
+    let client = hosts.on(1, || Client::new(ADDRESSES[0]));
+    let begun = Instant::now();
+    while !client.answers() {
+        assert!(begun.elapsed() < Duration::from_secs(20), "nobody answers");
+    }
+    let capture = |name: &str| {
+        let to = dir.path().join(name);
+        let mut command = hosts.command(1, &radcam);
+        command.args(["capture", "--camera", &format!("aravis:{}", ADDRESSES[0]), "--plan", "quick", "-o"]);
+        let out = command.arg(&to).output().unwrap();
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        crate::killed::files(&to)
+    };
+    let undisturbed = capture("undisturbed");
+    let attacks: [&[&str]; 3] = [
+        &["frames", "--from", ADDRESSES[2]],
+        &["frames", "--spoof", "--port", "40000"],
+        &["sound", "--from", ADDRESSES[2]],
+    ];
+    let mut forgers: Vec<Forger> = attacks.iter().map(|a| Forger::start(Some(&hosts), a)).collect();
+    let attacked = capture("attacked");
+    assert!(forgers.iter_mut().all(|f| f.0.try_wait().unwrap().is_none()), "a forger ended");
+    assert_eq!(attacked.keys().collect::<Vec<_>>(), undisturbed.keys().collect::<Vec<_>>());
+    for (name, bytes) in &undisturbed {
+        assert!(attacked[name] == *bytes, "{} differs", name.display());
+    }
+}
+
 fn may_spoof() -> bool {
     let probe = "import socket; socket.socket(socket.AF_INET, socket.SOCK_RAW, socket.IPPROTO_RAW)";
     let may =

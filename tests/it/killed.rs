@@ -9,7 +9,7 @@ use std::process::Stdio;
 use std::time::Instant;
 
 /// Every file of a campaign but its log, which tells of each run.
-fn files(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+pub fn files(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut out = BTreeMap::new();
     let mut folders = vec![root.to_path_buf()];
     while let Some(folder) = folders.pop() {
