@@ -74,13 +74,22 @@ impl EffectValues {
     /// Where no effect has this identifier, or a formula cannot be understood.
     pub fn effect(&self) -> Result<&'static dyn Effect, ModelError> {
         if self.id == CUSTOM {
-            let name = self.name.as_deref().unwrap_or(CUSTOM);
-            return effects::custom(name, &self.formulas, &self.parameters, &self.bounds, &self.units)
-                .map_err(ModelError::Effect);
+            return effects::custom(self.described()).map_err(ModelError::Effect);
         }
         effects::find(&self.id).ok_or_else(|| {
             ModelError::Effect(format!("no effect \"{}\"; `radcam effects` lists them", echo(&self.id)))
         })
+    }
+
+    /// Description of an effect of formulas.
+    fn described(&self) -> effects::Described<'_> {
+        effects::Described {
+            name: self.name.as_deref().unwrap_or(CUSTOM),
+            formulas: &self.formulas,
+            values: &self.parameters,
+            bounds: &self.bounds,
+            units: &self.units,
+        }
     }
 
     /// Checks its name and its values.
@@ -89,6 +98,23 @@ impl EffectValues {
     ///
     /// There is no such effect or parameter, or a value is out of its bounds.
     pub fn check(&self) -> Result<(), ModelError> {
+        let out = |name: &str, value: f64, (min, max): (f64, f64), unit: &str| {
+            let unit = after_number(unit);
+            let range = format!("and must lie within {min} to {max}{unit}");
+            ModelError::Effect(format!("effect {}: {name} is {value}{unit}, {range}", echo(&self.id)))
+        };
+        if self.id == CUSTOM {
+            let described = self.described();
+            described.check().map_err(ModelError::Effect)?;
+            for (name, &value) in &self.parameters {
+                let [min, max] = described.bounds_of(name);
+                if !(min..=max).contains(&value) {
+                    let unit = self.units.get(name).map_or("", String::as_str);
+                    return Err(out(&echo(name), value, (min, max), unit));
+                }
+            }
+            return Ok(());
+        }
         let effect = self.effect()?;
         for (name, &value) in &self.parameters {
             let Some(p) = effect.parameters().iter().find(|p| p.name == name) else {
@@ -100,8 +126,9 @@ impl EffectValues {
                     names.join(", ")
                 )));
             };
-            within(p.name, value, (p.min, p.max), p.unit)
-                .map_err(|e| ModelError::Effect(format!("effect {}: {e}", echo(&self.id))))?;
+            if !(p.min..=p.max).contains(&value) {
+                return Err(out(p.name, value, (p.min, p.max), p.unit));
+            }
         }
         Ok(())
     }

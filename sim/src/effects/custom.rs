@@ -19,7 +19,8 @@
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 use crate::text::{echo, echo_message};
 use exmex::{Express, FlatEx};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::{LazyLock, Mutex};
 
 /// What a formula may change.
 const TARGETS: [&str; 10] =
@@ -128,22 +129,80 @@ pub struct Custom {
     formulas: BTreeMap<String, Formula>,
 }
 
-/// Makes an effect of formulas. It is kept until the program ends.
+/// Description of an effect of formulas, as a model file has it.
+#[derive(Debug, Clone, Copy)]
+pub struct Described<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// Formula for each target.
+    pub formulas: &'a BTreeMap<String, String>,
+    /// Parameters and their values.
+    pub values: &'a BTreeMap<String, f64>,
+    /// Lowest and highest value of a parameter.
+    pub bounds: &'a BTreeMap<String, [f64; 2]>,
+    /// Units of parameters.
+    pub units: &'a BTreeMap<String, String>,
+}
+
+impl Described<'_> {
+    /// Lowest and highest value of a parameter.
+    pub fn bounds_of(&self, parameter: &str) -> [f64; 2] {
+        self.bounds.get(parameter).copied().unwrap_or([-1e12, 1e12])
+    }
+
+    /// Checks formulas and bounds; nothing is kept.
+    ///
+    /// # Errors
+    ///
+    /// Which formula or bound cannot be understood.
+    pub fn check(&self) -> Result<(), String> {
+        parsed(self).map(drop)
+    }
+}
+
+/// Makes an effect of formulas. It is kept until the program ends, the same one for the same description.
 ///
 /// # Errors
 ///
 /// Which formula or bound cannot be understood.
-pub fn custom(
-    name: &str,
-    formulas: &BTreeMap<String, String>,
-    values: &BTreeMap<String, f64>,
-    bounds: &BTreeMap<String, [f64; 2]>,
-    units: &BTreeMap<String, String>,
-) -> Result<&'static dyn Effect, String> {
+pub fn custom(described: Described<'_>) -> Result<&'static dyn Effect, String> {
+    static KEPT: LazyLock<Mutex<HashMap<String, &'static Custom>>> = LazyLock::new(Mutex::default);
+    let key = format!("{described:?}");
+    let mut kept = KEPT.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    if let Some(known) = kept.get(&key) {
+        return Ok(*known);
+    }
+    let formulas = parsed(&described)?;
+    let keep = |text: &str| -> &'static str { Box::leak(text.to_string().into_boxed_str()) };
+    let parameter = |(n, v): (&String, &f64)| {
+        let [min, max] = described.bounds_of(n);
+        // "choice" has a meaning of its own: see Parameter::is_choice.
+        let unit = described.units.get(n).map(String::as_str).filter(|u| *u != "choice").unwrap_or("1");
+        Parameter {
+            name: keep(n),
+            meaning: "",
+            unit: keep(unit),
+            min,
+            max,
+            starts: Box::leak(Box::new([*v])),
+        }
+    };
+    let parameters: Vec<Parameter> = described.values.iter().map(parameter).collect();
+    let effect: &'static Custom = Box::leak(Box::new(Custom {
+        name: keep(described.name),
+        parameters: Box::leak(parameters.into_boxed_slice()),
+        formulas,
+    }));
+    kept.insert(key, effect);
+    Ok(effect)
+}
+
+/// Formulas that were understood, by their targets.
+fn parsed(described: &Described<'_>) -> Result<BTreeMap<String, Formula>, String> {
+    let Described { name, formulas, values, bounds, .. } = *described;
     if formulas.is_empty() {
         return Err(format!("custom effect {name} has no formulas; it may change {}", TARGETS.join(", ")));
     }
-    let full_name = name;
     let name = &*echo(name);
     if values.len() > MAX_PARAMETERS {
         return Err(format!(
@@ -159,7 +218,6 @@ pub fn custom(
             echo(parameter)
         ));
     }
-    let keep = |text: &str| -> &'static str { Box::leak(text.to_string().into_boxed_str()) };
     let names: Vec<&String> = values.keys().collect();
     let mut ready = BTreeMap::new();
     for (target, text) in formulas {
@@ -198,20 +256,7 @@ pub fn custom(
             .map_err(|at| format!("custom effect {name}: {target} = \"{shown}\" is no number at {at}"))?;
         ready.insert(target.clone(), formula);
     }
-    let parameters: Vec<Parameter> = values
-        .iter()
-        .map(|(n, v)| {
-            let [min, max] = bounds.get(n).copied().unwrap_or([-1e12, 1e12]);
-            // "choice" has a meaning of its own: see Parameter::is_choice.
-            let unit = keep(units.get(n).map(String::as_str).filter(|u| *u != "choice").unwrap_or("1"));
-            Parameter { name: keep(n), meaning: "", unit, min, max, starts: Box::leak(Box::new([*v])) }
-        })
-        .collect();
-    Ok(Box::leak(Box::new(Custom {
-        name: keep(full_name),
-        parameters: Box::leak(parameters.into_boxed_slice()),
-        formulas: ready,
-    })))
+    Ok(ready)
 }
 
 impl Effect for Custom {
@@ -333,4 +378,25 @@ fn correlated(white: &ndarray::Array2<f64>, variance: f64, [h, v, d]: [f64; 3]) 
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The same description is kept once; one that is only checked is not kept.
+    #[test]
+    fn a_description_is_kept_once() {
+        let formulas = BTreeMap::from([("variance".to_string(), "k * mu".to_string())]);
+        let values = BTreeMap::from([("k".to_string(), 0.25)]);
+        let (bounds, units) = (BTreeMap::new(), BTreeMap::new());
+        let of =
+            |name| Described { name, formulas: &formulas, values: &values, bounds: &bounds, units: &units };
+        let place = |effect: &'static dyn Effect| std::ptr::from_ref(effect).cast::<()>();
+        let first = custom(of("kept once")).unwrap();
+        assert!(of("kept once").check().is_ok());
+        assert_eq!(place(first), place(custom(of("kept once")).unwrap()));
+        assert_ne!(place(first), place(custom(of("another")).unwrap()));
+        assert_eq!((first.id(), first.parameters()[0].starts), ("kept once", &[0.25][..]));
+    }
 }

@@ -499,7 +499,7 @@ pub fn shifted(image: &ndarray::Array2<f64>, dy: i32, dx: i32) -> ndarray::Array
 mod chain;
 mod custom;
 pub use chain::{Chain, predict};
-pub use custom::custom;
+pub use custom::{Described, custom};
 
 macro_rules! effects {
     ($($module:ident::$name:ident)*) => {

@@ -113,7 +113,7 @@ fn formula(bytes: &[u8]) {
             formulas: BTreeMap::from([(target.to_string(), text.clone())]),
             ..Default::default()
         };
-        let _ = effect.effect();
+        let _ = effect.check();
     }
 }
 
