@@ -498,8 +498,8 @@ impl SetPrediction {
         self.ripples.iter().map(|(v, r)| v * r.with_mean(to as f64, rows as f64)).sum()
     }
 
-    /// Mean over pairs of pixels of the square of the covariance that normal noise of lines and bands gives them,
-    /// DN^4.
+    /// Mean over pairs of pixels of the square of the covariance that normal noise of lines and bands gives
+    /// them, DN^4.
     pub fn shared_squares(&self, rows: usize, columns: usize) -> f64 {
         let height = rows as f64;
         let wander = |(v, ripple): &(f64, Ripple)| match *ripple {
@@ -511,8 +511,8 @@ impl SetPrediction {
             + self.column.lag(0).powi(2) / columns as f64
     }
 
-    /// Sines of one random phase a frame: the variance of each, DN^2, and the mean over pairs of pixels of the cosine
-    /// of twice the phase between them.
+    /// Sines of one random phase a frame: the variance of each, DN^2, and the mean over pairs of pixels of
+    /// the cosine of twice the phase between them.
     pub fn sines(&self, rows: usize) -> impl Iterator<Item = (f64, f64)> {
         let height = rows as f64;
         let down = self.ripples.iter().filter_map(move |(v, ripple)| match *ripple {

@@ -8,8 +8,8 @@ use crate::observables::Observations;
 use radcam_sim::effects::find;
 use radcam_sim::predict::{BaseParameters, SetInfo};
 
-/// Share of the samples of a dark that fall below code 0 from which on a black level is too low (a named choice:
-/// cut off at 2.9 deviations, the noise's variance loses half a per cent).
+/// Share of the samples of a dark that fall below code 0 from which on a black level is too low (a named
+/// choice: cut off at 2.9 deviations, the noise's variance loses half a per cent).
 const CUT_OFF: f64 = 0.002;
 
 /// The effect that cuts noise off below a code.
@@ -30,8 +30,8 @@ pub(super) struct CutOff {
     pub model: Fitted,
     /// Largest share of a dark's samples below code 0.
     share: f64,
-    /// Twice the logarithm of the likelihood ratio: of the samples that the model expects below code 0 none is
-    /// there (Poisson).
+    /// Twice the logarithm of the likelihood ratio: of the samples that the model expects below code 0 none
+    /// is there (Poisson).
     evidence: f64,
 }
 

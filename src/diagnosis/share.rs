@@ -64,12 +64,12 @@ pub(super) enum Place {
 }
 
 /// Error with all names in the model from which on they do not describe the campaign, whatever their share (a
-/// named choice: of 235 campaigns with the right names the largest error is 1.7, and samples at both ends of the
-/// codes leave 1438).
+/// named choice: of 235 campaigns with the right names the largest error is 1.7, and samples at both ends of
+/// the codes leave 1438).
 const HOPELESS: f64 = 10.0;
 
-/// Place of `unknown`. `doubt`: reason against the strongest name; `left`: share of the remainder; `error`: with all
-/// names in the model.
+/// Place of `unknown`. `doubt`: reason against the strongest name; `left`: share of the remainder; `error`:
+/// with all names in the model.
 pub(super) fn place_of_unknown(parts: &[Part], doubt: Option<&str>, left: f64, error: f64) -> Place {
     let better = parts.first().is_some_and(|p| better(p).is_some());
     match left {

@@ -119,8 +119,8 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ExamineError> 
     Ok(out)
 }
 
-/// Largest distance of the converter's top code from full scale, of full scale: steps of codes, a black level that
-/// is taken off, and digital gain leave the last ones out (a named choice).
+/// Largest distance of the converter's top code from full scale, of full scale: steps of codes, a black level
+/// that is taken off, and digital gain leave the last ones out (a named choice).
 const TOP: f64 = 1.0 / 64.0;
 /// Smallest share of the pixels that pile up at the top code.
 const PILE: f64 = 1e-3;

@@ -270,8 +270,8 @@ impl<'a> Unseen<'a> {
         Some(Own::new(z, variance, by_setting, e))
     }
 
-    /// Means of other sets of a light level before the mean of one, each with the variance of its setting in units
-    /// of the light squared; 0 under the same setting.
+    /// Means of other sets of a light level before the mean of one, each with the variance of its setting in
+    /// units of the light squared; 0 under the same setting.
     fn means_before(&self, r: usize, set: usize) -> Vec<(usize, f64)> {
         let sets = &self.all.campaign.sets;
         let of = |other: usize| {
@@ -282,10 +282,10 @@ impl<'a> Unseen<'a> {
         (0..sets.len()).filter_map(of).collect()
     }
 
-    /// Standardised residual of a row at a light level that the fit did not see: means of the half tell its light.
-    /// Of the means of a level each is judged beside those before it, so that the residuals are independent
-    /// (recursive residuals: Brown, Durbin and Evans 1975, J. R. Statist. Soc. B 37, 149, eq. 2). `own`: variance
-    /// of the setting of its own set.
+    /// Standardised residual of a row at a light level that the fit did not see: means of the half tell its
+    /// light. Of the means of a level each is judged beside those before it, so that the residuals are
+    /// independent (recursive residuals: Brown, Durbin and Evans 1975, J. R. Statist. Soc. B 37, 149, eq. 2).
+    /// `own`: variance of the setting of its own set.
     fn judged_beside(&self, r: usize, e: &Expected, means: &[(usize, f64)], own: f64) -> Option<Own> {
         let by_light = self.slopes_of(r)[self.light];
         let mut slopes = self.slopes_of(r).to_vec();

@@ -86,7 +86,8 @@ pub struct Observations {
     pub setting: Option<Setting>,
     /// Frequencies at which row means of flats ripple, cycles per row, the strongest first.
     pub row_cycles: Vec<f64>,
-    /// Frequencies of a lamp's ripple that the fading of light bands with the exposure tells, Hz, the likeliest first.
+    /// Frequencies of a lamp's ripple that the fading of light bands with the exposure tells, Hz, the
+    /// likeliest first.
     pub ripple_hz: Vec<f64>,
     /// Frequencies of stripes of columns that move from frame to frame, cycles per column, the strongest first.
     pub column_cycles: Vec<f64>,

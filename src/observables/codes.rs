@@ -62,8 +62,8 @@ pub fn occupancy_of(widths: &dyn Fn(u32) -> f64, codes: &std::ops::Range<u32>, b
     relative(first) - relative(second)
 }
 
-/// Distance of the codes of all wide levels, where they lie on one line of steps; 1 where they do not. What is cut
-/// off at both ends is left out.
+/// Distance of the codes of all wide levels, where they lie on one line of steps; 1 where they do not. What
+/// is cut off at both ends is left out.
 pub fn stretch_dn(halves: &[Codes; 2]) -> f64 {
     let sum = |(a, b): (&u64, &u64)| a + b;
     let mut counts: Vec<u64> = halves[0].counts.iter().zip(&halves[1].counts).map(sum).collect();

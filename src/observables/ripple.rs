@@ -16,7 +16,8 @@ pub struct Banded {
 
 /// Step between frequencies, in turns within the longest exposure, at first and about the best.
 const STEPS: [f64; 2] = [0.02, 5e-4];
-/// Slowest and fastest ripple, in turns within the longest exposure. A PWM lamp turns some twenty times within it.
+/// Slowest and fastest ripple, in turns within the longest exposure. A PWM lamp turns some twenty times
+/// within it.
 const TURNS: (f64, f64) = (0.1, 21.0);
 /// Minima that are looked at closely.
 const CLOSELY: usize = 8;
@@ -27,8 +28,8 @@ const FAR: f64 = 20.0;
 /// Rounds of the weights, which depend on the amplitude.
 const ROUNDS: usize = 6;
 
-/// Frequencies of a ripple, Hz, the likeliest first: of each the amplitude is the best. None without exposures that
-/// differ by half.
+/// Frequencies of a ripple, Hz, the likeliest first: of each the amplitude is the best. None without
+/// exposures that differ by half.
 pub fn frequencies(all: &[Banded]) -> Vec<f64> {
     let exposures = || all.iter().map(|b| b.exposure_s);
     let (shortest_s, longest_s) = exposures().fold((f64::INFINITY, 0.0f64), |(a, b), t| (a.min(t), b.max(t)));
@@ -53,8 +54,8 @@ pub fn frequencies(all: &[Banded]) -> Vec<f64> {
     best.into_iter().take(GIVEN).filter(|b| b.0 < first + FAR).map(|b| b.1).collect()
 }
 
-/// Minus twice the logarithm of the likelihood of a ripple of this frequency with the best amplitude. Of n frames
-/// with independent phases the mean product of two of different frames scatters by 1 / n (n - 1).
+/// Minus twice the logarithm of the likelihood of a ripple of this frequency with the best amplitude. Of n
+/// frames with independent phases the mean product of two of different frames scatters by 1 / n (n - 1).
 fn score(all: &[Banded], ripple_hz: f64) -> f64 {
     // Share of the signal's square that the ripple would have at amplitude 1.
     let shape = |b: &Banded| {
@@ -89,8 +90,9 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Lamps of 100 to 900 Hz under exposures of 0.4 to 20 ms, three or four frames each: in 38 of 40 campaigns one of
-    /// the frequencies is the lamp's within 3 %, or within a tenth of a turn where that is more.
+    /// Lamps of 100 to 900 Hz under exposures of 0.4 to 20 ms, three or four frames each: in 38 of 40
+    /// campaigns one of the frequencies is the lamp's within 3 %, or within a tenth of a turn where that is
+    /// more.
     #[test]
     fn a_ripple_has_its_frequency() {
         let mut found = 0;

@@ -49,7 +49,8 @@ pub struct Apart {
 }
 
 impl Apart {
-    /// Usual deviation of the means within the block itself, as a standard deviation, DN; no number for an empty one.
+    /// Usual deviation of the means within the block itself, as a standard deviation, DN; no number for an
+    /// empty one.
     pub fn usual_mean_dn(&self) -> f64 {
         median(self.mean_dn.iter().map(|m| m.abs())) / MAD_OF_NORMAL
     }
@@ -156,16 +157,16 @@ impl Usual {
         [self.flat_rel, self.dark_dn, self.flat_cell, self.dark_cell_dn]
     }
 
-    /// Deviation of a cell from which on a frame of a set lies far from the others, DN; `above`: its level above the
-    /// darks, DN.
+    /// Deviation of a cell from which on a frame of a set lies far from the others, DN; `above`: its level
+    /// above the darks, DN.
     pub fn far_cell_dn(&self, of_set: &Apart, dark: bool, above: f64) -> f64 {
         let of_dark = if self.dark_cell_dn.is_finite() { self.dark_cell_dn } else { 0.0 };
         let cell = if dark { self.dark_cell_dn } else { (self.flat_cell * above.sqrt()).hypot(of_dark) };
         0.5 * FAR * cell.max(of_set.usual_cell_dn()).max(0.05)
     }
 
-    /// Places of frames in a block that lie far from the others; `of_set`: frames of its set; `start`: place of its
-    /// first frame in the set.
+    /// Places of frames in a block that lie far from the others; `of_set`: frames of its set; `start`: place
+    /// of its first frame in the set.
     pub fn outliers(&self, a: &Apart, of_set: &Apart, dark: bool, start: usize, zero_dn: f64) -> Vec<usize> {
         let above = (a.level_dn - zero_dn).max(1.0);
         let (mean, cell) = if dark {
@@ -178,7 +179,8 @@ impl Usual {
                 (self.flat_cell * above.sqrt()).hypot(dark(self.dark_cell_dn)),
             )
         };
-        // What frames of this set usually have is no flash: light bands and flicker that other exposures average out.
+        // What frames of this set usually have is no flash: light bands and flicker that other exposures
+        // average out.
         let mean = mean.max(a.usual_mean_dn()).max(of_set.usual_mean_dn());
         let cell = cell.max(a.usual_cell_dn()).max(of_set.usual_cell_dn());
         // Rounding to whole codes alone moves a mean by some hundredths.
@@ -442,7 +444,8 @@ mod tests {
         assert!(usual.outliers(&apart(&first), &Apart::default(), false, 0, 100.0).is_empty());
     }
 
-    /// Light bands of one set among sets without: three of its frames happen to be alike, and the fourth is no flash.
+    /// Light bands of one set among sets without: three of its frames happen to be alike, and the fourth is
+    /// no flash.
     #[test]
     fn bands_of_one_exposure_are_no_outliers() {
         let blocks: Vec<(bool, Apart)> = (0..8).map(|s| (false, apart(&block(s)))).collect();

@@ -7,8 +7,9 @@ use radcam::diagnosis::diagnose;
 use radcam::plan::Plan;
 use radcam_sim::rng::{PixelRng, Stream};
 
-/// Strong bands at the short exposures alone, since the others are whole ripples: no frame is taken for a flash, and no
-/// set for one that was filtered; frequency and amplitude within five standard errors, which few frames tell roughly.
+/// Strong bands at the short exposures alone, since the others are whole ripples: no frame is taken for a
+/// flash, and no set for one that was filtered; frequency and amplitude within five standard errors, which
+/// few frames tell roughly.
 #[test]
 fn strong_bands_are_no_slip() {
     for (seed, cycles, hz) in [(0u64, 0.06, 100.0), (1, 0.011, 150.0), (2, 0.12, 100.0)] {

@@ -355,7 +355,8 @@ fn no_request_of_another_host_ends_a_served_camera() {
 }
 
 /// Frames and damaged packets of another host on the wire, under its own address, and under the camera's with
-/// another port: none is taken, by either socket. Under the camera's address and port malformed ones end nothing.
+/// another port: none is taken, by either socket. Under the camera's address and port malformed ones end
+/// nothing.
 #[test]
 fn another_host_on_the_wire_forges_no_frame() {
     let Some(hosts) = Hosts::new() else { return };
@@ -375,8 +376,8 @@ fn another_host_on_the_wire_forges_no_frame() {
     }
 }
 
-/// C2: a capture while another host forges frames under its own address and under the camera's is, bit for bit, the
-/// one that nobody disturbed.
+/// C2: a capture while another host forges frames under its own address and under the camera's is, bit for
+/// bit, the one that nobody disturbed.
 #[test]
 fn no_forged_frame_is_captured() {
     let Some(hosts) = Hosts::new() else { return };

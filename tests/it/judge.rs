@@ -17,8 +17,8 @@ fn without_stated_light(root: &Path) {
     std::fs::write(&path, kept.join("\n") + "\n").unwrap();
 }
 
-/// Eight lights at one exposure, each of the lower seven set twice, three frames each time: every set goes to one
-/// half as a whole, both of a light to the same, and the other half knows nothing of its light.
+/// Eight lights at one exposure, each of the lower seven set twice, three frames each time: every set goes to
+/// one half as a whole, both of a light to the same, and the other half knows nothing of its light.
 fn lights_twice(model: radcam_sim::Model, root: &Path) {
     let mut plan = Plan::quick();
     plan.full_exposure_s = Some(0.02);
@@ -31,8 +31,9 @@ fn lights_twice(model: radcam_sim::Model, root: &Path) {
     without_stated_light(root);
 }
 
-/// Residuals at lights that the fit did not see are of unit size, over 16 clean cameras: the means of lights that are
-/// set twice, the noise of pixels, rows and columns, and neighbours, each within four standard errors.
+/// Residuals at lights that the fit did not see are of unit size, over 16 clean cameras: the means of lights
+/// that are set twice, the noise of pixels, rows and columns, and neighbours, each within four standard
+/// errors.
 #[test]
 fn residuals_at_lights_of_one_half_are_of_unit_size() {
     let mut of: BTreeMap<String, Vec<f64>> = BTreeMap::new();
@@ -69,8 +70,8 @@ fn a_lamp_that_scatters_is_named_where_every_light_is_set_twice() {
     assert!((q.value - 0.001).abs() < 4.0 * q.std_err, "{q}");
 }
 
-/// A second gain from a level on that is 0.8 % off: sets of the same light agree, so that no lamp scatters, and
-/// no name of the catalogue stands.
+/// A second gain from a level on that is 0.8 % off: sets of the same light agree, so that no lamp scatters,
+/// and no name of the catalogue stands.
 #[test]
 fn two_gains_that_do_not_match_are_no_scatter_of_the_lamp() {
     let dir = tempfile::tempdir().unwrap();

@@ -97,9 +97,9 @@ impl Effect for LightBanding {
         Some(if p[0] >= 0.5 { "a slow wander down the rows" } else { "a sine down the rows" })
     }
 
-    /// Starts from the peaks of the spectrum of the row means, then from fixed frequencies, each with the ripples that
-    /// the exposures tell. Where these tell none: with that of the mains, and with one ripple for each lobe of
-    /// sinc(f T), since a fit does not cross from one lobe to the next.
+    /// Starts from the peaks of the spectrum of the row means, then from fixed frequencies, each with the
+    /// ripples that the exposures tell. Where these tell none: with that of the mains, and with one ripple
+    /// for each lobe of sinc(f T), since a fit does not cross from one lobe to the next.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let rows = seen.rows.max(2.0);
         let per_image = [0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 6.5, 10.0, 15.0].map(|n| n / rows);
