@@ -98,20 +98,13 @@ impl EffectValues {
     ///
     /// There is no such effect or parameter, or a value is out of its bounds.
     pub fn check(&self) -> Result<(), ModelError> {
-        let out = |name: &str, value: f64, (min, max): (f64, f64), unit: &str| {
-            let unit = after_number(unit);
-            let range = format!("and must lie within {min} to {max}{unit}");
-            ModelError::Effect(format!("effect {}: {name} is {value}{unit}, {range}", echo(&self.id)))
-        };
+        let field = |name: &str| format!("effect {}: {name}", echo(&self.id));
         if self.id == CUSTOM {
             let described = self.described();
             described.check().map_err(ModelError::Effect)?;
             for (name, &value) in &self.parameters {
-                let [min, max] = described.bounds_of(name);
-                if !(min..=max).contains(&value) {
-                    let unit = self.units.get(name).map_or("", String::as_str);
-                    return Err(out(&echo(name), value, (min, max), unit));
-                }
+                let unit = self.units.get(name).map_or("", String::as_str);
+                within(&field(&echo(name)), value, described.bounds_of(name).into(), unit)?;
             }
             return Ok(());
         }
@@ -126,9 +119,7 @@ impl EffectValues {
                     names.join(", ")
                 )));
             };
-            if !(p.min..=p.max).contains(&value) {
-                return Err(out(p.name, value, (p.min, p.max), p.unit));
-            }
+            within(&field(p.name), value, (p.min, p.max), p.unit)?;
         }
         Ok(())
     }
@@ -297,8 +288,8 @@ pub enum ModelError {
     /// A value outside its physical bounds.
     #[error("{field} is {value}{0}, and must lie within {min} to {max}{0}", after_number(unit))]
     OutOfRange {
-        /// Table and key.
-        field: &'static str,
+        /// Table and key, or effect and parameter.
+        field: String,
         /// What the file says.
         value: f64,
         /// Smallest value allowed.
@@ -306,23 +297,20 @@ pub enum ModelError {
         /// Largest value allowed.
         max: f64,
         /// Unit of the three.
-        unit: &'static str,
+        unit: String,
     },
 }
 
-/// A unit as it follows a number; parts of one have none.
+/// Unit after a number, with its space; nothing for a ratio.
 fn after_number(unit: &str) -> String {
     if ["", "1"].contains(&unit) { String::new() } else { format!(" {unit}") }
 }
 
-fn within(
-    field: &'static str,
-    value: f64,
-    (min, max): (f64, f64),
-    unit: &'static str,
-) -> Result<(), ModelError> {
-    let inside = (min..=max).contains(&value);
-    if inside { Ok(()) } else { Err(ModelError::OutOfRange { field, value, min, max, unit }) }
+fn within(field: &str, value: f64, (min, max): (f64, f64), unit: &str) -> Result<(), ModelError> {
+    if (min..=max).contains(&value) {
+        return Ok(());
+    }
+    Err(ModelError::OutOfRange { field: field.into(), value, min, max, unit: unit.into() })
 }
 
 impl Model {

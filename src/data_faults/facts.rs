@@ -29,7 +29,7 @@ pub struct SetFacts {
     /// Half the variance over the pixels of the difference to the frame before, DN^2, the means of rows and
     /// columns taken off; 0 for the first.
     pub successive_dn2: Vec<f64>,
-    /// The same of the difference to the frame two before; 0 for the first two.
+    /// Half that variance for the difference to the frame two before, DN^2; 0 for the first two.
     pub second_dn2: Vec<f64>,
     /// Share of the samples at full scale.
     pub clipped: f64,
@@ -194,7 +194,7 @@ fn step(codes: &[u16], full: u16) -> f64 {
     }
 }
 
-/// Smallest number of rows, and of columns, whose means are taken off a difference.
+/// Smallest number of rows, and of columns, whose means are taken off a difference (a named choice).
 const FEW: f64 = 8.0;
 
 /// Pixels that differ, and half the variance of the difference, DN^2, by what pixels have of their own: the

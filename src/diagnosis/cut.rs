@@ -46,7 +46,8 @@ impl std::fmt::Display for CutOff {
 }
 
 impl CutOff {
-    /// Of a campaign under a model. A camera that states that it has no black level cuts by design.
+    /// Cut-off of a campaign under a model; none for a camera that states that it has no black level, and cuts by
+    /// design.
     pub fn of(all: &Observations, model: &Fitted) -> Option<Self> {
         let has_it = model.effects.iter().any(|(e, _)| e.id() == CUT);
         if !all.campaign.from_code_0 || all.no_black_level || has_it || !model.base.cut_at_0 {
@@ -73,7 +74,7 @@ impl CutOff {
         Some(Self { model: fit(all, &open, &model.effects), share, evidence })
     }
 
-    /// Adds what the counts say to the part that cuts.
+    /// Adds the evidence of the counts to the part that cuts.
     pub fn weigh(&self, parts: &mut [Part]) {
         if let Some(part) = parts.iter_mut().find(|p| p.effect.id() == CUT) {
             part.evidence = part.evidence.max(0.0) + self.evidence;

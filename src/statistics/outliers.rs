@@ -49,13 +49,12 @@ pub struct Apart {
 }
 
 impl Apart {
-    /// Usual deviation of the means within the block itself, as a standard deviation, DN; no number for an
-    /// empty one.
+    /// Usual deviation of the means within the block itself, as a standard deviation, DN; NaN for an empty one.
     pub fn usual_mean_dn(&self) -> f64 {
         median(self.mean_dn.iter().map(|m| m.abs())) / MAD_OF_NORMAL
     }
 
-    /// The same of the cells, DN.
+    /// Usual deviation of the cells within the block itself, DN; NaN for an empty one.
     fn usual_cell_dn(&self) -> f64 {
         median(self.cell_dn.iter().copied())
     }
@@ -179,7 +178,7 @@ impl Usual {
                 (self.flat_cell * above.sqrt()).hypot(dark(self.dark_cell_dn)),
             )
         };
-        // What frames of this set usually have is no flash: light bands and flicker that other exposures
+        // Scatter that frames of this set usually have is no flash: light bands and flicker that other exposures
         // average out.
         let mean = mean.max(a.usual_mean_dn()).max(of_set.usual_mean_dn());
         let cell = cell.max(a.usual_cell_dn()).max(of_set.usual_cell_dn());

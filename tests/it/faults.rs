@@ -2,16 +2,16 @@
 //! from its number, so that none that is wrong can be accepted unseen; the network is two namespaces with a
 //! program between them that does the damage.
 
+use crate::network::Network;
 use crate::support::{calibration, expect, gige_port, program, small};
 use radcam::correct::{Codes, Corrector};
 use radcam::dataset::image;
 use radcam::serve::processing::{number_of, numbered};
 use radcam::stream::Summary;
 use std::fs;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 const WIDTH: u32 = 320;
@@ -23,76 +23,6 @@ const CAMERA: &str = "10.77.0.1";
 pub fn identity(path: &Path, serial: &str) {
     let shape = (HEIGHT as usize, WIDTH as usize);
     calibration("cmos12", serial, shape, |_| (0.0, 1.0)).write(path).unwrap();
-}
-
-/// Two namespaces and what lies between them.
-struct Network {
-    child: Child,
-    commands: Option<ChildStdin>,
-    answers: BufReader<ChildStdout>,
-    names: [String; 2],
-}
-
-impl Network {
-    /// `None`, with the reason printed, where namespaces cannot be made.
-    fn new() -> Option<Self> {
-        // Tests run at once in one process.
-        static MADE: AtomicU32 = AtomicU32::new(0);
-        let own = format!("{}-{}", std::process::id(), MADE.fetch_add(1, Ordering::Relaxed));
-        let probe = format!("radcam-probe-{own}");
-        let ip = |arguments: &[&str]| Command::new("ip").args(arguments).stderr(Stdio::null()).status();
-        let may = ip(&["netns", "add", &probe]).is_ok_and(|s| s.success());
-        if !may || !Path::new("/dev/net/tun").exists() {
-            println!("SKIPPED: network namespaces and /dev/net/tun need root and iproute2");
-            return None;
-        }
-        ip(&["netns", "del", &probe]).unwrap();
-        let names = ["a", "b"].map(|end| format!("radcam-{own}-{end}"));
-        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/outside/network.py");
-        let mut child = Command::new("python3")
-            .arg(script)
-            .args(&names)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let (commands, answers) = (child.stdin.take(), BufReader::new(child.stdout.take().unwrap()));
-        let mut network = Self { child, commands, answers, names };
-        assert_eq!(network.answer(), "ready");
-        Some(network)
-    }
-
-    fn answer(&mut self) -> String {
-        let mut line = String::new();
-        self.answers.read_line(&mut line).unwrap();
-        line.trim_end().into()
-    }
-
-    fn tell(&mut self, command: &str) -> String {
-        writeln!(self.commands.as_mut().unwrap(), "{command}").unwrap();
-        self.answer()
-    }
-
-    /// radcam at one end: 0 the camera's, 1 the client's.
-    fn radcam(&self, end: usize) -> Command {
-        let mut command = Command::new("ip");
-        command.args(["netns", "exec", &self.names[end]]).arg(program().get_program());
-        command
-    }
-
-    /// Another program at the client's end.
-    fn client(&self, name: &str) -> Command {
-        let mut command = Command::new("ip");
-        command.args(["netns", "exec", &self.names[1], name]);
-        command
-    }
-}
-
-impl Drop for Network {
-    fn drop(&mut self) {
-        drop(self.commands.take());
-        let _ = self.child.wait();
-    }
 }
 
 /// A program that is ended with the test.

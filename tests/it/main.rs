@@ -34,6 +34,7 @@ mod killed;
 mod models;
 mod monitor;
 mod mosaics;
+mod network;
 mod noise;
 mod outside;
 mod program;

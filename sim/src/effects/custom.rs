@@ -160,7 +160,7 @@ impl Described<'_> {
     }
 }
 
-/// Makes an effect of formulas. It is kept until the program ends, the same one for the same description.
+/// Makes an effect of formulas, one for each description. It is kept until the program ends.
 ///
 /// # Errors
 ///
@@ -197,7 +197,7 @@ pub fn custom(described: Described<'_>) -> Result<&'static dyn Effect, String> {
     Ok(effect)
 }
 
-/// Formulas that were understood, by their targets.
+/// Formulas by their targets, checked.
 fn parsed(described: &Described<'_>) -> Result<BTreeMap<String, Formula>, String> {
     let Described { name, formulas, values, bounds, .. } = *described;
     if formulas.is_empty() {
@@ -384,7 +384,7 @@ fn correlated(white: &ndarray::Array2<f64>, variance: f64, [h, v, d]: [f64; 3]) 
 mod tests {
     use super::*;
 
-    /// The same description is kept once; one that is only checked is not kept.
+    /// One effect for each description, and none for a check.
     #[test]
     fn a_description_is_kept_once() {
         let formulas = BTreeMap::from([("variance".to_string(), "k * mu".to_string())]);
