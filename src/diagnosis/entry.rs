@@ -3,16 +3,15 @@
 use super::{Cost, Missing, Signature, signatures};
 use crate::inference::{Fitted, Residual};
 use crate::number::Quantity;
-use radcam_sim::effects::{Effect, Parameter};
+use radcam_sim::effects::{Effect, Parameter, Seen};
 use std::collections::BTreeMap;
 
-/// An effect of a model with its values. `split`: the brightest signal, e, where nothing tells the parts of a
-/// combination apart.
+/// An effect of a model with its values.
 pub(super) fn describe(
     fitted: &Fitted,
     effect: &'static dyn Effect,
     confidence: f64,
-    split: Option<f64>,
+    seen: &Seen,
 ) -> Missing {
     let at = fitted.effects.iter().position(|(e, _)| e.id() == effect.id()).unwrap_or(0);
     Missing {
@@ -21,7 +20,7 @@ pub(super) fn describe(
         share: 0.0,
         cost: Cost::default(),
         error_drop: 0.0,
-        parameters: parameters(fitted, at, split),
+        parameters: parameters(fitted, at, seen),
         form: effect.form(&fitted.effects[at].1).map(Into::into),
         partial: false,
         nearest: Vec::new(),
@@ -32,15 +31,17 @@ pub(super) fn describe(
 }
 
 /// The parameters of an effect of a model; what only a combination tells stands as that combination.
-fn parameters(fitted: &Fitted, at: usize, split: Option<f64>) -> BTreeMap<String, Quantity> {
+fn parameters(fitted: &Fitted, at: usize, seen: &Seen) -> BTreeMap<String, Quantity> {
     let ((effect, values), errors) = (&fitted.effects[at], &fitted.std_err[at]);
     let used = effect.parameters().iter().enumerate().filter(|(k, _)| effect.uses(values, *k));
     let own = |(k, p): (usize, &Parameter)| {
-        let std_err = errors[k].hypot(effect.resolution(k));
+        let std_err = errors[k].hypot(effect.resolution(k, values, seen));
         (p.name.to_string(), Quantity::new(values[k], std_err, p.unit))
     };
     let mut out: BTreeMap<String, Quantity> = used.map(own).collect();
     let Some(t) = effect.together(values) else { return out };
+    // Neighbours tell the parts of a combination apart; without them how it splits moves it, by the brightest signal.
+    let split = (!seen.neighbours).then_some(seen.peak_e);
     let std_err = fitted.std_err_of(at, &t).hypot(t.unsure_per_e * split.unwrap_or(0.0));
     let of: Vec<usize> = (0..values.len()).filter(|k| t.slopes[*k] != 0.0).collect();
     // Each alone is known ten times worse, of its own size, than all of them together.

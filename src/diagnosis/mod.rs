@@ -31,7 +31,7 @@ use crate::inference::{
 use crate::number::Quantity;
 use crate::number::{chance, percent};
 use crate::observables::profile::LineProfile;
-use crate::observables::{NO_PATCH, Observations, STATISTICS, Setting, Statistic, covariance};
+use crate::observables::{NO_PATCH, Observations, STATISTICS, Setting, Statistic};
 use crate::plan::Plan;
 use cut::{CUT, CutOff, with_cut};
 use entry::{describe, reasons};
@@ -194,7 +194,7 @@ pub fn diagnose(
     let found = search(all, &start, first.error > FAR, progress);
     let (mut parts, mut whole, mut last) = parts(all, &model, found.fitted, found.first, &first);
     let mut notes: Vec<String> = all.missing.clone();
-    let weak = || parts.iter().all(|p| !surely_there(all, &whole, p.effect));
+    let weak = || parts.iter().all(|p| !surely_there(all, &model, &whole, p.effect));
     if first.p_value >= DOUBT && (score(all, &model) - score(all, &whole) < TRACE || weak()) {
         notes.extend(parts.iter().map(trace));
         (parts, whole, last) = (Vec::new(), model.clone(), first.clone());
@@ -263,17 +263,17 @@ fn missing(
     remainder: Option<&Remainder>,
 ) -> Vec<Missing> {
     let seen = seen(all, &whole.base);
-    // Neighbours tell the parts of a combination apart; without them how it splits moves it, by the brightest signal.
-    let split = (!all.has(&covariance::Covariance)).then_some(seen.peak_e);
     let fitted = residuals_of(all, whole);
-    let named = named(parts, whole, [first, last], &fitted, ladder, split);
+    let named = named(parts, whole, [first, last], &fitted, ladder, &seen);
     let left = remainder.map_or(0.0, |r| r.share);
     let mut named = named;
     for (entry, share) in named.iter_mut().zip(shares(parts, &fitted)) {
         entry.share = share * (1.0 - left);
         entry.cost = cost::of_effect(all, whole, &entry.effect);
+        let values = whole.effects.iter().find(|(e, _)| e.id() == entry.effect);
+        entry.evidence.extend(values.and_then(|(e, values)| e.fits_as_well(values, &seen)));
     }
-    let mut out = with_ties(parts, whole, named, split);
+    let mut out = with_ties(parts, whole, named, &seen);
     let first_in_doubt = parts.first().and_then(|p| doubt(all, p, whole, &seen, last));
     for part in parts.iter().skip(1) {
         let doubt = doubt(all, part, whole, &seen, last).or_else(|| better(part));
@@ -551,10 +551,10 @@ fn named(
     [first, last]: [&Comparison; 2],
     fitted: &Vec<Residual>,
     ladder: &[Rung],
-    split: Option<f64>,
+    seen: &Seen,
 ) -> Vec<Missing> {
     let entry = |(k, part): (usize, &Part)| {
-        let mut entry = describe(whole, part.effect, confidence(part, part.evidence), split);
+        let mut entry = describe(whole, part.effect, confidence(part, part.evidence), seen);
         entry.error_drop = ladder[k].error - ladder[k + 1].error;
         // Of one that stands alone, on frames that no fit saw.
         let [without, with] =
@@ -584,7 +584,7 @@ fn confidence(part: &Part, evidence: f64) -> f64 {
 }
 
 /// Behind each part what is tied with it.
-fn with_ties(parts: &[Part], whole: &Fitted, named: Vec<Missing>, split: Option<f64>) -> Vec<Missing> {
+fn with_ties(parts: &[Part], whole: &Fitted, named: Vec<Missing>, seen: &Seen) -> Vec<Missing> {
     let mut out = Vec::new();
     for (part, entry) in parts.iter().zip(named) {
         let (drop, share, cost) = (entry.error_drop, entry.share, entry.cost);
@@ -593,7 +593,7 @@ fn with_ties(parts: &[Part], whole: &Fitted, named: Vec<Missing>, split: Option<
             if whole.effects.iter().any(|(e, _)| e.id() == other.effect.id()) {
                 continue;
             }
-            let mut entry = describe(&other.fitted, other.effect, confidence(part, other.evidence), split);
+            let mut entry = describe(&other.fitted, other.effect, confidence(part, other.evidence), seen);
             (entry.error_drop, entry.share, entry.cost) = (drop, share, cost);
             entry.tied_with = Some(part.effect.id().into());
             entry

@@ -416,17 +416,40 @@ pub fn is_told(
 }
 
 /// Wald test of the only size of an effect, or of its combined parameters, against the evidence that a name
-/// needs beside a model that holds. Evidence alone does not do: it also rises when errors become smaller.
-pub fn surely_there(all: &Observations, fitted: &Fitted, effect: &'static dyn Effect) -> bool {
+/// needs beside a model that holds; of a scatter, which few frames tell to no better than a third however large it
+/// is, the deviance of its own statistic. Evidence alone does not do: it also rises when errors become smaller.
+pub fn surely_there(
+    all: &Observations,
+    without: &Fitted,
+    fitted: &Fitted,
+    effect: &'static dyn Effect,
+) -> bool {
     let Some(at) = fitted.effects.iter().position(|(e, _)| e.id() == effect.id()) else { return false };
     let ((_, values), errors) = (&fitted.effects[at], &fitted.std_err[at]);
     let needed = NEEDED + (all.list.len() as f64).ln();
     let far = |value: f64, error: f64| value * value >= needed * error * error;
+    if effect.shown_by().is_some_and(|statistic| deviance_drop(all, without, fitted, statistic) >= needed) {
+        return true;
+    }
     if let Some(t) = effect.together(values) {
         return far(t.value, fitted.std_err_of(at, &t));
     }
     let sizes: Vec<usize> = sizes(effect, values).collect();
     sizes.len() != 1 || far(values[sizes[0]], errors[sizes[0]])
+}
+
+/// Drop in the deviance of a variance: with d degrees of freedom, d (r - 1 - ln r) for a ratio r of measured to
+/// predicted (gamma errors; McCullagh and Nelder 1989, section 8.3.2).
+fn deviance_drop(all: &Observations, without: &Fitted, with: &Fitted, statistic: &str) -> f64 {
+    let deviance = |model: &Fitted| -> f64 {
+        let own = residuals_of(all, model).into_iter().filter(|r| r.statistic == statistic);
+        own.map(|r| {
+            let ratio = (r.measured / r.predicted).max(f64::MIN_POSITIVE);
+            2.0 * (r.predicted / r.std_err).powi(2) * (ratio - 1.0 - ratio.ln())
+        })
+        .sum()
+    };
+    deviance(without) - deviance(with)
 }
 
 /// Places of the sizes that an effect uses at these values.

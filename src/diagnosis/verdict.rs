@@ -196,9 +196,12 @@ fn main_size(m: &Missing) -> Option<(&'static Parameter, &Quantity)> {
     sizes.into_iter().max_by(|a, b| known(a.1).total_cmp(&known(b.1))).or_else(|| others.into_iter().next())
 }
 
-/// Strength of an effect; sizes without a unit in per cent.
+/// Strength of an effect; sizes without a unit in per cent. Of one that is not known to half of itself, that.
 fn size(m: &Missing) -> String {
     match main_size(m) {
+        Some((_, q)) if q.std_err >= 0.5 * q.value.abs() => {
+            " of a size that this campaign does not determine".into()
+        }
         Some((p, q)) if p.unit == "1" && p.is_size() => {
             format!(" of {}", with_unit(100.0 * q.value, 100.0 * q.std_err, "%"))
         }

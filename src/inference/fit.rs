@@ -12,7 +12,7 @@ use super::layout::Layout;
 use super::model::Effects;
 use super::normal::Covariance;
 use super::slopes::Slopes;
-use crate::observables::{Expected, Half, Observations, codes_used, lightened, mean};
+use crate::observables::{Expected, Half, Observations, codes_used, covariance, lightened, mean};
 use radcam_sim::effects::{self, Effect, Seen, Together};
 use radcam_sim::predict::{BaseParameters, Prediction};
 use std::collections::BTreeSet;
@@ -293,12 +293,14 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
         means: !all.means_given && lit_levels(all) >= Seen::MIN_CURVE_LEVELS,
         lit_levels: if all.means_given { flat_sets } else { lit_levels(all) },
         flat_sets,
+        neighbours: all.has(&covariance::Covariance),
         dark_noise_dn: base.read_noise_e * base.gain_dn_per_e,
         dark_e_per_s: if all.tells_dark_current(None) { base.dark_e_per_s } else { 0.0 },
         line_cycles_per_px: all.campaign.line_cycles_per_px,
         column_cycles: all.column_cycles.first().copied(),
         row_cycles: std::array::from_fn(|k| all.row_cycles.get(k).copied()),
-        ripple_hz: std::array::from_fn(|k| all.ripple_hz.get(k).copied()),
+        ripple_hz: std::array::from_fn(|k| all.ripples.likely_hz.get(k).copied()),
+        ripples: all.ripples.fitting,
         steady_dn4: all.steady_dn4.map(|v| (v.value, v.std_err)),
         darkest_dn: all.darkest_dn.map(|code| code - base.offset_dn),
         together_dn4: all.together_dn4.and_then(|of| {

@@ -2,8 +2,9 @@
 
 use super::read::{Chunk, Reading, read};
 use super::{
-    ChunkView, Field, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, Statistic, codes,
-    column_spectrum, covariance, frame_scatter, mean, row_spectrum, settling, successive, unequal, variance,
+    ChunkView, Field, Half, HalfView, Inflation, Observable, Put, Ripples, STATISTICS, ScenePair, Statistic,
+    codes, column_spectrum, covariance, frame_scatter, mean, ripple, row_spectrum, settling, successive,
+    unequal, variance,
 };
 use crate::data_faults::{DataFault, ExamineError, examined};
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
@@ -86,9 +87,8 @@ pub struct Observations {
     pub setting: Option<Setting>,
     /// Frequencies at which row means of flats ripple, cycles per row, the strongest first.
     pub row_cycles: Vec<f64>,
-    /// Frequencies of a lamp's ripple that the fading of light bands with the exposure tells, Hz, the
-    /// likeliest first.
-    pub ripple_hz: Vec<f64>,
+    /// Ripples of a lamp by how light bands fade with the exposure.
+    pub ripples: Ripples,
     /// Frequencies of stripes of columns that move from frame to frame, cycles per column, the strongest first.
     pub column_cycles: Vec<f64>,
     /// Distance of the codes that occur, where all lie on one line of steps; 1 where they do not.
@@ -405,8 +405,8 @@ pub fn of_dataset(
         setting: setting(dataset, &settings, light_rel_std),
         light_settings: light_settings(&infos),
         frames_between: between,
+        ripples: ripple::of_chunks(&chunks, &settings, zero_dn),
         row_cycles: row_cycles(&chunks, &settings, zero_dn),
-        ripple_hz: ripple_hz(&chunks, &settings, zero_dn),
         column_cycles: column_cycles(&chunks),
         stretch_dn,
         alike: alike(&chunks, &settings),
@@ -524,37 +524,6 @@ fn row_cycles(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Vec<f64>
         |c: &&Chunk| settings[c.set].kind == Kind::Flat && c.summary.frame_means.mean_dn() - zero_dn > 0.0;
     let rows = chunks.first().map_or(0, |c| c.summary.rows_dn.len());
     cycles(chunks.iter().filter(is_lit), &row_spectrum::RowSpectrum, rows)
-}
-
-/// Frequencies of the ripple that light bands have, Hz, where row means show bands.
-fn ripple_hz(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Vec<f64> {
-    if row_cycles(chunks, settings, zero_dn).is_empty() {
-        return Vec::new();
-    }
-    // What row means have beyond the noise of pixels, and its error.
-    let beyond = |s: &Summary| {
-        let columns = s.columns_dn.len().max(1) as f64;
-        let [rows_dn2, _] = s.line_var_dn2;
-        let of_pixels = (s.var.value - rows_dn2).max(0.0) / columns;
-        let dof = (s.frames as f64 - 1.0) * s.rows_dn.len() as f64;
-        (rows_dn2 - of_pixels, of_pixels * (2.0 / dof.max(1.0)).sqrt())
-    };
-    let darks = chunks.iter().filter(|c| settings[c.set].kind == Kind::Dark);
-    let of_dark = median(darks.map(|c| beyond(&c.summary).0));
-    let of_dark = if of_dark.is_finite() { of_dark.max(0.0) } else { 0.0 };
-    let banded = |c: &Chunk| {
-        let signal_dn = c.summary.frame_means.mean_dn() - zero_dn;
-        let (value, error) = beyond(&c.summary);
-        (settings[c.set].kind == Kind::Flat && signal_dn > 0.0 && error > 0.0).then(|| {
-            super::ripple::Banded {
-                exposure_s: settings[c.set].exposure_s,
-                signal_dn,
-                row_var_dn2: (value - of_dark, error.hypot(of_dark)),
-                frames: c.summary.frames as f64,
-            }
-        })
-    };
-    super::ripple::frequencies(&chunks.iter().filter_map(banded).collect::<Vec<_>>())
 }
 
 /// Frequencies of stripes of columns that move from frame to frame, cycles per column.

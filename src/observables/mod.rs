@@ -41,6 +41,7 @@ pub use expect::{Expected, HEAVY_DOF, View, expectations, expectations_beside, i
 mod line_shape;
 
 pub use field::{Field, LINE_LAGS};
+pub use ripple::Ripples;
 pub use scene::{Direction, ScenePair};
 pub use table::observations as of_table;
 

@@ -1,65 +1,140 @@
-//! Frequency of a lamp's ripple: bands of a rolling shutter fade with the exposure as sinc(f T), and a few
-//! frames show them with a large error. It gives a search its starts.
+//! Frequency of a lamp's ripple: the bands of a rolling shutter fade with the exposure T as sinc(f T) (an
+//! exposure is a running mean; Bracewell 2000, The Fourier Transform and Its Applications, ch. 4). A search for
+//! light banding starts from it.
 
-/// Frames of a flat under one exposure.
-#[derive(Debug, Clone, Copy)]
-pub struct Banded {
-    /// Exposure, s.
-    pub exposure_s: f64,
-    /// Signal, DN.
-    pub signal_dn: f64,
-    /// Variance of the row means beyond what pixels and darks have, DN^2, and its error by their noise.
-    pub row_var_dn2: (f64, f64),
-    /// Number of frames.
-    pub frames: f64,
+use super::read::Chunk;
+use crate::dataset::{FrameRow, Kind};
+use crate::statistics::median::median;
+use crate::statistics::pass::Summary;
+use radcam_sim::effects::FittingRipple;
+
+/// Ripples of a lamp that fit the bands of a campaign.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Ripples {
+    /// Frequencies, Hz, the likeliest first; none where the exposures do not tell one.
+    pub likely_hz: Vec<f64>,
+    /// Slowest and fastest ripple within three standard errors of the likeliest; `None` without bands.
+    pub fitting: Option<[FittingRipple; 2]>,
 }
 
-/// Step between frequencies, in turns within the longest exposure, at first and about the best.
-const STEPS: [f64; 2] = [0.02, 5e-4];
-/// Slowest and fastest ripple, in turns within the longest exposure. A PWM lamp turns some twenty times
-/// within it.
-const TURNS: (f64, f64) = (0.1, 21.0);
-/// Minima that are looked at closely.
-const CLOSELY: usize = 8;
-/// Frequencies that are given.
-pub const GIVEN: usize = 3;
-/// Twice the logarithm of the likelihood by which others may fall short of the best (a chance of e^-10).
-const FAR: f64 = 20.0;
-/// Rounds of the weights, which depend on the amplitude.
-const ROUNDS: usize = 6;
+/// Row noise of flats under one exposure.
+#[derive(Debug, Clone, Copy)]
+struct Banded {
+    exposure_s: f64,
+    /// Mean above the darks, DN.
+    signal_dn: f64,
+    /// Variance of the row means beyond that of pixels and darks, DN^2, and its error by their noise.
+    row_var_dn2: (f64, f64),
+    /// Number of frames.
+    frames: f64,
+}
 
-/// Frequencies of a ripple, Hz, the likeliest first: of each the amplitude is the best. None without
-/// exposures that differ by half.
-pub fn frequencies(all: &[Banded]) -> Vec<f64> {
+/// Steps of the search, coarse and fine, in turns within the longest exposure.
+const STEPS: [f64; 2] = [0.04, 5e-4];
+/// Slowest and fastest ripple of the search, in turns within the longest exposure: PWM lamps run at up to some 10 kHz.
+const TURNS: (f64, f64) = (0.1, 101.0);
+/// Number of coarse minima that are searched in fine steps.
+const FINE: usize = 8;
+/// Largest number of frequencies returned.
+const MOST: usize = 3;
+/// Largest drop in twice the log likelihood, from the best frequency, of one that is returned (a chance of e^-10).
+const FAR: f64 = 20.0;
+/// Gain in twice the log likelihood that a faster ripple must have over a slower one: less is not worth more than
+/// a bare mention (Kass and Raftery 1995, section 3.2). Under exposures in equal steps a faster ripple with a
+/// larger amplitude fades as a slower one does.
+const BARELY: f64 = 2.0;
+/// Drop in twice the log likelihood of a ripple three standard errors away.
+const THREE_ERRORS: f64 = 9.0;
+/// Iterations of the weights, which depend on the amplitude.
+const ITERATIONS: usize = 6;
+/// Fewest chunks, and largest ratio of the shortest exposure to the longest, that tell a frequency (named choices).
+const FEWEST: (usize, f64) = (4, 0.67);
+
+/// Ripples that fit the flats of a campaign.
+pub(super) fn of_chunks(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Ripples {
+    // Variance of row means beyond the noise of pixels, and its error.
+    let beyond = |s: &Summary| {
+        let columns = s.columns_dn.len().max(1) as f64;
+        let [rows_dn2, _] = s.line_var_dn2;
+        let of_pixels = (s.var.value - rows_dn2).max(0.0) / columns;
+        let dof = (s.frames as f64 - 1.0) * s.rows_dn.len() as f64;
+        (rows_dn2 - of_pixels, of_pixels * (2.0 / dof.max(1.0)).sqrt())
+    };
+    let darks = chunks.iter().filter(|c| settings[c.set].kind == Kind::Dark);
+    let of_dark = median(darks.map(|c| beyond(&c.summary).0));
+    let of_dark = if of_dark.is_finite() { of_dark.max(0.0) } else { 0.0 };
+    let banded = |c: &Chunk| {
+        let signal_dn = c.summary.frame_means.mean_dn() - zero_dn;
+        let (value, error) = beyond(&c.summary);
+        (settings[c.set].kind == Kind::Flat && signal_dn > 0.0 && error > 0.0).then(|| Banded {
+            exposure_s: settings[c.set].exposure_s,
+            signal_dn,
+            row_var_dn2: (value - of_dark, error.hypot(of_dark)),
+            frames: c.summary.frames as f64,
+        })
+    };
+    ripples(&chunks.iter().filter_map(banded).collect::<Vec<_>>())
+}
+
+/// Ripples that fit, each with its best amplitude.
+fn ripples(all: &[Banded]) -> Ripples {
     let exposures = || all.iter().map(|b| b.exposure_s);
     let (shortest_s, longest_s) = exposures().fold((f64::INFINITY, 0.0f64), |(a, b), t| (a.min(t), b.max(t)));
-    if all.len() < 4 || shortest_s > 0.67 * longest_s || longest_s <= 0.0 {
-        return Vec::new();
+    if all.is_empty() || longest_s <= 0.0 {
+        return Ripples::default();
     }
-    let at = |turns: f64| score(all, turns / longest_s);
+    let at = |turns: f64| fitted(all, turns / longest_s);
     let count = ((TURNS.1 - TURNS.0) / STEPS[0]) as usize;
-    let coarse: Vec<f64> = (0..count).map(|i| at(TURNS.0 + STEPS[0] * i as f64)).collect();
-    let mut minima: Vec<usize> =
-        (1..count - 1).filter(|&i| coarse[i] <= coarse[i - 1] && coarse[i] < coarse[i + 1]).collect();
-    minima.sort_by(|&a, &b| coarse[a].total_cmp(&coarse[b]));
+    let coarse: Vec<Fitted> = (0..count).map(|i| at(TURNS.0 + STEPS[0] * i as f64)).collect();
+    let mut minima: Vec<usize> = (1..count - 1)
+        .filter(|&i| coarse[i].score <= coarse[i - 1].score && coarse[i].score < coarse[i + 1].score)
+        .collect();
+    minima.sort_by(|&a, &b| coarse[a].score.total_cmp(&coarse[b].score));
     let per_step = (STEPS[0] / STEPS[1]) as i32;
-    let closely = |&i: &usize| {
+    let finely = |&i: &usize| {
         let middle = TURNS.0 + STEPS[0] * i as f64;
-        let near = (-per_step..=per_step).map(|k| middle + STEPS[1] * f64::from(k));
-        near.map(|turns| (at(turns), turns / longest_s)).min_by(|a, b| a.0.total_cmp(&b.0))
+        let near = (-per_step..=per_step).map(|k| at(middle + STEPS[1] * f64::from(k)));
+        near.min_by(|a, b| a.score.total_cmp(&b.score))
     };
-    let mut best: Vec<(f64, f64)> = minima.iter().take(CLOSELY).filter_map(closely).collect();
-    best.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let first = best.first().map_or(0.0, |b| b.0);
-    best.into_iter().take(GIVEN).filter(|b| b.0 < first + FAR).map(|b| b.1).collect()
+    let mut found: Vec<Fitted> = minima.iter().take(FINE).filter_map(finely).collect();
+    let best = found.iter().chain(&coarse).map(|f| f.score).fold(f64::INFINITY, f64::min);
+    let fitting = || found.iter().chain(&coarse).filter(|f| f.score < best + THREE_ERRORS).map(|f| f.ripple);
+    let slowest = fitting().min_by(|a, b| a.hz.total_cmp(&b.hz));
+    let fastest = fitting().max_by(|a, b| a.hz.total_cmp(&b.hz));
+    // Faster ones than those of the search fit as well, with amplitudes in proportion, up to that of light that goes out.
+    let beyond = |r: FittingRipple| match r.hz * longest_s > TURNS.1 - 1.0 && r.rel > 0.0 {
+        true => FittingRipple { hz: r.hz / r.rel, rel: 1.0 },
+        false => r,
+    };
+    let fitting = slowest.zip(fastest).map(|(slowest, fastest)| [slowest, beyond(fastest)]);
+    if all.len() < FEWEST.0 || shortest_s > FEWEST.1 * longest_s {
+        return Ripples { likely_hz: Vec::new(), fitting };
+    }
+    found.sort_by(|a, b| a.ripple.hz.total_cmp(&b.ripple.hz));
+    let mut slower = f64::INFINITY;
+    found.retain(|f| {
+        let gains = f.score < slower - BARELY;
+        slower = slower.min(f.score);
+        gains
+    });
+    found.sort_by(|a, b| a.score.total_cmp(&b.score));
+    let likely = found.into_iter().take(MOST).filter(|f| f.score < best + FAR);
+    Ripples { likely_hz: likely.map(|f| f.ripple.hz).collect(), fitting }
 }
 
-/// Minus twice the logarithm of the likelihood of a ripple of this frequency with the best amplitude. Of n
-/// frames with independent phases the mean product of two of different frames scatters by 1 / n (n - 1).
-fn score(all: &[Banded], ripple_hz: f64) -> f64 {
+/// A ripple with its best amplitude, and minus twice the logarithm of its likelihood.
+#[derive(Clone, Copy)]
+struct Fitted {
+    score: f64,
+    ripple: FittingRipple,
+}
+
+/// Best amplitude of a ripple of this frequency. Of n frames with independent phases the mean product of two of
+/// different frames scatters by 1 / n (n - 1).
+fn fitted(all: &[Banded], hz: f64) -> Fitted {
     // Share of the signal's square that the ripple would have at amplitude 1.
     let shape = |b: &Banded| {
-        let x = std::f64::consts::PI * ripple_hz * b.exposure_s;
+        let x = std::f64::consts::PI * hz * b.exposure_s;
         let left = if x < 1e-9 { 1.0 } else { libm::sin(x) / x };
         0.5 * (b.signal_dn * left).powi(2)
     };
@@ -69,20 +144,21 @@ fn score(all: &[Banded], ripple_hz: f64) -> f64 {
     };
     // Square of the amplitude.
     let mut square = 0.0;
-    for round in 0..ROUNDS {
+    for iteration in 0..ITERATIONS {
         let (mut product, mut weight) = (0.0, 0.0);
         for (b, shape) in all.iter().zip(&shapes) {
-            let expected = if round == 0 { b.row_var_dn2.0 } else { square * shape };
+            let expected = if iteration == 0 { b.row_var_dn2.0 } else { square * shape };
             let v = variance(b, expected);
             product += shape * b.row_var_dn2.0 / v;
             weight += shape * shape / v;
         }
         square = (product / weight.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
     }
-    all.iter().zip(&shapes).fold(0.0, |sum, (b, shape)| {
+    let score = all.iter().zip(&shapes).fold(0.0, |sum, (b, shape)| {
         let v = variance(b, square * shape);
         sum + (b.row_var_dn2.0 - square * shape).powi(2) / v + v.ln()
-    })
+    });
+    Fitted { score, ripple: FittingRipple { hz, rel: square.sqrt() } }
 }
 
 #[cfg(test)]
@@ -90,47 +166,64 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Lamps of 100 to 900 Hz under exposures of 0.4 to 20 ms, three or four frames each: in 38 of 40
-    /// campaigns one of the frequencies is the lamp's within 3 %, or within a tenth of a turn where that is
-    /// more.
+    /// Three and four frames under each exposure, with phases and noise of their own.
+    fn drawn(random: &mut PixelRng, exposures_s: &[f64], hz: f64, rel: f64) -> Vec<Banded> {
+        let sets = exposures_s.iter().flat_map(|t| [(*t, 3), (*t, 4)]);
+        sets.map(|(exposure_s, frames)| {
+            let signal_dn = 3500.0 * exposure_s / exposures_s.iter().fold(0.0, |a: f64, b| a.max(*b));
+            let x = std::f64::consts::PI * hz * exposure_s;
+            let phases: Vec<f64> = (0..frames).map(|_| std::f64::consts::TAU * random.uniform()).collect();
+            let n = f64::from(frames);
+            let of = |f: fn(f64) -> f64| phases.iter().map(|p| f(*p)).sum::<f64>() / n;
+            let apart = 1.0 - of(f64::cos).powi(2) - of(f64::sin).powi(2);
+            let ripple = 0.5 * (rel * signal_dn * x.sin() / x).powi(2) * apart * n / (n - 1.0);
+            let error = 0.4 * signal_dn / 96.0 * 0.09;
+            let row_var_dn2 = (ripple + error * random.normal(), error);
+            Banded { exposure_s, signal_dn, row_var_dn2, frames: n }
+        })
+        .collect()
+    }
+
+    /// Lamps of 100 to 900 Hz under exposures of 0.4 to 20 ms: in 38 of 40 campaigns one of the frequencies is the
+    /// lamp's within 3 % or 5 Hz.
     #[test]
     fn a_ripple_has_its_frequency() {
-        let mut found = 0;
-        for run in 0..40u64 {
+        let exposures_s = [0.0004, 0.001, 0.0028, 0.0075, 0.005, 0.0101, 0.0125, 0.015, 0.0176, 0.02];
+        let found = |run: u64| {
             let mut random = PixelRng::new(12, Stream::Effect, run, 0, 0);
             let hz = 100.0 * 9f64.powf(random.uniform());
             let rel = 0.02 * 10f64.powf(random.uniform());
-            let exposures = [0.0004, 0.001, 0.0028, 0.0075, 0.005, 0.0101, 0.0125, 0.015, 0.0176, 0.02];
-            let sets: Vec<Banded> = exposures
-                .into_iter()
-                .flat_map(|t| [(t, 3), (t, 4)])
-                .map(|(exposure_s, frames)| {
-                    let signal_dn = 1.7e5 * exposure_s;
-                    let x = std::f64::consts::PI * hz * exposure_s;
-                    let phases: Vec<f64> =
-                        (0..frames).map(|_| std::f64::consts::TAU * random.uniform()).collect();
-                    let n = f64::from(frames);
-                    let of = |f: fn(f64) -> f64| phases.iter().map(|p| f(*p)).sum::<f64>() / n;
-                    let apart = 1.0 - of(f64::cos).powi(2) - of(f64::sin).powi(2);
-                    let ripple = 0.5 * (rel * signal_dn * x.sin() / x).powi(2) * apart * n / (n - 1.0);
-                    let error = 0.4 * signal_dn / 96.0 * 0.09;
-                    Banded {
-                        exposure_s,
-                        signal_dn,
-                        row_var_dn2: (ripple + error * random.normal(), error),
-                        frames: n,
-                    }
-                })
-                .collect();
-            let near = |f: &f64| (f - hz).abs() < (0.03 * hz).max(0.1 / 0.02);
-            found += usize::from(frequencies(&sets).iter().any(near));
-        }
+            let near = |f: &f64| (f - hz).abs() < (0.03 * hz).max(5.0);
+            ripples(&drawn(&mut random, &exposures_s, hz, rel)).likely_hz.iter().any(near)
+        };
+        let found = (0..40).filter(|run| found(*run)).count();
         assert!(found >= 38, "{found} of 40");
+    }
+
+    /// Twelve exposures in steps of 0.418 ms: ripples of f, 2390 - f and 2390 + f Hz fade alike, and the slowest comes
+    /// first, in 19 of 20 campaigns.
+    #[test]
+    fn of_ripples_that_fade_alike_the_slowest_comes_first() {
+        let exposures_s: Vec<f64> = (1..=12).map(|k| 0.000_418_333 * f64::from(k)).collect();
+        let slowest = |run: u64| {
+            let mut random = PixelRng::new(13, Stream::Effect, run, 0, 0);
+            let hz = 150.0 + 600.0 * random.uniform();
+            let found = ripples(&drawn(&mut random, &exposures_s, hz, 0.05));
+            let fastest = found.fitting.unwrap()[1];
+            assert!(fastest.hz > 2300.0 && fastest.rel > 0.2, "{found:?}");
+            found.likely_hz.first().is_some_and(|f| (f - hz).abs() < (0.03 * hz).max(0.1 / exposures_s[11]))
+        };
+        let right = (0..20).filter(|run| slowest(*run)).count();
+        assert!(right >= 19, "{right} of 20");
     }
 
     #[test]
     fn one_exposure_tells_no_frequency() {
         let set = Banded { exposure_s: 0.01, signal_dn: 1000.0, row_var_dn2: (100.0, 1.0), frames: 4.0 };
-        assert!(frequencies(&[set; 8]).is_empty() && frequencies(&[]).is_empty());
+        let found = ripples(&[set; 8]);
+        let [slowest, fastest] = found.fitting.unwrap();
+        assert!(found.likely_hz.is_empty() && slowest.hz < 20.0 && fastest.hz > 2000.0, "{found:?}");
+        assert!(slowest.rel < 0.02 && fastest.rel == 1.0, "{found:?}");
+        assert_eq!(ripples(&[]), Ripples::default());
     }
 }

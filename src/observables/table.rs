@@ -2,7 +2,8 @@
 
 use super::campaign::{Identity, dark_spreads};
 use super::{
-    Field, Half, Observable, Observations, ObserveError, Statistic, covariance, mean, monitor, variance,
+    Field, Half, Observable, Observations, ObserveError, Ripples, Statistic, covariance, mean, monitor,
+    variance,
 };
 use crate::dataset::Kind;
 use crate::dataset::table::Table;
@@ -160,7 +161,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         field: Field::default(),
         frames_between: false,
         row_cycles: Vec::new(),
-        ripple_hz: Vec::new(),
+        ripples: Ripples::default(),
         column_cycles: Vec::new(),
         stretch_dn: 1.0,
     })

@@ -109,3 +109,53 @@ fn steps_wider_than_the_noise_are_named() {
     assert_eq!(first(&json), "coarse-quantization", "{json:#}");
     assert_eq!(json["missing"][0]["parameters"]["step_dn"]["value"].as_f64().unwrap(), step);
 }
+
+/// Eight levels of light at one exposure, each with a dark.
+fn one_exposure(frames: u32) -> String {
+    let set = |kind: &str, light: f64| {
+        format!("[[set]]\nkind = \"{kind}\"\nframes = {frames}\nexposure_s = 0.01\nillumination = {light}\n")
+    };
+    let levels = (1..=8).map(|k| set("dark", 0.0) + &set("flat", f64::from(k) / 8.0));
+    std::iter::once("format = \"radcam-plan/1\"\n".into()).chain(levels).collect()
+}
+
+/// Simulates a model under a plan and diagnoses it.
+fn simulated(model: &radcam_sim::Model, plan: &str) -> Value {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    std::fs::write(at("m.toml"), model.to_toml().unwrap()).unwrap();
+    std::fs::write(at("p.toml"), plan).unwrap();
+    expect(0, &["simulate", &at("m.toml"), "--plan", &at("p.toml"), "-o", &at("c")]);
+    diagnosed(&dir.path().join("c"))
+}
+
+/// Flats of one exposure show what is left of a lamp's ripple: bands are named, the ripple's frequency and strength
+/// are not, and the verdict says so.
+#[test]
+fn bands_at_one_exposure_are_named_without_a_strength() {
+    let mut model = small("cmos12", 128, 96);
+    model.bench.photon_flux_per_s =
+        0.8 * 4095.0 / model.base.gain_dn_per_e / 0.01 / model.base.quantum_efficiency;
+    // Of 6 % at 1650 Hz sinc(16.5) leaves 0.12 %.
+    let model = with(model, "light-banding", &[0.0, 0.06, 0.04, 1650.0, 0.9]);
+    let json = simulated(&model, &one_exposure(6));
+    assert_eq!(first(&json), "light-banding", "{json:#}");
+    let missing = &json["missing"][0];
+    let of = |name: &str, part: &str| missing["parameters"][name][part].as_f64().unwrap();
+    assert!((of("cycles_per_row", "value") - 0.04).abs() < 3.0 * of("cycles_per_row", "std_err"));
+    assert!((of("rel", "value") - 0.06).abs() < of("rel", "std_err"), "{missing:#}");
+    let text = missing["evidence"].to_string();
+    assert!(text.contains("at 10.00 ms bands are 0.1"), "{text}");
+    assert!(json["verdict"]["sentence"].as_str().unwrap().contains("does not determine"), "{json:#}");
+}
+
+/// A black level that scatters three times as much as noise lets the means of frames scatter, in pairs of frames:
+/// known to a third of itself, and there for certain.
+#[test]
+fn a_scatter_that_few_frames_tell_is_named() {
+    let mut model = small("cmos12", 128, 96);
+    let frame_mean_dn = (model.constant_noise_var_dn2(0.0) / (128.0 * 96.0)).sqrt();
+    model.base.seed = 5;
+    let json = simulated(&with(model, "offset-noise", &[3.0 * frame_mean_dn]), &one_exposure(2));
+    assert_eq!(first(&json), "offset-noise", "{json:#}");
+}

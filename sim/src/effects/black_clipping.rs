@@ -85,7 +85,7 @@ impl Effect for BlackClipping {
     }
 
     /// Anything between two edges of codes: the deviation of a number that is anywhere within one step.
-    fn resolution(&self, _: usize) -> f64 {
+    fn resolution(&self, _: usize, _: &[f64], _: &Seen) -> f64 {
         1.0 / libm::sqrt(12.0)
     }
 

@@ -43,7 +43,7 @@ impl Effect for CoarseQuantization {
     }
 
     /// A step of 4.003 codes, as of a scale from 1023 to 4095, leaves out the same share of them.
-    fn resolution(&self, _: usize) -> f64 {
+    fn resolution(&self, _: usize, _: &[f64], _: &Seen) -> f64 {
         0.01
     }
 

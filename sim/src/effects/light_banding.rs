@@ -1,6 +1,8 @@
 //! Light banding: a rolling shutter under a lamp that ripples.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
+use super::{
+    Campaign, Drawing, Effect, FittingRipple, Page, Parameter, Plain, Prediction, Seen, Stage, takes,
+};
 use crate::predict::Ripple;
 
 /// The rows of a frame share a light factor that changes down the image and from frame to frame.
@@ -24,6 +26,10 @@ const LOBE: f64 = 0.3;
 const LOBES: u32 = 70;
 /// A ripple that turns by less within the longest exposure does not fade with it: 2 in 100 of its strength.
 const NO_TURN: f64 = 0.1;
+/// Ratio of amplitudes that fit from which on the campaign does not tell the lamp's (a named choice).
+const FAR: f64 = 1.5;
+/// Ratio of the shortest exposure to the longest from which on all are one (a named choice).
+const ONE_EXPOSURE: f64 = 0.9;
 
 /// What an exposure leaves of a ripple: it averages over its own length.
 fn left(ripple_hz: f64, exposure_s: f64) -> f64 {
@@ -108,7 +114,10 @@ impl Effect for LightBanding {
             hz.iter().map(|hz| vec![0.0, 0.003, cycles, *hz, 0.0]).collect()
         };
         let told: Vec<f64> = seen.ripple_hz.into_iter().flatten().collect();
-        let (of_peaks, of_others) = if told.is_empty() {
+        let (of_peaks, of_others) = if seen.lit_s.0 > ONE_EXPOSURE * seen.lit_s.1 {
+            // What is left of the ripple is one number.
+            (vec![0.0], vec![0.0])
+        } else if told.is_empty() {
             let [slow, fast] = [0.2, 1.0].map(|turns| turns / seen.frame_s.max(1e-5));
             let lobes = (1..=LOBES).map(|k| f64::from(k) * LOBE / seen.lit_s.1.max(1e-5));
             ([slow, fast, MAINS_HZ[0], MAINS_HZ[1]].into_iter().chain(lobes).collect(), vec![slow, fast])
@@ -138,6 +147,33 @@ impl Effect for LightBanding {
         (tells && stays).then_some(
             "the bands are as strong at the longest exposure as at the shortest: no lamp ripples so slowly",
         )
+    }
+
+    /// Of the ripples that fit within three standard errors, a third of the distance to the farther one.
+    fn resolution(&self, parameter: usize, p: &[f64], seen: &Seen) -> f64 {
+        let Some(ripples) = seen.ripples.filter(|_| p[0] < 0.5) else { return 0.0 };
+        let of = |value: fn(&FittingRipple) -> f64, own: f64| {
+            ripples.iter().map(|r| (value(r) - own).abs() / 3.0).fold(0.0, f64::max)
+        };
+        match parameter {
+            1 => of(|r| r.rel, p[1]),
+            3 => of(|r| r.hz, p[3]),
+            _ => 0.0,
+        }
+    }
+
+    fn fits_as_well(&self, p: &[f64], seen: &Seen) -> Option<String> {
+        let [slow, fast] = seen.ripples.filter(|[slow, fast]| p[0] < 0.5 && fast.rel > FAR * slow.rel)?;
+        Some(format!(
+            "at {:.2} ms bands are {:.3} % of the signal, and these exposures do not tell the ripple behind them: {:.0} Hz with an amplitude of \
+             {:.3} % fits as well as {:.0} Hz with {:.0} %; shorter exposures, in unequal steps, tell",
+            1e3 * seen.lit_s.0,
+            100.0 * p[1] * left(p[3], seen.lit_s.0).abs(),
+            slow.hz,
+            100.0 * slow.rel,
+            fast.hz,
+            100.0 * fast.rel
+        ))
     }
 
     /// A field that changes its shape moves columns too.
@@ -206,6 +242,30 @@ impl Effect for LightBanding {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn ripples_that_fit_as_well_widen_the_error_and_are_said() {
+        let [slow, fast] = [(300.0, 0.01), (2700.0, 0.1)].map(|(hz, rel)| FittingRipple { hz, rel });
+        let seen = Seen { ripples: Some([slow, fast]), lit_s: (0.002, 0.01), ..Seen::default() };
+        let p = [0.0, 0.01, 0.02, 300.0, 0.0];
+        let errors: Vec<f64> = (0..5).map(|k| LightBanding.resolution(k, &p, &seen)).collect();
+        assert!((errors[1] - 0.03).abs() < 1e-12 && (errors[3] - 800.0).abs() < 1e-9, "{errors:?}");
+        assert!(errors[2] == 0.0);
+        let said = LightBanding.fits_as_well(&p, &seen).unwrap();
+        // sinc(0.6) is 0.505.
+        assert!(
+            said.contains("at 2.00 ms bands are 0.505 %") && said.contains("2700 Hz with 10 %"),
+            "{said}"
+        );
+        let near =
+            Seen { ripples: Some([slow, FittingRipple { hz: 302.0, rel: 0.0102 }]), ..Seen::default() };
+        assert!(LightBanding.fits_as_well(&p, &near).is_none());
+        let wander = [1.0, 0.01, 0.02, 300.0, 0.97];
+        assert!(
+            LightBanding.fits_as_well(&wander, &seen).is_none()
+                && LightBanding.resolution(1, &wander, &seen) == 0.0
+        );
+    }
 
     #[test]
     fn a_ripple_that_does_not_fade_is_no_lamps() {

@@ -98,6 +98,8 @@ pub struct Seen {
     pub lit_levels: usize,
     /// Flat sets: what changes with time shows between two or more.
     pub flat_sets: usize,
+    /// True where covariances of neighbours are measured.
+    pub neighbours: bool,
     /// Noise of darks, DN.
     pub dark_noise_dn: f64,
     /// Growth of the darks' mean with the exposure, e/s; 0 where the campaign does not tell it.
@@ -110,6 +112,8 @@ pub struct Seen {
     pub row_cycles: [Option<f64>; 3],
     /// Frequencies at which a lamp that makes these bands ripples, Hz, the likeliest first.
     pub ripple_hz: [Option<f64>; 3],
+    /// Slowest and fastest ripple that fit these bands within three standard errors.
+    pub ripples: Option<[FittingRipple; 2]>,
     /// Codes for each one that occurs, about the levels.
     pub code_step_dn: Option<f64>,
     /// Distance of the codes that occur, where all lie on one line of steps; 1 where they do not.
@@ -120,6 +124,15 @@ pub struct Seen {
     pub together_dn4: Option<(f64, f64)>,
     /// Code below which one in two hundred samples of the darks lies, from the black level, DN.
     pub darkest_dn: Option<f64>,
+}
+
+/// A lamp's ripple that fits the bands of a campaign.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FittingRipple {
+    /// Frequency, Hz.
+    pub hz: f64,
+    /// Amplitude at this frequency, relative to the light.
+    pub rel: f64,
 }
 
 impl Seen {
@@ -151,7 +164,7 @@ impl Parameter {
         self.min <= 0.0 && self.max >= 0.0 && !self.is_choice() && !self.starts.is_empty()
     }
 
-    /// Its meaning without the choice that it belongs to, which stands before a colon.
+    /// Meaning without the choice before its colon that it belongs to.
     pub fn plain_meaning(&self) -> &'static str {
         let of_choice = |of: &str| of.starts_with("shape") && of.ends_with(|c: char| c.is_ascii_digit());
         self.meaning.split_once(": ").filter(|(of, _)| of_choice(of)).map_or(self.meaning, |(_, plain)| plain)
@@ -227,7 +240,7 @@ pub struct Page {
     pub signature: &'static str,
     /// How to tell it from what looks like it.
     pub look_alikes: &'static str,
-    /// What to do about it: the first remedy, and further ones after semicolons.
+    /// Remedies, the first one first, separated by semicolons.
     pub remedy: &'static str,
     /// The measurement that separates it from its look-alikes.
     pub measure: &'static str,
@@ -358,8 +371,9 @@ pub trait Effect: Sync + Send {
             |p: &Parameter, k: usize| p.starts.get(k).or(p.starts.last()).copied().unwrap_or(p.min.max(0.0));
         (0..tries).map(|k| parameters.iter().map(|p| of(p, k)).collect()).collect()
     }
-    /// What a parameter may be off by beside its statistical error, in its own unit: values that give the same codes.
-    fn resolution(&self, _parameter: usize) -> f64 {
+    /// Standard error of a parameter beyond that of the fit, in its own unit: from values that give the same codes, or fit
+    /// this campaign as well.
+    fn resolution(&self, _parameter: usize, _p: &[f64], _seen: &Seen) -> f64 {
         0.0
     }
     /// Whether a parameter is a whole number that the codes show: its starts are tried one by one, and none is fitted.
@@ -393,6 +407,10 @@ pub trait Effect: Sync + Send {
     /// Contradiction between the campaign and the effect at these values and standard errors: it may fit, and its name
     /// does not stand.
     fn contradicted(&self, _p: &[f64], _std_err: &[f64], _seen: &Seen) -> Option<&'static str> {
+        None
+    }
+    /// Other values that fit the campaign as well, in words; none where it tells them apart.
+    fn fits_as_well(&self, _p: &[f64], _seen: &Seen) -> Option<String> {
         None
     }
     /// True for an effect that darks alone can show.

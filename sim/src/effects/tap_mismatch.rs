@@ -1,6 +1,6 @@
 //! Tap mismatch: parts of the sensor are read through different amplifiers.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
 /// Gain and offset of half of the pixels differ from those of the rest.
 pub struct TapMismatch;
@@ -59,7 +59,7 @@ impl Effect for TapMismatch {
     }
 
     /// Offsets that scatter by 1 DN, over halves of 5000 pixels: sqrt(2 / 5000) DN.
-    fn resolution(&self, parameter: usize) -> f64 {
+    fn resolution(&self, parameter: usize, _: &[f64], _: &Seen) -> f64 {
         if parameter == 1 { 0.02 } else { 0.0 }
     }
 
