@@ -66,7 +66,7 @@ fn sensor(d: &Diagnosis) {
         q.as_ref().map_or("not determined by this campaign".into(), ToString::to_string)
     };
     let with = if d.missing.is_empty() { "" } else { " with these effects in the model" };
-    println!("\n  the linear sensor{with}:");
+    println!("\n  the linear sensor{with}, fitted to all statistics:");
     println!("      system gain   {}", said(&d.sensor.gain_dn_per_e));
     let pixels = match (d.sensor.read_noise_median_e, d.sensor.noisy_pixel_share) {
         (Some(median), Some(noisy)) => {

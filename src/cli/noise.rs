@@ -52,8 +52,9 @@ fn print(title: &str, r: &NoiseReport) {
     let used = r.levels.iter().filter(|l| l.used).count();
     println!("{title}: {used} of {} levels used\n", r.levels.len());
     say_faults(&r.data_faults);
+    println!("  photon transfer, from mean and variance alone (`radcam diagnose` fits all statistics):");
     for (name, q) in [
-        ("gain A", &r.gain_dn_per_e),
+        ("system gain A", &r.gain_dn_per_e),
         ("constant noise", &r.constant_noise_var_dn2),
         ("read noise", &r.read_noise_e),
     ] {

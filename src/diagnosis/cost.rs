@@ -1,10 +1,10 @@
-//! Cost of an unmodelled effect: error of the photon-transfer gain, of the read noise and of the linearity of
-//! the same frames.
+//! Cost of an unmodelled effect: errors of the gain, the dark noise and the linearity that EMVA 1288 finds in the
+//! same frames.
 //!
-//! The expected means and variances of all sets are put through the estimates that `radcam noise` and `radcam
-//! emva` make: a weighted line of the variance over the mean (Healey and Kondepudy 1994, eq. 41), and the largest
-//! relative deviation of the mean from a line over the light (EMVA 1288 release 4, section 7), once with the
-//! effect and once without.
+//! The expected means and variances of all sets are put through the estimates of `radcam emva` (EMVA 1288 release 4.0
+//! Linear), once with the effect and once without: a line of the variance over the signal up to 70 % of saturation
+//! (eq. 50), the noise of the darks over its slope (eq. 24), and the mean deviation of the signal from a line over
+//! the light (eq. 59 to 63).
 
 use crate::dataset::Kind;
 use crate::inference::{Effects, Fitted};
@@ -17,29 +17,29 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Cost {
-    /// Error of the system gain by photon transfer.
+    /// Error of the system gain K.
     #[serde(with = "finite")]
     pub gain_rel: f64,
-    /// Error of the read noise by photon transfer.
+    /// Error of the dark noise, e.
     #[serde(with = "finite")]
     pub read_noise_rel: f64,
-    /// Largest deviation of the signal from a line over the light, beyond what is there without it.
+    /// Linearity error LE beyond that without the effect.
     #[serde(with = "finite")]
     pub linearity_rel: f64,
 }
 
-/// Levels up to this share of full scale are used (EMVA 1288 takes 70 % of saturation for the gain; a named
-/// choice).
-const TOP: f64 = 0.9;
-/// Levels from this share of the largest on tell the linearity (EMVA 1288 release 4, section 7: 5 to 95 % of
-/// saturation).
-const DIM: f64 = 0.05;
+/// Levels of the gain, up to this share of saturation (section 6.6).
+const GAIN_RANGE: f64 = 0.7;
+/// Levels of the linearity error, in shares of saturation (section 6.7).
+const LINEAR_RANGE: (f64, f64) = (0.05, 0.95);
+/// Variance of rounding to whole codes, DN^2.
+const QUANTISATION_DN2: f64 = 1.0 / 12.0;
 
 /// Estimates that ignore effects, from means and variances.
 #[derive(Debug, Clone, Copy)]
 struct Plain {
     gain_dn_per_e: f64,
-    read_noise_e: f64,
+    dark_noise_e: f64,
     linearity: f64,
 }
 
@@ -73,37 +73,48 @@ impl Plain {
         let darks: Vec<usize> =
             (0..sets).filter(|s| all.kinds[*s] == Kind::Dark && means[*s].1 > 0.0).collect();
         let exposure = |set: usize| all.campaign.sets[set].exposure_s;
-        let dark = |points: &[usize]| line(points.iter().map(|&s| (exposure(s), level(s), 1.0)));
-        let alone = darks.iter().map(|s| level(*s)).sum::<f64>() / darks.len().max(1) as f64;
-        let (zero, per_s) = if all.is_table { (0.0, 0.0) } else { dark(&darks).unwrap_or((alone, 0.0)) };
-        let top = TOP * all.campaign.full_scale_dn;
-        let used: Vec<usize> = (0..sets)
-            .filter(|s| variances[*s].1 > 0.0 && level(*s) < top && of(variances[*s]) > 0.0)
-            .collect();
-        let points = used.iter().map(|&s| {
-            let var = of(variances[s]);
-            (level(s) - zero, var, 1.0 / (var * var))
-        });
-        let (constant, gain_dn_per_e) = line(points)?;
-        let read = (constant - 1.0 / 12.0).max(0.0).sqrt() / gain_dn_per_e;
-        let lit: Vec<(f64, f64)> = used
+        // Mean and variance of the darks at an exposure: on a line, or the same at all. Rounding may hide the variance.
+        let of_darks = |darks: &[usize], of_set: &dyn Fn(usize) -> f64| {
+            let alone = darks.iter().map(|s| of_set(*s)).sum::<f64>() / darks.len().max(1) as f64;
+            line(darks.iter().map(|&s| (exposure(s), of_set(s), 1.0))).unwrap_or((alone, 0.0))
+        };
+        let variance = |set: usize| of(variances[set]);
+        let noisy: Vec<usize> = darks.iter().copied().filter(|s| variances[*s].1 > 0.0).collect();
+        let (dark, dark_var) = match all.is_table {
+            true => ((0.0, 0.0), (0.0, 0.0)),
+            false => (of_darks(&darks, &level), of_darks(&noisy, &variance)),
+        };
+        let at = |line: (f64, f64), set: usize| line.0 + line.1 * exposure(set);
+        let signal = |set: usize| level(set) - at(dark, set);
+        let (flats, clipped): (Vec<usize>, Vec<usize>) = (0..sets)
+            .filter(|s| all.kinds[*s] == Kind::Flat)
+            .partition(|s| variances[*s].1 > 0.0 && variance(*s) > 0.0);
+        // Where no level is clipped the brightest one stands for saturation.
+        let brightest = flats.iter().map(|s| signal(*s)).fold(0.0, f64::max);
+        let saturation = if clipped.is_empty() { brightest } else { all.campaign.full_scale_dn - dark.0 };
+        let noise = |top: f64| {
+            let below = flats.iter().copied().filter(move |s| signal(*s) <= top * saturation);
+            line(below.map(|s| (signal(s), variance(s) - at(dark_var, s), 1.0)))
+        };
+        let (constant, gain_dn_per_e) = noise(GAIN_RANGE).or_else(|| noise(f64::INFINITY))?;
+        let shortest = noisy.iter().copied().min_by(|a, b| exposure(*a).total_cmp(&exposure(*b)));
+        let dark_noise_dn2 = shortest.map_or(constant, variance);
+        let dark_noise_e = (dark_noise_dn2 - QUANTISATION_DN2).max(0.0).sqrt() / gain_dn_per_e;
+        let (low, high) = (LINEAR_RANGE.0 * saturation, LINEAR_RANGE.1 * saturation);
+        let lit: Vec<(f64, f64)> = flats
             .iter()
-            .filter(|s| all.kinds[**s] == Kind::Flat)
-            .map(|&s| {
-                let light = all.campaign.sets[s].illumination * exposure(s);
-                (light, level(s) - zero - per_s * exposure(s))
-            })
+            .map(|&s| (all.campaign.sets[s].illumination * exposure(s), signal(s)))
+            .filter(|(_, signal)| (low..=high).contains(signal))
             .collect();
-        let most = lit.iter().map(|p| p.1).fold(0.0, f64::max);
-        let bright = || lit.iter().filter(|p| p.1 > DIM * most);
-        let of_light = if bright().count() < 3 || all.means_given {
+        let of_light = if lit.len() < 3 || all.means_given {
             None
         } else {
-            line(bright().map(|&(x, y)| (x, y, 1.0 / (y * y))))
+            line(lit.iter().map(|&(x, y)| (x, y, 1.0 / (y * y))))
         };
-        let linearity = of_light
-            .map_or(0.0, |(a, b)| bright().map(|(x, y)| ((y - a - b * x) / y).abs()).fold(0.0, f64::max));
-        Some(Self { gain_dn_per_e, read_noise_e: read, linearity })
+        let linearity = of_light.map_or(0.0, |(a, b)| {
+            lit.iter().map(|(x, y)| (y / (a + b * x) - 1.0).abs()).sum::<f64>() / lit.len() as f64
+        });
+        Some(Self { gain_dn_per_e, dark_noise_e, linearity })
     }
 
     /// Of a model with these effects.
@@ -120,7 +131,7 @@ impl Plain {
         let rel = |a: f64, b: f64| if b > 0.0 && a.is_finite() { a / b - 1.0 } else { 0.0 };
         Cost {
             gain_rel: rel(self.gain_dn_per_e, right.gain_dn_per_e),
-            read_noise_rel: rel(self.read_noise_e, right.read_noise_e),
+            read_noise_rel: rel(self.dark_noise_e, right.dark_noise_e),
             linearity_rel: (self.linearity - right.linearity).max(0.0),
         }
     }

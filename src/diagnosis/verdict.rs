@@ -105,7 +105,7 @@ impl Verdict {
             };
             let cost = cost(&top.cost, whole).map_or_else(
                 || " What it does to system gain, read noise and linearity is not known.".into(),
-                |cost| format!(" It makes {cost}."),
+                |cost| format!(" An EMVA 1288 evaluation finds {cost}."),
             );
             let sentence =
                 format!("The camera shows something that is not in the catalogue. {near}{most}{cost}");
@@ -147,7 +147,7 @@ fn sentence(
         if top.partial { ("behaves mostly like", ", and is not quite that") } else { ("shows", "") };
     let costs = cost(&top.cost, whole).map_or_else(
         || "it does not bias system gain, read noise or linearity".to_string(),
-        |cost| format!("ignoring it makes {cost}"),
+        |cost| format!("an EMVA 1288 evaluation finds {cost}"),
     );
     let (first, more) = page.map_or(("", None), |p| match p.remedy.split_once("; ") {
         Some((first, more)) => (first, Some(more)),
@@ -234,10 +234,10 @@ fn cost(cost: &Cost, whole: &Fitted) -> Option<String> {
     let rel =
         |k: usize, value: f64| if value > 0.0 && errors[k].is_finite() { errors[k] / value } else { 0.0 };
     let linearity = (cost.linearity_rel > SAID)
-        .then(|| format!("the linearity error larger by {}", percent(cost.linearity_rel)));
+        .then(|| format!("the linearity error LE larger by {}", percent(cost.linearity_rel)));
     let parts: Vec<String> = [
-        of("the system gain (DN/e)", cost.gain_rel, rel(0, base.gain_dn_per_e), 2),
-        of("the read noise (e)", cost.read_noise_rel, rel(1, base.read_noise_e), 1),
+        of("the system gain K", cost.gain_rel, rel(0, base.gain_dn_per_e), 2),
+        of("the dark noise (e)", cost.read_noise_rel, rel(1, base.read_noise_e), 1),
         linearity,
     ]
     .into_iter()

@@ -22,7 +22,7 @@ impl Truth {
     /// (what, measured, truth) for each quantity.
     pub fn rows<'a>(&self, r: &'a NoiseReport) -> [(&'static str, &'a Quantity, f64); 3] {
         [
-            ("gain A", &r.gain_dn_per_e, self.gain_dn_per_e),
+            ("system gain A", &r.gain_dn_per_e, self.gain_dn_per_e),
             ("constant noise", &r.constant_noise_var_dn2, self.constant_noise_var_dn2),
             ("read noise", &r.read_noise_e, self.read_noise_e),
         ]
@@ -41,7 +41,7 @@ pub fn html(title: &str, subtitle: &str, report: &NoiseReport, truth: Option<&Tr
     let verdict = html! { b class=(class) { (report.agreement().of_a_line()) } };
     let body = html! {
         div.cards {
-            div { span { "gain A" } b { (report.gain_dn_per_e.to_string()) } }
+            div { span { "system gain A, photon transfer" } b { (report.gain_dn_per_e.to_string()) } }
             div { span { "constant noise σ" sub { "C" } "²" } b { (report.constant_noise_var_dn2.to_string()) } }
             div { span { "read noise σ" sub { "R" } } b { (report.read_noise_e.to_string()) } }
             div { span { "χ² = " (format!("{:.1}", report.chi2)) " for " (report.dof) " degrees of freedom, Q = "

@@ -8,6 +8,7 @@ mod calibration;
 mod camera;
 mod cases_numbers;
 mod conformance;
+mod cost;
 mod containers;
 mod data_faults;
 mod dataset;
