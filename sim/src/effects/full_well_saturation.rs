@@ -75,8 +75,11 @@ impl Effect for FullWellSaturation {
             return Vec::new();
         }
         let hard = seen.near_peak().into_iter().map(|p| vec![p[FULL], 0.0, 0.0]);
-        let soft = [(0.95, 0.1), (1.0, 0.2), (1.1, 0.25)];
-        hard.chain(soft.map(|(part, softness)| vec![part * seen.peak_e.max(1.0), 1.0, softness])).collect()
+        let peak_e = seen.peak_e.max(1.0);
+        let soft = [0.95, 1.0, 1.03, 1.1]
+            .into_iter()
+            .flat_map(|part| [0.08, 0.15, 0.25].map(|softness| vec![part * peak_e, 1.0, softness]));
+        hard.chain(soft).collect()
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
