@@ -91,7 +91,7 @@ fn average(dataset: &Dataset, sets: &[&Set]) -> Result<Moments, DatasetError> {
         let read = |row: &usize| dataset.read(&dataset.rows()[*row]).map(Arc::new);
         let frames = rows.iter().map(read).collect::<Result<Vec<_>, _>>()?;
         // A cosmic ray in a dark is no dark current of its pixel.
-        let (frames, _) = outliers::without_struck(&frames);
+        let (frames, _) = dataset.without_struck(frames);
         // Their size was checked by the manifest.
         let slices: Vec<&[u16]> = frames.iter().filter_map(|f| f.as_slice()).collect();
         let _ = moments.add(&slices);

@@ -78,7 +78,10 @@ fn sensor(d: &Diagnosis) {
         }
         _ => String::new(),
     };
-    println!("      read noise    {}{pixels}", said(&d.sensor.read_noise_e));
+    println!(
+        "      read noise    {}{pixels}",
+        said(d.sensor.read_noise_dn.as_ref().map_or(&d.sensor.read_noise_e, |_| &d.sensor.read_noise_dn))
+    );
     println!("      dark current  {}", said(&d.sensor.dark_current_e_per_s));
     if let Some(r) = &d.remainder {
         println!(

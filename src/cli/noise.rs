@@ -69,7 +69,7 @@ fn print(title: &str, r: &NoiseReport) {
     if r.dof == 0 {
         println!("  {:<16} none: two levels fit any line", "chi-square");
     } else {
-        let verdict = r.agreement().of_a_line();
+        let verdict = r.line().of_a_line();
         println!(
             "  {:<16} {:.2} for {} degrees of freedom, Q = {:.4}: {verdict}",
             "chi-square", r.chi2, r.dof, r.q

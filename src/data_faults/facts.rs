@@ -41,10 +41,10 @@ pub struct SetFacts {
     /// codes do.
     #[serde(default)]
     pub code_step_dn: f64,
-    /// Single samples that stand far off the same pixel in other frames, and are in none of these numbers but the
+    /// Pixels of single samples that stand far off the same pixel in other frames, and are in none of these numbers but the
     /// digests, the pixels that differ, and the share at full scale.
     #[serde(default)]
-    pub struck: u64,
+    pub struck_pixels: Vec<u32>,
     /// Mean over the frames of the middle of the frame, DN, row by row: at most [`MIDDLE`] x [`MIDDLE`] pixels.
     pub middle_dn: Vec<f32>,
     /// Columns of that.
@@ -83,7 +83,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     let mut occurring = Occurring::default();
     for frames in in_blocks(dataset, set, stop) {
         let (frames, struck) = frames?;
-        out.struck += struck as u64;
+        out.struck_pixels.extend(struck.into_iter().map(|pixel| pixel as u32));
         for [sent, frame] in frames {
             out.pixels = frame.len() as f64;
             occurring.add(sent.as_slice().unwrap_or(&[]));
@@ -132,7 +132,7 @@ fn in_blocks<'d>(
     dataset: &'d Dataset,
     set: &'d Set,
     stop: &'d AtomicBool,
-) -> impl Iterator<Item = Result<(Vec<[Shared; 2]>, usize), ExamineError>> + 'd {
+) -> impl Iterator<Item = Result<(Vec<[Shared; 2]>, Vec<usize>), ExamineError>> + 'd {
     outliers::blocks(&set.rows).map(move |rows| {
         let read = |row: &usize| {
             if stop.load(Ordering::Relaxed) {

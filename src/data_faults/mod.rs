@@ -22,8 +22,9 @@ pub use crate::dataset::{DataFault, FaultKind};
 use campaign::Campaign;
 pub(crate) use facts::SetFacts;
 
-use crate::dataset::{Dataset, DatasetError, Kind};
+use crate::dataset::{Dataset, DatasetError, Kind, StruckSamples};
 use crate::reduction::Key;
+use crate::statistics::outliers::are_rays;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -72,13 +73,25 @@ pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, Examine
     }
     let facts = facts_of(dataset, stop)?;
     let step_dn = facts::code_step(&facts);
-    let struck = facts.iter().map(|f| f.struck).sum();
+    let struck = StruckSamples::of(&facts);
     let mut campaign = Campaign::new(dataset, facts);
     let mut faults = Vec::new();
     for check in CHECKS {
         faults.extend(check.find(&mut campaign));
     }
     Ok(dataset.without(&campaign.rows_left_out(), faults, step_dn, struck))
+}
+
+impl StruckSamples {
+    /// In the same pixels again and again they are no rays: these pixels are noisier than others.
+    fn of(facts: &[SetFacts]) -> Self {
+        let pixels: Vec<usize> =
+            facts.iter().flat_map(|f| f.struck_pixels.iter().map(|pixel| *pixel as usize)).collect();
+        let samples = facts.iter().map(|f| f.pixels * f.means_dn.len() as f64).sum();
+        let frame = facts.iter().map(|f| f.pixels).fold(0.0, f64::max);
+        let are_rays = are_rays(&pixels, samples, frame);
+        Self { number: if are_rays { pixels.len() as u64 } else { 0 }, are_rays }
+    }
 }
 
 /// Computes the statistics of every set, or takes them from a file of statistics.

@@ -22,6 +22,7 @@ pub use write::{Folder, Writer, write_whole};
 
 use crate::input::{self, echo};
 use crate::reduction::{self, Reduced};
+use crate::statistics::outliers;
 use ndarray::Array2;
 use rows::{check_row, parse_rows, plain_name, same_settings, split_page};
 use serde::{Deserialize, Serialize};
@@ -174,8 +175,17 @@ pub struct Dataset {
     kept: Arc<kept::Kept>,
     /// Step of the converter as the codes show it, DN; 1 before the examination.
     code_step_dn: f64,
-    /// Single samples that stand far off; 0 before the examination.
-    struck: u64,
+    /// Single samples that stand far off.
+    struck: StruckSamples,
+}
+
+/// Single samples that stand far off the same pixel in other frames.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct StruckSamples {
+    /// Their number; 0 before the examination.
+    pub number: u64,
+    /// False where they lie in the same pixels again and again, and belong to the sensor.
+    pub are_rays: bool,
 }
 
 impl Dataset {
@@ -279,7 +289,7 @@ impl Dataset {
             rows_of_files: Arc::default(),
             kept: Arc::default(),
             code_step_dn: 1.0,
-            struck: 0,
+            struck: StruckSamples { number: 0, are_rays: true },
         })
     }
 
@@ -404,7 +414,17 @@ impl Dataset {
     /// Number of single samples that stand far off the same pixel in other frames (cosmic rays, bit errors); 0
     /// before [`examined`](crate::data_faults::examined) ran.
     pub fn struck(&self) -> u64 {
-        self.struck
+        self.struck.number
+    }
+
+    /// Frames without single samples that stand far off the same pixel in the others, where these are rays, and how
+    /// many they are.
+    pub(crate) fn without_struck(&self, block: Vec<Arc<Array2<u16>>>) -> (Vec<Arc<Array2<u16>>>, usize) {
+        if !self.struck.are_rays {
+            return (block, 0);
+        }
+        let (block, pixels) = outliers::without_struck(&block);
+        (block, pixels.len())
     }
 
     /// Variance of quantisation, DN^2: q^2 / 12 (eq. 27 of Healey and Kondepudy).
@@ -423,7 +443,7 @@ impl Dataset {
         out: &[bool],
         faults: Vec<DataFault>,
         code_step_dn: f64,
-        struck: u64,
+        struck: StruckSamples,
     ) -> Self {
         let mut place = Vec::with_capacity(out.len());
         let mut kept = 0;

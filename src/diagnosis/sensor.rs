@@ -13,6 +13,9 @@ pub struct SensorValues {
     pub gain_dn_per_e: Option<Quantity>,
     /// Read noise, root mean square over the pixels, e.
     pub read_noise_e: Option<Quantity>,
+    /// The same in DN, where no flats tell the gain.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub read_noise_dn: Option<Quantity>,
     /// Median of the pixels' read noise, e, where single pixels are told apart.
     pub read_noise_median_e: Option<f64>,
     /// Standard deviation of the logarithm of the ordinary pixels' read noise.
@@ -26,6 +29,11 @@ pub struct SensorValues {
 /// Error of a value, relative, from which on the campaign does not determine it.
 const NOT_DETERMINED: f64 = 0.3;
 
+/// Whether the gain was fitted: darks whose dark charge has no noise of its own do not tell it.
+pub(super) fn tells_gain(fitted: &Fitted) -> bool {
+    fitted.base_std_err[0] > 0.0
+}
+
 /// Values of the linear sensor; where a model does not describe the campaign their errors grow with the misfit.
 pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorValues {
     let (base, errors) = (&whole.base, &whole.base_std_err);
@@ -35,8 +43,21 @@ pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorVa
             .then(|| Quantity::new(value, std_err, unit))
     };
     let pixels = all.pixel_noise.filter(|p| p.log_spread.is_finite());
+    if !tells_gain(whole) {
+        let gain = base.gain_dn_per_e;
+        return SensorValues {
+            gain_dn_per_e: None,
+            read_noise_e: None,
+            read_noise_dn: of(gain * base.read_noise_e, gain * errors[1], "DN"),
+            read_noise_median_e: None,
+            read_noise_log_spread: pixels.map(|p| p.log_spread),
+            noisy_pixel_share: pixels.map(|p| p.noisy),
+            dark_current_e_per_s: None,
+        };
+    }
     let read_noise_e = of(base.read_noise_e, errors[1], "e");
     SensorValues {
+        read_noise_dn: None,
         gain_dn_per_e: of(base.gain_dn_per_e, errors[0], "DN/e"),
         read_noise_median_e: pixels.filter(|_| read_noise_e.is_some()).map(|p| p.median * base.read_noise_e),
         read_noise_log_spread: pixels.map(|p| p.log_spread),

@@ -1,5 +1,6 @@
 //! What a diagnosis comes to: one type that every verb, the demo and the reports print.
 
+use super::sensor::tells_gain;
 use super::{Cost, Missing, Remainder};
 use crate::agreement::Agreement;
 use crate::features::LeftOn;
@@ -84,6 +85,15 @@ impl Verdict {
                 Agreement::Fails => {
                     "Deviations are larger than chance allows, but too small to be named.".into()
                 }
+                _ if !tells_gain(whole) => format!(
+                    "The darks agree with the model to within the noise of this campaign. The gain is not determined without flats; {}.",
+                    told(
+                        "read noise",
+                        whole.base.gain_dn_per_e * whole.base.read_noise_e,
+                        wider * whole.base.gain_dn_per_e * whole.base_std_err[1],
+                        "DN"
+                    )
+                ),
                 _ => format!(
                     "The camera agrees with the model to within the noise of this campaign. {}, {}.",
                     told("Gain", whole.base.gain_dn_per_e, wider * whole.base_std_err[0], "DN/e"),

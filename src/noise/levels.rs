@@ -210,7 +210,7 @@ pub(crate) fn level_of(
         }
         let read = |i: &usize| dataset.read(&dataset.rows()[*i]).map(Arc::new);
         let frames: Vec<_> = rows.iter().map(read).collect::<Result<_, _>>()?;
-        let (frames, hit) = outliers::without_struck(&frames);
+        let (frames, hit) = dataset.without_struck(frames);
         struck += hit as u64;
         let slices: Vec<&[u16]> = frames.iter().filter_map(|f| f.as_slice()).collect();
         // Memory for what the frames are, not for what a damaged manifest says. Their sizes were checked by it

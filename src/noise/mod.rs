@@ -215,7 +215,7 @@ fn estimate_with(
         // The intercept is A times what the black level is off by, and says nothing of the noise.
         (read_noise_e.value, read_noise_e.std_err) = (f64::NAN, f64::NAN);
     }
-    Ok(NoiseReport {
+    let mut report = NoiseReport {
         read_noise_e,
         gain_dn_per_e: values.gain_dn_per_e,
         constant_noise_var_dn2: values.constant_noise_var_dn2,
@@ -228,7 +228,16 @@ fn estimate_with(
         levels,
         data_faults: Vec::new(),
         notes,
-    })
+    };
+    if report.constant_noise_is_negative() {
+        (report.read_noise_e.value, report.read_noise_e.std_err) = (f64::NAN, f64::NAN);
+        report.notes.push(
+            "the constant noise is negative: darks and flats do not belong together. Light in the darks, another black level, gain or bit \
+             depth, or flats that were dark-subtracted do this"
+                .into(),
+        );
+    }
+    Ok(report)
 }
 
 /// What the errors that all levels have together do to A and sigma_C^2; `None` where there are none.

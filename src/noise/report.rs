@@ -1,5 +1,6 @@
 //! What an estimate says, in the names of the JSON.
 
+use super::levels::NO_ZERO;
 use crate::agreement::Agreement;
 use crate::data_faults::DataFault;
 use crate::dataset::Kind;
@@ -99,6 +100,9 @@ pub struct LevelReport {
     pub excluded_because: Option<String>,
 }
 
+/// Standard errors below zero at which a variance is negative by no chance.
+const BEYOND_CHANCE: f64 = 5.0;
+
 /// The whole answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -134,9 +138,20 @@ pub struct NoiseReport {
 }
 
 impl NoiseReport {
-    /// Whether the levels lie on the line. With no degrees of freedom nothing speaks against it.
+    /// Whether the levels lie on a line with a noise. With no degrees of freedom nothing speaks against it.
     pub fn agreement(&self) -> Agreement {
+        if self.constant_noise_is_negative() { Agreement::Fails } else { self.line() }
+    }
+
+    /// Whether the levels lie on a line, whatever its intercept.
+    pub fn line(&self) -> Agreement {
         Agreement::of(if self.q.is_nan() { 1.0 } else { self.q })
+    }
+
+    /// Whether the constant noise is negative beyond chance.
+    pub(super) fn constant_noise_is_negative(&self) -> bool {
+        let constant = &self.constant_noise_var_dn2;
+        self.offset_source != NO_ZERO && constant.value < -BEYOND_CHANCE * constant.std_err
     }
 
     /// Whether nothing speaks clearly against the line.

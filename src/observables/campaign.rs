@@ -290,7 +290,7 @@ pub fn of_dataset(
     let no_flats = chunks.iter().all(|c| settings[c.set].kind != Kind::Flat);
     if no_flats {
         missing.push(
-            "no flats: darks tell noise, offsets and dark charge, and no gain; what is said in e is in DN, unless the noise of the dark charge \
+            "no flats that can be used (two frames that are not clipped): darks tell noise, offsets and dark charge, and no gain; what is said in e is in DN, unless the noise of the dark charge \
              tells the gain"
                 .into(),
         );
@@ -692,9 +692,16 @@ impl Inflation {
                 1.0
             }
         };
+        // A jackknife over pixels takes in what pixels differ by, which is the same in every set: of variances with the
+        // relative spread u it has (u + (1 + u) 2 / dof) / N of their square, of which the second part is the frames' chance.
+        let of_variance = |r: &Summary| {
+            let spread = r.unequal.value.max(0.0);
+            let chance = r.var.std_err * r.var.std_err - spread * r.var.value * r.var.value / r.pixels;
+            chance.max(0.0).sqrt() / (variance::theory(r) * (1.0 + spread).sqrt())
+        };
         let lags = |r: &Summary| r.covariances.at.iter().map(|c| c.std_err * c.std_err).sum::<f64>();
         Self {
-            variance: over(&|r| r.var.std_err / variance::theory(r)),
+            variance: over(&of_variance),
             covariance: over(&|r| (lags(r) / LAGS.len() as f64).sqrt() / covariance::theory(r)),
             successive: over(&|r| r.successive.std_err / successive::theory(r)),
             unequal: over(&|r| r.unequal.std_err / unequal::theory(r)),

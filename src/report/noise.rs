@@ -38,7 +38,7 @@ pub fn sigmas(measured: &Quantity, truth: f64) -> f64 {
 pub fn html(title: &str, subtitle: &str, report: &NoiseReport, truth: Option<&Truth>) -> String {
     let used = report.levels.iter().filter(|l| l.used).count();
     let class = if report.consistent() { "good" } else { "bad" };
-    let verdict = html! { b class=(class) { (report.agreement().of_a_line()) } };
+    let verdict = html! { b class=(class) { (report.line().of_a_line()) } };
     let body = html! {
         div.cards {
             div { span { "system gain A, photon transfer" } b { (report.gain_dn_per_e.to_string()) } }

@@ -353,24 +353,24 @@ pub fn in_words(n: u64) -> String {
     format!("{n} single {samples} {stand} far off the same pixel in other frames (cosmic rays, bit errors)")
 }
 
-/// A block without struck samples, where these are few enough to be chance, and how many they are.
-pub fn without_struck(block: &[Arc<Array2<u16>>]) -> (Vec<Arc<Array2<u16>>>, usize) {
+/// A block without struck samples, where these are few enough to be chance, and their pixels.
+pub fn without_struck(block: &[Arc<Array2<u16>>]) -> (Vec<Arc<Array2<u16>>>, Vec<usize>) {
     let found = struck(block);
     let pixels: Vec<usize> = found.iter().filter(|s| s.centre).map(|s| s.pixel).collect();
     let mut out = block.to_vec();
     if found.is_empty() {
-        return (out, 0);
+        return (out, Vec::new());
     }
     let samples = block.iter().map(|f| f.len()).sum::<usize>() as f64;
     if !are_rays(&pixels, samples, block[0].len() as f64) {
-        return (out, 0);
+        return (out, Vec::new());
     }
     for s in found {
         if let Some(v) = Arc::make_mut(&mut out[s.frame]).as_slice_mut() {
             v[s.pixel] = s.usual_dn;
         }
     }
-    (out, pixels.len())
+    (out, pixels)
 }
 
 /// Whether struck samples lie anywhere, as rays do, and not in the same pixels again, as pixels that blink do:
