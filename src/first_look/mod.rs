@@ -28,6 +28,11 @@ const JUMPS: f64 = 8.0;
 const OFF: f64 = 3.0;
 /// Minimum frames of a dark set that tell the noise of a pixel.
 const JUMPING_FRAMES: usize = 4;
+/// Signal of blind pixels, of that of the others, at most: covered columns, dead pixels, what lies outside of the image
+/// circle (a named choice).
+const BLIND: f64 = 0.1;
+/// Median of the flats that tell blind pixels, of full scale, at least.
+const TELLS_BLIND: f64 = 0.1;
 
 /// What the first frames of a set show.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
@@ -45,6 +50,12 @@ pub struct Look {
     dark: Option<Array2<f32>>,
     /// Mean and temporal variance of the first two frames.
     pair: Option<(f64, f64)>,
+    /// Pixels of a flat set far below the median, with their means, DN.
+    #[serde(default)]
+    low: Vec<(usize, f32)>,
+    /// Median of a flat set's pixels, DN.
+    #[serde(default)]
+    level_dn: Option<f32>,
     /// Pixels that seem to be filled in from their neighbours, where that was looked for.
     #[serde(default)]
     filled: Option<Vec<usize>>,
@@ -58,7 +69,8 @@ pub struct Look {
 impl Look {
     /// Whether it can be of frames of (rows, columns).
     pub fn fits(&self, shape: (usize, usize)) -> bool {
-        let pixels = self.clipped.iter().chain(&self.jumping).chain(self.filled.iter().flatten());
+        let low = self.low.iter().map(|(i, _)| i);
+        let pixels = self.clipped.iter().chain(&self.jumping).chain(self.filled.iter().flatten()).chain(low);
         pixels.copied().all(|i| i < shape.0 * shape.1) && self.dark.as_ref().is_none_or(|d| d.dim() == shape)
     }
 }
@@ -110,6 +122,15 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ExamineError> 
     });
     if kind == Kind::Flat && bright && block.len() >= filled::SETS.1 {
         out.filled = Some(filled::candidates(&block));
+    }
+    if kind == Kind::Flat && !out.saturated {
+        let frames = block.len().max(1) as f32;
+        let level = median(sum.iter().map(|s| f64::from(s / frames))) as f32;
+        if f64::from(level) > TELLS_BLIND * f64::from(full) {
+            let low = sum.iter().map(|s| s / frames).enumerate().filter(|(_, mean)| *mean < 0.5 * level);
+            out.low = low.collect();
+            out.level_dn = Some(level);
+        }
     }
     out.apart = Some((kind == Kind::Dark, outliers::apart(&block)));
     out.dark = (kind == Kind::Dark).then(|| sum / rows.len().max(1) as f32);
@@ -183,6 +204,15 @@ fn rough_gain(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
     }
 }
 
+/// Pixels that see next to no light, by the brightest set of flats.
+fn blind(looks: &[Look], zero_dn: f64) -> Vec<usize> {
+    let brightest =
+        looks.iter().filter_map(|l| Some((f64::from(l.level_dn?), l))).max_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((level_dn, look)) = brightest else { return Vec::new() };
+    let is_blind = |mean: f32| f64::from(mean) - zero_dn < BLIND * (level_dn - zero_dn);
+    look.low.iter().filter(|(_, mean)| is_blind(*mean)).map(|(i, _)| *i).collect()
+}
+
 /// Which pixels count, what zero is, and how variance grows with the signal.
 fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64, usize) {
     let mut used = Array2::from_elem(shape, true);
@@ -205,6 +235,9 @@ fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64, usi
         if let (Some(used), Some(clipped)) = (used.as_slice_mut(), clipped.as_slice()) {
             looks.iter().flat_map(|l| &l.jumping).for_each(|&i| used[i] = clipped[i]);
         }
+    }
+    if let Some(used) = used.as_slice_mut() {
+        blind(looks, shortest.map_or(0.0, |d| level(d))).into_iter().for_each(|i| used[i] = false);
     }
     // Where most fell out, the rule was wrong and not the pixels.
     if used.iter().filter(|u| **u).count() * 2 < used.len() {

@@ -184,7 +184,7 @@ fn frames_of(
             Some(region) => values.region(region.rows.clone(), region.columns.clone()),
             None => values,
         };
-        census.add(&values).map_err(fault)?;
+        census.add(&values, path).map_err(fault)?;
         let digest = if digest { twins::digest(&values) } else { 0 };
         let is_rounded = matches!(values, image::Values::Numbers(_));
         let (pixels, bits) = match values {

@@ -80,7 +80,8 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
     for set in &mut sets {
         set.mean_dn = mean(found, &set.frames);
     }
-    let sets = joined(sets, found, lowest);
+    let mut sets = joined(sets, found, lowest);
+    lit_darks(&mut sets, LIT * f64::from((1u32 << bit_depth) - 1));
     notes.extend(several_levels(&sets, found, lowest));
     let sets: Vec<MapSet> = sets.into_iter().map(|s| finished(s, found)).collect();
     notes.extend(two_temperatures(&sets));
@@ -240,6 +241,25 @@ fn joined(sets: Vec<Growing>, found: &[Found], lowest: f64) -> Vec<Growing> {
     }
     out.sort_by_key(|s| s.frames.first().copied());
     out
+}
+
+/// Asks whether darks are darks whose level is that of light: frames in a folder `Black camera` may be any. Darks of one
+/// exposure and temperature have one level. `lit_dn`: a signal that shows light.
+fn lit_darks(sets: &mut [Growing], lit_dn: f64) {
+    let is_dark = |s: &Growing| s.set.kind == Kind::Dark && !s.set.kind_by_mean && s.set.exposure_s.is_some();
+    let darks: Vec<(f64, f64)> =
+        sets.iter().filter(|s| is_dark(s)).map(|s| (s.set.exposure_s.unwrap_or(0.0), s.mean_dn)).collect();
+    for set in sets.iter_mut().filter(|s| is_dark(s)) {
+        let exposure_s = set.set.exposure_s.unwrap_or(0.0);
+        let alike = darks.iter().filter(|(s, _)| (s - exposure_s).abs() <= 1e-6 * exposure_s);
+        let least = alike.map(|(_, mean)| *mean).fold(f64::INFINITY, f64::min);
+        if set.mean_dn - least > lit_dn {
+            set.set.doubts.push(format!(
+                "kind: a name says dark, and the level is {:.0} DN where other darks of this exposure have {least:.0} DN",
+                set.mean_dn
+            ));
+        }
+    }
 }
 
 /// Sets of flats whose frames have levels of their own: names and headers that do not tell lights or exposures

@@ -8,7 +8,8 @@ use crate::dataset::image::Values;
 use crate::number::six_digits;
 use crate::statistics::code_step::{self, Occurring, Stretch};
 use ndarray::Array2;
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
+use std::path::{Path, PathBuf};
 
 /// Value of code k in the files: zero + step k.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -97,6 +98,10 @@ const MIN_NOISE_OF_WHOLE_CODES: f64 = 1.0;
 pub struct Census {
     occurring: Occurring,
     numbers: Option<Numbers>,
+    /// Frames of integers.
+    of_integers: usize,
+    /// Files whose floating-point numbers have fractions.
+    fractional: BTreeSet<PathBuf>,
 }
 
 #[derive(Debug)]
@@ -116,9 +121,10 @@ impl Census {
     /// # Errors
     ///
     /// Where it holds what is no number.
-    pub fn add(&mut self, values: &Values) -> Result<(), String> {
+    pub fn add(&mut self, values: &Values, path: &Path) -> Result<(), String> {
         let numbers = match values {
             Values::Codes(codes) => {
+                self.of_integers += 1;
                 codes.rows().into_iter().for_each(|row| match row.as_slice() {
                     Some(row) => self.occurring.add(row),
                     None => self.occurring.add(&row.to_vec()),
@@ -129,6 +135,9 @@ impl Census {
         };
         if let Some(((y, x), v)) = numbers.indexed_iter().find(|(_, v)| !v.is_finite()) {
             return Err(format!("holds {v} at row {y}, column {x}; a frame has a number for every pixel"));
+        }
+        if numbers.iter().any(|v| v.fract() != 0.0) {
+            self.fractional.insert(path.into());
         }
         let all = self.numbers.get_or_insert_with(|| Numbers {
             distinct: HashSet::new(),
@@ -171,8 +180,19 @@ impl Census {
     ///
     /// # Errors
     ///
-    /// Where no codes of 16 bits hold them.
+    /// Where no codes of 16 bits hold them, or some are frames of a camera and others were computed.
     pub fn scale(&self) -> Result<Scale, String> {
+        if let Some(first) = self.fractional.first().filter(|_| self.of_integers > 0) {
+            let more = match self.fractional.len() - 1 {
+                0 => "holds".into(),
+                n => format!("and {n} more hold"),
+            };
+            return Err(format!(
+                "{} {more} fractions of a code, and other files whole codes: what was averaged (a master) or computed has not the noise of a \
+                 frame. Leave it out, and take the frames that it was made of",
+                first.display()
+            ));
+        }
         let Some(numbers) = &self.numbers else {
             let Some(Stretch { step, zero }) = self.occurring.stretch() else { return Ok(Scale::default()) };
             return Ok(Scale { step, zero });
@@ -238,7 +258,7 @@ mod tests {
 
     fn scale(frames: &[Array2<f64>]) -> Result<Scale, String> {
         let mut census = Census::default();
-        frames.iter().try_for_each(|f| census.add(&Values::Numbers(f.clone())))?;
+        frames.iter().try_for_each(|f| census.add(&Values::Numbers(f.clone()), Path::new("a.tif")))?;
         census.scale()
     }
 
@@ -263,6 +283,13 @@ mod tests {
         let found = scale(&frames(smooth)).unwrap();
         assert!((found.step / 1e-3 - 1.0).abs() < 1e-9, "{found:?}");
         assert!(scale(&frames(|v| 1000.0 * v + 0.3 * v.sin())).unwrap_err().contains("16 bits"));
+        // Fractions beside whole codes: a master beside raw frames.
+        let mut census = Census::default();
+        census.add(&Values::Codes(Array2::from_elem((4, 4), 100)), Path::new("raw.tif")).unwrap();
+        census.add(&Values::Numbers(Array2::from_elem((4, 4), 100.0)), Path::new("whole.tif")).unwrap();
+        assert!(census.scale().is_ok());
+        census.add(&Values::Numbers(Array2::from_elem((4, 4), 100.0625)), Path::new("master.tif")).unwrap();
+        assert!(census.scale().unwrap_err().contains("master.tif holds fractions"));
         let mut broken = frames(|v| v);
         broken[1][[3, 4]] = f64::NAN;
         assert!(scale(&broken).unwrap_err().contains("NaN at row 3, column 4"));

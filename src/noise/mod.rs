@@ -365,8 +365,9 @@ fn masked(measured: &Measured) -> Option<String> {
     let level = &measured.levels.first()?.3;
     let n = level.masked;
     let share = crate::number::percent(n as f64 / (n + level.pixels) as f64);
-    (n > 0)
-        .then(|| format!("{n} pixels ({share}) are hot, clipped, jumping or interpolated, and are left out"))
+    (n > 0).then(|| {
+        format!("{n} pixels ({share}) are hot, blind, clipped, jumping or interpolated, and are left out")
+    })
 }
 
 /// Single samples that were left out, in words.

@@ -36,6 +36,12 @@ impl Occupancy {
             .for_each(|(sum, ((a, b), (c, d)))| *sum += u64::from(*a + *b + *c + *d));
     }
 
+    /// Takes off a code that was added.
+    pub fn take_off(&mut self, code: u16) {
+        let last = self.0.len() - 1;
+        self.0[usize::from(code).min(last)] -= 1;
+    }
+
     /// Adds what another saw.
     pub fn merge(&mut self, other: &Self) {
         self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a += b);

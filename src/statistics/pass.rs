@@ -40,7 +40,10 @@ pub struct Pass<'a> {
     now: Vec<f32>,
     sums: Sums,
     successive: Successive,
+    /// Codes of the pixels that count.
     occupancy: Occupancy,
+    /// Places of the pixels that do not count.
+    masked: Vec<usize>,
     /// Fourth powers of every pixel's deviations, DN^4, where they are asked for.
     powers: Option<Powers>,
 }
@@ -191,6 +194,7 @@ impl<'a> Pass<'a> {
             },
             successive: Successive::new(pixels),
             occupancy: Occupancy::new(layout.full_scale_dn),
+            masked: layout.mask.iter().enumerate().filter(|(_, m)| **m == 0.0).map(|(i, _)| i).collect(),
             powers: None,
         }
     }
@@ -214,6 +218,7 @@ impl<'a> Pass<'a> {
         let total = arch.dispatch(Total { frame, mask: &self.layout.mask });
         let frame_mean = total / self.layout.pixels;
         self.occupancy.add(frame);
+        self.masked.iter().for_each(|i| self.occupancy.take_off(frame[*i]));
         arch.dispatch(Rows { frame, frame_mean: frame_mean as f32, pass: self });
         if self.frame_means.frames() > 0 {
             self.sums.end(&self.now, self.layout);
@@ -265,7 +270,7 @@ impl<'a> Pass<'a> {
         self.frame_means.merge(&later.frame_means);
     }
 
-    /// Share of samples at full scale.
+    /// Share of samples at full scale, of pixels that count.
     pub fn clipped(&self) -> f64 {
         self.occupancy.clipped()
     }

@@ -17,11 +17,11 @@ const GAIN: f64 = 0.5;
 const READ_E: f64 = 4.0;
 
 /// A camera of 12 bits with the numbers of the public cases.
-struct Camera {
+pub struct Camera {
     seed: u64,
     frame: u64,
     /// K times the light's shape.
-    response: Array2<f64>,
+    pub response: Array2<f64>,
     /// K alone.
     k: Array2<f64>,
     dark_e_per_s: Array2<f64>,
@@ -36,7 +36,7 @@ fn map(seed: u64, number: u64, value: impl Fn(usize, usize, &mut PixelRng) -> f6
 }
 
 impl Camera {
-    fn new(seed: u64, shape: impl Fn(usize, usize) -> f64) -> Self {
+    pub fn new(seed: u64, shape: impl Fn(usize, usize) -> f64) -> Self {
         let k = map(seed, 1, |_, _, r| 1.0 + 0.01 * r.normal());
         Self {
             seed,
@@ -62,7 +62,7 @@ impl Camera {
         self
     }
 
-    fn draw(&mut self, light_e: f64, exposure_s: f64) -> Array2<u16> {
+    pub fn draw(&mut self, light_e: f64, exposure_s: f64) -> Array2<u16> {
         self.frame += 1;
         let maps = Zip::indexed(&self.response).and(&self.dark_e_per_s).and(&self.offset_dn);
         maps.map_collect(|(y, x), &k, &dark, &offset| {
@@ -87,46 +87,46 @@ impl Camera {
 }
 
 /// Folder of frames that `import` groups by their names.
-struct Bench {
+pub struct Bench {
     dir: tempfile::TempDir,
 }
 
 impl Bench {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let dir = tempfile::tempdir().unwrap();
         fs::create_dir(dir.path().join("in")).unwrap();
         Self { dir }
     }
 
-    fn at(&self, name: &str) -> String {
+    pub fn at(&self, name: &str) -> String {
         self.dir.path().join(name).to_str().unwrap().into()
     }
 
-    fn save(&self, name: &str, codes: &Array2<u16>) -> String {
+    pub fn save(&self, name: &str, codes: &Array2<u16>) -> String {
         fs::write(self.dir.path().join(name), tiff_bytes(codes, 16).unwrap()).unwrap();
         self.at(name)
     }
 
-    fn set(&self, camera: &mut Camera, name: &str, frames: usize, light_e: f64, exposure_s: f64) {
+    pub fn set(&self, camera: &mut Camera, name: &str, frames: usize, light_e: f64, exposure_s: f64) {
         for i in 0..frames {
             self.save(&format!("in/{name}_{i}.tif"), &camera.draw(light_e, exposure_s));
         }
     }
 
-    fn dark(&self, camera: &mut Camera, frames: usize, ms: u32) {
+    pub fn dark(&self, camera: &mut Camera, frames: usize, ms: u32) {
         self.set(camera, &format!("dark_{ms}ms"), frames, 0.0, f64::from(ms) / 1e3);
     }
 
-    fn flat(&self, camera: &mut Camera, frames: usize, ms: u32, e_per_ms: f64) {
+    pub fn flat(&self, camera: &mut Camera, frames: usize, ms: u32, e_per_ms: f64) {
         self.set(camera, &format!("flat_{ms}ms"), frames, e_per_ms * f64::from(ms), f64::from(ms) / 1e3);
     }
 
-    fn import(&self) -> String {
+    pub fn import(&self) -> String {
         expect(0, &["import", &self.at("in"), "-o", &self.at("d"), "--yes"]);
         self.at("d")
     }
 
-    fn json(&self, verb: &str) -> Value {
+    pub fn json(&self, verb: &str) -> Value {
         let output = radcam(&[verb, &self.at("d"), "--json"]);
         assert!(output.status.code() != Some(2), "{}", String::from_utf8_lossy(&output.stderr));
         serde_json::from_slice(&output.stdout).unwrap()
@@ -176,16 +176,16 @@ fn floats(path: &Path) -> Array2<f32> {
     Array2::from_shape_vec((height as usize, width as usize), values).unwrap()
 }
 
-fn value(json: &Value, name: &str) -> (f64, f64) {
+pub fn value(json: &Value, name: &str) -> (f64, f64) {
     let of = |field: &str| json[name][field].as_f64().unwrap_or(f64::NAN);
     (of("value"), of("std_err"))
 }
 
-fn notes(json: &Value) -> String {
+pub fn notes(json: &Value) -> String {
     json["notes"].to_string()
 }
 
-fn within(json: &Value, name: &str, truth: f64, rel: f64) {
+pub fn within(json: &Value, name: &str, truth: f64, rel: f64) {
     let (found, error) = value(json, name);
     assert!(
         (found - truth).abs() < (rel * truth).max(3.0 * error) && error < 0.1 * truth,

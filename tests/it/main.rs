@@ -32,6 +32,7 @@ mod import_names;
 mod investigate;
 mod judge;
 mod killed;
+mod mixed_frames;
 mod models;
 mod monitor;
 mod mosaics;
