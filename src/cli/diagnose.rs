@@ -66,7 +66,11 @@ fn sensor(d: &Diagnosis) {
         q.as_ref().map_or("not determined by this campaign".into(), ToString::to_string)
     };
     let with = if d.missing.is_empty() { "" } else { " with these effects in the model" };
-    println!("\n  the linear sensor{with}, fitted to all statistics:");
+    let biased = match d.missing.first() {
+        Some(first) if first.effect == "unknown" => " (what has no name may bias it by more than the errors)",
+        _ => "",
+    };
+    println!("\n  the linear sensor{with}, fitted to all statistics{biased}:");
     println!("      system gain   {}", said(&d.sensor.gain_dn_per_e));
     let pixels = match (d.sensor.read_noise_median_e, d.sensor.noisy_pixel_share) {
         (Some(median), Some(noisy)) => {

@@ -293,7 +293,7 @@ fn missing(
             );
         }
     }
-    let place = place_of_unknown(parts, first_in_doubt.as_deref(), left, last.error);
+    let place = place_of_unknown(parts, first_in_doubt.as_deref(), left, [first.error, last.error]);
     if place == Place::Nowhere {
         return out;
     }

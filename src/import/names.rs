@@ -261,15 +261,23 @@ struct Exposures {
 fn exposures(text: &str) -> Exposures {
     let mut out = Exposures::default();
     let mut sure = Vec::new();
-    for number in numbers(text) {
+    let numbers = numbers(text);
+    for (k, number) in numbers.iter().enumerate() {
         let unit_s = match seconds(number.unit) {
             Some(_) if number.binning => continue,
             Some(unit_s) => unit_s,
             None if number.is_exposure_behind_its_unit() => seconds(number.before).unwrap_or(1.0),
             None => continue,
         };
+        // The word of 5min_warmup_10ms may be of either time.
+        let of_either = k.checked_sub(1).and_then(|k| numbers.get(k)).is_some_and(|last| {
+            let between = text.get(last.unit_place.end..number.place.start);
+            let word = between.map(|b| b.trim_matches(|c: char| !c.is_alphanumeric()));
+            let glued = text[..number.place.start].ends_with(char::is_alphabetic);
+            seconds(last.unit).is_some() && word == Some(number.before) && !glued
+        });
         // A time of day is no exposure, and neither is a pause.
-        if stamps::is_stamp(text, &number.place) || is(number.before, OTHER_TIMES) {
+        if stamps::is_stamp(text, &number.place) || (is(number.before, OTHER_TIMES) && !of_either) {
             continue;
         }
         match number.reading {

@@ -9,9 +9,6 @@ use std::path::Path;
 /// Frames, rows, columns.
 pub type Stack = Array3<f64>;
 
-/// How an array of NumPy begins.
-pub const MAGIC: &[u8] = b"\x93NUMPY";
-
 /// Most axes of an array of NumPy (NPY_MAXDIMS of version 2).
 const MAX_AXES: usize = 64;
 
@@ -178,10 +175,11 @@ const CLEARLY_LESS: f64 = 0.8;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dataset::image::NUMPY;
 
     fn npy(descr: &str, fortran: &str, shape: &str, data: &[u8]) -> Vec<u8> {
         let text = format!("{{'descr': '{descr}', 'fortran_order': {fortran}, 'shape': {shape}, }}\n");
-        let mut out = MAGIC.to_vec();
+        let mut out = NUMPY.to_vec();
         out.extend([1, 0]);
         out.extend((text.len() as u16).to_le_bytes());
         out.extend(text.bytes());

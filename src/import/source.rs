@@ -1,7 +1,7 @@
 //! Frames of one file, whatever holds them.
 
 use super::{Facts, npy, ome, stacks};
-use crate::dataset::image::{Images, Values};
+use crate::dataset::image::{Images, NUMPY, Values};
 use ndarray::Axis;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -49,7 +49,7 @@ impl Source {
             let is_image = matches!(&kind, Kind::Images(images) if images.is_plain());
             Self { kind, pages, told: BTreeMap::new(), notes: Vec::new(), is_image }
         };
-        if start == npy::MAGIC {
+        if start == NUMPY {
             let array = npy::read(path, options.frames_axis)?;
             let pages = (0..array.len_of(Axis(0))).collect();
             return Ok(of(Kind::Array(array), pages));

@@ -334,6 +334,7 @@ fn times_that_are_no_exposures() {
         ("two units", "dark_1s500ms_0.tif", "exposure_s of set 0"),
         ("two signs", "dark_10.000,5ms_1.tif", "exposure_s of set 0"),
         ("two", "dark_10ms_20ms_1.tif", "tells 0.01 s and 0.02 s"),
+        ("warm-up", "dark_5min_warmup_10ms_1.tif", "tells 0.01 s and 300 s"),
         ("parts", "dark_2m30s_1.tif", "exposure_s of set 0"),
         ("apart", "20ms/dark_10ms_1.tif", "the folder 20ms says 0.02 s"),
         ("kinds", "Darks/flat_10ms_1.tif", "kind of set 0"),

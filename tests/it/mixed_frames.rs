@@ -3,7 +3,7 @@
 
 use crate::cases_numbers::{Bench, Camera, notes, value, within};
 use crate::import_cases;
-use crate::support::{expect, radcam, small};
+use crate::support::{expect, radcam, refused, small};
 use radcam::dataset::Kind;
 use radcam::ndarray::Array2;
 use serde_json::Value;
@@ -165,4 +165,19 @@ fn a_jump_of_the_noise_is_no_agreement() {
     bench.import();
     let json = bench.json("diagnose");
     assert!(!json["consistent"].as_bool().unwrap(), "{json:#}");
+}
+
+/// A sound NumPy array where one frame is asked for: what it is, and where it serves.
+#[test]
+fn a_numpy_array_is_named_where_it_does_not_serve() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(76, |_, _| 1.0);
+    let cal = bench.at("cal.tiff");
+    [10, 100].iter().for_each(|ms| bench.dark(&mut camera, 8, *ms));
+    [10, 20, 30, 40].iter().for_each(|ms| bench.flat(&mut camera, 8, *ms, 150.0));
+    let d = bench.import();
+    expect(0, &["calibrate", &d, "--estimator", "smooth", "-o", &cal]);
+    std::fs::write(bench.at("a.npy"), b"\x93NUMPY\x01\x00").unwrap();
+    let said = refused(&["correct", &cal, &bench.at("a.npy"), "-o", &bench.at("b.tiff")]);
+    assert!(said.contains("a NumPy array, which `radcam import` takes"), "{said}");
 }

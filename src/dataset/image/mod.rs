@@ -54,6 +54,11 @@ pub enum ImageError {
 
 /// How a JPEG begins.
 pub(crate) const JPEG: &[u8] = b"\xff\xd8\xff";
+/// How a NumPy array begins.
+pub(crate) const NUMPY: &[u8] = b"\x93NUMPY";
+/// Where one serves.
+const NO_NUMPY: &str =
+    "a NumPy array, which `radcam import` takes; other verbs take frames as TIFF, PNG, FITS or HDF5";
 /// Why it is no frame.
 pub(crate) const NO_JPEG: &str = "a JPEG, whose codes are not those of the camera";
 
@@ -296,6 +301,8 @@ impl Images {
         let start = &*input::start(path, 8)?;
         let kind = if start.starts_with(JPEG) {
             return Err(ImageError::NotGrey(NO_JPEG.into()));
+        } else if start.starts_with(NUMPY) {
+            return Err(ImageError::NoFrames(NO_NUMPY.into()));
         } else if start.starts_with(HDF5) {
             open_hdf5(path, dataset, axis)?
         } else if start.starts_with(b"\x89PNG") {
