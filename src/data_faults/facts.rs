@@ -41,8 +41,8 @@ pub struct SetFacts {
     /// codes do.
     #[serde(default)]
     pub code_step_dn: f64,
-    /// Pixels of single samples that stand far off the same pixel in other frames, and are in none of these numbers but the
-    /// digests, the pixels that differ, and the share at full scale.
+    /// Pixels of single samples that stand far off the same pixel in other frames, and are in none of these
+    /// numbers but the digests, the pixels that differ, and the share at full scale.
     #[serde(default)]
     pub struck_pixels: Vec<u32>,
     /// Mean over the frames of the middle of the frame, DN, row by row: at most [`MIDDLE`] x [`MIDDLE`] pixels.

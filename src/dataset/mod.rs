@@ -417,8 +417,8 @@ impl Dataset {
         self.struck.number
     }
 
-    /// Frames without single samples that stand far off the same pixel in the others, where these are rays, and how
-    /// many they are.
+    /// Frames without single samples that stand far off the same pixel in the others, where these are rays,
+    /// and how many they are.
     pub(crate) fn without_struck(&self, block: Vec<Arc<Array2<u16>>>) -> (Vec<Arc<Array2<u16>>>, usize) {
         if !self.struck.are_rays {
             return (block, 0);

@@ -1,10 +1,10 @@
-//! Cost of an unmodelled effect: errors of the gain, the dark noise and the linearity that EMVA 1288 finds in the
-//! same frames.
+//! Cost of an unmodelled effect: errors of the gain, the dark noise and the linearity that EMVA 1288 finds in
+//! the same frames.
 //!
-//! The expected means and variances of all sets are put through the estimates of `radcam emva` (EMVA 1288 release 4.0
-//! Linear), once with the effect and once without: a line of the variance over the signal up to 70 % of saturation
-//! (eq. 50), the noise of the darks over its slope (eq. 24), and the mean deviation of the signal from a line over
-//! the light (eq. 59 to 63).
+//! The expected means and variances of all sets are put through the estimates of `radcam emva` (EMVA 1288
+//! release 4.0 Linear), once with the effect and once without: a line of the variance over the signal up to
+//! 70 % of saturation (eq. 50), the noise of the darks over its slope (eq. 24), and the mean deviation of the
+//! signal from a line over the light (eq. 59 to 63).
 
 use crate::dataset::Kind;
 use crate::inference::{Effects, Fitted};
@@ -73,7 +73,8 @@ impl Plain {
         let darks: Vec<usize> =
             (0..sets).filter(|s| all.kinds[*s] == Kind::Dark && means[*s].1 > 0.0).collect();
         let exposure = |set: usize| all.campaign.sets[set].exposure_s;
-        // Mean and variance of the darks at an exposure: on a line, or the same at all. Rounding may hide the variance.
+        // Mean and variance of the darks at an exposure: on a line, or the same at all. Rounding may hide the
+        // variance.
         let of_darks = |darks: &[usize], of_set: &dyn Fn(usize) -> f64| {
             let alone = darks.iter().map(|s| of_set(*s)).sum::<f64>() / darks.len().max(1) as f64;
             line(darks.iter().map(|&s| (exposure(s), of_set(s), 1.0))).unwrap_or((alone, 0.0))

@@ -46,8 +46,8 @@ impl std::fmt::Display for CutOff {
 }
 
 impl CutOff {
-    /// Cut-off of a campaign under a model; none for a camera that states that it has no black level, and cuts by
-    /// design.
+    /// Cut-off of a campaign under a model; none for a camera that states that it has no black level, and
+    /// cuts by design.
     pub fn of(all: &Observations, model: &Fitted) -> Option<Self> {
         let has_it = model.effects.iter().any(|(e, _)| e.id() == CUT);
         if !all.campaign.from_code_0 || all.no_black_level || has_it || !model.base.cut_at_0 {

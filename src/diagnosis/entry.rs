@@ -40,7 +40,8 @@ fn parameters(fitted: &Fitted, at: usize, seen: &Seen) -> BTreeMap<String, Quant
     };
     let mut out: BTreeMap<String, Quantity> = used.map(own).collect();
     let Some(t) = effect.together(values) else { return out };
-    // Neighbours tell the parts of a combination apart; without them how it splits moves it, by the brightest signal.
+    // Neighbours tell the parts of a combination apart; without them how it splits moves it, by the brightest
+    // signal.
     let split = (!seen.neighbours).then_some(seen.peak_e);
     let std_err = fitted.std_err_of(at, &t).hypot(t.unsure_per_e * split.unwrap_or(0.0));
     let of: Vec<usize> = (0..values.len()).filter(|k| t.slopes[*k] != 0.0).collect();

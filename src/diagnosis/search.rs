@@ -416,8 +416,9 @@ pub fn is_told(
 }
 
 /// Wald test of the only size of an effect, or of its combined parameters, against the evidence that a name
-/// needs beside a model that holds; of a scatter, which few frames tell to no better than a third however large it
-/// is, the deviance of its own statistic. Evidence alone does not do: it also rises when errors become smaller.
+/// needs beside a model that holds; of a scatter, which few frames tell to no better than a third however
+/// large it is, the deviance of its own statistic. Evidence alone does not do: it also rises when errors
+/// become smaller.
 pub fn surely_there(
     all: &Observations,
     without: &Fitted,
@@ -438,8 +439,8 @@ pub fn surely_there(
     sizes.len() != 1 || far(values[sizes[0]], errors[sizes[0]])
 }
 
-/// Drop in the deviance of a variance: with d degrees of freedom, d (r - 1 - ln r) for a ratio r of measured to
-/// predicted (gamma errors; McCullagh and Nelder 1989, section 8.3.2).
+/// Drop in the deviance of a variance: with d degrees of freedom, d (r - 1 - ln r) for a ratio r of measured
+/// to predicted (gamma errors; McCullagh and Nelder 1989, section 8.3.2).
 fn deviance_drop(all: &Observations, without: &Fitted, with: &Fitted, statistic: &str) -> f64 {
     let deviance = |model: &Fitted| -> f64 {
         let own = residuals_of(all, model).into_iter().filter(|r| r.statistic == statistic);

@@ -67,12 +67,12 @@ pub(super) enum Place {
 /// named choice: of 235 campaigns with the right names the largest error is 1.7, and samples at both ends of
 /// the codes leave 1438).
 const HOPELESS: f64 = 10.0;
-/// The same where the names leave more than a tenth of the error (named choices: salt and pepper is left at 3.0 of 10.7 by
-/// names that are none of it, companding at 1.8 of 20 by its own).
+/// The same where the names leave more than a tenth of the error (named choices: salt and pepper is left at
+/// 3.0 of 10.7 by names that are none of it, companding at 1.8 of 20 by its own).
 const POOR: (f64, f64) = (2.5, 0.1);
 
-/// Place of `unknown`. `doubt`: reason against the strongest name; `left`: share of the remainder; the errors without
-/// a name and with all of them in the model.
+/// Place of `unknown`. `doubt`: reason against the strongest name; `left`: share of the remainder; the errors
+/// without a name and with all of them in the model.
 pub(super) fn place_of_unknown(
     parts: &[Part],
     doubt: Option<&str>,

@@ -28,8 +28,8 @@ const JUMPS: f64 = 8.0;
 const OFF: f64 = 3.0;
 /// Minimum frames of a dark set that tell the noise of a pixel.
 const JUMPING_FRAMES: usize = 4;
-/// Signal of blind pixels, of that of the others, at most: covered columns, dead pixels, what lies outside of the image
-/// circle (a named choice).
+/// Signal of blind pixels, of that of the others, at most: covered columns, dead pixels, what lies outside of
+/// the image circle (a named choice).
 const BLIND: f64 = 0.1;
 /// Median of the flats that tell blind pixels, of full scale, at least.
 const TELLS_BLIND: f64 = 0.1;

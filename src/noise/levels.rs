@@ -61,7 +61,8 @@ pub struct Zero {
     pub moved_dn: f64,
 }
 
-/// Pixels that tell nothing of the noise: hot, blind, clipped, jumping, interpolated ones, as `diagnose` has them.
+/// Pixels that tell nothing of the noise: hot, blind, clipped, jumping, interpolated ones, as `diagnose` has
+/// them.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Mask {
     /// Their places, row by row, in rising order.

@@ -1,6 +1,6 @@
 //! Frequency of a lamp's ripple: the bands of a rolling shutter fade with the exposure T as sinc(f T) (an
-//! exposure is a running mean; Bracewell 2000, The Fourier Transform and Its Applications, ch. 4). A search for
-//! light banding starts from it.
+//! exposure is a running mean; Bracewell 2000, The Fourier Transform and Its Applications, ch. 4). A search
+//! for light banding starts from it.
 
 use super::read::Chunk;
 use crate::dataset::{FrameRow, Kind};
@@ -31,23 +31,26 @@ struct Banded {
 
 /// Steps of the search, coarse and fine, in turns within the longest exposure.
 const STEPS: [f64; 2] = [0.04, 5e-4];
-/// Slowest and fastest ripple of the search, in turns within the longest exposure: PWM lamps run at up to some 10 kHz.
+/// Slowest and fastest ripple of the search, in turns within the longest exposure: PWM lamps run at up to
+/// some 10 kHz.
 const TURNS: (f64, f64) = (0.1, 101.0);
 /// Number of coarse minima that are searched in fine steps.
 const FINE: usize = 8;
 /// Largest number of frequencies returned.
 const MOST: usize = 3;
-/// Largest drop in twice the log likelihood, from the best frequency, of one that is returned (a chance of e^-10).
+/// Largest drop in twice the log likelihood, from the best frequency, of one that is returned (a chance of
+/// e^-10).
 const FAR: f64 = 20.0;
-/// Gain in twice the log likelihood that a faster ripple must have over a slower one: less is not worth more than
-/// a bare mention (Kass and Raftery 1995, section 3.2). Under exposures in equal steps a faster ripple with a
-/// larger amplitude fades as a slower one does.
+/// Gain in twice the log likelihood that a faster ripple must have over a slower one: less is not worth more
+/// than a bare mention (Kass and Raftery 1995, section 3.2). Under exposures in equal steps a faster ripple
+/// with a larger amplitude fades as a slower one does.
 const BARELY: f64 = 2.0;
 /// Drop in twice the log likelihood of a ripple three standard errors away.
 const THREE_ERRORS: f64 = 9.0;
 /// Iterations of the weights, which depend on the amplitude.
 const ITERATIONS: usize = 6;
-/// Fewest chunks, and largest ratio of the shortest exposure to the longest, that tell a frequency (named choices).
+/// Fewest chunks, and largest ratio of the shortest exposure to the longest, that tell a frequency (named
+/// choices).
 const FEWEST: (usize, f64) = (4, 0.67);
 
 /// Ripples that fit the flats of a campaign.
@@ -101,7 +104,8 @@ fn ripples(all: &[Banded]) -> Ripples {
     let fitting = || found.iter().chain(&coarse).filter(|f| f.score < best + THREE_ERRORS).map(|f| f.ripple);
     let slowest = fitting().min_by(|a, b| a.hz.total_cmp(&b.hz));
     let fastest = fitting().max_by(|a, b| a.hz.total_cmp(&b.hz));
-    // Faster ones than those of the search fit as well, with amplitudes in proportion, up to that of light that goes out.
+    // Faster ones than those of the search fit as well, with amplitudes in proportion, up to that of light
+    // that goes out.
     let beyond = |r: FittingRipple| match r.hz * longest_s > TURNS.1 - 1.0 && r.rel > 0.0 {
         true => FittingRipple { hz: r.hz / r.rel, rel: 1.0 },
         false => r,
@@ -129,8 +133,8 @@ struct Fitted {
     ripple: FittingRipple,
 }
 
-/// Best amplitude of a ripple of this frequency. Of n frames with independent phases the mean product of two of
-/// different frames scatters by 1 / n (n - 1).
+/// Best amplitude of a ripple of this frequency. Of n frames with independent phases the mean product of two
+/// of different frames scatters by 1 / n (n - 1).
 fn fitted(all: &[Banded], hz: f64) -> Fitted {
     // Share of the signal's square that the ripple would have at amplitude 1.
     let shape = |b: &Banded| {
@@ -184,8 +188,8 @@ mod tests {
         .collect()
     }
 
-    /// Lamps of 100 to 900 Hz under exposures of 0.4 to 20 ms: in 38 of 40 campaigns one of the frequencies is the
-    /// lamp's within 3 % or 5 Hz.
+    /// Lamps of 100 to 900 Hz under exposures of 0.4 to 20 ms: in 38 of 40 campaigns one of the frequencies
+    /// is the lamp's within 3 % or 5 Hz.
     #[test]
     fn a_ripple_has_its_frequency() {
         let exposures_s = [0.0004, 0.001, 0.0028, 0.0075, 0.005, 0.0101, 0.0125, 0.015, 0.0176, 0.02];
@@ -200,8 +204,8 @@ mod tests {
         assert!(found >= 38, "{found} of 40");
     }
 
-    /// Twelve exposures in steps of 0.418 ms: ripples of f, 2390 - f and 2390 + f Hz fade alike, and the slowest comes
-    /// first, in 19 of 20 campaigns.
+    /// Twelve exposures in steps of 0.418 ms: ripples of f, 2390 - f and 2390 + f Hz fade alike, and the
+    /// slowest comes first, in 19 of 20 campaigns.
     #[test]
     fn of_ripples_that_fade_alike_the_slowest_comes_first() {
         let exposures_s: Vec<f64> = (1..=12).map(|k| 0.000_418_333 * f64::from(k)).collect();

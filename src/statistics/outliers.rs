@@ -49,7 +49,8 @@ pub struct Apart {
 }
 
 impl Apart {
-    /// Usual deviation of the means within the block itself, as a standard deviation, DN; NaN for an empty one.
+    /// Usual deviation of the means within the block itself, as a standard deviation, DN; NaN for an empty
+    /// one.
     pub fn usual_mean_dn(&self) -> f64 {
         median(self.mean_dn.iter().map(|m| m.abs())) / MAD_OF_NORMAL
     }
@@ -178,8 +179,8 @@ impl Usual {
                 (self.flat_cell * above.sqrt()).hypot(dark(self.dark_cell_dn)),
             )
         };
-        // Scatter that frames of this set usually have is no flash: light bands and flicker that other exposures
-        // average out.
+        // Scatter that frames of this set usually have is no flash: light bands and flicker that other
+        // exposures average out.
         let mean = mean.max(a.usual_mean_dn()).max(of_set.usual_mean_dn());
         let cell = cell.max(a.usual_cell_dn()).max(of_set.usual_cell_dn());
         // Rounding to whole codes alone moves a mean by some hundredths.

@@ -4,8 +4,8 @@ use crate::effects::with;
 use crate::support::{expect, radcam, small};
 use serde_json::Value;
 
-/// Gain of an EMVA campaign by `emva` against that of `diagnose` with the effect in the model, and the cost that
-/// `diagnose` says: they agree within three standard errors of K.
+/// Gain of an EMVA campaign by `emva` against that of `diagnose` with the effect in the model, and the cost
+/// that `diagnose` says: they agree within three standard errors of K.
 #[test]
 fn the_cost_is_that_of_an_emva_evaluation() {
     let crosstalk: &[f64] = &[0.02, 0.0, 0.0];

@@ -112,8 +112,8 @@ pub fn numbers(to: &Path) -> Vec<u32> {
     out.into_iter().map(|(number, _)| number).collect()
 }
 
-/// Sent, by the numbers in the pixels, is written, dropped by the writer and lost together; a frame at either end may
-/// be on its way.
+/// Sent, by the numbers in the pixels, is written, dropped by the writer and lost together; a frame at either
+/// end may be on its way.
 fn accounted(s: &Summary, numbers: &[u32]) {
     let sent = u64::from(numbers[numbers.len() - 1] - numbers[0]) + 1;
     let known = numbers.len() as u64 + s.received.lost();

@@ -377,9 +377,10 @@ fn ten_thousand_frames_under_attack() {
     stream_under_attack(None, 10_000, &[&["frames"]], &[]);
 }
 
-/// A million packets of each kind, as fast as they can be forged: from the camera's very port, and from another
-/// host's. The stream goes on, every frame on the disk is as the camera sent it, and no number comes twice; of whole
-/// frames, sound headers and changed ones from the very port nobody can tell, and there the stream goes on.
+/// A million packets of each kind, as fast as they can be forged: from the camera's very port, and from
+/// another host's. The stream goes on, every frame on the disk is as the camera sent it, and no number comes
+/// twice; of whole frames, sound headers and changed ones from the very port nobody can tell, and there the
+/// stream goes on.
 #[test]
 #[ignore = "eight minutes: cargo test --release --test it -- --ignored hostile_network:: --nocapture"]
 fn millions_of_forged_packets() {

@@ -1,5 +1,5 @@
-//! Pixels that see no light, darks that had light, flats that tell no gain, darks that are none: frames that do not
-//! belong together make no number, or are left out.
+//! Pixels that see no light, darks that had light, flats that tell no gain, darks that are none: frames that
+//! do not belong together make no number, or are left out.
 
 use crate::cases_numbers::{Bench, Camera, notes, value, within};
 use crate::import_cases;
@@ -23,8 +23,8 @@ fn changed(
     }
 }
 
-/// Six covered columns, and 40 pixels that always have the largest code: neither makes an effect, nor takes the sets
-/// away.
+/// Six covered columns, and 40 pixels that always have the largest code: neither makes an effect, nor takes
+/// the sets away.
 #[test]
 fn covered_columns_and_stuck_pixels_take_no_part() {
     let bench = Bench::new();
@@ -46,8 +46,8 @@ fn covered_columns_and_stuck_pixels_take_no_part() {
     assert!(notes(&noise).contains("blind"), "{}", notes(&noise));
 }
 
-/// The longer darks had a twentieth of the light: a zero below that of the shorter ones, and a constant noise that is
-/// negative by fifty standard errors.
+/// The longer darks had a twentieth of the light: a zero below that of the shorter ones, and a constant noise
+/// that is negative by fifty standard errors.
 #[test]
 fn darks_that_had_light_are_no_darks() {
     let bench = Bench::new();
@@ -97,8 +97,8 @@ fn a_dark_that_is_bright_is_asked() {
     assert!(import_cases::sets(&bench.import("hot", &[]).0).iter().all(|s| s.0 == Kind::Dark));
 }
 
-/// A camera as sold, pairs of frames at each level and one longer set, as EMVA 1288 has them. Noisy pixels of pairs are
-/// those of the long set, and no cosmic rays: in eight campaigns the levels lie on a line.
+/// A camera as sold, pairs of frames at each level and one longer set, as EMVA 1288 has them. Noisy pixels of
+/// pairs are those of the long set, and no cosmic rays: in eight campaigns the levels lie on a line.
 #[test]
 fn pairs_and_long_sets_have_one_noise() {
     let set = |kind: &str, frames: u32, ms: u32| {
@@ -132,8 +132,8 @@ fn pairs_and_long_sets_have_one_noise() {
     }
 }
 
-/// Noise that jumps half way up, as where a sensor switches its gain, in a camera whose pixels differ: their spread is
-/// the same in every set, and excuses nothing.
+/// Noise that jumps half way up, as where a sensor switches its gain, in a camera whose pixels differ: their
+/// spread is the same in every set, and excuses nothing.
 #[test]
 fn a_jump_of_the_noise_is_no_agreement() {
     let bench = Bench::new();

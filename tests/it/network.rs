@@ -1,4 +1,5 @@
-//! Networks between the programs of a test: two hosts with a link that does damage, and three hosts on one wire.
+//! Networks between the programs of a test: two hosts with a link that does damage, and three hosts on one
+//! wire.
 
 use crate::support::program;
 use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};

@@ -129,8 +129,8 @@ fn simulated(model: &radcam_sim::Model, plan: &str) -> Value {
     diagnosed(&dir.path().join("c"))
 }
 
-/// Flats of one exposure show what is left of a lamp's ripple: bands are named, the ripple's frequency and strength
-/// are not, and the verdict says so.
+/// Flats of one exposure show what is left of a lamp's ripple: bands are named, the ripple's frequency and
+/// strength are not, and the verdict says so.
 #[test]
 fn bands_at_one_exposure_are_named_without_a_strength() {
     let mut model = small("cmos12", 128, 96);
@@ -149,8 +149,8 @@ fn bands_at_one_exposure_are_named_without_a_strength() {
     assert!(json["verdict"]["sentence"].as_str().unwrap().contains("does not determine"), "{json:#}");
 }
 
-/// A black level that scatters three times as much as noise lets the means of frames scatter, in pairs of frames:
-/// known to a third of itself, and there for certain.
+/// A black level that scatters three times as much as noise lets the means of frames scatter, in pairs of
+/// frames: known to a third of itself, and there for certain.
 #[test]
 fn a_scatter_that_few_frames_tell_is_named() {
     let mut model = small("cmos12", 128, 96);

@@ -371,8 +371,8 @@ pub trait Effect: Sync + Send {
             |p: &Parameter, k: usize| p.starts.get(k).or(p.starts.last()).copied().unwrap_or(p.min.max(0.0));
         (0..tries).map(|k| parameters.iter().map(|p| of(p, k)).collect()).collect()
     }
-    /// Standard error of a parameter beyond that of the fit, in its own unit: from values that give the same codes, or fit
-    /// this campaign as well.
+    /// Standard error of a parameter beyond that of the fit, in its own unit: from values that give the same
+    /// codes, or fit this campaign as well.
     fn resolution(&self, _parameter: usize, _p: &[f64], _seen: &Seen) -> f64 {
         0.0
     }
