@@ -36,6 +36,7 @@ mod mixed_frames;
 mod models;
 mod monitor;
 mod mosaics;
+#[cfg(feature = "aravis")]
 mod network;
 mod noise;
 mod outside;
