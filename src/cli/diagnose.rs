@@ -82,10 +82,9 @@ fn sensor(d: &Diagnosis) {
         }
         _ => String::new(),
     };
-    println!(
-        "      read noise    {}{pixels}",
-        said(d.sensor.read_noise_dn.as_ref().map_or(&d.sensor.read_noise_e, |_| &d.sensor.read_noise_dn))
-    );
+    let read_noise =
+        if d.sensor.read_noise_dn.is_some() { &d.sensor.read_noise_dn } else { &d.sensor.read_noise_e };
+    println!("      read noise    {}{pixels}", said(read_noise));
     println!("      dark current  {}", said(&d.sensor.dark_current_e_per_s));
     if let Some(r) = &d.remainder {
         println!(

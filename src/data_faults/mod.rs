@@ -83,7 +83,7 @@ pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, Examine
 }
 
 impl StruckSamples {
-    /// In the same pixels again and again they are no rays: these pixels are noisier than others.
+    /// Counts them over all sets. Samples in the same pixels again and again are no rays but noisy pixels.
     fn of(facts: &[SetFacts]) -> Self {
         let pixels: Vec<usize> =
             facts.iter().flat_map(|f| f.struck_pixels.iter().map(|pixel| *pixel as usize)).collect();

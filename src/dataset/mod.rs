@@ -417,6 +417,11 @@ impl Dataset {
         self.struck.number
     }
 
+    /// False where the samples that stand far off lie in the same pixels again and again: noisy pixels.
+    pub(crate) fn struck_are_rays(&self) -> bool {
+        self.struck.are_rays
+    }
+
     /// Frames without single samples that stand far off the same pixel in the others, where these are rays,
     /// and how many they are.
     pub(crate) fn without_struck(&self, block: Vec<Arc<Array2<u16>>>) -> (Vec<Arc<Array2<u16>>>, usize) {

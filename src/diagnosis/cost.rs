@@ -7,6 +7,7 @@
 //! signal from a line over the light (eq. 59 to 63).
 
 use crate::dataset::Kind;
+use crate::emva::lines::{FIT_RANGE, LINEAR_RANGE, QUANTISATION_DN2};
 use crate::inference::{Effects, Fitted};
 use crate::number::finite;
 use crate::observables::{Observations, expectations, mean, variance};
@@ -27,13 +28,6 @@ pub struct Cost {
     #[serde(with = "finite")]
     pub linearity_rel: f64,
 }
-
-/// Levels of the gain, up to this share of saturation (section 6.6).
-const GAIN_RANGE: f64 = 0.7;
-/// Levels of the linearity error, in shares of saturation (section 6.7).
-const LINEAR_RANGE: (f64, f64) = (0.05, 0.95);
-/// Variance of rounding to whole codes, DN^2.
-const QUANTISATION_DN2: f64 = 1.0 / 12.0;
 
 /// Estimates that ignore effects, from means and variances.
 #[derive(Debug, Clone, Copy)]
@@ -90,17 +84,19 @@ impl Plain {
         let (flats, clipped): (Vec<usize>, Vec<usize>) = (0..sets)
             .filter(|s| all.kinds[*s] == Kind::Flat)
             .partition(|s| variances[*s].1 > 0.0 && variance(*s) > 0.0);
-        // Where no level is clipped the brightest one stands for saturation.
+        // Saturation: full scale where a level is clipped, else the brightest level.
         let brightest = flats.iter().map(|s| signal(*s)).fold(0.0, f64::max);
         let saturation = if clipped.is_empty() { brightest } else { all.campaign.full_scale_dn - dark.0 };
         let noise = |top: f64| {
             let below = flats.iter().copied().filter(move |s| signal(*s) <= top * saturation);
             line(below.map(|s| (signal(s), variance(s) - at(dark_var, s), 1.0)))
         };
-        let (constant, gain_dn_per_e) = noise(GAIN_RANGE).or_else(|| noise(f64::INFINITY))?;
+        let (constant, gain_dn_per_e) = noise(FIT_RANGE).or_else(|| noise(f64::INFINITY))?;
         let shortest = noisy.iter().copied().min_by(|a, b| exposure(*a).total_cmp(&exposure(*b)));
         let dark_noise_dn2 = shortest.map_or(constant, variance);
-        let dark_noise_e = (dark_noise_dn2 - QUANTISATION_DN2).max(0.0).sqrt() / gain_dn_per_e;
+        let dark_noise_e =
+            (dark_noise_dn2 - QUANTISATION_DN2 * all.stretch_dn * all.stretch_dn).max(0.0).sqrt()
+                / gain_dn_per_e;
         let (low, high) = (LINEAR_RANGE.0 * saturation, LINEAR_RANGE.1 * saturation);
         let lit: Vec<(f64, f64)> = flats
             .iter()

@@ -13,7 +13,7 @@ pub struct SensorValues {
     pub gain_dn_per_e: Option<Quantity>,
     /// Read noise, root mean square over the pixels, e.
     pub read_noise_e: Option<Quantity>,
-    /// The same in DN, where no flats tell the gain.
+    /// Read noise in DN, only where the gain is not determined.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub read_noise_dn: Option<Quantity>,
     /// Median of the pixels' read noise, e, where single pixels are told apart.
@@ -29,7 +29,7 @@ pub struct SensorValues {
 /// Error of a value, relative, from which on the campaign does not determine it.
 const NOT_DETERMINED: f64 = 0.3;
 
-/// Whether the gain was fitted: darks whose dark charge has no noise of its own do not tell it.
+/// True if the gain was fitted. Darks alone tell it only by the shot noise of their dark charge.
 pub(super) fn tells_gain(fitted: &Fitted) -> bool {
     fitted.base_std_err[0] > 0.0
 }

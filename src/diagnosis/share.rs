@@ -67,9 +67,9 @@ pub(super) enum Place {
 /// named choice: of 235 campaigns with the right names the largest error is 1.7, and samples at both ends of
 /// the codes leave 1438).
 const HOPELESS: f64 = 10.0;
-/// The same where the names leave more than a tenth of the error (named choices: salt and pepper is left at
-/// 3.0 of 10.7 by names that are none of it, companding at 1.8 of 20 by its own).
-const POOR: (f64, f64) = (2.5, 0.1);
+/// Largest error, and largest share of the error without names, that names which describe a campaign leave (named
+/// choices: wrong names leave 3.0 of 10.7 of salt and pepper, the right one 1.8 of 20 of companding).
+const MAX_LEFT: (f64, f64) = (2.5, 0.1);
 
 /// Place of `unknown`. `doubt`: reason against the strongest name; `left`: share of the remainder; the errors
 /// without a name and with all of them in the model.
@@ -79,7 +79,7 @@ pub(super) fn place_of_unknown(
     left: f64,
     [before, error]: [f64; 2],
 ) -> Place {
-    let hopeless = error > HOPELESS || (error > POOR.0 && error > POOR.1 * before);
+    let hopeless = error > HOPELESS || (error > MAX_LEFT.0 && error > MAX_LEFT.1 * before);
     let better = parts.first().is_some_and(|p| better(p).is_some());
     match left {
         _ if parts.is_empty() && left > 0.0 || doubt.is_some() || better => Place::First,

@@ -5,13 +5,13 @@ use super::{Definitions, EmvaError};
 use crate::fit::line::goodness;
 
 /// Variance of quantisation, DN^2 (section 2.4; q^2 / 12, eq. 27 of Healey and Kondepudy).
-pub(super) const QUANTISATION_DN2: f64 = 1.0 / 12.0;
+pub(crate) const QUANTISATION_DN2: f64 = 1.0 / 12.0;
 /// Share of dark samples at 0 DN from which they count as clipped (section 6.5: less than about 0.5 %).
 pub(super) const UNDERFLOW: f64 = 0.005;
 /// Part of saturation up to which gain and responsivity are fitted (section 6.6).
-const FIT_RANGE: f64 = 0.7;
+pub(crate) const FIT_RANGE: f64 = 0.7;
 /// Part of saturation within which linearity is looked at (section 6.9).
-const LINEAR_RANGE: (f64, f64) = (0.05, 0.95);
+pub(crate) const LINEAR_RANGE: (f64, f64) = (0.05, 0.95);
 /// Chance of a chi-square below which the scatter about a line, not the noise of the points, gives its errors.
 const BY_CHANCE: f64 = 0.01;
 

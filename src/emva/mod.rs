@@ -10,7 +10,7 @@
 mod filter;
 mod general;
 mod histogram;
-mod lines;
+pub(crate) mod lines;
 pub mod names;
 mod plots;
 mod points;

@@ -243,7 +243,7 @@ fn joined(sets: Vec<Growing>, found: &[Found], lowest: f64) -> Vec<Growing> {
     out
 }
 
-/// Asks whether darks are darks whose level is that of light: frames in a folder `Black camera` may be any.
+/// Questions darks whose level shows light: frames in a folder `Black camera` may be of any kind.
 /// Darks of one exposure and temperature have one level. `lit_dn`: a signal that shows light.
 fn lit_darks(sets: &mut [Growing], lit_dn: f64) {
     let is_dark = |s: &Growing| s.set.kind == Kind::Dark && !s.set.kind_by_mean && s.set.exposure_s.is_some();

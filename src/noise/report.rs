@@ -138,17 +138,17 @@ pub struct NoiseReport {
 }
 
 impl NoiseReport {
-    /// Whether the levels lie on a line with a noise. With no degrees of freedom nothing speaks against it.
+    /// Agreement of the levels with a line of nonnegative constant noise. Without degrees of freedom it holds.
     pub fn agreement(&self) -> Agreement {
         if self.constant_noise_is_negative() { Agreement::Fails } else { self.line() }
     }
 
-    /// Whether the levels lie on a line, whatever its intercept.
+    /// Agreement of the levels with a line of any intercept.
     pub fn line(&self) -> Agreement {
         Agreement::of(if self.q.is_nan() { 1.0 } else { self.q })
     }
 
-    /// Whether the constant noise is negative beyond chance.
+    /// True if the constant noise is negative beyond chance.
     pub(super) fn constant_noise_is_negative(&self) -> bool {
         let constant = &self.constant_noise_var_dn2;
         self.offset_source != NO_ZERO && constant.value < -BEYOND_CHANCE * constant.std_err

@@ -678,8 +678,7 @@ fn cannot_be_told(shape: (usize, usize), patch: bool, settings: &[FrameRow]) -> 
     missing
 }
 
-/// Part of the spread of the pixels' variances that is another in each set: telegraph noise that stays for
-/// seconds, a sensor that warms (a named choice).
+/// Part of the pixels' spread that changes from set to set, by slow telegraph noise or warming (a named choice).
 const CHANGED: f64 = 0.2;
 
 impl Inflation {
@@ -696,9 +695,9 @@ impl Inflation {
                 1.0
             }
         };
-        // A jackknife over pixels takes in what pixels differ by, which is the same in every set but for
-        // [`CHANGED`]: of variances with the relative spread u it has (u + (1 + u) 2 / dof) / N of their
-        // square, of which the second part is the frames' chance.
+        // Jackknife variance of a mean over N pixels of sample variances with d degrees of freedom: (u + (1 + u) 2 / d) / N of
+        // its square (law of total variance), u the relative variance of the pixels' true variances. The first part is
+        // the same in every set but for [`CHANGED`]; only the second is chance.
         let of_variance = |r: &Summary| {
             let spread = r.unequal.value.max(0.0);
             let same = (1.0 - CHANGED * CHANGED) * spread * r.var.value * r.var.value / r.pixels;

@@ -235,7 +235,7 @@ impl<'a, 'b> Reader<'a, 'b> {
             stop,
             usual: seen.usual,
             zero_dn: seen.zero_dn,
-            clean: true,
+            clean: dataset.struck_are_rays(),
             longest_lit_s: seen.longest_lit_s,
             looks: &seen.looks,
         }

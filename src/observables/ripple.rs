@@ -1,12 +1,11 @@
-//! Frequency of a lamp's ripple: the bands of a rolling shutter fade with the exposure T as sinc(f T) (an
-//! exposure is a running mean; Bracewell 2000, The Fourier Transform and Its Applications, ch. 4). A search
-//! for light banding starts from it.
+//! Frequency of a lamp's ripple, from how the bands of a rolling shutter fade with the exposure
+//! ([`ripple_left`]). A search for light banding starts from it.
 
 use super::read::Chunk;
 use crate::dataset::{FrameRow, Kind};
 use crate::statistics::median::median;
 use crate::statistics::pass::Summary;
-use radcam_sim::effects::FittingRipple;
+use radcam_sim::effects::{FittingRipple, ripple_left};
 
 /// Ripples of a lamp that fit the bands of a campaign.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -104,8 +103,7 @@ fn ripples(all: &[Banded]) -> Ripples {
     let fitting = || found.iter().chain(&coarse).filter(|f| f.score < best + THREE_ERRORS).map(|f| f.ripple);
     let slowest = fitting().min_by(|a, b| a.hz.total_cmp(&b.hz));
     let fastest = fitting().max_by(|a, b| a.hz.total_cmp(&b.hz));
-    // Faster ones than those of the search fit as well, with amplitudes in proportion, up to that of light
-    // that goes out.
+    // Ripples faster than those of the search fit too: their amplitudes grow with the frequency, up to 1.
     let beyond = |r: FittingRipple| match r.hz * longest_s > TURNS.1 - 1.0 && r.rel > 0.0 {
         true => FittingRipple { hz: r.hz / r.rel, rel: 1.0 },
         false => r,
@@ -137,11 +135,7 @@ struct Fitted {
 /// of different frames scatters by 1 / n (n - 1).
 fn fitted(all: &[Banded], hz: f64) -> Fitted {
     // Share of the signal's square that the ripple would have at amplitude 1.
-    let shape = |b: &Banded| {
-        let x = std::f64::consts::PI * hz * b.exposure_s;
-        let left = if x < 1e-9 { 1.0 } else { libm::sin(x) / x };
-        0.5 * (b.signal_dn * left).powi(2)
-    };
+    let shape = |b: &Banded| 0.5 * (b.signal_dn * ripple_left(hz, b.exposure_s)).powi(2);
     let shapes: Vec<f64> = all.iter().map(shape).collect();
     let variance = |b: &Banded, expected: f64| {
         expected * expected / (b.frames * (b.frames - 1.0)).max(1.0) + b.row_var_dn2.1.powi(2)

@@ -1,7 +1,8 @@
 //! Light banding: a rolling shutter under a lamp that ripples.
 
 use super::{
-    Campaign, Drawing, Effect, FittingRipple, Page, Parameter, Plain, Prediction, Seen, Stage, takes,
+    Campaign, Drawing, Effect, FittingRipple, Page, Parameter, Plain, Prediction, Seen, Stage, ripple_left,
+    takes,
 };
 use crate::predict::Ripple;
 
@@ -26,16 +27,10 @@ const LOBE: f64 = 0.3;
 const LOBES: u32 = 70;
 /// A ripple that turns by less within the longest exposure does not fade with it: 2 in 100 of its strength.
 const NO_TURN: f64 = 0.1;
-/// Ratio of amplitudes that fit from which on the campaign does not tell the lamp's (a named choice).
-const FAR: f64 = 1.5;
-/// Ratio of the shortest exposure to the longest from which on all are one (a named choice).
+/// Largest ratio of the amplitudes that fit at which the campaign tells the lamp's (a named choice).
+const MAX_AMPLITUDE_RATIO: f64 = 1.5;
+/// Smallest ratio of the shortest exposure to the longest at which all count as one (a named choice).
 const ONE_EXPOSURE: f64 = 0.9;
-
-/// What an exposure leaves of a ripple: it averages over its own length.
-fn left(ripple_hz: f64, exposure_s: f64) -> f64 {
-    let x = std::f64::consts::PI * ripple_hz * exposure_s;
-    if x < 1e-9 { 1.0 } else { libm::sin(x) / x }
-}
 
 impl Effect for LightBanding {
     fn id(&self) -> &'static str {
@@ -115,7 +110,7 @@ impl Effect for LightBanding {
         };
         let told: Vec<f64> = seen.ripple_hz.into_iter().flatten().collect();
         let (of_peaks, of_others) = if seen.lit_s.0 > ONE_EXPOSURE * seen.lit_s.1 {
-            // What is left of the ripple is one number.
+            // Frequency and amplitude are degenerate at one exposure: 0 Hz gives the amplitude in the frames.
             (vec![0.0], vec![0.0])
         } else if told.is_empty() {
             let [slow, fast] = [0.2, 1.0].map(|turns| turns / seen.frame_s.max(1e-5));
@@ -149,7 +144,7 @@ impl Effect for LightBanding {
         )
     }
 
-    /// Of the ripples that fit within three standard errors, a third of the distance to the farther one.
+    /// A third of the distance to the farther of the two ripples that fit within three standard errors.
     fn resolution(&self, parameter: usize, p: &[f64], seen: &Seen) -> f64 {
         let Some(ripples) = seen.ripples.filter(|_| p[0] < 0.5) else { return 0.0 };
         let of = |value: fn(&FittingRipple) -> f64, own: f64| {
@@ -163,12 +158,13 @@ impl Effect for LightBanding {
     }
 
     fn fits_as_well(&self, p: &[f64], seen: &Seen) -> Option<String> {
-        let [slow, fast] = seen.ripples.filter(|[slow, fast]| p[0] < 0.5 && fast.rel > FAR * slow.rel)?;
+        let [slow, fast] =
+            seen.ripples.filter(|[slow, fast]| p[0] < 0.5 && fast.rel > MAX_AMPLITUDE_RATIO * slow.rel)?;
         Some(format!(
             "at {:.2} ms bands are {:.3} % of the signal, and these exposures do not tell the ripple behind them: {:.0} Hz with an amplitude of \
              {:.3} % fits as well as {:.0} Hz with {:.0} %; shorter exposures, in unequal steps, tell",
             1e3 * seen.lit_s.0,
-            100.0 * p[1] * left(p[3], seen.lit_s.0).abs(),
+            100.0 * p[1] * ripple_left(p[3], seen.lit_s.0).abs(),
             slow.hz,
             100.0 * slow.rel,
             fast.hz,
@@ -205,7 +201,7 @@ impl Effect for LightBanding {
             let ripple = if p[0] >= 0.5 {
                 ((p[1] * light).powi(2), Ripple::Wander(p[4]))
             } else {
-                (0.5 * (p[1] * light * left(p[3], info.exposure_s)).powi(2), Ripple::Sine(p[2]))
+                (0.5 * (p[1] * light * ripple_left(p[3], info.exposure_s)).powi(2), Ripple::Sine(p[2]))
             };
             s.ripples.push(ripple);
         }
@@ -227,7 +223,7 @@ impl Effect for LightBanding {
             (0..rows).map(wander).collect()
         } else {
             let phase = turn * random.uniform();
-            let size = p[1] * left(p[3], d.exposure_s);
+            let size = p[1] * ripple_left(p[3], d.exposure_s);
             (0..rows).map(|y| size * libm::sin(turn * p[2] * y as f64 + phase)).collect()
         };
         for ((mut row, rate), factor) in

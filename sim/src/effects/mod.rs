@@ -126,7 +126,14 @@ pub struct Seen {
     pub darkest_dn: Option<f64>,
 }
 
-/// A lamp's ripple that fits the bands of a campaign.
+/// Part of a lamp ripple's amplitude that an exposure leaves, with its sign: sinc(f T), since an exposure is a
+/// running mean (Bracewell 2000, The Fourier Transform and Its Applications, ch. 4).
+pub fn ripple_left(ripple_hz: f64, exposure_s: f64) -> f64 {
+    let x = std::f64::consts::PI * ripple_hz * exposure_s;
+    if x < 1e-9 { 1.0 } else { libm::sin(x) / x }
+}
+
+/// Lamp ripple that fits the bands of a campaign.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FittingRipple {
     /// Frequency, Hz.
@@ -164,7 +171,7 @@ impl Parameter {
         self.min <= 0.0 && self.max >= 0.0 && !self.is_choice() && !self.starts.is_empty()
     }
 
-    /// Meaning without the choice before its colon that it belongs to.
+    /// Meaning without the name of the choice before its colon.
     pub fn plain_meaning(&self) -> &'static str {
         let of_choice = |of: &str| of.starts_with("shape") && of.ends_with(|c: char| c.is_ascii_digit());
         self.meaning.split_once(": ").filter(|(of, _)| of_choice(of)).map_or(self.meaning, |(_, plain)| plain)

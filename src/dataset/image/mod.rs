@@ -54,9 +54,9 @@ pub enum ImageError {
 
 /// How a JPEG begins.
 pub(crate) const JPEG: &[u8] = b"\xff\xd8\xff";
-/// How a NumPy array begins.
+/// First bytes of a NumPy array.
 pub(crate) const NUMPY: &[u8] = b"\x93NUMPY";
-/// Where one serves.
+/// Reason that a NumPy array is refused.
 const NO_NUMPY: &str =
     "a NumPy array, which `radcam import` takes; other verbs take frames as TIFF, PNG, FITS or HDF5";
 /// Why it is no frame.
