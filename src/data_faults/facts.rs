@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Side of the middle of the frame that tells its orientation, pixels: 4096 pixels tell a pattern that makes up a
-/// tenth of the noise (a named choice).
-pub const MIDDLE: usize = 64;
+/// Side of the middle of the frame whose pattern tells what belongs together, pixels: 16384 pixels tell one that
+/// makes up a twentieth of the noise (a named choice).
+pub const MIDDLE: usize = 128;
 
 /// Statistics of the frames of a set.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -59,7 +59,11 @@ impl SetFacts {
             [self.digests.len(), self.changed.len(), self.successive_dn2.len(), self.second_dn2.len()];
         let cells = self.cells_dn.first().map_or(0, Vec::len);
         let (rows, columns) = (middle_side(shape.0).1, middle_side(shape.1).1);
-        (n == 0 || n == frames && self.middle_dn.len() == rows * columns && self.middle_columns == columns)
+        // Files of earlier versions have a smaller one.
+        let middle = self.middle_columns <= columns
+            && self.middle_dn.len() <= rows * columns
+            && self.middle_dn.len() % self.middle_columns.max(1) == 0;
+        (n == 0 || n == frames && middle)
             && counts.iter().all(|c| *c == n)
             && self.cells_dn.len() == n
             && self.cells_dn.iter().all(|c| c.len() == cells)

@@ -132,7 +132,8 @@ checks! {
     kind_label::KindLabel
     unequal_light::UnequalLight
     other_orientation::OtherOrientation
-    setting_label::SettingLabel
     dark_settings::DarkSettings
+    darks_of_flats::DarksOfFlats
+    setting_label::SettingLabel
     dependent_frames::DependentFrames
 }

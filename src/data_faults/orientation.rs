@@ -3,17 +3,26 @@
 /// Side of the blocks whose means are taken off, pixels: shading is smooth within them.
 const BLOCK: usize = 8;
 
-/// The pattern of an image of so many columns, of mean 0 in every block, and then in every row and column; single
-/// pixels far off count as little as others (at most three deviations).
+/// The pattern of an image of so many columns, in which single pixels far off count as little as others (at most
+/// three deviations).
 pub fn pattern(image: &[f32], columns: usize) -> Vec<f64> {
+    let image: Vec<f64> = image.iter().map(|v| f64::from(*v)).collect();
+    let mut out = flattened(&image, columns);
+    let usual = 1.5 * crate::statistics::median::median(out.iter().map(|v| v.abs()));
+    out.iter_mut().for_each(|v| *v = v.clamp(-3.0 * usual, 3.0 * usual));
+    out
+}
+
+/// An image of so many columns, of mean 0 in every block, and then in every row and column.
+pub fn flattened(image: &[f64], columns: usize) -> Vec<f64> {
     let rows = image.len() / columns.max(1);
     let mut out = vec![0.0; rows * columns];
     for top in (0..rows).step_by(BLOCK) {
         for left in (0..columns).step_by(BLOCK) {
             let (bottom, right) = ((top + BLOCK).min(rows), (left + BLOCK).min(columns));
             let at = || (top..bottom).flat_map(move |y| (left..right).map(move |x| y * columns + x));
-            let mean = at().map(|i| f64::from(image[i])).sum::<f64>() / at().count() as f64;
-            at().for_each(|i| out[i] = f64::from(image[i]) - mean);
+            let mean = at().map(|i| image[i]).sum::<f64>() / at().count() as f64;
+            at().for_each(|i| out[i] = image[i] - mean);
         }
     }
     // Rows and columns have noise in common, which would look like a pattern.
@@ -26,8 +35,6 @@ pub fn pattern(image: &[f32], columns: usize) -> Vec<f64> {
         let mean = (0..rows).map(|y| out[y * columns + x]).sum::<f64>() / rows as f64;
         (0..rows).for_each(|y| out[y * columns + x] -= mean);
     }
-    let usual = 1.5 * crate::statistics::median::median(out.iter().map(|v| v.abs()));
-    out.iter_mut().for_each(|v| *v = v.clamp(-3.0 * usual, 3.0 * usual));
     out
 }
 

@@ -14,6 +14,7 @@ pub mod names;
 mod npy;
 mod ome;
 mod pixels;
+mod plausible;
 mod propose;
 mod scale;
 mod sections;
@@ -86,6 +87,10 @@ pub struct Found {
     pub mean_dn: f64,
     /// Every bit that any pixel has.
     pub bits: u16,
+    /// The same without the first and the last row, where cameras write counters and times.
+    pub inner_bits: u16,
+    /// Bits of a pixel as the file keeps it: 8, 16 or 32.
+    pub stored_bits: u8,
     /// Means of the four places of a 2 x 2 cell, DN: (0, 0), (0, 1), (1, 0), (1, 1) as (row, column).
     pub cells_dn: [f64; 4],
     /// Digest of the pixels, where a file of another format has the same name; else 0.
@@ -163,6 +168,7 @@ fn frames_of(
         of_file.mosaic = of_file.mosaic.or_else(|| Some("a colour filter (CFA)".into()));
     }
     let pages = source.pages();
+    let stored_bits = if source.is_image() { image::stored_bits(path).unwrap_or(16) } else { 16 };
     let mut out = Vec::new();
     let mut blank = 0;
     for &page in pages {
@@ -187,12 +193,13 @@ fn frames_of(
         census.add(&values, path).map_err(fault)?;
         let digest = if digest { twins::digest(&values) } else { 0 };
         let is_rounded = matches!(values, image::Values::Numbers(_));
-        let (pixels, bits) = match values {
+        let (pixels, bits, inner_bits) = match values {
             image::Values::Codes(codes) => {
-                let bits = codes.iter().fold(0, |a, b| a | b);
-                (codes.mapv(f64::from), bits)
+                let of = |part: ArrayView2<'_, u16>| part.iter().fold(0, |a, b| a | b);
+                let inner = of(codes.slice(s![usize::from(codes.nrows() > 2)..codes.nrows().max(3) - 1, ..]));
+                (codes.mapv(f64::from), of(codes.view()), inner)
             }
-            image::Values::Numbers(numbers) => (numbers, 0),
+            image::Values::Numbers(numbers) => (numbers, 0, 0),
         };
         let shape = pixels.dim();
         let mean = |pixels: ArrayView2<'_, f64>| pixels.iter().sum::<f64>() / pixels.len().max(1) as f64;
@@ -221,6 +228,8 @@ fn frames_of(
             region: region.map(|r| (r.clone(), r.cut_off((rows, columns)))),
             mean_dn: mean(pixels.view()),
             bits,
+            inner_bits,
+            stored_bits,
             cells_dn: if whole { [cell(0, 0), cell(0, 1), cell(1, 0), cell(1, 1)] } else { [0.0; 4] },
             digest,
             scale: Scale::default(),
@@ -250,7 +259,7 @@ fn in_codes(found: &mut [Found], census: &Census) -> Result<(), ImportError> {
         frame.cells_dn = frame.cells_dn.map(|mean| scale.of(mean));
         if frame.is_rounded || !scale.is_identity() {
             // Of all codes together is enough: the depth is one.
-            frame.bits = bits;
+            (frame.bits, frame.inner_bits) = (bits, bits);
         }
     }
     Ok(())

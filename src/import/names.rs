@@ -214,6 +214,13 @@ fn in_context(name: &str, at: usize, text: &str, unit: &str, last: Option<&Numbe
         }
     }
     let Reading::One(number) = value else { return value };
+    // To some 2.000 us are two thousand; nobody sets a millionth of a second to three decimals of one.
+    let grouped = plain.split_once('.').is_some_and(|(whole, rest)| {
+        rest.len() == 3 && (1..=3).contains(&whole.len()) && !whole.starts_with('0')
+    });
+    if grouped && seconds(unit).is_some_and(|s| s < 1e-5) {
+        return Reading::Two(number, 1000.0 * number);
+    }
     if !pointed && before.strip_suffix('.').is_some_and(separated) {
         return values::number(&format!("0.{plain}")).0;
     }

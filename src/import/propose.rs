@@ -2,22 +2,24 @@
 
 use super::listing::PACKED;
 use super::map::{MAP_FORMAT, Map, MapSet, SAME_LIGHT, ranges};
-use super::{Facts, Found, ImportError, LIT, Region, depth_of, few, settings, stamps};
+use super::{Facts, Found, ImportError, LIT, Region, depth_of, few, plausible, settings, stamps};
 use crate::dataset::Kind;
 use crate::number::six_digits;
 use std::collections::BTreeMap;
 use std::path::Path;
 
 /// A set while it grows.
-struct Growing {
-    set: MapSet,
+pub(super) struct Growing {
+    /// The set as the map has it.
+    pub set: MapSet,
     /// Frames by their place in the survey.
-    frames: Vec<usize>,
+    pub frames: Vec<usize>,
     /// What it shares with sets whose names differ in counters only.
     loose: String,
     /// A number that may be a time of day was taken out of the name.
     timed: bool,
-    mean_dn: f64,
+    /// Mean of its frames, DN.
+    pub mean_dn: f64,
 }
 
 /// Sorts frames into sets: by what names and headers say, else by folder and name, darks from flats by their
@@ -28,6 +30,16 @@ struct Growing {
 /// Where the files are not of one camera and one size, or there is none.
 pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportError> {
     let bits = found.iter().fold(0, |a, f| a | f.bits);
+    let inner = found.iter().fold(0, |a, f| a | f.inner_bits);
+    // A hot pixel in the row may have one bit more.
+    if bit_depth.is_none() && depth_of(inner) + 4 <= depth_of(bits) {
+        return Err(ImportError::Files(format!(
+            "codes of more than {0} bits stand in the first or last row only: the camera writes a counter or a time there. Switch that off; \
+             of these frames give --bit-depth {1}, and in the map region and bit_depth = {0}, to cut the row off",
+            depth_of(inner),
+            depth_of(bits)
+        )));
+    }
     let bit_depth = bit_depth.unwrap_or_else(|| depth_of(bits));
     if bits > 0 && bit_depth < 16 && u32::from(bits) >> bit_depth != 0 {
         return Err(ImportError::Files(format!(
@@ -81,6 +93,10 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
         set.mean_dn = mean(found, &set.frames);
     }
     let mut sets = joined(sets, found, lowest);
+    plausible::falling_levels(&mut sets, lowest);
+    plausible::darks_on_the_line(&mut sets);
+    plausible::fewer_bits(&mut sets, found);
+    plausible::serial_numbers(&mut sets, found);
     lit_darks(&mut sets, LIT * f64::from((1u32 << bit_depth) - 1));
     notes.extend(several_levels(&sets, found, lowest));
     let sets: Vec<MapSet> = sets.into_iter().map(|s| finished(s, found)).collect();
@@ -262,6 +278,9 @@ fn lit_darks(sets: &mut [Growing], lit_dn: f64) {
     }
 }
 
+/// Part of the whole level by which frames of one set differ usually, offsets included.
+const SAME_LEVEL: f64 = 0.01;
+
 /// Sets of flats whose frames have levels of their own: names and headers that do not tell lights or exposures
 /// apart.
 fn several_levels(sets: &[Growing], found: &[Found], lowest: f64) -> Option<String> {
@@ -269,7 +288,9 @@ fn several_levels(sets: &[Growing], found: &[Found], lowest: f64) -> Option<Stri
         let mut means: Vec<f64> = set.frames.iter().map(|k| found[*k].mean_dn - lowest).collect();
         means.sort_by(f64::total_cmp);
         let median = means.get(means.len() / 2).copied().unwrap_or(0.0);
-        let apart = means.iter().filter(|m| (*m - median).abs() > SAME_LIGHT * median).count();
+        // The dimmest set is compared with itself.
+        let least = (SAME_LIGHT * median).max(SAME_LEVEL * (median + lowest));
+        let apart = means.iter().filter(|m| (*m - median).abs() > least).count();
         // A single frame of another level is a slip, which is looked for later.
         let dn = |m: Option<&f64>| m.copied().unwrap_or(0.0) + lowest;
         (set.set.kind == Kind::Flat && apart > 1).then(|| (dn(means.first()), dn(means.last())))

@@ -243,6 +243,18 @@ pub fn digests(text: &str) -> Vec<Range<usize>> {
     single.cloned().chain(whole.map(|w| w[0].start..w[UUID.len() - 1].end)).collect()
 }
 
+/// Numbers of so many digits that are no date, no time and no counter with zeros in front.
+pub fn long_numbers(name: &str, digits: std::ops::RangeInclusive<usize>) -> Vec<String> {
+    let stamps = stamps(name);
+    let is_long = |run: &Run| {
+        digits.contains(&run.len())
+            && !name[run.start..].starts_with('0')
+            && !is_measured(name, run.end)
+            && !stamps.iter().any(|r| r.start <= run.start && run.end <= r.end)
+    };
+    runs(name).into_iter().filter(is_long).map(|run| name[run.start..run.end].to_string()).collect()
+}
+
 /// A name without what file managers add to that of a copy: it belongs to the set of its original.
 fn uncopied(name: &str) -> String {
     const ADDED: [&str; 5] = [" - Copy", " - Kopie", " - Copie", " copy", "_copy"];

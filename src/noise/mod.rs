@@ -214,6 +214,12 @@ fn estimate_with(
     if zero.source == NO_ZERO {
         // The intercept is A times what the black level is off by, and says nothing of the noise.
         (read_noise_e.value, read_noise_e.std_err) = (f64::NAN, f64::NAN);
+    } else if let Some(most) = unresolved(&values, quantisation_dn2) {
+        (read_noise_e.value, read_noise_e.std_err) = (f64::NAN, f64::NAN);
+        notes.push(format!(
+            "the constant noise is less than its own error: the read noise is below {} e⁻ (95 %). Darks, or dimmer flats, tell it",
+            six_digits(most)
+        ));
     }
     let mut report = NoiseReport {
         read_noise_e,
@@ -324,6 +330,16 @@ fn read_noise(e: &Estimate, quantisation_dn2: f64) -> Quantity {
     let (by_c, by_a) = (0.5 / (dn2.sqrt() * a.value), -value / a.value);
     let variance = (by_c * c.std_err).powi(2) + (by_a * a.std_err).powi(2) + 2.0 * by_c * by_a * e.covariance;
     Quantity::new(value, variance.sqrt(), "e")
+}
+
+/// Upper limit of the read noise (95 %), e, where the constant noise without quantisation lies within its error of
+/// zero: the root of a value and its error by first order would say nothing.
+fn unresolved(e: &Estimate, quantisation_dn2: f64) -> Option<f64> {
+    /// 95 % of a normal distribution lie below.
+    const ONE_SIDED: f64 = 1.645;
+    let (dn2, std) = (e.constant_noise_var_dn2.value - quantisation_dn2, e.constant_noise_var_dn2.std_err);
+    let most = (dn2.max(0.0) + ONE_SIDED * std).sqrt() / e.gain_dn_per_e.value;
+    (std.is_finite() && dn2 <= std && most.is_finite()).then_some(most)
 }
 
 const TABLE_ZERO: &str = "table: black level removed";

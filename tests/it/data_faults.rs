@@ -95,6 +95,32 @@ impl Campaign {
         self.put(row, &codes);
     }
 
+    fn change_darks(&self, to: impl Fn(usize) -> Array2<u16>) {
+        (0..self.rows.len())
+            .filter(|row| self.rows[*row][1] == "dark")
+            .for_each(|row| self.put(row, &to(row)));
+    }
+
+    /// One fault is said, of all darks; the gain is right, and so is the read noise, if there is one.
+    fn has_foreign_darks(&self, words: &str) {
+        let said = self.said("noise");
+        let faults = said["data_faults"].as_array().unwrap();
+        assert_eq!(faults.len(), 1, "{words}: {faults:?}");
+        assert_eq!(faults[0]["kind"], "other-settings");
+        assert_eq!(faults[0]["sets"].as_array().unwrap().len(), self.sets("dark", 1).len());
+        assert!(faults[0]["text"].as_str().unwrap().contains(words), "{faults:?}");
+        let gain = &said["gain_dn_per_e"];
+        let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
+        assert!((value - 0.38).abs() < 4.0 * error, "{words}: {value} +- {error}");
+        // By the flats alone, above the black level that the camera states.
+        let (value, error) =
+            (said["read_noise_e"]["value"].as_f64(), said["read_noise_e"]["std_err"].as_f64());
+        assert!(
+            value.is_none_or(|v| (v - 3.0).abs() < 4.0 * error.unwrap()),
+            "{words}: {value:?} +- {error:?}"
+        );
+    }
+
     /// What a verb says in JSON, whatever its exit code.
     fn said(&self, verb: &str) -> serde_json::Value {
         let output = radcam(&[verb, &self.path(), "--json"]);
@@ -229,6 +255,38 @@ fn told(plan: &str, slip: Slip, seed: u32) {
         let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
         assert!((value - 0.38).abs() < 4.0 * error, "{plan} {kind} {verb}: {value} +- {error}");
     }
+}
+
+/// All darks of another gain, black level, orientation or camera than the flats, which no dark among them shows and
+/// no name says: named, and their noise is no read noise.
+#[test]
+fn darks_that_are_not_of_the_flats_are_named() {
+    let sensor = |gain: f64, seed: u32| {
+        let mut model = crate::support::small("cmos12", 160, 128);
+        model.base.gain_dn_per_e = gain;
+        model.base.seed = seed.into();
+        // Offsets of the pixels, which an analog gain behind them multiplies.
+        model.base.offset_spread_dn = 4.0 * gain;
+        model
+    };
+    let campaign = |gain: f64, seed: u32| {
+        let file = tempfile::NamedTempFile::with_suffix(".toml").unwrap();
+        std::fs::write(file.path(), sensor(gain, seed).to_toml().unwrap()).unwrap();
+        Campaign::new(file.path().to_str().unwrap(), "emva1288", seed)
+    };
+    let others = [("another gain", 0.76, 60), ("not in the flats", 0.38, 61)];
+    for (words, gain, seed) in others {
+        let own = campaign(0.38, 60);
+        let other = campaign(gain, seed);
+        own.change_darks(|row| other.frame(row));
+        own.has_foreign_darks(words);
+    }
+    let own = campaign(0.38, 62);
+    own.change_darks(|row| own.frame(row).slice(s![..;-1, ..;-1]).to_owned());
+    own.has_foreign_darks("turned by 180 degrees");
+    let own = campaign(0.38, 63);
+    own.change_darks(|row| own.frame(row).mapv(|v| v + 20));
+    own.has_foreign_darks("another black level than the flats, 19.9");
 }
 
 /// What nobody did wrong is not said to be.

@@ -492,10 +492,18 @@ fn no_order_changes_the_dataset() {
 fn every_row_of_the_table_of_files_has_its_test() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
     let text = fs::read_to_string(root.join("docs/files.md")).unwrap();
-    let sources =
-        ["import", "import_cases", "import_names", "containers", "frame_headers", "hdf5", "mixed_frames"]
-            .map(|name| fs::read_to_string(root.join(format!("tests/it/{name}.rs"))).unwrap())
-            .concat();
+    let sources = [
+        "import",
+        "import_cases",
+        "import_levels",
+        "import_names",
+        "containers",
+        "frame_headers",
+        "hdf5",
+        "mixed_frames",
+    ]
+    .map(|name| fs::read_to_string(root.join(format!("tests/it/{name}.rs"))).unwrap())
+    .concat();
     let rows =
         text.lines().filter(|l| l.starts_with("| ") && !l.starts_with("| ---") && !l.ends_with("| test |"));
     let mut count = 0;

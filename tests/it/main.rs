@@ -28,6 +28,7 @@ mod hostile_network;
 mod hostile_outputs;
 mod import;
 mod import_cases;
+mod import_levels;
 mod import_names;
 mod investigate;
 mod judge;

@@ -1,0 +1,295 @@
+//! Darks that are not of the flats' camera, gain or black level, all of them alike: no dark stands out among the
+//! others, and only the flats can tell.
+//!
+//! The flats have the fixed pattern of the darks too: over the level, each pixel of theirs lies on a line (offset
+//! and response: Healey and Kondepudy 1994, eq. 8), whose value at zero signal is the pattern of the offsets. Its
+//! regression on the pattern of the darks is 1; another gain makes it the ratio of the gains, and another camera,
+//! a turned frame, or dark frames taken off in the camera make it 0. Where the black level differs, the level and
+//! the noise of the flats both meet the darks elsewhere: an exposure that is longer than stated moves the level alone.
+
+use super::campaign::{SetView, Zero};
+use super::law::{Law, Point};
+use super::orientation::{TURNS, flattened};
+use super::transfer::{MIN_VARIANCE_DN2, Transfer};
+use super::{Campaign, Check, DataFault, FaultKind};
+use crate::dataset::Kind;
+use crate::number::{six_digits, with_error};
+use crate::statistics::median::{MAD_OF_NORMAL, median};
+
+/// Standard deviations from 1 of the pattern in the flats from which on darks are other ones.
+const MIN_SIGMAS: f64 = 8.0;
+/// Share of the pattern up to which it is not there at all.
+const MAX_ABSENT: f64 = 0.2;
+/// Least ratio of two gains that is said (cameras step in 1 dB or more: 1.12), and a margin.
+const MIN_GAIN_RATIO: f64 = 1.25;
+/// Least ratio of the levels of the flats by which their lines lead to zero signal.
+const MIN_RANGE: f64 = 2.5;
+/// Part of the range that a straight response may bend.
+const MAX_BEND: f64 = 0.03;
+/// Difference of the exposures, relative, up to which the dark charge of one stands for that of another.
+const SAME_EXPOSURE: f64 = 0.2;
+/// Deviations of a pixel from which on it is hot, or dust.
+const MAX_DEVIATIONS: f64 = 5.0;
+/// Pixels below which no pattern tells.
+const MIN_PIXELS: usize = 1024;
+/// Blocks left out in turn for the error.
+const BLOCKS: usize = 16;
+/// Shifts of the frame that are tried, pixels.
+const MAX_SHIFT: isize = 2;
+/// Standard deviations of the noise by which the black level of the darks is not that of the flats, and within
+/// which it is the one that the level tells.
+const BLACK: (f64, f64) = (6.0, 3.0);
+/// Least difference of the black levels that is said, DN.
+const MIN_BLACK_DN: f64 = 2.0;
+
+/// The check.
+pub struct DarksOfFlats;
+
+impl Check for DarksOfFlats {
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
+        let Some(zero) = campaign.zero().filter(|_| campaign.is_one_bench()) else { return Vec::new() };
+        // Rounding makes a pattern of its own where noise does not blur it.
+        let step_dn =
+            campaign.sets.iter().map(|s| s.facts.step_dn.max(s.facts.code_step_dn)).fold(1.0, f64::max);
+        let told = |s: &SetView| s.variance_dn2().is_some_and(|v| v.0 > MIN_VARIANCE_DN2 * step_dn.powi(2));
+        let usable = |s: &SetView| !s.clipped && !s.is_cut_off() && told(s);
+        let darks = campaign.places(|s| s.kind == Kind::Dark && usable(s));
+        let flats = campaign.places(|s| s.is_lit() && usable(s));
+        if darks.is_empty() || flats.len() < 3 {
+            return Vec::new();
+        }
+        let Some(response) = Response::of(campaign, &flats, &zero) else { return Vec::new() };
+        let text = of_pattern(campaign, &darks, &flats, &zero, &response)
+            .or_else(|| of_black_level(campaign, &darks, &zero, &response));
+        let Some(text) = text else { return Vec::new() };
+        let all = campaign.places(|s| s.kind == Kind::Dark);
+        let text = format!("all darks: {text}");
+        vec![campaign.fault_of_sets(FaultKind::OtherSettings, &all, text, true)]
+    }
+}
+
+/// Level of the flats over exposure times light.
+struct Response {
+    /// Where it meets no light, above the darks, DN, and its standard deviation.
+    black_dn: (f64, f64),
+    /// True if it is straight.
+    straight: bool,
+}
+
+impl Response {
+    fn of(campaign: &Campaign<'_>, flats: &[usize], zero: &Zero) -> Option<Self> {
+        let light = |i: usize| campaign.sets[i].exposure_s * campaign.sets[i].illumination;
+        let most = flats.iter().map(|&i| light(i)).fold(0.0, f64::max);
+        let above = |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s);
+        let range = flats.iter().map(|&i| above(i)).fold(1.0, f64::max);
+        let scatter = campaign.scatter(zero);
+        let point = |&i: &usize| {
+            let x = light(i) / most;
+            let own = scatter.of_frame_dn(&campaign.sets[i]) / (campaign.sets[i].frames() as f64).sqrt();
+            Point {
+                factors: vec![1.0, x, x * x],
+                value: above(i),
+                std: own.hypot(0.002 * above(i)).max(0.02),
+            }
+        };
+        let points: Vec<Point> = flats.iter().map(point).collect();
+        let law = Law::fit(&points, &[1e5, 1e6, range], (flats.len() / 5).clamp(1, 3))?;
+        let at = |x: f64| law.at(&[1.0, x, x * x]);
+        let bend = at(0.5) - 0.5 * (at(0.0) + at(1.0));
+        let std =
+            law.std(&Point { factors: vec![1.0, 0.0, 0.0], value: 0.0, std: zero.scatter_dn.max(0.02) });
+        Some(Self { black_dn: (at(0.0), std), straight: bend.abs() < MAX_BEND * range })
+    }
+}
+
+/// Weights of images whose sum is the value at x = 0 of the line through them; also their sum times another
+/// abscissa.
+fn intercept(x: &[f64], weight: &[f64]) -> Option<Vec<f64>> {
+    let sum = |f: &dyn Fn(usize) -> f64| (0..x.len()).map(f).sum::<f64>();
+    let (s, sx) = (sum(&|i| weight[i]), sum(&|i| weight[i] * x[i]));
+    let sxx = sum(&|i| weight[i] * x[i] * x[i]);
+    let determinant = s * sxx - sx * sx;
+    (determinant > 1e-9 * s * sxx)
+        .then(|| (0..x.len()).map(|i| weight[i] * (sxx - sx * x[i]) / determinant).collect())
+}
+
+/// Images with weights, added.
+fn combined(campaign: &Campaign<'_>, sets: &[usize], weights: &[f64]) -> Vec<f64> {
+    let pixels = campaign.sets[sets[0]].facts.middle_dn.len();
+    let mut out = vec![0.0; pixels];
+    for (&i, weight) in sets.iter().zip(weights) {
+        let image = campaign.sets[i].facts.middle_dn.iter();
+        out.iter_mut().zip(image).for_each(|(sum, v)| *sum += weight * f64::from(*v));
+    }
+    out
+}
+
+/// Variance of the mean of a set's frames, DN^2.
+fn noise_of_mean(set: &SetView) -> f64 {
+    set.variance_dn2().map_or(0.0, |v| v.0) / set.frames().max(1) as f64
+}
+
+/// What the fixed pattern tells.
+fn of_pattern(
+    campaign: &Campaign<'_>,
+    darks: &[usize],
+    flats: &[usize],
+    zero: &Zero,
+    response: &Response,
+) -> Option<String> {
+    let columns = campaign.sets[darks[0]].facts.middle_columns;
+    let pixels = campaign.sets[darks[0]].facts.middle_dn.len();
+    let alike = |i: &usize| campaign.sets[*i].facts.middle_dn.len() == pixels;
+    if pixels < MIN_PIXELS || columns == 0 || !darks.iter().chain(flats).all(alike) {
+        return None;
+    }
+    let level: Vec<f64> = flats
+        .iter()
+        .map(|&i| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s) - response.black_dn.0)
+        .collect();
+    let (least, most) = level.iter().fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(*v), b.max(*v)));
+    if least <= 0.0 || most < MIN_RANGE * least {
+        return None;
+    }
+    let weight: Vec<f64> = flats.iter().map(|&i| 1.0 / noise_of_mean(&campaign.sets[i]).max(1e-6)).collect();
+    let of_flats = intercept(&level, &weight)?;
+    // Exposure whose dark charge the value at zero signal has.
+    let exposure_s: f64 = flats.iter().zip(&of_flats).map(|(&i, w)| w * campaign.sets[i].exposure_s).sum();
+    let of_darks = at_exposure(campaign, darks, exposure_s)?;
+    let (offsets, pattern) = (combined(campaign, flats, &of_flats), combined(campaign, darks, &of_darks));
+    let noise: f64 =
+        darks.iter().zip(&of_darks).map(|(&i, w)| w * w * noise_of_mean(&campaign.sets[i])).sum();
+    let (offsets, pattern) = (flattened(&offsets, columns), flattened(&pattern, columns));
+    let straight = share(&offsets, &pattern, noise, columns)?;
+    tracing::debug!("darks' pattern in the flats: {:.3} +- {:.3}", straight.0, straight.1);
+    let (part, std) = straight;
+    if (part - 1.0).abs() < MIN_SIGMAS * std {
+        return None;
+    }
+    let frames = "the fixed pattern of these darks";
+    if part.abs() < MAX_ABSENT.max(4.0 * std) {
+        let found = |(share, std): (f64, f64)| share > MIN_SIGMAS * std && (0.7..1.4).contains(&share);
+        for (name, turn) in TURNS {
+            if share(&turn(&offsets, columns), &pattern, noise, columns).is_some_and(found) {
+                return Some(format!("{name} against the flats: {frames} is in the flats so"));
+            }
+        }
+        for (down, right) in shifts() {
+            if share(&moved(&offsets, columns, down, right), &pattern, noise, columns).is_some_and(found) {
+                return Some(format!(
+                    "another part of the sensor, {} rows and {} columns off: {frames} is in the flats so",
+                    down.abs(),
+                    right.abs()
+                ));
+            }
+        }
+        return Some(format!(
+            "not of the flats: {frames} is not in the flats ({:.2} ± {:.2} of it). They are of another camera or another part of the \
+             sensor, or the camera took dark frames off the flats and not off the darks",
+            part, std
+        ));
+    }
+    let ratio = 1.0 / part;
+    let is_gain = part > 0.0 && !(1.0 / MIN_GAIN_RATIO..MIN_GAIN_RATIO).contains(&ratio) && response.straight;
+    is_gain.then(|| {
+        let ratio = with_error(ratio, std * ratio * ratio);
+        format!("another gain than the flats: {frames} is {ratio} times that in the flats")
+    })
+}
+
+/// Weights of the darks for their pattern at an exposure; `None` where they do not tell it.
+fn at_exposure(campaign: &Campaign<'_>, darks: &[usize], exposure_s: f64) -> Option<Vec<f64>> {
+    let weight: Vec<f64> = darks.iter().map(|&i| 1.0 / noise_of_mean(&campaign.sets[i]).max(1e-6)).collect();
+    let off: Vec<f64> = darks.iter().map(|&i| campaign.sets[i].exposure_s - exposure_s).collect();
+    let of = |i: usize| campaign.sets[darks[i]].exposure_s;
+    let longest = (0..darks.len()).map(of).fold(0.0, f64::max);
+    let shortest = (0..darks.len()).map(of).fold(f64::INFINITY, f64::min);
+    if longest > 2.0 * shortest {
+        return intercept(&off, &weight);
+    }
+    let near = off.iter().all(|d| d.abs() <= SAME_EXPOSURE * longest);
+    let sum: f64 = weight.iter().sum();
+    near.then(|| weight.iter().map(|w| w / sum).collect())
+}
+
+/// Regression of one pattern on another whose noise is known, with the error of leaving out blocks of pixels in
+/// turn.
+fn share(offsets: &[f64], pattern: &[f64], noise_dn2: f64, columns: usize) -> Option<(f64, f64)> {
+    let usual = |image: &[f64]| median(image.iter().map(|v| v.abs())) / MAD_OF_NORMAL;
+    let (a, b) = (usual(offsets), usual(pattern));
+    let within = |i: &usize| offsets[*i].abs() < MAX_DEVIATIONS * a && pattern[*i].abs() < MAX_DEVIATIONS * b;
+    let rows = offsets.len() / columns;
+    let block = |i: usize| {
+        let (y, x) = (i / columns, i % columns);
+        (4 * y / rows.max(1)) * 4 + 4 * x / columns
+    };
+    let mut sums = [[0.0; 3]; BLOCKS];
+    for i in (0..offsets.len()).filter(within) {
+        let own = &mut sums[block(i).min(BLOCKS - 1)];
+        own[0] += offsets[i] * pattern[i];
+        own[1] += pattern[i] * pattern[i];
+        own[2] += 1.0;
+    }
+    let of = |without: Option<usize>| {
+        let kept = || sums.iter().enumerate().filter(|(k, _)| Some(*k) != without).map(|(_, s)| s);
+        let sum = |j: usize| kept().map(|s| s[j]).sum::<f64>();
+        let left = sum(1) - sum(2) * noise_dn2;
+        (left > 0.0).then(|| sum(0) / left)
+    };
+    let all = of(None)?;
+    let parts: Vec<f64> = (0..BLOCKS).map(|k| of(Some(k))).collect::<Option<_>>()?;
+    let mean = parts.iter().sum::<f64>() / BLOCKS as f64;
+    let squares: f64 = parts.iter().map(|v| (v - mean).powi(2)).sum();
+    Some((all, (squares * (BLOCKS - 1) as f64 / BLOCKS as f64).sqrt()))
+}
+
+/// Shifts of a few pixels.
+fn shifts() -> impl Iterator<Item = (isize, isize)> {
+    (-MAX_SHIFT..=MAX_SHIFT)
+        .flat_map(|down| (-MAX_SHIFT..=MAX_SHIFT).map(move |right| (down, right)))
+        .filter(|shift| *shift != (0, 0))
+}
+
+/// An image moved; its edges come in again at the other side.
+fn moved(image: &[f64], columns: usize, down: isize, right: isize) -> Vec<f64> {
+    let rows = (image.len() / columns) as isize;
+    let from = |i: usize| {
+        let (y, x) = ((i / columns) as isize, (i % columns) as isize);
+        ((y + down).rem_euclid(rows) * columns as isize + (x + right).rem_euclid(columns as isize)) as usize
+    };
+    (0..image.len()).map(|i| image[from(i)]).collect()
+}
+
+/// What level and noise tell of the black level.
+fn of_black_level(
+    campaign: &Campaign<'_>,
+    darks: &[usize],
+    zero: &Zero,
+    response: &Response,
+) -> Option<String> {
+    let (black_dn, std) = response.black_dn;
+    if !response.straight || black_dn.abs() < MIN_BLACK_DN.max(MIN_SIGMAS * std) {
+        return None;
+    }
+    let transfer = Transfer::of(campaign, zero, darks)?;
+    // Noise of the shortest dark over that of the flats at its level, and at the level where the flats have no light.
+    let shortest = *darks
+        .iter()
+        .min_by(|a, b| campaign.sets[**a].exposure_s.total_cmp(&campaign.sets[**b].exposure_s))?;
+    let (own, black) = (transfer.off(campaign, shortest, 0.0)?, transfer.off(campaign, shortest, black_dn)?);
+    tracing::debug!(
+        "flats meet no light at {black_dn:.3} +- {std:.3} DN; ln of the darks' noise there {:+.3} +- {:.3}, at the darks' level {:+.3} +- {:.3}",
+        black.0,
+        black.1,
+        own.0,
+        own.1
+    );
+    let is_black = own.0.abs() > BLACK.0 * own.1 && black.0.abs() < BLACK.1 * black.1;
+    is_black.then(|| {
+        format!(
+            "another black level than the flats, {} DN {}: level and noise of the flats both say so",
+            six_digits(black_dn.abs()),
+            if black_dn > 0.0 { "lower" } else { "higher" }
+        )
+    })
+}

@@ -1,0 +1,122 @@
+//! What levels and files say against what names say: questions at import.
+
+use crate::import_cases::{Bench, Camera, sets};
+use radcam::dataset::Kind;
+
+/// Four frames of each set: name without counter, light in electrons, exposure.
+fn campaign(bench: &Bench, folder: &str, sets: &[(&str, f64, f64)]) {
+    let mut camera = Camera::new(90);
+    for (name, light_e, exposure_s) in sets {
+        for i in 0..4 {
+            bench.tiff(&format!("{folder}/{name}_{i:03}.tif"), &camera.frame(*light_e, *exposure_s));
+        }
+    }
+}
+
+/// Shutter speeds with an underline for the slash: the longer, the darker.
+#[test]
+fn exposures_that_darken_are_asked() {
+    let bench = Bench::new();
+    let of = |n: u32| (f64::from(400_000 / n), 1.0 / f64::from(n));
+    let flats = [80, 160, 320, 640].map(|n| (format!("flat_1_{n}s"), of(n)));
+    let darks = [80, 640].map(|n| (format!("dark_1_{n}s"), (0.0, of(n).1)));
+    let all: Vec<(&str, f64, f64)> = darks.iter().chain(&flats).map(|(n, (e, s))| (&**n, *e, *s)).collect();
+    campaign(&bench, "slash", &all);
+    let said = bench.refused("slash");
+    assert!(said.contains("exposure of set 5") && said.contains("the longer, the darker"), "{said}");
+    // Counters in front of exposures: no question.
+    campaign(
+        &bench,
+        "counted",
+        &[("dark_1_1s", 0.0, 1.0), ("flat_1_1s", 800.0, 1.0), ("flat_1_2s", 1600.0, 2.0)],
+    );
+    assert_eq!(sets(&bench.import("counted", &[]).0).len(), 3);
+}
+
+/// Two thousand microseconds, or two.
+#[test]
+fn thousandths_of_microseconds_are_asked() {
+    let bench = Bench::new();
+    campaign(&bench, "us", &[("dark 2.000 us", 0.0, 0.002), ("flat 2.000 us", 1600.0, 0.002)]);
+    assert!(bench.refused("us").contains("is 2 or 2000 us"));
+    campaign(&bench, "ms", &[("dark 2.000 ms", 0.0, 0.002), ("flat 2.000 ms", 1600.0, 0.002)]);
+    assert_eq!(sets(&bench.import("ms", &[]).0)[0].1, 0.002);
+}
+
+/// Flats in folders of their exposures, and no darks: the dimmest is none.
+#[test]
+fn the_dimmest_flat_is_no_dark() {
+    let bench = Bench::new();
+    let flats = [1.0, 2.0, 4.0, 8.0].map(|ms| (format!("{ms}ms/img"), 300.0 * ms, ms / 1e3));
+    let all = flats.each_ref().map(|(n, e, s)| (&**n, *e, *s));
+    campaign(&bench, "sweep", &all);
+    let said = bench.refused("sweep");
+    assert!(said.contains("kind of set 0") && said.contains("there are no darks"), "{said}");
+    // A real dark is off that line, and is taken by its mean as before.
+    campaign(&bench, "both", &all);
+    campaign(&bench, "both", &[("cap/8ms/img", 0.0, 0.008)]);
+    let kinds: Vec<Kind> = sets(&bench.import("both", &[]).0).into_iter().map(|s| s.0).collect();
+    assert_eq!(kinds.iter().filter(|k| **k == Kind::Dark).count(), 1);
+}
+
+/// Files of 8 bits among those of 16.
+#[test]
+fn files_of_fewer_bits_are_asked() {
+    let bench = Bench::new();
+    campaign(&bench, "mixed", &[("dark_2ms", 0.0, 0.002), ("flat_4ms", 3200.0, 0.004)]);
+    let mut camera = Camera::new(91);
+    for i in 0..4 {
+        let frame = camera.frame(1600.0, 0.002).mapv(|v| v / 16);
+        let bytes = radcam::dataset::image::tiff_bytes(&frame, 8).unwrap();
+        std::fs::write(bench.path(&format!("mixed/flat_2ms_{i:03}.tif")), bytes).unwrap();
+    }
+    let said = bench.refused("mixed");
+    assert!(
+        said.contains("frames of set 1") && said.contains("has 8 bits, and other files have 16"),
+        "{said}"
+    );
+}
+
+/// Serial numbers in pylon's names differ between darks and flats; days and counters do not.
+#[test]
+fn serial_numbers_in_names_are_compared() {
+    let bench = Bench::new();
+    let named = |dark: &str, flat: &str| {
+        [
+            (format!("acA1920_{dark}_dark_2ms"), 0.0, 0.002),
+            (format!("acA1920_{dark}_dark_4ms"), 0.0, 0.004),
+            (format!("acA1920_{flat}_flat_2ms"), 1600.0, 0.002),
+            (format!("acA1920_{flat}_flat_4ms"), 3200.0, 0.004),
+        ]
+    };
+    for (folder, dark, flat, asked) in [
+        ("serials", "21112223", "29998887", true),
+        ("one", "21112223", "21112223", false),
+        ("days", "20240501", "20240502", false),
+    ] {
+        campaign(&bench, folder, &named(dark, flat).each_ref().map(|(n, e, s)| (&**n, *e, *s)));
+        if asked {
+            assert!(bench.refused(folder).contains("frames of several cameras?"));
+        } else {
+            assert_eq!(sets(&bench.import(folder, &[]).0).len(), 4, "{folder}");
+        }
+    }
+}
+
+/// A counter that the camera writes over the first pixels makes no frames of 16 bits.
+#[test]
+fn counters_in_the_first_row_make_no_depth() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(92);
+    for (name, light_e) in [("dark_2ms", 0.0), ("flat_2ms", 6000.0)] {
+        for i in 0..4u16 {
+            let mut frame = camera.frame(light_e, 0.002);
+            frame[(0, 0)] = 40_000 + i;
+            bench.tiff(&format!("stamped/{name}_{i:03}.tif"), &frame);
+        }
+    }
+    assert!(
+        bench.refused("stamped").contains("codes of more than 12 bits stand in the first or last row only")
+    );
+    assert_eq!(bench.import("stamped", &["--bit-depth", "16"]).0.manifest().camera.bit_depth, 16);
+}
