@@ -132,6 +132,7 @@ checks! {
     kind_label::KindLabel
     unequal_light::UnequalLight
     other_orientation::OtherOrientation
+    dark_labels::DarkLabels
     dark_settings::DarkSettings
     darks_of_flats::DarksOfFlats
     setting_label::SettingLabel

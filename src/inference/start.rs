@@ -167,8 +167,38 @@ fn zero_and_dark(all: &Observations) -> (f64, f64) {
     let longest = darks.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0));
     match (shortest, longest) {
         (Some(a), Some(b)) if b.0 > a.0 => (a.1, ((b.1 - a.1) / (b.0 - a.0)).max(0.0)),
+        (Some(a), _) if are_long(all, a.0) => {
+            let zero_dn = zero_of_flats(all).map_or(a.1, |zero_dn| zero_dn.clamp(0.0, a.1));
+            (zero_dn, (a.1 - zero_dn) / a.0)
+        }
         (a, _) => (a.map_or(0.0, |d| d.1), 0.0),
     }
+}
+
+/// Ratio of the darks' exposure to the longest of the flats from which on their dark charge is no matter of the
+/// flats (a named choice).
+const LONG_DARKS: f64 = 2.0;
+
+/// Returns true for darks of one exposure that is far longer than those of the flats: their level is offset and
+/// dark charge, and only the flats tell how much of each.
+fn are_long(all: &Observations, exposure_s: f64) -> bool {
+    let of_flats = |(set, _): (usize, f64)| all.campaign.sets[set].exposure_s;
+    let longest = values(all, &mean::Mean, Some(Kind::Flat)).map(of_flats).fold(0.0, f64::max);
+    longest > 0.0 && exposure_s > LONG_DARKS * longest
+}
+
+/// Level of the flats at zero exposure, DN, by the line through the shortest and the median one of the light that
+/// has most exposures.
+fn zero_of_flats(all: &Observations) -> Option<f64> {
+    let mut of_lights: std::collections::BTreeMap<Option<usize>, Vec<(f64, f64)>> = Default::default();
+    for (set, dn) in values(all, &mean::Mean, Some(Kind::Flat)) {
+        let set = &all.campaign.sets[set];
+        of_lights.entry(set.light).or_default().push((set.exposure_s, dn));
+    }
+    let mut flats = of_lights.into_values().max_by_key(Vec::len)?;
+    flats.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (a, b) = (flats[0], flats[flats.len() / 2]);
+    (b.0 > a.0).then(|| a.1 - a.0 * (b.1 - a.1) / (b.0 - a.0))
 }
 
 /// Noise of a dark sample beyond which the black level at zero exposure does not lie outside the darks (a named
@@ -191,7 +221,9 @@ pub(super) fn zero_bounds(all: &Observations) -> (f64, f64) {
     let longest = darks.iter().map(|d| d.0).fold(0.0, f64::max);
     let times = if longest > shortest { longest / (longest - shortest) } else { 1.0 };
     let around = times * (highest - lowest) + AROUND_DARKS * noise_dn.max(1.0);
-    (lowest - around, highest + around)
+    // All of the level may be dark charge.
+    let charge = if times == 1.0 && are_long(all, longest) { lowest.max(0.0) } else { 0.0 };
+    (lowest - around - charge, highest + around)
 }
 
 /// The variance at no light, DN^2, from the dimmest of points of (signal, variance) without a dark among them.

@@ -29,7 +29,7 @@ use crate::agreement::P_LIMIT;
 use crate::data_faults::{ExamineError, examined};
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, DatasetError, Kind};
-use crate::number::{Quantity, six_digits};
+use crate::number::{Quantity, six_digits, with_error};
 use crate::statistics::outliers;
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
 use exclude::{exclude_outliers, exclude_past_the_peak, exclude_strays};
@@ -362,6 +362,16 @@ pub fn of_dataset(
     }
     let zero = zero(&measured);
     let mut report = estimate_with(points(&measured, &zero), &zero, dataset.quantisation_dn2())?;
+    if let Some((dark_s, flat_s)) = long_darks(&measured).filter(|_| zero.source == ONE_EXPOSURE) {
+        let most = with_error(report.read_noise_e.value, report.read_noise_e.std_err);
+        (report.read_noise_e.value, report.read_noise_e.std_err) = (f64::NAN, f64::NAN);
+        report.notes.push(format!(
+            "darks of {} s only, and flats of {} s at most: the noise of so long a dark charge is in the constant noise, and the read noise \
+             is at most {most} e⁻. Take darks of the flats' exposures",
+            six_digits(dark_s),
+            six_digits(flat_s)
+        ));
+    }
     let step = dataset.code_step_dn();
     if step > 1.0 {
         report.notes.push(format!(
@@ -374,6 +384,16 @@ pub fn of_dataset(
     report.notes.extend(struck(&measured));
     report.notes.extend(temperature(&dataset));
     Ok(NoiseReport { data_faults: dataset.data_faults().to_vec(), ..report })
+}
+
+/// Exposure of the darks and the longest one of the flats, s, where all darks are far longer.
+fn long_darks(measured: &Measured) -> Option<(f64, f64)> {
+    /// Ratio from which on the dark charge is no matter of the flats (a named choice).
+    const LONG: f64 = 2.0;
+    let of = |kind: Kind| measured.levels.iter().filter(move |l| l.1 == kind).map(|l| l.2);
+    let shortest = of(Kind::Dark).fold(f64::INFINITY, f64::min);
+    let longest = of(Kind::Flat).fold(0.0, f64::max);
+    (longest > 0.0 && shortest.is_finite() && shortest > LONG * longest).then_some((shortest, longest))
 }
 
 /// Pixels that were left out, in words.

@@ -289,6 +289,35 @@ fn darks_that_are_not_of_the_flats_are_named() {
     own.has_foreign_darks("another black level than the flats, 19.9");
 }
 
+/// The names of long and short darks are exchanged: hot pixels know.
+#[test]
+fn exchanged_exposures_of_darks_are_named() {
+    let mut campaign = Campaign::new("cmos12", "standard", 64);
+    let darks = campaign.sets("dark", 2);
+    let exposure = |c: &Campaign, set: u32| c.rows[c.of(set)[0]][4].clone();
+    let by = |c: &Campaign, set: &u32| exposure(c, *set).parse::<f64>().unwrap();
+    let longest = *darks.iter().max_by(|a, b| by(&campaign, a).total_cmp(&by(&campaign, b))).unwrap();
+    let shortest = *darks.iter().min_by(|a, b| by(&campaign, a).total_cmp(&by(&campaign, b))).unwrap();
+    // Hours at room temperature: a campaign with charge.
+    for row in campaign.of(longest) {
+        let hot = |((y, x), v): ((usize, usize), &u16)| v + 30 + 400 * u16::from((7 * y + 13 * x) % 97 == 0);
+        let frame = campaign.frame(row);
+        let codes = Array2::from_shape_vec(frame.dim(), frame.indexed_iter().map(hot).collect()).unwrap();
+        campaign.put(row, &codes);
+    }
+    let (short_s, long_s) = (exposure(&campaign, shortest), exposure(&campaign, longest));
+    for (set, exposure_s) in [(shortest, long_s), (longest, short_s)] {
+        campaign.of(set).into_iter().for_each(|row| campaign.rows[row][4] = exposure_s.clone());
+    }
+    campaign.save();
+    let said = campaign.said("noise");
+    let faults = said["data_faults"].as_array().unwrap();
+    let text = faults[0]["text"].as_str().unwrap();
+    assert!(faults.len() == 1 && text.contains("the exposures of these darks are exchanged"), "{faults:?}");
+    let sets = faults[0]["sets"].as_array().unwrap();
+    assert!(sets.contains(&shortest.into()) && sets.contains(&longest.into()), "{faults:?}");
+}
+
 /// What nobody did wrong is not said to be.
 #[test]
 fn campaigns_without_a_slip_have_none() {

@@ -1,0 +1,67 @@
+//! Darks whose exposures are exchanged: the shorter ones have the level and the hot pixels of the longer ones.
+//!
+//! A black-level clamp or a drift may lower the level of long darks; the dark charge of single pixels grows with
+//! the exposure whatever the level does.
+
+use super::campaign::SetView;
+use super::orientation::flattened;
+use super::{Campaign, Check, DataFault, FaultKind};
+use crate::dataset::Kind;
+use crate::number::six_digits;
+
+/// Least ratio of the exposures.
+const MIN_RATIO: f64 = 1.5;
+/// Scatter of the darks' means by which the level falls at least, and least fall, DN.
+const FALL: (f64, f64) = (10.0, 1.0);
+/// Share of the spread of the shortest dark up to which that of the longest has fallen.
+const MAX_SPREAD_SHARE: f64 = 0.7;
+
+/// The check.
+pub struct DarkLabels;
+
+/// Spread over the pixels that is not noise, DN^2: hot pixels and all.
+fn spread_dn2(set: &SetView) -> f64 {
+    let image: Vec<f64> = set.facts.middle_dn.iter().map(|v| f64::from(*v)).collect();
+    let pattern = flattened(&image, set.facts.middle_columns);
+    let noise = set.variance_dn2().map_or(0.0, |v| v.0) / set.frames().max(1) as f64;
+    pattern.iter().map(|v| v * v).sum::<f64>() / pattern.len().max(1) as f64 - noise
+}
+
+impl Check for DarkLabels {
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
+        let usable = |s: &SetView| !s.clipped && s.variance_dn2().is_some() && s.facts.middle_columns > 0;
+        let mut darks = campaign.places(|s| s.kind == Kind::Dark && usable(s));
+        let exposure_s = |i: usize| campaign.sets[i].exposure_s;
+        let level = |i: usize| campaign.sets[i].level_dn();
+        darks.sort_by(|a, b| exposure_s(*a).total_cmp(&exposure_s(*b)));
+        let [shortest, .., longest] = *darks.as_slice() else { return Vec::new() };
+        let least = FALL.1.max(FALL.0 * campaign.dark_scatter_dn());
+        let falls = level(longest) < level(shortest) - least;
+        let spreads = || (spread_dn2(&campaign.sets[shortest]), spread_dn2(&campaign.sets[longest]));
+        if exposure_s(longest) < MIN_RATIO * exposure_s(shortest)
+            || !falls
+            || spreads().1 > MAX_SPREAD_SHARE * spreads().0
+        {
+            return Vec::new();
+        }
+        // By their levels they have another order.
+        let mut by_level = darks.clone();
+        by_level.sort_by(|a, b| level(*a).total_cmp(&level(*b)));
+        let mut wrong: Vec<usize> = darks
+            .iter()
+            .zip(&by_level)
+            .filter(|(a, b)| (level(**a) - level(**b)).abs() > least && exposure_s(**a) != exposure_s(**b))
+            .map(|(a, _)| *a)
+            .collect();
+        wrong.sort_unstable();
+        let text = format!(
+            "{}: the exposures of these darks are exchanged: those of {} s have {} DN and more hot pixels than those of {} s with {} DN",
+            campaign.named(&wrong),
+            six_digits(exposure_s(shortest)),
+            six_digits(level(shortest)),
+            six_digits(exposure_s(longest)),
+            six_digits(level(longest))
+        );
+        vec![campaign.fault_of_sets(FaultKind::SettingLabel, &wrong, text, true)]
+    }
+}
