@@ -315,6 +315,11 @@ impl<'a> Campaign<'a> {
         lit.iter().all(|i| Some((self.sets[*i].configuration, self.sets[*i].part)) == first)
     }
 
+    /// Returns true for one campaign, not several joined ones.
+    pub fn is_of_one_part(&self) -> bool {
+        self.sets.windows(2).all(|w| w[0].part == w[1].part)
+    }
+
     /// A fault of whole sets, which are left out where that is wanted.
     pub fn fault_of_sets(
         &mut self,

@@ -10,11 +10,12 @@
 use super::campaign::{SetView, Zero};
 use super::law::{Law, Point};
 use super::orientation::{TURNS, flattened};
-use super::transfer::{MIN_VARIANCE_DN2, Transfer};
+use super::transfer::{MIN_VARIANCE_DN2, MODEL_ERROR, Transfer};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::{six_digits, with_error};
 use crate::statistics::median::{MAD_OF_NORMAL, median};
+use std::collections::BTreeMap;
 
 /// Standard deviations from 1 of the pattern in the flats from which on darks are other ones.
 const MIN_SIGMAS: f64 = 8.0;
@@ -28,10 +29,20 @@ const MIN_RANGE: f64 = 2.5;
 const MAX_BEND: f64 = 0.03;
 /// Difference of the exposures, relative, up to which the dark charge of one stands for that of another.
 const SAME_EXPOSURE: f64 = 0.2;
+/// Ratio of the darks' exposures from which on they tell the growth of the pattern.
+const MIN_EXPOSURE_RATIO: f64 = 1.5;
+/// Usual bend of a response at the highest level, of the range, scatter of a lamp, and least error of a level, DN
+/// (named choices).
+const USUAL_BEND: f64 = 0.2;
+const LAMP_SCATTER: f64 = 0.002;
+const MIN_STD_DN: f64 = 0.02;
 /// Deviations of a pixel from which on it is hot, or dust.
 const MAX_DEVIATIONS: f64 = 5.0;
 /// Pixels below which no pattern tells.
 const MIN_PIXELS: usize = 1024;
+/// Relative error of the noise that is taken off the pattern: hot and noisy pixels, which are left out, are in its
+/// mean (a named choice).
+const NOISE_ERROR: f64 = 0.3;
 /// Blocks left out in turn for the error.
 const BLOCKS: usize = 16;
 /// Shifts of the frame that are tried, pixels.
@@ -47,18 +58,20 @@ pub struct DarksOfFlats;
 
 impl Check for DarksOfFlats {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
-        let Some(zero) = campaign.zero().filter(|_| campaign.is_one_bench()) else { return Vec::new() };
+        let Some(zero) = campaign.zero().filter(|_| campaign.is_of_one_part()) else { return Vec::new() };
         // Rounding makes a pattern of its own where noise does not blur it.
-        let step_dn =
-            campaign.sets.iter().map(|s| s.facts.step_dn.max(s.facts.code_step_dn)).fold(1.0, f64::max);
-        let told = |s: &SetView| s.variance_dn2().is_some_and(|v| v.0 > MIN_VARIANCE_DN2 * step_dn.powi(2));
+        let steps = campaign.sets.iter().map(|s| s.facts.step_dn.max(s.facts.code_step_dn));
+        let blurred_dn2 = MIN_VARIANCE_DN2 * steps.fold(1.0, f64::max).powi(2);
+        let told = |s: &SetView| s.variance_dn2().is_some_and(|v| v.0 > blurred_dn2);
         let usable = |s: &SetView| !s.clipped && !s.is_cut_off() && told(s);
         let darks = campaign.places(|s| s.kind == Kind::Dark && usable(s));
-        let flats = campaign.places(|s| s.is_lit() && usable(s));
-        if darks.is_empty() || flats.len() < 3 {
-            return Vec::new();
+        let mut flats: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+        for i in campaign.places(|s| s.is_lit() && usable(s)) {
+            flats.entry(campaign.sets[i].configuration).or_default().push(i);
         }
-        let Some(response) = Response::of(campaign, &flats, &zero) else { return Vec::new() };
+        let Some(response) = Response::of(campaign, &flats, &zero).filter(|_| !darks.is_empty()) else {
+            return Vec::new();
+        };
         let text = of_pattern(campaign, &darks, &flats, &zero, &response)
             .or_else(|| of_black_level(campaign, &darks, &zero, &response));
         let Some(text) = text else { return Vec::new() };
@@ -72,33 +85,42 @@ impl Check for DarksOfFlats {
 struct Response {
     /// Where it meets no light, above the darks, DN, and its standard deviation.
     black_dn: (f64, f64),
-    /// True if it is straight.
+    /// True if it is known to be straight.
     straight: bool,
 }
 
 impl Response {
-    fn of(campaign: &Campaign<'_>, flats: &[usize], zero: &Zero) -> Option<Self> {
+    /// Fits one line for each position of card and light, which meet at no light and bend alike.
+    fn of(campaign: &Campaign<'_>, flats: &BTreeMap<u32, Vec<usize>>, zero: &Zero) -> Option<Self> {
         let light = |i: usize| campaign.sets[i].exposure_s * campaign.sets[i].illumination;
-        let most = flats.iter().map(|&i| light(i)).fold(0.0, f64::max);
         let above = |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s);
-        let range = flats.iter().map(|&i| above(i)).fold(1.0, f64::max);
         let scatter = campaign.scatter(zero);
-        let point = |&i: &usize| {
-            let x = light(i) / most;
-            let own = scatter.of_frame_dn(&campaign.sets[i]) / (campaign.sets[i].frames() as f64).sqrt();
-            Point {
-                factors: vec![1.0, x, x * x],
-                value: above(i),
-                std: own.hypot(0.002 * above(i)).max(0.02),
+        let lines = flats.len();
+        let range = flats.values().flatten().map(|&i| above(i)).fold(1.0, f64::max);
+        let mut points = Vec::new();
+        for (k, sets) in flats.values().enumerate() {
+            let brightest = *sets.iter().max_by(|a, b| light(**a).total_cmp(&light(**b)))?;
+            for &i in sets {
+                let x = light(i) / light(brightest);
+                let own = scatter.of_frame_dn(&campaign.sets[i]) / (campaign.sets[i].frames() as f64).sqrt();
+                let mut factors = vec![0.0; lines + 2];
+                (factors[0], factors[1], factors[2 + k]) = (1.0, x * x * above(brightest) / range, x);
+                let std = own.hypot(LAMP_SCATTER * above(i)).max(MIN_STD_DN);
+                points.push(Point { factors, value: above(i), std });
             }
+        }
+        let priors: Vec<f64> =
+            [1e5, USUAL_BEND * range].into_iter().chain(std::iter::repeat_n(1e6, lines)).collect();
+        let most = if points.len() > lines + 2 { (points.len() / 5).clamp(1, 3) } else { 0 };
+        let law = Law::fit(&points, &priors, most)?;
+        let coefficient = |k: usize, std: f64| {
+            let factors: Vec<f64> = (0..lines + 2).map(|i| f64::from(u8::from(i == k))).collect();
+            (law.at(&factors), law.std(&Point { factors, value: 0.0, std }))
         };
-        let points: Vec<Point> = flats.iter().map(point).collect();
-        let law = Law::fit(&points, &[1e5, 1e6, range], (flats.len() / 5).clamp(1, 3))?;
-        let at = |x: f64| law.at(&[1.0, x, x * x]);
-        let bend = at(0.5) - 0.5 * (at(0.0) + at(1.0));
-        let std =
-            law.std(&Point { factors: vec![1.0, 0.0, 0.0], value: 0.0, std: zero.scatter_dn.max(0.02) });
-        Some(Self { black_dn: (at(0.0), std), straight: bend.abs() < MAX_BEND * range })
+        // A bend of the range moves the middle by a quarter of it.
+        let bend = coefficient(1, 0.0);
+        let straight = 0.25 * (bend.0.abs() + bend.1) < MAX_BEND * range;
+        Some(Self { black_dn: coefficient(0, zero.scatter_dn.max(MIN_STD_DN)), straight })
     }
 }
 
@@ -133,30 +155,42 @@ fn noise_of_mean(set: &SetView) -> f64 {
 fn of_pattern(
     campaign: &Campaign<'_>,
     darks: &[usize],
-    flats: &[usize],
+    flats: &BTreeMap<u32, Vec<usize>>,
     zero: &Zero,
     response: &Response,
 ) -> Option<String> {
     let columns = campaign.sets[darks[0]].facts.middle_columns;
     let pixels = campaign.sets[darks[0]].facts.middle_dn.len();
     let alike = |i: &usize| campaign.sets[*i].facts.middle_dn.len() == pixels;
-    if pixels < MIN_PIXELS || columns == 0 || !darks.iter().chain(flats).all(alike) {
+    if pixels < MIN_PIXELS || columns == 0 || !darks.iter().chain(flats.values().flatten()).all(alike) {
         return None;
     }
-    let level: Vec<f64> = flats
-        .iter()
-        .map(|&i| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s) - response.black_dn.0)
-        .collect();
-    let (least, most) = level.iter().fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(*v), b.max(*v)));
-    if least <= 0.0 || most < MIN_RANGE * least {
+    let above =
+        |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s) - response.black_dn.0;
+    // The value at zero signal by each position of card and light, and their mean.
+    let (mut sets, mut of_flats, mut total) = (Vec::new(), Vec::new(), 0.0);
+    for own in flats.values() {
+        let level: Vec<f64> = own.iter().map(|&i| above(i)).collect();
+        let (least, most) = level.iter().fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(*v), b.max(*v)));
+        let noise: Vec<f64> = own.iter().map(|&i| noise_of_mean(&campaign.sets[i]).max(1e-6)).collect();
+        let weight: Vec<f64> = noise.iter().map(|n| 1.0 / n).collect();
+        let Some(at_zero) = intercept(&level, &weight).filter(|_| least > 0.0 && most > MIN_RANGE * least)
+        else {
+            continue;
+        };
+        let variance: f64 = at_zero.iter().zip(&noise).map(|(w, n)| w * w * n).sum();
+        sets.extend_from_slice(own);
+        of_flats.extend(at_zero.iter().map(|w| w / variance));
+        total += 1.0 / variance;
+    }
+    if sets.is_empty() {
         return None;
     }
-    let weight: Vec<f64> = flats.iter().map(|&i| 1.0 / noise_of_mean(&campaign.sets[i]).max(1e-6)).collect();
-    let of_flats = intercept(&level, &weight)?;
+    of_flats.iter_mut().for_each(|w| *w /= total);
     // Exposure whose dark charge the value at zero signal has.
-    let exposure_s: f64 = flats.iter().zip(&of_flats).map(|(&i, w)| w * campaign.sets[i].exposure_s).sum();
+    let exposure_s: f64 = sets.iter().zip(&of_flats).map(|(&i, w)| w * campaign.sets[i].exposure_s).sum();
     let of_darks = at_exposure(campaign, darks, exposure_s)?;
-    let (offsets, pattern) = (combined(campaign, flats, &of_flats), combined(campaign, darks, &of_darks));
+    let (offsets, pattern) = (combined(campaign, &sets, &of_flats), combined(campaign, darks, &of_darks));
     let noise: f64 =
         darks.iter().zip(&of_darks).map(|(&i, w)| w * w * noise_of_mean(&campaign.sets[i])).sum();
     let (offsets, pattern) = (flattened(&offsets, columns), flattened(&pattern, columns));
@@ -204,7 +238,7 @@ fn at_exposure(campaign: &Campaign<'_>, darks: &[usize], exposure_s: f64) -> Opt
     let of = |i: usize| campaign.sets[darks[i]].exposure_s;
     let longest = (0..darks.len()).map(of).fold(0.0, f64::max);
     let shortest = (0..darks.len()).map(of).fold(f64::INFINITY, f64::min);
-    if longest > 2.0 * shortest {
+    if longest > MIN_EXPOSURE_RATIO * shortest {
         return intercept(&off, &weight);
     }
     let near = off.iter().all(|d| d.abs() <= SAME_EXPOSURE * longest);
@@ -230,17 +264,23 @@ fn share(offsets: &[f64], pattern: &[f64], noise_dn2: f64, columns: usize) -> Op
         own[1] += pattern[i] * pattern[i];
         own[2] += 1.0;
     }
+    // Relative error of what is left of the pattern without its noise.
+    let to_noise = |left: f64| {
+        let n: f64 = sums.iter().map(|s| s[2]).sum();
+        NOISE_ERROR * n * noise_dn2 / left
+    };
     let of = |without: Option<usize>| {
         let kept = || sums.iter().enumerate().filter(|(k, _)| Some(*k) != without).map(|(_, s)| s);
         let sum = |j: usize| kept().map(|s| s[j]).sum::<f64>();
         let left = sum(1) - sum(2) * noise_dn2;
-        (left > 0.0).then(|| sum(0) / left)
+        (left > 0.0).then(|| (sum(0) / left, left))
     };
-    let all = of(None)?;
-    let parts: Vec<f64> = (0..BLOCKS).map(|k| of(Some(k))).collect::<Option<_>>()?;
+    let (all, left) = of(None)?;
+    let parts: Vec<f64> = (0..BLOCKS).map(|k| of(Some(k)).map(|p| p.0)).collect::<Option<_>>()?;
     let mean = parts.iter().sum::<f64>() / BLOCKS as f64;
     let squares: f64 = parts.iter().map(|v| (v - mean).powi(2)).sum();
-    Some((all, (squares * (BLOCKS - 1) as f64 / BLOCKS as f64).sqrt()))
+    let std = (squares * (BLOCKS - 1) as f64 / BLOCKS as f64).sqrt();
+    Some((all, std.hypot(all * to_noise(left))))
 }
 
 /// Shifts of a few pixels.
@@ -272,19 +312,21 @@ fn of_black_level(
         return None;
     }
     let transfer = Transfer::of(campaign, zero, darks)?;
-    // Noise of the shortest dark over that of the flats at its level, and at the level where the flats have no light.
+    // Noise of the shortest dark against that of the flats at its level, and at the level where the flats have no light.
     let shortest = *darks
         .iter()
         .min_by(|a, b| campaign.sets[**a].exposure_s.total_cmp(&campaign.sets[**b].exposure_s))?;
-    let (own, black) = (transfer.off(campaign, shortest, 0.0)?, transfer.off(campaign, shortest, black_dn)?);
+    let (var_dn2, pairs) = campaign.sets[shortest].variance_dn2()?;
+    let own = var_dn2 * (3.0 / (campaign.sets[shortest].facts.pixels * pairs)).sqrt().hypot(MODEL_ERROR);
+    let off = |above_dn: f64| {
+        let (expected, std) = transfer.expected_dn2(above_dn);
+        (var_dn2 - expected) / std.hypot(own)
+    };
+    let (at_dark, at_black) = (off(0.0), off(black_dn));
     tracing::debug!(
-        "flats meet no light at {black_dn:.3} +- {std:.3} DN; ln of the darks' noise there {:+.3} +- {:.3}, at the darks' level {:+.3} +- {:.3}",
-        black.0,
-        black.1,
-        own.0,
-        own.1
+        "flats meet no light at {black_dn:.3} +- {std:.3} DN; the darks' noise is off by {at_black:.1} sigma there, by {at_dark:.1} at the darks' level"
     );
-    let is_black = own.0.abs() > BLACK.0 * own.1 && black.0.abs() < BLACK.1 * black.1;
+    let is_black = at_dark.abs() > BLACK.0 && at_black.abs() < BLACK.1;
     is_black.then(|| {
         format!(
             "another black level than the flats, {} DN {}: level and noise of the flats both say so",

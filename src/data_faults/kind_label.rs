@@ -12,6 +12,8 @@ const MIN_RANGE_DN: f64 = 20.0;
 const MIN_LIT_SHARE: f64 = 0.05;
 /// Share of what its label makes a flat have, up to which it has no light.
 const MAX_UNLIT_SHARE: f64 = 0.02;
+/// Ratio of a dark's exposure to the longest one of the flats from which on its charge says nothing of them.
+const LONG: f64 = 2.0;
 /// Standard deviations of a frame's mean by which both are told from darks.
 const MIN_SIGMAS: f64 = 20.0;
 
@@ -44,6 +46,7 @@ impl Check for KindLabel {
         let x = |i: usize| campaign.sets[i].exposure_s * campaign.sets[i].illumination;
         let lit = campaign.places(|s| s.is_lit() && !s.clipped);
         let above = |i: usize| level(i) - dark_at(campaign.sets[i].exposure_s);
+        let longest_flat_s = lit.iter().map(|&i| campaign.sets[i].exposure_s).fold(0.0, f64::max);
         let response = median(lit.iter().map(|&i| above(i) / x(i)));
         // Without darks the dimmest flat would pass for one.
         let dim: Vec<usize> = lit
@@ -71,11 +74,14 @@ impl Check for KindLabel {
             let exposures: Vec<f64> = others().map(|&d| campaign.sets[d].exposure_s).collect();
             let several = exposures.iter().any(|e| (e / exposures[0] - 1.0).abs() > 0.01);
             let charge = several && dark_at(exposure_s) - lowest < 0.3 * own;
-            own > MIN_SIGMAS * scatter && (longer || charge || !unlit.is_empty())
+            // A single dark that is far longer than the flats may have more charge than they have light.
+            let long = exposure_s > LONG * longest_flat_s;
+            own > MIN_SIGMAS * scatter && (longer || charge || !long && !unlit.is_empty())
         };
         let lit_darks: Vec<usize> = bright.iter().copied().filter(of_light).collect();
-        // Where most are so, the labels mean something else.
-        if lit_darks.len() * 2 > darks.len().max(1) && unlit.len() != lit_darks.len()
+        // Where most are so, the labels mean something else; without a dark to go by the dimmest flat is unlit by itself.
+        if zero.is_none() && lit_darks.is_empty()
+            || lit_darks.len() * 2 > darks.len().max(1) && unlit.len() != lit_darks.len()
             || dim.len() * 2 > lit.len()
         {
             return Vec::new();

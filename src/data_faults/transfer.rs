@@ -7,7 +7,7 @@ use crate::dataset::Kind;
 
 /// Relative error of a variance beyond that of independent pixels: hot pixels, shading and what noise has in
 /// common (a named choice).
-const MODEL_ERROR: f64 = 0.02;
+pub const MODEL_ERROR: f64 = 0.02;
 /// Minimum number of sets for a curve.
 const MIN_SETS: usize = 4;
 /// Variance below which rounding decides, DN^2.
@@ -98,6 +98,13 @@ impl Transfer {
     pub fn slope(&self) -> f64 {
         let at = |level: f64| self.law.at(&factors(level));
         (at(0.1) - at(0.0)) / (0.1 * self.most)
+    }
+
+    /// Variance expected at a level above the darks, DN^2, and its standard error: below the lowest level too.
+    pub fn expected_dn2(&self, above_dn: f64) -> (f64, f64) {
+        let own = factors(above_dn / self.most).to_vec();
+        let value = self.law.at(&own);
+        (value, self.law.std(&Point { factors: own, value, std: 0.0 }))
     }
 
     /// Logarithm of the ratio of a set's variance to that expected at a level, and its standard error.
