@@ -10,11 +10,11 @@
 use super::campaign::{SetView, Zero};
 use super::law::{Law, Point};
 use super::orientation::{TURNS, flattened};
+use super::patterns::{Noise, combined, intercept, moved, noise_of_mean, share, shifts};
 use super::transfer::{MIN_VARIANCE_DN2, MODEL_ERROR, Transfer};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::{six_digits, with_error};
-use crate::statistics::median::{MAD_OF_NORMAL, median};
 use std::collections::BTreeMap;
 
 /// Standard deviations from 1 of the pattern in the flats from which on darks are other ones.
@@ -36,17 +36,8 @@ const MIN_EXPOSURE_RATIO: f64 = 1.5;
 const USUAL_BEND: f64 = 0.2;
 const LAMP_SCATTER: f64 = 0.002;
 const MIN_STD_DN: f64 = 0.02;
-/// Deviations of a pixel from which on it is hot, or dust.
-const MAX_DEVIATIONS: f64 = 5.0;
 /// Pixels below which no pattern tells.
 const MIN_PIXELS: usize = 1024;
-/// Relative error of the noise that is taken off the pattern: hot and noisy pixels, which are left out, are in its
-/// mean (a named choice).
-const NOISE_ERROR: f64 = 0.3;
-/// Blocks left out in turn for the error.
-const BLOCKS: usize = 16;
-/// Shifts of the frame that are tried, pixels.
-const MAX_SHIFT: isize = 2;
 /// Standard deviations of the noise by which the black level of the darks is not that of the flats, and within
 /// which it is the one that the level tells.
 const BLACK: (f64, f64) = (6.0, 3.0);
@@ -124,33 +115,6 @@ impl Response {
     }
 }
 
-/// Weights of images whose sum is the value at x = 0 of the line through them; also their sum times another
-/// abscissa.
-fn intercept(x: &[f64], weight: &[f64]) -> Option<Vec<f64>> {
-    let sum = |f: &dyn Fn(usize) -> f64| (0..x.len()).map(f).sum::<f64>();
-    let (s, sx) = (sum(&|i| weight[i]), sum(&|i| weight[i] * x[i]));
-    let sxx = sum(&|i| weight[i] * x[i] * x[i]);
-    let determinant = s * sxx - sx * sx;
-    (determinant > 1e-9 * s * sxx)
-        .then(|| (0..x.len()).map(|i| weight[i] * (sxx - sx * x[i]) / determinant).collect())
-}
-
-/// Images with weights, added.
-fn combined(campaign: &Campaign<'_>, sets: &[usize], weights: &[f64]) -> Vec<f64> {
-    let pixels = campaign.sets[sets[0]].facts.middle_dn.len();
-    let mut out = vec![0.0; pixels];
-    for (&i, weight) in sets.iter().zip(weights) {
-        let image = campaign.sets[i].facts.middle_dn.iter();
-        out.iter_mut().zip(image).for_each(|(sum, v)| *sum += weight * f64::from(*v));
-    }
-    out
-}
-
-/// Variance of the mean of a set's frames, DN^2.
-fn noise_of_mean(set: &SetView) -> f64 {
-    set.variance_dn2().map_or(0.0, |v| v.0) / set.frames().max(1) as f64
-}
-
 /// What the fixed pattern tells.
 fn of_pattern(
     campaign: &Campaign<'_>,
@@ -193,6 +157,7 @@ fn of_pattern(
     let (offsets, pattern) = (combined(campaign, &sets, &of_flats), combined(campaign, darks, &of_darks));
     let noise: f64 =
         darks.iter().zip(&of_darks).map(|(&i, w)| w * w * noise_of_mean(&campaign.sets[i])).sum();
+    let noise = Noise::of_darks(noise);
     let (offsets, pattern) = (flattened(&offsets, columns), flattened(&pattern, columns));
     let straight = share(&offsets, &pattern, noise, columns)?;
     tracing::debug!("darks' pattern in the flats: {:.3} +- {:.3}", straight.0, straight.1);
@@ -244,60 +209,6 @@ fn at_exposure(campaign: &Campaign<'_>, darks: &[usize], exposure_s: f64) -> Opt
     let near = off.iter().all(|d| d.abs() <= SAME_EXPOSURE * longest);
     let sum: f64 = weight.iter().sum();
     near.then(|| weight.iter().map(|w| w / sum).collect())
-}
-
-/// Regression of one pattern on another whose noise is known, with the error of leaving out blocks of pixels in
-/// turn.
-fn share(offsets: &[f64], pattern: &[f64], noise_dn2: f64, columns: usize) -> Option<(f64, f64)> {
-    let usual = |image: &[f64]| median(image.iter().map(|v| v.abs())) / MAD_OF_NORMAL;
-    let (a, b) = (usual(offsets), usual(pattern));
-    let within = |i: &usize| offsets[*i].abs() < MAX_DEVIATIONS * a && pattern[*i].abs() < MAX_DEVIATIONS * b;
-    let rows = offsets.len() / columns;
-    let block = |i: usize| {
-        let (y, x) = (i / columns, i % columns);
-        (4 * y / rows.max(1)) * 4 + 4 * x / columns
-    };
-    let mut sums = [[0.0; 3]; BLOCKS];
-    for i in (0..offsets.len()).filter(within) {
-        let own = &mut sums[block(i).min(BLOCKS - 1)];
-        own[0] += offsets[i] * pattern[i];
-        own[1] += pattern[i] * pattern[i];
-        own[2] += 1.0;
-    }
-    // Relative error of what is left of the pattern without its noise.
-    let to_noise = |left: f64| {
-        let n: f64 = sums.iter().map(|s| s[2]).sum();
-        NOISE_ERROR * n * noise_dn2 / left
-    };
-    let of = |without: Option<usize>| {
-        let kept = || sums.iter().enumerate().filter(|(k, _)| Some(*k) != without).map(|(_, s)| s);
-        let sum = |j: usize| kept().map(|s| s[j]).sum::<f64>();
-        let left = sum(1) - sum(2) * noise_dn2;
-        (left > 0.0).then(|| (sum(0) / left, left))
-    };
-    let (all, left) = of(None)?;
-    let parts: Vec<f64> = (0..BLOCKS).map(|k| of(Some(k)).map(|p| p.0)).collect::<Option<_>>()?;
-    let mean = parts.iter().sum::<f64>() / BLOCKS as f64;
-    let squares: f64 = parts.iter().map(|v| (v - mean).powi(2)).sum();
-    let std = (squares * (BLOCKS - 1) as f64 / BLOCKS as f64).sqrt();
-    Some((all, std.hypot(all * to_noise(left))))
-}
-
-/// Shifts of a few pixels.
-fn shifts() -> impl Iterator<Item = (isize, isize)> {
-    (-MAX_SHIFT..=MAX_SHIFT)
-        .flat_map(|down| (-MAX_SHIFT..=MAX_SHIFT).map(move |right| (down, right)))
-        .filter(|shift| *shift != (0, 0))
-}
-
-/// An image moved; its edges come in again at the other side.
-fn moved(image: &[f64], columns: usize, down: isize, right: isize) -> Vec<f64> {
-    let rows = (image.len() / columns) as isize;
-    let from = |i: usize| {
-        let (y, x) = ((i / columns) as isize, (i % columns) as isize);
-        ((y + down).rem_euclid(rows) * columns as isize + (x + right).rem_euclid(columns as isize)) as usize
-    };
-    (0..image.len()).map(|i| image[from(i)]).collect()
 }
 
 /// What level and noise tell of the black level.

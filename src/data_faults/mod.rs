@@ -16,6 +16,7 @@ mod campaign;
 mod facts;
 mod law;
 mod orientation;
+mod patterns;
 mod transfer;
 
 pub use crate::dataset::{DataFault, FaultKind};
@@ -129,9 +130,11 @@ checks! {
     stale_frame::StaleFrame
     copied_frames::CopiedFrames
     odd_frame::OddFrame
+    light_in_darks::LightInDarks
     kind_label::KindLabel
     unequal_light::UnequalLight
     other_orientation::OtherOrientation
+    other_pattern::OtherPattern
     dark_labels::DarkLabels
     dark_settings::DarkSettings
     darks_of_flats::DarksOfFlats

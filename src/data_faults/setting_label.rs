@@ -153,6 +153,9 @@ impl Check for SettingLabel {
             let belongs =
                 belongs(&law, &factors, (set.exposure_s, set.illumination, when(i)), points[k].value);
             let text = match factors.vary {
+                _ if !belongs.is_finite() => {
+                    format!("{} DN above black, as no exposure and light make it", six_digits(above(i)))
+                }
                 _ if campaign.light_is_in_photons() => format!(
                     "stated {} photons, its level belongs to {}",
                     six_digits(light(i)),

@@ -7,7 +7,7 @@
 //! signal from a line over the light (eq. 59 to 63).
 
 use crate::dataset::Kind;
-use crate::emva::lines::{FIT_RANGE, LINEAR_RANGE, QUANTISATION_DN2};
+use crate::emva::lines::{FIT_RANGE, LINEAR_RANGE, MIN_RANGE, QUANTISATION_DN2};
 use crate::inference::{Effects, Fitted};
 use crate::number::finite;
 use crate::observables::{Observations, expectations, mean, variance};
@@ -89,7 +89,16 @@ impl Plain {
         let saturation = if clipped.is_empty() { brightest } else { all.campaign.full_scale_dn - dark.0 };
         let noise = |top: f64| {
             let below = flats.iter().copied().filter(move |s| signal(*s) <= top * saturation);
-            line(below.map(|s| (signal(s), variance(s) - at(dark_var, s), 1.0)))
+            let (low, high) = below
+                .clone()
+                .map(signal)
+                .fold((f64::INFINITY, 0.0f64), |(low, high), s| (low.min(s), high.max(s)));
+            // One level has no slope.
+            line(
+                below
+                    .filter(|_| high >= MIN_RANGE * low)
+                    .map(|s| (signal(s), variance(s) - at(dark_var, s), 1.0)),
+            )
         };
         let (constant, gain_dn_per_e) = noise(FIT_RANGE).or_else(|| noise(f64::INFINITY))?;
         let shortest = noisy.iter().copied().min_by(|a, b| exposure(*a).total_cmp(&exposure(*b)));

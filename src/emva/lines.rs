@@ -3,6 +3,7 @@
 use super::points::{Dark, Temporal};
 use super::{Definitions, EmvaError};
 use crate::fit::line::goodness;
+use crate::number::six_digits;
 
 /// Variance of quantisation, DN^2 (section 2.4; q^2 / 12, eq. 27 of Healey and Kondepudy).
 pub(crate) const QUANTISATION_DN2: f64 = 1.0 / 12.0;
@@ -114,6 +115,10 @@ pub(super) fn underflow(darks: &[Dark]) -> f64 {
     darks.iter().map(|d| d.pair.zero_share).fold(0.0, f64::max)
 }
 
+/// Ratio of the highest to the lowest level from which on a slope means something (a named choice: EMVA 1288 wants
+/// 50 levels from dark to saturation).
+pub(crate) const MIN_RANGE: f64 = 1.5;
+
 /// The levels that gain and responsivity are fitted to: up to 70 % of saturation.
 pub(super) fn fitted_points(
     t: &[Temporal],
@@ -122,6 +127,13 @@ pub(super) fn fitted_points(
     clipped: bool,
 ) -> Result<Vec<Temporal>, EmvaError> {
     let limit = FIT_RANGE * most;
+    if !(limit > 0.0 && limit < f64::from(u16::MAX)) {
+        return Err(EmvaError::Missing(
+            "these levels have no saturation: the variance's peak lies beyond every code. The flats are not brighter than the darks, or not \
+             of one camera and gain"
+                .into(),
+        ));
+    }
     let within: Vec<Temporal> = if definitions == Definitions::ReferenceTool {
         // Up to the last level of the list that lies below.
         let last = t.iter().rposition(|p| p.signal_dn() <= limit);
@@ -133,10 +145,22 @@ pub(super) fn fitted_points(
     let needed = if definitions == Definitions::Release4 { 3 } else { 1 };
     if within.len() < needed {
         return Err(EmvaError::Missing(format!(
-            "{} of the {} exposures lie below 70 % of saturation (a signal of {limit:.0} DN), and the gain needs {needed} or more; take shorter \
+            "{} of the {} exposures lie below 70 % of saturation (a signal of {} DN), and the gain needs {needed} or more; take shorter \
              exposures or less light",
             within.len(),
-            t.len()
+            t.len(),
+            six_digits(limit)
+        )));
+    }
+    let (low, high) = within
+        .iter()
+        .fold((f64::INFINITY, 0.0f64), |(low, high), p| (low.min(p.signal_dn()), high.max(p.signal_dn())));
+    if definitions == Definitions::Release4 && high < MIN_RANGE * low {
+        return Err(EmvaError::Missing(format!(
+            "the {} exposures below 70 % of saturation have one level (signals of {} to {} DN), and the gain is a slope over several",
+            within.len(),
+            six_digits(low),
+            six_digits(high)
         )));
     }
     Ok(within)

@@ -206,6 +206,13 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
     let [k, r] = transfer_lines(&used, pixels, definitions, clipped);
     let k = sheet.inputs.value(k.slope, k.slope_std());
     let r = sheet.inputs.value(r.slope, r.slope_std()).scaled_by(calibration.0, -calibration.1);
+    if definitions == Definitions::Release4 && !(k.value > 0.0) {
+        return Err(EmvaError::Missing(format!(
+            "K is {} DN/e: the variance does not grow with the signal as photon noise does. Frames that were averaged, copied, compressed or \
+             stretched do this, and an automatic gain",
+            crate::number::with_error(k.value, k.std_err())
+        )));
+    }
     if k.value < 3.0 * k.std_err() {
         sheet.note(format!(
             "K is {} DN/e: no more than three of its standard errors. The variance does not grow with the signal as photon noise does",

@@ -2,9 +2,9 @@
 
 use super::read::{Chunk, Reading, read};
 use super::{
-    ChunkView, Field, Half, HalfView, Inflation, Observable, Put, Ripples, STATISTICS, ScenePair, Statistic,
-    codes, column_spectrum, covariance, frame_scatter, mean, ripple, row_spectrum, settling, successive,
-    unequal, variance,
+    ChunkView, Field, Half, HalfView, Inflation, Observable, Put, Ripples, STATISTICS, ScenePair, SetOfChunk,
+    Statistic, codes, column_spectrum, covariance, frame_scatter, mean, ripple, row_spectrum, settling,
+    successive, unequal, variance,
 };
 use crate::data_faults::{DataFault, ExamineError, examined};
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
@@ -305,6 +305,7 @@ pub fn of_dataset(
     }
     let still = |i: usize| !matches!(settings[i].kind, Kind::Dark | Kind::Flat);
     let after_scene: Vec<bool> = (0..sets.len()).map(|i| i > 0 && still(i - 1)).collect();
+    let main_field = main_field(&settings);
     let mut list = of_chunks(&chunks, sets);
     let mut frames = frames;
     let between = frames_between(&list, &infos, &settings);
@@ -343,7 +344,14 @@ pub fn of_dataset(
         let of_half = || chunks.iter().filter(|c| c.half == half && !is_quiet(&c.summary));
         let view = HalfView {
             chunks: of_half().map(|c| &c.summary).collect(),
-            sets: of_half().map(|c| (settings[c.set].exposure_s, after_scene[c.set])).collect(),
+            sets: of_half()
+                .map(|c| SetOfChunk {
+                    exposure_s: settings[c.set].exposure_s,
+                    after_scene: after_scene[c.set],
+                    in_main_field: settings[c.set].kind == Kind::Dark
+                        || Some(settings[c.set].configuration) == main_field,
+                })
+                .collect(),
             zero_dn,
             codes: &of_codes,
             line: line.map(|(place, _)| lines[half.place()].teeth(place, shape.1)),
@@ -731,4 +739,14 @@ fn ordinary(pixels: &PixelNoise, chunks: &[Chunk], infos: &[SetInfo], kinds: &[K
     let known = pixels.log_spread.is_finite() && pixels.mean_dn2.is_finite() && level_dn.is_finite();
     let median_dn2 = pixels.median * pixels.median * pixels.mean_dn2;
     known.then(|| Ordinary::of_darks(median_dn2, pixels.log_spread, level_dn, spread_dn))
+}
+
+/// The position of card and light that most flats have; the first of several.
+fn main_field(settings: &[FrameRow]) -> Option<u32> {
+    let mut counts: std::collections::BTreeMap<u32, usize> = Default::default();
+    for set in settings.iter().filter(|s| s.kind == Kind::Flat) {
+        *counts.entry(set.configuration).or_default() += 1;
+    }
+    let most = counts.values().max().copied()?;
+    counts.into_iter().find(|(_, n)| *n == most).map(|(configuration, _)| configuration)
 }

@@ -175,8 +175,8 @@ impl ChunkView<'_> {
 /// One half of a campaign, as a statistic sees it.
 pub struct HalfView<'a> {
     chunks: Vec<&'a Summary>,
-    /// Exposure of the set of each, s, and whether that follows a scene.
-    sets: Vec<(f64, bool)>,
+    /// The set of each.
+    sets: Vec<SetOfChunk>,
     zero_dn: f64,
     /// How often codes occur.
     codes: &'a codes::CodeStatistics,
@@ -186,6 +186,16 @@ pub struct HalfView<'a> {
     noisy_levels: &'a [Option<Levels>; 3],
     /// A still scene at two exposures.
     scene: Option<&'a ScenePair>,
+}
+
+/// What a statistic of several levels must know of the set of a chunk.
+#[derive(Debug, Clone, Copy)]
+struct SetOfChunk {
+    exposure_s: f64,
+    /// A scene came before, which leaves its picture behind.
+    after_scene: bool,
+    /// Dark, or of the position of card and light that most flats have: others have another field.
+    in_main_field: bool,
 }
 
 impl<'a> HalfView<'a> {

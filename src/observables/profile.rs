@@ -26,9 +26,11 @@ impl Statistic for LineProfile {
     fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {
         for axis in 0..2 {
             // A scene leaves its picture behind in the next set.
-            let sets = half.chunks.iter().zip(&half.sets).filter(|(s, set)| !set.1 && s.frames > 2);
-            let profiles: Vec<_> =
-                sets.map(|(s, (exposure_s, _))| of_summary(s, half.zero_dn, *exposure_s, axis)).collect();
+            let sets = half.chunks.iter().zip(&half.sets);
+            let profiles: Vec<_> = sets
+                .filter(|(s, set)| !set.after_scene && set.in_main_field && s.frames > 2)
+                .map(|(s, set)| of_summary(s, half.zero_dn, set.exposure_s, axis))
+                .collect();
             if let Some(v) = left_over(&profiles) {
                 put.put(axis, v.value, v.std_err);
             }

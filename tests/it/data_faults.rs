@@ -289,6 +289,44 @@ fn darks_that_are_not_of_the_flats_are_named() {
     own.has_foreign_darks("another black level than the flats, 19.9");
 }
 
+/// Dim flats that are called darks have the response of the pixels in them, and the brighter half of the flats may be
+/// shifted by a row.
+#[test]
+fn light_in_darks_and_shifted_flats_are_named() {
+    let mut campaign = Campaign::new("cmos12", "standard", 65);
+    let level = |c: &Campaign, set: u32| c.frame(c.of(set)[0]).mapv(f64::from).mean().unwrap();
+    campaign.rows.retain(|row| row[1] == "flat");
+    let mut flats = campaign.sets("flat", 2);
+    flats.sort_by(|a, b| level(&campaign, *a).total_cmp(&level(&campaign, *b)));
+    let dimmest = flats.iter().copied().find(|f| level(&campaign, *f) > 250.0).unwrap();
+    for set in flats.into_iter().take_while(|f| *f != dimmest).chain([dimmest]) {
+        let rows = campaign.of(set);
+        rows.iter().for_each(|r| (campaign.rows[*r][1], campaign.rows[*r][5]) = ("dark".into(), "0".into()));
+    }
+    campaign.save();
+    let said = campaign.said("noise");
+    let faults = said["data_faults"].to_string();
+    assert!(faults.contains("the response of the pixels to light is in them"), "{faults}");
+    let read = &said["read_noise_e"];
+    let error = read["std_err"].as_f64();
+    assert!(read["value"].as_f64().is_none_or(|v| (v - 2.6).abs() < 4.0 * error.unwrap()), "{read}");
+
+    let campaign = Campaign::new("cmos12", "standard", 66);
+    let flats = campaign.sets("flat", 2);
+    let bright: Vec<u32> = flats.iter().copied().filter(|f| level(&campaign, *f) > 1500.0).collect();
+    for row in bright.iter().flat_map(|f| campaign.of(*f)) {
+        let frame = campaign.frame(row);
+        let (rows, columns) = frame.dim();
+        let down = |(y, x): (usize, usize)| frame[((y + 1) % rows, x)];
+        campaign.put(row, &Array2::from_shape_fn((rows, columns), down));
+    }
+    let said = campaign.said("noise");
+    let faults = said["data_faults"].as_array().unwrap();
+    assert_eq!(faults.len(), 1, "{faults:?}");
+    let text = faults[0]["text"].as_str().unwrap();
+    assert!(text.contains("1 rows and 0 columns off against the other flats"), "{text}");
+}
+
 /// The names of long and short darks are exchanged: hot pixels know.
 #[test]
 fn exchanged_exposures_of_darks_are_named() {
