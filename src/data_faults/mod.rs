@@ -138,6 +138,7 @@ checks! {
     dark_labels::DarkLabels
     dark_settings::DarkSettings
     darks_of_flats::DarksOfFlats
+    automatic::Automatic
     setting_label::SettingLabel
     dependent_frames::DependentFrames
 }

@@ -20,6 +20,8 @@ pub struct Facts {
     pub exposure_s: Option<f64>,
     /// Light, relative.
     pub illumination: Option<f64>,
+    /// Position of card and light.
+    pub configuration: Option<u32>,
     /// Gain, dB.
     pub gain_db: Option<f64>,
     /// Sensor temperature, degrees Celsius.
@@ -129,6 +131,7 @@ impl Facts {
         }
         self.bias |= names.bias;
         self.take(&names, "illumination", |f| &mut f.illumination);
+        self.take(&names, "configuration", |f| &mut f.configuration);
         self.take(&names, "gain_db", |f| &mut f.gain_db);
         self.take(&names, "temperature_c", |f| &mut f.temperature_c);
         self.take(&names, "set_temperature_c", |f| &mut f.set_temperature_c);

@@ -36,6 +36,8 @@ const ISO: &[&str] = &["iso"];
 const BIN: &[&str] = &["bin", "binning"];
 const BLACK: &[&str] = &["offset", "blacklevel", "blklevel", "black"];
 const LIGHT: &[&str] = &["light", "illum", "illumination", "level"];
+/// Position of card and light, as a dataset counts them.
+const CONFIGURATION: &[&str] = &["config", "configuration", "conf", "cfg"];
 const EXPOSURE: &[&str] =
     &["exp", "exposure", "exptime", "exposuretime", "texp", "shutter", "integration", "inttime"];
 const TEMPERATURE: &[&str] = &["temp", "temperature", "sensortemp", "ccdtemp", "settemp"];
@@ -64,7 +66,9 @@ impl Number<'_> {
 
     /// Not a setting: it may count.
     pub fn is_free(&self) -> bool {
-        let setting = [GAIN, ISO, BIN, EXPOSURE, TEMPERATURE].into_iter().any(|words| is(self.before, words))
+        let setting = [GAIN, ISO, BIN, EXPOSURE, TEMPERATURE, CONFIGURATION]
+            .into_iter()
+            .any(|words| is(self.before, words))
             || self.is_black_level()
             || (is(self.before, LIGHT) && self.pointed());
         !setting && self.temperature_c.is_none() && !self.binning && !self.is_exposure_behind_its_unit()
@@ -397,6 +401,11 @@ fn settings(text: &str, of: &str, strong: bool, out: &mut Facts) {
             setting("GainRaw");
         } else if is(word, ISO) {
             setting("ISO");
+        } else if is(word, CONFIGURATION) && value.fract() == 0.0 {
+            if out.configuration.is_none() {
+                out.configuration = Some(value as u32);
+                out.from.insert("configuration".into(), of.into());
+            }
         } else if number.binning || (is(word, BIN) && value <= 16.0 && value.fract() == 0.0) {
             let second = text.as_bytes()[..number.place.start].ends_with(b"x");
             if second {

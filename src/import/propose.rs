@@ -144,7 +144,10 @@ fn keys(frame: &Found, kind: Kind, further: &str) -> (String, String, bool) {
     }
     // Exposures that are equal but for rounding of the unit.
     let exposure = facts.exposure_s.map(|s| format!("{s:.9e}"));
-    let all = format!("{kind} {exposure:?} {:?} {:?} {further}", facts.illumination, facts.filter);
+    let all = format!(
+        "{kind} {exposure:?} {:?} {:?} {:?} {further}",
+        facts.illumination, facts.configuration, facts.filter
+    );
     let name = frame.path.file_name().unwrap_or_default().to_string_lossy();
     // A packed frame is of the set that it was of before it was packed.
     let name = PACKED.iter().find_map(|p| name.strip_suffix(&format!(".{p}"))).unwrap_or(&name);
@@ -194,7 +197,7 @@ fn set_of(frame: &Found, kind: Kind, by_mean: bool, turned: bool) -> MapSet {
         kind,
         exposure_s: facts.exposure_s.map(|s| s.max(SHORTEST_S)),
         illumination: if kind == Kind::Dark { Some(0.0) } else { facts.illumination },
-        configuration: 0,
+        configuration: facts.configuration.unwrap_or(0),
         temperature_c: None,
         mean_dn: None,
         kind_by_mean: by_mean,

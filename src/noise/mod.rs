@@ -489,6 +489,26 @@ mod tests {
         }
     }
 
+    /// Thirty DN^2 below zero, and zero within its error: no read noise, and the reason; a bound where there is one.
+    #[test]
+    fn no_constant_noise_is_no_read_noise() {
+        let of = |constant: f64, pixels: f64| {
+            let level = |i: u32| {
+                let mean = 100.0 * f64::from(i + 1);
+                point(i, mean, 0.5 * mean + constant, pixels)
+            };
+            estimate((0..9).map(level).collect(), &TABLE).unwrap()
+        };
+        let (negative, unresolved) = (of(-30.0, 1e5), of(0.2, 1e3));
+        assert!(
+            !negative.consistent() && negative.notes.iter().any(|n| n.contains("do not belong together"))
+        );
+        assert!(unresolved.consistent() && unresolved.notes.iter().any(|n| n.contains("is below")));
+        for report in [negative, unresolved] {
+            assert!(report.read_noise_e.value.is_nan() && (report.gain_dn_per_e.value - 0.5).abs() < 1e-6);
+        }
+    }
+
     #[test]
     fn an_outlying_level_and_full_wells_are_shown_with_the_reason() {
         let mut points = scattered(1, 12, 10_000.0);

@@ -120,3 +120,22 @@ fn counters_in_the_first_row_make_no_depth() {
     );
     assert_eq!(bench.import("stamped", &["--bit-depth", "16"]).0.manifest().camera.bit_depth, 16);
 }
+
+/// Positions of card and light in names are configurations, and no counters.
+#[test]
+fn configurations_in_names_are_read() {
+    let bench = Bench::new();
+    let flats = [1, 2, 3].map(|k| (format!("config{k}/flat_2ms"), 1600.0, 0.002));
+    campaign(&bench, "k", &[("dark_2ms", 0.0, 0.002)]);
+    campaign(&bench, "k", &flats.each_ref().map(|(n, e, s)| (&**n, *e, *s)));
+    campaign(&bench, "k", &[("flat_2ms_conf4", 1600.0, 0.002)]);
+    let dataset = bench.import("k", &[]).0;
+    let mut found: Vec<(Kind, u32)> = dataset
+        .sets()
+        .iter()
+        .map(|s| (dataset.settings(s).kind, dataset.settings(s).configuration))
+        .collect();
+    found.sort_by_key(|f| f.1);
+    assert_eq!(found[0], (Kind::Dark, 0));
+    assert_eq!(found[1..].iter().map(|f| f.1).collect::<Vec<_>>(), [1, 2, 3, 4]);
+}
