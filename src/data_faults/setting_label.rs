@@ -119,9 +119,9 @@ impl Check for SettingLabel {
             let set = &campaign.sets[i];
             let name = format!("set {} ({})", set.number, campaign.file(i, 0));
             let level = format!(
-                "{} DN above black, {} for {} DN",
+                "{} DN above black, {:+.1} % from the {} DN of its setting",
                 six_digits(above(i)),
-                percent(off.exp_m1()),
+                100.0 * off.exp_m1(),
                 six_digits(expected)
             );
             let other = noise.and_then(|(t, own)| {

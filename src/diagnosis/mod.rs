@@ -224,6 +224,8 @@ pub fn diagnose(
         notes.retain(|note| note != NO_PATCH);
     }
     let next = next_measurement(all, &parts, &missing);
+    let sensor = sensor(all, &whole, last.error);
+    notes.extend(sensor::below_zero(&sensor));
     Diagnosis {
         verdict: Verdict::of(&missing, remainder.as_ref(), &first, &whole, &all.left_on),
         consistent: missing.is_empty(),
@@ -235,7 +237,7 @@ pub fn diagnose(
         missing,
         remainder,
         proposal: None,
-        sensor: sensor(all, &whole, last.error),
+        sensor,
         left_on: all.left_on.clone(),
         data_faults: all.data_faults.clone(),
         notes,

@@ -66,3 +66,38 @@ pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorVa
         dark_current_e_per_s: of(base.dark_e_per_s, errors[3], "e/s"),
     }
 }
+
+/// Why a dark current is negative, in words; `None` where it is not.
+pub(super) fn below_zero(sensor: &SensorValues) -> Option<String> {
+    let dark = sensor.dark_current_e_per_s.as_ref().filter(|d| d.value < -BELOW * d.std_err)?;
+    Some(format!(
+        "the dark current is {dark}, and there is none below zero: the darks of long exposures have less than those of short ones. Their \
+         exposures may be exchanged, the black level may have fallen meanwhile, or the camera's clamp takes off more than it should"
+    ))
+}
+
+/// Standard errors below zero that are no chance.
+const BELOW: f64 = 5.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_dark_current_below_zero_is_said() {
+        let of = |value: f64| {
+            let dark = Quantity::new(value, 2.0, "e/s");
+            below_zero(&SensorValues {
+                gain_dn_per_e: None,
+                read_noise_e: None,
+                read_noise_dn: None,
+                read_noise_median_e: None,
+                read_noise_log_spread: None,
+                noisy_pixel_share: None,
+                dark_current_e_per_s: Some(dark),
+            })
+        };
+        assert!(of(-64.0).is_some_and(|text| text.contains("-64.0 ± 2.0 e⁻/s")));
+        assert!(of(-8.0).is_none() && of(64.0).is_none());
+    }
+}
