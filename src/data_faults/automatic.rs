@@ -64,7 +64,8 @@ impl Check for Automatic {
             .fold(f64::INFINITY, f64::min);
         let (a, b) = (var(first), var(last));
         let one_light = (b / a - 1.0).abs() < SAME_NOISE;
-        if !one_light && !(b < a && b > 0.5 * dark.min(a)) {
+        let falls = b < a && b > 0.5 * dark.min(a);
+        if !one_light && !falls {
             return Vec::new();
         }
         // Under one light the first counts; where the gain was regulated it may have been from the first on.

@@ -62,7 +62,7 @@ impl SetFacts {
         // Files of earlier versions have a smaller one.
         let middle = self.middle_columns <= columns
             && self.middle_dn.len() <= rows * columns
-            && self.middle_dn.len() % self.middle_columns.max(1) == 0;
+            && self.middle_dn.len().is_multiple_of(self.middle_columns.max(1));
         (n == 0 || n == frames && middle)
             && counts.iter().all(|c| *c == n)
             && self.cells_dn.len() == n

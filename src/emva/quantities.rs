@@ -206,7 +206,7 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
     let [k, r] = transfer_lines(&used, pixels, definitions, clipped);
     let k = sheet.inputs.value(k.slope, k.slope_std());
     let r = sheet.inputs.value(r.slope, r.slope_std()).scaled_by(calibration.0, -calibration.1);
-    if definitions == Definitions::Release4 && !(k.value > 0.0) {
+    if definitions == Definitions::Release4 && (k.value <= 0.0 || k.value.is_nan()) {
         return Err(EmvaError::Missing(format!(
             "K is {} DN/e: the variance does not grow with the signal as photon noise does. Frames that were averaged, copied, compressed or \
              stretched do this, and an automatic gain",
