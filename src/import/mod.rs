@@ -168,7 +168,7 @@ fn frames_of(
         of_file.mosaic = of_file.mosaic.or_else(|| Some("a colour filter (CFA)".into()));
     }
     let pages = source.pages();
-    let stored_bits = if source.is_image() { image::stored_bits(path).unwrap_or(16) } else { 16 };
+    let stored_bits = source.stored_bits().map_err(fault)?;
     let mut out = Vec::new();
     let mut blank = 0;
     for &page in pages {
@@ -196,7 +196,9 @@ fn frames_of(
         let (pixels, bits, inner_bits) = match values {
             image::Values::Codes(codes) => {
                 let of = |part: ArrayView2<'_, u16>| part.iter().fold(0, |a, b| a | b);
-                let inner = of(codes.slice(s![usize::from(codes.nrows() > 2)..codes.nrows().max(3) - 1, ..]));
+                // One or two rows have none between.
+                let rows = codes.nrows();
+                let inner = if rows > 2 { of(codes.slice(s![1..rows - 1, ..])) } else { of(codes.view()) };
                 (codes.mapv(f64::from), of(codes.view()), inner)
             }
             image::Values::Numbers(numbers) => (numbers, 0, 0),

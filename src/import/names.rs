@@ -218,7 +218,7 @@ fn in_context(name: &str, at: usize, text: &str, unit: &str, last: Option<&Numbe
         }
     }
     let Reading::One(number) = value else { return value };
-    // To some 2.000 us are two thousand; nobody sets a millionth of a second to three decimals of one.
+    // A point before three digits parts thousands in many languages; cameras set no thousandths of a microsecond.
     let grouped = plain.split_once('.').is_some_and(|(whole, rest)| {
         rest.len() == 3 && (1..=3).contains(&whole.len()) && !whole.starts_with('0')
     });

@@ -1,4 +1,4 @@
-//! What the levels say against what names say: questions, and no guess.
+//! Levels and files against names: questions where they contradict each other.
 
 use super::propose::Growing;
 use super::{Found, few};
@@ -14,21 +14,28 @@ const OFF_THE_LINE: f64 = 0.02;
 /// Digits of a number in a name that may be a camera's serial number.
 const SERIAL_DIGITS: std::ops::RangeInclusive<usize> = 7..=10;
 
-/// Asks where the longer exposures are the darker ones: `1_80s` is 1/80 s, or `2.000 us` are two thousand.
+/// Questions exposures that darken: `1_80s` is 1/80 s, or `2.000 us` are two thousand.
 pub fn falling_levels(sets: &mut [Growing], lowest_dn: f64) {
-    let flats: Vec<(usize, f64, f64)> = sets
+    // Place, exposure and signal of each.
+    let mut flats: Vec<(usize, f64, f64)> = sets
         .iter()
         .enumerate()
         .filter(|(_, s)| s.set.kind == Kind::Flat && s.set.illumination.is_none())
         .filter_map(|(k, s)| Some((k, s.set.exposure_s?, s.mean_dn - lowest_dn)))
         .collect();
-    let pairs = || flats.iter().flat_map(|a| flats.iter().map(move |b| (a, b)));
-    let longer = |(a, b): &(&(usize, f64, f64), &(usize, f64, f64))| b.1 > LONGER * a.1;
-    let rises = pairs().filter(longer).filter(|(a, b)| b.2 > BRIGHTER * a.2).count();
-    let falls = pairs().filter(longer).filter(|(a, b)| a.2 > BRIGHTER * b.2).count();
-    let longest = flats.iter().max_by(|a, b| a.1.total_cmp(&b.1));
-    let shortest = flats.iter().min_by(|a, b| a.1.total_cmp(&b.1));
-    if let (Some(longest), Some(shortest)) = (longest, shortest)
+    flats.sort_by(|a, b| a.1.total_cmp(&b.1));
+    // Each against the next one that is clearly longer.
+    let (mut rises, mut falls, mut next) = (0, 0, 0);
+    for (k, a) in flats.iter().enumerate() {
+        next = next.max(k);
+        while flats.get(next).is_some_and(|b| b.1 <= LONGER * a.1) {
+            next += 1;
+        }
+        let Some(b) = flats.get(next) else { break };
+        rises += usize::from(b.2 > BRIGHTER * a.2);
+        falls += usize::from(a.2 > BRIGHTER * b.2);
+    }
+    if let [shortest, .., longest] = *flats.as_slice()
         && falls > 2 * rises
     {
         sets[longest.0].set.doubts.push(format!(
@@ -42,8 +49,8 @@ pub fn falling_levels(sets: &mut [Growing], lowest_dn: f64) {
     }
 }
 
-/// Asks where what was taken for a dark by its mean lies on the line of the flats over the exposure: there are no
-/// darks.
+/// Questions darks by their mean that lie on the line of the flats over the exposure: they are the dimmest
+/// flats.
 pub fn darks_on_the_line(sets: &mut [Growing]) {
     let of = |s: &Growing| Some((s.set.exposure_s?, s.mean_dn));
     let guessed = |s: &&Growing| s.set.kind_by_mean && s.set.illumination.unwrap_or(1.0) != 0.0;
@@ -55,7 +62,7 @@ pub fn darks_on_the_line(sets: &mut [Growing]) {
     let slope = flats.iter().map(|p| (p.0 - x) * (p.1 - y)).sum::<f64>() / sxx;
     let most = flats.iter().map(|p| p.1).fold(0.0, f64::max);
     let scatter = flats.iter().map(|p| (p.1 - y - slope * (p.0 - x)).abs()).fold(0.0, f64::max);
-    // A line of three or more, which is one.
+    // Three points show whether they are on a line.
     if flats.len() < 3 || !slope.is_finite() || scatter > OFF_THE_LINE * most {
         return;
     }
@@ -72,7 +79,7 @@ pub fn darks_on_the_line(sets: &mut [Growing]) {
     }
 }
 
-/// Asks about files that keep fewer bits than the others: 8 bits of 12 are another gain.
+/// Questions files that keep fewer bits than the others: 8 bits of 12 are another gain.
 pub fn fewer_bits(sets: &mut [Growing], found: &[Found]) {
     let most = found.iter().map(|f| f.stored_bits).max().unwrap_or(0);
     for set in sets.iter_mut() {
@@ -87,8 +94,7 @@ pub fn fewer_bits(sets: &mut [Growing], found: &[Found]) {
     }
 }
 
-/// Asks about two cameras: numbers as long as a serial number, one in all names of some sets and another in those of
-/// the rest.
+/// Questions two numbers as long as a serial number, one in the names of some sets and the other in the rest.
 pub fn serial_numbers(sets: &mut [Growing], found: &[Found]) {
     let mut of_sets: BTreeMap<String, Vec<usize>> = BTreeMap::new();
     for (k, set) in sets.iter().enumerate() {
@@ -98,7 +104,7 @@ pub fn serial_numbers(sets: &mut [Growing], found: &[Found]) {
         });
         let first = names.next().unwrap_or_default();
         let shared = names.fold(first, |kept, own| kept.into_iter().filter(|n| own.contains(n)).collect());
-        // Counters of the frames are in no two names.
+        // A counter differs from frame to frame.
         if let ([serial], true) = (shared.as_slice(), set.frames.len() > 1) {
             of_sets.entry(serial.clone()).or_default().push(k);
         }

@@ -281,9 +281,6 @@ fn lit_darks(sets: &mut [Growing], lit_dn: f64) {
     }
 }
 
-/// Part of the whole level by which frames of one set differ usually, offsets included.
-const SAME_LEVEL: f64 = 0.01;
-
 /// Sets of flats whose frames have levels of their own: names and headers that do not tell lights or exposures
 /// apart.
 fn several_levels(sets: &[Growing], found: &[Found], lowest: f64) -> Option<String> {
@@ -291,9 +288,10 @@ fn several_levels(sets: &[Growing], found: &[Found], lowest: f64) -> Option<Stri
         let mut means: Vec<f64> = set.frames.iter().map(|k| found[*k].mean_dn - lowest).collect();
         means.sort_by(f64::total_cmp);
         let median = means.get(means.len() / 2).copied().unwrap_or(0.0);
-        // The dimmest set is compared with itself.
-        let least = (SAME_LIGHT * median).max(SAME_LEVEL * (median + lowest));
-        let apart = means.iter().filter(|m| (*m - median).abs() > least).count();
+        // The signal of the dimmest frames is not known where there is no darker one.
+        let is_lowest = means.first().is_some_and(|m| *m <= 0.0);
+        let signal = if is_lowest { median + lowest } else { median };
+        let apart = means.iter().filter(|m| (*m - median).abs() > SAME_LIGHT * signal).count();
         // A single frame of another level is a slip, which is looked for later.
         let dn = |m: Option<&f64>| m.copied().unwrap_or(0.0) + lowest;
         (set.set.kind == Kind::Flat && apart > 1).then(|| (dn(means.first()), dn(means.last())))

@@ -106,6 +106,18 @@ impl Source {
         self.is_image
     }
 
+    /// Bits of a pixel as the file keeps it, 8, 16 or 32; of arrays, whose values are brought into codes, 16.
+    ///
+    /// # Errors
+    ///
+    /// Where the file cannot be read.
+    pub fn stored_bits(&self) -> Result<u8, String> {
+        match &self.kind {
+            Kind::Images(images) if self.is_image => images.stored_bits().map_err(|e| e.to_string()),
+            _ => Ok(16),
+        }
+    }
+
     /// Values of a page: codes where they are whole and fit into 16 bits.
     ///
     /// # Errors

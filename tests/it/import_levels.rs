@@ -121,6 +121,26 @@ fn counters_in_the_first_row_make_no_depth() {
     assert_eq!(bench.import("stamped", &["--bit-depth", "16"]).0.manifest().camera.bit_depth, 16);
 }
 
+/// Frames of one row and of two, as line-scan cameras send them: no row lies between the first and the last.
+#[test]
+fn frames_of_one_row_are_read() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(93);
+    for rows in [1, 2] {
+        let folder = format!("rows{rows}");
+        for (name, light_e) in [("dark_2ms", 0.0), ("flat_2ms", 1600.0)] {
+            for i in 0..2 {
+                let frame = camera.frame(light_e, 0.002);
+                bench.tiff(
+                    &format!("{folder}/{name}_{i}.tif"),
+                    &frame.slice(radcam::ndarray::s![..rows, ..]).to_owned(),
+                );
+            }
+        }
+        assert_eq!(bench.import(&folder, &[]).0.manifest().camera.height, rows);
+    }
+}
+
 /// Positions of card and light in names are configurations, and no counters.
 #[test]
 fn configurations_in_names_are_read() {

@@ -368,6 +368,27 @@ impl Images {
         matches!(&self.kind, Container::Tiff(directories) if directories.is_mosaic(page))
     }
 
+    /// Bits of a pixel as the file keeps it, as [`stored_bits`] has them.
+    ///
+    /// # Errors
+    ///
+    /// Where the file cannot be read.
+    pub fn stored_bits(&self) -> Result<u8, ImageError> {
+        match &self.kind {
+            Container::Png => {
+                // The bit depth of the IHDR chunk (PNG specification, 11.2.2).
+                Ok(input::start(&self.path, 26)?.get(24).copied().unwrap_or(8).max(8))
+            }
+            Container::Fits(fits) => Ok(fits.bits()),
+            #[cfg(feature = "hdf5")]
+            Container::Hdf5(file) => Ok(file.bits()),
+            Container::Tiff(directories) => {
+                let page = directories.frames().first().copied().unwrap_or(0);
+                Ok(directories.decoder(&self.path, page)?.colortype()?.bit_depth())
+            }
+        }
+    }
+
     /// Values of one page as the file has them.
     ///
     /// # Errors
@@ -480,20 +501,7 @@ pub(crate) fn begins_as_fits(start: &[u8]) -> bool {
 ///
 /// Where the file cannot be read.
 pub fn stored_bits(path: &Path) -> Result<u8, ImageError> {
-    let images = Images::open(path)?;
-    match &images.kind {
-        Container::Png => {
-            // The bit depth of the IHDR chunk (PNG specification, 11.2.2).
-            Ok(input::start(path, 26)?.get(24).copied().unwrap_or(8).max(8))
-        }
-        Container::Fits(fits) => Ok(fits.bits()),
-        #[cfg(feature = "hdf5")]
-        Container::Hdf5(file) => Ok(file.bits()),
-        Container::Tiff(directories) => {
-            let page = directories.frames().first().copied().unwrap_or(0);
-            Ok(directories.decoder(path, page)?.colortype()?.bit_depth())
-        }
-    }
+    Images::open(path)?.stored_bits()
 }
 
 /// True of a frame that takes more memory than a packed file of this size may make; `each`: bytes of a pixel
