@@ -199,9 +199,11 @@ struct SetOfChunk {
 }
 
 impl<'a> HalfView<'a> {
-    /// Profiles of all chunks, DN, each with its signal, DN.
+    /// Profiles of the chunks of one field, DN, each with its signal, DN: other positions of card and light have
+    /// another shading.
     pub fn profiles(&self, of: fn(&Summary) -> &[f64]) -> Vec<(f64, &'a [f64])> {
-        self.chunks.iter().map(|s| (s.frame_means.mean_dn() - self.zero_dn, of(s))).collect()
+        let one_field = self.chunks.iter().zip(&self.sets).filter(|(_, set)| set.in_main_field);
+        one_field.map(|(s, _)| (s.frame_means.mean_dn() - self.zero_dn, of(s))).collect()
     }
 }
 
