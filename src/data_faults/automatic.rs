@@ -1,9 +1,8 @@
-//! Automatic exposure or gain: the level of several flats is one, whatever exposure and light are stated. A well that is
-//! full ends the level too, and with it the response of the pixels: their pattern goes, which an automatic control leaves.
+//! Automatic exposure or gain: several flats have one level, whatever exposure and light are stated. A full
+//! well holds the level too, but wipes out the pattern of the pixels' response, which an automatic control
+//! leaves.
 
-use super::campaign::SetView;
-use super::orientation::flattened;
-use super::patterns::{Noise, noise_of_mean, share};
+use super::patterns::{Noise, noise_of_mean, pattern_of, share};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
@@ -18,8 +17,6 @@ const MIN_SHARE: f64 = 0.8;
 const MAX_STD_ERR: f64 = 0.1;
 /// Difference of the noise's variances, relative, up to which it is that of the same light.
 const SAME_NOISE: f64 = 0.15;
-/// Pixels below which no pattern tells.
-const MIN_PIXELS: usize = 1024;
 
 /// The check.
 pub struct Automatic;
@@ -27,28 +24,22 @@ pub struct Automatic;
 impl Check for Automatic {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let Some(zero) = campaign.zero().filter(|_| campaign.is_one_bench()) else { return Vec::new() };
-        let usable = |s: &SetView| !s.clipped && s.variance_dn2().is_some() && s.facts.middle_columns > 0;
-        let flats = campaign.places(|s| s.is_lit() && usable(s));
+        let flats = campaign.places(|s| s.is_lit() && s.has_pattern());
         let above = |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s);
-        let light = |i: usize| campaign.sets[i].exposure_s * campaign.sets[i].illumination;
+        let light = |i: usize| campaign.sets[i].light();
         let highest = flats.iter().map(|&i| above(i)).fold(0.0, f64::max);
         let mut held: Vec<usize> =
             flats.iter().copied().filter(|&i| above(i) > (1.0 - SAME_LEVEL) * highest).collect();
         held.sort_by(|a, b| light(*a).total_cmp(&light(*b)));
         let [first, .., last] = *held.as_slice() else { return Vec::new() };
-        let pixels = campaign.sets[first].facts.middle_dn.len();
         if held.len() < MIN_FLATS
             || light(last) < MIN_RATIO * light(first)
-            || pixels < MIN_PIXELS
-            || campaign.sets[last].facts.middle_dn.len() != pixels
+            || !campaign.are_of_one_size(held.iter())
         {
             return Vec::new();
         }
         let columns = campaign.sets[first].facts.middle_columns;
-        let pattern = |i: usize| {
-            let image: Vec<f64> = campaign.sets[i].facts.middle_dn.iter().map(|v| f64::from(*v)).collect();
-            flattened(&image, columns)
-        };
+        let pattern = |i: usize| pattern_of(&campaign.sets[i]);
         let noise = Noise::of_flats(noise_of_mean(&campaign.sets[first]));
         let kept = share(&pattern(last), &pattern(first), noise, columns);
         tracing::debug!("{} of one level have {kept:?} of the pattern", campaign.named(&held));
@@ -68,7 +59,7 @@ impl Check for Automatic {
         if !one_light && !falls {
             return Vec::new();
         }
-        // Under one light the first counts; where the gain was regulated it may have been from the first on.
+        // The first counts where all had one light; a gain may have been regulated from the first on.
         let (why, out) = if one_light {
             let of_first = format!(
                 "their noise is that of one light: an automatic exposure was on, or the light was set to it; of these only set {} counts",

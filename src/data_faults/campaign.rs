@@ -2,6 +2,7 @@
 
 use super::facts::SetFacts;
 use super::law::{Law, Point};
+use super::patterns::MIN_PIXELS;
 use super::{DataFault, FaultKind};
 use crate::dataset::{Dataset, FrameRow, Kind};
 use crate::statistics::median::{MAD_OF_NORMAL, median};
@@ -99,6 +100,16 @@ impl SetView {
         let most = means.iter().fold(f64::NEG_INFINITY, |a, b| a.max(*b));
         let least = means.iter().fold(f64::INFINITY, |a, b| a.min(*b));
         most - least < (20.0 * zero.scatter_dn).max(0.05 * (self.level_dn() - zero.dn).abs())
+    }
+
+    /// Stated exposure times light.
+    pub fn light(&self) -> f64 {
+        self.exposure_s * self.illumination
+    }
+
+    /// Returns true if level, noise and fixed pattern are known.
+    pub fn has_pattern(&self) -> bool {
+        !self.clipped && self.variance_dn2().is_some() && self.facts.middle_dn.len() >= MIN_PIXELS
     }
 
     /// Returns true for a flat whose label states light.
@@ -318,6 +329,22 @@ impl<'a> Campaign<'a> {
     /// Returns true for one campaign, not several joined ones.
     pub fn is_of_one_part(&self) -> bool {
         self.sets.windows(2).all(|w| w[0].part == w[1].part)
+    }
+
+    /// Places of flats with a pattern, one list for each position of card and light.
+    pub fn flats_by_field(&self) -> BTreeMap<u32, Vec<usize>> {
+        let mut out: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+        for i in self.places(|s| s.is_lit() && s.has_pattern()) {
+            out.entry(self.sets[i].configuration).or_default().push(i);
+        }
+        out
+    }
+
+    /// Returns true if the patterns of all these sets have one size.
+    pub fn are_of_one_size<'s>(&self, mut sets: impl Iterator<Item = &'s usize>) -> bool {
+        let size = |i: &usize| (self.sets[*i].facts.middle_dn.len(), self.sets[*i].facts.middle_columns);
+        let first = sets.next().map(size);
+        sets.all(|i| Some(size(i)) == first)
     }
 
     /// A fault of whole sets, which are left out where that is wanted.

@@ -1,10 +1,11 @@
-//! Darks whose exposures are exchanged: the shorter ones have the level and the hot pixels of the longer ones.
+//! Darks whose exposures are exchanged: the shorter ones have the level and the hot pixels of the longer
+//! ones.
 //!
-//! A black-level clamp or a drift may lower the level of long darks; the dark charge of single pixels grows with
-//! the exposure whatever the level does.
+//! A black-level clamp or a drift may lower the level of long darks; the dark charge of single pixels grows
+//! with the exposure whatever the level does.
 
 use super::campaign::SetView;
-use super::orientation::flattened;
+use super::patterns::{noise_of_mean, pattern_of};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
@@ -21,16 +22,13 @@ pub struct DarkLabels;
 
 /// Spread over the pixels that is not noise, DN^2: hot pixels and all.
 fn spread_dn2(set: &SetView) -> f64 {
-    let image: Vec<f64> = set.facts.middle_dn.iter().map(|v| f64::from(*v)).collect();
-    let pattern = flattened(&image, set.facts.middle_columns);
-    let noise = set.variance_dn2().map_or(0.0, |v| v.0) / set.frames().max(1) as f64;
-    pattern.iter().map(|v| v * v).sum::<f64>() / pattern.len().max(1) as f64 - noise
+    let pattern = pattern_of(set);
+    pattern.iter().map(|v| v * v).sum::<f64>() / pattern.len().max(1) as f64 - noise_of_mean(set)
 }
 
 impl Check for DarkLabels {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
-        let usable = |s: &SetView| !s.clipped && s.variance_dn2().is_some() && s.facts.middle_columns > 0;
-        let mut darks = campaign.places(|s| s.kind == Kind::Dark && usable(s));
+        let mut darks = campaign.places(|s| s.kind == Kind::Dark && s.has_pattern());
         let exposure_s = |i: usize| campaign.sets[i].exposure_s;
         let level = |i: usize| campaign.sets[i].level_dn();
         darks.sort_by(|a, b| exposure_s(*a).total_cmp(&exposure_s(*b)));
@@ -44,7 +42,7 @@ impl Check for DarkLabels {
         {
             return Vec::new();
         }
-        // By their levels they have another order.
+        // The order by level is that by exposure where labels are right.
         let mut by_level = darks.clone();
         by_level.sort_by(|a, b| level(*a).total_cmp(&level(*b)));
         let mut wrong: Vec<usize> = darks

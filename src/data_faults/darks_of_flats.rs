@@ -1,16 +1,16 @@
-//! Darks that are not of the flats' camera, gain or black level, all of them alike: no dark stands out among the
-//! others, and only the flats can tell.
+//! Darks that are not of the flats' camera, gain or black level, all of them alike: no dark stands out among
+//! the others, and only the flats can tell.
 //!
-//! The flats have the fixed pattern of the darks too: over the level, each pixel of theirs lies on a line (offset
-//! and response: Healey and Kondepudy 1994, eq. 8), whose value at zero signal is the pattern of the offsets. Its
-//! regression on the pattern of the darks is 1; another gain makes it the ratio of the gains, and another camera,
-//! a turned frame, or dark frames taken off in the camera make it 0. Where the black level differs, the level and
-//! the noise of the flats both meet the darks elsewhere: an exposure that is longer than stated moves the level alone.
+//! The flats have the fixed pattern of the darks too: over the level, each pixel of theirs lies on a line
+//! (offset and response: Healey and Kondepudy 1994, eq. 22), whose value at zero signal is the pattern of the
+//! offsets. Its regression on the pattern of the darks is 1; another gain makes it the ratio of the gains,
+//! and another camera, a turned frame, or dark frames taken off in the camera make it 0. Where the black
+//! level differs, the level and the noise of the flats both meet the darks elsewhere; an exposure longer than
+//! stated moves the level alone.
 
 use super::campaign::{SetView, Zero};
 use super::law::{Law, Point};
-use super::orientation::{TURNS, flattened};
-use super::patterns::{Noise, combined, intercept, moved, noise_of_mean, share, shifts};
+use super::patterns::{Line, Noise, combined, moved_by, noise_of_mean, share};
 use super::transfer::{MIN_VARIANCE_DN2, MODEL_ERROR, Transfer};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
@@ -31,15 +31,13 @@ const MAX_BEND: f64 = 0.03;
 const SAME_EXPOSURE: f64 = 0.2;
 /// Ratio of the darks' exposures from which on they tell the growth of the pattern.
 const MIN_EXPOSURE_RATIO: f64 = 1.5;
-/// Usual bend of a response at the highest level, of the range, scatter of a lamp, and least error of a level, DN
-/// (named choices).
+/// Usual bend of a response at the highest level, of the range, scatter of a lamp, and least error of a
+/// level, DN (named choices).
 const USUAL_BEND: f64 = 0.2;
 const LAMP_SCATTER: f64 = 0.002;
 const MIN_STD_DN: f64 = 0.02;
-/// Pixels below which no pattern tells.
-const MIN_PIXELS: usize = 1024;
-/// Standard deviations of the noise by which the black level of the darks is not that of the flats, and within
-/// which it is the one that the level tells.
+/// Standard deviations of the noise by which the black level of the darks is not that of the flats, and
+/// within which it is the one that the level tells.
 const BLACK: (f64, f64) = (6.0, 3.0);
 /// Least difference of the black levels that is said, DN.
 const MIN_BLACK_DN: f64 = 2.0;
@@ -54,15 +52,17 @@ impl Check for DarksOfFlats {
         let steps = campaign.sets.iter().map(|s| s.facts.step_dn.max(s.facts.code_step_dn));
         let blurred_dn2 = MIN_VARIANCE_DN2 * steps.fold(1.0, f64::max).powi(2);
         let told = |s: &SetView| s.variance_dn2().is_some_and(|v| v.0 > blurred_dn2);
-        let usable = |s: &SetView| !s.clipped && !s.is_cut_off() && told(s);
+        let usable = |s: &SetView| s.has_pattern() && !s.is_cut_off() && told(s);
         let darks = campaign.places(|s| s.kind == Kind::Dark && usable(s));
-        let mut flats: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
-        for i in campaign.places(|s| s.is_lit() && usable(s)) {
-            flats.entry(campaign.sets[i].configuration).or_default().push(i);
-        }
-        let Some(response) = Response::of(campaign, &flats, &zero).filter(|_| !darks.is_empty()) else {
+        let mut flats = campaign.flats_by_field();
+        flats.values_mut().for_each(|sets| sets.retain(|&i| usable(&campaign.sets[i])));
+        // One level has no line.
+        flats.retain(|_, sets| sets.len() > 1);
+        let of_one_size = campaign.are_of_one_size(darks.iter().chain(flats.values().flatten()));
+        if darks.is_empty() || flats.is_empty() || !of_one_size {
             return Vec::new();
-        };
+        }
+        let Some(response) = Response::of(campaign, &flats, &zero) else { return Vec::new() };
         let text = of_pattern(campaign, &darks, &flats, &zero, &response)
             .or_else(|| of_black_level(campaign, &darks, &zero, &response));
         let Some(text) = text else { return Vec::new() };
@@ -74,7 +74,7 @@ impl Check for DarksOfFlats {
 
 /// Level of the flats over exposure times light.
 struct Response {
-    /// Where it meets no light, above the darks, DN, and its standard deviation.
+    /// Level at no light, above the darks, DN, and its standard deviation.
     black_dn: (f64, f64),
     /// True if it is known to be straight.
     straight: bool,
@@ -83,7 +83,7 @@ struct Response {
 impl Response {
     /// Fits one line for each position of card and light, which meet at no light and bend alike.
     fn of(campaign: &Campaign<'_>, flats: &BTreeMap<u32, Vec<usize>>, zero: &Zero) -> Option<Self> {
-        let light = |i: usize| campaign.sets[i].exposure_s * campaign.sets[i].illumination;
+        let light = |i: usize| campaign.sets[i].light();
         let above = |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s);
         let scatter = campaign.scatter(zero);
         let lines = flats.len();
@@ -115,7 +115,7 @@ impl Response {
     }
 }
 
-/// What the fixed pattern tells.
+/// Verdict of the fixed pattern, in words.
 fn of_pattern(
     campaign: &Campaign<'_>,
     darks: &[usize],
@@ -124,11 +124,6 @@ fn of_pattern(
     response: &Response,
 ) -> Option<String> {
     let columns = campaign.sets[darks[0]].facts.middle_columns;
-    let pixels = campaign.sets[darks[0]].facts.middle_dn.len();
-    let alike = |i: &usize| campaign.sets[*i].facts.middle_dn.len() == pixels;
-    if pixels < MIN_PIXELS || columns == 0 || !darks.iter().chain(flats.values().flatten()).all(alike) {
-        return None;
-    }
     let above =
         |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s) - response.black_dn.0;
     // The value at zero signal by each position of card and light, and their mean.
@@ -136,15 +131,14 @@ fn of_pattern(
     for own in flats.values() {
         let level: Vec<f64> = own.iter().map(|&i| above(i)).collect();
         let (least, most) = level.iter().fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(*v), b.max(*v)));
-        let noise: Vec<f64> = own.iter().map(|&i| noise_of_mean(&campaign.sets[i]).max(1e-6)).collect();
-        let weight: Vec<f64> = noise.iter().map(|n| 1.0 / n).collect();
-        let Some(at_zero) = intercept(&level, &weight).filter(|_| least > 0.0 && most > MIN_RANGE * least)
+        let Some(line) = Line::of(campaign, own, &level).filter(|_| least > 0.0 && most > MIN_RANGE * least)
         else {
             continue;
         };
-        let variance: f64 = at_zero.iter().zip(&noise).map(|(w, n)| w * w * n).sum();
+        let noise = |(w, i): (&f64, &usize)| w * w * noise_of_mean(&campaign.sets[*i]);
+        let variance: f64 = line.at_zero.iter().zip(own).map(noise).sum::<f64>().max(1e-12);
         sets.extend_from_slice(own);
-        of_flats.extend(at_zero.iter().map(|w| w / variance));
+        of_flats.extend(line.at_zero.iter().map(|w| w / variance));
         total += 1.0 / variance;
     }
     if sets.is_empty() {
@@ -154,33 +148,18 @@ fn of_pattern(
     // Exposure whose dark charge the value at zero signal has.
     let exposure_s: f64 = sets.iter().zip(&of_flats).map(|(&i, w)| w * campaign.sets[i].exposure_s).sum();
     let of_darks = at_exposure(campaign, darks, exposure_s)?;
-    let (offsets, pattern) = (combined(campaign, &sets, &of_flats), combined(campaign, darks, &of_darks));
-    let noise: f64 =
-        darks.iter().zip(&of_darks).map(|(&i, w)| w * w * noise_of_mean(&campaign.sets[i])).sum();
-    let noise = Noise::of_darks(noise);
-    let (offsets, pattern) = (flattened(&offsets, columns), flattened(&pattern, columns));
-    let straight = share(&offsets, &pattern, noise, columns)?;
-    tracing::debug!("darks' pattern in the flats: {:.3} +- {:.3}", straight.0, straight.1);
-    let (part, std) = straight;
+    let (offsets, _) = combined(campaign, &sets, &of_flats);
+    let (pattern, noise_dn2) = combined(campaign, darks, &of_darks);
+    let noise = Noise::of_darks(noise_dn2);
+    let (part, std) = share(&offsets, &pattern, noise, columns)?;
+    tracing::debug!("darks' pattern in the flats: {part:.3} +- {std:.3}");
     if (part - 1.0).abs() < MIN_SIGMAS * std {
         return None;
     }
     let frames = "the fixed pattern of these darks";
     if part.abs() < MAX_ABSENT.max(4.0 * std) {
-        let found = |(share, std): (f64, f64)| share > MIN_SIGMAS * std && (0.7..1.4).contains(&share);
-        for (name, turn) in TURNS {
-            if share(&turn(&offsets, columns), &pattern, noise, columns).is_some_and(found) {
-                return Some(format!("{name} against the flats: {frames} is in the flats so"));
-            }
-        }
-        for (down, right) in shifts() {
-            if share(&moved(&offsets, columns, down, right), &pattern, noise, columns).is_some_and(found) {
-                return Some(format!(
-                    "another part of the sensor, {} rows and {} columns off: {frames} is in the flats so",
-                    down.abs(),
-                    right.abs()
-                ));
-            }
+        if let Some(how) = moved_by(&offsets, &pattern, noise, columns, MIN_SIGMAS) {
+            return Some(format!("{how} against the flats: {frames} is in the flats so"));
         }
         return Some(format!(
             "not of the flats: {frames} is not in the flats ({:.2} ± {:.2} of it). They are of another camera or another part of the \
@@ -198,20 +177,20 @@ fn of_pattern(
 
 /// Weights of the darks for their pattern at an exposure; `None` where they do not tell it.
 fn at_exposure(campaign: &Campaign<'_>, darks: &[usize], exposure_s: f64) -> Option<Vec<f64>> {
-    let weight: Vec<f64> = darks.iter().map(|&i| 1.0 / noise_of_mean(&campaign.sets[i]).max(1e-6)).collect();
     let off: Vec<f64> = darks.iter().map(|&i| campaign.sets[i].exposure_s - exposure_s).collect();
     let of = |i: usize| campaign.sets[darks[i]].exposure_s;
     let longest = (0..darks.len()).map(of).fold(0.0, f64::max);
     let shortest = (0..darks.len()).map(of).fold(f64::INFINITY, f64::min);
     if longest > MIN_EXPOSURE_RATIO * shortest {
-        return intercept(&off, &weight);
+        return Line::of(campaign, darks, &off).map(|line| line.at_zero);
     }
     let near = off.iter().all(|d| d.abs() <= SAME_EXPOSURE * longest);
+    let weight: Vec<f64> = darks.iter().map(|&i| 1.0 / noise_of_mean(&campaign.sets[i]).max(1e-6)).collect();
     let sum: f64 = weight.iter().sum();
     near.then(|| weight.iter().map(|w| w / sum).collect())
 }
 
-/// What level and noise tell of the black level.
+/// Verdict of level and noise on the black level, in words.
 fn of_black_level(
     campaign: &Campaign<'_>,
     darks: &[usize],
@@ -223,7 +202,7 @@ fn of_black_level(
         return None;
     }
     let transfer = Transfer::of(campaign, zero, darks)?;
-    // Noise of the shortest dark against that of the flats at its level, and at the level where the flats have no light.
+    // Noise of the shortest dark against that of the flats, at its level and where they have no light.
     let shortest = *darks
         .iter()
         .min_by(|a, b| campaign.sets[**a].exposure_s.total_cmp(&campaign.sets[**b].exposure_s))?;

@@ -1,19 +1,18 @@
-//! Dark and flat exchanged: a dark with the level and the noise of light, a flat without light. Flats with far
-//! less light than their label makes have a wrong label: the law of levels needs more flats to tell.
+//! Dark and flat exchanged: a dark with the level and the noise of light, a flat without light. Flats with
+//! far less light than their label makes have a wrong label: the law of levels needs more flats to tell.
 
 use super::{Campaign, Check, DataFault, FaultKind};
-use crate::dataset::Kind;
+use crate::dataset::{Kind, LONG_DARKS};
 use crate::number::six_digits;
 use crate::statistics::median::median;
 
 /// Least range of levels that tells light from darkness, DN.
 const MIN_RANGE_DN: f64 = 20.0;
-/// Share of the range that a dark reaches at least which is lit: offsets and charge of usual darks bring less.
+/// Share of the range that a dark reaches at least which is lit: offsets and charge of usual darks bring
+/// less.
 const MIN_LIT_SHARE: f64 = 0.05;
 /// Share of what its label makes a flat have, up to which it has no light.
 const MAX_UNLIT_SHARE: f64 = 0.02;
-/// Ratio of a dark's exposure to the longest one of the flats from which on its charge says nothing of them.
-const LONG: f64 = 2.0;
 /// Standard deviations of a frame's mean by which both are told from darks.
 const MIN_SIGMAS: f64 = 20.0;
 
@@ -58,14 +57,14 @@ impl Check for KindLabel {
                 expected > MIN_RANGE_DN.max(MIN_SIGMAS * scatter) && above(i) < MAX_UNLIT_SHARE * expected
             })
             .collect();
-        // One that has light, and far less than its label makes, has a wrong label. The darks tell nothing at an
-        // exposure that is wrong.
+        // One that has light, and far less than its label makes, has a wrong label. The darks tell nothing at
+        // an exposure that is wrong.
         let own = |i: usize| level(i) - lowest;
         let few_dn = MIN_LIT_SHARE * (highest - lowest);
         let (unlit, wrong): (Vec<usize>, Vec<usize>) =
             dim.iter().copied().partition(|&i| own(i) < few_dn || above(i).abs() < few_dn);
-        // A bright dark is one of light where another of the same or a longer exposure is dark, where the charge
-        // of the others says so, or where a flat without light is what it was exchanged for.
+        // A bright dark is one of light where another of the same or a longer exposure is dark, where the
+        // charge of the others says so, or where a flat without light is what it was exchanged for.
         let of_light = |&i: &usize| {
             let (own, exposure_s) = (level(i) - lowest, campaign.sets[i].exposure_s);
             let others = || darks.iter().filter(|&&d| d != i && !bright.contains(&d));
@@ -75,11 +74,11 @@ impl Check for KindLabel {
             let several = exposures.iter().any(|e| (e / exposures[0] - 1.0).abs() > 0.01);
             let charge = several && dark_at(exposure_s) - lowest < 0.3 * own;
             // A single dark that is far longer than the flats may have more charge than they have light.
-            let long = exposure_s > LONG * longest_flat_s;
+            let long = exposure_s > LONG_DARKS * longest_flat_s;
             own > MIN_SIGMAS * scatter && (longer || charge || !long && !unlit.is_empty())
         };
         let lit_darks: Vec<usize> = bright.iter().copied().filter(of_light).collect();
-        // Where most are so, the labels mean something else; without a dark to go by the dimmest flat is unlit by itself.
+        // Labels mean something else where most are so; without a dark the dimmest flat is unlit by itself.
         if zero.is_none() && lit_darks.is_empty()
             || lit_darks.len() * 2 > darks.len().max(1) && unlit.len() != lit_darks.len()
             || dim.len() * 2 > lit.len()

@@ -1,6 +1,7 @@
 //! A set whose fixed pattern is that of the others mirrored.
 
 use super::orientation::{TURNS, correlation, pattern};
+use super::patterns::MIN_PIXELS;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::statistics::median::median;
@@ -27,7 +28,7 @@ impl Check for OtherOrientation {
             let own: Vec<Vec<f64>> =
                 sets.iter().map(|&i| pattern(&campaign.sets[i].facts.middle_dn, columns)).collect();
             let pixels = own[0].len();
-            if pixels < 1024 || own.iter().any(|p| p.len() != pixels) {
+            if pixels < MIN_PIXELS || own.iter().any(|p| p.len() != pixels) {
                 continue;
             }
             // Bright flats show the pattern of the response, and count by it.

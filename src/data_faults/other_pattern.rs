@@ -1,11 +1,8 @@
-//! Flats whose fixed pattern is not that of the other flats: turned, shifted by a row, filtered, or of another
-//! camera. A calibration made of both makes frames worse.
+//! Flats whose fixed pattern is not that of the other flats: turned, shifted by a row, filtered, or of
+//! another camera. A calibration made of both makes frames worse.
 
-use super::campaign::SetView;
-use super::orientation::{TURNS, flattened};
-use super::patterns::{Noise, moved, noise_of_mean, share, shifts};
+use super::patterns::{Noise, moved_by, noise_of_mean, pattern_of, share};
 use super::{Campaign, Check, DataFault, FaultKind};
-use std::collections::BTreeMap;
 
 /// Share of the pattern of the brightest flat from which on a flat has it, and standard deviations to that.
 const MIN_SHARE: f64 = 0.6;
@@ -14,22 +11,15 @@ const MIN_SIGMAS: f64 = 8.0;
 const MAX_STD_ERR: f64 = 0.1;
 /// Flats of one position of card and light below which none is another.
 const MIN_FLATS: usize = 4;
-/// Pixels below which no pattern tells.
-const MIN_PIXELS: usize = 1024;
 
 /// The check.
 pub struct OtherPattern;
 
 impl Check for OtherPattern {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
-        let usable = |s: &SetView| !s.clipped && s.variance_dn2().is_some() && s.facts.middle_columns > 0;
-        let mut of_fields: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
-        for i in campaign.places(|s| s.is_lit() && usable(s)) {
-            of_fields.entry(campaign.sets[i].configuration).or_default().push(i);
-        }
         let Some(zero) = campaign.zero().filter(|_| campaign.is_of_one_part()) else { return Vec::new() };
         let mut out = Vec::new();
-        for flats in of_fields.into_values().filter(|flats| flats.len() >= MIN_FLATS) {
+        for flats in campaign.flats_by_field().into_values().filter(|flats| flats.len() >= MIN_FLATS) {
             if let Some((sets, how)) = odd_ones(campaign, &flats, zero.dn) {
                 let text = format!("{}: {how}", campaign.named(&sets));
                 out.push(campaign.fault_of_sets(FaultKind::OtherSettings, &sets, text, true));
@@ -41,17 +31,14 @@ impl Check for OtherPattern {
 
 /// Flats with another pattern than most, and what it is.
 fn odd_ones(campaign: &Campaign<'_>, flats: &[usize], zero_dn: f64) -> Option<(Vec<usize>, String)> {
-    let pixels = campaign.sets[flats[0]].facts.middle_dn.len();
-    let columns = campaign.sets[flats[0]].facts.middle_columns;
-    if pixels < MIN_PIXELS || flats.iter().any(|i| campaign.sets[*i].facts.middle_dn.len() != pixels) {
+    if !campaign.are_of_one_size(flats.iter()) {
         return None;
     }
+    let columns = campaign.sets[flats[0]].facts.middle_columns;
     let level = |i: usize| campaign.sets[i].level_dn() - zero_dn;
-    // Relative to the level; where that ends, the response of the pixels ends.
-    let pattern = |i: usize| {
-        let image: Vec<f64> =
-            campaign.sets[i].facts.middle_dn.iter().map(|v| f64::from(*v) / level(i).max(1.0)).collect();
-        flattened(&image, columns)
+    // Patterns relative to the level are those of the response.
+    let pattern = |i: usize| -> Vec<f64> {
+        pattern_of(&campaign.sets[i]).into_iter().map(|v| v / level(i).max(1.0)).collect()
     };
     let reference = *flats.iter().max_by(|a, b| level(**a).total_cmp(&level(**b)))?;
     let of_reference = pattern(reference);
@@ -78,18 +65,8 @@ fn odd_ones(campaign: &Campaign<'_>, flats: &[usize], zero_dn: f64) -> Option<(V
         return None;
     }
     let first = pattern(other[other.len() / 2]);
-    let fits = |image: Vec<f64>| {
-        share(&image, &of_reference, noise, columns)
-            .is_some_and(|s| s.1 < MAX_STD_ERR && (0.7..1.4).contains(&s.0))
-    };
-    let turned = TURNS.iter().find(|(_, turn)| fits(turn(&first, columns))).map(|t| t.0.to_string());
-    let shifted = || {
-        shifts()
-            .find(|(down, right)| fits(moved(&first, columns, *down, *right)))
-            .map(|(down, right)| format!("{} rows and {} columns off", down.abs(), right.abs()))
-    };
-    let how = turned.or_else(shifted);
-    // Wells that fill up end the pattern of the brightest, whatever else is there.
+    let how = moved_by(&first, &of_reference, noise, columns, MIN_SIGMAS);
+    // Full wells end the pattern of the brightest, whatever else is there.
     let below = same.iter().any(|s| other.iter().any(|o| level(*o) < level(*s)))
         && other.iter().all(|o| level(*o) < 0.9 * level(reference));
     let (odd, text) = match how {

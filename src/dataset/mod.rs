@@ -44,6 +44,10 @@ pub const COLUMNS: [&str; 9] = [
     "timestamp_s",
 ];
 
+/// Ratio of the darks' exposure to the longest one of the flats from which on their dark charge is no matter of the
+/// flats (a named choice).
+pub(crate) const LONG_DARKS: f64 = 2.0;
+
 /// What a frame shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]

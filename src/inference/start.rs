@@ -1,6 +1,6 @@
 //! A first guess of the paper's parameters, from the darks and the slope of the variance.
 
-use crate::dataset::Kind;
+use crate::dataset::{Kind, LONG_DARKS};
 use crate::observables::{Half, Observations, Setting, Statistic, mean, monitor, unequal, variance};
 use crate::statistics::median::median;
 use radcam_sim::predict::{BaseParameters, Monitor};
@@ -175,10 +175,6 @@ fn zero_and_dark(all: &Observations) -> (f64, f64) {
     }
 }
 
-/// Ratio of the darks' exposure to the longest of the flats from which on their dark charge is no matter of the
-/// flats (a named choice).
-const LONG_DARKS: f64 = 2.0;
-
 /// Returns true for darks of one exposure that is far longer than those of the flats: their level is offset and
 /// dark charge, and only the flats tell how much of each.
 fn are_long(all: &Observations, exposure_s: f64) -> bool {
@@ -187,8 +183,8 @@ fn are_long(all: &Observations, exposure_s: f64) -> bool {
     longest > 0.0 && exposure_s > LONG_DARKS * longest
 }
 
-/// Level of the flats at zero exposure, DN, by the line through the shortest and the median one of the light that
-/// has most exposures.
+/// Level of the flats at zero exposure, DN: that of the line through the shortest and the median one, of the light
+/// with most exposures.
 fn zero_of_flats(all: &Observations) -> Option<f64> {
     let mut of_lights: std::collections::BTreeMap<Option<usize>, Vec<(f64, f64)>> = Default::default();
     for (set, dn) in values(all, &mean::Mean, Some(Kind::Flat)) {

@@ -28,7 +28,7 @@ pub use report::{Estimate, LevelReport, Method, NoiseReport};
 use crate::agreement::P_LIMIT;
 use crate::data_faults::{ExamineError, examined};
 use crate::dataset::table::Table;
-use crate::dataset::{Dataset, DatasetError, Kind};
+use crate::dataset::{Dataset, DatasetError, Kind, LONG_DARKS};
 use crate::number::{Quantity, six_digits, with_error};
 use crate::statistics::outliers;
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
@@ -388,12 +388,10 @@ pub fn of_dataset(
 
 /// Exposure of the darks and the longest one of the flats, s, where all darks are far longer.
 fn long_darks(measured: &Measured) -> Option<(f64, f64)> {
-    /// Ratio from which on the dark charge is no matter of the flats (a named choice).
-    const LONG: f64 = 2.0;
     let of = |kind: Kind| measured.levels.iter().filter(move |l| l.1 == kind).map(|l| l.2);
     let shortest = of(Kind::Dark).fold(f64::INFINITY, f64::min);
     let longest = of(Kind::Flat).fold(0.0, f64::max);
-    (longest > 0.0 && shortest.is_finite() && shortest > LONG * longest).then_some((shortest, longest))
+    (longest > 0.0 && shortest.is_finite() && shortest > LONG_DARKS * longest).then_some((shortest, longest))
 }
 
 /// Pixels that were left out, in words.
@@ -489,7 +487,8 @@ mod tests {
         }
     }
 
-    /// Thirty DN^2 below zero, and zero within its error: no read noise, and the reason; a bound where there is one.
+    /// A constant noise of thirty DN^2 below zero, and one of zero within its error: no read noise, and the reason
+    /// or a bound.
     #[test]
     fn no_constant_noise_is_no_read_noise() {
         let of = |constant: f64, pixels: f64| {
