@@ -1,7 +1,7 @@
 //! Datagrams of others: no request ends a served camera, and a stream takes frames from its camera alone.
 
-use crate::faults::{Camera, Running, in_memory, numbers};
 use crate::network::{ADDRESSES, Hosts};
+use crate::outages::{Camera, Running, in_memory, numbers};
 use crate::support::{gige_port, program, small};
 use radcam_sim::rng::{PixelRng, Stream};
 use std::collections::BTreeSet;
@@ -143,7 +143,7 @@ fn no_request_ends_a_served_line() {
     let model = dir.path().join("camera.toml");
     fs::write(&model, small("cmos12", 320, 240).to_toml().unwrap()).unwrap();
     let cal = dir.path().join("cal.tiff");
-    crate::faults::identity(&cal, "SIM12");
+    crate::outages::identity(&cal, "SIM12");
     let mut command = program();
     command.args(["stream", "--json", "--serve-as", "LINE", "--interface", "127.0.0.2", "--cal"]).arg(&cal);
     command.arg("--camera").arg(format!("sim:{}", model.display())).stdout(Stdio::null());

@@ -128,7 +128,7 @@ fn killed_over_the_network(captures: u32) {
     fs::write(&model, small("cmos12", 96, 64).to_toml().unwrap()).unwrap();
     let mut command = program();
     command.arg("serve").arg(&model).stdout(Stdio::null());
-    let _camera = crate::faults::Camera(command.spawn().unwrap());
+    let _camera = crate::outages::Camera(command.spawn().unwrap());
     let capture = |to: &Path| {
         let mut command = program();
         command.args(["capture", "--camera", "aravis:127.0.0.1", "-o"]).arg(to);

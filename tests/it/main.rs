@@ -16,8 +16,6 @@ mod docs;
 mod effects;
 mod eight_bits;
 mod emva;
-#[cfg(feature = "aravis")]
-mod faults;
 mod frame_headers;
 mod fuzz;
 #[cfg(feature = "hdf5")]
@@ -40,6 +38,8 @@ mod mosaics;
 #[cfg(feature = "aravis")]
 mod network;
 mod noise;
+#[cfg(feature = "aravis")]
+mod outages;
 mod outside;
 mod program;
 mod real;

@@ -731,7 +731,7 @@ fn frames_and_openings_leave_no_memory_behind() {
 }
 
 #[test]
-#[ignore = "two minutes: cargo test --release --test it -- --ignored faults::a_hundred_thousand --nocapture"]
+#[ignore = "two minutes: cargo test --release --test it -- --ignored outages::a_hundred_thousand --nocapture"]
 fn a_hundred_thousand_frames_leave_no_memory_behind() {
     no_growth(100_000, 200);
 }
