@@ -145,6 +145,23 @@ pub fn percent(share: f64) -> String {
     }
 }
 
+/// Numbers in ascending order as `0 to 3, 7`.
+pub(crate) fn ranges(numbers: &[usize]) -> String {
+    let mut runs: Vec<(usize, usize)> = Vec::new();
+    for &n in numbers {
+        match runs.last_mut() {
+            Some((_, last)) if *last + 1 == n => *last = n,
+            _ => runs.push((n, n)),
+        }
+    }
+    let text = |(a, b): &(usize, usize)| match b - a {
+        0 => a.to_string(),
+        1 => format!("{a}, {b}"),
+        _ => format!("{a} to {b}"),
+    };
+    runs.iter().map(text).collect::<Vec<_>>().join(", ")
+}
+
 /// Seconds of a unit of time; `None` where it is none.
 pub fn seconds(unit: &str) -> Option<f64> {
     Some(match unit.to_lowercase().as_str() {

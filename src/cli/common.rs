@@ -186,24 +186,49 @@ pub fn no_effect<'a>(id: &str, known: impl Iterator<Item = &'a str>) -> String {
     }
 }
 
-/// Text broken into lines of the terminal's usual width, each behind so many spaces.
+/// Columns of the terminal, up to what is easily read; of a file or a pipe 100.
+pub fn width() -> usize {
+    use std::io::IsTerminal;
+    const USUAL: usize = 100;
+    const READABLE: std::ops::RangeInclusive<usize> = 60..=120;
+    let terminal = std::io::stdout().is_terminal().then(terminal_size::terminal_size).flatten();
+    let columns = terminal.map_or(USUAL, |(terminal_size::Width(columns), _)| usize::from(columns));
+    columns.clamp(*READABLE.start(), *READABLE.end())
+}
+
+/// Text broken into lines of the terminal's width, each behind so many spaces.
 pub fn wrapped(text: &str, indent: usize) -> String {
-    const WIDTH: usize = 100;
-    let mut lines = vec![String::new()];
+    item(&" ".repeat(indent), text, indent)
+}
+
+/// The same with what stands before the first line.
+pub fn item(head: &str, text: &str, indent: usize) -> String {
+    let columns = |text: &str| text.chars().count();
+    let last_line = head.rsplit('\n').next().unwrap_or(head);
+    let (mut out, mut at, mut begins) = (head.to_string(), columns(last_line), true);
     for word in text.split_whitespace() {
-        let long = lines.last().is_some_and(|l| !l.is_empty() && l.len() + word.len() + 1 > WIDTH);
-        if long {
-            lines.push(String::new());
+        if !begins && at + 1 + columns(word) > width() {
+            out.push('\n');
+            out.push_str(&" ".repeat(indent));
+            (at, begins) = (indent, true);
         }
-        if let Some(line) = lines.last_mut() {
-            if !line.is_empty() {
-                line.push(' ');
-            }
-            line.push_str(word);
+        if !begins {
+            out.push(' ');
+            at += 1;
         }
+        out.push_str(word);
+        (at, begins) = (at + columns(word), false);
     }
-    let pad = " ".repeat(indent);
-    lines.iter().map(|l| format!("{pad}{l}")).collect::<Vec<_>>().join("\n")
+    out
+}
+
+/// A path or another word as a shell takes it.
+pub fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_alphanumeric() || "/._-+=:,@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        return word.into();
+    }
+    format!("'{}'", word.replace('\'', "'\\''"))
 }
 
 /// `row,column` of a 2 x 2 cell.
@@ -240,7 +265,7 @@ pub fn codes(text: &str) -> Result<Codes, String> {
 /// Prints what was wrong with the data.
 pub fn say_faults(faults: &[DataFault]) {
     for fault in faults {
-        println!("  {}", wrapped(&fault.to_string(), 4).trim_start());
+        println!("{}", item("  ", &fault.to_string(), 4));
     }
 }
 

@@ -65,7 +65,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         }
     }
     for note in &c.not_looked_at {
-        println!("  note: {}", super::common::wrapped(note, 4).trim_start());
+        println!("{}", super::common::item("  note: ", note, 4));
     }
     Ok(outcome)
 }

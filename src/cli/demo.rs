@@ -2,6 +2,7 @@
 
 use super::capture::capture;
 use super::common::load_model;
+use super::findings::{Place, print};
 use super::observe::{Datasets, observe};
 use super::{Outcome, investigate, noise};
 use crate::bench::Illuminator;
@@ -110,7 +111,8 @@ fn the_story(
     let title = format!("{camera}{}", over(arguments));
     if !arguments.json {
         println!();
-        super::diagnose::print(&title, &d);
+        let place = Place { title: &title, datasets: &Datasets::of(&dataset).to_string(), explain: false };
+        print(&place, &d);
     }
     let path = arguments.output.join("report.html");
     let datasets = Datasets::of(&dataset);

@@ -1,7 +1,7 @@
 //! `radcam emva`
 
 use super::Outcome;
-use super::common::{STOP, after_faults, say_faults, wrapped};
+use super::common::{STOP, after_faults, item, say_faults};
 use super::observe::Colour;
 use super::progress::Show;
 use crate::data_faults::examined;
@@ -159,7 +159,7 @@ fn print(arguments: &Arguments, e: &Evaluation) {
         }
     }
     for note in &e.notes {
-        println!("\nnote: {}", wrapped(note, 6).trim_start());
+        println!("{}", item("\nnote: ", note, 6));
     }
     if let Some(folder) = &arguments.output {
         println!("\n{} written", folder.join("datasheet.html").display());

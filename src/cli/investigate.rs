@@ -3,6 +3,7 @@
 use super::Outcome;
 use super::capture::StreamArguments;
 use super::common::{STOP, duration, load_plan, open_camera};
+use super::findings::{Place, print};
 use super::model::{fitted_model, read_effects};
 use super::progress::Show;
 use crate::bench::Illuminator;
@@ -74,7 +75,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         println!("{}", serde_json::to_string_pretty(&json)?);
     } else {
         println!();
-        super::diagnose::print(&dataset.display().to_string(), d);
+        let title = dataset.display().to_string();
+        print(&Place { title: &title, datasets: &datasets.to_string(), explain: false }, d);
         if let Some(undecided) = &found.undecided {
             println!("\n{}", super::common::wrapped(&format!("This bench cannot decide it. {undecided}"), 2));
         }

@@ -22,6 +22,7 @@ macro_rules! eprintln {
 }
 
 mod common;
+mod findings;
 mod observe;
 mod progress;
 mod region;

@@ -269,7 +269,7 @@ fn tell(
         println!("ALARM {name}: {}", alarm.sentence);
     }
     if let Some(verdict) = verdict {
-        println!("  {}", super::common::wrapped(verdict, 2).trim_start());
+        println!("{}", super::common::wrapped(verdict, 2));
     }
     if alarms.is_empty() {
         let learning = monitor.learning().len();

@@ -97,6 +97,6 @@ fn print(title: &str, r: &NoiseReport) {
         println!("  {:>4} {kind:<5} {:>10.2}  {variance:<22} {:>+7.2}{note}", l.set, l.mean_dn, l.z);
     }
     for note in &r.notes {
-        println!("\n  note: {}", super::common::wrapped(note, 4).trim_start());
+        println!("{}", super::common::item("\n  note: ", note, 4));
     }
 }

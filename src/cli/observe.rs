@@ -1,6 +1,6 @@
 //! Reading what the verbs compare with a model.
 
-use super::common::{STOP, after_faults, plane};
+use super::common::{STOP, after_faults, plane, quoted};
 use super::progress::Show;
 use crate::dataset::Dataset;
 use crate::observables::Observations;
@@ -49,6 +49,15 @@ impl Datasets {
     pub fn names(&self) -> String {
         let names = self.paths.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", ");
         self.colour.plane.map_or(names.clone(), |[y, x]| format!("{names}, plane {y},{x}"))
+    }
+}
+
+impl std::fmt::Display for Datasets {
+    /// As they stand on a command line.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let paths = self.paths.iter().map(|p| quoted(&p.display().to_string()));
+        let plane = self.colour.plane.map(|[y, x]| format!("--plane {y},{x}"));
+        f.write_str(&paths.chain(plane).collect::<Vec<_>>().join(" "))
     }
 }
 

@@ -29,6 +29,14 @@ pub struct Cost {
     pub linearity_rel: f64,
 }
 
+impl Cost {
+    /// The largest of the three.
+    pub fn largest(&self) -> f64 {
+        let of = |rel: f64| if rel.is_finite() { rel.abs() } else { 0.0 };
+        of(self.gain_rel).max(of(self.read_noise_rel)).max(of(self.linearity_rel))
+    }
+}
+
 /// Estimates that ignore effects, from means and variances.
 #[derive(Debug, Clone, Copy)]
 struct Plain {

@@ -17,6 +17,7 @@ pub use cost::Cost;
 pub use search::searched;
 pub use sensor::SensorValues;
 pub use share::Remainder;
+pub(crate) use verdict::Size;
 pub use verdict::Verdict;
 pub use words::{Signature, signatures};
 

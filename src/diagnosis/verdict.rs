@@ -29,6 +29,9 @@ pub enum Verdict {
         or: Vec<String>,
         /// In plain words.
         sentence: String,
+        /// The first of its sentences.
+        #[serde(skip)]
+        brief: String,
     },
     /// Something is missing that has no name here.
     Unknown {
@@ -49,6 +52,14 @@ impl Verdict {
         }
     }
 
+    /// What, how much, what it costs and what to do.
+    pub fn brief(&self) -> &str {
+        match self {
+            Self::Named { brief, .. } if !brief.is_empty() => brief,
+            _ => self.sentence(),
+        }
+    }
+
     /// Verdict on the effects found. `whole`: the model with all of them. `left_on`: camera settings that
     /// changed its pixels.
     pub(super) fn of(
@@ -62,12 +73,14 @@ impl Verdict {
         if !left_on.is_empty() {
             let names: Vec<String> = left_on.iter().map(ToString::to_string).collect();
             let on = format!("The camera's own {} was on while these frames were taken", names.join(", "));
+            let suspected =
+                |text: &str| format!("{on}: the first suspect. Switch it off and capture again. {text}");
             match &mut verdict {
                 Self::Describes { sentence, .. } => *sentence += &format!(" {on}; it does not show."),
-                Self::Named { sentence, .. } | Self::Unknown { sentence, .. } => {
-                    *sentence =
-                        format!("{on}: the first suspect. Switch it off and capture again. {sentence}");
+                Self::Named { sentence, brief, .. } => {
+                    (*sentence, *brief) = (suspected(sentence), suspected(brief));
                 }
+                Self::Unknown { sentence, .. } => *sentence = suspected(sentence),
             }
         }
         verdict
@@ -127,8 +140,8 @@ impl Verdict {
             .take_while(|m| m.tied_with.as_deref() == Some(&top.effect))
             .map(|m| m.effect.clone())
             .collect();
-        let sentence = sentence(top, &or, missing, remainder, whole);
-        Self::Named { effect: top.effect.clone(), or, sentence }
+        let (brief, rest) = sentences(top, &or, missing, remainder, whole);
+        Self::Named { effect: top.effect.clone(), or, sentence: format!("{brief} {rest}"), brief }
     }
 }
 
@@ -140,15 +153,15 @@ fn told(name: &str, value: f64, std_err: f64, unit: &'static str) -> String {
     format!("{name} not determined by this campaign")
 }
 
-/// The verdict on named effects. Its first sentence says what, how much, what it costs and what to do; the others
-/// where it comes from, what else there is, and what more can be done.
-fn sentence(
+/// The verdict on named effects. The first sentence says what, how much, what it costs and what to do; the others
+/// what else there is, where it comes from, and what more can be done.
+fn sentences(
     top: &Missing,
     or: &[String],
     missing: &[Missing],
     remainder: Option<&Remainder>,
     whole: &Fitted,
-) -> String {
+) -> (String, String) {
     let page = find(&top.effect).map(|e| e.page());
     let what = page.map_or_else(|| format!("It has {}.", top.effect), |p| p.what.to_string());
     let subject =
@@ -180,20 +193,32 @@ fn sentence(
     } else {
         format!(" or {} (this campaign cannot tell which)", or.join(" or "))
     };
-    let others = || missing.iter().skip(1).filter(|m| m.tied_with.is_none() && m.effect != "unknown");
-    let also: Vec<String> = others()
-        .filter(|m| m.share >= WEAK)
-        .map(|m| format!("{}{} ({} of the misfit)", m.effect, size(m), percent(m.share)))
+    let mut others: Vec<&Missing> =
+        missing.iter().skip(1).filter(|m| m.tied_with.is_none() && m.effect != "unknown").collect();
+    // What costs more comes first; of what costs nothing the larger share.
+    let worth = |m: &Missing| Some(m.cost.largest()).filter(|cost| *cost >= WEAK).unwrap_or(0.0);
+    others.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
+    let (told, weak): (Vec<&Missing>, Vec<&Missing>) =
+        others.into_iter().partition(|m| m.share >= WEAK || m.costs(whole).is_some_and(|_| worth(m) > 0.0));
+    let told: Vec<String> = told
+        .iter()
+        .map(|m| {
+            let share = (m.share >= WEAK).then(|| format!("{} of the misfit", percent(m.share)));
+            let costs = m.costs(whole).filter(|_| worth(m) > 0.0);
+            let beside: Vec<String> = share.into_iter().chain(costs).collect();
+            format!("{}{} ({})", m.effect, of_size(m), beside.join("; "))
+        })
         .collect();
-    let weak: Vec<&str> = others().filter(|m| m.share < WEAK).map(|m| m.effect.as_str()).collect();
-    let also = if also.is_empty() { String::new() } else { format!(" It also shows {}.", also.join(", ")) };
+    let weak: Vec<&str> = weak.iter().map(|m| m.effect.as_str()).collect();
+    let also = if told.is_empty() { String::new() } else { format!(" It also shows {}.", told.join(", ")) };
     let weak =
         if weak.is_empty() { String::new() } else { format!(" Less than 1 % each: {}.", weak.join(", ")) };
     let more = more.map_or(String::new(), |more| format!(" Further remedies: {more}."));
     let meaning = meaning(top).map_or(String::new(), |text| format!(" ({text})"));
-    let size = size(top);
+    let size = of_size(top);
     let head = format!("The {subject} {shows} {}{size}{meaning}{tie}{close}: {costs}{remedy}", top.effect);
-    format!("{}.{partial}{also}{weak} {what}{more}", head.trim_end_matches('.'))
+    let rest = format!("{partial}{also}{weak} {what}{more}");
+    (format!("{}.", head.trim_end_matches('.')), rest.trim_start().into())
 }
 
 /// The parameter that says how strong an effect is: of those that may be 0 the one that is known best.
@@ -206,17 +231,46 @@ fn main_size(m: &Missing) -> Option<(&'static Parameter, &Quantity)> {
     sizes.into_iter().max_by(|a, b| known(a.1).total_cmp(&known(b.1))).or_else(|| others.into_iter().next())
 }
 
-/// Strength of an effect; sizes without a unit in per cent. Of one that is not known to half of itself, that.
-fn size(m: &Missing) -> String {
-    match main_size(m) {
-        Some((_, q)) if q.std_err >= 0.5 * q.value.abs() => {
-            " of a size that this campaign does not determine".into()
-        }
-        Some((p, q)) if p.unit == "1" && p.is_size() => {
-            format!(" of {}", with_unit(100.0 * q.value, 100.0 * q.std_err, "%"))
-        }
-        Some((_, q)) => format!(" of {q}"),
-        None => String::new(),
+/// Strength of an effect behind its name.
+fn of_size(m: &Missing) -> String {
+    m.size().map_or(String::new(), |size| match size {
+        Size::Open => " of a size that this campaign does not determine".into(),
+        Size::Known(size) => format!(" of {size}"),
+    })
+}
+
+/// Strength of an effect.
+pub enum Size {
+    /// In words, with its error; sizes without a unit in per cent.
+    Known(String),
+    /// Not known to half of itself.
+    Open,
+}
+
+impl Missing {
+    /// Its strength, by its main parameter; `None` where it has none.
+    pub(crate) fn size(&self) -> Option<Size> {
+        let (p, q) = main_size(self)?;
+        Some(if q.std_err >= 0.5 * q.value.abs() {
+            Size::Open
+        } else if p.unit == "1" && p.is_size() {
+            Size::Known(with_unit(100.0 * q.value, 100.0 * q.std_err, "%"))
+        } else {
+            Size::Known(q.to_string())
+        })
+    }
+
+    /// What an EMVA 1288 evaluation that ignores it gets wrong, in few words; `None` where that is negligible.
+    pub(crate) fn costs(&self, whole: &Fitted) -> Option<String> {
+        let parts = said(&self.cost, whole, |what, rel, decimals| {
+            let ratio = (1.0 + rel).max(1e-9);
+            if (0.5..2.0).contains(&ratio) {
+                format!("{what} {:+.decimals$} %", 100.0 * rel)
+            } else {
+                format!("{what} {}", wrong_by(ratio, decimals))
+            }
+        });
+        (!parts.is_empty()).then(|| parts.join(", "))
     }
 }
 
@@ -227,32 +281,36 @@ fn meaning(m: &Missing) -> Option<String> {
     (!parts.is_empty()).then(|| parts.join("; "))
 }
 
-/// Share of the misfit below which an effect is listed without its share.
+/// Share of the misfit, and cost, below which an effect is listed without them.
 const WEAK: f64 = 0.01;
 /// Costs below this share are not said: no one measures a gain to a thousandth (EMVA 1288 asks for no more than a
 /// per cent).
 const SAID: f64 = 1e-3;
 
-/// Cost in words; `None` where it is negligible. Gain and read noise are named only if the cost exceeds their
-/// errors.
-fn cost(cost: &Cost, whole: &Fitted) -> Option<String> {
+/// The parts of a cost that are not negligible, each as `word` says it. Gain and read noise are named only if the
+/// cost exceeds their errors.
+fn said(cost: &Cost, whole: &Fitted, word: impl Fn(&str, f64, usize) -> String) -> Vec<String> {
     let (base, errors) = (&whole.base, &whole.base_std_err);
-    let of = |what: &str, rel: f64, std_err: f64, decimals: usize| {
-        (rel.is_finite() && rel.abs() > SAID.max(std_err))
-            .then(|| format!("{what} {}", wrong_by((1.0 + rel).max(1e-9), decimals)))
-    };
     let rel =
         |k: usize, value: f64| if value > 0.0 && errors[k].is_finite() { errors[k] / value } else { 0.0 };
-    let linearity = (cost.linearity_rel > SAID)
-        .then(|| format!("the linearity error LE larger by {}", percent(cost.linearity_rel)));
-    let parts: Vec<String> = [
-        of("the system gain K", cost.gain_rel, rel(0, base.gain_dn_per_e), 2),
-        of("the dark noise (e)", cost.read_noise_rel, rel(1, base.read_noise_e), 1),
-        linearity,
+    [
+        ("K", cost.gain_rel, rel(0, base.gain_dn_per_e), 2),
+        ("dark noise", cost.read_noise_rel, rel(1, base.read_noise_e), 1),
+        ("LE", cost.linearity_rel, 0.0, 1),
     ]
     .into_iter()
-    .flatten()
-    .collect();
+    .filter(|(_, rel, std_err, _)| rel.is_finite() && rel.abs() > SAID.max(*std_err))
+    .map(|(what, rel, _, decimals)| word(what, rel, decimals))
+    .collect()
+}
+
+/// Cost in words; `None` where it is negligible.
+fn cost(cost: &Cost, whole: &Fitted) -> Option<String> {
+    let parts = said(cost, whole, |what, rel, decimals| match what {
+        "LE" => format!("the linearity error LE larger by {}", percent(rel)),
+        "K" => format!("the system gain K {}", wrong_by((1.0 + rel).max(1e-9), decimals)),
+        _ => format!("the dark noise (e) {}", wrong_by((1.0 + rel).max(1e-9), decimals)),
+    });
     let (last, first) = parts.split_last()?;
     Some(if first.is_empty() { last.clone() } else { format!("{} and {last}", first.join(", ")) })
 }

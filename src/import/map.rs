@@ -3,6 +3,7 @@
 use super::{ImportError, ReadOptions, Scale, camera};
 use crate::dataset::{CameraInfo, Kind};
 use crate::input::echo;
+use crate::number::ranges;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -274,21 +275,4 @@ impl Map {
         };
         of.into_iter().map(sentence).collect()
     }
-}
-
-/// Numbers in ascending order as `0 to 3, 7`.
-pub(super) fn ranges(numbers: &[usize]) -> String {
-    let mut runs: Vec<(usize, usize)> = Vec::new();
-    for &n in numbers {
-        match runs.last_mut() {
-            Some((_, last)) if *last + 1 == n => *last = n,
-            _ => runs.push((n, n)),
-        }
-    }
-    let text = |(a, b): &(usize, usize)| match b - a {
-        0 => a.to_string(),
-        1 => format!("{a}, {b}"),
-        _ => format!("{a} to {b}"),
-    };
-    runs.iter().map(text).collect::<Vec<_>>().join(", ")
 }

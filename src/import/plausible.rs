@@ -3,7 +3,7 @@
 use super::propose::Growing;
 use super::{Found, few};
 use crate::dataset::Kind;
-use crate::number::six_digits;
+use crate::number::{ranges, six_digits};
 use std::collections::BTreeMap;
 
 /// Ratio of exposures from which on the level tells which is longer, and of the signals.
@@ -114,7 +114,7 @@ pub fn serial_numbers(sets: &mut [Growing], found: &[Found]) {
         return;
     }
     let said: Vec<String> =
-        of_sets.iter().map(|(n, of)| format!("{n} in those of sets {}", super::map::ranges(of))).collect();
+        of_sets.iter().map(|(n, of)| format!("{n} in those of sets {}", ranges(of))).collect();
     let text = format!("frames: the names hold a long number, {}: frames of several cameras?", few(&said));
     let fewest = of_sets.values().min_by_key(|of| of.len());
     if let Some(place) = fewest.and_then(|of| of.first()) {

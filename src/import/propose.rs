@@ -1,9 +1,10 @@
 //! Files into sets.
 
 use super::listing::PACKED;
-use super::map::{MAP_FORMAT, Map, MapSet, SAME_LIGHT, ranges};
+use super::map::{MAP_FORMAT, Map, MapSet, SAME_LIGHT};
 use super::{Facts, Found, ImportError, LIT, Region, depth_of, few, plausible, settings, stamps};
 use crate::dataset::Kind;
+use crate::number::ranges;
 use crate::number::six_digits;
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -9,6 +9,7 @@ use super::{
 use crate::data_faults::{DataFault, ExamineError, examined};
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
 use crate::features::LeftOn;
+use crate::number::ranges;
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
@@ -277,10 +278,11 @@ pub fn of_dataset(
     } = read(dataset, stop, progress)?;
     let mut missing = left_out;
     if !saturated.is_empty() {
-        let numbers: Vec<String> = saturated.iter().map(|s| sets[s.set].number.to_string()).collect();
+        let mut numbers: Vec<usize> = saturated.iter().map(|s| sets[s.set].number as usize).collect();
+        numbers.sort_unstable();
         let which = if numbers.len() == 1 { "set" } else { "sets" };
         let are = if numbers.len() == 1 { "is" } else { "are" };
-        missing.push(format!("{which} {} {are} clipped at full scale and not looked at", numbers.join(", ")));
+        missing.push(format!("{which} {} {are} clipped at full scale and not looked at", ranges(&numbers)));
     }
     if chunks.is_empty() {
         return Err(ObserveError::Nothing(

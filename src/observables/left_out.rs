@@ -3,6 +3,8 @@
 use super::read::LeftOut;
 use crate::dataset::Dataset;
 use crate::statistics::outliers;
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 
 /// Frames and samples that were left out, in words.
 pub(super) fn words(dataset: &Dataset, left_out: &[(usize, LeftOut)]) -> Vec<String> {
@@ -21,14 +23,31 @@ pub(super) fn words(dataset: &Dataset, left_out: &[(usize, LeftOut)]) -> Vec<Str
             "{shown}{more} lie far from the other frames of their sets (a flash, something in the light) and are left out"
         ));
     }
-    let struck: usize = left_out.iter().map(|(_, l)| l.struck.len()).sum();
+    let mut hit: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+    for (set, left_out) in left_out {
+        for (_, place) in &left_out.struck {
+            *hit.entry((*set, *place)).or_default() += 1;
+        }
+    }
+    let struck: usize = hit.values().sum();
     if struck > 0 {
-        let mut hit: Vec<String> =
-            left_out.iter().flat_map(|(set, l)| l.struck.iter().map(|s| name(*set, s.1))).collect();
-        hit.dedup();
-        let shown = hit.iter().take(4).cloned().collect::<Vec<_>>().join(", ");
-        let more = if hit.len() > 4 { format!(" and {} more", hit.len() - 4) } else { String::new() };
-        out.push(format!("{}; left out: in {shown}{more}", outliers::in_words(struck as u64)));
+        let mut frames: Vec<((usize, usize), usize)> = hit.into_iter().collect();
+        frames.sort_by_key(|(_, samples)| Reverse(*samples));
+        let shown: Vec<String> = frames
+            .iter()
+            .take(4)
+            .map(|((set, place), samples)| match samples {
+                1 => name(*set, *place),
+                n => format!("{n} in {}", name(*set, *place)),
+            })
+            .collect();
+        let more = match frames.len() - shown.len() {
+            0 => String::new(),
+            1 => " and one more frame".into(),
+            n => format!(" and {n} more frames"),
+        };
+        let (what, shown) = (outliers::in_words(struck as u64), shown.join(", "));
+        out.push(format!("{what}; left out: {shown}{more}"));
     }
     out
 }

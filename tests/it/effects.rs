@@ -320,6 +320,33 @@ fn practice_sets_are_diagnosed() {
     expect(0, &["compare", clean.to_str().unwrap()]);
 }
 
+/// The terminal: a line for each effect within the width of a page, and the next commands with the user's own folder; evidence only
+/// where it is asked for.
+#[test]
+fn a_diagnosis_is_a_page() {
+    let Some(root) = shared("practice") else { return };
+    let folder = root.join("three-effects");
+    let at = folder.to_str().unwrap();
+    let page = expect(1, &["diagnose", at]);
+    for line in page.lines().filter(|line| !line.contains(at)) {
+        assert!(line.chars().count() <= 100, "{line}");
+    }
+    let first = page.split("\n\n").nth(1).unwrap();
+    for said in ["The camera shows row-noise of 1.7", "the dark noise (e)", "remedy: subtract"] {
+        assert!(first.split_whitespace().collect::<Vec<_>>().join(" ").contains(said), "{first}");
+    }
+    let row =
+        |effect: &str, said: &str| page.lines().any(|l| l.trim().starts_with(effect) && l.contains(said));
+    assert!(row("row-noise", "dark noise +1.3 %") && row("column-noise", "36 %"), "{page}");
+    assert!(row("illumination-flicker", "0.575 ± 0.080 %"), "{page}");
+    assert!(page.contains(&format!("radcam diagnose {at} --explain")), "{page}");
+    assert!(!page.contains("without it: "), "{page}");
+    let explained = expect(1, &["diagnose", at, "--explain"]);
+    for said in ["without it: variance of row means", "next_row = 0.9", "Further remedies"] {
+        assert!(explained.contains(said), "{explained}");
+    }
+}
+
 /// The third group of practice sets: CMOS pixels that differ in read noise, shading, overshoot. The hidden effect
 /// first with its size within three standard errors, and nothing else above a hundredth of the misfit; a sensor
 /// whose pixels differ is clean.
