@@ -2,19 +2,20 @@
 //! well holds the level too, but wipes out the pattern of the pixels' response, which an automatic control
 //! leaves.
 
-use super::patterns::{Noise, noise_of_mean, pattern_of, share};
+use super::patterns::{Noise, combined, share};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
+use crate::statistics::median::median;
 
 /// Difference of the levels, relative, up to which they are one.
 const SAME_LEVEL: f64 = 0.03;
 /// Least ratio of exposure times light over them, and their least number.
 const MIN_RATIO: f64 = 2.0;
 const MIN_FLATS: usize = 3;
-/// Share of the pattern that is left at least, and its standard error at most.
-const MIN_SHARE: f64 = 0.8;
-const MAX_STD_ERR: f64 = 0.1;
+/// Difference from the whole pattern up to which it is left, and the standard errors by which it is something.
+const MAX_LOSS: f64 = 0.3;
+const MIN_SIGMAS: f64 = 5.0;
 /// Difference of the noise's variances, relative, up to which it is that of the same light.
 const SAME_NOISE: f64 = 0.15;
 
@@ -23,28 +24,50 @@ pub struct Automatic;
 
 impl Check for Automatic {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
-        let Some(zero) = campaign.zero().filter(|_| campaign.is_one_bench()) else { return Vec::new() };
-        let flats = campaign.places(|s| s.is_lit() && s.has_pattern());
+        let Some(zero) = campaign.zero().filter(|_| campaign.is_of_one_part()) else { return Vec::new() };
         let above = |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s);
         let light = |i: usize| campaign.sets[i].light();
-        let highest = flats.iter().map(|&i| above(i)).fold(0.0, f64::max);
-        let mut held: Vec<usize> =
-            flats.iter().copied().filter(|&i| above(i) > (1.0 - SAME_LEVEL) * highest).collect();
-        held.sort_by(|a, b| light(*a).total_cmp(&light(*b)));
-        let [first, .., last] = *held.as_slice() else { return Vec::new() };
-        if held.len() < MIN_FLATS
-            || light(last) < MIN_RATIO * light(first)
-            || !campaign.are_of_one_size(held.iter())
-        {
+        // In each position of card and light, those at its highest level; in one of them two lights at least.
+        let mut fields: Vec<Vec<usize>> = Vec::new();
+        for flats in campaign.flats_by_field().into_values() {
+            let highest = flats.iter().map(|&i| above(i)).fold(0.0, f64::max);
+            let mut held: Vec<usize> =
+                flats.into_iter().filter(|&i| above(i) > (1.0 - SAME_LEVEL) * highest).collect();
+            held.sort_by(|a, b| light(*a).total_cmp(&light(*b)));
+            if let [first, .., last] = *held.as_slice()
+                && light(last) >= MIN_RATIO * light(first)
+            {
+                fields.push(held);
+            }
+        }
+        let held: Vec<usize> = fields.iter().flatten().copied().collect();
+        if held.len() < MIN_FLATS || !campaign.are_of_one_size(held.iter()) {
             return Vec::new();
         }
-        let columns = campaign.sets[first].facts.middle_columns;
-        let pattern = |i: usize| pattern_of(&campaign.sets[i]);
-        let noise = Noise::of_flats(noise_of_mean(&campaign.sets[first]));
-        let kept = share(&pattern(last), &pattern(first), noise, columns);
+        // The patterns of the upper half of the lights and of the lower one.
+        let columns = campaign.sets[held[0]].facts.middle_columns;
+        let (lower, upper): (Vec<usize>, Vec<usize>) = fields
+            .iter()
+            .flat_map(|field| {
+                let middle = (light(field[0]) * light(field[field.len() - 1])).sqrt();
+                field.iter().map(move |&i| (i, middle))
+            })
+            .map(|(i, middle)| (i, light(i) < middle))
+            .fold((Vec::new(), Vec::new()), |(mut lower, mut upper), (i, is_lower)| {
+                if is_lower {
+                    lower.push(i)
+                } else {
+                    upper.push(i)
+                }
+                (lower, upper)
+            });
+        let mean = |sets: &[usize]| combined(campaign, sets, &vec![1.0 / sets.len() as f64; sets.len()]);
+        let ((pattern, noise_dn2), (image, _)) = (mean(&lower), mean(&upper));
+        let kept = share(&image, &pattern, Noise::of_flats(noise_dn2), columns);
         tracing::debug!("{} of one level have {kept:?} of the pattern", campaign.named(&held));
-        let alike = MIN_SHARE - MAX_STD_ERR..2.0 - MIN_SHARE + MAX_STD_ERR;
-        if !kept.is_some_and(|(part, std)| std < MAX_STD_ERR && alike.contains(&part)) {
+        let is_kept =
+            |(part, std): (f64, f64)| part > MIN_SIGMAS * std && (part - 1.0).abs() < MAX_LOSS.max(2.0 * std);
+        if !kept.is_some_and(is_kept) {
             return Vec::new();
         }
         let var = |i: usize| campaign.sets[i].variance_dn2().map_or(f64::NAN, |v| v.0);
@@ -53,29 +76,36 @@ impl Check for Automatic {
             .iter()
             .map(|&i| var(i))
             .fold(f64::INFINITY, f64::min);
-        let (a, b) = (var(first), var(last));
+        let usual = |sets: &[usize]| median(sets.iter().map(|&i| var(i)));
+        let (a, b) = (usual(&lower), usual(&upper));
         let one_light = (b / a - 1.0).abs() < SAME_NOISE;
         let falls = b < a && b > 0.5 * dark.min(a);
         if !one_light && !falls {
             return Vec::new();
         }
-        // The first counts where all had one light; a gain may have been regulated from the first on.
-        let (why, out) = if one_light {
+        // The first of each field counts where all had one light; a gain may have been regulated from the first
+        // on.
+        let first: Vec<usize> = fields.iter().map(|field| field[0]).collect();
+        let (why, mut out): (String, Vec<usize>) = if one_light {
             let of_first = format!(
-                "their noise is that of one light: an automatic exposure was on, or the light was set to it; of these only set {} counts",
-                campaign.sets[first].number
+                "their noise is that of one light: an automatic exposure was on, or the light was set to it; of these only {} {}",
+                campaign.named(&first),
+                if first.len() == 1 { "counts" } else { "count" },
             );
-            (of_first, &held[1..])
+            (of_first, held.iter().copied().filter(|i| !first.contains(i)).collect())
         } else {
             let of_gain = "their noise falls as with less and less gain, while the pixels respond as before: an automatic gain was on";
-            (of_gain.into(), &held[..])
+            (of_gain.into(), held.clone())
         };
+        out.sort_unstable();
+        let (weakest, strongest) =
+            held.iter().map(|&i| light(i)).fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(v), b.max(v)));
         let text = format!(
             "{}: all have {} DN above black, though exposure and light are stated to differ by a factor of {}; {why}",
             campaign.named(&held),
-            six_digits(above(first)),
-            six_digits(light(last) / light(first)),
+            six_digits(above(first[0])),
+            six_digits(strongest / weakest),
         );
-        vec![campaign.fault_of_sets(FaultKind::OtherSettings, out, text, true)]
+        vec![campaign.fault_of_sets(FaultKind::OtherSettings, &out, text, true)]
     }
 }

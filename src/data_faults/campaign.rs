@@ -89,6 +89,17 @@ impl SetView {
         (far > 0.0).then(|| near / far)
     }
 
+    /// Returns true if frames differ the more the longer the time between them: the level of lines or parts wanders.
+    /// A filter over time, whose correlation is r from one frame to the next, leaves 1 / (1 - r) of what frames two
+    /// apart differ by beyond successive ones, twice as much at most.
+    pub fn wanders(&self) -> bool {
+        const MAX_OF_A_FILTER: f64 = 2.5;
+        let Some(((near, _), dependence)) = self.variance_dn2().zip(self.dependence()) else { return false };
+        let second = near / dependence;
+        self.kept.iter().all(|kept| *kept)
+            && self.facts.ends_dn2 - near > MAX_OF_A_FILTER * (second - near).max(0.0)
+    }
+
     /// Returns true if code 0 cuts the noise off.
     pub fn is_cut_off(&self) -> bool {
         self.variance_dn2().is_some_and(|(var, _)| self.level_dn() < 4.0 * var.sqrt() + 0.5)

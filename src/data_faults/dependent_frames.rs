@@ -22,16 +22,19 @@ const MIN_SIGMAS: f64 = 10.0;
 /// Share of the sets up to which it is a slip: more are what the camera does.
 const MAX_SHARE_OF_SETS: f64 = 0.34;
 
+/// Darks below which none has another gain than the others by its pattern.
+const MIN_DARKS_FOR_A_GAIN: usize = 3;
+
 /// Amplitude of the fixed pattern of a dark over that of other darks of similar exposure; `None` without a
 /// visible pattern.
 fn pattern_gain(campaign: &Campaign<'_>, set: usize) -> Option<f64> {
     let exposure_s = campaign.sets[set].exposure_s;
     let alike = |s: &SetView| s.kind == Kind::Dark && (0.5..2.0).contains(&(s.exposure_s / exposure_s));
     let mut darks = campaign.places(alike);
-    if darks.len() < 3 {
+    if darks.len() < MIN_DARKS_FOR_A_GAIN {
         darks = campaign.places(|s| s.kind == Kind::Dark);
     }
-    if darks.len() < 3 {
+    if darks.len() < MIN_DARKS_FOR_A_GAIN {
         return None;
     }
     let columns = campaign.sets[set].facts.middle_columns;
@@ -73,6 +76,7 @@ impl Check for DependentFrames {
             let triples = set.frames().saturating_sub(2).max(1) as f64;
             let std = (4.0 / (set.facts.pixels * triples)).sqrt();
             set.is_of_one_level(&zero)
+                && !set.wanders()
                 && set.dependence().is_some_and(|d| d < usual - MIN_DEPENDENCE.max(MIN_SIGMAS * std))
         };
         let filtered: Vec<usize> = all.iter().copied().filter(|&i| alike(i)).collect();
@@ -179,7 +183,17 @@ impl Check for DependentFrames {
         if !averaged.is_empty() && averaged.len() as f64 <= (MAX_SHARE_OF_SETS * all.len() as f64).max(1.0) {
             let i = averaged[0];
             let ratio = transfer.as_ref().and_then(|t| t.off(campaign, i, level(i))).map(|o| o.0.exp());
+            // Of so few darks none tells the pattern's gain.
+            let darks = campaign.places(|s| s.kind == Kind::Dark).len();
+            let few = darks < MIN_DARKS_FOR_A_GAIN && averaged.iter().all(|&i| !campaign.sets[i].is_lit());
+            let kind = if few { FaultKind::OtherSettings } else { FaultKind::DependentFrames };
             let text = match ratio {
+                Some(ratio) if few && ratio < MAX_AVERAGED_RATIO => format!(
+                    "{}: darks of another gain or camera, or averaged before they were saved: variance of set {} is {} of what the flats leave for its level",
+                    campaign.named(&averaged),
+                    campaign.sets[i].number,
+                    six_digits((ratio * 1000.0).round() / 1000.0)
+                ),
                 Some(ratio) if ratio < MAX_AVERAGED_RATIO => format!(
                     "{}: frames were averaged or filtered over time before they were saved: variance of set {} is {} of what its level has elsewhere",
                     campaign.named(&averaged),
@@ -191,7 +205,7 @@ impl Check for DependentFrames {
                     campaign.named(&averaged)
                 ),
             };
-            out.push(campaign.fault_of_sets(FaultKind::DependentFrames, &averaged, text, true));
+            out.push(campaign.fault_of_sets(kind, &averaged, text, true));
         }
         for (i, off) in gained {
             let text = format!(

@@ -31,6 +31,10 @@ pub struct SetFacts {
     pub successive_dn2: Vec<f64>,
     /// Half that variance for the difference to the frame two before, DN^2; 0 for the first two.
     pub second_dn2: Vec<f64>,
+    /// Half that variance for the difference of the last frame to the third, DN^2 (the first two may carry what came
+    /// before); 0 of fewer than six, and in files of earlier versions.
+    #[serde(default)]
+    pub ends_dn2: f64,
     /// Share of the samples at full scale.
     pub clipped: f64,
     /// Variance over the pixels of the first frame, DN^2.
@@ -82,6 +86,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     let mut out = SetFacts::default();
     let mut before: Option<Arc<Array2<u16>>> = None;
     let mut second: Option<Arc<Array2<u16>>> = None;
+    let mut third: Option<Arc<Array2<u16>>> = None;
     let mut middle = Array2::<f32>::zeros((0, 0));
     let mut clipped = 0usize;
     let mut occurring = Occurring::default();
@@ -115,8 +120,15 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
                 middle = Array2::zeros(part.dim());
             }
             middle += &part;
+            if out.means_dn.len() == 3 {
+                third = Some(Arc::clone(&frame));
+            }
             second = before.replace(frame);
         }
+    }
+    if let (Some(third), Some(last), 6..) = (&third, &before, out.means_dn.len()) {
+        let codes = [third, last].map(|f| f.as_slice().unwrap_or(&[]));
+        out.ends_dn2 = difference(codes[0], codes[1], last.ncols()).1;
     }
     let stretch = occurring.stretch().map(|s| s.step);
     out.code_step_dn = stretch.unwrap_or(if occurring.has_neighbours() { 1.0 } else { 0.0 });

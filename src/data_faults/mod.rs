@@ -130,6 +130,8 @@ checks! {
     stale_frame::StaleFrame
     copied_frames::CopiedFrames
     odd_frame::OddFrame
+    moving_field::MovingField
+    gain_step::GainStep
     light_in_darks::LightInDarks
     kind_label::KindLabel
     unequal_light::UnequalLight

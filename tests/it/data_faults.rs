@@ -327,6 +327,96 @@ fn light_in_darks_and_shifted_flats_are_named() {
     assert!(text.contains("1 rows and 0 columns off against the other flats"), "{text}");
 }
 
+/// The brighter flats have another gain: all of them are named with the ratio, and gain and read noise are those of the others. A curve
+/// with a knee at the same place is none of that.
+#[test]
+fn another_gain_of_the_brighter_flats_is_named() {
+    for (seed, ratio) in [(67, 0.6), (68, 0.8)] {
+        let campaign = Campaign::new("cmos12", "standard", seed);
+        let level = |set: u32| campaign.frame(campaign.of(set)[0]).mapv(f64::from).mean().unwrap();
+        let mut flats = campaign.sets("flat", 2);
+        flats.retain(|f| level(*f) < 3600.0);
+        flats.sort_by(|a, b| level(*a).total_cmp(&level(*b)));
+        // A third of them, cut between two levels.
+        let mut at = 2 * flats.len() / 3;
+        while level(flats[at]) < 1.1 * level(flats[at - 1]) {
+            at += 1;
+        }
+        let bright = flats.split_off(at);
+        assert!(bright.len() > 1, "{bright:?}");
+        bright.iter().flat_map(|f| campaign.of(*f)).for_each(|row| campaign.scale(row, ratio, BLACK_DN));
+        let said = campaign.said("noise");
+        let faults = said["data_faults"].as_array().unwrap();
+        let text = faults[0]["text"].as_str().unwrap();
+        assert!(faults.len() == 1 && text.contains("another gain than the other flats"), "{faults:?}");
+        let named: f64 = text.split("flats, ").nth(1).unwrap().split(" ±").next().unwrap().parse().unwrap();
+        assert!((named / ratio - 1.0).abs() < 0.02, "{text}");
+        let sets = faults[0]["sets"].as_array().unwrap();
+        assert!(bright.iter().all(|f| sets.contains(&(*f).into())), "{faults:?}, {bright:?}");
+        let (gain, error) = (
+            said["gain_dn_per_e"]["value"].as_f64().unwrap(),
+            said["gain_dn_per_e"]["std_err"].as_f64().unwrap(),
+        );
+        assert!((gain - 0.38).abs() < 4.0 * error, "{gain} +- {error}");
+    }
+    let campaign = Campaign::new("cmos12", "standard", 69);
+    for row in 0..campaign.rows.len() {
+        let bent = |v: u16| if v > 1500 { 1500 + (f64::from(v - 1500) * 0.6).round() as u16 } else { v };
+        campaign.put(row, &campaign.frame(row).mapv(bent));
+    }
+    assert_eq!(campaign.said("noise")["data_faults"], serde_json::json!([]));
+}
+
+/// A pattern that drifts across the field of one flat while it is taken: its later frames are left out, and its noise is that of its
+/// level; what a temporal filter does is none of that.
+#[test]
+fn a_field_that_moves_is_named() {
+    let campaign = Campaign::new("cmos12", "standard", 71);
+    let set = campaign.flat(8);
+    for (k, row) in campaign.of(set).into_iter().enumerate() {
+        let frame = campaign.frame(row);
+        let moved = frame.indexed_iter().map(|((y, x), v)| {
+            let phase = 0.35 * (x + 2 * y) as f64 + 0.02 * k as f64;
+            (BLACK_DN + (f64::from(*v) - BLACK_DN) * (1.0 + 0.25 * phase.sin())).round() as u16
+        });
+        campaign.put(row, &Array2::from_shape_vec(frame.dim(), moved.collect()).unwrap());
+    }
+    let said = campaign.said("noise");
+    let faults = said["data_faults"].as_array().unwrap();
+    assert_eq!(faults.len(), 1, "{faults:?}");
+    assert_eq!(faults[0]["kind"], "odd-frame");
+    assert_eq!(faults[0]["sets"], serde_json::json!([set]));
+    let text = faults[0]["text"].as_str().unwrap();
+    assert!(text.contains("the field moves or changes while it is taken"), "{text}");
+}
+
+/// Every flat has one level, whatever exposure its label states.
+#[test]
+fn an_automatic_exposure_is_named() {
+    let plan = tempfile::tempdir().unwrap();
+    let file = plan.path().join("plan.toml");
+    let set = |kind: &str, exposure: f64, light: f64| {
+        format!(
+            "[[set]]\nkind = \"{kind}\"\nframes = 4\nexposure = {exposure}\nillumination = {light}\nconfiguration = 0\n"
+        )
+    };
+    let darks = [0.1, 1.0].map(|t| set("dark", t, 0.0)).concat();
+    std::fs::write(&file, format!("format = \"radcam-plan/1\"\n{darks}{}", set("flat", 1.0, 1.0).repeat(6)))
+        .unwrap();
+    let mut campaign = Campaign::new("cmos12", file.to_str().unwrap(), 70);
+    let exposure: f64 = campaign.rows[campaign.of(campaign.sets("flat", 2)[0])[0]][4].parse().unwrap();
+    for (k, set) in campaign.sets("flat", 2).into_iter().enumerate() {
+        let stated = (exposure * [0.05, 0.1, 0.2, 0.4, 0.7, 1.0][k]).to_string();
+        campaign.of(set).into_iter().for_each(|row| campaign.rows[row][4] = stated.clone());
+    }
+    campaign.save();
+    let said = campaign.said("noise");
+    let faults = said["data_faults"].as_array().unwrap();
+    assert_eq!(faults.len(), 1, "{faults:?}");
+    let text = faults[0]["text"].as_str().unwrap();
+    assert!(text.contains("an automatic exposure was on") && text.contains("by a factor of 20"), "{text}");
+}
+
 /// The names of long and short darks are exchanged: hot pixels know.
 #[test]
 fn exchanged_exposures_of_darks_are_named() {

@@ -1,0 +1,210 @@
+//! Another gain in a part of the flats: in those that were taken later, or in the brighter ones. The level jumps
+//! by a factor, and the slope of the variance over the level by the same one (Healey and Kondepudy 1994, eq. 35:
+//! sigma_N^2 = A^2 (I + E_DC) + sigma_C^2). A bend does not jump, a lamp does not touch the slope.
+
+use super::transfer::MODEL_ERROR;
+use super::{Campaign, Check, DataFault, FaultKind};
+use crate::dataset::Kind;
+use crate::number::with_error;
+use crate::statistics::median::median;
+
+/// Least number of flats in all, and in each part.
+const MIN_FLATS: usize = 5;
+const MIN_OF_PART: usize = 2;
+/// Usual relative scatter of a set's level: what lamps that nobody touches have (a named choice).
+const LEVEL_SCATTER: f64 = 0.003;
+/// Least change of the gain that is said.
+const MIN_GAIN_RATIO: f64 = 1.08;
+/// Square of standard deviations that two gains must explain beyond one.
+const MIN_CHI2_GAIN: f64 = 60.0;
+/// Mean square of the standard deviations that may be left.
+const MAX_CHI2_OF_ONE: f64 = 5.0;
+/// Standard deviations within which level and noise must say the same gain, and the largest relative difference.
+const MAX_SIGMAS: f64 = 4.0;
+const MAX_DIFFERENCE: f64 = 0.15;
+/// Least ratio of the levels of a part from which on its variances have a slope of their own.
+const MIN_RANGE: f64 = 1.5;
+/// Level above the darks, in standard deviations of their noise, from which on a flat counts.
+const MIN_LEVEL: f64 = 1.0;
+
+/// The check.
+pub struct GainStep;
+
+/// A flat: light, level above the darks, temporal variance, with their standard errors.
+#[derive(Clone, Copy)]
+struct Point {
+    set: usize,
+    light: f64,
+    level_dn: f64,
+    level_std: f64,
+    variance_dn2: f64,
+    variance_std: f64,
+}
+
+/// A line y = a + b x.
+#[derive(Clone, Copy)]
+struct Line {
+    a: f64,
+    b: f64,
+    /// Standard error of b.
+    b_std: f64,
+    chi2: f64,
+}
+
+impl Line {
+    fn at(&self, x: f64) -> f64 {
+        self.a + self.b * x
+    }
+
+    /// Weighted least squares; through `fixed` at x = 0 where that is given.
+    fn of(points: &[(f64, f64, f64)], fixed: Option<f64>) -> Option<Self> {
+        let sum = |f: &dyn Fn(f64, f64) -> f64| -> f64 {
+            points.iter().map(|&(x, y, std)| f(x, y) / (std * std)).sum()
+        };
+        let (s, sx, sxx) = (sum(&|_, _| 1.0), sum(&|x, _| x), sum(&|x, _| x * x));
+        let (sy, sxy) = (sum(&|_, y| y), sum(&|x, y| x * y));
+        let (a, b, b_std) = match fixed {
+            Some(a) => (a, (sxy - a * sx) / sxx, sxx.sqrt().recip()),
+            None => {
+                let determinant = s * sxx - sx * sx;
+                if determinant <= 1e-9 * s * sxx {
+                    return None;
+                }
+                let b = (s * sxy - sx * sy) / determinant;
+                ((sy - b * sx) / s, b, (s / determinant).sqrt())
+            }
+        };
+        let chi2 = points.iter().map(|&(x, y, std)| ((y - a - b * x) / std).powi(2)).sum();
+        Some(Self { a, b, b_std, chi2 })
+    }
+}
+
+/// Level over light, and variance over level, of a part of the flats.
+struct Part {
+    response: Line,
+    noise: Line,
+}
+
+impl Part {
+    fn of(points: &[Point], dark_dn2: f64) -> Option<Self> {
+        let range = |of: &dyn Fn(&Point) -> f64| {
+            let (least, most) =
+                points.iter().map(of).fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(v), b.max(v)));
+            most > MIN_RANGE * least
+        };
+        let levels: Vec<(f64, f64, f64)> =
+            points.iter().map(|p| (p.light, p.level_dn, p.level_std)).collect();
+        let noises: Vec<(f64, f64, f64)> =
+            points.iter().map(|p| (p.level_dn, p.variance_dn2, p.variance_std)).collect();
+        let free = points.len() > MIN_OF_PART;
+        let response = Line::of(&levels, (!free || !range(&|p| p.light)).then_some(0.0))?;
+        let noise = Line::of(&noises, (!free || !range(&|p| p.level_dn)).then_some(dark_dn2))?;
+        (response.b > 0.0 && noise.b > 0.0).then_some(Self { response, noise })
+    }
+
+    fn chi2(&self) -> f64 {
+        self.response.chi2 + self.noise.chi2
+    }
+}
+
+/// Two parts with their gains.
+struct Step {
+    parts: [Vec<Point>; 2],
+    chi2: f64,
+    /// Gain of the second over that of the first, and its standard error.
+    ratio: (f64, f64),
+}
+
+impl Step {
+    /// A cut of the flats in two; `None` where level and noise do not say one gain.
+    fn of(first: &[Point], second: &[Point], dark_dn2: f64) -> Option<Self> {
+        let (one, two) = (Part::of(first, dark_dn2)?, Part::of(second, dark_dn2)?);
+        let ratio = |a: &Line, b: &Line| ((b.b / a.b).ln(), (a.b_std / a.b).hypot(b.b_std / b.b));
+        let (level, noise) = (ratio(&one.response, &two.response), ratio(&one.noise, &two.noise));
+        let std = level.1.hypot(noise.1);
+        let difference = (level.0 - noise.0).abs();
+        let agree =
+            difference < MAX_SIGMAS * std && difference < (MAX_DIFFERENCE * level.0).abs().max(2.0 * std);
+        // The level must jump where the parts meet.
+        let extreme =
+            |of: &[Point], f: fn(f64, f64) -> f64, from: f64| of.iter().map(|p| p.light).fold(from, f);
+        let (low, high) = (extreme(second, f64::min, f64::INFINITY), extreme(first, f64::max, 0.0));
+        let meet = (low * high).sqrt();
+        let jump = (two.response.at(meet) / one.response.at(meet)).ln();
+        let known = noise.1 < 0.2 * level.0.abs() && level.1 < 0.1 * level.0.abs();
+        (agree && known && level.0.abs() > MIN_GAIN_RATIO.ln() && jump / level.0 > 0.5).then(|| Self {
+            parts: [first.to_vec(), second.to_vec()],
+            chi2: one.chi2() + two.chi2(),
+            ratio: (level.0.exp(), level.0.exp() * level.1),
+        })
+    }
+}
+
+impl Check for GainStep {
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
+        let Some(zero) = campaign.zero().filter(|_| campaign.is_one_bench()) else { return Vec::new() };
+        let darks = campaign.places(|s| s.kind == Kind::Dark && !s.clipped);
+        let dark_dn2 = median(darks.iter().filter_map(|&i| campaign.sets[i].variance_dn2().map(|v| v.0)));
+        if !dark_dn2.is_finite() {
+            return Vec::new();
+        }
+        let point = |i: usize| {
+            let set = &campaign.sets[i];
+            let (variance_dn2, pairs) = set.variance_dn2()?;
+            let level_dn = set.level_dn() - zero.at(set.exposure_s);
+            // Of a normal distribution the variance of a variance of pairs of two.
+            let rel = MODEL_ERROR.hypot((3.0 / (set.facts.pixels * pairs)).sqrt());
+            (level_dn > MIN_LEVEL * dark_dn2.sqrt()).then_some(Point {
+                set: i,
+                light: set.light(),
+                level_dn,
+                level_std: (LEVEL_SCATTER * level_dn).hypot(3.0 * zero.scatter_dn),
+                variance_dn2,
+                variance_std: rel * variance_dn2,
+            })
+        };
+        let flats = campaign.places(|s| s.is_lit() && !s.clipped && !s.is_cut_off());
+        let in_time: Vec<Point> = flats.into_iter().filter_map(point).collect();
+        if in_time.len() < MIN_FLATS {
+            return Vec::new();
+        }
+        let mut by_light = in_time.clone();
+        by_light.sort_by(|a, b| a.light.total_cmp(&b.light));
+        let Some(whole) = Part::of(&in_time, dark_dn2) else { return Vec::new() };
+        let cuts = [by_light, in_time].into_iter().flat_map(|points| {
+            (MIN_OF_PART..=points.len() - MIN_OF_PART)
+                .filter_map(|at| Step::of(&points[..at], &points[at..], dark_dn2))
+                .collect::<Vec<_>>()
+        });
+        let Some(step) = cuts.min_by(|a, b| a.chi2.total_cmp(&b.chi2)) else { return Vec::new() };
+        let n = 2.0 * (step.parts[0].len() + step.parts[1].len()) as f64;
+        tracing::debug!(
+            "gain {:?} in a part of the flats: chi-square {:.0} for {:.0}",
+            step.ratio,
+            step.chi2,
+            whole.chi2()
+        );
+        if whole.chi2() - step.chi2 < MIN_CHI2_GAIN * (step.chi2 / n).max(1.0)
+            || step.chi2 > MAX_CHI2_OF_ONE * n
+        {
+            return Vec::new();
+        }
+        // The larger part counts; of equal ones that with less light.
+        let light = |part: &[Point]| median(part.iter().map(|p| p.light));
+        let [one, two] = &step.parts;
+        let second_is_out = (two.len(), light(one)) <= (one.len(), light(two));
+        let (out, (value, std)) = if second_is_out {
+            (two, step.ratio)
+        } else {
+            (one, (step.ratio.0.recip(), step.ratio.1 / step.ratio.0.powi(2)))
+        };
+        let mut sets: Vec<usize> = out.iter().map(|p| p.set).collect();
+        sets.sort_unstable();
+        let text = format!(
+            "{}: another gain than the other flats, {} times theirs: level and noise both say so",
+            campaign.named(&sets),
+            with_error(value, std)
+        );
+        vec![campaign.fault_of_sets(FaultKind::OtherSettings, &sets, text, true)]
+    }
+}

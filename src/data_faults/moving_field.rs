@@ -1,0 +1,60 @@
+//! A field that moves or changes its shape while a set is taken: the image shifts, the lamp wanders. What frames of a
+//! distance k differ by grows with k squared, and beyond the noise of successive frames; a filter over time makes
+//! successive frames alike, and those two apart hardly less than the first and the last.
+
+use super::{Campaign, Check, DataFault, FaultKind};
+use crate::number::six_digits;
+
+/// Least number of frames that tell a motion from a filter.
+const MIN_FRAMES: usize = 7;
+/// Least ratio of the variance of the last frame and the third to that of successive ones.
+const MIN_RATIO: f64 = 1.2;
+/// Least ratio of what these differ by beyond the noise to what frames two apart do.
+const MIN_GROWTH: f64 = 4.0;
+/// Standard deviations of a variance beyond which it is more.
+const MIN_SIGMAS: f64 = 10.0;
+/// Share of the variance that the motion may add in the frames that stay (a named choice).
+const MAX_SHARE: f64 = 0.02;
+
+/// The check.
+pub struct MovingField;
+
+impl Check for MovingField {
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
+        let mut found = Vec::new();
+        for i in campaign.places(|s| s.is_lit() && !s.clipped && s.kept.len() >= MIN_FRAMES) {
+            let set = &campaign.sets[i];
+            // What was left out of it may be its first or its last frame.
+            let whole = set.kept.iter().all(|kept| *kept);
+            let Some((successive, _)) = set.variance_dn2().filter(|_| whole) else { continue };
+            let n = set.facts.second_dn2.len();
+            let second = set.facts.second_dn2[2..].iter().sum::<f64>() / (n - 2) as f64;
+            let std = successive * (3.0 / set.facts.pixels).sqrt();
+            let (grown, near) = (set.facts.ends_dn2 - successive, (second - successive).max(std));
+            if set.facts.ends_dn2 < MIN_RATIO * successive
+                || grown < (MIN_SIGMAS * std).max(MIN_GROWTH * near)
+            {
+                continue;
+            }
+            // The mean of k^2 over all pairs of m frames is m (m + 1) / 6.
+            let of_one = grown / ((n - 3) as f64).powi(2);
+            let added = |m: usize| of_one * (m * (m + 1)) as f64 / 6.0;
+            let keep = (2..n).take_while(|m| added(*m) < MAX_SHARE * successive).last().unwrap_or(2);
+            let frames: Vec<(usize, usize)> = (keep..n).map(|place| (i, place)).collect();
+            let text = format!(
+                "set {}: the field moves or changes while it is taken: frames {} apart differ by a variance of {} DN^2, successive ones by {}; \
+                 frames {keep} to {}",
+                set.number,
+                n - 3,
+                six_digits(set.facts.ends_dn2),
+                six_digits(successive),
+                n - 1
+            );
+            found.push((frames, text));
+        }
+        found
+            .into_iter()
+            .map(|(frames, text)| campaign.fault_of_frames(FaultKind::OddFrame, &frames, text))
+            .collect()
+    }
+}
