@@ -2,6 +2,8 @@
 
 use super::Point;
 use super::estimators::{residual_variance, reweighted};
+use crate::dataset::Kind;
+use crate::number::{percent, with_error};
 use crate::statistics::peak::{strays, turn_off};
 
 /// Adjacent levels on one side of the line from which on they are a curve, and no outliers.
@@ -88,4 +90,53 @@ pub(super) fn exclude_outliers(points: &mut [Point]) -> Option<String> {
         let (sets, stand) = if numbers.len() == 1 { ("set", "stands") } else { ("sets", "stand") };
         format!("{sets} {} {stand} off the line of the others: not used", numbers.join(", "))
     })
+}
+
+/// Ratio of the gain's variances, without the charge of the darks and with it, from which on the darks decide (a
+/// named choice).
+const DARKS_DECIDE: f64 = 2.0;
+
+/// Leaves out darks that have charge where it decides the gain, and says so: a level of a few DN that hot pixels and
+/// a moving black level make too is no light. The darkest stays.
+pub(super) fn exclude_dark_charge(points: &mut [Point]) -> Option<String> {
+    let line = reweighted(points)?;
+    let used = || points.iter().enumerate().filter(|(_, p)| p.excluded.is_none());
+    let is_dark = |(_, p): &(usize, &Point)| p.kind == Kind::Dark;
+    let (darkest, _) = used().filter(is_dark).min_by(|a, b| a.1.mean_dn.total_cmp(&b.1.mean_dn))?;
+    // Variance of the slope of a weighted line.
+    let of = |wanted: &dyn Fn(usize, &Point) -> bool| {
+        let weights: Vec<(f64, f64)> = used()
+            .filter(|(i, p)| wanted(*i, p))
+            .map(|(_, p)| (p.mean_dn, residual_variance(p, line.slope, line.intercept.max(0.0)).recip()))
+            .collect();
+        let sum: f64 = weights.iter().map(|(_, w)| w).sum();
+        let mean = weights.iter().map(|(x, w)| x * w).sum::<f64>() / sum;
+        weights.iter().map(|(x, w)| w * (x - mean).powi(2)).sum::<f64>().recip()
+    };
+    let with = of(&|_, _| true);
+    let without = of(&|i, p| p.kind == Kind::Flat || i == darkest);
+    if !(without.is_finite() && without > DARKS_DECIDE * with) {
+        return None;
+    }
+    let flats: Vec<&Point> = used().map(|(_, p)| p).filter(|p| p.kind == Kind::Flat).collect();
+    let unsure = flats.iter().map(|p| p.var_unsure_dn2 / p.var_dn2).fold(0.0, f64::max);
+    let (gain, most) = (with_error(line.slope, with.sqrt()), flats.len());
+    let out: Vec<usize> =
+        used().filter(|(i, p)| p.kind == Kind::Dark && *i != darkest).map(|(i, _)| i).collect();
+    for i in out {
+        points[i].excluded = Some("the charge of darks would decide the gain, and is no light".into());
+    }
+    let why = if unsure > 0.05 {
+        format!(
+            ": the frames of a set differ in light, which leaves {} of their variance unknown",
+            percent(unsure)
+        )
+    } else {
+        String::new()
+    };
+    let sets = if most == 1 { "the set of flats hardly tells" } else { "the flats hardly tell" };
+    Some(format!(
+        "{sets} the gain{why}. The charge of the darks would make {gain} DN/e⁻ of it; that is the gain only if hot pixels, rays and the black \
+         level have no part in it, and it is left out"
+    ))
 }

@@ -309,6 +309,16 @@ fn moved(darks: impl Iterator<Item = (f64, f64)>, dof: usize) -> f64 {
     range / 12f64.sqrt()
 }
 
+/// Why a flat below the darks is none.
+fn darker(kind: Kind, mean_dn: f64, level: &Level) -> Option<String> {
+    (kind == Kind::Flat && mean_dn < -level.var_dn2.max(1.0).sqrt()).then(|| {
+        format!(
+            "a flat {:.0} DN darker than the darks: the two may be exchanged, or darks were taken off",
+            -mean_dn
+        )
+    })
+}
+
 /// Sets counted from the zero, with the reasons for those that are clipped or quantised too coarsely.
 pub fn points(measured: &Measured, zero: &Zero) -> Vec<Point> {
     let light = Light::of(measured, zero);
@@ -345,7 +355,7 @@ pub fn points(measured: &Measured, zero: &Zero) -> Vec<Point> {
             var_common_dn2: ROUNDING_ERROR * by_rounding,
             mean_unsure_dn: zero.moved_dn,
             pairs: level.pairs.iter().map(of_pair).collect(),
-            excluded: clipped_because(level).or(full).or(coarse),
+            excluded: clipped_because(level).or(full).or_else(|| darker(*kind, mean_dn, level)).or(coarse),
         }
     };
     let mut points: Vec<Point> = measured.levels.iter().map(point).collect();
@@ -512,7 +522,11 @@ pub fn table_points(table: &Table) -> Vec<Point> {
         pairs: vec![(level.mean_dn, level.var_dn2)],
         excluded: None,
     };
-    table.levels.iter().enumerate().map(row).collect()
+    let mut points: Vec<Point> = table.levels.iter().enumerate().map(row).collect();
+    for (i, first) in table.copies() {
+        points[i].excluded = Some(format!("a copy of row {first}"));
+    }
+    points
 }
 
 /// What stands in for a pixel count that a table does not give.
@@ -531,7 +545,7 @@ pub(crate) fn pixels_from_scatter(points: &mut [Point]) -> Counts {
     if points.iter().all(|p| p.pixels.is_finite()) {
         return Counts::Given;
     }
-    let mut order: Vec<usize> = (0..points.len()).collect();
+    let mut order: Vec<usize> = (0..points.len()).filter(|&i| points[i].excluded.is_none()).collect();
     order.sort_by(|&a, &b| points[a].mean_dn.total_cmp(&points[b].mean_dn));
     // Each point against the line through its neighbours, relative, and free of its own weight.
     let mut off: Vec<f64> = order

@@ -32,7 +32,7 @@ use crate::dataset::{Dataset, DatasetError, Kind, LONG_DARKS};
 use crate::number::{Quantity, six_digits, with_error};
 use crate::statistics::outliers;
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
-use exclude::{exclude_outliers, exclude_past_the_peak, exclude_strays};
+use exclude::{exclude_dark_charge, exclude_outliers, exclude_past_the_peak, exclude_strays};
 use levels::{BLACK_LEVEL, NO_ZERO, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED, ONE_FRAME};
 pub(crate) use levels::{Counts, Mask, level_of, pixels_from_scatter};
 use std::sync::atomic::AtomicBool;
@@ -117,6 +117,7 @@ fn estimate_with(
     exclude_strays(&mut points);
     exclude_past_the_peak(&mut points);
     notes.extend(exclude_outliers(&mut points));
+    notes.extend(exclude_dark_charge(&mut points));
     let is_lit = |p: &&Point| p.excluded.is_none() && p.kind == Kind::Flat;
     let lit = points.iter().filter(is_lit).count();
     let line = reweighted(&points).filter(|_| lit > 0);
@@ -133,7 +134,7 @@ fn estimate_with(
         });
     };
     let mut estimators = Vec::new();
-    if let Some(line) = paper(&points) {
+    if let Some(line) = paper(&points).filter(|line| line.slope > 0.0) {
         estimators.push(estimate_of(Method::Paper, &line, zero));
     }
     let best = estimate_of(Method::Reweighted, &line, zero);
@@ -464,6 +465,53 @@ mod tests {
     }
 
     const TABLE: Zero = Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO, moved_dn: 0.0 };
+
+    /// Darks of 5 to 25 DN beside flats under a lamp that scatters: the gain is that of the flats, with their error; beside sound
+    /// flats the same darks count.
+    #[test]
+    fn the_charge_of_darks_does_not_decide_the_gain() {
+        let dark = |set, mean_dn: f64, more: f64| Point {
+            kind: Kind::Dark,
+            frames: 5.0,
+            ..point(set, mean_dn, 123.0 + 0.68 * mean_dn + more, 2e5)
+        };
+        let levels = |unsure: f64| {
+            let flat =
+                Point { var_unsure_dn2: unsure, ..point(0, 3800.0, 123.0 + 0.68 * 3800.0 + unsure, 2e5) };
+            vec![flat, dark(1, 5.0, 0.0), dark(2, 7.0, 0.0), dark(3, 25.0, 6.0)]
+        };
+        let zero = Zero { dn: 1099.0, std_err_dn: 1.0, source: "darks", moved_dn: 0.0 };
+        let report = estimate(levels(1000.0), &zero).unwrap();
+        let gain = &report.gain_dn_per_e;
+        assert!((gain.value - 0.68).abs() < 1.5 * gain.std_err && gain.std_err > 0.2, "{gain}");
+        assert!(report.notes.iter().any(|n| n.contains("hardly tells the gain")), "{:?}", report.notes);
+        let sound = estimate(levels(0.0), &zero).unwrap();
+        assert!(sound.levels.iter().filter(|l| l.used).count() >= 3, "{:?}", sound.levels);
+        assert!(!sound.notes.iter().any(|n| n.contains("hardly tells")), "{:?}", sound.notes);
+    }
+
+    /// Rows that are one row copied many times weigh as one.
+    #[test]
+    fn copied_rows_of_a_table_count_once() {
+        let level = |mean_dn: f64, var_dn2: f64| crate::dataset::table::Level {
+            mean_dn,
+            var_dn2,
+            pixels: Some(1e6),
+            exposure_s: None,
+            illumination: None,
+            cov_01: None,
+            cov_10: None,
+            cov_11: None,
+            lamp: None,
+            monitor: None,
+        };
+        let line = [10.0, 100.0, 500.0, 900.0].map(|m| level(m, 0.5 * m + 4.0));
+        let copied = Table { levels: [vec![level(0.9, 5.0); 24], line.to_vec()].concat() };
+        let once = Table { levels: [vec![level(0.9, 5.0)], line.to_vec()].concat() };
+        assert_eq!(copied.copies().len(), 23);
+        let gain = |table: &Table| of_table(table).unwrap().gain_dn_per_e.value;
+        assert_eq!(gain(&copied), gain(&once));
+    }
 
     /// Levels on a line with normal scatter of the right size.
     fn scattered(seed: u32, levels: usize, pixels: f64) -> Vec<Point> {

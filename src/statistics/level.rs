@@ -145,10 +145,11 @@ impl LevelAccumulator {
         let n = frames as f64;
         let full = u64::from(self.full_scale);
         let all = self.moments.sums();
-        let masked = all.len().min(self.masked.len());
+        let without = self.masked_and_jumping();
+        let masked = all.len().min(without.len());
         // Runs between the pixels that do not count.
-        let ends = self.masked.iter().copied().chain([all.len()]);
-        let starts = std::iter::once(0).chain(self.masked.iter().map(|i| i + 1));
+        let ends = without.iter().copied().chain([all.len()]);
+        let starts = std::iter::once(0).chain(without.iter().map(|i| i + 1));
         let sums = || starts.clone().zip(ends.clone()).flat_map(|(from, to)| &all[from.min(to)..to]).copied();
         let stuck_high = sums().filter(|&s| s == frames * full).count() as u64;
         let stuck_low = sums().filter(|&s| s == 0).count() as u64;
@@ -181,11 +182,15 @@ impl LevelAccumulator {
         let m = pixels as f64;
         let samples = n * m;
         // Stuck pixels do not vary: they leave the frame sums by a constant.
+        let jumping_dn: f64 = {
+            let sum = |pixels: &[usize]| pixels.iter().filter_map(|&i| all.get(i)).sum::<u64>() as f64;
+            (sum(&without) - sum(&self.masked)) / n
+        };
         let frame_means: Vec<f64> =
-            self.frame_sums.iter().map(|s| (s - stuck_high * full) as f64 / m).collect();
+            self.frame_sums.iter().map(|s| ((s - stuck_high * full) as f64 - jumping_dn) / m).collect();
         let mean_dn = frame_means.iter().sum::<f64>() / n;
         let between_frames: f64 = frame_means.iter().map(|f| (f - mean_dn).powi(2)).sum();
-        let of_masked: f64 = self.masked.iter().map(|&i| self.moments.spread_dn2(i)).sum();
+        let of_masked: f64 = without.iter().map(|&i| self.moments.spread_dn2(i)).sum();
         let within_pixels = (self.moments.total_spread_dn2() - of_masked) / n;
         let var_dn2 = (within_pixels - m * between_frames).max(0.0) / ((n - 1.0) * (m - 1.0));
         let used = sums().filter(|&s| s != 0 && s != frames * full);
@@ -203,20 +208,53 @@ impl LevelAccumulator {
             pairs: self.pairs.clone(),
             masked: masked as u64,
             struck: 0,
-            square_dn4: self.square_dn4(),
+            square_dn4: self.square_dn4(&without),
         })
     }
 }
 
+/// Variance of a pixel over that of all, in standard errors of the latter as a sum over the pixels, from which on
+/// the pixel alone decides it; and the least ratio, which noisy pixels reach (named choices).
+const DECIDES: f64 = 3.0;
+const MIN_JUMP: f64 = 100.0;
+
 impl LevelAccumulator {
+    /// Pixels that do not count, with those that jump from one level to another in the set (traps that fill, what a ray
+    /// leaves behind): one of a million that moves by half the range doubles the variance of a dark.
+    fn masked_and_jumping(&self) -> Vec<usize> {
+        let (n, pixels) = (self.moments.frames() as f64, self.moments.sums().len());
+        let of_masked: f64 = self.masked.iter().map(|&i| self.moments.spread_dn2(i)).sum();
+        let counted = (pixels - self.masked.len().min(pixels)) as f64;
+        let mut out = self.masked.clone();
+        if n < 2.0 || counted < 2.0 {
+            return out;
+        }
+        // Without those found the variance is smaller, and shows more of them.
+        let mut left = self.moments.total_spread_dn2() - of_masked;
+        let limit = (DECIDES * (2.0 * counted / (n - 1.0)).sqrt()).max(MIN_JUMP);
+        for _ in 0..3 {
+            let most = limit * left / counted;
+            let found: Vec<usize> = (0..pixels)
+                .filter(|&i| self.moments.spread_dn2(i) > most && out.binary_search(&i).is_err())
+                .collect();
+            if found.is_empty() {
+                break;
+            }
+            left -= found.iter().map(|&i| self.moments.spread_dn2(i)).sum::<f64>();
+            out.extend(found);
+            out.sort_unstable();
+        }
+        out
+    }
+
     /// E s^4 = sigma^4 (1 + 2 / (n - 1)) for the variance s^2 of n normal numbers.
-    fn square_dn4(&self) -> f64 {
+    fn square_dn4(&self, without: &[usize]) -> f64 {
         let n = self.moments.frames() as f64;
         let square = |i: usize| (self.moments.spread_dn2(i) / (n * (n - 1.0))).powi(2);
         let pixels = self.moments.sums().len();
         let all: f64 = (0..pixels).map(square).sum();
-        let of_masked: f64 = self.masked.iter().map(|&i| square(i)).sum();
-        (all - of_masked) / (pixels - self.masked.len()) as f64 / (1.0 + 2.0 / (n - 1.0))
+        let of_masked: f64 = without.iter().map(|&i| square(i)).sum();
+        (all - of_masked) / (pixels - without.len()) as f64 / (1.0 + 2.0 / (n - 1.0))
     }
 }
 
@@ -277,6 +315,32 @@ mod tests {
         assert!((other.var_dn2 / plain.var_dn2 - 1.0).abs() < 2e-3);
         assert_eq!((other.saturated, other.black, other.stuck), (0.0, 0.0, 2.0 / 4000.0));
         assert!((other.frame_mean_var_dn2 - 37.0f64.powi(2) / 2.0).abs() < 20.0);
+    }
+
+    /// A pixel of 40 000 that jumps by 3000 DN in the middle of a set would add 80 DN^2 to 64: without it the
+    /// variance is that of the others to 0.1 %; a pixel with ten times the noise stays in.
+    #[test]
+    fn a_pixel_that_jumps_does_not_decide() {
+        let frame = |f: u64, jump: f64, noisy: f64| -> Vec<u16> {
+            let value = |p: u32| {
+                let more = if p == 7 { jump } else { 0.0 };
+                let times = if p == 9 { noisy } else { 1.0 };
+                (1000.0 + more + 8.0 * times * noise(f, p)) as u16
+            };
+            (0..40_000).map(value).collect()
+        };
+        let level = |jump: f64, noisy: f64| {
+            let mut level = LevelAccumulator::new((200, 200), 16);
+            for f in 0..10 {
+                level.add(&[&frame(f, if f > 4 { jump } else { 0.0 }, noisy)]).unwrap();
+            }
+            level.finish().unwrap()
+        };
+        let (still, jumps, noisy) = (level(0.0, 1.0), level(3000.0, 1.0), level(0.0, 10.0));
+        assert_eq!((still.masked, jumps.masked, noisy.masked), (0, 1, 0));
+        assert!((jumps.var_dn2 / still.var_dn2 - 1.0).abs() < 1e-3, "{} {}", jumps.var_dn2, still.var_dn2);
+        assert!((jumps.mean_dn - still.mean_dn).abs() < 0.01, "{} {}", jumps.mean_dn, still.mean_dn);
+        assert!((noisy.var_dn2 - still.var_dn2 - 99.0 * 64.0 / 40_000.0).abs() < 0.15, "{}", noisy.var_dn2);
     }
 
     /// Over 300 sets of six frames the pooled variance has the expected mean and scatter, each within 5 sigma.
