@@ -246,7 +246,21 @@ impl Manifest {
     /// What `import` guessed and found, as notes of a result.
     pub fn import_notes(&self) -> Vec<String> {
         let Some(import) = &self.import else { return Vec::new() };
-        let guessed = import.guessed.iter().map(|text| format!("guessed by import: {text}"));
+        // Of many guesses of one kind the first stands for all.
+        let key = |text: &str| text.split_once(" of ").map_or(text, |(key, _)| key).to_string();
+        let mut kinds: Vec<(String, &String, usize)> = Vec::new();
+        for text in &import.guessed {
+            match kinds.iter_mut().find(|(own, ..)| *own == key(text)) {
+                Some((.., more)) => *more += 1,
+                None => kinds.push((key(text), text, 0)),
+            }
+        }
+        let guessed = kinds.into_iter().map(|(_, text, more)| match more {
+            0 => format!("guessed by import: {text}"),
+            _ => {
+                format!("guessed by import: {text}; {more} more of this kind in dataset.toml under [import]")
+            }
+        });
         guessed.chain(import.notes.iter().map(|text| format!("found by import: {text}"))).collect()
     }
 

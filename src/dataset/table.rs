@@ -66,6 +66,20 @@ impl Table {
         Self::parse(&text).map_err(|(line, message)| DatasetError::Row { path: path.into(), line, message })
     }
 
+    /// Rows that are another row once more, as (row, the first like it) from 0: measured twice, two rows differ.
+    pub fn copies(&self) -> Vec<(usize, usize)> {
+        let mut seen = std::collections::HashMap::new();
+        let key = |l: &Level| {
+            [Some(l.mean_dn), Some(l.var_dn2), l.exposure_s, l.illumination].map(|v| v.map(f64::to_bits))
+        };
+        let rows = self.levels.iter().enumerate();
+        rows.filter_map(|(i, l)| match *seen.entry((key(l), l.lamp)).or_insert(i) {
+            first if first == i => None,
+            first => Some((i, first)),
+        })
+        .collect()
+    }
+
     fn parse(text: &str) -> Result<Self, (u64, String)> {
         let text = text.strip_prefix(BOM).unwrap_or(text);
         let delimiter = delimiter(header(text).unwrap_or_default());

@@ -65,7 +65,7 @@ fn describe(name: &str, of: &[&Residual]) -> String {
     };
     let grows = match power(of) {
         Some(power) => format!(", in proportion to mean^{power:.1}"),
-        None if !worst.is_of_first_frames() && darks_deviate(of) => ", in darks too".into(),
+        None if !worst.is_of_first_frames() && darks_deviate(of) => ", near black too".into(),
         None => String::new(),
     };
     let decimals = usize::from(worst.z.abs() < 100.0);

@@ -43,6 +43,12 @@ pub fn of_bytes(header: &[u8]) -> Vec<Card> {
             continue;
         }
         continued = false;
+        // What was done to the frame, as a text of its own (section 4.4.2.4).
+        if key == "HISTORY" {
+            let value = text.get(8..).unwrap_or_default().trim().to_string();
+            out.push(Card { key: key.to_string(), value, comment: String::new() });
+            continue;
+        }
         // ESO's convention for long keywords.
         let (key, value) = match text.strip_prefix("HIERARCH ").and_then(|rest| rest.split_once('=')) {
             Some((key, value)) => (key.trim(), value),
@@ -106,6 +112,7 @@ mod tests {
             "LONG    = 'one &'",
             "CONTINUE  'and two' / joined",
             "COMMENT = no value of its own",
+            "HISTORY Auto-Dark Subtraction",
             "END",
             "AFTER   = 1",
         ]));
@@ -115,6 +122,7 @@ mod tests {
         assert_eq!(of("DET EXP TIME"), Some(("3.5", "[s]")));
         assert_eq!(of("OBSERVER"), Some(("O'Neil", "")));
         assert_eq!(of("LONG"), Some(("one and two", "joined")));
+        assert_eq!(of("HISTORY"), Some(("Auto-Dark Subtraction", "")));
         assert_eq!(of("AFTER"), None);
     }
 }

@@ -47,6 +47,8 @@ pub struct Facts {
     pub camera: Option<CameraInfo>,
     /// A bias frame: it has no exposure of its own.
     pub bias: bool,
+    /// The exposure is stated as 0: that of a bias frame; of others it is not known.
+    pub zero_exposure: bool,
     /// Rows run from the bottom to the top.
     pub bottom_up: Option<bool>,
     /// Colour pattern of two by two pixels, row by row, such as RGGB; none of monochrome sensors.
@@ -130,6 +132,9 @@ impl Facts {
             self.take(&names, "kind", |f| &mut f.kind);
         }
         self.bias |= names.bias;
+        if self.zero_exposure && self.bias && self.exposure_s.is_none() && !self.doubts("exposure_s") {
+            self.exposure_s = Some(0.0);
+        }
         self.take(&names, "illumination", |f| &mut f.illumination);
         self.take(&names, "configuration", |f| &mut f.configuration);
         self.take(&names, "gain_db", |f| &mut f.gain_db);

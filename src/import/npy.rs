@@ -103,6 +103,10 @@ fn stack(bytes: &[u8], axis: Option<usize>) -> Result<Stack, String> {
     {
         array = array.index_axis_move(Axis(k), 0);
     }
+    // (rows, columns, 1) is a frame of one channel; frames of a single column are none that a camera sends.
+    if axis.is_none() && matches!(array.shape(), [rows, columns, 1] if *rows > 1 && *columns > 1) {
+        array = array.index_axis_move(Axis(2), 0);
+    }
     let dims = array.ndim();
     let array = if dims == 2 { array.insert_axis(Axis(0)) } else { array };
     let mut array = array.into_dimensionality::<Ix3>().map_err(|_| {
@@ -202,6 +206,8 @@ mod tests {
             of("|u1", "False", "(2, 1, 1, 2)", &[1, 2, 3, 4]),
             Ok(((2, 1, 2), vec![1.0, 2.0, 3.0, 4.0]))
         );
+        // One channel behind rows and columns is no stack of lines.
+        assert_eq!(of("|u1", "False", "(2, 2, 1)", &[1, 2, 3, 4]), Ok(((1, 2, 2), vec![1.0, 2.0, 3.0, 4.0])));
         for (descr, shape, part) in [
             ("<c8", "(1, 2)", "'<c8'"),
             ("|O", "(1,)", "'|O'"),

@@ -94,9 +94,10 @@ fn readings(text: &str) -> (Option<String>, Option<String>) {
     }
 }
 
-/// A time in seconds: divided where the unit is a part of a second, so that 35 ms is the number 0.035.
+/// A time in seconds: the number that its decimals are, so that 35 ms is 0.035 and 47.933 us is 0.000047933.
 pub fn in_seconds(value: f64, unit_s: f64) -> f64 {
-    if unit_s < 1.0 { value / (1.0 / unit_s).round() } else { value * unit_s }
+    let seconds = value * unit_s;
+    format!("{seconds:.14e}").parse().unwrap_or(seconds)
 }
 
 /// The unit of time that a comment names: `exposure time in ms`, `[s] integration`. `Err` where it names two.
@@ -168,6 +169,7 @@ mod tests {
             assert_eq!(number(text).0, Reading::None, "{text}");
         }
         assert_eq!(in_seconds(35.0, 1e-3), 0.035);
+        assert_eq!(in_seconds(47.933, 1e-6), 4.7933e-5);
         assert_eq!(in_seconds(2.0, 60.0), 120.0);
     }
 

@@ -188,6 +188,9 @@ pub fn facts(mut said: Vec<Said>, writer: Writer) -> Facts {
             {
                 out.processed = Some(format!("{key} is {value}: the frame is corrected already"));
             }
+            "history" if tells_of_a_correction(value) => {
+                out.processed = Some(format!("HISTORY says \"{value}\": the frame is corrected already"));
+            }
             word if COMBINED.contains(&word) && number.is_some_and(|n| n > 1.0) => {
                 out.processed = Some(format!(
                     "{key} is {value}: that many exposures were combined, and their noise is not that of one frame"
@@ -198,7 +201,8 @@ pub fn facts(mut said: Vec<Said>, writer: Writer) -> Facts {
     }
     out.mosaic = out.mosaic.map(|pattern| shifted(&pattern, first));
     // Zero is the exposure of a bias frame; of others it is not known.
-    if out.exposure_s == Some(0.0) && !out.bias {
+    out.zero_exposure = out.exposure_s == Some(0.0);
+    if out.zero_exposure && !out.bias {
         out.exposure_s = None;
     }
     out
@@ -392,6 +396,17 @@ pub fn of_cards(cards: Vec<super::cards::Card>) -> Facts {
     facts(said.collect(), Writer::Fits)
 }
 
+/// Returns true where a line of a header's history says that a dark, a bias or a flat was applied
+/// (`Auto-Dark Subtraction` of CCDSoft, `Bias Subtraction`, `Flat Field` of MaxIm DL, `flat fielded`).
+fn tells_of_a_correction(line: &str) -> bool {
+    let line = line.to_lowercase();
+    let frame = ["dark", "bias", "zero", "flat"].iter().any(|w| line.contains(w));
+    let done = ["subtract", "divid", "correct", "calibrat", "fielded"].iter().any(|w| line.contains(w));
+    frame
+        && done
+        && !["not ", "no ", "un"].iter().any(|w| line.split_whitespace().any(|word| word == w.trim()))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -449,6 +464,8 @@ mod tests {
     fn what_is_no_raw_frame_says_so() {
         for card in [
             ("CALSTAT", "BD", ""),
+            ("HISTORY", "Auto-Dark Subtraction", ""),
+            ("HISTORY", "Bias Subtraction (Bias 4, 1529 x 1032, Bin2 x 2)", ""),
             ("STACKCNT", "16", ""),
             ("NCOMBINE", "16", ""),
             ("SNAPSHOT", "4", "number of images combined"),
@@ -457,8 +474,13 @@ mod tests {
         ] {
             assert!(fits(&[card]).processed.is_some(), "{card:?}");
         }
-        for card in [("CALSTAT", "", ""), ("STACKCNT", "1", ""), ("NCOMBINE", "0", ""), ("DARKCOR", "F", "")]
-        {
+        for card in [
+            ("HISTORY", "dark frame taken", ""),
+            ("CALSTAT", "", ""),
+            ("STACKCNT", "1", ""),
+            ("NCOMBINE", "0", ""),
+            ("DARKCOR", "F", ""),
+        ] {
             assert!(fits(&[card]).processed.is_none(), "{card:?}");
         }
         assert_eq!(fits(&[("GAIN", "120", "[0.1 dB]")]).feature("GainRaw"), Some("120"));

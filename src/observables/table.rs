@@ -6,8 +6,9 @@ use super::{
     variance,
 };
 use crate::dataset::Kind;
-use crate::dataset::table::Table;
+use crate::dataset::table::{Level, Table};
 use crate::noise::{Counts, pixels_from_scatter, table_points};
+use crate::number::ranges;
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::peak::{strays, turn_off};
@@ -31,6 +32,15 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
             "no pixel count: errors are the rows' own scatter, as of {pixels:.0} pixels a row"
         ));
     }
+    let copies: Vec<usize> = table.copies().into_iter().map(|(i, _)| i + 1).collect();
+    if !copies.is_empty() {
+        let (rows, are) = if copies.len() == 1 {
+            ("row", "is a copy of another")
+        } else {
+            ("rows", "are copies of others")
+        };
+        missing.push(format!("{rows} {} {are}, and left out", ranges(&copies)));
+    }
     let strays = strays(&table.levels.iter().map(|l| (l.mean_dn, l.var_dn2)).collect::<Vec<_>>());
     for &i in &strays {
         let l = &table.levels[i];
@@ -42,7 +52,8 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         ));
     }
     // Past the variance's peak the well is full: what the rows say there is not noise.
-    let mut order: Vec<usize> = (0..table.levels.len()).filter(|i| !strays.contains(i)).collect();
+    let mut order: Vec<usize> =
+        (0..table.levels.len()).filter(|i| !strays.contains(i) && !copies.contains(&(i + 1))).collect();
     order.sort_by(|&a, &b| table.levels[a].mean_dn.total_cmp(&table.levels[b].mean_dn));
     let levels: Vec<(f64, f64)> =
         order.iter().map(|&i| (table.levels[i].mean_dn, table.levels[i].var_dn2)).collect();
@@ -62,7 +73,21 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
             kept.len()
         )));
     }
-    let exposures = kept.iter().all(|&i| table.levels[i].exposure_s.is_some());
+    let stated = kept.iter().all(|&i| table.levels[i].exposure_s.is_some());
+    // Levels that differ at one exposure differ in light, which nobody states.
+    let first = &table.levels[kept[0]];
+    let nothing_else = |l: &Level| {
+        l.exposure_s == first.exposure_s
+            && l.illumination.is_none()
+            && l.lamp.is_none()
+            && l.monitor.is_none()
+    };
+    let exposures = stated && !kept.iter().all(|&i| nothing_else(&table.levels[i]));
+    if stated && !exposures {
+        missing.push(
+            "one exposure in all rows and no illumination: the means stand for the light, and tell nothing of linearity".into(),
+        );
+    }
     let mut list = Vec::new();
     // Rows of one lamp share its strength, and those of one illumination its setting.
     let mut lights: Vec<(Option<u32>, u64)> = Vec::new();

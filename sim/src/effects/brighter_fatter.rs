@@ -73,7 +73,10 @@ impl Effect for BrighterFatter {
 
     /// Charge pushes away field lines on all sides (Antilogus et al. 2014: along the rows and the columns of CCDs
     /// by factors of up to three).
-    fn contradicted(&self, p: &[f64], std_err: &[f64], _: &Seen) -> Option<&'static str> {
+    fn contradicted(&self, p: &[f64], std_err: &[f64], seen: &Seen) -> Option<&'static str> {
+        if !seen.neighbours {
+            return None;
+        }
         let (less, more) = if p[0] < p[1] { (0, 1) } else { (1, 0) };
         (p[less] + SURE * std_err[less] < (p[more] - SURE * std_err[more]) / ONE_SIDED).then_some(
             "neighbours along one axis share it and those along the other do not, and charge pushes field lines on all sides",
