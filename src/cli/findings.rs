@@ -3,7 +3,7 @@
 
 use super::common::{item, say_faults, width, wrapped};
 use crate::agreement::P_LIMIT;
-use crate::diagnosis::{Diagnosis, Missing, Size};
+use crate::diagnosis::{Diagnosis, Missing, Size, WEAK};
 use crate::inference::Fitted;
 use crate::number::{Quantity, chance, percent, six_digits};
 use crate::report;
@@ -47,7 +47,16 @@ pub fn print(place: &Place<'_>, d: &Diagnosis) {
 fn table(d: &Diagnosis, fitted: &Fitted) {
     let mut rows = vec![["", "size", "of the misfit", "error of an EMVA 1288 evaluation"].map(String::from)];
     let nothing = || "nothing".to_string();
-    for m in &d.missing {
+    // What is small and costs nothing is named in one line.
+    let matters = |(k, m): &(usize, &Missing)| {
+        *k == 0
+            || m.share >= WEAK
+            || m.tied_with.is_some()
+            || m.effect == "unknown"
+            || m.costs(fitted).is_some()
+    };
+    let (told, traces): (Vec<_>, Vec<_>) = d.missing.iter().enumerate().partition(matters);
+    for (_, m) in told {
         let mark = if m.partial { " ~" } else { "" };
         let or = if m.tied_with.is_some() { "or " } else { "" };
         let size = match m.size() {
@@ -76,6 +85,10 @@ fn table(d: &Diagnosis, fitted: &Fitted) {
         } else {
             println!("{}\n{}", head.trim_end(), wrapped(costs, 6));
         }
+    }
+    if !traces.is_empty() {
+        let names: Vec<&str> = traces.iter().map(|(_, m)| m.effect.as_str()).collect();
+        println!("{}", wrapped(&format!("traces, below 1 % each and without cost: {}", names.join(", ")), 2));
     }
     if d.missing.iter().any(|m| m.partial) {
         println!("  ~ the camera behaves mostly like it, and is not quite that");
@@ -120,6 +133,10 @@ fn sensor(place: &Place<'_>, d: &Diagnosis) {
     let read_noise =
         if d.sensor.read_noise_dn.is_some() { &d.sensor.read_noise_dn } else { &d.sensor.read_noise_e };
     println!("      read noise    {}{pixels}", said(read_noise));
+    if let (Some(ratio), Some(read)) = (d.sensor.dark_noise_over_read_noise, read_noise) {
+        let total = Quantity { value: ratio * read.value, std_err: ratio * read.std_err, ..read.clone() };
+        println!("      dark noise    {total} (with what pixels share, as EMVA 1288 counts it)");
+    }
     println!("      dark current  {}", said(&d.sensor.dark_current_e_per_s));
     if let Some(r) = d.remainder.as_ref().filter(|_| place.explain) {
         let share = percent(r.share);

@@ -96,19 +96,22 @@ impl Plain {
         let brightest = flats.iter().map(|s| signal(*s)).fold(0.0, f64::max);
         let saturation = if clipped.is_empty() { brightest } else { all.campaign.full_scale_dn - dark.0 };
         let noise = |top: f64| {
-            let below = flats.iter().copied().filter(move |s| signal(*s) <= top * saturation);
-            let (low, high) = below
+            let points = flats
+                .iter()
+                .filter(|s| signal(**s) <= top * saturation)
+                .map(|&s| (signal(s), variance(s) - at(dark_var, s), 1.0));
+            let (low, high) = points
                 .clone()
-                .map(signal)
-                .fold((f64::INFINITY, 0.0f64), |(low, high), s| (low.min(s), high.max(s)));
-            // One level has no slope.
-            line(
-                below
-                    .filter(|_| high >= MIN_RANGE * low)
-                    .map(|s| (signal(s), variance(s) - at(dark_var, s), 1.0)),
-            )
+                .fold((f64::INFINITY, 0.0f64), |(low, high), (x, ..)| (low.min(x), high.max(x)));
+            if high >= MIN_RANGE * low {
+                return line(points);
+            }
+            // One level: the slope from the darks to it, as with two flats and two darks (eq. 50 at one point).
+            let (xy, xx) = points.fold((0.0, 0.0), |(xy, xx), (x, y, _)| (xy + x * y, xx + x * x));
+            (xx > 0.0 && !noisy.is_empty()).then(|| (0.0, xy / xx))
         };
-        let (constant, gain_dn_per_e) = noise(FIT_RANGE).or_else(|| noise(f64::INFINITY))?;
+        let (constant, gain_dn_per_e) =
+            noise(FIT_RANGE).filter(|(_, gain)| *gain > 0.0).or_else(|| noise(f64::INFINITY))?;
         let shortest = noisy.iter().copied().min_by(|a, b| exposure(*a).total_cmp(&exposure(*b)));
         let dark_noise_dn2 = shortest.map_or(constant, variance);
         let dark_noise_e =

@@ -17,11 +17,11 @@ pub use cost::Cost;
 pub use search::searched;
 pub use sensor::SensorValues;
 pub use share::Remainder;
-pub(crate) use verdict::Size;
 pub use verdict::Verdict;
+pub(crate) use verdict::{Size, WEAK};
 pub use words::{Signature, signatures};
 
-use crate::agreement::DOUBT;
+use crate::agreement::{DOUBT, P_LIMIT};
 use crate::data_faults::DataFault;
 use crate::dataset::Kind;
 use crate::features::LeftOn;
@@ -196,7 +196,9 @@ pub fn diagnose(
     let (mut parts, mut whole, mut last) = parts(all, &model, found.fitted, found.first, &first);
     let mut notes: Vec<String> = all.missing.clone();
     let weak = || parts.iter().all(|p| !surely_there(all, &model, &whole, p.effect));
-    if first.p_value >= DOUBT && (score(all, &model) - score(all, &whole) < TRACE || weak()) {
+    // Names that predict frames that the fit did not see worse than the model without them are none.
+    let worse = last.error > first.error && last.p_value < HOLDS && first.p_value >= P_LIMIT;
+    if worse || first.p_value >= DOUBT && (score(all, &model) - score(all, &whole) < TRACE || weak()) {
         notes.extend(parts.iter().map(trace));
         (parts, whole, last) = (Vec::new(), model.clone(), first.clone());
     }

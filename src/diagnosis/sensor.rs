@@ -1,8 +1,10 @@
 //! The linear sensor with all effects in the model.
 
+use crate::dataset::Kind;
 use crate::inference::Fitted;
 use crate::number::Quantity;
-use crate::observables::Observations;
+use crate::observables::{Observations, expectations, variance};
+use radcam_sim::effects::{self, Effect};
 use serde::{Deserialize, Serialize};
 
 /// The linear sensor with all effects in the model; null where the campaign does not determine a value.
@@ -16,6 +18,11 @@ pub struct SensorValues {
     /// Read noise in DN, only where the gain is not determined.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub read_noise_dn: Option<Quantity>,
+    /// All temporal noise of the shortest darks (quantisation and the charge's shot noise taken off) over that read
+    /// noise, as the model with its effects has it; only where the two differ by more than a hundredth: noise that
+    /// pixels share is no part of the read noise above, and EMVA 1288 counts it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dark_noise_over_read_noise: Option<f64>,
     /// Median of the pixels' read noise, e, where single pixels are told apart.
     pub read_noise_median_e: Option<f64>,
     /// Standard deviation of the logarithm of the ordinary pixels' read noise.
@@ -42,6 +49,7 @@ pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorVa
         (std_err.is_finite() && std_err < NOT_DETERMINED * value.abs())
             .then(|| Quantity::new(value, std_err, unit))
     };
+    let dark_noise_over_read_noise = dark_noise(all, whole).filter(|ratio| (ratio - 1.0).abs() > SAID);
     let pixels = all.pixel_noise.filter(|p| p.log_spread.is_finite());
     if !tells_gain(whole) {
         let gain = base.gain_dn_per_e;
@@ -49,6 +57,7 @@ pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorVa
             gain_dn_per_e: None,
             read_noise_e: None,
             read_noise_dn: of(gain * base.read_noise_e, gain * errors[1], "DN"),
+            dark_noise_over_read_noise,
             read_noise_median_e: None,
             read_noise_log_spread: pixels.map(|p| p.log_spread),
             noisy_pixel_share: pixels.map(|p| p.noisy),
@@ -58,6 +67,7 @@ pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorVa
     let read_noise_e = of(base.read_noise_e, errors[1], "e");
     SensorValues {
         read_noise_dn: None,
+        dark_noise_over_read_noise,
         gain_dn_per_e: of(base.gain_dn_per_e, errors[0], "DN/e"),
         read_noise_median_e: pixels.filter(|_| read_noise_e.is_some()).map(|p| p.median * base.read_noise_e),
         read_noise_log_spread: pixels.map(|p| p.log_spread),
@@ -65,6 +75,34 @@ pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorVa
         read_noise_e,
         dark_current_e_per_s: of(base.dark_e_per_s, errors[3], "e/s"),
     }
+}
+
+/// Difference from the read noise from which on the noise of darks is said.
+const SAID: f64 = 0.01;
+
+/// Noise of the shortest darks with all effects over that without them: the same charge and quantisation are in both.
+fn dark_noise(all: &Observations, whole: &Fitted) -> Option<f64> {
+    let exposure = |set: usize| all.campaign.sets[set].exposure_s;
+    let darks = || (0..all.kinds.len()).filter(|set| all.kinds[*set] == Kind::Dark);
+    let shortest = darks().min_by(|a, b| exposure(*a).total_cmp(&exposure(*b)))?;
+    let of = |effects: &[(&dyn Effect, &[f64])]| {
+        let prediction = effects::predict(&all.campaign, &whole.base, effects);
+        let expected = expectations(all, &prediction, |_| true);
+        let own: Vec<f64> = all
+            .list
+            .iter()
+            .zip(&expected)
+            .filter(|(o, _)| o.is(&variance::Variance) && o.set == Some(shortest))
+            .map(|(_, e)| e.value)
+            .collect();
+        (!own.is_empty()).then(|| own.iter().sum::<f64>() / own.len() as f64)
+    };
+    let list: Vec<(&dyn Effect, &[f64])> =
+        whole.effects.iter().map(|(e, p)| (*e as &dyn Effect, p.as_slice())).collect();
+    let (with, without) = (of(&list)?, of(&[])?);
+    let read_dn2 = (whole.base.gain_dn_per_e * whole.base.read_noise_e).powi(2);
+    let total = with - (without - read_dn2);
+    (read_dn2 > 0.0 && total > 0.0).then(|| (total / read_dn2).sqrt())
 }
 
 /// Why a dark current is negative, in words; `None` where it is not.
@@ -91,6 +129,7 @@ mod tests {
                 gain_dn_per_e: None,
                 read_noise_e: None,
                 read_noise_dn: None,
+                dark_noise_over_read_noise: None,
                 read_noise_median_e: None,
                 read_noise_log_spread: None,
                 noisy_pixel_share: None,

@@ -30,7 +30,7 @@ pub enum Verdict {
         /// In plain words.
         sentence: String,
         /// The first of its sentences.
-        #[serde(skip)]
+        #[serde(default)]
         brief: String,
     },
     /// Something is missing that has no name here.
@@ -282,7 +282,7 @@ fn meaning(m: &Missing) -> Option<String> {
 }
 
 /// Share of the misfit, and cost, below which an effect is listed without them.
-const WEAK: f64 = 0.01;
+pub(crate) const WEAK: f64 = 0.01;
 /// Costs below this share are not said: no one measures a gain to a thousandth (EMVA 1288 asks for no more than a
 /// per cent).
 const SAID: f64 = 1e-3;

@@ -68,9 +68,11 @@ impl Effect for RowNoise {
         wanders(p).then_some("in part shared by bands of rows")
     }
 
-    /// What all rows of a frame share is no noise of rows.
+    /// What all rows of a frame share is no noise of rows: that of bands longer than a tenth of the frame (a named
+    /// choice) moves its mean as much as its rows.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
-        wanders(p) && libm::pow(p[3], seen.rows) > 0.1
+        let bands_per_frame = -libm::log(p[3]) * seen.rows;
+        wanders(p) && (bands_per_frame < 2.3 || p[2] > 0.5 && bands_per_frame < 10.0)
     }
 
     fn starts(&self, _: &Seen) -> Vec<Vec<f64>> {
