@@ -201,7 +201,7 @@ pub fn wrapped(text: &str, indent: usize) -> String {
     item(&" ".repeat(indent), text, indent)
 }
 
-/// The same with what stands before the first line.
+/// Text broken into lines behind a mark: `  note: ` before the first line, so many spaces before the others.
 pub fn item(head: &str, text: &str, indent: usize) -> String {
     let columns = |text: &str| text.chars().count();
     let last_line = head.rsplit('\n').next().unwrap_or(head);

@@ -15,7 +15,8 @@ use std::sync::Mutex;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// A dataset folder or the descriptor of an EMVA 1288 test: a pair of flats and a pair of darks at each exposure, and a stack of each
+    /// A dataset folder or the descriptor of an EMVA 1288 test: a pair of flats and a pair of darks at each
+    /// exposure, and a stack of each
     dataset: PathBuf,
     #[command(flatten)]
     colour: Colour,

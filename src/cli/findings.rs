@@ -1,5 +1,5 @@
-//! A diagnosis on a terminal: the verdict, a line for each effect, the sensor's values, the fall of the error and
-//! what to do next. What shows each effect, and all parameters, are asked for.
+//! A diagnosis on a terminal: the verdict, a line for each effect, the sensor's values, the fall of the error
+//! and what to do next; with `--explain` the statistics that show each effect, and all parameters.
 
 use super::common::{item, say_faults, width, wrapped};
 use crate::agreement::P_LIMIT;
@@ -8,11 +8,11 @@ use crate::inference::Fitted;
 use crate::number::{Quantity, chance, percent, six_digits};
 use crate::report;
 
-/// Where the frames of a diagnosis are.
+/// Heading and dataset of a printed diagnosis.
 pub struct Place<'a> {
     /// First line of what is printed.
     pub title: &'a str,
-    /// What a command takes as DATASET.
+    /// Argument DATASET of the next commands.
     pub datasets: &'a str,
     /// Parameters and evidence are printed too.
     pub explain: bool,
@@ -43,11 +43,12 @@ pub fn print(place: &Place<'_>, d: &Diagnosis) {
     }
 }
 
-/// One line for each effect: how large, its share of the misfit, and what an evaluation gets wrong without it.
+/// One line for each effect: how large, its share of the misfit, and what an evaluation gets wrong without
+/// it.
 fn table(d: &Diagnosis, fitted: &Fitted) {
-    let mut rows = vec![["", "size", "of the misfit", "error of an EMVA 1288 evaluation"].map(String::from)];
+    let mut rows = vec![["", "size", "of the misfit", "error if ignored"].map(String::from)];
     let nothing = || "nothing".to_string();
-    // What is small and costs nothing is named in one line.
+    // Small effects without cost share one line.
     let matters = |(k, m): &(usize, &Missing)| {
         *k == 0
             || m.share >= WEAK
@@ -132,10 +133,11 @@ fn sensor(place: &Place<'_>, d: &Diagnosis) {
     };
     let read_noise =
         if d.sensor.read_noise_dn.is_some() { &d.sensor.read_noise_dn } else { &d.sensor.read_noise_e };
-    println!("      read noise    {}{pixels}", said(read_noise));
+    println!("{}", item("      read noise    ", &format!("{}{pixels}", said(read_noise)), 20));
     if let (Some(ratio), Some(read)) = (d.sensor.dark_noise_over_read_noise, read_noise) {
         let total = Quantity { value: ratio * read.value, std_err: ratio * read.std_err, ..read.clone() };
-        println!("      dark noise    {total} (with what pixels share, as EMVA 1288 counts it)");
+        let text = format!("{total} (with the noise that pixels share, as EMVA 1288 counts it)");
+        println!("{}", item("      dark noise    ", &text, 20));
     }
     println!("      dark current  {}", said(&d.sensor.dark_current_e_per_s));
     if let Some(r) = d.remainder.as_ref().filter(|_| place.explain) {

@@ -60,7 +60,8 @@ pub struct Arguments {
     /// Change of the light that matters, relative
     #[arg(long, value_parser = above_0, default_value = "0.02")]
     light_limit: f64,
-    /// After an alarm capture the standard plan into a folder of its own in here, and name what the model lacks
+    /// After an alarm capture the standard plan into a folder of its own in here, and name what the model
+    /// lacks
     #[arg(long, value_name = "DIR")]
     diagnose: Option<PathBuf>,
     /// The model that the camera had; otherwise the linear sensor

@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct Colour {
-    /// Of a colour mosaic: row and column, 0 or 1, of the one pixel of every 2 x 2 cell that is measured; 0,0 is
-    /// R of RGGB
+    /// Of a colour mosaic: row and column, 0 or 1, of the one pixel of every 2 x 2 cell that is measured; 0,0
+    /// is R of RGGB
     #[arg(long, value_name = "ROW,COLUMN", value_parser = plane)]
     pub plane: Option<[u8; 2]>,
 }
@@ -26,8 +26,8 @@ impl Colour {
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct Datasets {
-    /// A dataset folder, an EMVA 1288 descriptor, or a table (CSV with mean_dn and var_dn2); several datasets of
-    /// one camera under one set of settings are taken together
+    /// A dataset folder, an EMVA 1288 descriptor, or a table (CSV with mean_dn and var_dn2); several datasets
+    /// of one camera under one set of settings are taken together
     #[arg(required = true, value_name = "DATASET")]
     pub paths: Vec<PathBuf>,
     #[command(flatten)]

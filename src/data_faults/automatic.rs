@@ -13,7 +13,8 @@ const SAME_LEVEL: f64 = 0.03;
 /// Least ratio of exposure times light over them, and their least number.
 const MIN_RATIO: f64 = 2.0;
 const MIN_FLATS: usize = 3;
-/// Difference from the whole pattern up to which it is left, and the standard errors by which it is something.
+/// Difference from the whole pattern up to which it is left, and the standard errors by which it is
+/// something.
 const MAX_LOSS: f64 = 0.3;
 const MIN_SIGMAS: f64 = 5.0;
 /// Difference of the noise's variances, relative, up to which it is that of the same light.
@@ -46,21 +47,11 @@ impl Check for Automatic {
         }
         // The patterns of the upper half of the lights and of the lower one.
         let columns = campaign.sets[held[0]].facts.middle_columns;
-        let (lower, upper): (Vec<usize>, Vec<usize>) = fields
-            .iter()
-            .flat_map(|field| {
-                let middle = (light(field[0]) * light(field[field.len() - 1])).sqrt();
-                field.iter().map(move |&i| (i, middle))
-            })
-            .map(|(i, middle)| (i, light(i) < middle))
-            .fold((Vec::new(), Vec::new()), |(mut lower, mut upper), (i, is_lower)| {
-                if is_lower {
-                    lower.push(i)
-                } else {
-                    upper.push(i)
-                }
-                (lower, upper)
-            });
+        let (mut lower, mut upper) = (Vec::new(), Vec::new());
+        for field in &fields {
+            let middle = (light(field[0]) * light(field[field.len() - 1])).sqrt();
+            field.iter().for_each(|&i| if light(i) < middle { lower.push(i) } else { upper.push(i) });
+        }
         let mean = |sets: &[usize]| combined(campaign, sets, &vec![1.0 / sets.len() as f64; sets.len()]);
         let ((pattern, noise_dn2), (image, _)) = (mean(&lower), mean(&upper));
         let kept = share(&image, &pattern, Noise::of_flats(noise_dn2), columns);
@@ -83,8 +74,8 @@ impl Check for Automatic {
         if !one_light && !falls {
             return Vec::new();
         }
-        // The first of each field counts where all had one light; a gain may have been regulated from the first
-        // on.
+        // The first of each field counts where all had one light; a gain may have been regulated from the
+        // first on.
         let first: Vec<usize> = fields.iter().map(|field| field[0]).collect();
         let (why, mut out): (String, Vec<usize>) = if one_light {
             let of_first = format!(

@@ -12,8 +12,8 @@ use std::collections::BTreeMap;
 const MIN_MEAN_SCATTER_DN: f64 = 0.02;
 /// Minimum number of darks that determines the growth of level and noise with the exposure.
 const MIN_DARKS_FOR_A_LAW: usize = 6;
-/// Share of clipped samples, beyond those of pixels that always are, from which the level of a set is not what it
-/// would be.
+/// Share of clipped samples, beyond those of pixels that always are, from which the level of a set is not
+/// what it would be.
 const MAX_CLIPPED_SHARE: f64 = 1e-3;
 
 /// Set with the statistics of its frames.
@@ -89,9 +89,10 @@ impl SetView {
         (far > 0.0).then(|| near / far)
     }
 
-    /// Returns true if frames differ the more the longer the time between them: the level of lines or parts wanders.
-    /// A filter over time, whose correlation is r from one frame to the next, leaves 1 / (1 - r) of what frames two
-    /// apart differ by beyond successive ones, twice as much at most.
+    /// Returns true if frames differ by more the longer the time between them: the level of lines or parts
+    /// wanders. After a filter over time with the correlation r the variance of the difference is 2 sigma^2
+    /// (1 - r^k) for frames k apart: beyond that of successive frames, far ones have at most 1 / (1 - r)
+    /// times what frames two apart have, twice as much for r up to a half.
     pub fn wanders(&self) -> bool {
         const MAX_OF_A_FILTER: f64 = 2.5;
         let Some(((near, _), dependence)) = self.variance_dn2().zip(self.dependence()) else { return false };
@@ -156,7 +157,8 @@ pub struct Scatter {
 }
 
 impl Scatter {
-    /// Standard deviation of the mean of one frame of a set, DN: lamp, black level and the noise of the pixels.
+    /// Standard deviation of the mean of one frame of a set, DN: lamp, black level and the noise of the
+    /// pixels.
     pub fn of_frame_dn(&self, set: &SetView) -> f64 {
         let above = if set.is_lit() { (set.level_dn() - self.zero.at(set.exposure_s)).max(0.0) } else { 0.0 };
         let pixels = set.variance_dn2().map_or(0.0, |v| v.0) / set.facts.pixels.max(1.0);
@@ -282,8 +284,8 @@ impl<'a> Campaign<'a> {
         (shares.len() >= 3).then(|| median(shares.into_iter().map(|s| s.1)))
     }
 
-    /// Returns true if a dark deviates from a smooth law of the exposure fitted to the other darks, or if they
-    /// are too few to tell. Smooth growth with the exposure is a property of the sensor.
+    /// Returns true if a dark deviates from a smooth law of the exposure fitted to the other darks, or if
+    /// they are too few to tell. Smooth growth with the exposure is a property of the sensor.
     pub fn is_off_the_darks(
         &self,
         set: usize,
@@ -417,8 +419,8 @@ impl<'a> Campaign<'a> {
     }
 }
 
-/// Intercept and slope by the median of the slopes between all points (Theil 1950, Sen 1968); of one abscissa the
-/// median and 0.
+/// Intercept and slope by the median of the slopes between all points (Theil 1950, Sen 1968); of one abscissa
+/// the median and 0.
 fn median_line(points: &[(f64, f64)]) -> Option<(f64, f64)> {
     if points.is_empty() {
         return None;

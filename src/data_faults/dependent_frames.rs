@@ -93,7 +93,8 @@ impl Check for DependentFrames {
                 }
             }
             let strays: Vec<usize> = transfer.strays.iter().chain(&transfer.quiet).copied().collect();
-            // Another black level moves a dark along the curve: one of the same exposure then has the same noise.
+            // Another black level moves a dark along the curve: one of the same exposure then has the same
+            // noise.
             let has_twin = |i: usize| {
                 let (own, var) = (&campaign.sets[i], |d: usize| campaign.sets[d].variance_dn2().map(|v| v.0));
                 own.kind == Kind::Dark
@@ -125,7 +126,8 @@ impl Check for DependentFrames {
                     gained.push((i, off));
                 }
             }
-            // Rounding decides the noise of quiet darks; of those on the same part of a code it decides the same.
+            // Rounding decides the noise of quiet darks; of those on the same part of a code it decides the
+            // same.
             let darks = || all.iter().copied().filter(|&i| campaign.sets[i].kind == Kind::Dark);
             let known: Vec<usize> = averaged.iter().copied().chain(gained.iter().map(|g| g.0)).collect();
             for i in darks().filter(|i| !known.contains(i)) {
@@ -156,7 +158,7 @@ impl Check for DependentFrames {
             };
             averaged.retain(|i| !smooth(*i));
             gained.retain(|g| !smooth(g.0));
-            // What darks of long exposures have is the charge's: a gain is told by another dark that would have
+            // The noise of long darks is that of their charge: a gain is told by another dark that would have
             // it.
             let gains: Vec<usize> = gained.iter().map(|g| g.0).collect();
             let told = |i: usize| {
@@ -179,13 +181,13 @@ impl Check for DependentFrames {
             filtered.contains(&i) || others.peek().is_none() || others.any(|d| !alone.contains(d))
         });
         averaged.sort_unstable();
+        // Two darks do not tell which of them is of the flats' gain.
+        let few_darks = campaign.places(|s| s.kind == Kind::Dark).len() < MIN_DARKS_FOR_A_GAIN;
         let mut out = Vec::new();
         if !averaged.is_empty() && averaged.len() as f64 <= (MAX_SHARE_OF_SETS * all.len() as f64).max(1.0) {
             let i = averaged[0];
             let ratio = transfer.as_ref().and_then(|t| t.off(campaign, i, level(i))).map(|o| o.0.exp());
-            // Of so few darks none tells the pattern's gain.
-            let darks = campaign.places(|s| s.kind == Kind::Dark).len();
-            let few = darks < MIN_DARKS_FOR_A_GAIN && averaged.iter().all(|&i| !campaign.sets[i].is_lit());
+            let few = few_darks && averaged.iter().all(|&i| !campaign.sets[i].is_lit());
             let kind = if few { FaultKind::OtherSettings } else { FaultKind::DependentFrames };
             let text = match ratio {
                 Some(ratio) if few && ratio < MAX_AVERAGED_RATIO => format!(
@@ -208,8 +210,9 @@ impl Check for DependentFrames {
             out.push(campaign.fault_of_sets(kind, &averaged, text, true));
         }
         for (i, off) in gained {
+            let what = if few_darks { "the darks differ in gain or camera" } else { "another gain" };
             let text = format!(
-                "set {} ({}): another gain: the noise of this dark is {} times that of others at its level",
+                "set {} ({}): {what}: the noise of this dark is {} times that of others at its level",
                 campaign.sets[i].number,
                 campaign.file(i, 0),
                 six_digits((0.5 * off).exp())

@@ -1,4 +1,5 @@
-//! Statistics of single frames for the checks: levels, noise of successive frames, digests, the fixed pattern.
+//! Statistics of single frames for the checks: levels, noise of successive frames, digests, the fixed
+//! pattern.
 
 use super::ExamineError;
 use crate::dataset::{Dataset, Set};
@@ -9,8 +10,8 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Side of the middle of the frame whose pattern tells what belongs together, pixels: 16384 pixels tell one that
-/// makes up a twentieth of the noise (a named choice).
+/// Side of the middle of the frame whose pattern tells what belongs together, pixels: 16384 pixels tell one
+/// that makes up a twentieth of the noise (a named choice).
 pub const MIDDLE: usize = 128;
 
 /// Statistics of the frames of a set.
@@ -31,8 +32,8 @@ pub struct SetFacts {
     pub successive_dn2: Vec<f64>,
     /// Half that variance for the difference to the frame two before, DN^2; 0 for the first two.
     pub second_dn2: Vec<f64>,
-    /// Half that variance for the difference of the last frame to the third, DN^2 (the first two may carry what came
-    /// before); 0 of fewer than six, and in files of earlier versions.
+    /// Half that variance for the difference of the last frame to the third, DN^2; the first two may carry
+    /// the set before. 0 of fewer than six, and in files of earlier versions.
     #[serde(default)]
     pub ends_dn2: f64,
     /// Share of the samples at full scale.
@@ -49,7 +50,8 @@ pub struct SetFacts {
     /// numbers but the digests, the pixels that differ, and the share at full scale.
     #[serde(default)]
     pub struck_pixels: Vec<u32>,
-    /// Mean over the frames of the middle of the frame, DN, row by row: at most [`MIDDLE`] x [`MIDDLE`] pixels.
+    /// Mean over the frames of the middle of the frame, DN, row by row: at most [`MIDDLE`] x [`MIDDLE`]
+    /// pixels.
     pub middle_dn: Vec<f32>,
     /// Columns of that.
     pub middle_columns: usize,
@@ -142,8 +144,8 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
 /// A frame that others hold too.
 type Shared = Arc<Array2<u16>>;
 
-/// Frames of a set, block by block: each as sent and without single samples that stand far off, and the number of
-/// these samples.
+/// Frames of a set, block by block: each as sent and without single samples that stand far off, and the
+/// number of these samples.
 fn in_blocks<'d>(
     dataset: &'d Dataset,
     set: &'d Set,
@@ -243,8 +245,8 @@ fn difference(a: &[u16], b: &[u16], columns: usize) -> (u64, f64) {
     (changed, 0.5 * (square as f64 - shared).max(0.0) / dof)
 }
 
-/// FNV-1a over the codes (Fowler, Noll and Vo), in four lanes: frames that differ have the same by a chance of
-/// 2^-64.
+/// FNV-1a over the codes (Fowler, Noll and Vo), in four lanes: frames that differ have the same by a chance
+/// of 2^-64.
 fn digest(codes: &[u16]) -> u64 {
     const PRIME: u64 = 0x0000_0100_0000_01b3;
     let mut lanes = [0xcbf2_9ce4_8422_2325u64, 1, 2, 3];

@@ -1,10 +1,12 @@
-//! Another gain in a part of the flats: in those that were taken later, or in the brighter ones. The level jumps
-//! by a factor, and the slope of the variance over the level by the same one (Healey and Kondepudy 1994, eq. 35:
-//! sigma_N^2 = A^2 (I + E_DC) + sigma_C^2). A bend does not jump, a lamp does not touch the slope.
+//! Another gain in a part of the flats: in those that were taken later, or in the brighter ones. The level
+//! jumps by a factor, and the slope of the variance over the level by the same one (Healey and Kondepudy
+//! 1994, eq. 35: sigma_N^2 = A^2 (I + E_DC) + sigma_C^2). A bend does not jump, a lamp does not touch the
+//! slope.
 
 use super::transfer::MODEL_ERROR;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
+use crate::fit::line::{Line, fit};
 use crate::number::with_error;
 use crate::statistics::median::median;
 
@@ -19,11 +21,17 @@ const MIN_GAIN_RATIO: f64 = 1.08;
 const MIN_CHI2_GAIN: f64 = 60.0;
 /// Mean square of the standard deviations that may be left.
 const MAX_CHI2_OF_ONE: f64 = 5.0;
-/// Standard deviations within which level and noise must say the same gain, and the largest relative difference.
+/// Standard deviations within which level and noise must say the same gain, and the largest relative
+/// difference.
 const MAX_SIGMAS: f64 = 4.0;
 const MAX_DIFFERENCE: f64 = 0.15;
-/// Least ratio of the levels of a part from which on its variances have a slope of their own.
-const MIN_RANGE: f64 = 1.5;
+/// Least ratio of the lights of a part from which on its levels have a line of their own, and of its signals for the
+/// variances.
+const MIN_RANGE: (f64, f64) = (1.2, 1.5);
+/// Largest standard errors of the gain's logarithm by level and by noise, of the logarithm itself, and the
+/// least jump of the level where the parts meet, of the same (named choices, as are the bounds above).
+const MAX_REL_STD: (f64, f64) = (0.1, 0.2);
+const MIN_JUMP: f64 = 0.5;
 /// Level above the darks, in standard deviations of their noise, from which on a flat counts.
 const MIN_LEVEL: f64 = 1.0;
 
@@ -41,42 +49,23 @@ struct Point {
     variance_std: f64,
 }
 
-/// A line y = a + b x.
-#[derive(Clone, Copy)]
-struct Line {
-    a: f64,
-    b: f64,
-    /// Standard error of b.
-    b_std: f64,
-    chi2: f64,
-}
-
-impl Line {
-    fn at(&self, x: f64) -> f64 {
-        self.a + self.b * x
-    }
-
-    /// Weighted least squares; through `fixed` at x = 0 where that is given.
-    fn of(points: &[(f64, f64, f64)], fixed: Option<f64>) -> Option<Self> {
-        let sum = |f: &dyn Fn(f64, f64) -> f64| -> f64 {
-            points.iter().map(|&(x, y, std)| f(x, y) / (std * std)).sum()
-        };
-        let (s, sx, sxx) = (sum(&|_, _| 1.0), sum(&|x, _| x), sum(&|x, _| x * x));
-        let (sy, sxy) = (sum(&|_, y| y), sum(&|x, y| x * y));
-        let (a, b, b_std) = match fixed {
-            Some(a) => (a, (sxy - a * sx) / sxx, sxx.sqrt().recip()),
-            None => {
-                let determinant = s * sxx - sx * sx;
-                if determinant <= 1e-9 * s * sxx {
-                    return None;
-                }
-                let b = (s * sxy - sx * sy) / determinant;
-                ((sy - b * sx) / s, b, (s / determinant).sqrt())
-            }
-        };
-        let chi2 = points.iter().map(|&(x, y, std)| ((y - a - b * x) / std).powi(2)).sum();
-        Some(Self { a, b, b_std, chi2 })
-    }
+/// A line through points (x, y, variance of y) by weighted least squares; through `fixed` at x = 0 where that
+/// is given.
+fn line(points: &[(f64, f64, f64)], fixed: Option<f64>) -> Option<Line> {
+    let Some(intercept) = fixed else { return fit(points.iter().copied()) };
+    let sum = |f: &dyn Fn(f64, f64) -> f64| points.iter().map(|&(x, y, v)| f(x, y) / v).sum::<f64>();
+    let squares = sum(&|x, _| x * x);
+    let slope = sum(&|x, y| x * (y - intercept)) / squares;
+    let chi2 = points.iter().map(|&(x, y, v)| (y - slope * x - intercept).powi(2) / v).sum();
+    (squares > 0.0).then(|| Line {
+        slope,
+        intercept,
+        var_slope: squares.recip(),
+        var_intercept: 0.0,
+        covariance: 0.0,
+        chi2,
+        dof: points.len() - 1,
+    })
 }
 
 /// Level over light, and variance over level, of a part of the flats.
@@ -87,19 +76,21 @@ struct Part {
 
 impl Part {
     fn of(points: &[Point], dark_dn2: f64) -> Option<Self> {
-        let range = |of: &dyn Fn(&Point) -> f64| {
+        let has_range = |of: &dyn Fn(&Point) -> f64, ratio: f64| {
             let (least, most) =
                 points.iter().map(of).fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(v), b.max(v)));
-            most > MIN_RANGE * least
+            most > ratio * least
         };
         let levels: Vec<(f64, f64, f64)> =
-            points.iter().map(|p| (p.light, p.level_dn, p.level_std)).collect();
+            points.iter().map(|p| (p.light, p.level_dn, p.level_std.powi(2))).collect();
+        let response = line(&levels, (!has_range(&|p| p.light, MIN_RANGE.0)).then_some(0.0))?;
+        // Signal: the level above that without light, which a gain on the codes moves too.
+        let signal = |p: &Point| p.level_dn - response.intercept;
         let noises: Vec<(f64, f64, f64)> =
-            points.iter().map(|p| (p.level_dn, p.variance_dn2, p.variance_std)).collect();
-        let free = points.len() > MIN_OF_PART;
-        let response = Line::of(&levels, (!free || !range(&|p| p.light)).then_some(0.0))?;
-        let noise = Line::of(&noises, (!free || !range(&|p| p.level_dn)).then_some(dark_dn2))?;
-        (response.b > 0.0 && noise.b > 0.0).then_some(Self { response, noise })
+            points.iter().map(|p| (signal(p), p.variance_dn2, p.variance_std.powi(2))).collect();
+        let free = points.len() > MIN_OF_PART && has_range(&signal, MIN_RANGE.1);
+        let noise = line(&noises, (!free).then_some(dark_dn2))?;
+        (response.slope > 0.0 && noise.slope > 0.0).then_some(Self { response, noise })
     }
 
     fn chi2(&self) -> f64 {
@@ -119,7 +110,10 @@ impl Step {
     /// A cut of the flats in two; `None` where level and noise do not say one gain.
     fn of(first: &[Point], second: &[Point], dark_dn2: f64) -> Option<Self> {
         let (one, two) = (Part::of(first, dark_dn2)?, Part::of(second, dark_dn2)?);
-        let ratio = |a: &Line, b: &Line| ((b.b / a.b).ln(), (a.b_std / a.b).hypot(b.b_std / b.b));
+        let ratio = |a: &Line, b: &Line| {
+            let rel = |line: &Line| line.var_slope.sqrt() / line.slope;
+            ((b.slope / a.slope).ln(), rel(a).hypot(rel(b)))
+        };
         let (level, noise) = (ratio(&one.response, &two.response), ratio(&one.noise, &two.noise));
         let std = level.1.hypot(noise.1);
         let difference = (level.0 - noise.0).abs();
@@ -131,11 +125,15 @@ impl Step {
         let (low, high) = (extreme(second, f64::min, f64::INFINITY), extreme(first, f64::max, 0.0));
         let meet = (low * high).sqrt();
         let jump = (two.response.at(meet) / one.response.at(meet)).ln();
-        let known = noise.1 < 0.2 * level.0.abs() && level.1 < 0.1 * level.0.abs();
-        (agree && known && level.0.abs() > MIN_GAIN_RATIO.ln() && jump / level.0 > 0.5).then(|| Self {
+        let known = noise.1 < MAX_REL_STD.1 * level.0.abs() && level.1 < MAX_REL_STD.0 * level.0.abs();
+        let jumps = jump / level.0 > MIN_JUMP && level.0.abs() > MIN_GAIN_RATIO.ln();
+        // A gain on the codes with the black level in them moves the level by more than its factor: level and
+        // noise then differ by what the ratio is not known.
+        let ratio = level.0.exp();
+        (agree && known && jumps).then(|| Self {
             parts: [first.to_vec(), second.to_vec()],
             chi2: one.chi2() + two.chi2(),
-            ratio: (level.0.exp(), level.0.exp() * level.1),
+            ratio: (ratio, ratio * std.hypot(difference)),
         })
     }
 }
@@ -152,7 +150,7 @@ impl Check for GainStep {
             let set = &campaign.sets[i];
             let (variance_dn2, pairs) = set.variance_dn2()?;
             let level_dn = set.level_dn() - zero.at(set.exposure_s);
-            // Of a normal distribution the variance of a variance of pairs of two.
+            // Relative variance of the variance of n pairs that overlap: 3 / n for normal noise.
             let rel = MODEL_ERROR.hypot((3.0 / (set.facts.pixels * pairs)).sqrt());
             (level_dn > MIN_LEVEL * dark_dn2.sqrt()).then_some(Point {
                 set: i,

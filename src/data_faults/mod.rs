@@ -1,7 +1,7 @@
 //! A look at the data before any physics: slips of the hand, named with their sets and left out.
 //!
-//! Every verb that reads a campaign goes through [`examined`]: what is left out is left out everywhere, and said
-//! everywhere in the same words.
+//! Every verb that reads a campaign goes through [`examined`]: what is left out is left out everywhere, and
+//! said everywhere in the same words.
 //!
 //! # To add a check
 //!

@@ -1,11 +1,14 @@
-//! A field that moves or changes its shape while a set is taken: the image shifts, the lamp wanders. What frames of a
-//! distance k differ by grows with k squared, and beyond the noise of successive frames; a filter over time makes
-//! successive frames alike, and those two apart hardly less than the first and the last.
+//! A field that moves or changes its shape while a set is taken: the image shifts, the lamp wanders.
+//!
+//! A shift d per frame changes a pixel by k d dI/dx over k frames (first order in d), so that the variance of
+//! the difference of frames k apart exceeds that of the noise by a term that grows with k^2. A filter over
+//! time with the correlation r makes it 2 sigma^2 (1 - r^k): frames two apart differ nearly as much as the
+//! first and the last.
 
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::number::six_digits;
 
-/// Least number of frames that tell a motion from a filter.
+/// Least number of frames that tell a motion from a filter (this and the next three: named choices).
 const MIN_FRAMES: usize = 7;
 /// Least ratio of the variance of the last frame and the third to that of successive ones.
 const MIN_RATIO: f64 = 1.2;
@@ -24,7 +27,7 @@ impl Check for MovingField {
         let mut found = Vec::new();
         for i in campaign.places(|s| s.is_lit() && !s.clipped && s.kept.len() >= MIN_FRAMES) {
             let set = &campaign.sets[i];
-            // What was left out of it may be its first or its last frame.
+            // Frames left out may be the ones compared.
             let whole = set.kept.iter().all(|kept| *kept);
             let Some((successive, _)) = set.variance_dn2().filter(|_| whole) else { continue };
             let n = set.facts.second_dn2.len();

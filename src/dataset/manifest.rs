@@ -20,8 +20,8 @@ pub struct Manifest {
     /// The light, where known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench: Option<BenchInfo>,
-    /// Row and column, 0 or 1, of the one pixel of every 2 x 2 cell of the files that is a frame's: one colour of
-    /// a mosaic. Size and pixel format of `camera` are then those of the plane.
+    /// Row and column, 0 or 1, of the one pixel of every 2 x 2 cell of the files that is a frame's: one
+    /// colour of a mosaic. Size and pixel format of `camera` are then those of the plane.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plane: Option<[u8; 2]>,
     /// What `import` made of files that did not say everything.
@@ -76,7 +76,8 @@ pub struct CameraInfo {
     /// Automatic functions that could not be switched off, by their GenICam names.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub still_automatic: Vec<String>,
-    /// Features of which radcam knows nothing and whose names speak of radiometry; their values stand in `features`.
+    /// Features of which radcam knows nothing and whose names speak of radiometry; their values stand in
+    /// `features`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unlisted_features: Vec<String>,
     /// Other settings by their GenICam names, as read back.
@@ -105,7 +106,7 @@ impl CameraInfo {
         left_on(&values, &self.still_automatic)
     }
 
-    /// What a camera has now and had otherwise here, in words: what a calibration or a dataset does not hold for.
+    /// Differences of a camera from this one, in words: a calibration or a dataset does not hold for them.
     /// Compared are those properties that both sides know.
     ///
     /// ```
@@ -176,8 +177,8 @@ impl CameraInfo {
         ]
     }
 
-    /// Colour mosaic of two by two pixels: true where frames are one. Formats that radcam cannot unpack count too:
-    /// files hold mosaics of 14 bits.
+    /// Colour mosaic of two by two pixels: true where frames are one. Formats that radcam cannot unpack count
+    /// too: files hold mosaics of 14 bits.
     pub fn is_mosaic(&self) -> bool {
         self.pixel_format.get(..5).is_some_and(|start| start.eq_ignore_ascii_case("Bayer"))
     }
@@ -246,7 +247,7 @@ impl Manifest {
     /// What `import` guessed and found, as notes of a result.
     pub fn import_notes(&self) -> Vec<String> {
         let Some(import) = &self.import else { return Vec::new() };
-        // Of many guesses of one kind the first stands for all.
+        // The first of many guesses of one kind stands for all.
         let key = |text: &str| text.split_once(" of ").map_or(text, |(key, _)| key).to_string();
         let mut kinds: Vec<(String, &String, usize)> = Vec::new();
         for text in &import.guessed {
@@ -264,7 +265,8 @@ impl Manifest {
         guessed.chain(import.notes.iter().map(|text| format!("found by import: {text}"))).collect()
     }
 
-    /// What camera, settings and light of another campaign have otherwise, in words: none where the two can be taken together.
+    /// Differences of camera, settings and light of another campaign, in words: none where the two can be
+    /// taken together.
     pub fn differences(&self, now: &Self) -> Vec<String> {
         let mut found = self.camera.differences(&now.camera);
         let unit = |m: &Self| m.bench.as_ref().map(|b| b.illumination_unit.clone()).unwrap_or_default();

@@ -66,7 +66,8 @@ impl Table {
         Self::parse(&text).map_err(|(line, message)| DatasetError::Row { path: path.into(), line, message })
     }
 
-    /// Rows that are another row once more, as (row, the first like it) from 0: measured twice, two rows differ.
+    /// Rows that are another row once more, as (row, the first like it) from 0: measured twice, two rows
+    /// differ.
     pub fn copies(&self) -> Vec<(usize, usize)> {
         let mut seen = std::collections::HashMap::new();
         let key = |l: &Level| {

@@ -14,7 +14,8 @@ use crate::observables::{Observations, expectations, mean, variance};
 use radcam_sim::effects::{self, Effect};
 use serde::{Deserialize, Serialize};
 
-/// Relative errors of three results where an effect is left out of account; 0 where this campaign does not tell.
+/// Relative errors of three results where an effect is left out of account; 0 where this campaign does not
+/// tell.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Cost {
@@ -106,7 +107,8 @@ impl Plain {
             if high >= MIN_RANGE * low {
                 return line(points);
             }
-            // One level: the slope from the darks to it, as with two flats and two darks (eq. 50 at one point).
+            // One level: the slope from the darks to it, as with two flats and two darks (eq. 50 at one
+            // point).
             let (xy, xx) = points.fold((0.0, 0.0), |(xy, xx), (x, y, _)| (xy + x * y, xx + x * x));
             (xx > 0.0 && !noisy.is_empty()).then(|| (0.0, xy / xx))
         };

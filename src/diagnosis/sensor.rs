@@ -18,9 +18,9 @@ pub struct SensorValues {
     /// Read noise in DN, only where the gain is not determined.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub read_noise_dn: Option<Quantity>,
-    /// All temporal noise of the shortest darks (quantisation and the charge's shot noise taken off) over that read
-    /// noise, as the model with its effects has it; only where the two differ by more than a hundredth: noise that
-    /// pixels share is no part of the read noise above, and EMVA 1288 counts it.
+    /// Temporal noise of the shortest darks, without quantisation and shot noise of the charge, over that
+    /// read noise, by the model with its effects; null where the two agree within a hundredth. EMVA 1288
+    /// counts the noise that pixels share, and the read noise above does not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dark_noise_over_read_noise: Option<f64>,
     /// Median of the pixels' read noise, e, where single pixels are told apart.
@@ -41,7 +41,8 @@ pub(super) fn tells_gain(fitted: &Fitted) -> bool {
     fitted.base_std_err[0] > 0.0
 }
 
-/// Values of the linear sensor; where a model does not describe the campaign their errors grow with the misfit.
+/// Values of the linear sensor; where a model does not describe the campaign their errors grow with the
+/// misfit.
 pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorValues {
     let (base, errors) = (&whole.base, &whole.base_std_err);
     let of = |value: f64, std_err: f64, unit: &'static str| {
@@ -80,7 +81,8 @@ pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorVa
 /// Difference from the read noise from which on the noise of darks is said.
 const SAID: f64 = 0.01;
 
-/// Noise of the shortest darks with all effects over that without them: the same charge and quantisation are in both.
+/// Read noise of the shortest darks with all effects over that of single pixels: charge and quantisation, the
+/// same in both, are taken off (Healey and Kondepudy 1994, eq. 35: variances add).
 fn dark_noise(all: &Observations, whole: &Fitted) -> Option<f64> {
     let exposure = |set: usize| all.campaign.sets[set].exposure_s;
     let darks = || (0..all.kinds.len()).filter(|set| all.kinds[*set] == Kind::Dark);

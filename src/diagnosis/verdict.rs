@@ -52,7 +52,7 @@ impl Verdict {
         }
     }
 
-    /// What, how much, what it costs and what to do.
+    /// First sentence: effect, size, cost and remedy.
     pub fn brief(&self) -> &str {
         match self {
             Self::Named { brief, .. } if !brief.is_empty() => brief,
@@ -153,8 +153,8 @@ fn told(name: &str, value: f64, std_err: f64, unit: &'static str) -> String {
     format!("{name} not determined by this campaign")
 }
 
-/// The verdict on named effects. The first sentence says what, how much, what it costs and what to do; the others
-/// what else there is, where it comes from, and what more can be done.
+/// The verdict on named effects. The first sentence says what, how much, what it costs and what to do; the
+/// others what else there is, where it comes from, and what more can be done.
 fn sentences(
     top: &Missing,
     or: &[String],
@@ -195,7 +195,7 @@ fn sentences(
     };
     let mut others: Vec<&Missing> =
         missing.iter().skip(1).filter(|m| m.tied_with.is_none() && m.effect != "unknown").collect();
-    // What costs more comes first; of what costs nothing the larger share.
+    // Higher cost first; without cost, larger share first.
     let worth = |m: &Missing| Some(m.cost.largest()).filter(|cost| *cost >= WEAK).unwrap_or(0.0);
     others.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
     let (told, weak): (Vec<&Missing>, Vec<&Missing>) =
@@ -260,7 +260,7 @@ impl Missing {
         })
     }
 
-    /// What an EMVA 1288 evaluation that ignores it gets wrong, in few words; `None` where that is negligible.
+    /// Errors of an EMVA 1288 evaluation that ignores it, in few words; `None` where they are negligible.
     pub(crate) fn costs(&self, whole: &Fitted) -> Option<String> {
         let parts = said(&self.cost, whole, |what, rel, decimals| {
             let ratio = (1.0 + rel).max(1e-9);
@@ -283,12 +283,12 @@ fn meaning(m: &Missing) -> Option<String> {
 
 /// Share of the misfit, and cost, below which an effect is listed without them.
 pub(crate) const WEAK: f64 = 0.01;
-/// Costs below this share are not said: no one measures a gain to a thousandth (EMVA 1288 asks for no more than a
-/// per cent).
+/// Costs below this share are not said: no one measures a gain to a thousandth (EMVA 1288 asks for no more
+/// than a per cent).
 const SAID: f64 = 1e-3;
 
-/// The parts of a cost that are not negligible, each as `word` says it. Gain and read noise are named only if the
-/// cost exceeds their errors.
+/// The parts of a cost that are not negligible, each as `word` says it. Gain and read noise are named only if
+/// the cost exceeds their errors.
 fn said(cost: &Cost, whole: &Fitted, word: impl Fn(&str, f64, usize) -> String) -> Vec<String> {
     let (base, errors) = (&whole.base, &whole.base_std_err);
     let rel =

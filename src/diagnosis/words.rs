@@ -43,7 +43,8 @@ pub fn signatures(residuals: &[Residual]) -> Vec<Signature> {
 /// Darks: below this level, DN, a set has hardly any light (a named choice).
 const DARK_DN: f64 = 20.0;
 
-/// Deviations beyond so many times what is predicted are said in their unit and not in per cent (a named choice).
+/// Deviations beyond so many times what is predicted are said in their unit and not in per cent (a named
+/// choice).
 const MANY_TIMES: f64 = 10.0;
 
 fn describe(name: &str, of: &[&Residual]) -> String {

@@ -43,7 +43,7 @@ pub fn of_bytes(header: &[u8]) -> Vec<Card> {
             continue;
         }
         continued = false;
-        // What was done to the frame, as a text of its own (section 4.4.2.4).
+        // HISTORY is text without a value (section 4.4.2.4).
         if key == "HISTORY" {
             let value = text.get(8..).unwrap_or_default().trim().to_string();
             out.push(Card { key: key.to_string(), value, comment: String::new() });

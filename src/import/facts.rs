@@ -40,8 +40,8 @@ pub struct Facts {
     pub set: Option<u32>,
     /// Filter in front of the sensor.
     pub filter: Option<String>,
-    /// Further settings by their GenICam names (`GainRaw`, `BlackLevelRaw`, `BinningHorizontal`, ...) or, where
-    /// GenICam has none, by those of FITS. All frames of a dataset share them.
+    /// Further settings by their GenICam names (`GainRaw`, `BlackLevelRaw`, `BinningHorizontal`, ...) or,
+    /// where GenICam has none, by those of FITS. All frames of a dataset share them.
     pub differs: Vec<(String, String)>,
     /// The camera with its settings, where it says all of it.
     pub camera: Option<CameraInfo>,

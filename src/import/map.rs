@@ -21,8 +21,8 @@ pub struct Map {
     /// Bits by which the codes of the files were shifted up: they are shifted down again.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub shift: u8,
-    /// Values of the files that make one code: those of converters whose codes were stretched, or floating-point
-    /// ones.
+    /// Values of the files that make one code: those of converters whose codes were stretched, or
+    /// floating-point ones.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub step: f64,
     /// Value of code 0 in the files.
@@ -40,7 +40,8 @@ pub struct Map {
     /// Colour pattern of raw Bayer frames that are kept whole, such as RGGB.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pattern: Option<String>,
-    /// Part of the frames that is kept, `[column, row, width, height]` counted from 0: what is cut off is overscan.
+    /// Part of the frames that is kept, `[column, row, width, height]` counted from 0: what is cut off is
+    /// overscan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub region: Option<[usize; 4]>,
     /// Gain of all frames, dB.
@@ -96,8 +97,8 @@ pub struct MapSet {
     /// Rows run from the bottom to the top in the files: they are turned.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub turned: bool,
-    /// Values with more than one reading, `key: why`. A set with a doubt is not imported: correct the value and
-    /// remove the line.
+    /// Values with more than one reading, `key: why`. A set with a doubt is not imported: correct the value
+    /// and remove the line.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub doubts: Vec<String>,
     /// What was guessed, `key: how`; the dataset says so.
@@ -251,8 +252,8 @@ impl Map {
     }
 }
 
-/// Flats of one exposure whose signals differ by more had different light: lamps that are left alone stay within
-/// some per cent.
+/// Flats of one exposure whose signals differ by more had different light: lamps that are left alone stay
+/// within some per cent.
 pub(super) const SAME_LIGHT: f64 = 0.1;
 
 impl Map {

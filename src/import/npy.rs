@@ -69,8 +69,8 @@ fn header(bytes: &[u8]) -> Result<Header, String> {
     })
 }
 
-/// Reads an array as frames, rows, columns. `axis` is the one that counts the frames; without it the first does,
-/// unless the numbers say otherwise: then it is asked for.
+/// Reads an array as frames, rows, columns. `axis` is the one that counts the frames; without it the first
+/// does, unless the numbers say otherwise: then it is asked for.
 pub fn read(path: &Path, axis: Option<usize>) -> Result<Stack, String> {
     stack(&input::bytes(path).map_err(|e| e.to_string())?, axis)
 }
@@ -151,8 +151,8 @@ fn number(b: &[u8], header: &Header) -> f64 {
     }
 }
 
-/// The axis along which the pixels repeat, where that is clearly not the first: along the axis of the frames a
-/// pixel differs by its temporal noise only, along the others by offsets, dust and shading too.
+/// The axis along which the pixels repeat, where that is clearly not the first: along the axis of the frames
+/// a pixel differs by its temporal noise only, along the others by offsets, dust and shading too.
 fn other_axis(array: &Array3<f64>) -> Option<usize> {
     let scatter = |axis: usize| {
         let n = array.len_of(Axis(axis)) as f64;
@@ -172,8 +172,8 @@ fn other_axis(array: &Array3<f64>) -> Option<usize> {
     (least < CLEARLY_LESS * first).then_some(axis)
 }
 
-/// Part of the scatter along the first axis below which another one counts the frames. Column noise that changes
-/// from frame to frame brings axis 1 below 1 where the pixels have no pattern of their own.
+/// Part of the scatter along the first axis below which another one counts the frames. Column noise that
+/// changes from frame to frame brings axis 1 below 1 where the pixels have no pattern of their own.
 const CLEARLY_LESS: f64 = 0.8;
 
 #[cfg(test)]

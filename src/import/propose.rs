@@ -214,8 +214,8 @@ fn set_of(frame: &Found, kind: Kind, by_mean: bool, turned: bool) -> MapSet {
 /// Exposure of a bias frame, which has none, s.
 const SHORTEST_S: f64 = 1e-9;
 
-/// Joins sets whose names differ in counters and times of day only: all settings are equal, the sets have single
-/// frames or their names a time of day, and the levels are alike.
+/// Joins sets whose names differ in counters and times of day only: all settings are equal, the sets have
+/// single frames or their names a time of day, and the levels are alike.
 fn joined(sets: Vec<Growing>, found: &[Found], lowest: f64) -> Vec<Growing> {
     let mut groups: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (k, set) in sets.iter().enumerate().filter(|(_, s)| !s.loose.is_empty()) {
@@ -282,8 +282,8 @@ fn lit_darks(sets: &mut [Growing], lit_dn: f64) {
     }
 }
 
-/// Sets of flats whose frames have levels of their own: names and headers that do not tell lights or exposures
-/// apart.
+/// Sets of flats whose frames have levels of their own: names and headers that do not tell lights or
+/// exposures apart.
 fn several_levels(sets: &[Growing], found: &[Found], lowest: f64) -> Option<String> {
     let several = |set: &Growing| {
         let mut means: Vec<f64> = set.frames.iter().map(|k| found[*k].mean_dn - lowest).collect();

@@ -25,8 +25,8 @@ impl Reading {
 
 /// The number at the start of a text, and the text behind it.
 ///
-/// The decimal sign is a point or a comma. One comma with three digits behind it is a thousands separator to some
-/// and the decimal comma to others: both readings are returned.
+/// The decimal sign is a point or a comma. One comma with three digits behind it is a thousands separator to
+/// some and the decimal comma to others: both readings are returned.
 pub fn number(text: &str) -> (Reading, &str) {
     let text = text.trim();
     let bytes = text.as_bytes();

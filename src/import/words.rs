@@ -208,7 +208,8 @@ pub fn facts(mut said: Vec<Said>, writer: Writer) -> Facts {
     out
 }
 
-/// The colour pattern that a header states, also as a pixel format (`BayerRG12`); `None` of a monochrome sensor.
+/// The colour pattern that a header states, also as a pixel format (`BayerRG12`); `None` of a monochrome
+/// sensor.
 pub(super) fn pattern(value: &str) -> Option<String> {
     let upper = value.trim().to_uppercase();
     const PATTERNS: [&str; 5] = ["RGGB", "BGGR", "GRBG", "GBRG", "CMYG"];
@@ -396,15 +397,14 @@ pub fn of_cards(cards: Vec<super::cards::Card>) -> Facts {
     facts(said.collect(), Writer::Fits)
 }
 
-/// Returns true where a line of a header's history says that a dark, a bias or a flat was applied
-/// (`Auto-Dark Subtraction` of CCDSoft, `Bias Subtraction`, `Flat Field` of MaxIm DL, `flat fielded`).
+/// Returns true if a line of a header's history says that a dark, a bias or a flat was applied: `Auto-Dark
+/// Subtraction` of CCDSoft, `Bias Subtraction` of MaxIm DL, `flat fielded`.
 fn tells_of_a_correction(line: &str) -> bool {
     let line = line.to_lowercase();
-    let frame = ["dark", "bias", "zero", "flat"].iter().any(|w| line.contains(w));
-    let done = ["subtract", "divid", "correct", "calibrat", "fielded"].iter().any(|w| line.contains(w));
-    frame
-        && done
-        && !["not ", "no ", "un"].iter().any(|w| line.split_whitespace().any(|word| word == w.trim()))
+    let names = |words: &[&str]| words.iter().any(|w| line.contains(w));
+    names(&["dark", "bias", "zero", "flat"])
+        && names(&["subtract", "divid", "correct", "calibrat", "fielded"])
+        && !line.split_whitespace().any(|w| w == "not" || w == "no")
 }
 
 #[cfg(test)]
@@ -476,6 +476,7 @@ mod tests {
         }
         for card in [
             ("HISTORY", "dark frame taken", ""),
+            ("HISTORY", "Dark Subtraction: no", ""),
             ("CALSTAT", "", ""),
             ("STACKCNT", "1", ""),
             ("NCOMBINE", "0", ""),

@@ -3,13 +3,15 @@
 use super::Point;
 use super::estimators::{residual_variance, reweighted};
 use crate::dataset::Kind;
+use crate::fit::line::fit;
 use crate::number::{percent, with_error};
 use crate::statistics::peak::{strays, turn_off};
 
 /// Adjacent levels on one side of the line from which on they are a curve, and no outliers.
 const CURVE: usize = 3;
 
-/// Marks levels whose variance lies far above that of the levels around: one of them would be taken for the peak.
+/// Marks levels whose variance lies far above that of the levels around: one of them would be taken for the
+/// peak.
 pub(super) fn exclude_strays(points: &mut [Point]) {
     let used: Vec<usize> = (0..points.len()).filter(|&i| points[i].excluded.is_none()).collect();
     let levels: Vec<(f64, f64)> = used.iter().map(|&i| (points[i].mean_dn, points[i].var_dn2)).collect();
@@ -92,26 +94,27 @@ pub(super) fn exclude_outliers(points: &mut [Point]) -> Option<String> {
     })
 }
 
-/// Ratio of the gain's variances, without the charge of the darks and with it, from which on the darks decide (a
-/// named choice).
+/// Ratio of the gain's variances, without the charge of the darks and with it, from which on the darks decide
+/// (a named choice).
 const DARKS_DECIDE: f64 = 2.0;
 
-/// Leaves out darks that have charge where it decides the gain, and says so: a level of a few DN that hot pixels and
-/// a moving black level make too is no light. The darkest stays.
+/// Unknown share of a flat's variance from which on it is said as the reason (a named choice).
+const UNSURE: f64 = 0.05;
+
+/// Darks with charge, left out where they decide the gain, in words: hot pixels and a moving black level make
+/// a level of a few DN too. The darkest stays.
 pub(super) fn exclude_dark_charge(points: &mut [Point]) -> Option<String> {
     let line = reweighted(points)?;
     let used = || points.iter().enumerate().filter(|(_, p)| p.excluded.is_none());
     let is_dark = |(_, p): &(usize, &Point)| p.kind == Kind::Dark;
     let (darkest, _) = used().filter(is_dark).min_by(|a, b| a.1.mean_dn.total_cmp(&b.1.mean_dn))?;
-    // Variance of the slope of a weighted line.
+    // Variance of the slope of the line through some of the levels.
     let of = |wanted: &dyn Fn(usize, &Point) -> bool| {
-        let weights: Vec<(f64, f64)> = used()
-            .filter(|(i, p)| wanted(*i, p))
-            .map(|(_, p)| (p.mean_dn, residual_variance(p, line.slope, line.intercept.max(0.0)).recip()))
+        let chosen = used().filter(|(i, p)| wanted(*i, p));
+        let points: Vec<(f64, f64, f64)> = chosen
+            .map(|(_, p)| (p.mean_dn, p.var_dn2, residual_variance(p, line.slope, line.intercept.max(0.0))))
             .collect();
-        let sum: f64 = weights.iter().map(|(_, w)| w).sum();
-        let mean = weights.iter().map(|(x, w)| x * w).sum::<f64>() / sum;
-        weights.iter().map(|(x, w)| w * (x - mean).powi(2)).sum::<f64>().recip()
+        fit(points.into_iter()).map_or(f64::INFINITY, |line| line.var_slope)
     };
     let with = of(&|_, _| true);
     let without = of(&|i, p| p.kind == Kind::Flat || i == darkest);
@@ -120,13 +123,14 @@ pub(super) fn exclude_dark_charge(points: &mut [Point]) -> Option<String> {
     }
     let flats: Vec<&Point> = used().map(|(_, p)| p).filter(|p| p.kind == Kind::Flat).collect();
     let unsure = flats.iter().map(|p| p.var_unsure_dn2 / p.var_dn2).fold(0.0, f64::max);
-    let (gain, most) = (with_error(line.slope, with.sqrt()), flats.len());
+    let gain = with_error(line.slope, with.sqrt());
+    let sets = if flats.len() == 1 { "the set of flats hardly tells" } else { "the flats hardly tell" };
     let out: Vec<usize> =
         used().filter(|(i, p)| p.kind == Kind::Dark && *i != darkest).map(|(i, _)| i).collect();
     for i in out {
         points[i].excluded = Some("the charge of darks would decide the gain, and is no light".into());
     }
-    let why = if unsure > 0.05 {
+    let why = if unsure > UNSURE {
         format!(
             ": the frames of a set differ in light, which leaves {} of their variance unknown",
             percent(unsure)
@@ -134,7 +138,6 @@ pub(super) fn exclude_dark_charge(points: &mut [Point]) -> Option<String> {
     } else {
         String::new()
     };
-    let sets = if most == 1 { "the set of flats hardly tells" } else { "the flats hardly tell" };
     Some(format!(
         "{sets} the gain{why}. The charge of the darks would make {gain} DN/e⁻ of it; that is the gain only if hot pixels, rays and the black \
          level have no part in it, and it is left out"

@@ -214,8 +214,8 @@ pub(crate) fn level_of(
         let (frames, hit) = dataset.without_struck(frames);
         struck += hit as u64;
         let slices: Vec<&[u16]> = frames.iter().filter_map(|f| f.as_slice()).collect();
-        // Memory for what the frames are, not for what a damaged manifest says. Their sizes were checked by it
-        // when they were read.
+        // Memory for what the frames are, not for what a damaged manifest says. Their sizes were checked by
+        // it when they were read.
         let shape = (camera.height, camera.width);
         let level = memory.get_or_insert_with(|| {
             LevelAccumulator::new(shape, camera.bit_depth).without(mask.masked.clone())
@@ -259,8 +259,8 @@ pub fn zero(measured: &Measured) -> Zero {
         .map(|(_, mean, variance)| (1.0 / variance, mean / variance))
         .reduce(|a, b| (a.0 + b.0, a.1 + b.1))
     {
-        // Part of this dark mean is dark charge, and one exposure does not tell how much. A known black level bounds
-        // it: anything between the two is as likely.
+        // Part of this dark mean is dark charge, and one exposure does not tell how much. A known black level
+        // bounds it: anything between the two is as likely.
         let mut dark = sum / weight;
         let moved_dn = moved(points().map(|(_, mean, variance)| (mean - dark, variance)), darks.len() - 1);
         if moved_dn > 0.0 {
@@ -294,8 +294,8 @@ pub fn zero(measured: &Measured) -> Zero {
 }
 
 /// Standard deviation of the zero of any set where the darks' levels, given as (deviation, variance), scatter
-/// beyond what their frames explain, DN; otherwise 0. A level that moves with time lies anywhere between those
-/// that were seen, and more darks do not average it away: that of an even distribution over the range.
+/// beyond what their frames explain, DN; otherwise 0. A level that moves with time lies anywhere between
+/// those that were seen, and more darks do not average it away: that of an even distribution over the range.
 fn moved(darks: impl Iterator<Item = (f64, f64)>, dof: usize) -> f64 {
     let (mut chi2, mut least, mut most) = (0.0, f64::INFINITY, f64::NEG_INFINITY);
     for (off, variance) in darks {
@@ -363,16 +363,16 @@ pub fn points(measured: &Measured, zero: &Zero) -> Vec<Point> {
     points
 }
 
-/// Share of the correction for rounding that is not known: equal pixels have two thirds of it, and pixels that
-/// differ twice as much four thirds.
+/// Share of the correction for rounding that is not known: equal pixels have two thirds of it, and pixels
+/// that differ twice as much four thirds.
 const ROUNDING_ERROR: f64 = 0.33;
 /// Variance of the logarithm of the pixels' noise variances: a standard deviation of the noise of 15 %
 /// (log-normal), as the data sheets of CMOS sensors have it. Rounded noise itself does not tell it.
 const USUAL_LOG_VAR: f64 = 0.09;
 
-/// Variance of a level beyond that before rounding and q^2/12, DN^2: noise of about half a step has more or less,
-/// by where its level lies between two codes, how far the pixels' levels spread, and how the pixels differ in
-/// noise (log-normal: Johnson, Kotz and Balakrishnan 1994, ch. 14).
+/// Variance of a level beyond that before rounding and q^2/12, DN^2: noise of about half a step has more or
+/// less, by where its level lies between two codes, how far the pixels' levels spread, and how the pixels
+/// differ in noise (log-normal: Johnson, Kotz and Balakrishnan 1994, ch. 14).
 fn by_rounding(level: &Level, step_dn: f64) -> f64 {
     // All in steps of the converter.
     let square = step_dn * step_dn;
@@ -396,8 +396,8 @@ fn by_rounding(level: &Level, step_dn: f64) -> f64 {
     square * (var - (0.5 * (low + high) + 1.0 / 12.0))
 }
 
-/// Points and weights of the mean over a standard normal number (Gauss and Hermite; Abramowitz and Stegun, table
-/// 25.10).
+/// Points and weights of the mean over a standard normal number (Gauss and Hermite; Abramowitz and Stegun,
+/// table 25.10).
 const NORMAL_POINTS: [(f64, f64); 5] = [
     (-2.856_970_0, 0.011_257_4),
     (-1.355_626_2, 0.222_075_9),
@@ -419,13 +419,13 @@ fn noise_spread_dn4(measured: &Measured) -> f64 {
     if median.is_finite() { median.max(0.0) } else { 0.0 }
 }
 
-/// Share of the correction for unequal light that is not known: the shape of the light may differ from that of
-/// the level.
+/// Share of the correction for unequal light that is not known: the shape of the light may differ from that
+/// of the level.
 const LIGHT_SHAPE_ERROR: f64 = 0.1;
 
-/// Unequal light of the frames of a set: in a shaded field a frame of e more light differs from the others by e
-/// times the field, of which the frame's mean takes off the even part only. What is left has the variance of e
-/// times the field's.
+/// Unequal light of the frames of a set: in a shaded field a frame of e more light differs from the others by
+/// e times the field, of which the frame's mean takes off the even part only. What is left has the variance
+/// of e times the field's.
 struct Light {
     /// Variance of the means of dark frames, DN^2: the black level moves the field as a whole.
     of_darks_dn2: f64,
@@ -459,8 +459,8 @@ impl Light {
     }
 }
 
-/// Leaves out darks whose variance grows with the exposure and whose level does not: the camera takes the dark
-/// charge off the level, and its shot noise stays. Their place on the line is not known.
+/// Leaves out darks whose variance grows with the exposure and whose level does not: the camera takes the
+/// dark charge off the level, and its shot noise stays. Their place on the line is not known.
 fn exclude_clamped_darks(measured: &Measured, points: &mut [Point]) {
     let of = |kind: Kind| {
         let all = measured.levels.iter().enumerate().filter(move |(_, l)| l.1 == kind);
@@ -497,8 +497,8 @@ fn own_of(points: &[Point], i: usize, first: usize) -> f64 {
     points[i].mean_dn - points[first].mean_dn
 }
 
-/// Least excess of a dark's variance, over that of the shortest, for a clamp (a named choice: what matters to a
-/// user).
+/// Least excess of a dark's variance, over that of the shortest, for a clamp (a named choice: what matters to
+/// a user).
 const MIN_CLAMPED_EXCESS: f64 = 0.1;
 /// Chance of as much scatter of the darks' levels below which the black level moved.
 const MOVED_P: f64 = 1e-4;

@@ -262,8 +262,9 @@ fn bent(bend: f64) -> String {
     format!("{:.1} % {}", 100.0 * bend.abs(), if bend < 0.0 { "below" } else { "above" })
 }
 
-/// A of one lit level: the constant noise is known by its bounds only. Below it is that of quantisation, above it the variance over the pixels
-/// of a single dark frame, which has the offsets' pattern too, or all that the level has. Anything between is as likely.
+/// A of one lit level: the constant noise is known by its bounds only. Below it is that of quantisation,
+/// above it the variance over the pixels of a single dark frame, which has the offsets' pattern too, or all
+/// that the level has. Anything between is as likely.
 fn one_level(points: &[Point], zero: &Zero, quantisation_dn2: f64) -> Option<NoiseReport> {
     let mut used = points.iter().filter(|p| p.excluded.is_none());
     let lit = used.next().filter(|p| p.kind == Kind::Flat && used.next().is_none())?;
@@ -333,8 +334,8 @@ fn read_noise(e: &Estimate, quantisation_dn2: f64) -> Quantity {
     Quantity::new(value, variance.sqrt(), "e")
 }
 
-/// Upper limit of the read noise (95 %), e, where the constant noise without quantisation lies within its error of
-/// zero: the root of a value and its error by first order would say nothing.
+/// Upper limit of the read noise (95 %), e, where the constant noise without quantisation lies within its
+/// error of zero: the root of a value and its error by first order would say nothing.
 fn unresolved(e: &Estimate, quantisation_dn2: f64) -> Option<f64> {
     /// 95 % of a normal distribution lie below.
     const ONE_SIDED: f64 = 1.645;
@@ -466,8 +467,8 @@ mod tests {
 
     const TABLE: Zero = Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO, moved_dn: 0.0 };
 
-    /// Darks of 5 to 25 DN beside flats under a lamp that scatters: the gain is that of the flats, with their error; beside sound
-    /// flats the same darks count.
+    /// Darks of 5 to 25 DN beside flats under a lamp that scatters: the gain is that of the flats, with their
+    /// error; beside sound flats the same darks count.
     #[test]
     fn the_charge_of_darks_does_not_decide_the_gain() {
         let dark = |set, mean_dn: f64, more: f64| Point {
@@ -535,8 +536,8 @@ mod tests {
         }
     }
 
-    /// A constant noise of thirty DN^2 below zero, and one of zero within its error: no read noise, and the reason
-    /// or a bound.
+    /// A constant noise of thirty DN^2 below zero, and one of zero within its error: no read noise, and the
+    /// reason or a bound.
     #[test]
     fn no_constant_noise_is_no_read_noise() {
         let of = |constant: f64, pixels: f64| {

@@ -21,8 +21,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 /// Relative scatter of the light from setting to setting.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Setting {
-    /// As stated. It is not fitted: few settings tell little of their scatter, and what bends would seem to make
-    /// it less.
+    /// As stated. It is not fitted: few settings tell little of their scatter, and what bends would seem to
+    /// make it less.
     Stated(f64),
     /// Scatter that is not stated is fitted, up to this.
     Below(f64),
@@ -90,7 +90,8 @@ pub struct Observations {
     pub row_cycles: Vec<f64>,
     /// Ripples of a lamp by how light bands fade with the exposure.
     pub ripples: Ripples,
-    /// Frequencies of stripes of columns that move from frame to frame, cycles per column, the strongest first.
+    /// Frequencies of stripes of columns that move from frame to frame, cycles per column, the strongest
+    /// first.
     pub column_cycles: Vec<f64>,
     /// Distance of the codes that occur, where all lie on one line of steps; 1 where they do not.
     pub stretch_dn: f64,
@@ -100,8 +101,8 @@ pub struct Observations {
     pub field: Field,
     /// Number of chunks of frames at the level of every set; all darks share one.
     pub alike: Vec<f64>,
-    /// For every set the first of those that follow one another under the same light: the light stays as it is
-    /// until another level is set.
+    /// For every set the first of those that follow one another under the same light: the light stays as it
+    /// is until another level is set.
     pub light_settings: Vec<usize>,
     /// Largest relative deviation of the signal over the pixels of a set.
     pub largest_spread: f64,
@@ -127,8 +128,8 @@ impl Observations {
         self.list.iter().filter(move |o| o.is(statistic))
     }
 
-    /// Whether dark charge can be told from the black level: darks, or flats of one light, have two exposures. A half that leaves it to its
-    /// flats, where all darks together tell it, tells it badly.
+    /// Returns true if dark charge can be told from the black level: darks, or flats of one light, have two
+    /// exposures. A half that leaves it to its flats, where all darks together tell it, tells it badly.
     pub fn tells_dark_current(&self, half: Option<Half>) -> bool {
         if half.is_some() && self.exposures_differ(None, true) {
             return self.exposures_differ(half, true);
@@ -192,7 +193,8 @@ impl From<ExamineError> for ObserveError {
 
 /// Sets and frames in the order of time, the light levels told apart.
 fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<FrameInfo>) {
-    // Photons that a descriptor states are nominal: one light, in the ratios stated, as accurate as the data show it to be.
+    // Photons that a descriptor states are nominal: one light, in the ratios stated, as accurate as the data
+    // show it to be.
     let nominal = dataset.light_is_nominal();
     let flats =
         || settings.iter().filter(|s| s.kind == Kind::Flat && s.illumination > 0.0).map(|s| s.illumination);
@@ -320,7 +322,8 @@ pub fn of_dataset(
                 .into(),
         );
     }
-    // What a scene or a clipped set shows matters for the frame that follows it: known beforehand, and judged in neither half.
+    // The level of a scene or a clipped set matters for the frame that follows it: known beforehand, and
+    // judged in neither half.
     let levels = scenes.iter().map(|s| (s.set, codes::mean_of(&s.mean_dn, &layout), s.frames));
     for (i, level, (from, to)) in levels.chain(saturated.iter().map(|s| (s.set, s.level_dn, s.frames))) {
         let rows = &sets[i].rows;
@@ -478,8 +481,8 @@ fn alike(chunks: &[Chunk], settings: &[FrameRow]) -> Vec<f64> {
     settings.iter().enumerate().map(of).collect()
 }
 
-/// Standard errors by which successive frames must be correlated, and the share of that correlation that first
-/// frames may carry at most, where frames that are not there came between the sets.
+/// Standard errors by which successive frames must be correlated, and the share of that correlation that
+/// first frames may carry at most, where frames that are not there came between the sets.
 const CORRELATED: f64 = 5.0;
 const CARRIED: f64 = 0.3;
 
@@ -493,8 +496,8 @@ fn frames_between(list: &[Observable], sets: &[SetInfo], settings: &[FrameRow]) 
             levels[set] = Some(o.measured.value);
         }
     }
-    // Of frames: covariance over variance, weighed by its error; of sets: step of the first frame over the change
-    // of level.
+    // Frames: covariance over variance, weighed by its error; sets: step of the first frame over the
+    // change of level.
     let (mut within, mut between) = ((0.0, 0.0), (0.0, 0.0));
     for (i, o) in list.iter().enumerate() {
         let Some(set) = of(o, &successive::Successive).filter(|s| settings[*s].kind == Kind::Flat) else {
@@ -604,8 +607,8 @@ fn spreads(infos: &mut [SetInfo], chunks: &[Chunk], settings: &[FrameRow], zero_
         infos[c.set].places = c.summary.places;
         infos[c.set].spread = if above > 5.0 { (spread_dn / above).min(0.3) } else { 0.0 };
     }
-    // Flats have one pattern of light and response. Where the range ended an image has lost it: what others show holds before that.
-    // Dim ones have more of the offsets' pattern.
+    // Flats have one pattern of light and response. Where the range ended an image has lost it: what others
+    // show holds before that. Dim ones have more of the offsets' pattern.
     let above = |c: &Chunk| c.summary.frame_means.mean_dn() - zero_dn;
     let top = chunks.iter().map(above).fold(0.0, f64::max);
     let bright: Vec<usize> = chunks
@@ -654,8 +657,8 @@ fn of_chunks(chunks: &[Chunk], sets: &[Set]) -> Vec<Observable> {
 /// Maximum number of sets listed by number in a note.
 const LISTED: usize = 8;
 
-/// Temporal variance below which rounding hides the noise, DN^2 (a named choice): 0.27 DN of normal noise about
-/// the middle of a code reaches it.
+/// Temporal variance below which rounding hides the noise, DN^2 (a named choice): 0.27 DN of normal noise
+/// about the middle of a code reaches it.
 const QUIET_DN2: f64 = 0.06;
 
 /// True where rounding hides the noise of a chunk: see [`QUIET_DN2`].
@@ -663,7 +666,8 @@ pub(super) fn is_quiet(summary: &Summary) -> bool {
     summary.var.value < QUIET_DN2
 }
 
-/// Temporal variance of darks below which EMVA 1288 does not take it for measured, DN^2 (release 4, section 6.6).
+/// Temporal variance of darks below which EMVA 1288 does not take it for measured, DN^2 (release 4, section
+/// 6.6).
 const LEAST_DARK_VAR_DN2: f64 = 0.24;
 
 /// Limit of campaigns without a scene.
@@ -688,7 +692,8 @@ fn cannot_be_told(shape: (usize, usize), patch: bool, settings: &[FrameRow]) -> 
     missing
 }
 
-/// Part of the pixels' spread that changes from set to set, by slow telegraph noise or warming (a named choice).
+/// Part of the pixels' spread that changes from set to set, by slow telegraph noise or warming (a named
+/// choice).
 const CHANGED: f64 = 0.2;
 
 impl Inflation {
@@ -705,9 +710,9 @@ impl Inflation {
                 1.0
             }
         };
-        // Jackknife variance of a mean over N pixels of sample variances with d degrees of freedom: (u + (1 + u) 2 / d) / N of
-        // its square (law of total variance), u the relative variance of the pixels' true variances. The first part is
-        // the same in every set but for [`CHANGED`]; only the second is chance.
+        // Jackknife variance of a mean over N pixels of sample variances with d degrees of freedom: (u + (1 +
+        // u) 2 / d) / N of its square (law of total variance), u the relative variance of the pixels' true
+        // variances. The first part is the same in every set but for [`CHANGED`]; only the second is chance.
         let of_variance = |r: &Summary| {
             let spread = r.unequal.value.max(0.0);
             let same = (1.0 - CHANGED * CHANGED) * spread * r.var.value * r.var.value / r.pixels;

@@ -32,14 +32,15 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
             "no pixel count: errors are the rows' own scatter, as of {pixels:.0} pixels a row"
         ));
     }
-    let copies: Vec<usize> = table.copies().into_iter().map(|(i, _)| i + 1).collect();
+    let copies: Vec<usize> = table.copies().into_iter().map(|(i, _)| i).collect();
     if !copies.is_empty() {
         let (rows, are) = if copies.len() == 1 {
             ("row", "is a copy of another")
         } else {
             ("rows", "are copies of others")
         };
-        missing.push(format!("{rows} {} {are}, and left out", ranges(&copies)));
+        let numbers: Vec<usize> = copies.iter().map(|i| i + 1).collect();
+        missing.push(format!("{rows} {} {are}, and left out", ranges(&numbers)));
     }
     let strays = strays(&table.levels.iter().map(|l| (l.mean_dn, l.var_dn2)).collect::<Vec<_>>());
     for &i in &strays {
@@ -52,8 +53,9 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         ));
     }
     // Past the variance's peak the well is full: what the rows say there is not noise.
-    let mut order: Vec<usize> =
-        (0..table.levels.len()).filter(|i| !strays.contains(i) && !copies.contains(&(i + 1))).collect();
+    let mut used = vec![true; table.levels.len()];
+    strays.iter().chain(&copies).for_each(|&i| used[i] = false);
+    let mut order: Vec<usize> = (0..used.len()).filter(|i| used[*i]).collect();
     order.sort_by(|&a, &b| table.levels[a].mean_dn.total_cmp(&table.levels[b].mean_dn));
     let levels: Vec<(f64, f64)> =
         order.iter().map(|&i| (table.levels[i].mean_dn, table.levels[i].var_dn2)).collect();

@@ -48,8 +48,8 @@ pub struct Level {
     /// Single samples that stood far off the same pixel in other frames, and were replaced by its usual code.
     #[serde(default)]
     pub struck: u64,
-    /// Mean over the pixels of the square of their variances, without the scatter of few frames of normal noise,
-    /// DN^4: above [`var_dn2`](Self::var_dn2) squared where pixels differ in noise.
+    /// Mean over the pixels of the square of their variances, without the scatter of few frames of normal
+    /// noise, DN^4: above [`var_dn2`](Self::var_dn2) squared where pixels differ in noise.
     #[serde(default = "nan", with = "finite")]
     pub square_dn4: f64,
 }
@@ -139,7 +139,8 @@ impl LevelAccumulator {
         Ok(())
     }
 
-    /// The level; `None` before the first frame. With one frame, or with every pixel clipped, the variance is NaN.
+    /// The level; `None` before the first frame. With one frame, or with every pixel clipped, the variance is
+    /// NaN.
     pub fn finish(&self) -> Option<Level> {
         let frames = self.moments.frames();
         let n = frames as f64;
@@ -213,14 +214,14 @@ impl LevelAccumulator {
     }
 }
 
-/// Variance of a pixel over that of all, in standard errors of the latter as a sum over the pixels, from which on
-/// the pixel alone decides it; and the least ratio, which noisy pixels reach (named choices).
+/// Variance of a pixel over that of all, in standard errors of the latter as a sum over the pixels, from
+/// which on the pixel alone decides it; and the least ratio, which noisy pixels reach (named choices).
 const DECIDES: f64 = 3.0;
 const MIN_JUMP: f64 = 100.0;
 
 impl LevelAccumulator {
-    /// Pixels that do not count, with those that jump from one level to another in the set (traps that fill, what a ray
-    /// leaves behind): one of a million that moves by half the range doubles the variance of a dark.
+    /// Pixels that do not count, with those that jump from one level to another in the set (traps,
+    /// after-effects of a ray): one of a million that moves by half the range doubles the variance of a dark.
     fn masked_and_jumping(&self) -> Vec<usize> {
         let (n, pixels) = (self.moments.frames() as f64, self.moments.sums().len());
         let of_masked: f64 = self.masked.iter().map(|&i| self.moments.spread_dn2(i)).sum();
@@ -229,7 +230,7 @@ impl LevelAccumulator {
         if n < 2.0 || counted < 2.0 {
             return out;
         }
-        // Without those found the variance is smaller, and shows more of them.
+        // The variance falls with each found, and shows more of them.
         let mut left = self.moments.total_spread_dn2() - of_masked;
         let limit = (DECIDES * (2.0 * counted / (n - 1.0)).sqrt()).max(MIN_JUMP);
         for _ in 0..3 {
@@ -343,7 +344,8 @@ mod tests {
         assert!((noisy.var_dn2 - still.var_dn2 - 99.0 * 64.0 / 40_000.0).abs() < 0.15, "{}", noisy.var_dn2);
     }
 
-    /// Over 300 sets of six frames the pooled variance has the expected mean and scatter, each within 5 sigma.
+    /// Over 300 sets of six frames the pooled variance has the expected mean and scatter, each within 5
+    /// sigma.
     #[test]
     fn the_pooled_variance_has_its_stated_degrees_of_freedom() {
         let (sets, sigma) = (300, 8.0);

@@ -320,8 +320,8 @@ fn practice_sets_are_diagnosed() {
     expect(0, &["compare", clean.to_str().unwrap()]);
 }
 
-/// The terminal: a line for each effect within the width of a page, and the next commands with the user's own folder; evidence only
-/// where it is asked for.
+/// The terminal: a line for each effect within the width of a page, and the next commands with the user's own
+/// folder; evidence with `--explain` only.
 #[test]
 fn a_diagnosis_is_a_page() {
     let Some(root) = shared("practice") else { return };
@@ -347,9 +347,9 @@ fn a_diagnosis_is_a_page() {
     }
 }
 
-/// The third group of practice sets: CMOS pixels that differ in read noise, shading, overshoot. The hidden effect
-/// first with its size within three standard errors, and nothing else above a hundredth of the misfit; a sensor
-/// whose pixels differ is clean.
+/// The third group of practice sets: CMOS pixels that differ in read noise, shading, overshoot. The hidden
+/// effect first with its size within three standard errors, and nothing else above a hundredth of the misfit;
+/// a sensor whose pixels differ is clean.
 #[test]
 fn practice_sets_of_cmos_sensors_are_diagnosed() {
     let Some(root) = shared("practice") else { return };
@@ -418,8 +418,8 @@ fn darks_alone_tell_the_gain_by_their_dark_charge() {
     }
 }
 
-/// Gamma on the whole code, black level included, of a simulated camera: named, the exponent within four standard
-/// errors and a thousandth, the gain that of the camera within three per cent.
+/// Gamma on the whole code, black level included, of a simulated camera: named, the exponent within four
+/// standard errors and a thousandth, the gain that of the camera within three per cent.
 #[test]
 fn gamma_of_the_whole_code_is_named() {
     for (seed, exponent) in [(11, 0.9), (12, 0.6), (13, 0.45)] {

@@ -1,5 +1,5 @@
-//! Headers as programs write them: units, settings, orientation, averages. One wrong reading is a wrong number
-//! later.
+//! Headers as programs write them: units, settings, orientation, averages. One wrong reading is a wrong
+//! number later.
 
 use crate::import::fits;
 use crate::support::{expect, radcam, refused};
@@ -219,6 +219,24 @@ fn an_exposure_of_two_readings_is_asked() {
     }
     let said = bench.refused("named");
     assert!(said.contains("EXPTIME 100 says 100 s") && said.contains("0.1 s"), "{said}");
+}
+
+/// A header's exposure of 0 is that of a frame whose name says bias; of one named dark it is not known.
+#[test]
+fn zero_in_a_header_is_the_exposure_of_a_bias_by_name() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(3);
+    for k in 0..2 {
+        let (bias, flat) = (camera.frame(0.0, 0.0), camera.frame(2000.0, 0.1));
+        bench.fits(&format!("a/bias_{k}.fits"), &["EXPTIME = 0"], &bias);
+        bench.fits(&format!("b/dark_{k}.fits"), &["EXPTIME = 0"], &bias);
+        for folder in ["a", "b"] {
+            bench.fits(&format!("{folder}/flat_{k}.fits"), &["EXPTIME = 0.1"], &flat);
+        }
+    }
+    let (dataset, _) = bench.import("a", &[]);
+    assert_eq!(sets(&dataset), [(Kind::Dark, 1e-9, 2), (Kind::Flat, 0.1, 2)]);
+    assert!(bench.refused("b").contains("exposure_s"));
 }
 
 /// Rows that run upwards in one program's files and downwards in another's: the same sensor row.

@@ -1,4 +1,5 @@
-//! One integration binary, laid out as `src/` is: the library's public face, the real program, the real libaravis.
+//! One integration binary, laid out as `src/` is: the library's public face, the real program, the real
+//! libaravis.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)] // tests may stop where they stumble, and say what they skipped
 

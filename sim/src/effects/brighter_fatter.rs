@@ -60,8 +60,9 @@ impl Effect for BrighterFatter {
     fn together(&self, p: &[f64]) -> Option<Together> {
         let name = "a_vertical_per_e + a_horizontal_per_e";
         let sum = p[0] + p[1];
-        // The variance is mu (1 - 2 s mu + (2/3) r (2 s mu)^2) to second order, s the sum and r between 1 (far neighbours too) and 1.5 (one
-        // axis alone). Any r between them, where two axes alike have 1.25, has the deviation 0.5 / root 12: s is off by 0.2 s^2 mu.
+        // The variance is mu (1 - 2 s mu + (2/3) r (2 s mu)^2) to second order, s the sum and r between 1
+        // (far neighbours too) and 1.5 (one axis alone). Any r between them, where two axes alike have 1.25,
+        // has the deviation 0.5 / root 12: s is off by 0.2 s^2 mu.
         Some(Together {
             name,
             unit: "1/e",
@@ -71,8 +72,8 @@ impl Effect for BrighterFatter {
         })
     }
 
-    /// Charge pushes away field lines on all sides (Antilogus et al. 2014: along the rows and the columns of CCDs
-    /// by factors of up to three).
+    /// Charge pushes away field lines on all sides (Antilogus et al. 2014: along the rows and the columns of
+    /// CCDs by factors of up to three).
     fn contradicted(&self, p: &[f64], std_err: &[f64], seen: &Seen) -> Option<&'static str> {
         if !seen.neighbours {
             return None;

@@ -3,8 +3,16 @@
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 use crate::predict::Ripple;
 
-/// One normal number for each row and frame, added with the read noise; rows may have a part in common with the next.
+/// One normal number for each row and frame, added with the read noise; rows may have a part in common with
+/// the next.
 pub struct RowNoise;
+
+/// Least number of bands in a frame where most of the noise is in bands, and where it is in single rows
+/// (named choices; a band is as long as the correlation takes to fall to 1/e).
+const MIN_BANDS: f64 = 10.0;
+const MIN_BANDS_BESIDE_ROWS: f64 = core::f64::consts::LN_10;
+/// Part of the variance from which on it is mostly in bands.
+const MOSTLY: f64 = 0.5;
 
 fn wanders(p: &[f64]) -> bool {
     p[0] >= 0.5
@@ -68,11 +76,12 @@ impl Effect for RowNoise {
         wanders(p).then_some("in part shared by bands of rows")
     }
 
-    /// What all rows of a frame share is no noise of rows: that of bands longer than a tenth of the frame (a named
-    /// choice) moves its mean as much as its rows.
+    /// Noise that all rows of a frame share is no noise of rows: long bands move the mean of the frame as
+    /// much as its rows.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         let bands_per_frame = -libm::log(p[3]) * seen.rows;
-        wanders(p) && (bands_per_frame < 2.3 || p[2] > 0.5 && bands_per_frame < 10.0)
+        let least = if p[2] > MOSTLY { MIN_BANDS } else { MIN_BANDS_BESIDE_ROWS };
+        wanders(p) && bands_per_frame < least
     }
 
     fn starts(&self, _: &Seen) -> Vec<Vec<f64>> {

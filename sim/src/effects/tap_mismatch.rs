@@ -42,8 +42,8 @@ impl Effect for TapMismatch {
                 name: "offset_dn",
                 meaning: "offset of the second part less that of the first",
                 unit: "DN",
-                min: -6e4,
-                max: 6e4,
+                min: -1e3,
+                max: 1e3,
                 starts: &[0.0],
             },
             // Right half, lower half, odd columns, odd rows.
