@@ -4,7 +4,7 @@ use super::facts::SetFacts;
 use super::law::{Law, Point};
 use super::patterns::MIN_PIXELS;
 use super::{DataFault, FaultKind};
-use crate::dataset::{Dataset, FrameRow, Kind};
+use crate::dataset::{Dataset, FrameRow, Kind, PassedOver};
 use crate::statistics::median::{MAD_OF_NORMAL, median};
 use std::collections::BTreeMap;
 
@@ -15,6 +15,14 @@ const MIN_DARKS_FOR_A_LAW: usize = 6;
 /// Share of clipped samples, beyond those of pixels that always are, from which the level of a set is not
 /// what it would be.
 const MAX_CLIPPED_SHARE: f64 = 1e-3;
+
+/// Changes of level that tell a share that is carried over, and the least of one, relative to the largest.
+const MIN_CHANGES: usize = 3;
+const MIN_CHANGE: f64 = 0.3;
+/// Shares of a change of level that first frames carry through lag or a filter and that matter to levels.
+const CARRIED_SHARES: std::ops::Range<f64> = 0.003..0.5;
+/// Scatter of these shares, relative, up to which they are one: a lamp or a slip has none in common.
+const MAX_SHARE_SCATTER: f64 = 0.3;
 
 /// Set with the statistics of its frames.
 #[derive(Debug, Clone)]
@@ -39,6 +47,9 @@ pub struct SetView {
     pub clipped: bool,
     /// Number of its dataset among joined ones.
     part: usize,
+    /// What the first frame carries of the set before by the share that is usual in the campaign, DN; 0 where
+    /// none is.
+    carried_dn: f64,
 }
 
 impl SetView {
@@ -56,9 +67,19 @@ impl SetView {
         self.places().map(|i| self.facts.means_dn[i]).collect()
     }
 
-    /// Median of the frames' means, DN.
+    /// Means of the frames in use, DN, without what the first carries of the set before.
+    fn settled_dn(&self) -> Vec<f64> {
+        self.places().map(|i| self.facts.means_dn[i] - if i == 0 { self.carried_dn } else { 0.0 }).collect()
+    }
+
+    /// Median of the frames' means, DN, without what the first carries of the set before.
     pub fn level_dn(&self) -> f64 {
-        median(self.means_dn().into_iter())
+        median(self.settled_dn().into_iter())
+    }
+
+    /// Mean of the last frame in use, DN.
+    pub fn last_dn(&self) -> f64 {
+        self.places().last().map_or(f64::NAN, |i| self.facts.means_dn[i])
     }
 
     /// Number of first frames skipped because of lag; 0 for short sets.
@@ -119,9 +140,10 @@ impl SetView {
         self.exposure_s * self.illumination
     }
 
-    /// Returns true if level, noise and fixed pattern are known.
+    /// Returns true if level, noise and fixed pattern are known: that of all frames is not that of those in use.
     pub fn has_pattern(&self) -> bool {
-        !self.clipped && self.variance_dn2().is_some() && self.facts.middle_dn.len() >= MIN_PIXELS
+        let whole = self.kept.iter().all(|kept| *kept);
+        whole && !self.clipped && self.variance_dn2().is_some() && self.facts.middle_dn.len() >= MIN_PIXELS
     }
 
     /// Returns true for a flat whose label states light.
@@ -174,6 +196,8 @@ pub struct Campaign<'a> {
     pub sets: Vec<SetView>,
     /// Full scale, DN.
     pub full_scale_dn: f64,
+    /// Share of a change of level that first frames usually carry; 0 where none is seen.
+    pub carried_share: f64,
 }
 
 impl<'a> Campaign<'a> {
@@ -192,12 +216,43 @@ impl<'a> Campaign<'a> {
                 out: facts.means_dn.is_empty(),
                 clipped: facts.clipped - always > MAX_CLIPPED_SHARE,
                 part: dataset.part_of(set.rows[0]).0,
+                carried_dn: 0.0,
                 facts,
             }
         };
         let sets = dataset.sets().iter().zip(facts).map(view).collect();
         let full_scale_dn = f64::from(dataset.manifest().camera.full_scale_dn());
-        Self { dataset, sets, full_scale_dn }
+        let mut all = Self { dataset, sets, full_scale_dn, carried_share: 0.0 };
+        all.carried_share = all.usual_share().unwrap_or(0.0);
+        for k in 1..all.sets.len() {
+            if let Some((change, _)) = all.change_at(k) {
+                all.sets[k].carried_dn = all.carried_share * change;
+            }
+        }
+        all
+    }
+
+    /// Change of the level from the set before to this one, DN, and what its first frame has of it.
+    fn change_at(&self, set: usize) -> Option<(f64, f64)> {
+        let (own, before) = (&self.sets[set], &self.sets[set.checked_sub(1)?]);
+        if own.out || before.out || own.frames() < 2 || before.frames() == 0 || !own.kept[0] {
+            return None;
+        }
+        let means = own.means_dn();
+        let level = median(means[1..].iter().copied());
+        Some((before.last_dn() - level, means[0] - level))
+    }
+
+    /// Share of a change of level that first frames carry over, where all carry about the same; `None` where
+    /// they carry less than matters.
+    fn usual_share(&self) -> Option<f64> {
+        let mut all: Vec<(f64, f64)> = (1..self.sets.len()).filter_map(|k| self.change_at(k)).collect();
+        let most = all.iter().map(|s| s.0.abs()).fold(0.0, f64::max);
+        all.retain(|s| s.0.abs() > MIN_CHANGE * most);
+        let share = median(all.iter().map(|s| s.1 / s.0));
+        let scatter = median(all.iter().map(|s| (s.1 / s.0 - share).abs())) / MAD_OF_NORMAL;
+        let matters = all.len() >= MIN_CHANGES && CARRIED_SHARES.contains(&share);
+        (matters && scatter < MAX_SHARE_SCATTER * share).then_some(share)
     }
 
     /// File of a frame.
@@ -250,7 +305,7 @@ impl<'a> Campaign<'a> {
         let mut all = Vec::new();
         for i in self.places(wanted) {
             let (set, by) = (&self.sets[i], scale(&self.sets[i]));
-            let means = set.means_dn();
+            let means = set.settled_dn();
             // The first step may carry what came before, where there are others.
             let skip = usize::from(means.len() > 3);
             all.extend(means.windows(2).skip(skip).map(|w| (w[1] - w[0]).abs() / by));
@@ -265,23 +320,13 @@ impl<'a> Campaign<'a> {
 
     /// Share of a change of level that first frames usually carry over; `None` with fewer than three changes.
     pub fn carried(&self, scatter: &Scatter) -> Option<f64> {
-        let mut shares = Vec::new();
-        for k in 1..self.sets.len() {
-            let (own, before) = (&self.sets[k], &self.sets[k - 1]);
-            if own.out || before.out || own.frames() < 2 || before.frames() == 0 || !own.kept[0] {
-                continue;
-            }
-            let means = own.means_dn();
-            let level = median(means[1..].iter().copied());
-            let change = before.level_dn() - level;
-            if change.abs() > 20.0 * scatter.of_frame_dn(own) {
-                shares.push((change, (means[0] - level) / change));
-            }
-        }
+        let sure =
+            |k: usize| self.change_at(k).filter(|c| c.0.abs() > 20.0 * scatter.of_frame_dn(&self.sets[k]));
+        let mut all: Vec<(f64, f64)> = (1..self.sets.len()).filter_map(sure).collect();
         // Small changes tell little of a share.
-        let most = shares.iter().map(|s| s.0.abs()).fold(0.0, f64::max);
-        shares.retain(|s| s.0.abs() > 0.3 * most);
-        (shares.len() >= 3).then(|| median(shares.into_iter().map(|s| s.1)))
+        let most = all.iter().map(|s| s.0.abs()).fold(0.0, f64::max);
+        all.retain(|s| s.0.abs() > MIN_CHANGE * most);
+        (all.len() >= MIN_CHANGES).then(|| median(all.into_iter().map(|s| s.1 / s.0)))
     }
 
     /// Returns true if a dark deviates from a smooth law of the exposure fitted to the other darks, or if
@@ -406,6 +451,21 @@ impl<'a> Campaign<'a> {
             }
         }
         out
+    }
+
+    /// Sets that are left out and were exposed between the others.
+    pub(super) fn passed_over(&self, faults: &[DataFault]) -> Vec<PassedOver> {
+        let has = |number: u32, kind: FaultKind| {
+            faults.iter().any(|f| f.left_out && f.kind == kind && f.sets.contains(&number))
+        };
+        let exposed =
+            |view: &&SetView| view.out && view.frames() > 0 && !has(view.number, FaultKind::CopiedFrames);
+        let passed_over = |view: &SetView| PassedOver {
+            set: view.number,
+            last_dn: view.last_dn(),
+            as_stated: view.clipped || has(view.number, FaultKind::OtherSettings),
+        };
+        self.sets.iter().filter(exposed).map(passed_over).collect()
     }
 
     /// Sets by their numbers, in words.

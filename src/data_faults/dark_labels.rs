@@ -17,6 +17,10 @@ const FALL: (f64, f64) = (10.0, 1.0);
 /// Share of the spread of the shortest dark up to which that of the longest has fallen.
 const MAX_SPREAD_SHARE: f64 = 0.7;
 
+/// Ratio of levels from which on one dark may be a part of the other (the last two bits make 4), and by how much the
+/// noise may differ in proportion.
+const SCALED: (f64, f64) = (3.0, 1.5);
+
 /// The check.
 pub struct DarkLabels;
 
@@ -24,6 +28,14 @@ pub struct DarkLabels;
 fn spread_dn2(set: &SetView) -> f64 {
     let pattern = pattern_of(set);
     pattern.iter().map(|v| v * v).sum::<f64>() / pattern.len().max(1) as f64 - noise_of_mean(set)
+}
+
+/// Returns true if all of a dark, black level and noise, is that of another one divided by the same number, or it
+/// has no noise at all: codes that lost their last bits, or an image that is not of the sensor.
+fn is_scaled(a: &SetView, b: &SetView) -> bool {
+    let deviation = |set: &SetView| set.variance_dn2().map_or(0.0, |v| v.0.sqrt());
+    let (level, noise) = (a.level_dn() / b.level_dn(), deviation(a) / deviation(b));
+    level > SCALED.0 && (noise / level > SCALED.1.recip() || !noise.is_finite())
 }
 
 impl Check for DarkLabels {
@@ -38,6 +50,7 @@ impl Check for DarkLabels {
         let spreads = || (spread_dn2(&campaign.sets[shortest]), spread_dn2(&campaign.sets[longest]));
         if exposure_s(longest) < MIN_RATIO * exposure_s(shortest)
             || !falls
+            || is_scaled(&campaign.sets[shortest], &campaign.sets[longest])
             || spreads().1 > MAX_SPREAD_SHARE * spreads().0
         {
             return Vec::new();
@@ -51,6 +64,9 @@ impl Check for DarkLabels {
             .filter(|(a, b)| (level(**a) - level(**b)).abs() > least && exposure_s(**a) != exposure_s(**b))
             .map(|(a, _)| *a)
             .collect();
+        if wrong.is_empty() {
+            return Vec::new();
+        }
         wrong.sort_unstable();
         let text = format!(
             "{}: the exposures of these darks are exchanged: those of {} s have {} DN and more hot pixels than those of {} s with {} DN",

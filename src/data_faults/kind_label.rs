@@ -13,6 +13,9 @@ const MIN_RANGE_DN: f64 = 20.0;
 const MIN_LIT_SHARE: f64 = 0.05;
 /// Share of what its label makes a flat have, up to which it has no light.
 const MAX_UNLIT_SHARE: f64 = 0.02;
+/// Deviation from the level of flats of its exposure, relative, up to which a dark is one of them, and the share of
+/// it that another dark has at most.
+const AS_LIT: (f64, f64) = (0.1, 0.05);
 /// Standard deviations of a frame's mean by which both are told from darks.
 const MIN_SIGMAS: f64 = 20.0;
 
@@ -33,6 +36,22 @@ impl Check for KindLabel {
             return Vec::new();
         }
         let darks = campaign.places(|s| s.kind == Kind::Dark);
+        // No flat is darker than all darks.
+        let extremes = |kind: Kind| {
+            let levels = || all.iter().filter(|i| campaign.sets[**i].kind == kind).map(|&i| level(i));
+            (levels().fold(f64::INFINITY, f64::min), levels().fold(f64::NEG_INFINITY, f64::max))
+        };
+        let (of_darks, of_flats) = (extremes(Kind::Dark), extremes(Kind::Flat));
+        if darks.len() > 1 && of_flats.1.is_finite() && of_flats.1 + MIN_RANGE_DN < of_darks.0 {
+            let text = format!(
+                "all sets: dark and flat are exchanged: the stated flats have {} to {} DN, and the stated darks {} to {} DN",
+                six_digits(of_flats.0),
+                six_digits(of_flats.1),
+                six_digits(of_darks.0),
+                six_digits(of_darks.1)
+            );
+            return vec![campaign.fault_of_sets(FaultKind::KindLabel, &all, text, true)];
+        }
         let scatter = campaign.dark_scatter_dn();
         let bright: Vec<usize> = darks
             .iter()
@@ -47,6 +66,7 @@ impl Check for KindLabel {
         let above = |i: usize| level(i) - dark_at(campaign.sets[i].exposure_s);
         let longest_flat_s = lit.iter().map(|&i| campaign.sets[i].exposure_s).fold(0.0, f64::max);
         let response = median(lit.iter().map(|&i| above(i) / x(i)));
+        let usual_light = median(lit.iter().map(|&i| campaign.sets[i].illumination));
         // Without darks the dimmest flat would pass for one.
         let dim: Vec<usize> = lit
             .iter()
@@ -73,9 +93,13 @@ impl Check for KindLabel {
             let exposures: Vec<f64> = others().map(|&d| campaign.sets[d].exposure_s).collect();
             let several = exposures.iter().any(|e| (e / exposures[0] - 1.0).abs() > 0.01);
             let charge = several && dark_at(exposure_s) - lowest < 0.3 * own;
+            // Or it lies where flats of its exposure lie.
+            let expected = response * exposure_s * usual_light;
+            let as_lit = (own / expected - 1.0).abs() < AS_LIT.0
+                && others().any(|&d| level(d) - lowest < AS_LIT.1 * own);
             // A single dark that is far longer than the flats may have more charge than they have light.
             let long = exposure_s > LONG_DARKS * longest_flat_s;
-            own > MIN_SIGMAS * scatter && (longer || charge || !long && !unlit.is_empty())
+            own > MIN_SIGMAS * scatter && (longer || charge || as_lit || !long && !unlit.is_empty())
         };
         let lit_darks: Vec<usize> = bright.iter().copied().filter(of_light).collect();
         // Labels mean something else where most are so; without a dark the dimmest flat is unlit by itself.

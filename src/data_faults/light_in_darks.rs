@@ -23,9 +23,12 @@ const MIN_LEAK: (f64, f64) = (0.003, 6.0);
 /// Share of the light by which the frames of a dark differ at most: what came before fades from frame to
 /// frame.
 const MAX_FADING: f64 = 0.3;
+/// Least difference of the first and the last frame of a dark that fades, DN.
+const FADES_DN: f64 = 0.5;
 /// Ratio of the light to what the level of a dark has above the black level, at most.
 const MAX_OF_LEVEL: f64 = 1.3;
-/// Ratio of a dark's level to the dimmest flat up to which the flat is not what it was exchanged for.
+/// Ratio of a dark's level to the dimmest flat up to which the flat is not what it was exchanged for, unless all of
+/// its level is light.
 const AS_DIM: f64 = 1.05;
 /// Least ratio of the levels of the flats.
 const MIN_RANGE: f64 = 1.5;
@@ -121,14 +124,21 @@ fn lights(campaign: &Campaign<'_>, darks: &[usize], flats: &[usize], zero: &Zero
             && (at_one_exposure || is_its_level())
             && fading < MAX_FADING * light_dn
             && light_dn < MAX_OF_LEVEL * above_dn
-            && set.level_dn() < AS_DIM * dimmest;
+            && (set.level_dn() < AS_DIM * dimmest || is_its_level());
         Some(Lit { set: i, light_dn: (light_dn, std), sure })
     };
     Some(darks.iter().filter_map(light).collect())
 }
 
 /// Light that leaks in while darks are exposed: their pattern grows with the exposure as the response does.
+/// Darks that fade from frame to frame carry the light of the flats before them.
 fn leak(campaign: &mut Campaign<'_>, darks: &[usize], flats: &[usize]) -> Vec<DataFault> {
+    let scatter_dn = campaign.dark_scatter_dn();
+    let fades = |i: usize| {
+        let means = campaign.sets[i].means_dn();
+        means.first().zip(means.last()).is_some_and(|(a, b)| a - b > FADES_DN.max(MIN_LEAK.1 * scatter_dn))
+    };
+    let darks = &darks.iter().copied().filter(|&i| !fades(i)).collect::<Vec<_>>()[..];
     let growth = |sets: &[usize]| {
         let x: Vec<f64> = sets.iter().map(|&i| campaign.sets[i].exposure_s).collect();
         Some(combined(campaign, sets, &Line::of(campaign, sets, &x)?.slope))

@@ -23,7 +23,7 @@ pub use crate::dataset::{DataFault, FaultKind};
 use campaign::Campaign;
 pub(crate) use facts::SetFacts;
 
-use crate::dataset::{Dataset, DatasetError, Kind, StruckSamples};
+use crate::dataset::{Dataset, DatasetError, Examination, Kind, StruckSamples};
 use crate::reduction::Key;
 use crate::statistics::outliers::are_rays;
 use rayon::prelude::*;
@@ -73,14 +73,15 @@ pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, Examine
         return Ok(dataset.clone());
     }
     let facts = facts_of(dataset, stop)?;
-    let step_dn = facts::code_step(&facts);
-    let struck = StruckSamples::of(&facts);
+    let (code_step_dn, struck) = (facts::code_step(&facts), StruckSamples::of(&facts));
     let mut campaign = Campaign::new(dataset, facts);
     let mut faults = Vec::new();
     for check in CHECKS {
         faults.extend(check.find(&mut campaign));
     }
-    Ok(dataset.without(&campaign.rows_left_out(), faults, step_dn, struck))
+    let passed_over = campaign.passed_over(&faults);
+    let examination = Examination { code_step_dn, struck, carried_share: campaign.carried_share };
+    Ok(dataset.without(&campaign.rows_left_out(), passed_over, faults, examination))
 }
 
 impl StruckSamples {
@@ -132,8 +133,8 @@ checks! {
     odd_frame::OddFrame
     moving_field::MovingField
     gain_step::GainStep
-    light_in_darks::LightInDarks
     kind_label::KindLabel
+    light_in_darks::LightInDarks
     unequal_light::UnequalLight
     other_orientation::OtherOrientation
     other_pattern::OtherPattern

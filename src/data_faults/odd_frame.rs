@@ -18,6 +18,8 @@ const MAX_SHARE_OF_FRAMES: f64 = 0.05;
 const MAX_LAG: f64 = 0.05;
 /// Share of its deviation that the frames beside an odd one have at most.
 const MAX_NEIGHBOUR_SHARE: f64 = 0.34;
+/// Frames of a set up to which one at most is odd.
+const FEW_FRAMES: usize = 7;
 /// Share that first frames carry over, from which on what came before the first set shows.
 const MIN_CARRIED_SHARE: f64 = 3e-4;
 /// Maximum ratio of the carried share to its median: lag depends on the time between frames.
@@ -69,18 +71,25 @@ impl Check for OddFrame {
                     .into_iter()
                     .flatten()
                     .filter_map(|n| apart.mean_dn.get(n));
-                if !by_cell && beside.fold(0.0f64, |a, b| a.max(b.abs())) > MAX_NEIGHBOUR_SHARE * off.abs() {
+                let most =
+                    |offsets: &mut dyn Iterator<Item = &f64>| offsets.fold(0.0f64, |a, b| a.max(b.abs()));
+                let mut others = apart.mean_dn.iter().enumerate().filter(|(n, _)| n != k).map(|(_, off)| off);
+                // Of few frames one stands out from all.
+                let near = if places.len() <= FEW_FRAMES { most(&mut others) } else { most(&mut { beside }) };
+                if !by_cell && near > MAX_NEIGHBOUR_SHARE * off.abs() {
                     return false;
                 }
-                // What came before is carried over, and dies away; nobody knows what came before the first set.
-                let Some(before) = set.checked_sub(1).map(|b| &campaign.sets[b]) else {
-                    return places[*k] > 2 || share.is_none_or(|s| s.abs() < MIN_CARRIED_SHARE);
-                };
-                let change = if before.frames() > 0 { before.level_dn() - apart.level_dn } else { 0.0 };
                 // Lag of less than any slip counts too: a sensor that keeps 1e-5 of 60000 DN for the next dark.
                 let most = share.map_or(MAX_LAG, |s| {
                     if s.abs() > MIN_CARRIED_SHARE { CARRIED_TOLERANCE * s.abs() } else { MIN_CARRIED_SHARE }
                 });
+                // What came before is carried over, and dies away; nobody knows what came before the first set.
+                let Some(before) = set.checked_sub(1).map(|b| &campaign.sets[b]) else {
+                    return places[*k] > 2
+                        || share.is_none_or(|s| s.abs() < MIN_CARRIED_SHARE)
+                        || off.abs() > most * campaign.full_scale_dn;
+                };
+                let change = if before.frames() > 0 { before.last_dn() - apart.level_dn } else { 0.0 };
                 let carried = places[*k] <= 2 && off * change > 0.0 && off.abs() < most * change.abs();
                 let dies_away = (1..=2).contains(k)
                     && apart.mean_dn[*k - 1] * off > 0.0

@@ -64,9 +64,6 @@ impl First {
                 let signal = other.level_dn() - zero.at(other.exposure_s);
                 old_dn.push((zero.at(own.exposure_s) + signal * own.exposure_s / other.exposure_s, false));
             }
-            if own.is_lit() && !other.is_lit() {
-                old_dn.push((zero.at(own.exposure_s), false));
-            }
             if own.is_lit() {
                 old_dn.push((zero.at(other.exposure_s) + signal * other.exposure_s / own.exposure_s, false));
                 if other.is_lit() {
@@ -79,6 +76,10 @@ impl First {
             if other.kind == own.kind {
                 old_dn.extend(other.means_dn().last().map(|m| (*m, true)));
             }
+        }
+        // A strobe that missed the frame, or one of the dark before.
+        if own.is_lit() {
+            old_dn.push((zero.at(own.exposure_s), false));
         }
         let full = campaign.full_scale_dn;
         old_dn.iter_mut().for_each(|o| o.0 = o.0.min(full));

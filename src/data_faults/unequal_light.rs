@@ -25,7 +25,7 @@ impl Check for UnequalLight {
         let apart = |i: usize| {
             let means = campaign.sets[i].means_dn();
             let before = i.checked_sub(1).map(|b| &campaign.sets[b]).filter(|b| b.frames() > 0);
-            let carried = before.map_or(0.0, |b| share * (b.level_dn() - means[1]));
+            let carried = before.map_or(0.0, |b| share * (b.last_dn() - means[1]));
             let plain = means[1] - means[0];
             // Nobody knows what came before the first set, and the rest is known to a fifth.
             if before.is_none() && share.abs() > 3e-4 || (plain + carried).abs() < 0.2 * carried.abs() {

@@ -177,11 +177,40 @@ pub struct Dataset {
     rows_of_files: Arc<Mutex<HashMap<(PathBuf, usize), String>>>,
     /// Frames that [`frame`](Self::frame) has read.
     kept: Arc<kept::Kept>,
-    /// Step of the converter as the codes show it, DN; 1 before the examination.
-    code_step_dn: f64,
-    /// Single samples that stand far off.
-    struck: StruckSamples,
+    /// What the examination says beside them.
+    examination: Examination,
+    /// Sets that the examination left out, and that were exposed nonetheless.
+    passed_over: Option<Arc<(Dataset, Vec<PassedOver>)>>,
 }
+
+/// Set that is left out, and was exposed nonetheless: what follows it may carry its charge.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PassedOver {
+    /// Number of the set.
+    pub set: u32,
+    /// Mean of its last frame, DN.
+    pub last_dn: f64,
+    /// True if its charge is that of stated exposure and light, and its level is not, as under another gain.
+    pub as_stated: bool,
+}
+
+/// What the examination says beside the faults.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Examination {
+    /// Step of the converter as the codes show it, DN; 1 before.
+    pub code_step_dn: f64,
+    /// Single samples that stand far off.
+    pub struck: StruckSamples,
+    /// Share of a change of level that first frames carry from the set before; 0 where none is seen.
+    pub carried_share: f64,
+}
+
+/// Before the examination.
+const UNEXAMINED: Examination = Examination {
+    code_step_dn: 1.0,
+    struck: StruckSamples { number: 0, are_rays: true },
+    carried_share: 0.0,
+};
 
 /// Single samples that stand far off the same pixel in other frames.
 #[derive(Debug, Clone, Copy)]
@@ -292,8 +321,8 @@ impl Dataset {
             opened: Arc::default(),
             rows_of_files: Arc::default(),
             kept: Arc::default(),
-            code_step_dn: 1.0,
-            struck: StruckSamples { number: 0, are_rays: true },
+            examination: UNEXAMINED,
+            passed_over: None,
         })
     }
 
@@ -412,24 +441,30 @@ impl Dataset {
     /// the codes that occur: 16 of 12 bits in the upper bits of 16; 1 before it ran, and of codes that are the
     /// converter's.
     pub fn code_step_dn(&self) -> f64 {
-        self.code_step_dn
+        self.examination.code_step_dn
     }
 
     /// Number of single samples that stand far off the same pixel in other frames (cosmic rays, bit errors); 0
     /// before [`examined`](crate::data_faults::examined) ran.
     pub fn struck(&self) -> u64 {
-        self.struck.number
+        self.examination.struck.number
+    }
+
+    /// Share of a change of level that first frames carry from the set before, by image lag or a filter over
+    /// time, as [`examined`](crate::data_faults::examined) found it; 0 before it ran, and where none is seen.
+    pub fn carried_share(&self) -> f64 {
+        self.examination.carried_share
     }
 
     /// False where the samples that stand far off lie in the same pixels again and again: noisy pixels.
     pub(crate) fn struck_are_rays(&self) -> bool {
-        self.struck.are_rays
+        self.examination.struck.are_rays
     }
 
     /// Frames without single samples that stand far off the same pixel in the others, where these are rays,
     /// and how many they are.
     pub(crate) fn without_struck(&self, block: Vec<Arc<Array2<u16>>>) -> (Vec<Arc<Array2<u16>>>, usize) {
-        if !self.struck.are_rays {
+        if !self.examination.struck.are_rays {
             return (block, 0);
         }
         let (block, pixels) = outliers::without_struck(&block);
@@ -438,7 +473,7 @@ impl Dataset {
 
     /// Variance of quantisation, DN^2: q^2 / 12 (eq. 27 of Healey and Kondepudy).
     pub fn quantisation_dn2(&self) -> f64 {
-        self.code_step_dn.powi(2) / 12.0
+        self.examination.code_step_dn.powi(2) / 12.0
     }
 
     /// Returns true after [`examined`](crate::data_faults::examined).
@@ -446,17 +481,41 @@ impl Dataset {
         self.faults.is_some()
     }
 
-    /// Removes rows because of these faults.
+    /// Removes rows because of these faults. Some of the sets were exposed nonetheless.
     pub(crate) fn without(
         &self,
         out: &[bool],
+        passed_over: Vec<PassedOver>,
         faults: Vec<DataFault>,
-        code_step_dn: f64,
-        struck: StruckSamples,
+        examination: Examination,
     ) -> Self {
+        let mut kept = self.only(|row| !out[row]);
+        (kept.faults, kept.examination) = (Some(faults.into()), examination);
+        if !passed_over.is_empty() {
+            let is_passed_over = |set: &&Set| passed_over.iter().any(|p| p.set == set.number);
+            let rows: HashSet<usize> =
+                self.sets.iter().filter(is_passed_over).flat_map(|s| s.rows.iter().copied()).collect();
+            let mut all = self.only(|row| !out[row] || rows.contains(&row));
+            (all.faults, all.examination) = (kept.faults.clone(), examination);
+            kept.passed_over = Some(Arc::new((all, passed_over)));
+        }
+        kept
+    }
+
+    /// The campaign with the sets that were left out and exposed nonetheless, and these.
+    pub(crate) fn timeline(&self) -> (Self, Vec<PassedOver>) {
+        match &self.passed_over {
+            Some(all) => (**all).clone(),
+            None => (self.clone(), Vec::new()),
+        }
+    }
+
+    /// The same with some of its rows.
+    fn only(&self, keeps: impl Fn(usize) -> bool) -> Self {
+        let out: Vec<bool> = (0..self.rows.len()).map(|row| !keeps(row)).collect();
         let mut place = Vec::with_capacity(out.len());
         let mut kept = 0;
-        for out in out {
+        for out in &out {
             place.push(kept);
             kept += usize::from(!out);
         }
@@ -464,16 +523,13 @@ impl Dataset {
             let rows: Vec<usize> = set.rows.iter().filter(|r| !out[**r]).map(|r| place[*r]).collect();
             (!rows.is_empty()).then_some(Set { number: set.number, rows })
         };
-        let rows = self.rows.iter().zip(out).filter(|(_, out)| !**out).map(|(r, _)| r.clone()).collect();
+        let rows = self.rows.iter().zip(&out).filter(|(_, out)| !**out).map(|(r, _)| r.clone()).collect();
         let parts =
             self.parts.iter().map(|(root, first)| (root.clone(), place.get(*first).copied().unwrap_or(kept)));
         Self {
             rows,
             sets: self.sets.iter().filter_map(of_set).collect(),
             parts: parts.collect(),
-            faults: Some(faults.into()),
-            code_step_dn,
-            struck,
             ..self.clone()
         }
     }

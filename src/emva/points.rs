@@ -1,7 +1,7 @@
 //! What the frames say: means and variances of pairs, and the stacks of the spatial part.
 
 use super::EmvaError;
-use crate::data_faults::{DataFault, examined};
+use crate::data_faults::{DataFault, FaultKind, examined};
 use crate::dataset::image::Buffer;
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
 use crate::light::Light;
@@ -112,6 +112,8 @@ pub struct Points {
     pub left_out: Option<String>,
     /// Single samples that stand far off the same pixel in other frames.
     pub struck: u64,
+    /// Share of a change of level that first frames carry from the set before.
+    pub carried_share: f64,
     /// Faults of the data.
     pub data_faults: Vec<DataFault>,
 }
@@ -413,18 +415,19 @@ fn wanted(dataset: &Dataset) -> Result<Wanted<'_>, EmvaError> {
         })
     };
     let dark_of = flats.iter().map(dark_of).collect::<Result<_, _>>()?;
-    let stacks: Vec<&Set> = sets.iter().filter(|s| s.rows.len() > 2).collect();
-    // Every stack of flats with a dark stack of its exposure.
-    let stacks = stacks
-        .iter()
-        .filter(|s| of_kind(s, Kind::Flat))
-        .filter_map(|f| {
-            let dark =
-                stacks.iter().find(|d| of_kind(d, Kind::Dark) && same_exposure(settings(d), settings(f)))?;
-            Some([*f, *dark])
-        })
-        .collect();
-    Ok(Wanted { flats, darks, dark_of, stacks })
+    Ok(Wanted { flats, darks, dark_of, stacks: stacks(dataset, |_| true) })
+}
+
+/// Every stack of flats with a dark stack of its exposure.
+fn stacks(dataset: &Dataset, wanted: impl Fn(&Set) -> bool) -> Vec<[&Set; 2]> {
+    let settings = |s: &Set| dataset.settings(s);
+    let long = |kind: Kind| {
+        let sets = dataset.sets().iter().filter(|s| s.rows.len() > 2);
+        sets.filter(move |s| settings(s).kind == kind).collect::<Vec<&Set>>()
+    };
+    let darks = long(Kind::Dark);
+    let dark = |flat: &Set| darks.iter().copied().find(|d| same_exposure(settings(d), settings(flat)));
+    long(Kind::Flat).into_iter().filter(|s| wanted(s)).filter_map(|f| Some([f, dark(f)?])).collect()
 }
 
 /// Reads a dataset, both cores at work; `progress` is told (pieces done, pieces).
@@ -445,9 +448,21 @@ pub fn of_dataset(
     let in_photons = bench.is_some_and(|b| b.illumination_unit == "photons/px/s");
     // Photons per pixel and second of one unit of illumination.
     let unit = if in_photons { Some(1.0) } else { light.photons_per_px_s() };
-    let wanted = wanted(dataset)?;
+    let mut wanted = wanted(dataset)?;
+    // What differs from pixel to pixel does not ask for the light: a stack whose label alone is wrong tells it.
+    let (whole, _) = dataset.timeline();
+    let mislabelled = |set: &Set| {
+        let mut faults = dataset.data_faults().iter().filter(|f| f.left_out && f.sets.contains(&set.number));
+        let all = |f: &DataFault| f.kind == FaultKind::SettingLabel;
+        faults.next().is_some_and(all) && faults.all(all)
+    };
+    let of_stacks = if wanted.stacks.is_empty() { &whole } else { dataset };
+    if wanted.stacks.is_empty() {
+        wanted.stacks = stacks(&whole, mislabelled);
+    }
     let settings = |s: &Set| dataset.settings(s);
-    let photons = |s: &Set| settings(s).illumination * unit.unwrap_or(1.0) * settings(s).exposure_s;
+    let photons_of = |s: &FrameRow| s.illumination * unit.unwrap_or(1.0) * s.exposure_s;
+    let photons = |s: &Set| photons_of(settings(s));
     let chunks = |s: &Set| s.rows.len().div_ceil(AT_ONCE);
     let of = wanted.flats.len()
         + wanted.darks.len()
@@ -505,7 +520,7 @@ pub fn of_dataset(
         let place = both.iter().position(|s| s.number == set.number);
         place.map(|i| all[i].mean_dn).or_else(|| {
             let mut buffer = Buffer::default();
-            read_part(dataset, set.rows[0], &mut buffer, part.as_ref()).ok()?;
+            read_part(of_stacks, set.rows[0], &mut buffer, part.as_ref()).ok()?;
             let sum: u64 = buffer.dn().iter().map(|&v| u64::from(v)).sum();
             Some(sum as f64 / buffer.dn().len().max(1) as f64)
         })
@@ -515,8 +530,8 @@ pub fn of_dataset(
         Some(([flat, dark], bright)) => {
             let (mut memory, part) = (Default::default(), part.as_ref());
             let stacks = Arc::new([
-                stack(dataset, flat, photons(flat), stop, &step, part, &mut memory)?,
-                stack(dataset, dark, 0.0, stop, &step, part, &mut memory)?,
+                stack(of_stacks, flat, photons_of(of_stacks.settings(flat)), stop, &step, part, &mut memory)?,
+                stack(of_stacks, dark, 0.0, stop, &step, part, &mut memory)?,
             ]);
             (Some(stacks), Some(bright))
         }
@@ -533,6 +548,7 @@ pub fn of_dataset(
         light,
         code_step_dn: dataset.code_step_dn(),
         struck: dataset.struck(),
+        carried_share: dataset.carried_share(),
         data_faults: dataset.data_faults().to_vec(),
     })
 }

@@ -173,6 +173,11 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
         ));
     }
 
+    if let Some(memory) = crate::noise::memory_in_words(points.carried_share) {
+        sheet.note(format!(
+            "{memory} The standard takes frames as independent: K is too low by what they share. `radcam diagnose` says by how much"
+        ));
+    }
     // Darks that are cut off at 0 DN say less than their noise, and shift every signal.
     let underflow = underflow(&points.darks);
     let clipped = !as_tool && underflow > UNDERFLOW;
@@ -602,7 +607,8 @@ fn gain_by_noise(points: &Points) -> Option<GainByNoise> {
     let uncut = |p: &super::Pair| p.zero_share < 1e-4 && p.full_share < 1e-4;
     let pairs = points.temporal.iter().map(|p| p.flat).chain(points.darks.iter().map(|d| d.pair));
     let levels = pairs.filter(uncut).map(|p| level(p.mean_dn, p.var_dn2)).collect();
-    let report = noise::of_table(&Table { levels }).ok()?;
+    // Where the levels do not lie on a line `noise` leaves some of them out, by more than pairs tell.
+    let report = noise::of_table(&Table { levels }).ok().filter(noise::NoiseReport::consistent)?;
     Some(GainByNoise {
         line: report.agreement(),
         gain: report.gain_dn_per_e,

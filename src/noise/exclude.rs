@@ -10,6 +10,10 @@ use crate::statistics::peak::{strays, turn_off};
 /// Adjacent levels on one side of the line from which on they are a curve, and no outliers.
 const CURVE: usize = 3;
 
+/// Share of the highest level that the variance's peak has at least where wells fill: beyond it the mean hardly rises
+/// (EMVA 1288 release 4, 6.5; a named choice).
+const LEAST_PEAK: f64 = 0.5;
+
 /// Marks levels whose variance lies far above that of the levels around: one of them would be taken for the
 /// peak.
 pub(super) fn exclude_strays(points: &mut [Point]) {
@@ -25,6 +29,11 @@ pub(super) fn exclude_past_the_peak(points: &mut [Point]) {
     let error = |p: &Point| (2.0 / ((p.frames - 1.0) * (p.pixels - 1.0))).sqrt() * p.var_dn2;
     let usable = || points.iter().filter(|p| p.excluded.is_none());
     let Some(peak) = usable().max_by(|a, b| a.var_dn2.total_cmp(&b.var_dn2)).cloned() else { return };
+    // A variance that falls over most of the range, or from dark to dark, is no full well.
+    let highest = usable().map(|p| p.mean_dn).fold(0.0, f64::max);
+    if peak.kind != Kind::Flat || peak.mean_dn < LEAST_PEAK * highest {
+        return;
+    }
     let levels: Vec<(f64, f64)> = usable().map(|p| (p.mean_dn, p.var_dn2)).collect();
     let fallen = |p: &Point| {
         let drop = peak.var_dn2 - p.var_dn2;

@@ -107,6 +107,8 @@ pub struct Measured {
     pub code_step_dn: f64,
     /// Numbers of sets that are at full scale in too many pixels.
     pub saturated: Vec<u32>,
+    /// Share of a change of level that first frames carry from the set before.
+    pub carried_share: f64,
 }
 
 /// Reads every dark and flat. `progress` is told (sets done, sets).
@@ -144,6 +146,7 @@ pub fn measure(
         black_level_dn: camera.black_level_dn,
         code_step_dn: dataset.code_step_dn(),
         saturated: mask.saturated,
+        carried_share: dataset.carried_share(),
     })
 }
 
@@ -352,7 +355,7 @@ pub fn points(measured: &Measured, zero: &Zero) -> Vec<Point> {
             spatial_var_dn2: level.spatial_var_dn2,
             noise_spread_dn4,
             var_unsure_dn2: LIGHT_SHAPE_ERROR * by_light,
-            var_common_dn2: ROUNDING_ERROR * by_rounding,
+            var_common_dn2: ROUNDING_ERROR * by_rounding + by_memory(level, measured.carried_share),
             mean_unsure_dn: zero.moved_dn,
             pairs: level.pairs.iter().map(of_pair).collect(),
             excluded: clipped_because(level).or(full).or_else(|| darker(*kind, mean_dn, level)).or(coarse),
@@ -366,6 +369,18 @@ pub fn points(measured: &Measured, zero: &Zero) -> Vec<Point> {
 /// Share of the correction for rounding that is not known: equal pixels have two thirds of it, and pixels
 /// that differ twice as much four thirds.
 const ROUNDING_ERROR: f64 = 0.33;
+
+/// What the variance of a level lacks where each frame carries a share of the one before, DN^2.
+///
+/// Of y_t = (1 - f) x_t + f y_(t-1) the variance is (1 - f) / (1 + f) that of x, frames k apart have the correlation
+/// f^k (Box and Jenkins 1976, 3.2.3), and the variance about the mean of n frames is less by 2 / (n - 1) times the
+/// sum of (1 - k / n) f^k. Charge that is read with the next frame only makes nearly the same of both.
+fn by_memory(level: &Level, share: f64) -> f64 {
+    let n = level.frames as f64;
+    let shared: f64 = (1..level.frames.min(100)).map(|k| (1.0 - k as f64 / n) * share.powi(k as i32)).sum();
+    let kept = (1.0 - share) / (1.0 + share) * (1.0 - 2.0 * shared / (n - 1.0).max(1.0));
+    level.var_dn2 * (kept.recip() - 1.0)
+}
 /// Variance of the logarithm of the pixels' noise variances: a standard deviation of the noise of 15 %
 /// (log-normal), as the data sheets of CMOS sensors have it. Rounded noise itself does not tell it.
 const USUAL_LOG_VAR: f64 = 0.09;

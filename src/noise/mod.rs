@@ -25,7 +25,7 @@ mod report;
 pub use levels::{Measured, Point, Zero, measure, points, table_points, zero};
 pub use report::{Estimate, LevelReport, Method, NoiseReport};
 
-use crate::agreement::P_LIMIT;
+use crate::agreement::{Agreement, P_LIMIT};
 use crate::data_faults::{ExamineError, examined};
 use crate::dataset::table::Table;
 use crate::dataset::{Dataset, DatasetError, Kind, LONG_DARKS};
@@ -143,10 +143,9 @@ fn estimate_with(
         estimators.push(estimate_of(Method::Likelihood, &line, zero));
     }
 
-    if let Some((gain, constant)) = common_error(&points, &line) {
-        for e in &mut estimators {
-            e.widen(gain, constant);
-        }
+    let common = common_error(&points, &line);
+    if let Some((gain, constant)) = common {
+        estimators.iter_mut().for_each(|e| e.widen(gain, constant));
     }
     let best = estimators.iter().find(|e| e.method == Method::Reweighted).cloned().unwrap_or(best);
     let mut chosen = Method::Reweighted;
@@ -160,7 +159,11 @@ fn estimate_with(
             bent(curve.bend),
             best.gain_dn_per_e
         ));
-        estimators.push(curve.estimate(zero));
+        let mut estimate = curve.estimate(zero);
+        if let Some((gain, constant)) = common {
+            estimate.widen(gain, constant);
+        }
+        estimators.push(estimate);
     }
     if counts == Counts::Unknown {
         for e in &mut estimators {
@@ -212,7 +215,7 @@ fn estimate_with(
         })
         .collect();
     let mut read_noise_e = read_noise(&values, quantisation_dn2);
-    if zero.source == NO_ZERO {
+    if zero.source == NO_ZERO || zero.source == TABLE_WITH_BLACK_LEVEL {
         // The intercept is A times what the black level is off by, and says nothing of the noise.
         (read_noise_e.value, read_noise_e.std_err) = (f64::NAN, f64::NAN);
     } else if let Some(most) = unresolved(&values, quantisation_dn2) {
@@ -345,6 +348,7 @@ fn unresolved(e: &Estimate, quantisation_dn2: f64) -> Option<f64> {
 }
 
 const TABLE_ZERO: &str = "table: black level removed";
+const TABLE_WITH_BLACK_LEVEL: &str = "table: where the variances meet zero";
 
 /// Section IV on a dataset of frames.
 ///
@@ -382,6 +386,9 @@ pub fn of_dataset(
             six_digits(dataset.quantisation_dn2())
         ));
     }
+    report.notes.extend(memory_in_words(dataset.carried_share()).map(|m| {
+        format!("{m} A is too low by what they share, which its error takes in; `radcam diagnose` puts it into the model")
+    }));
     report.notes.extend(masked(&measured));
     report.notes.extend(struck(&measured));
     report.notes.extend(temperature(&dataset));
@@ -394,6 +401,17 @@ fn long_darks(measured: &Measured) -> Option<(f64, f64)> {
     let shortest = of(Kind::Dark).fold(f64::INFINITY, f64::min);
     let longest = of(Kind::Flat).fold(0.0, f64::max);
     (longest > 0.0 && shortest.is_finite() && shortest > LONG_DARKS * longest).then_some((shortest, longest))
+}
+
+/// What first frames carry from the set before, in words.
+pub(crate) fn memory_in_words(share: f64) -> Option<String> {
+    (share > 0.0).then(|| {
+        format!(
+            "the first frames of sets carry {} of a change of level from the set before (image lag, or a filter over time), so that successive \
+             frames share noise.",
+            crate::number::percent(share)
+        )
+    })
 }
 
 /// Pixels that were left out, in words.
@@ -438,7 +456,45 @@ fn temperature(dataset: &Dataset) -> Option<String> {
 ///
 /// Where no line can be fitted, with the reason.
 pub fn of_table(table: &Table) -> Result<NoiseReport, NoiseError> {
-    estimate(table_points(table), &Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO, moved_dn: 0.0 })
+    let report = estimate(
+        table_points(table),
+        &Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO, moved_dn: 0.0 },
+    );
+    let Some(black_dn) = black_level_of(table) else { return report };
+    let zero = Zero {
+        dn: black_dn.value,
+        std_err_dn: black_dn.std_err,
+        source: TABLE_WITH_BLACK_LEVEL,
+        moved_dn: 0.0,
+    };
+    let mut points = table_points(table);
+    points.iter_mut().for_each(|p| {
+        p.mean_dn -= black_dn.value;
+        p.pairs.iter_mut().for_each(|pair| pair.0 -= black_dn.value);
+    });
+    let mut report = estimate(points, &zero)?;
+    report.notes.push(black_level_in_words(&black_dn));
+    Ok(report)
+}
+
+/// Black level that the means of a table contain, DN: the line of the variances meets zero there, and a variance below
+/// zero cannot be. `None` where the line leaves a constant noise, or is none.
+pub(crate) fn black_level_of(table: &Table) -> Option<Quantity> {
+    let zero = Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO, moved_dn: 0.0 };
+    let report = estimate(table_points(table), &zero).ok()?;
+    let (gain, constant) = (&report.gain_dn_per_e, &report.constant_noise_var_dn2);
+    let is_line = report.line() != Agreement::Fails && gain.value > 0.0;
+    let dn = -constant.value / gain.value;
+    (is_line && report.constant_noise_is_negative())
+        .then(|| Quantity::new(dn, constant.std_err / gain.value, "DN"))
+}
+
+/// That black level in words.
+pub(crate) fn black_level_in_words(black_dn: &Quantity) -> String {
+    format!(
+        "the variances meet zero at a mean of {black_dn}: that much black level is in the means, and is taken off. The read noise is in it \
+         too, and is not told: rows without light tell both"
+    )
 }
 
 #[cfg(test)]

@@ -140,7 +140,8 @@ impl Observations {
     /// Whether darks, or flats of one light, have two exposures.
     fn exposures_differ(&self, half: Option<Half>, darks: bool) -> bool {
         let mut exposures: std::collections::BTreeMap<Option<usize>, Vec<f64>> = Default::default();
-        for o in self.of(&mean::Mean).filter(|o| half.is_none_or(|h| o.half == h)) {
+        let looked_at = |o: &&Observable| o.half != Half::Both && half.is_none_or(|h| o.half == h);
+        for o in self.of(&mean::Mean).filter(looked_at) {
             let Some(s) = o.set.filter(|s| (self.kinds[*s] == Kind::Dark) == darks) else { continue };
             let set = &self.campaign.sets[s];
             // The lights of a lamp that is known are one.
@@ -158,7 +159,8 @@ impl Observations {
 
 /// Spatial variance of the dark charge of every set, DN^2; 0 for flats.
 pub fn dark_spreads(sets: &[SetInfo], kinds: &[Kind]) -> Vec<f64> {
-    let darks = || sets.iter().zip(kinds).filter(|(_, kind)| **kind == Kind::Dark);
+    // Of darks that are not looked at nothing is known.
+    let darks = || sets.iter().zip(kinds).filter(|(s, kind)| **kind == Kind::Dark && s.spread_dn > 0.0);
     let shortest = darks().min_by(|a, b| a.0.exposure_s.total_cmp(&b.0.exposure_s));
     let offset = shortest.map_or(0.0, |(s, _)| s.spread_dn);
     let of = |(s, kind): (&SetInfo, &Kind)| {
@@ -260,14 +262,11 @@ pub fn of_dataset(
     let dataset = &examined(dataset, stop)?;
     let camera = &dataset.manifest().camera;
     let shape = (camera.height, camera.width);
-    let sets = dataset.sets();
-    let settings: Vec<_> = sets.iter().map(|s| dataset.settings(s).clone()).collect();
-    let (mut infos, frames) = campaign(dataset, &settings);
     let Reading {
         layout,
         zero_dn,
-        chunks,
-        scenes,
+        mut chunks,
+        mut scenes,
         codes,
         lines,
         steady_dn4,
@@ -275,9 +274,26 @@ pub fn of_dataset(
         pixel_noise,
         noisy_levels,
         darkest_dn,
-        saturated,
+        mut saturated,
         left_out,
     } = read(dataset, stop, progress)?;
+    // What was left out was exposed nonetheless: what comes after it may carry its charge.
+    let (dataset, passed_over) = &dataset.timeline();
+    let sets = dataset.sets();
+    let passed = |i: usize| passed_over.iter().find(|p| p.set == sets[i].number);
+    let places: Vec<usize> = (0..sets.len()).filter(|i| passed(*i).is_none()).collect();
+    let numbers = chunks.iter_mut().map(|c| &mut c.set).chain(scenes.iter_mut().map(|s| &mut s.set));
+    numbers.chain(saturated.iter_mut().map(|s| &mut s.set)).for_each(|set| *set = places[*set]);
+    let mut settings: Vec<_> = sets.iter().map(|s| dataset.settings(s).clone()).collect();
+    for (i, s) in settings.iter_mut().enumerate() {
+        if let Some(p) = passed(i).filter(|p| !p.as_stated) {
+            let lit = p.last_dn - zero_dn > LEAST_LIT_DN;
+            s.kind = if lit { Kind::Flat } else { Kind::Dark };
+            // What was stated dark has no light.
+            s.illumination = if s.illumination > 0.0 { s.illumination } else { 1.0 };
+        }
+    }
+    let (mut infos, frames) = campaign(dataset, &settings);
     let mut missing = left_out;
     if !saturated.is_empty() {
         let mut numbers: Vec<usize> = saturated.iter().map(|s| sets[s.set].number as usize).collect();
@@ -300,8 +316,13 @@ pub fn of_dataset(
         );
     }
     spreads(&mut infos, &chunks, &settings, zero_dn);
-    // A level at which the range has ended tells nothing of its light: one for itself.
-    for i in saturated.iter().map(|s| s.set) {
+    // A level at which the range has ended, or that is not as stated, tells nothing of its light: one for itself.
+    let is_seen = |light: Option<usize>| places.iter().any(|i| infos[*i].light == light);
+    let of_their_own: Vec<usize> = (0..sets.len())
+        .filter(|i| passed(*i).is_some_and(|p| !p.as_stated || !is_seen(infos[*i].light)))
+        .filter(|i| settings[*i].kind == Kind::Flat)
+        .collect();
+    for i in saturated.iter().map(|s| s.set).chain(of_their_own.iter().copied()) {
         let levels = infos.iter().filter_map(|s| s.light).max().map_or(0, |l| l + 1);
         if infos[i].light.is_some() {
             (infos[i].light, infos[i].light_ratio) = (Some(levels), 1.0);
@@ -325,7 +346,12 @@ pub fn of_dataset(
     // The level of a scene or a clipped set matters for the frame that follows it: known beforehand, and
     // judged in neither half.
     let levels = scenes.iter().map(|s| (s.set, codes::mean_of(&s.mean_dn, &layout), s.frames));
-    for (i, level, (from, to)) in levels.chain(saturated.iter().map(|s| (s.set, s.level_dn, s.frames))) {
+    let levels = levels.chain(saturated.iter().map(|s| (s.set, s.level_dn, s.frames)));
+    let last = |i: &usize| {
+        let frames = sets[*i].rows.len();
+        (*i, passed(*i).map_or(zero_dn, |p| p.last_dn), (frames - 1, frames))
+    };
+    for (i, level, (from, to)) in levels.chain(of_their_own.iter().map(last)) {
         let rows = &sets[i].rows;
         list.push(Observable {
             statistic: &mean::Mean,
@@ -416,7 +442,7 @@ pub fn of_dataset(
     let mut all = Observations {
         identity: Identity::default(),
         setting: setting(dataset, &settings, light_rel_std),
-        light_settings: light_settings(&infos),
+        light_settings: light_settings(&infos, |i| !of_their_own.contains(&i)),
         frames_between: between,
         ripples: ripple::of_chunks(&chunks, &settings, zero_dn),
         row_cycles: row_cycles(&chunks, &settings, zero_dn),
@@ -470,6 +496,10 @@ pub fn of_dataset(
     }
     Ok(all)
 }
+
+/// Level above that of the darks from which on a set that is left out has light, DN (a named choice): less leaves
+/// nothing in the frames that follow.
+const LEAST_LIT_DN: f64 = 5.0;
 
 /// Number of chunks at the level of every set.
 fn alike(chunks: &[Chunk], settings: &[FrameRow]) -> Vec<f64> {
@@ -560,10 +590,11 @@ fn cycles<'c>(chunks: impl Iterator<Item = &'c Chunk>, of: &dyn Statistic, lines
 }
 
 /// For every set the first of those that follow one another under the same light, darks in between left out.
-fn light_settings(sets: &[SetInfo]) -> Vec<usize> {
+fn light_settings(sets: &[SetInfo], is_kept: impl Fn(usize) -> bool) -> Vec<usize> {
     let mut last: Option<(usize, (usize, u64))> = None;
     let of = |(i, s): (usize, &SetInfo)| {
-        let Some(light) = s.light.map(|l| (l, s.illumination.to_bits())) else { return i };
+        let light = s.light.filter(|_| is_kept(i)).map(|l| (l, s.illumination.to_bits()));
+        let Some(light) = light else { return i };
         let first = last.filter(|(_, l)| *l == light).map_or(i, |(first, _)| first);
         last = Some((first, light));
         first

@@ -7,7 +7,7 @@ use super::{
 };
 use crate::dataset::Kind;
 use crate::dataset::table::{Level, Table};
-use crate::noise::{Counts, pixels_from_scatter, table_points};
+use crate::noise::{Counts, black_level_in_words, black_level_of, pixels_from_scatter, table_points};
 use crate::number::ranges;
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
@@ -20,6 +20,13 @@ use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, SetInfo};
 ///
 /// Where the table has too few levels.
 pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
+    // Levels count from the black level.
+    let black_dn = black_level_of(table);
+    let mut table = table.clone();
+    if let Some(black_dn) = &black_dn {
+        table.levels.iter_mut().for_each(|l| l.mean_dn -= black_dn.value);
+    }
+    let table = &table;
     let mut points = table_points(table);
     let counts = pixels_from_scatter(&mut points);
     let mut missing = vec![
@@ -27,6 +34,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
          exposure sweep would"
             .to_string(),
     ];
+    missing.extend(black_dn.as_ref().map(black_level_in_words));
     if let Counts::FromScatter(pixels) = counts {
         missing.push(format!(
             "no pixel count: errors are the rows' own scatter, as of {pixels:.0} pixels a row"

@@ -392,6 +392,87 @@ fn a_field_that_moves_is_named() {
     assert!(text.contains("the field moves or changes while it is taken"), "{text}");
 }
 
+/// Pairs of flats and darks in a random order of a camera with a lag of 10 %, one of them under a wrong label: the
+/// label is named and nothing else, the set that is left out still leaves its charge in the next, and the lag is
+/// right. `noise` has a gain that is too low by what frames share, and its error says so.
+#[test]
+fn a_wrong_label_beside_image_lag_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let (model, plan) = (folder.path().join("m.toml"), folder.path().join("plan.toml"));
+    let model = model.to_str().unwrap();
+    expect(0, &["model", "new", model, "--sensor", "cmos12"]);
+    expect(0, &["model", "add", model, "image-lag", "shape=0", "fraction=0.1"]);
+    let set = |kind: &str, exposure: f64, frames: u32, light: u32| {
+        format!(
+            "[[set]]\nkind = \"{kind}\"\nframes = {frames}\nexposure = {exposure}\nillumination = {light}\nconfiguration = 0\n"
+        )
+    };
+    let sets = [1.0, 0.25, 0.7, 0.1, 0.9, 0.4, 0.15, 0.8, 0.5, 0.2, 0.6, 0.3].map(|t| {
+        let dark = if [0.7, 0.4, 0.5, 0.3].contains(&t) { set("dark", t, 4, 0) } else { String::new() };
+        set("flat", t, 2, 1) + &dark
+    });
+    std::fs::write(&plan, format!("format = \"radcam-plan/1\"\n{}", sets.concat())).unwrap();
+    let mut campaign = Campaign::new(model, plan.to_str().unwrap(), 75);
+    for row in campaign.of(6) {
+        let exposure_s: f64 = campaign.rows[row][4].parse().unwrap();
+        campaign.rows[row][4] = (1.3 * exposure_s).to_string();
+    }
+    campaign.save();
+    let said = campaign.said("diagnose");
+    let faults = said["data_faults"].as_array().unwrap();
+    assert_eq!(faults.len(), 1, "{faults:?}");
+    assert_eq!((&faults[0]["kind"], &faults[0]["sets"]), (&"setting-label".into(), &serde_json::json!([6])));
+    let missing = said["missing"].as_array().unwrap();
+    assert_eq!(missing[0]["effect"], "image-lag", "{missing:?}");
+    let fraction = &missing[0]["parameters"]["fraction"];
+    let (value, error) = (fraction["value"].as_f64().unwrap(), fraction["std_err"].as_f64().unwrap());
+    assert!((value - 0.1).abs() < 4.0 * error, "{value} +- {error}");
+    let gain = &campaign.said("noise")["gain_dn_per_e"];
+    let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
+    assert!((value - 0.38).abs() < 3.0 * error && error < 0.5 * value, "{value} +- {error}");
+}
+
+/// A strobe that misses the first frame of every flat; names that exchange all darks and flats; light on one dark
+/// frame, which is left out and tells nothing of the others.
+#[test]
+fn dark_first_frames_and_exchanged_kinds_are_named() {
+    let campaign = Campaign::new("cmos12", "standard", 76);
+    let dark = campaign.frame(campaign.of(campaign.sets("dark", 2)[0])[0]);
+    let flats = campaign.sets("flat", 4);
+    for set in &flats {
+        campaign.put(campaign.of(*set)[0], &dark.mapv(|v| v + (*set % 3) as u16));
+    }
+    let said = campaign.said("noise");
+    let faults = said["data_faults"].as_array().unwrap();
+    let kinds = ["stale-frame", "odd-frame"];
+    assert!(faults.iter().all(|f| kinds.contains(&f["kind"].as_str().unwrap())), "{faults:?}");
+    let named: Vec<&serde_json::Value> = faults.iter().flat_map(|f| f["sets"].as_array().unwrap()).collect();
+    assert!(flats.iter().all(|set| named.contains(&&serde_json::json!(set))), "{faults:?}");
+
+    let mut campaign = Campaign::new("cmos12", "standard", 77);
+    for row in &mut campaign.rows {
+        let dark = row[1] == "dark";
+        (row[1], row[5]) = if dark { ("flat".into(), "1".into()) } else { ("dark".into(), "0".into()) };
+    }
+    campaign.save();
+    let output = radcam(&["noise", &campaign.path()]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        output.status.code() == Some(2) && said.contains("all sets: dark and flat are exchanged"),
+        "{said}"
+    );
+
+    let campaign = Campaign::new("cmos12", "standard", 78);
+    let (dark, flat) = (campaign.sets("dark", 6)[0], campaign.flat(8));
+    let lit = campaign.frame(campaign.of(flat)[3]).mapv(f64::from);
+    let row = campaign.of(dark)[4];
+    let codes = campaign.frame(row).mapv(f64::from) + (lit - BLACK_DN) * 0.1;
+    campaign.put(row, &codes.mapv(|v| v.round() as u16));
+    let said = campaign.said("noise");
+    let faults = said["data_faults"].as_array().unwrap();
+    assert_eq!((faults.len(), &faults[0]["kind"]), (1, &"odd-frame".into()), "{faults:?}");
+}
+
 /// Two darks, and flats at these lights with four frames each.
 fn few_darks(sensor: &str, lights: &[f64], seed: u32) -> Campaign {
     let plan = tempfile::tempdir().unwrap();

@@ -28,6 +28,7 @@ fn campaign(sensor: &Sensor, number: u64) -> Measured {
         black_level_dn: Some(0.0),
         code_step_dn: 1.0,
         saturated: Vec::new(),
+        carried_share: 0.0,
     }
 }
 
@@ -186,6 +187,7 @@ fn cameras_are_recovered_within_stated_errors_zero_included() {
             black_level_dn: Some(model.base.black_level_dn),
             code_step_dn: 1.0,
             saturated: Vec::new(),
+            carried_share: 0.0,
         };
         let zero = noise::zero(&measured);
         let offset = model.base.black_level_dn + f64::from(sensor.maps().offset_dn.mean().unwrap());
@@ -202,4 +204,28 @@ fn cameras_are_recovered_within_stated_errors_zero_included() {
     assert!((square - 1.0).abs() < 4.0 * (2.5 / n).sqrt(), "mean square of the pulls {square}: {pulls:.1?}");
     assert!(pulls.iter().all(|p| p.abs() < 5.0), "{pulls:.1?}");
     assert!(deviations <= 2, "{deviations} of 24 with Q below 0.01");
+}
+
+/// Means with the black level in them, and no darks: the variances meet zero at it, `noise` and `diagnose` say so, and
+/// both have the gain.
+#[test]
+fn a_black_level_in_the_means_of_a_table_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("ptc.csv");
+    let rows = [200.0, 300.0, 500.0, 900.0, 1400.0, 2200.0, 3000.0].iter().enumerate().map(|(k, mean)| {
+        let off = 1.0 + 0.002 * [1.0, -1.0, 0.5, 0.0, -0.5, 1.0, -1.0][k];
+        format!("{mean},{}\n", 0.35 * (mean - 128.0) * off)
+    });
+    std::fs::write(&file, format!("mean_dn,var_dn2\n{}", rows.collect::<String>())).unwrap();
+    for verb in ["noise", "diagnose"] {
+        let said = crate::support::radcam(&[verb, file.to_str().unwrap(), "--json"]);
+        let json: serde_json::Value = serde_json::from_slice(&said.stdout).unwrap();
+        let gain = &json["gain_dn_per_e"];
+        let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
+        assert!((value - 0.35).abs() < 3.0 * error && error < 0.01, "{verb}: {value} +- {error}");
+        assert!(
+            json["notes"].to_string().contains("the variances meet zero at a mean of 12"),
+            "{verb}: {json}"
+        );
+    }
 }
