@@ -45,6 +45,8 @@ pub struct Facts {
     pub differs: Vec<(String, String)>,
     /// The camera with its settings, where it says all of it.
     pub camera: Option<CameraInfo>,
+    /// A frame of the sky or another object, by its name: neither dark nor flat.
+    pub object: bool,
     /// A bias frame: it has no exposure of its own.
     pub bias: bool,
     /// The exposure is stated as 0: that of a bias frame; of others it is not known.
@@ -132,6 +134,7 @@ impl Facts {
             self.take(&names, "kind", |f| &mut f.kind);
         }
         self.bias |= names.bias;
+        self.object |= names.object;
         if self.zero_exposure && self.bias && self.exposure_s.is_none() && !self.doubts("exposure_s") {
             self.exposure_s = Some(0.0);
         }

@@ -36,32 +36,62 @@ pub struct Said {
     pub weak: Option<Kind>,
     /// A frame without an exposure of its own: bias, offset, zero.
     pub bias: bool,
+    /// A frame of an object: neither dark nor flat, where others are called so.
+    pub object: bool,
 }
+
+/// Words behind `dark`, `black`, `white` that make rooms and settings of them.
+const NO_KIND: [&str; 13] = [
+    "room", "box", "lab", "tent", "chamber", "cabinet", "level", "lvl", "gain", "point", "order", "balance",
+    "body",
+];
+/// Words behind `dark` that are of a correction or a study: `flat_DarkCorrectionOff_10ms` is a flat.
+const OF_DARK: [&str; 8] =
+    ["corr", "correction", "corrected", "current", "sub", "subtraction", "subtracted", "signal"];
 
 /// The kind that a text names. Flat darks (`Flat Darks`, `flat_dark_`, `DarkFlat`) are darks; where both words
 /// stand apart from each other (`flats and darks`) the text says nothing.
 pub fn of(text: &str) -> Said {
     let words = words(text);
+    let lower: Vec<String> = words.iter().map(|(word, _)| word.to_lowercase()).collect();
+    let follows = |place: usize, any: &[&str]| lower.get(place + 1).is_some_and(|w| any.contains(&&**w));
     let mut strong: Vec<(usize, Kind)> = Vec::new();
     let mut out = Said::default();
     for (place, (word, number)) in words.iter().enumerate() {
-        let Some(kind) = kind(word) else { continue };
-        let lower = word.to_lowercase();
-        out.bias |= ["bias", "biases", "biasframe", "zero", "zeros"].contains(&&*lower);
-        if *number && ["offset", "black", "zero", "white", "bright", "target"].contains(&&*lower) {
+        out.object |= !number && is_object(&lower[place]);
+        let Some(kind) = kind(word).filter(|_| !follows(place, &NO_KIND)) else { continue };
+        out.bias |= ["bias", "biases", "biasframe", "zero", "zeros"].contains(&&*lower[place]);
+        if *number && ["offset", "black", "zero", "white", "bright", "target"].contains(&&*lower[place]) {
             out.weak = out.weak.or(Some(kind));
         } else {
             strong.push((place, kind));
         }
     }
+    // A correction by darks is told beside another kind; alone the word is the kind.
+    if strong.iter().any(|s| s.1 != Kind::Dark) {
+        strong.retain(|s| s.1 != Kind::Dark || !follows(s.0, &OF_DARK));
+    }
     let first = strong.first().map(|(_, kind)| *kind);
     let dark = strong.iter().position(|(_, kind)| *kind == Kind::Dark);
     let other = strong.iter().position(|(_, kind)| *kind != Kind::Dark);
     out.kind = match (dark, other) {
-        (Some(a), Some(b)) => strong[a].0.abs_diff(strong[b].0).eq(&1).then_some(Kind::Dark),
+        (Some(a), Some(b)) => {
+            let is_flat_dark =
+                strong[a].0.abs_diff(strong[b].0) == 1 && lower[strong[a].0].starts_with("dark");
+            is_flat_dark.then_some(Kind::Dark)
+        }
         _ => first,
     };
+    out.object &= out.kind.is_none() && out.weak.is_none();
     out
+}
+
+/// Returns true for the word of a frame of the sky, or of any object.
+fn is_object(word: &str) -> bool {
+    matches!(
+        word,
+        "light" | "lights" | "lightframe" | "lightframes" | "science" | "object" | "snapshot" | "snapshots"
+    )
 }
 
 /// The kind that a file's name tells: its words, or the letter in front of a name as APT writes it
@@ -128,8 +158,9 @@ fn words(text: &str) -> Vec<(&str, bool)> {
 pub fn processed(name: &str) -> Option<String> {
     // Siril's prefix of preprocessed frames, also behind that of registered ones.
     let siril = ["pp_", "r_pp_", "bkg_pp_"].iter().any(|p| name.starts_with(p));
-    const WORDS: [&str; 20] = [
+    const WORDS: &[&str] = &[
         "master",
+        "masters",
         "masterdark",
         "masterflat",
         "masterbias",
@@ -139,10 +170,41 @@ pub fn processed(name: &str) -> Option<String> {
         "stacked",
         "averaged",
         "average",
+        "averages",
+        "averaging",
         "avg",
+        "nav",
+        "mean",
         "median",
+        "sum",
+        "summed",
+        "coadd",
+        "coadded",
+        "accum",
+        "accumulated",
+        "accumulation",
         "integration",
+        "integrated",
+        "combined",
+        "merged",
+        "composite",
+        "hdr",
+        "denoised",
+        "despeckled",
+        "filtered",
+        "processed",
+        "reduced",
+        "normalized",
+        "normalised",
+        "linearized",
+        "linearised",
+        "registered",
+        "resampled",
+        "upscaled",
+        "lossy",
         "calibrated",
+        "bgsub",
+        "minusdark",
         "darksub",
         "biassub",
         "subtracted",
@@ -174,8 +236,29 @@ mod tests {
         }
         for text in ["Flats", "SkyFlat", "flat_offset10_5ms", "Dome Flat", "flat_black_level 3"] {
             let said = of(text);
-            assert!(said.kind == Some(Kind::Flat) || text.contains("black"), "{text}: {said:?}");
+            assert!(said.kind == Some(Kind::Flat), "{text}: {said:?}");
         }
+        for text in [
+            "flat_BlackLevel64_10ms",
+            "flat_black_level 3",
+            "flat_DarkRoom_1",
+            "flat_dark_room_1",
+            "flatBlackLevel64",
+            "flat_DarkCorrectionOff_10ms",
+            "dark_current_test_flat_10ms",
+        ] {
+            assert_eq!(of(text).kind, Some(Kind::Flat), "{text}");
+        }
+        for text in ["BlackLevel64", "dark room", "dark_room_2024"] {
+            assert_eq!(of(text).kind, None, "{text}");
+        }
+        assert_eq!(of("dark_current_10ms").kind, Some(Kind::Dark));
+        assert!(
+            of("LIGHT").object
+                && of("M31_lights").object
+                && !of("flat_light_1").object
+                && !of("light2").object
+        );
         assert_eq!(of("flats and darks").kind, None);
         assert_eq!(of("darkroom").kind, None);
         assert!(alone("01_Darks") && alone("flat 10ms gain0") && alone("Flat Field"));

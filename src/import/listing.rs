@@ -21,8 +21,11 @@ fn is_image(path: &Path) -> bool {
     EXTENSIONS.contains(&&*extension)
 }
 
-/// Files and folders that operating systems and file servers write.
-const SYSTEM: [&str; 8] = [
+/// Files and folders that operating systems, file servers and viewers write.
+const SYSTEM: [&str; 11] = [
+    "thumbs",
+    "thumbnails",
+    "previews",
     "thumbs.db",
     "ehthumbs.db",
     "desktop.ini",

@@ -37,7 +37,7 @@ pub use sections::{Region, region_of};
 pub use source::ReadOptions;
 pub use write::{must_be_free, write};
 
-use crate::dataset::{DatasetError, image};
+use crate::dataset::{DatasetError, Kind, image};
 use facts::same_exposure;
 use ndarray::{ArrayView2, s};
 use scale::Census;
@@ -142,6 +142,7 @@ pub fn survey(
         }
     }
     out.notes.extend(twins::count_once(&mut out.frames)?);
+    out.notes.extend(without_objects(&mut out.frames));
     one_size(&out.frames)?;
     in_codes(&mut out.frames, &census)?;
     // The order of time is what matters; where it is not known for all, that of the names.
@@ -149,6 +150,25 @@ pub fn survey(
         out.frames.sort_by(|a, b| a.facts.time_s.unwrap_or(0.0).total_cmp(&b.facts.time_s.unwrap_or(0.0)));
     }
     Ok(out)
+}
+
+/// Leaves out frames of objects where darks and flats are stated beside them.
+fn without_objects(frames: &mut Vec<Found>) -> Option<String> {
+    let stated = |kind: Kind| frames.iter().any(|f| f.facts.kind == Some(kind));
+    let is_object = |f: &Found| f.facts.object && f.facts.kind.is_none();
+    if !stated(Kind::Dark) || !stated(Kind::Flat) {
+        return None;
+    }
+    let objects: Vec<String> =
+        frames.iter().filter(|f| is_object(f)).map(|f| f.path.display().to_string()).collect();
+    frames.retain(|f| !is_object(f));
+    (!objects.is_empty()).then(|| {
+        format!(
+            "{} frames are stated as light frames or snapshots, neither dark nor flat, and are left out: {}",
+            objects.len(),
+            few(&objects)
+        )
+    })
 }
 
 /// Every frame of a file, and what was passed over in it.

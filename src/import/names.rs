@@ -28,6 +28,8 @@ pub(super) struct Number<'a> {
     pub temperature_c: Option<f64>,
     /// Part of a binning, `2x2`.
     pub binning: bool,
+    /// A sign stands between it and the word in front of it.
+    apart: bool,
 }
 
 /// Words in front of a number that is a setting.
@@ -45,6 +47,19 @@ const TEMPERATURE: &[&str] = &["temp", "temperature", "sensortemp", "ccdtemp", "
 const OTHER_TIMES: &[&str] = &[
     "delay", "wait", "waited", "interval", "every", "period", "after", "pause", "settle", "total", "warmup",
 ];
+
+/// Returns true if a hyphen alone stands between a number and the one at a place, where other words of the name are
+/// parted by other signs, and what comes before them is no word that numbers count.
+fn is_range(name: &str, first: &Number<'_>, at: usize) -> bool {
+    let ahead = name[..first.place.start].trim_end_matches(|c: char| c.is_ascii_digit());
+    let named = first.before.is_empty() || kind(first.before).is_some() || is(first.before, EXPOSURE);
+    name.get(first.place.end..at) == Some("-")
+        && first.unit.is_empty()
+        && !first.text.starts_with('0')
+        && !ahead.ends_with('-')
+        && !(first.text == "1" && name[..at].ends_with("1-"))
+        && named
+}
 
 fn is(word: &str, words: &[&str]) -> bool {
     words.iter().any(|w| word.eq_ignore_ascii_case(w))
@@ -71,7 +86,17 @@ impl Number<'_> {
             .any(|words| is(self.before, words))
             || self.is_black_level()
             || (is(self.before, LIGHT) && self.pointed());
-        !setting && self.temperature_c.is_none() && !self.binning && !self.is_exposure_behind_its_unit()
+        let means_something = setting && !self.is_counter();
+        !means_something
+            && self.temperature_c.is_none()
+            && !self.binning
+            && !self.is_exposure_behind_its_unit()
+    }
+
+    /// A number with zeros in front, apart from the word before it: `low gain_0001` and `Flat-013L`.
+    pub fn is_counter(&self) -> bool {
+        let padded = self.text.len() >= 3 && self.text.starts_with('0');
+        padded && self.apart && self.text.bytes().all(|b| b.is_ascii_digit()) && seconds(self.unit).is_none()
     }
 
     /// `Sec120.00`, as N.I.N.A. users write it.
@@ -169,6 +194,7 @@ pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
             place: at..end,
             temperature_c,
             binning: is_binning(name, at, end),
+            apart: !name[..at].ends_with(char::is_alphabetic),
         });
         at = end;
     }
@@ -218,6 +244,13 @@ fn in_context(name: &str, at: usize, text: &str, unit: &str, last: Option<&Numbe
         }
     }
     let Reading::One(number) = value else { return value };
+    // flat_2-20ms is a range, or a counter and an exposure.
+    if let Some(first) = last.and_then(|l| l.value().filter(|_| is_range(name, l, at)))
+        && seconds(unit).is_some()
+        && first < number
+    {
+        return Reading::Two(first, number);
+    }
     // A point before three digits parts thousands in many languages; cameras set no thousandths of a microsecond.
     let grouped = plain.split_once('.').is_some_and(|(whole, rest)| {
         rest.len() == 3 && (1..=3).contains(&whole.len()) && !whole.starts_with('0')
@@ -345,6 +378,7 @@ pub fn facts_in(folders: &[&str], own: usize, name: &str) -> Facts {
             _ => kinds::Said::default(),
         };
         let kind = said.kind.or(said.weak.filter(|_| !strong));
+        out.object |= place <= 1 && said.object;
         match (out.kind, kind) {
             (None, Some(kind)) => {
                 out.set_kind(kind, of);
@@ -380,8 +414,13 @@ pub fn facts_in(folders: &[&str], own: usize, name: &str) -> Facts {
         out.exposure_s = Some(seconds);
         out.from.insert("exposure_s".into(), of);
     }
-    if let Some(why) = kinds::processed(name) {
-        out.doubts.push(format!("frames: {why}: averages and corrected frames are no raw frames"));
+    // Further up folders hold projects.
+    for (place, (of, text, _)) in texts.iter().enumerate().take(3) {
+        if let Some(why) = kinds::processed(text) {
+            let of = if place == 0 { String::new() } else { format!("{of}: ") };
+            out.doubts.push(format!("frames: {of}{why}: averages and corrected frames are no raw frames"));
+            break;
+        }
     }
     out
 }
@@ -389,7 +428,7 @@ pub fn facts_in(folders: &[&str], own: usize, name: &str) -> Facts {
 /// Gain, black level, binning, light and temperature of one text.
 fn settings(text: &str, of: &str, strong: bool, out: &mut Facts) {
     for number in numbers(text) {
-        let Some(value) = number.value() else { continue };
+        let Some(value) = number.value().filter(|_| !number.is_counter()) else { continue };
         let word = number.before;
         let mut setting = |feature: &str| out.set_feature(feature, &value.to_string(), of);
         if number.unit.eq_ignore_ascii_case("db") {
@@ -505,6 +544,9 @@ mod tests {
             ("", "F_1234_ISO800_2s__20C.tif", Some(2.0), None, Some(Kind::Flat)),
             ("", "DF_2019-05-15_23-12-07_Bin1x1_300s__-10C.fit", Some(300.0), None, Some(Kind::Dark)),
             ("", "D_10ms_1.tif", Some(0.01), None, None),
+            ("", "flat_2-20ms.tif", None, None, Some(Kind::Flat)),
+            ("", "flat-2-20ms.tif", Some(0.02), None, Some(Kind::Flat)),
+            ("", "flat_0002-20ms.tif", Some(0.02), None, Some(Kind::Flat)),
         ] {
             let got = facts(folder, name);
             assert_eq!((got.gain_db, got.kind), (gain_db, kind), "{name}");

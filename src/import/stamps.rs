@@ -292,8 +292,28 @@ pub fn loose(name: &str) -> (String, bool) {
     let clocks = clocks(name);
     let timed = !clocks.is_empty();
     ranges.extend(clocks);
-    ranges.extend(numbers(name).iter().filter(|n| n.unit.is_empty() && n.is_free()).map(|n| n.place.clone()));
+    let free = |n: &&super::names::Number<'_>| (n.unit.is_empty() || n.is_counter()) && n.is_free();
+    ranges.extend(numbers(name).iter().filter(free).map(|n| n.place.clone()));
+    ranges.extend(ordinals(name));
     (without(name, ranges), timed)
+}
+
+/// Places of words that count as numbers do: `_A`, `first`, `runB`.
+fn ordinals(name: &str) -> Vec<Range<usize>> {
+    const WORDS: [&str; 8] = ["one", "two", "three", "four", "first", "second", "third", "fourth"];
+    const RUNS: [&str; 4] = ["run", "rep", "set", "series"];
+    let ends = |c: char| !c.is_alphanumeric();
+    let mut out = Vec::new();
+    let mut start = 0;
+    for (end, c) in name.char_indices().chain([(name.len(), '.')]).filter(|(_, c)| ends(*c)) {
+        let word = name[start..end].to_lowercase();
+        let letter = RUNS.iter().find_map(|run| word.strip_prefix(run)).unwrap_or(&word);
+        if WORDS.contains(&&*word) || matches!(letter, "a" | "b" | "c" | "d") {
+            out.push(start..end);
+        }
+        start = end + c.len_utf8();
+    }
+    out
 }
 
 /// Whether a place of a name belongs to a time of day or a date.
@@ -362,6 +382,11 @@ mod tests {
         }
         assert_eq!(loose("Capture 21_00_03.tif"), loose("Capture 21_01_57.tif"));
         assert_eq!(loose("Snap 9-57-07 PM.tif"), loose("Snap 10-00-07 PM.tif"));
+        assert_eq!(loose("flat_10ms_A.tif"), loose("flat_10ms_B.tif"));
+        assert_eq!(loose("runA/flat_10ms.tif"), loose("runC/flat_10ms.tif"));
+        assert_eq!(loose("first/flat_10ms.tif"), loose("second/flat_10ms.tif"));
+        assert_eq!(loose("Flat-013L.fit"), loose("Flat-014L.fit"));
+        assert_ne!(loose("flat_10ms_red.tif"), loose("flat_10ms_blue.tif"));
         assert!(loose("Capture 21_00_03.tif").1 && !loose("Capture 3.tif").1);
         for exposure in ["20240501_100000us_1.tif", "20240501_1000ms_1.tif", "flat_01_02_10ms.tif"] {
             let number = numbers(exposure).into_iter().find(|n| !n.unit.is_empty()).unwrap();

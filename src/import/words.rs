@@ -35,14 +35,27 @@ pub enum Writer {
 
 /// Settings that all frames of a dataset share: words of headers, and the name that the dataset uses.
 const SETTINGS: &[(&str, &[&str])] = &[
-    ("GainRaw", &["gain", "gainraw", "cameragain"]),
+    ("GainRaw", &["gain", "gainraw", "cameragain", "camgain"]),
     ("ISO", &["iso", "isospeed", "isospeedratings", "isovalue"]),
     ("EGAIN", &["egain"]),
     ("BlackLevelRaw", &["blklevel", "blacklevelraw", "blacklvl", "blevel", "offset", "cameraoffset"]),
     ("PEDESTAL", &["pedestal"]),
-    ("BinningHorizontal", &["xbinning", "binningx", "ccdxbin", "binx", "xbin", "binninghorizontal"]),
-    ("BinningVertical", &["ybinning", "binningy", "ccdybin", "biny", "ybin", "binningvertical"]),
+    ("BinningHorizontal", &["xbinning", "binningx", "ccdxbin", "binx", "xbin", "hbin", "binninghorizontal"]),
+    ("BinningVertical", &["ybinning", "binningy", "ccdybin", "biny", "ybin", "vbin", "binningvertical"]),
     ("READOUTM", &["readoutm", "readmode", "readoutmode", "rdmode"]),
+    ("PREAMP", &["preamp", "preampgain"]),
+    ("OUTPTAMP", &["outptamp", "outputamplifier"]),
+    ("EMGAIN", &["emgain", "emrealgn"]),
+    ("READTIME", &["readtime"]),
+    ("READSPD", &["readspd", "readspeed", "readoutspeed", "digitizer"]),
+    ("CONVGAIN", &["convgain", "conversiongain"]),
+    ("SUBRECT", &["subrect", "roi", "region"]),
+    ("DETECTOR", &["detector"]),
+    ("HIGHSPD", &["highspd"]),
+    ("BLCLAMP", &["blclamp"]),
+    ("FLIPX", &["flipx"]),
+    ("FLIPY", &["flipy"]),
+    ("FLIPSTAT", &["flipstat"]),
     ("OffsetX", &["xorgsubf"]),
     ("OffsetY", &["yorgsubf"]),
 ];
@@ -60,13 +73,71 @@ const COMBINED: &[&str] = &[
     "imstack",
     "snapshot",
     "averages",
+    "averaging",
+    "averageframes",
+    "navg",
+    "naverage",
     "numaverages",
     "frameaverage",
     "frameaveraging",
+    "frameaveragecount",
     "framesaveraged",
+    "framestoaverage",
+    "frmavg",
     "averagecount",
     "accumulations",
+    "accumulationcount",
+    "numberofaccumulations",
+    "accum",
+    "nacc",
+    "numacc",
+    "coadd",
+    "ndit",
+    "nsumexp",
 ];
+
+/// Words whose value says that it was done: `T`, `yes`, `On`, a file's name.
+const DONE: &[&str] = &[
+    "combined",
+    "stacked",
+    "imcmb001",
+    "calibrat",
+    "calibrated",
+    "zerocor",
+    "biascor",
+    "darkcor",
+    "flatcor",
+    "biascorr",
+    "darkcorr",
+    "flatcorr",
+    "ccdproc",
+    "biassub",
+    "darksub",
+    "subbias",
+    "subdark",
+    "biasfile",
+    "darkfile",
+    "flatfile",
+    "filtered",
+    "linearize",
+    "linearized",
+    "lineariz",
+    "debayer",
+    "debayered",
+    "resample",
+    "resampled",
+    "subtract",
+    "shading",
+    "shadingcorrection",
+];
+
+/// Returns true where such a value says no.
+fn is_no(value: &str) -> bool {
+    matches!(
+        value.trim().to_uppercase().as_str(),
+        "F" | "0" | "NO" | "NONE" | "OFF" | "OMIT" | "PERFORM" | "FALSE" | "N/A" | "N"
+    )
+}
 
 /// Words for an exposure, the best first. Which one is taken does not depend on the order of a header.
 const EXPOSURES: &[&str] = &[
@@ -124,7 +195,7 @@ pub fn facts(mut said: Vec<Said>, writer: Writer) -> Facts {
                 note("gain_db");
             }
             "ccdtemp" | "temperaturec" | "dettemp" | "devicetemperature" | "sensortemperature"
-            | "sensortemp" | "temperature" => {
+            | "sensortemp" | "temperature" | "temp" => {
                 // A kelvin is said by its letter.
                 let kelvin = values::number(value).1.eq_ignore_ascii_case("k");
                 let celsius = number.map(|n| if kelvin { n - 273.15 } else { n });
@@ -145,7 +216,7 @@ pub fn facts(mut said: Vec<Said>, writer: Writer) -> Facts {
                 note("model");
             }
             "devicevendorname" => out.vendor = Some(value.clone()),
-            "deviceserialnumber" | "serialnumber" | "cameraserialnumber" | "serial" => {
+            "deviceserialnumber" | "serialnumber" | "cameraserialnumber" | "serial" | "serno" => {
                 out.serial = Some(value.clone())
             }
             "dateobs" | "datetime" | "creationtime" => out.time_s = headers::time_s(value).or(out.time_s),
@@ -179,17 +250,26 @@ pub fn facts(mut said: Vec<Said>, writer: Writer) -> Facts {
                 out.processed =
                     Some(format!("CALSTAT is {value}: bias (B), dark (D) or flat (F) are taken off already"));
             }
-            "zerocor" | "biascor" | "darkcor" | "flatcor" | "biascorr" | "darkcorr" | "flatcorr"
-            | "ccdproc"
-                if !matches!(
-                    value.to_uppercase().as_str(),
-                    "F" | "0" | "NO" | "OMIT" | "PERFORM" | "FALSE"
-                ) =>
-            {
+            word if DONE.contains(&word) && !is_no(value) => {
+                out.processed =
+                    Some(format!("{key} is {value}: the frame is a combined or corrected one already"));
+            }
+            "acqmode" | "acquisitionmode" if value.to_lowercase().contains("accumul") => {
+                out.processed = Some(format!("{key} is {value}: several exposures were added up"));
+            }
+            "bunit" if value.to_lowercase().contains("electron") || value.contains('/') => {
+                out.processed = Some(format!("{key} is {value}: these are no codes of the camera"));
+            }
+            "process" | "prodtype" if kinds::processed(value).is_some() => {
                 out.processed = Some(format!("{key} is {value}: the frame is corrected already"));
             }
-            "history" if tells_of_a_correction(value) => {
-                out.processed = Some(format!("HISTORY says \"{value}\": the frame is corrected already"));
+            "history" | "comment" if tells_of_a_correction(value) => {
+                out.processed = Some(format!("{key} says \"{value}\": the frame is corrected already"));
+            }
+            "history" | "comment" if tells_of_a_combination(value) => {
+                out.processed = Some(format!(
+                    "{key} says \"{value}\": several exposures were combined, and their noise is not that of one frame"
+                ));
             }
             word if COMBINED.contains(&word) && number.is_some_and(|n| n > 1.0) => {
                 out.processed = Some(format!(
@@ -228,9 +308,12 @@ pub(super) fn shifted(pattern: &str, [x, y]: [i64; 2]) -> String {
 
 fn kind_of(key: &str, value: &str, out: &mut Facts) {
     let said = kinds::of(value);
-    if let Some(why) = kinds::processed(value) {
+    let of_stack = value.to_lowercase().split(|c: char| !c.is_alphabetic()).any(|w| w == "stack");
+    let why = kinds::processed(value).or_else(|| of_stack.then(|| "it says \"stack\"".into()));
+    if let Some(why) = why {
         out.processed = Some(format!("{key} is {value}: {why}"));
     }
+    out.object |= said.object;
     let Some(kind) = said.kind.or(said.weak) else { return };
     match out.kind {
         Some(before) if before != kind => {
@@ -407,6 +490,23 @@ fn tells_of_a_correction(line: &str) -> bool {
         && !line.split_whitespace().any(|w| w == "not" || w == "no")
 }
 
+/// Returns true if a line of a header's history says that several exposures were combined: `imcombine: average of 8`,
+/// `Stacking result of 10 images`.
+fn tells_of_a_combination(line: &str) -> bool {
+    const WORDS: [&str; 8] = [
+        "imcombine",
+        "combined",
+        "coadded",
+        "co-added",
+        "averaged",
+        "average of",
+        "stack of",
+        "stacking result",
+    ];
+    let line = line.to_lowercase();
+    WORDS.iter().any(|w| line.contains(w)) && !line.split_whitespace().any(|w| w == "not" || w == "no")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -471,6 +571,15 @@ mod tests {
             ("SNAPSHOT", "4", "number of images combined"),
             ("DARKCOR", "Jan 1 dark.fits", ""),
             ("IMAGETYP", "Master Dark", ""),
+            ("IMAGETYP", "flat (stack)", ""),
+            ("COMBINED", "T", ""),
+            ("IMCMB001", "flat1.fits", ""),
+            ("NUMACC", "10", ""),
+            ("ACQMODE", "Accumulate", ""),
+            ("BUNIT", "electron", ""),
+            ("DARKFILE", "md.fits", ""),
+            ("HISTORY", "imcombine: average of 8", ""),
+            ("COMMENT", "stack of 10 frames", ""),
         ] {
             assert!(fits(&[card]).processed.is_some(), "{card:?}");
         }
@@ -481,6 +590,11 @@ mod tests {
             ("STACKCNT", "1", ""),
             ("NCOMBINE", "0", ""),
             ("DARKCOR", "F", ""),
+            ("COMBINED", "F", ""),
+            ("NUMACC", "1", ""),
+            ("ACQMODE", "Single", ""),
+            ("BUNIT", "ADU", ""),
+            ("SHADING", "Off", ""),
         ] {
             assert!(fits(&[card]).processed.is_none(), "{card:?}");
         }

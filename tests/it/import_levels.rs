@@ -159,3 +159,44 @@ fn configurations_in_names_are_read() {
     assert_eq!(found[0], (Kind::Dark, 0));
     assert_eq!(found[1..].iter().map(|f| f.1).collect::<Vec<_>>(), [1, 2, 3, 4]);
 }
+
+/// Frames of the sky or of a lamp's spectrum, stated as such beside darks and flats, are neither: they are left out
+/// and said. Where nothing else is called flat they are the flats.
+#[test]
+fn light_frames_beside_flats_are_left_out() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(93);
+    for (name, kind, light_e, exposure_s) in
+        [("d", "DARK", 0.0, 0.01), ("f", "FLAT", 2000.0, 0.01), ("m31", "LIGHT", 40.0, 120.0)]
+    {
+        for k in 0..3 {
+            let cards = [format!("IMAGETYP= '{kind}'"), format!("EXPTIME = {exposure_s}")];
+            bench.fits(
+                &format!("night/{name}{k}.fits"),
+                &cards.each_ref().map(|c| &**c),
+                &camera.frame(light_e, exposure_s),
+            );
+        }
+    }
+    let (dataset, said) = bench.import("night", &[]);
+    assert_eq!(sets(&dataset), [(Kind::Dark, 0.01, 3), (Kind::Flat, 0.01, 3)]);
+    assert!(said.contains("3 frames are stated as light frames or snapshots"), "{said}");
+    campaign(&bench, "own", &[("dark_10ms", 0.0, 0.01), ("light_10ms", 2000.0, 0.01)]);
+    let kinds: Vec<Kind> = sets(&bench.import("own", &[]).0).into_iter().map(|s| s.0).collect();
+    assert_eq!(kinds, [Kind::Dark, Kind::Flat]);
+}
+
+/// Averages are told by words of names and of folders; a range of exposures is none.
+#[test]
+fn averages_in_names_and_folders_are_asked() {
+    let bench = Bench::new();
+    for name in ["mean/flat_10ms_mean", "16x averaging/flat_10ms", "sums/flat_10ms_sum4", "stacked/flat_10ms"]
+    {
+        let folder = name.split('/').next().unwrap();
+        campaign(&bench, folder, &[(name.split_once('/').unwrap().1, 2000.0, 0.01)]);
+        let said = bench.refused(folder);
+        assert!(said.contains("averages and corrected frames are no raw frames"), "{name}: {said}");
+    }
+    campaign(&bench, "range", &[("flat_2-20ms", 2000.0, 0.01)]);
+    assert!(bench.refused("range").contains("is 2 or 20 ms"));
+}

@@ -159,7 +159,7 @@ fn time_stamps_in_names_part_no_sets() {
 #[test]
 fn kinds_of_folders_and_flat_darks() {
     let bench = Bench::new();
-    let ways: [(&str, &Name); 8] = [
+    let ways: [(&str, &Name); 14] = [
         ("two up", &|k, ms, i, _| format!("{}/{ms}ms/img_{i}.tif", k.to_lowercase())),
         ("three up", &|k, ms, i, _| format!("{k}s/led 530 nm/{ms}ms/img_{i}.tif")),
         ("exposure first", &|k, ms, i, _| format!("{ms}ms/{k}/img_{i}.tif")),
@@ -170,6 +170,12 @@ fn kinds_of_folders_and_flat_darks() {
             "Dark" if ms < 100.0 => format!("Flat Darks/{ms}ms_{i}.tif"),
             _ => format!("{k}s/{ms}ms_{i}.tif"),
         }),
+        ("black level", &|k, ms, i, _| format!("{k}_BlackLevel64_{ms}ms_{i}.tif")),
+        ("room", &|k, ms, i, _| format!("dark room 2/{k}/{ms}ms_{i}.tif")),
+        ("off", &|k, ms, i, _| format!("{k}_DarkCorrectionOff_{ms}ms_{i}.tif")),
+        ("letters", &|k, ms, i, _| format!("{k}_{ms}ms_{}.tif", ["A", "B"][i])),
+        ("ordinals", &|k, ms, i, _| format!("{}/{k}_{ms}ms.tif", ["first", "second"][i])),
+        ("filters", &|k, ms, _, n| format!("{ms}ms/{k}-{n:03}L.tif")),
         ("in one word", &|k, ms, i, _| match k {
             "Dark" if ms < 100.0 => format!("DarkFlat_{ms}ms_{i}.tif"),
             "Dark" => format!("flat_dark_{ms}ms_{i}.tif"),
