@@ -495,7 +495,10 @@ fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Vec<Part> {
         let effect = whole.effects[i].0;
         let evidence = score(all, &rest) - score(all, whole);
         let without = residuals_of(all, &rest);
-        let nameless = (1.0 - NEARLY_ALL) * unknown::evidence(&without, all.list.len() as f64);
+        // Darks alone have no levels that a function of them could follow.
+        let lit = all.kinds.iter().any(|kind| *kind != Kind::Dark);
+        let of_levels = if lit { unknown::evidence(&without, all.list.len() as f64) } else { 0.0 };
+        let nameless = (1.0 - NEARLY_ALL) * of_levels;
         let dispersion = whole.mean_square.max(1.0);
         Part { effect, evidence, dispersion, others: Vec::new(), nameless, rest, without }
     };

@@ -53,7 +53,11 @@ impl Effect for BrighterFatter {
     }
 
     /// Alike along both axes, and mostly along one.
-    fn starts(&self, _: &Seen) -> Vec<Vec<f64>> {
+    /// What grows with the square of the level shows in two levels.
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        if seen.lit_levels < 2 {
+            return Vec::new();
+        }
         vec![vec![1e-6, 1e-6], vec![1e-6, 1e-7], vec![1e-7, 1e-6]]
     }
 
