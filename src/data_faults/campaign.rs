@@ -286,6 +286,20 @@ impl<'a> Campaign<'a> {
         Some(Zero { dn, dn_per_s, scatter_dn })
     }
 
+    /// Level at which flats would have no light, DN, by a line through the dimmest and the brightest.
+    pub fn black_of(&self, flats: &[usize]) -> Option<f64> {
+        let light = |i: usize| self.sets[i].light();
+        let by_light = |a: &&usize, b: &&usize| light(**a).total_cmp(&light(**b));
+        let (&a, &b) = flats.iter().min_by(by_light).zip(flats.iter().max_by(by_light))?;
+        let level = |i: usize| self.sets[i].level_dn();
+        (light(b) > light(a)).then(|| level(a) - light(a) * (level(b) - level(a)) / (light(b) - light(a)))
+    }
+
+    /// The same of all flats that are not clipped.
+    pub fn black_of_flats(&self) -> Option<f64> {
+        self.black_of(&self.places(|s| s.is_lit() && !s.clipped)).filter(|dn| *dn > 0.0)
+    }
+
     /// Scatter of the means of dark frames, DN.
     pub fn dark_scatter_dn(&self) -> f64 {
         let steps = self.steps(|s| s.kind == Kind::Dark, |_| 1.0);

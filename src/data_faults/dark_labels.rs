@@ -38,9 +38,31 @@ fn is_scaled(a: &SetView, b: &SetView) -> bool {
     level > SCALED.0 && (noise / level > SCALED.1.recip() || !noise.is_finite())
 }
 
+/// Darks that are a part of the others, where the flats meet zero exposure at the level of these.
+fn scaled(campaign: &mut Campaign<'_>, darks: &[usize]) -> Option<DataFault> {
+    let black_dn = campaign.black_of_flats()?;
+    let off = |i: usize| (campaign.sets[i].level_dn() / black_dn).ln().abs();
+    let right = darks.iter().copied().min_by(|a, b| off(*a).total_cmp(&off(*b)))?;
+    let small = |i: &&usize| is_scaled(&campaign.sets[right], &campaign.sets[**i]);
+    let wrong: Vec<usize> = darks.iter().filter(small).copied().collect();
+    if off(right) > SCALED.1.ln() || wrong.is_empty() {
+        return None;
+    }
+    let ratio = campaign.sets[right].level_dn() / campaign.sets[wrong[0]].level_dn();
+    let text = format!(
+        "{}: level and noise are those of the other darks divided by {}: codes that lost their last bits",
+        campaign.named(&wrong),
+        six_digits((10.0 * ratio).round() / 10.0)
+    );
+    Some(campaign.fault_of_sets(FaultKind::OtherSettings, &wrong, text, true))
+}
+
 impl Check for DarkLabels {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let mut darks = campaign.places(|s| s.kind == Kind::Dark && s.has_pattern());
+        if let Some(fault) = scaled(campaign, &darks) {
+            return vec![fault];
+        }
         let exposure_s = |i: usize| campaign.sets[i].exposure_s;
         let level = |i: usize| campaign.sets[i].level_dn();
         darks.sort_by(|a, b| exposure_s(*a).total_cmp(&exposure_s(*b)));

@@ -99,7 +99,7 @@ fn lights(campaign: &Campaign<'_>, darks: &[usize], flats: &[usize], zero: &Zero
         return None;
     }
     let noise = Noise::of_flats(noise_dn2);
-    let black_dn = black_of(campaign, flats).unwrap_or(zero.dn).min(zero.dn);
+    let black_dn = campaign.black_of(flats).unwrap_or(zero.dn).min(zero.dn);
     let exposure_s = |i: usize| campaign.sets[i].exposure_s;
     let longest_s = flats.iter().map(|&i| exposure_s(i)).fold(0.0, f64::max);
     let at_one_exposure = flats.iter().all(|&i| (exposure_s(i) / exposure_s(flats[0]) - 1.0).abs() < 1e-6);
@@ -175,15 +175,6 @@ fn leaked(dark: &(Vec<f64>, f64), flat: &(Vec<f64>, f64), columns: usize) -> Opt
     };
     let ((part, std), [a, _, c, n]) = by_blocks(&dark.0, &flat.0, columns, of)?;
     Some((part, std.hypot(NOISE_ERROR * n * dark.1 / (c - a))))
-}
-
-/// Level at which the flats would have no light, DN, by a line through the dimmest and the brightest.
-fn black_of(campaign: &Campaign<'_>, flats: &[usize]) -> Option<f64> {
-    let light = |i: usize| campaign.sets[i].light();
-    let by_light = |a: &&usize, b: &&usize| light(**a).total_cmp(&light(**b));
-    let (&a, &b) = flats.iter().min_by(by_light).zip(flats.iter().max_by(by_light))?;
-    let level = |i: usize| campaign.sets[i].level_dn();
-    (light(b) > light(a)).then(|| level(a) - light(a) * (level(b) - level(a)) / (light(b) - light(a)))
 }
 
 #[cfg(test)]

@@ -11,6 +11,8 @@ const LONGER: f64 = 1.5;
 const BRIGHTER: f64 = 1.1;
 /// Part of the largest signal by which a dark is off the line of the flats at least.
 const OFF_THE_LINE: f64 = 0.02;
+/// Bits that occur in the codes of a frame from which on they tell a step: a dark may have one code only.
+const MIN_BITS: u32 = 4;
 /// Digits of a number in a name that may be a camera's serial number.
 const SERIAL_DIGITS: std::ops::RangeInclusive<usize> = 7..=10;
 
@@ -90,6 +92,25 @@ pub fn fewer_bits(sets: &mut [Growing], found: &[Found]) {
             "frames: {} has {} bits, and other files have {most}: are its codes those of the others, or a sixteenth of them?",
             few.path.display(),
             few.stored_bits
+        ));
+    }
+}
+
+/// Questions frames whose codes are all multiples of 4 or more beside others whose are not: shifted in some files
+/// and not in the rest.
+pub fn shifted_codes(sets: &mut [Growing], found: &[Found]) {
+    let step = |f: &Found| 1u32 << f.bits.trailing_zeros().min(15);
+    let tells = |f: &Found| f.bits.count_ones() >= MIN_BITS;
+    let Some(whole) = found.iter().find(|f| tells(f) && step(f) == 1) else { return };
+    for set in sets.iter_mut() {
+        let Some(shifted) = set.frames.iter().map(|k| &found[*k]).find(|f| tells(f) && step(f) >= 4) else {
+            continue;
+        };
+        set.set.doubts.push(format!(
+            "frames: every code of {} is a multiple of {}, and those of {} are not: are its codes shifted to the upper bits?",
+            shifted.path.display(),
+            step(shifted),
+            whole.path.display()
         ));
     }
 }

@@ -172,7 +172,9 @@ fn clipped_because(level: &Level) -> Option<String> {
     if level.pixels < 2 {
         Some("every pixel is clipped in every frame".into())
     } else if level.saturated > CLIPPED {
-        Some(format!("{} of the samples are at full scale", percent(level.saturated)))
+        // Pixels that are there in every frame count too.
+        let share = level.saturated.min(1.0) * (1.0 - level.stuck) + level.stuck;
+        Some(format!("{} of the samples are at full scale", percent(share)))
     } else if level.stuck > 0.5 {
         Some("most pixels are clipped in every frame".into())
     } else if level.black > CLIPPED {
