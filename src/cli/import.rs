@@ -5,8 +5,8 @@ use super::common::{STOP, plane};
 use super::progress::Show;
 use crate::dataset::{planes_in_words, write_whole};
 use crate::import::{
-    Found, MOSAIC, Map, MapSet, PATTERNS, ReadOptions, Survey, list, mosaic, mosaics_at_odds, must_be_free,
-    propose, stated_mosaic, survey, write,
+    Found, MOSAIC, Map, MapSet, PATTERNS, ReadOptions, Survey, few, list, mosaic, mosaics_at_odds,
+    must_be_free, propose, stated_mosaic, survey, write,
 };
 use anyhow::{Context, Result, bail};
 use std::io::{BufRead, IsTerminal, Write};
@@ -161,9 +161,20 @@ fn found(arguments: &Arguments, go_on: &impl Fn() -> bool) -> Result<Map> {
     drop(show);
     notes.iter().for_each(|note| tracing::warn!("{note}"));
     if !damaged.is_empty() {
-        let said: Vec<String> =
-            damaged.iter().map(|(path, why)| format!("{}: {why}", path.display())).collect();
-        let all = said.join("; ");
+        // Files with one fault are one sentence.
+        let mut of_reason: Vec<(&str, Vec<&PathBuf>)> = Vec::new();
+        for (path, why) in &damaged {
+            match of_reason.iter_mut().find(|(reason, _)| reason == why) {
+                Some((_, paths)) => paths.push(path),
+                None => of_reason.push((why, vec![path])),
+            }
+        }
+        let said = |(why, paths): &(&str, Vec<&PathBuf>)| match paths.as_slice() {
+            [one] => format!("{}: {why}", one.display()),
+            [first, rest @ ..] => format!("{} and {} more files: {why}", first.display(), rest.len()),
+            [] => String::new(),
+        };
+        let all = few(&of_reason.iter().map(said).collect::<Vec<_>>());
         if !arguments.leave_out_damaged || frames.is_empty() {
             let rest = if frames.is_empty() { "" } else { "; --leave-out-damaged imports the others" };
             bail!("{all}{rest}");

@@ -218,8 +218,8 @@ fn in_part(message: &str) -> String {
         if characters <= most {
             return text.to_string();
         }
-        let part = |from: usize| text.chars().skip(from).take(40).collect::<String>();
-        format!("{}...{}", part(0), part(characters - 40))
+        let part = |from: usize, n: usize| text.chars().skip(from).take(n).collect::<String>();
+        format!("{}...{}", part(0, most / 10), part(characters - most / 10, most / 10))
     };
     let words = |line: &str| line.split(' ').map(|word| cut(word, MAX_WORD)).collect::<Vec<_>>().join(" ");
     message.lines().map(|line| cut(&words(line), MAX_LINE)).collect::<Vec<_>>().join("\n")

@@ -365,7 +365,7 @@ fn one_size(frames: &[Found]) -> Result<(), ImportError> {
 const LISTED: usize = 8;
 
 /// The first of many texts, and how many there are more.
-fn few(texts: &[String]) -> String {
+pub(crate) fn few(texts: &[String]) -> String {
     match texts.len().saturating_sub(LISTED) {
         0 => texts.join("; "),
         more => format!("{}; and {more} more", texts[..LISTED].join("; ")),

@@ -97,8 +97,18 @@ pub fn region_of(facts: &Facts, shape: (usize, usize)) -> Result<Option<Region>,
             shape.1, shape.0
         )
     };
+    // Some headers count pixels as they are before binning.
+    let bin = |name: &str| {
+        facts.feature(name).and_then(|v| v.parse::<usize>().ok()).filter(|b| *b > 0).unwrap_or(1)
+    };
+    let (across, down) = (bin("BinningHorizontal"), bin("BinningVertical"));
+    let inside = |r: &Region| r.rows.end <= shape.0 && r.columns.end <= shape.1;
     let read = |key: &str, text: &str| {
-        let found = section(text, shape).filter(|r| r.rows.end <= shape.0 && r.columns.end <= shape.1);
+        let binned = |r: Region| {
+            let axis = |a: &Range<usize>, by: usize| a.start.div_ceil(by)..a.end / by;
+            Region { rows: axis(&r.rows, down), columns: axis(&r.columns, across) }
+        };
+        let found = section(text, shape).map(|r| if inside(&r) { r } else { binned(r) }).filter(inside);
         found.filter(|r| !r.rows.is_empty() && !r.columns.is_empty()).ok_or_else(|| fault(key, text))
     };
     let region = match (&facts.trim_section, &facts.bias_section) {
@@ -125,6 +135,16 @@ mod tests {
             ..Facts::default()
         };
         Ok(region_of(&facts, (40, 60))?.map(|r| r.to_numbers()))
+    }
+
+    #[test]
+    fn sections_before_binning_are_read() {
+        let mut facts =
+            Facts { trim_section: Some(("TRIMSEC".into(), "[1:120,5:80]".into())), ..Facts::default() };
+        assert!(region_of(&facts, (40, 60)).is_err());
+        facts.set_feature("BinningHorizontal", "2", "CCDSUM");
+        facts.set_feature("BinningVertical", "2", "CCDSUM");
+        assert_eq!(region_of(&facts, (40, 60)).unwrap().unwrap().to_numbers(), [0, 2, 60, 38]);
     }
 
     #[test]

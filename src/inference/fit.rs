@@ -283,6 +283,7 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
     Seen {
         peak_e: peak_dn / base.gain_dn_per_e,
         peak_dn,
+        highest_dn: all.codes.iter().map(|c| f64::from(c.range.end)).fold(0.0, f64::max) - base.offset_dn,
         full_scale_dn: all.campaign.full_scale_dn,
         duration_s,
         frame_s: all.campaign.frame_s,

@@ -32,6 +32,10 @@ impl Effect for Blooming {
         seen.near_peak()
     }
 
+    fn contradicted(&self, p: &[f64], _: &[f64], seen: &Seen) -> Option<&'static str> {
+        seen.exceeds(p[0]).then_some(super::BRIGHTER_PIXELS)
+    }
+
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.8 * plain.range_e])
     }

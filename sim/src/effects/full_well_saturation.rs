@@ -79,7 +79,11 @@ impl Effect for FullWellSaturation {
         let soft = [0.95, 1.0, 1.03, 1.1]
             .into_iter()
             .flat_map(|part| [0.08, 0.15, 0.25].map(|softness| vec![part * peak_e, 1.0, softness]));
-        hard.chain(soft).collect()
+        hard.chain(soft.filter(|start| !seen.exceeds(start[FULL]))).collect()
+    }
+
+    fn contradicted(&self, p: &[f64], _: &[f64], seen: &Seen) -> Option<&'static str> {
+        seen.exceeds(p[FULL]).then_some(super::BRIGHTER_PIXELS)
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {

@@ -80,6 +80,8 @@ pub struct Seen {
     pub peak_e: f64,
     /// The same, DN above zero.
     pub peak_dn: f64,
+    /// Highest code that many samples fill, DN above zero: parts of the field may be far brighter than its mean.
+    pub highest_dn: f64,
     /// Largest code, DN.
     pub full_scale_dn: f64,
     /// From the first frame to the last, s.
@@ -155,10 +157,24 @@ impl Seen {
     /// these reach shows in steps as fine.
     fn near_peak(&self) -> Vec<Vec<f64>> {
         [1.0, 0.9, 0.97, 1.03, 1.06, 1.1, 1.15, 1.22, 1.3]
+            .into_iter()
             .map(|part| vec![part * self.peak_e.max(1.0)])
-            .to_vec()
+            .filter(|start| !self.exceeds(start[0]))
+            .collect()
+    }
+
+    /// Returns true if many samples hold far more charge than this, e, so that no well ends there.
+    pub fn exceeds(&self, charge_e: f64) -> bool {
+        self.highest_dn * self.peak_e > FAR_ABOVE * charge_e * self.peak_dn
     }
 }
+
+/// Why no well ends at a charge.
+const BRIGHTER_PIXELS: &str = "many samples hold far more charge than that, and are not cut off";
+
+/// How far the brightest samples may lie above a full well: noise and pixels whose gain or well differs (a named
+/// choice).
+const FAR_ABOVE: f64 = 1.5;
 
 impl Parameter {
     /// Whether it says which of several kinds, and is not fitted: every start is tried. Its unit is `choice`.
