@@ -171,8 +171,9 @@ fn found(arguments: &Arguments, go_on: &impl Fn() -> bool) -> Result<Map> {
         }
         let said = |(why, paths): &(&str, Vec<&PathBuf>)| match paths.as_slice() {
             [one] => format!("{}: {why}", one.display()),
-            [first, rest @ ..] => format!("{} and {} more files: {why}", first.display(), rest.len()),
-            [] => String::new(),
+            many => {
+                format!("{}: {why}", few(&many.iter().map(|p| p.display().to_string()).collect::<Vec<_>>()))
+            }
         };
         let all = few(&of_reason.iter().map(said).collect::<Vec<_>>());
         if !arguments.leave_out_damaged || frames.is_empty() {

@@ -440,6 +440,13 @@ fn dark_current(
         ),
         None => (Value::undefined(), Value::undefined()),
     };
+    if !as_tool && by_mean.value < -BELOW_ZERO * by_mean.std_err() {
+        sheet.note(format!(
+            "u_I_mean is below zero ({} DN/s): darks of long exposures have less than those of short ones. The camera's clamp takes off more than \
+             the dark charge, the black level moved, or the stated exposures are not those of the darks",
+            crate::number::with_error(by_mean.value, by_mean.std_err())
+        ));
+    }
     sheet.put("u_I_mean_DN", &by_mean, "DN/s");
     sheet.put("u_I_mean", &Value::of(&[&by_mean, k], |v| v[0] / v[1]), "e/s");
     // The standard reports a negative one too, with its error: an upper limit (section 7.1). The tool does not.
@@ -451,6 +458,9 @@ fn dark_current(
     }
     sheet.put("u_I_var", &Value::of(&[&by_var, k], |v| v[0] / (v[1] * v[1])), "e/s");
 }
+
+/// Standard errors below zero from which on a dark current is said to be (a named choice).
+const BELOW_ZERO: f64 = 3.0;
 
 /// Shares of saturation at which a stack of flats tells PRNU: half, within a factor of two below and of one and
 /// three quarters above (a named choice: noise and offsets have their part in dimmer ones, clipping in brighter

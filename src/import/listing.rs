@@ -1,6 +1,7 @@
 //! Image files of the folders that are named, and what is passed over.
 
 use super::{ImportError, few, names};
+use crate::dataset::Dataset;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -36,6 +37,9 @@ const SYSTEM: [&str; 11] = [
     "lost+found",
 ];
 
+/// Text files that are looked at for a descriptor of EMVA 1288, at most.
+const MAX_TEXTS: usize = 20;
+
 /// Image files, and what was passed over.
 #[derive(Debug, Default)]
 pub struct Listing {
@@ -62,6 +66,7 @@ pub fn list(named: &[PathBuf]) -> Result<Listing, ImportError> {
     // The first of the camera raw files.
     let mut raw: Option<PathBuf> = None;
     let mut others: BTreeMap<String, usize> = BTreeMap::new();
+    let mut texts: Vec<PathBuf> = Vec::new();
     let mut folders: Vec<PathBuf> = Vec::new();
     let fault = |path: &Path| {
         let path = path.to_path_buf();
@@ -92,6 +97,9 @@ pub fn list(named: &[PathBuf]) -> Result<Listing, ImportError> {
             } else if is_image(&path) {
                 files.push(path);
             } else {
+                if extension == "txt" && texts.len() < MAX_TEXTS {
+                    texts.push(path.clone());
+                }
                 if crate::dataset::image::is_camera_raw(&path) {
                     raw = raw.filter(|r: &PathBuf| *r < path).or(Some(path));
                 }
@@ -109,6 +117,13 @@ pub fn list(named: &[PathBuf]) -> Result<Listing, ImportError> {
     if !system.is_empty() {
         let names: Vec<String> = system.iter().map(|p| p.display().to_string()).collect();
         notes.push(format!("passed over, files of the operating system or hidden: {}", few(&names)));
+    }
+    sort(&mut texts);
+    if let Some(descriptor) = texts.iter().find(|path| Dataset::open(path).is_ok()) {
+        notes.push(format!(
+            "{0} is a descriptor of EMVA 1288, which tells all of its frames: give it to noise, emva or diagnose as it is (radcam noise {0})",
+            descriptor.display()
+        ));
     }
     if !others.is_empty() {
         let words: Vec<String> = others

@@ -35,6 +35,8 @@ pub(super) struct Number<'a> {
 /// Words in front of a number that is a setting.
 const GAIN: &[&str] = &["gain", "gainraw"];
 const ISO: &[&str] = &["iso"];
+/// One of several cameras: `cam1`.
+const CAMERA: &[&str] = &["cam", "camera"];
 const BIN: &[&str] = &["bin", "binning"];
 const BLACK: &[&str] = &["offset", "blacklevel", "blklevel", "black"];
 const LIGHT: &[&str] = &["light", "illum", "illumination", "level"];
@@ -85,6 +87,7 @@ impl Number<'_> {
             .into_iter()
             .any(|words| is(self.before, words))
             || self.is_black_level()
+            || (is(self.before, CAMERA) && !self.apart)
             || (is(self.before, LIGHT) && self.pointed());
         let means_something = setting && !self.is_counter();
         !means_something
@@ -440,6 +443,8 @@ fn settings(text: &str, of: &str, strong: bool, out: &mut Facts) {
             setting("GainRaw");
         } else if is(word, ISO) {
             setting("ISO");
+        } else if is(word, CAMERA) && !number.apart && number.unit.is_empty() && value.fract() == 0.0 {
+            setting("camera");
         } else if is(word, CONFIGURATION) && value.fract() == 0.0 {
             if out.configuration.is_none() {
                 out.configuration = Some(value as u32);

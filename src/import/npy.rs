@@ -9,6 +9,10 @@ use std::path::Path;
 /// Frames, rows, columns.
 pub type Stack = Array3<f64>;
 
+/// Columns up to which the last axis of a stack rather counts frames (a named choice: no sensor is that narrow, and few
+/// windows are).
+const NARROWEST: usize = 16;
+
 /// Most axes of an array of NumPy (NPY_MAXDIMS of version 2).
 const MAX_AXES: usize = 64;
 
@@ -120,6 +124,14 @@ fn stack(bytes: &[u8], axis: Option<usize>) -> Result<Stack, String> {
         Some(2) => array = array.permuted_axes([2, 0, 1]),
         Some(_) => {}
         None => {
+            let (frames, rows, columns) = array.dim();
+            if columns <= NARROWEST && columns < rows && columns < frames && other_axis(&array).is_none() {
+                return Err(format!(
+                    "has the shape {:?}: {frames} frames of {columns} columns, or {columns} frames as the last axis counts them; say which: \
+                     --frames-axis 2 (or 0)",
+                    array.dim()
+                ));
+            }
             if let Some(other) = other_axis(&array) {
                 let shape = array.dim();
                 return Err(format!(

@@ -100,7 +100,9 @@ pub fn fewer_bits(sets: &mut [Growing], found: &[Found]) {
 /// and not in the rest.
 pub fn shifted_codes(sets: &mut [Growing], found: &[Found]) {
     let step = |f: &Found| 1u32 << f.bits.trailing_zeros().min(15);
-    let tells = |f: &Found| f.bits.count_ones() >= MIN_BITS;
+    // Of one code alone all bits are its own.
+    let is_one_code = |f: &Found| (f.mean_dn - f64::from(f.bits)).abs() < 0.5;
+    let tells = |f: &Found| f.bits.count_ones() >= MIN_BITS && !is_one_code(f);
     let Some(whole) = found.iter().find(|f| tells(f) && step(f) == 1) else { return };
     for set in sets.iter_mut() {
         let Some(shifted) = set.frames.iter().map(|k| &found[*k]).find(|f| tells(f) && step(f) >= 4) else {

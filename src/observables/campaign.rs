@@ -4,7 +4,7 @@ use super::read::{Chunk, Reading, read};
 use super::{
     ChunkView, Field, Half, HalfView, Inflation, Observable, Put, Ripples, STATISTICS, ScenePair, SetOfChunk,
     Statistic, codes, column_spectrum, covariance, frame_scatter, mean, ripple, row_spectrum, settling,
-    successive, unequal, variance,
+    successive, unequal, variance, warm_up,
 };
 use crate::data_faults::{DataFault, ExamineError, examined};
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
@@ -409,7 +409,8 @@ pub fn of_dataset(
     let kinds: Vec<Kind> = settings.iter().map(|s| s.kind).collect();
     let frame_means_dn = frame_means(&chunks, sets.len());
     for (i, means) in frame_means_dn.iter().enumerate().filter(|(i, _)| kinds[*i] == Kind::Flat) {
-        missing.extend(drift_of(means, zero_dn).map(|text| format!("set {}: {text}", sets[i].number)));
+        missing
+            .extend(warm_up::in_words(means, zero_dn).map(|text| format!("set {}: {text}", sets[i].number)));
     }
     let darks = chunks.iter().filter(|c| kinds[c.set] == Kind::Dark).map(|c| c.summary.var.value);
     if let Some(var) = darks.min_by(f64::total_cmp).filter(|v| *v < LEAST_DARK_VAR_DN2) {
@@ -762,30 +763,6 @@ impl Inflation {
             unequal: over(&|r| r.unequal.std_err / unequal::theory(r)),
         }
     }
-}
-
-/// Least drift of the light within a set, relative, that is said, the share of the scatter of the frames that it must be,
-/// and the fewest frames.
-const DRIFT: (f64, f64, usize) = (0.005, 0.7, 8);
-
-/// A light that rises or falls steadily while a set is taken, in words.
-fn drift_of(means_dn: &[f64], zero_dn: f64) -> Option<String> {
-    let n = means_dn.len() as f64;
-    let (x, y) = ((n - 1.0) / 2.0, means_dn.iter().sum::<f64>() / n);
-    let sum = |f: &dyn Fn(f64, f64) -> f64| -> f64 {
-        means_dn.iter().enumerate().map(|(k, mean)| f(k as f64 - x, mean - y)).sum()
-    };
-    let (sxx, sxy, syy) = (sum(&|x, _| x * x), sum(&|x, y| x * y), sum(&|_, y| y * y));
-    let (all, share) = (sxy / sxx * (n - 1.0) / (y - zero_dn), sxy * sxy / (sxx * syy));
-    (means_dn.len() >= DRIFT.2 && all.abs() > DRIFT.0 && share > DRIFT.1).then(|| {
-        format!(
-            "the light {} by {} from its first frame to its last, and that is {} of the scatter of its frames: a lamp that warms up, and no \
-             flicker",
-            if all > 0.0 { "rises" } else { "falls" },
-            crate::number::percent(all.abs()),
-            crate::number::percent(share)
-        )
-    })
 }
 
 /// Frame means of every set in order of time, DN.

@@ -34,6 +34,7 @@ mod read;
 mod ripple;
 mod scene;
 mod table;
+mod warm_up;
 
 pub(crate) use campaign::NO_PATCH;
 pub use campaign::{Identity, Observations, ObserveError, Setting, of_dataset};

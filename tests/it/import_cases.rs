@@ -298,7 +298,7 @@ fn two_settings(bench: &Bench, folder: &str, dark: &[&str], flat: &[&str]) {
 #[test]
 fn headers_that_tell_of_two_settings_are_refused() {
     let bench = Bench::new();
-    let ways: [(&str, &[&str], &[&str], &str); 18] = [
+    let ways: [(&str, &[&str], &[&str], &str); 22] = [
         ("blklevel", &["BLKLEVEL= 10"], &["BLKLEVEL= 40"], "has BLKLEVEL 40"),
         ("offset", &["OFFSET  = 10"], &["OFFSET  = 50.0"], "has OFFSET 50"),
         ("gain", &["GAIN    = 0"], &["GAIN    = 120"], "has GAIN 120"),
@@ -316,6 +316,10 @@ fn headers_that_tell_of_two_settings_are_refused() {
         ("iraf", &[], &["DARKCOR = 'Sep 3 dark.fits'"], "DARKCOR is Sep 3"),
         ("bayer", &["BAYERPAT= 'RGGB'"], &["BAYERPAT= 'RGGB'"], "--plane"),
         ("serial", &["SERIAL  = 'A1'"], &["SERIAL  = 'A2'"], "serial A2"),
+        ("preamp", &["PREAMP  = 1.0"], &["PREAMP  = 5.1"], "has PREAMP 5.1"),
+        ("readtime", &["READTIME= 1.0E-06"], &["READTIME= 1.0E-07"], "has READTIME 0.0000001"),
+        ("accumulated", &["NUMACC  = 10"], &["NUMACC  = 10"], "NUMACC is 10"),
+        ("ccdproc", &[], &["COMBINED= T"], "COMBINED is T"),
         ("db", &["GAIN    = 0 / [dB]"], &["GAIN    = 6 / [dB]"], "one gain"),
     ];
     for (name, dark, flat, part) in ways {

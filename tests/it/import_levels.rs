@@ -200,3 +200,24 @@ fn averages_in_names_and_folders_are_asked() {
     campaign(&bench, "range", &[("flat_2-20ms", 2000.0, 0.01)]);
     assert!(bench.refused("range").contains("is 2 or 20 ms"));
 }
+
+/// Codes in the upper bits of some files and not of the others; an array whose last axis may count the frames.
+#[test]
+fn shifted_codes_and_narrow_arrays_are_asked() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(94);
+    for k in 0..3 {
+        bench.tiff(&format!("msb/dark_2ms_{k}.tif"), &camera.frame(0.0, 0.002));
+        bench.tiff(&format!("msb/flat_2ms_{k}.tif"), &camera.frame(1600.0, 0.002).mapv(|v| v * 16));
+    }
+    let said = bench.refused("msb");
+    assert!(said.contains("frames of set 1") && said.contains("is a multiple of 16"), "{said}");
+    let header = "{'descr': '<u2', 'fortran_order': False, 'shape': (24, 32, 8), }\n";
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    bytes.extend((0..24 * 32 * 8u16).flat_map(|k| (100 + k.wrapping_mul(40503) % 7).to_le_bytes()));
+    std::fs::create_dir(bench.path("npy")).ok();
+    std::fs::write(bench.path("npy/flat_2ms.npy"), bytes).unwrap();
+    assert!(bench.refused("npy").contains("--frames-axis 2 (or 0)"));
+}

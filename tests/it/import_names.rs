@@ -244,7 +244,8 @@ fn kinds_of_folders_and_flat_darks() {
 #[test]
 fn settings_in_names_are_compared() {
     let bench = Bench::new();
-    let ways: [(&str, &Name, &str); 8] = [
+    let ways: [(&str, &Name, &str); 9] = [
+        ("cameras", &|k, ms, i, _| format!("cam{}_{k}_{ms}ms_{i}.tif", i % 2 + 1), "camera 2"),
         (
             "asiair",
             &|k, ms, i, n| {

@@ -107,6 +107,12 @@ fn parse(text: &str) -> Result<Parsed, (u64, String)> {
                 rows.push((number, row.clone()));
                 row.index += 1;
             }
+            [..] if ["mean", "var"].iter().all(|w| line.to_lowercase().contains(w)) => {
+                return Err(fault(format!(
+                    "the columns are called \"{}\": call them mean_dn and var_dn2 (mean above the black level in DN, variance in DN^2)",
+                    echo(line)
+                )));
+            }
             [word, ..] => {
                 return Err(fault(format!(
                     "\"{}\" begins no line of an EMVA 1288 descriptor (v, n, b, d, dc, i), and the file is no table \
