@@ -161,7 +161,7 @@ fn found(arguments: &Arguments, go_on: &impl Fn() -> bool) -> Result<Map> {
     drop(show);
     notes.iter().for_each(|note| tracing::warn!("{note}"));
     if !damaged.is_empty() {
-        // Files with one fault are one sentence.
+        // One sentence names all files of one fault.
         let mut of_reason: Vec<(&str, Vec<&PathBuf>)> = Vec::new();
         for (path, why) in &damaged {
             match of_reason.iter_mut().find(|(reason, _)| reason == why) {

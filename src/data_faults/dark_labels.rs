@@ -17,8 +17,8 @@ const FALL: (f64, f64) = (10.0, 1.0);
 /// Share of the spread of the shortest dark up to which that of the longest has fallen.
 const MAX_SPREAD_SHARE: f64 = 0.7;
 
-/// Ratio of levels from which on one dark may be a part of the other (the last two bits make 4), and by how much the
-/// noise may differ in proportion.
+/// Ratio of levels from which on one dark may be a part of the other (the last two bits make 4), and largest
+/// deviation of the noise from that ratio.
 const SCALED: (f64, f64) = (3.0, 1.5);
 
 /// The check.
@@ -30,8 +30,8 @@ fn spread_dn2(set: &SetView) -> f64 {
     pattern.iter().map(|v| v * v).sum::<f64>() / pattern.len().max(1) as f64 - noise_of_mean(set)
 }
 
-/// Returns true if all of a dark, black level and noise, is that of another one divided by the same number, or it
-/// has no noise at all: codes that lost their last bits, or an image that is not of the sensor.
+/// Returns true if black level and noise of dark b are those of dark a divided by one number, or b has no noise
+/// at all: codes that lost their last bits, or an image that is not of the sensor.
 fn is_scaled(a: &SetView, b: &SetView) -> bool {
     let deviation = |set: &SetView| set.variance_dn2().map_or(0.0, |v| v.0.sqrt());
     let (level, noise) = (a.level_dn() / b.level_dn(), deviation(a) / deviation(b));

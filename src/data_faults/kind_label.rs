@@ -13,8 +13,8 @@ const MIN_RANGE_DN: f64 = 20.0;
 const MIN_LIT_SHARE: f64 = 0.05;
 /// Share of what its label makes a flat have, up to which it has no light.
 const MAX_UNLIT_SHARE: f64 = 0.02;
-/// Deviation from the level of flats of its exposure, relative, up to which a dark is one of them, and the share of
-/// it that another dark has at most.
+/// Deviation from the level of flats of its exposure, relative, up to which a dark is one of them, and the
+/// share of it that another dark has at most.
 const AS_LIT: (f64, f64) = (0.1, 0.05);
 /// Standard deviations of a frame's mean by which both are told from darks.
 const MIN_SIGMAS: f64 = 20.0;
@@ -36,7 +36,7 @@ impl Check for KindLabel {
             return Vec::new();
         }
         let darks = campaign.places(|s| s.kind == Kind::Dark);
-        // No flat is darker than all darks.
+        // Flats that are darker than all darks are darks.
         let extremes = |kind: Kind| {
             let levels = || all.iter().filter(|i| campaign.sets[**i].kind == kind).map(|&i| level(i));
             (levels().fold(f64::INFINITY, f64::min), levels().fold(f64::NEG_INFINITY, f64::max))
@@ -93,7 +93,7 @@ impl Check for KindLabel {
             let exposures: Vec<f64> = others().map(|&d| campaign.sets[d].exposure_s).collect();
             let several = exposures.iter().any(|e| (e / exposures[0] - 1.0).abs() > 0.01);
             let charge = several && dark_at(exposure_s) - lowest < 0.3 * own;
-            // Or it lies where flats of its exposure lie.
+            // A dark at the level of flats of its exposure is lit as well.
             let expected = response * exposure_s * usual_light;
             let as_lit = (own / expected - 1.0).abs() < AS_LIT.0
                 && others().any(|&d| level(d) - lowest < AS_LIT.1 * own);

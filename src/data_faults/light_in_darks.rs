@@ -27,8 +27,8 @@ const MAX_FADING: f64 = 0.3;
 const FADES_DN: f64 = 0.5;
 /// Ratio of the light to what the level of a dark has above the black level, at most.
 const MAX_OF_LEVEL: f64 = 1.3;
-/// Ratio of a dark's level to the dimmest flat up to which the flat is not what it was exchanged for, unless all of
-/// its level is light.
+/// Ratio of a dark's level to the dimmest flat up to which the flat is not what it was exchanged for, unless
+/// all of its level is light.
 const AS_DIM: f64 = 1.05;
 /// Least ratio of the levels of the flats.
 const MIN_RANGE: f64 = 1.5;

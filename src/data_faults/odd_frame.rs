@@ -74,7 +74,7 @@ impl Check for OddFrame {
                 let most =
                     |offsets: &mut dyn Iterator<Item = &f64>| offsets.fold(0.0f64, |a, b| a.max(b.abs()));
                 let mut others = apart.mean_dn.iter().enumerate().filter(|(n, _)| n != k).map(|(_, off)| off);
-                // Of few frames one stands out from all.
+                // An odd one of few frames stands out from all others.
                 let near = if places.len() <= FEW_FRAMES { most(&mut others) } else { most(&mut { beside }) };
                 if !by_cell && near > MAX_NEIGHBOUR_SHARE * off.abs() {
                     return false;
@@ -83,7 +83,7 @@ impl Check for OddFrame {
                 let most = share.map_or(MAX_LAG, |s| {
                     if s.abs() > MIN_CARRIED_SHARE { CARRIED_TOLERANCE * s.abs() } else { MIN_CARRIED_SHARE }
                 });
-                // What came before is carried over, and dies away; nobody knows what came before the first set.
+                // The level before is carried over, and dies away; that before the first set is not known.
                 let Some(before) = set.checked_sub(1).map(|b| &campaign.sets[b]) else {
                     return places[*k] > 2
                         || share.is_none_or(|s| s.abs() < MIN_CARRIED_SHARE)

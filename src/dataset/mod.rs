@@ -177,7 +177,7 @@ pub struct Dataset {
     rows_of_files: Arc<Mutex<HashMap<(PathBuf, usize), String>>>,
     /// Frames that [`frame`](Self::frame) has read.
     kept: Arc<kept::Kept>,
-    /// What the examination says beside them.
+    /// Findings of the examination beside them.
     examination: Examination,
     /// Sets that the examination left out, and that were exposed nonetheless.
     passed_over: Option<Arc<(Dataset, Vec<PassedOver>)>>,
@@ -194,7 +194,7 @@ pub(crate) struct PassedOver {
     pub as_stated: bool,
 }
 
-/// What the examination says beside the faults.
+/// Findings of the examination beside the faults.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Examination {
     /// Step of the converter as the codes show it, DN; 1 before.
@@ -205,7 +205,7 @@ pub(crate) struct Examination {
     pub carried_share: f64,
 }
 
-/// Before the examination.
+/// Values before the examination.
 const UNEXAMINED: Examination = Examination {
     code_step_dn: 1.0,
     struck: StruckSamples { number: 0, are_rays: true },
@@ -510,7 +510,7 @@ impl Dataset {
         }
     }
 
-    /// The same with some of its rows.
+    /// Dataset of some of its rows.
     fn only(&self, keeps: impl Fn(usize) -> bool) -> Self {
         let out: Vec<bool> = (0..self.rows.len()).map(|row| !keeps(row)).collect();
         let mut place = Vec::with_capacity(out.len());

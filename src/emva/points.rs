@@ -449,7 +449,7 @@ pub fn of_dataset(
     // Photons per pixel and second of one unit of illumination.
     let unit = if in_photons { Some(1.0) } else { light.photons_per_px_s() };
     let mut wanted = wanted(dataset)?;
-    // What differs from pixel to pixel does not ask for the light: a stack whose label alone is wrong tells it.
+    // Nonuniformities do not need the light: a stack whose label alone is wrong tells them.
     let (whole, _) = dataset.timeline();
     let mislabelled = |set: &Set| {
         let mut faults = dataset.data_faults().iter().filter(|f| f.left_out && f.sets.contains(&set.number));

@@ -45,7 +45,7 @@ pub struct Facts {
     pub differs: Vec<(String, String)>,
     /// The camera with its settings, where it says all of it.
     pub camera: Option<CameraInfo>,
-    /// A frame of the sky or another object, by its name: neither dark nor flat.
+    /// True for a frame of the sky or another object, by its name: neither dark nor flat.
     pub object: bool,
     /// A bias frame: it has no exposure of its own.
     pub bias: bool,

@@ -36,7 +36,7 @@ pub struct Said {
     pub weak: Option<Kind>,
     /// A frame without an exposure of its own: bias, offset, zero.
     pub bias: bool,
-    /// A frame of an object: neither dark nor flat, where others are called so.
+    /// True for a frame of an object: neither dark nor flat, where others are called so.
     pub object: bool,
 }
 

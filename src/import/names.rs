@@ -35,7 +35,7 @@ pub(super) struct Number<'a> {
 /// Words in front of a number that is a setting.
 const GAIN: &[&str] = &["gain", "gainraw"];
 const ISO: &[&str] = &["iso"];
-/// One of several cameras: `cam1`.
+/// Words for one of several cameras: `cam1`.
 const CAMERA: &[&str] = &["cam", "camera"];
 const BIN: &[&str] = &["bin", "binning"];
 const BLACK: &[&str] = &["offset", "blacklevel", "blklevel", "black"];
@@ -50,8 +50,8 @@ const OTHER_TIMES: &[&str] = &[
     "delay", "wait", "waited", "interval", "every", "period", "after", "pause", "settle", "total", "warmup",
 ];
 
-/// Returns true if a hyphen alone stands between a number and the one at a place, where other words of the name are
-/// parted by other signs, and what comes before them is no word that numbers count.
+/// Returns true if a hyphen alone stands between a number and the one at a place, where other signs part the
+/// other words of the name, and no word before them is one that numbers count.
 fn is_range(name: &str, first: &Number<'_>, at: usize) -> bool {
     let ahead = name[..first.place.start].trim_end_matches(|c: char| c.is_ascii_digit());
     let named = first.before.is_empty() || kind(first.before).is_some() || is(first.before, EXPOSURE);

@@ -96,11 +96,11 @@ pub fn fewer_bits(sets: &mut [Growing], found: &[Found]) {
     }
 }
 
-/// Questions frames whose codes are all multiples of 4 or more beside others whose are not: shifted in some files
-/// and not in the rest.
+/// Questions frames whose codes are all multiples of 4 or more where others' are not: shifted in some files and
+/// not in the rest.
 pub fn shifted_codes(sets: &mut [Growing], found: &[Found]) {
     let step = |f: &Found| 1u32 << f.bits.trailing_zeros().min(15);
-    // Of one code alone all bits are its own.
+    // A frame of one code alone has that code's bits.
     let is_one_code = |f: &Found| (f.mean_dn - f64::from(f.bits)).abs() < 0.5;
     let tells = |f: &Found| f.bits.count_ones() >= MIN_BITS && !is_one_code(f);
     let Some(whole) = found.iter().find(|f| tells(f) && step(f) == 1) else { return };

@@ -97,7 +97,7 @@ pub fn region_of(facts: &Facts, shape: (usize, usize)) -> Result<Option<Region>,
             shape.1, shape.0
         )
     };
-    // Some headers count pixels as they are before binning.
+    // Sections of some headers count pixels before binning.
     let bin = |name: &str| {
         facts.feature(name).and_then(|v| v.parse::<usize>().ok()).filter(|b| *b > 0).unwrap_or(1)
     };

@@ -10,7 +10,8 @@ use crate::statistics::peak::{strays, turn_off};
 /// Adjacent levels on one side of the line from which on they are a curve, and no outliers.
 const CURVE: usize = 3;
 
-/// Share of the highest level that the variance's peak has at least where wells fill: beyond it the mean hardly rises
+/// Share of the highest level that the variance's peak has at least where wells fill: beyond it the mean hardly
+/// rises
 /// (EMVA 1288 release 4, 6.5; a named choice).
 const LEAST_PEAK: f64 = 0.5;
 

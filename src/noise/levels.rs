@@ -172,7 +172,7 @@ fn clipped_because(level: &Level) -> Option<String> {
     if level.pixels < 2 {
         Some("every pixel is clipped in every frame".into())
     } else if level.saturated > CLIPPED {
-        // Pixels that are there in every frame count too.
+        // Stuck pixels count too.
         let share = level.saturated.min(1.0) * (1.0 - level.stuck) + level.stuck;
         Some(format!("{} of the samples are at full scale", percent(share)))
     } else if level.stuck > 0.5 {
@@ -372,16 +372,22 @@ pub fn points(measured: &Measured, zero: &Zero) -> Vec<Point> {
 /// that differ twice as much four thirds.
 const ROUNDING_ERROR: f64 = 0.33;
 
-/// What the variance of a level lacks where each frame carries a share of the one before, DN^2.
-///
-/// Of y_t = (1 - f) x_t + f y_(t-1) the variance is (1 - f) / (1 + f) that of x, frames k apart have the correlation
-/// f^k (Box and Jenkins 1976, 3.2.3), and the variance about the mean of n frames is less by 2 / (n - 1) times the
-/// sum of (1 - k / n) f^k. Charge that is read with the next frame only makes nearly the same of both.
+/// Variance that a level lacks where each frame carries a share of the one before, DN^2.
 fn by_memory(level: &Level, share: f64) -> f64 {
-    let n = level.frames as f64;
-    let shared: f64 = (1..level.frames.min(100)).map(|k| (1.0 - k as f64 / n) * share.powi(k as i32)).sum();
-    let kept = (1.0 - share) / (1.0 + share) * (1.0 - 2.0 * shared / (n - 1.0).max(1.0));
-    level.var_dn2 * (kept.recip() - 1.0)
+    level.var_dn2 * (kept_variance(share, level.frames).recip() - 1.0)
+}
+
+/// Variance about the mean of n frames, each of which carries a share f of the one before, over that of
+/// independent frames.
+///
+/// The variance of y_t = (1 - f) x_t + f y_(t-1) is (1 - f) / (1 + f) that of x, frames k apart have the
+/// correlation f^k (Box and Jenkins 1976, 3.2.3), and the variance about the mean of n frames is less by
+/// 2 / (n - 1) times the sum of (1 - k / n) f^k (ibid., 2.1.5: the variance of a mean). Charge that is read with the
+/// next frame only makes nearly the same of both.
+fn kept_variance(share: f64, frames: u64) -> f64 {
+    let n = frames as f64;
+    let shared: f64 = (1..frames.min(100)).map(|k| (1.0 - k as f64 / n) * share.powi(k as i32)).sum();
+    (1.0 - share) / (1.0 + share) * (1.0 - 2.0 * shared / (n - 1.0).max(1.0))
 }
 /// Variance of the logarithm of the pixels' noise variances: a standard deviation of the noise of 15 %
 /// (log-normal), as the data sheets of CMOS sensors have it. Rounded noise itself does not tell it.
@@ -588,4 +594,44 @@ pub(crate) fn pixels_from_scatter(points: &mut [Point]) -> Counts {
         p.pixels = pixels;
     }
     counts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Drawn sets of 2, 5 and 16 frames, each of which carries 3 or 20 % of the one before: the variance within five
+    /// standard errors of 40,000 sets.
+    #[test]
+    fn frames_that_carry_the_one_before_have_this_variance() {
+        use radcam_sim::rng::{PixelRng, Stream};
+        for (share, frames) in [(0.03, 2u64), (0.2, 2), (0.03, 5), (0.2, 5), (0.2, 16)] {
+            let sets = 40_000;
+            let variances: Vec<f64> = (0..sets)
+                .map(|set| {
+                    let mut random = PixelRng::new(7, Stream::Effect, frames, set, 0);
+                    let mut y = 0.0;
+                    // The memory of the start is gone after 30 frames.
+                    let mut next = || {
+                        y = (1.0 - share) * random.normal() + share * y;
+                        y
+                    };
+                    (0..30).for_each(|_| {
+                        next();
+                    });
+                    let values: Vec<f64> = (0..frames).map(|_| next()).collect();
+                    let mean = values.iter().sum::<f64>() / frames as f64;
+                    values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (frames as f64 - 1.0)
+                })
+                .collect();
+            let n = f64::from(sets);
+            let mean = variances.iter().sum::<f64>() / n;
+            let square = variances.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0);
+            let expected = kept_variance(share, frames);
+            assert!(
+                (mean - expected).abs() < 5.0 * (square / n).sqrt(),
+                "{share} {frames}: {mean}, {expected}"
+            );
+        }
+    }
 }

@@ -403,7 +403,7 @@ fn long_darks(measured: &Measured) -> Option<(f64, f64)> {
     (longest > 0.0 && shortest.is_finite() && shortest > LONG_DARKS * longest).then_some((shortest, longest))
 }
 
-/// What first frames carry from the set before, in words.
+/// Share that first frames carry from the set before, in words.
 pub(crate) fn memory_in_words(share: f64) -> Option<String> {
     (share > 0.0).then(|| {
         format!(
@@ -477,8 +477,8 @@ pub fn of_table(table: &Table) -> Result<NoiseReport, NoiseError> {
     Ok(report)
 }
 
-/// Black level that the means of a table contain, DN: the line of the variances meets zero there, and a variance below
-/// zero cannot be. `None` where the line leaves a constant noise, or is none.
+/// Black level that the means of a table contain, DN: the line of the variances (Healey and Kondepudy 1994, eq. 41)
+/// meets zero there, and no variance is below zero. `None` where the line leaves a constant noise, or is none.
 pub(crate) fn black_level_of(table: &Table) -> Option<Quantity> {
     let zero = Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO, moved_dn: 0.0 };
     let report = estimate(table_points(table), &zero).ok()?;

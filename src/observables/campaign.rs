@@ -159,7 +159,7 @@ impl Observations {
 
 /// Spatial variance of the dark charge of every set, DN^2; 0 for flats.
 pub fn dark_spreads(sets: &[SetInfo], kinds: &[Kind]) -> Vec<f64> {
-    // Of darks that are not looked at nothing is known.
+    // Darks that are not looked at have no spread.
     let darks = || sets.iter().zip(kinds).filter(|(s, kind)| **kind == Kind::Dark && s.spread_dn > 0.0);
     let shortest = darks().min_by(|a, b| a.0.exposure_s.total_cmp(&b.0.exposure_s));
     let offset = shortest.map_or(0.0, |(s, _)| s.spread_dn);
@@ -277,7 +277,7 @@ pub fn of_dataset(
         mut saturated,
         left_out,
     } = read(dataset, stop, progress)?;
-    // What was left out was exposed nonetheless: what comes after it may carry its charge.
+    // Sets that were left out were exposed nonetheless: those after them may carry their charge.
     let (dataset, passed_over) = &dataset.timeline();
     let sets = dataset.sets();
     let passed = |i: usize| passed_over.iter().find(|p| p.set == sets[i].number);
@@ -289,7 +289,7 @@ pub fn of_dataset(
         if let Some(p) = passed(i).filter(|p| !p.as_stated) {
             let lit = p.last_dn - zero_dn > LEAST_LIT_DN;
             s.kind = if lit { Kind::Flat } else { Kind::Dark };
-            // What was stated dark has no light.
+            // A set that was stated dark has no light.
             s.illumination = if s.illumination > 0.0 { s.illumination } else { 1.0 };
         }
     }
@@ -316,7 +316,7 @@ pub fn of_dataset(
         );
     }
     spreads(&mut infos, &chunks, &settings, zero_dn);
-    // A level at which the range has ended, or that is not as stated, tells nothing of its light: one for itself.
+    // A level at which the range has ended, or that is not as stated, has a light of its own.
     let is_seen = |light: Option<usize>| places.iter().any(|i| infos[*i].light == light);
     let of_their_own: Vec<usize> = (0..sets.len())
         .filter(|i| passed(*i).is_some_and(|p| !p.as_stated || !is_seen(infos[*i].light)))
@@ -502,8 +502,8 @@ pub fn of_dataset(
     Ok(all)
 }
 
-/// Level above that of the darks from which on a set that is left out has light, DN (a named choice): less leaves
-/// nothing in the frames that follow.
+/// Level above that of the darks from which on a set that is left out has light, DN (a named choice): less
+/// leaves nothing in the frames that follow.
 const LEAST_LIT_DN: f64 = 5.0;
 
 /// Number of chunks at the level of every set.

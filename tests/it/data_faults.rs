@@ -392,9 +392,8 @@ fn a_field_that_moves_is_named() {
     assert!(text.contains("the field moves or changes while it is taken"), "{text}");
 }
 
-/// Pairs of flats and darks in a random order of a camera with a lag of 10 %, one of them under a wrong label: the
-/// label is named and nothing else, the set that is left out still leaves its charge in the next, and the lag is
-/// right. `noise` has a gain that is too low by what frames share, and its error says so.
+/// Pairs of flats and darks in a random order of a camera with a lag of 10 %, one under a wrong label: that is
+/// named and nothing else, the set that is left out still leaves its charge in the next, and the lag is right. `noise` has a gain that is too low by what frames share, and its error says so.
 #[test]
 fn a_wrong_label_beside_image_lag_is_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -471,6 +470,30 @@ fn dark_first_frames_and_exchanged_kinds_are_named() {
     let said = campaign.said("noise");
     let faults = said["data_faults"].as_array().unwrap();
     assert_eq!((faults.len(), &faults[0]["kind"]), (1, &"odd-frame".into()), "{faults:?}");
+}
+
+/// The light of the one stack of flats is stated 5 % too high: the set is named, and PRNU and DSNU, which do not need
+/// the light, are those of the right label.
+#[test]
+fn a_stack_under_a_wrong_label_still_tells_nonuniformity() {
+    let mut campaign = Campaign::new("cmos12", "emva1288", 79);
+    let flats = campaign.sets("flat", 3);
+    assert_eq!(flats.len(), 1);
+    let values = |c: &Campaign| {
+        let said = c.said("emva");
+        ["PRNU1288", "DSNU1288_DN"].map(|name| said["quantities"][name]["value"].as_f64().unwrap())
+    };
+    let right = values(&campaign);
+    for row in campaign.of(flats[0]) {
+        let light: f64 = campaign.rows[row][5].parse().unwrap();
+        campaign.rows[row][5] = (1.05 * light).to_string();
+    }
+    campaign.save();
+    let faults = campaign.said("emva")["data_faults"].to_string();
+    assert!(faults.contains("setting-label"), "{faults}");
+    for (a, b) in right.into_iter().zip(values(&campaign)) {
+        assert!((a - b).abs() < 1e-9 * a, "{a} {b}");
+    }
 }
 
 /// Two darks, and flats at these lights with four frames each.

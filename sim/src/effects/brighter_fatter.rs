@@ -53,7 +53,7 @@ impl Effect for BrighterFatter {
     }
 
     /// Alike along both axes, and mostly along one.
-    /// What grows with the square of the level shows in two levels.
+    /// Two levels of light at least tell growth with the square of the level.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         if seen.lit_levels < 2 {
             return Vec::new();

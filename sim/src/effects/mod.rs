@@ -80,7 +80,8 @@ pub struct Seen {
     pub peak_e: f64,
     /// The same, DN above zero.
     pub peak_dn: f64,
-    /// Highest code that many samples fill, DN above zero: parts of the field may be far brighter than its mean.
+    /// Highest code that many samples fill, DN above zero: parts of the field may be far brighter than its
+    /// mean.
     pub highest_dn: f64,
     /// Largest code, DN.
     pub full_scale_dn: f64,
@@ -169,11 +170,10 @@ impl Seen {
     }
 }
 
-/// Why no well ends at a charge.
+/// Reason that no well ends at a charge.
 const BRIGHTER_PIXELS: &str = "many samples hold far more charge than that, and are not cut off";
 
-/// How far the brightest samples may lie above a full well: noise and pixels whose gain or well differs (a named
-/// choice).
+/// Ratio of the brightest samples to a full well up to which noise and unequal pixels make them (a named choice).
 const FAR_ABOVE: f64 = 1.5;
 
 impl Parameter {
