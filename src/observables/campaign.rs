@@ -1,5 +1,6 @@
 //! A campaign of frames as observables.
 
+use super::line_peak::{self, Axis};
 use super::read::{Chunk, Reading, read};
 use super::{
     ChunkView, Field, Half, HalfView, Inflation, Observable, Put, Ripples, STATISTICS, ScenePair, SetOfChunk,
@@ -86,6 +87,8 @@ pub struct Observations {
     /// Scatter of the light from setting to setting; `None` where the light was set once, or is stated as
     /// exact.
     pub setting: Option<Setting>,
+    /// Strongest peaks of the spectra of row means and of column means, where noise alone has none like it.
+    pub peaks: [Option<line_peak::Peak>; 2],
     /// Frequencies at which row means of flats ripple, cycles per row, the strongest first.
     pub row_cycles: Vec<f64>,
     /// Ripples of a lamp by how light bands fade with the exposure.
@@ -365,6 +368,7 @@ pub fn of_dataset(
         });
     }
     let line = lines[0].with(&lines[1]).strongest();
+    let peaks = peaks(&chunks, &settings, zero_dn);
     let stretch_dn = codes::stretch_dn(&codes);
     let mut filled = [codes::Filled::default(), codes::Filled::default()];
     let mut pairs = [None, None];
@@ -388,6 +392,8 @@ pub fn of_dataset(
             line: line.map(|(place, _)| lines[half.place()].teeth(place, shape.1)),
             noisy_levels: &noisy_levels[half.place()],
             scene: pairs[half.place()].as_ref(),
+            half,
+            peaks: &peaks,
         };
         for &statistic in STATISTICS {
             let measured = Value { value: 0.0, std_err: 0.0 };
@@ -450,8 +456,9 @@ pub fn of_dataset(
         light_settings: light_settings(&infos, |i| !of_their_own.contains(&i)),
         frames_between: between,
         ripples: ripple::of_chunks(&chunks, &settings, zero_dn),
-        row_cycles: row_cycles(&chunks, &settings, zero_dn),
-        column_cycles: column_cycles(&chunks),
+        row_cycles: with_peak(row_cycles(&chunks, &settings, zero_dn), &peaks[0]),
+        column_cycles: with_peak(column_cycles(&chunks), &peaks[1]),
+        peaks,
         stretch_dn,
         alike: alike(&chunks, &settings),
         field: field(&chunks, &settings, zero_dn),
@@ -580,9 +587,30 @@ fn column_cycles(chunks: &[Chunk]) -> Vec<f64> {
     cycles(chunks.iter(), &column_spectrum::ColumnSpectrum, columns)
 }
 
+/// Place of a statistic among all.
+fn place(of: &dyn Statistic) -> Option<usize> {
+    STATISTICS.iter().position(|s| s.id() == of.id())
+}
+
+/// Strongest peaks of the spectra of row means and of column means.
+fn peaks(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> [Option<line_peak::Peak>; 2] {
+    let spectra: [(Axis, &dyn Statistic); 2] =
+        [(Axis::Rows, &row_spectrum::RowSpectrum), (Axis::Columns, &column_spectrum::ColumnSpectrum)];
+    spectra.map(|(axis, of)| {
+        line_peak::find(chunks, settings, zero_dn, axis, place(of)?)
+    })
+}
+
+/// Frequencies to start from, the strongest peak of all frames first.
+fn with_peak(cycles: Vec<f64>, peak: &Option<line_peak::Peak>) -> Vec<f64> {
+    let first = peak.as_ref().map(|p| p.cycles);
+    let another = cycles.into_iter().filter(|c| first.is_none_or(|f| (c - f).abs() > 0.1 * f));
+    first.into_iter().chain(another).collect()
+}
+
 /// Peaks of a spectrum of so many line means, summed over chunks, cycles per line.
 fn cycles<'c>(chunks: impl Iterator<Item = &'c Chunk>, of: &dyn Statistic, lines: usize) -> Vec<f64> {
-    let place = STATISTICS.iter().position(|s| s.id() == of.id());
+    let place = place(of);
     let mut power: Vec<f64> = Vec::new();
     for c in chunks {
         let Some(own) = place.and_then(|i| c.summary.extra.get(i)) else { continue };

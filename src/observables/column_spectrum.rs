@@ -1,7 +1,8 @@
-//! Spectrum of the column means: stripes down the image that move from frame to frame. It is no observable and
-//! gives a search its starts.
+//! Spectrum of the column means: stripes down the image that move from frame to frame. Its peaks give a search its starts, and the strongest
+//! one of the campaign is an observable ([`line_peak`](super::line_peak)).
 
-use super::{Expected, Observable, Statistic, View, row_spectrum};
+use super::line_peak::{self, Axis};
+use super::{Expected, HalfView, Observable, Put, Statistic, View, row_spectrum};
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 use std::cell::RefCell;
@@ -19,8 +20,20 @@ impl Statistic for ColumnSpectrum {
         "spectrum of column means"
     }
 
+    fn name(&self, index: usize) -> String {
+        line_peak::name("column", index)
+    }
+
     fn meaning(&self, _: usize) -> &'static str {
         "stripes of columns that move"
+    }
+
+    fn unit(&self) -> &'static str {
+        "DN^2"
+    }
+
+    fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {
+        half.put_peak(Axis::Columns, put);
     }
 
     fn sums(&self, layout: &Layout) -> usize {
@@ -32,7 +45,7 @@ impl Statistic for ColumnSpectrum {
         COLUMNS.with_borrow_mut(|plan| row_spectrum::add_power(plan, layout.shape.1, columns, sums));
     }
 
-    fn expect(&self, o: &Observable, _: &View<'_>) -> Expected {
-        Expected::plain(o, 0.0, 1.0)
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        view.peak(Axis::Columns, o)
     }
 }

@@ -1,5 +1,6 @@
 //! What a prediction says of observables, in the space in which their noise is normal.
 
+use super::line_peak::Axis;
 use super::{Observable, Observations};
 use crate::statistics::steady::PixelNoise;
 use radcam_sim::predict::{LAGS, Prediction, Ripple, SetPrediction};
@@ -267,6 +268,14 @@ impl Whole {
 }
 
 impl<'a> View<'a> {
+    /// What is expected at the peak of a spectrum of line means.
+    pub fn peak(&self, axis: Axis, o: &Observable) -> Expected {
+        match &self.all.peaks[axis as usize] {
+            Some(peak) => peak.expect(o, self),
+            None => Expected::plain(o, 0.0, o.measured.std_err),
+        }
+    }
+
     /// For the frames of an observable.
     fn new(
         o: &Observable,

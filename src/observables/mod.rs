@@ -30,6 +30,7 @@ mod codes;
 mod expect;
 mod field;
 mod left_out;
+pub mod line_peak;
 mod read;
 mod ripple;
 mod scene;
@@ -187,6 +188,9 @@ pub struct HalfView<'a> {
     noisy_levels: &'a [Option<Levels>; 3],
     /// A still scene at two exposures.
     scene: Option<&'a ScenePair>,
+    half: Half,
+    /// Strongest peaks of the spectra of row means and of column means.
+    peaks: &'a [Option<line_peak::Peak>; 2],
 }
 
 /// What a statistic of several levels must know of the set of a chunk.
@@ -200,6 +204,13 @@ struct SetOfChunk {
 }
 
 impl<'a> HalfView<'a> {
+    /// Puts what one half has at the peak of a spectrum of line means.
+    fn put_peak(&self, axis: line_peak::Axis, put: &mut Put<'_>) {
+        if let Some(peak) = &self.peaks[axis as usize] {
+            peak.put(self.half, put);
+        }
+    }
+
     /// Profiles of the chunks of one field, DN, each with its signal, DN: other positions of card and light have
     /// another shading.
     pub fn profiles(&self, of: fn(&Summary) -> &[f64]) -> Vec<(f64, &'a [f64])> {

@@ -1,7 +1,8 @@
-//! Spectrum of the row means: at which frequencies light ripples down the rows. It is no observable and gives a
-//! search its starts.
+//! Spectrum of the row means: at which frequencies light ripples down the rows. Its peaks give a search its starts, and the strongest one
+//! of the campaign is an observable ([`line_peak`](super::line_peak)).
 
-use super::{Expected, Observable, Statistic, View};
+use super::line_peak::{self, Axis};
+use super::{Expected, HalfView, Observable, Put, Statistic, View};
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 use rustfft::num_complex::Complex;
@@ -14,7 +15,7 @@ use std::sync::Arc;
 pub struct RowSpectrum;
 
 /// Rows are padded to so many times as many: a peak lies within an eighth of a cycle of a bin.
-const PADDED: usize = 4;
+pub(super) const PADDED: usize = 4;
 /// Rows below which bands are not told from a slope.
 const FEWEST: usize = 16;
 /// Peaks that are given as starts.
@@ -59,8 +60,20 @@ impl Statistic for RowSpectrum {
         "spectrum of row means"
     }
 
+    fn name(&self, index: usize) -> String {
+        line_peak::name("row", index)
+    }
+
     fn meaning(&self, _: usize) -> &'static str {
-        "light that ripples down the rows"
+        "a ripple down the rows"
+    }
+
+    fn unit(&self) -> &'static str {
+        "DN^2"
+    }
+
+    fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {
+        half.put_peak(Axis::Rows, put);
     }
 
     fn sums(&self, layout: &Layout) -> usize {
@@ -72,8 +85,8 @@ impl Statistic for RowSpectrum {
         ROWS.with_borrow_mut(|plan| add_power(plan, rows.len(), rows.iter().copied(), sums));
     }
 
-    fn expect(&self, o: &Observable, _: &View<'_>) -> Expected {
-        Expected::plain(o, 0.0, 1.0)
+    fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        view.peak(Axis::Rows, o)
     }
 }
 
@@ -90,13 +103,18 @@ pub fn peaks(power: &[f64], rows: usize) -> Vec<f64> {
         .collect();
     found.sort_by(|&a, &b| power[b].total_cmp(&power[a]));
     let strong = found.iter().filter(|&&k| power[k] > STANDS_OUT * usual).count();
-    // Between bins by a parabola through the logarithms.
-    let place = |k: usize| {
-        let [a, b, c] = [k - 1, k, k + 1].map(|k| power[k].max(1e-300).ln());
-        let bend = a - 2.0 * b + c;
-        k as f64 + if bend < 0.0 { 0.5 * (a - c) / bend } else { 0.0 }
-    };
-    found.into_iter().take(strong.clamp(1, PEAKS)).map(|k| place(k) / (PADDED * rows) as f64).collect()
+    found
+        .into_iter()
+        .take(strong.clamp(1, PEAKS))
+        .map(|k| refined(power, k) / (PADDED * rows) as f64)
+        .collect()
+}
+
+/// Place of a peak between bins, by a parabola through the logarithms.
+pub(super) fn refined(power: &[f64], k: usize) -> f64 {
+    let [a, b, c] = [k - 1, k, k + 1].map(|k| power[k].max(1e-300).ln());
+    let bend = a - 2.0 * b + c;
+    k as f64 + if bend < 0.0 { (0.5 * (a - c) / bend).clamp(-0.5, 0.5) } else { 0.0 }
 }
 
 #[cfg(test)]

@@ -195,6 +195,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         alike: vec![1.0; kept.len()],
         field: Field::default(),
         frames_between: false,
+        peaks: [None, None],
         row_cycles: Vec::new(),
         ripples: Ripples::default(),
         column_cycles: Vec::new(),

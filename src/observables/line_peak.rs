@@ -1,0 +1,288 @@
+//! The strongest peak of the spectrum of line means, over all frames of a campaign: a ripple down the rows or stripes of columns, far weaker
+//! than the noise of one frame, stand out of the sum over hundreds. Away from the peak a spectrum is smooth whatever filters and
+//! crosstalk do, so that what lies beside it is taken off.
+
+use super::campaign::is_quiet;
+use super::read::Chunk;
+use super::row_spectrum::{PADDED, refined};
+use super::{Expected, Half, Observable, Put, View, in_quadrature};
+use crate::dataset::{FrameRow, Kind};
+use radcam_sim::predict::{Ripple, SetPrediction};
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+
+/// Bins beside a peak, on either side, that tell the spectrum without it: 1.5 to 5 cycles over all lines away.
+const BESIDE: std::ops::RangeInclusive<usize> = 6..=20;
+/// Independent values among those of both sides.
+const INDEPENDENT: f64 = 7.0;
+/// Slowest ripple that is looked at, in cycles over all lines: fields that tilt and breathe lie below it (a named choice).
+const SLOWEST: usize = 3;
+/// Chance that noise has such a peak somewhere in a spectrum, below which it is one (a named choice: two spectra a campaign give one false
+/// peak in five thousand campaigns).
+const CHANCE: f64 = 1e-4;
+
+/// Axis of the lines whose means are taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Axis {
+    /// Means of rows.
+    Rows,
+    /// Means of columns.
+    Columns,
+}
+
+/// Which frames a value is made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Group {
+    /// Darks.
+    Darks,
+    /// Flats of the shortest third of the exposures.
+    Short,
+    /// Flats of the middle third.
+    Middle,
+    /// Flats of the longest third.
+    Long,
+}
+
+impl Group {
+    const ALL: [Self; 4] = [Self::Darks, Self::Short, Self::Middle, Self::Long];
+
+    fn of(index: usize) -> Self {
+        Self::ALL[index.min(3)]
+    }
+
+    fn words(self) -> &'static str {
+        match self {
+            Self::Darks => "darks",
+            Self::Short => "flats of short exposures",
+            Self::Middle => "flats of middle exposures",
+            Self::Long => "flats of long exposures",
+        }
+    }
+}
+
+/// Name of the value of a group. `line`: "row" or "column".
+pub(super) fn name(line: &str, index: usize) -> String {
+    format!("strongest peak in the spectrum of {line} means, {}", Group::of(index).words())
+}
+
+/// Some frames of a set.
+#[derive(Debug, Clone, Copy)]
+struct Part {
+    set: usize,
+    half: Half,
+    group: Group,
+    /// Weight of its power in the sums of its group.
+    weight: f64,
+    /// Power at the peak beyond that beside it, DN^2.
+    beyond_dn2: f64,
+    /// Variance of a line's mean, DN^2: power of white noise.
+    noise_dn2: f64,
+    frames: f64,
+}
+
+impl Part {
+    fn dof(&self) -> f64 {
+        (self.frames - 1.0).max(1.0)
+    }
+}
+
+/// A peak that noise does not make.
+#[derive(Debug, Clone)]
+pub struct Peak {
+    axis: Axis,
+    /// Place among the bins, each a quarter of a cycle over all lines.
+    bin: usize,
+    /// Number of lines.
+    lines: usize,
+    /// Its frequency between bins, cycles per line.
+    pub cycles: f64,
+    parts: Vec<Part>,
+}
+
+/// Spectrum of some frames of a set.
+struct Spectrum<'a> {
+    chunk: &'a Chunk,
+    /// Power of each bin over the number of lines: the variance of a line's mean where noise is white, DN^2.
+    power: &'a [f64],
+    is_dark: bool,
+    exposure_s: f64,
+    signal_dn: f64,
+    noise_dn2: f64,
+}
+
+/// The strongest peak of all frames, or `None` where noise alone may have made it. `place`: of the power of each bin among a chunk's sums.
+pub(super) fn find(
+    chunks: &[Chunk],
+    settings: &[FrameRow],
+    zero_dn: f64,
+    axis: Axis,
+    place: usize,
+) -> Option<Peak> {
+    let lines_of = |c: &Chunk| match axis {
+        Axis::Rows => c.summary.rows_dn.len(),
+        Axis::Columns => c.summary.columns_dn.len(),
+    };
+    let lines = chunks.first().map(lines_of)?;
+    let of = |chunk| {
+        let noise_dn2 = chunk_noise_dn2(chunk, axis);
+        let spectrum = Spectrum {
+            chunk,
+            power: chunk.summary.extra.get(place)?,
+            is_dark: settings[chunk.set].kind == Kind::Dark,
+            exposure_s: settings[chunk.set].exposure_s,
+            signal_dn: (chunk.summary.frame_means.mean_dn() - zero_dn).max(0.0),
+            noise_dn2,
+        };
+        let told = matches!(settings[chunk.set].kind, Kind::Dark | Kind::Flat) && !is_quiet(&chunk.summary);
+        (told && noise_dn2 > 0.0 && chunk.summary.frames > 1).then_some(spectrum)
+    };
+    let all: Vec<Spectrum<'_>> = chunks.iter().filter_map(of).collect();
+    let first = PADDED * SLOWEST;
+    let last = all.iter().map(|s| s.power.len()).min()?.checked_sub(1 + BESIDE.end())?;
+    if first.max(*BESIDE.end()) >= last {
+        return None;
+    }
+    // What is the same in all frames, and of rows what is in proportion to the light.
+    let additive = |s: &Spectrum<'_>| s.noise_dn2.powi(-2);
+    let of_light = |s: &Spectrum<'_>| if s.is_dark { 0.0 } else { (s.signal_dn / s.noise_dn2).powi(2) };
+    let mut found = strongest(&all, lines, first.max(*BESIDE.end())..last, additive);
+    if axis == Axis::Rows {
+        found = found
+            .into_iter()
+            .chain(strongest(&all, lines, first.max(*BESIDE.end())..last, of_light))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+    }
+    let (chance, bin, cycles) = found?;
+    tracing::debug!("spectrum of {axis:?}: peak at {cycles:.5} cycles a line, chance {chance:e}");
+    if chance > CHANCE {
+        return None;
+    }
+    let mut exposures: Vec<f64> = all.iter().filter(|s| !s.is_dark).map(|s| s.exposure_s).collect();
+    exposures.sort_by(f64::total_cmp);
+    let group = |s: &Spectrum<'_>| {
+        let shorter = exposures.iter().filter(|t| **t < s.exposure_s).count();
+        match 3 * shorter / exposures.len().max(1) {
+            _ if s.is_dark => Group::Darks,
+            0 => Group::Short,
+            1 => Group::Middle,
+            _ => Group::Long,
+        }
+    };
+    let part = |s: &Spectrum<'_>| Part {
+        set: s.chunk.set,
+        half: s.chunk.half,
+        group: group(s),
+        weight: (s.chunk.summary.frames as f64 - 1.0)
+            * if s.is_dark || axis == Axis::Columns { additive(s) } else { of_light(s) },
+        beyond_dn2: beyond(bin, |k| s.power[k] / lines as f64),
+        noise_dn2: s.noise_dn2,
+        frames: s.chunk.summary.frames as f64,
+    };
+    Some(Peak { axis, bin, lines, cycles, parts: all.iter().map(part).collect() })
+}
+
+/// Variance of a line's mean, DN^2.
+fn chunk_noise_dn2(chunk: &Chunk, axis: Axis) -> f64 {
+    chunk.summary.line_var_dn2[usize::from(axis == Axis::Columns)]
+}
+
+/// A bin's value beyond the mean of those beside it.
+fn beyond(bin: usize, of: impl Fn(usize) -> f64) -> f64 {
+    let beside: f64 = BESIDE.map(|d| of(bin - d) + of(bin + d)).sum();
+    of(bin) - beside / (2 * BESIDE.count()) as f64
+}
+
+/// The bin that stands out most of the weighted sum of all spectra: the chance that noise has such a peak anywhere in it, the bin, and its
+/// frequency between bins in cycles a line.
+fn strongest(
+    all: &[Spectrum<'_>],
+    lines: usize,
+    bins: std::ops::Range<usize>,
+    weight: impl Fn(&Spectrum<'_>) -> f64,
+) -> Option<(f64, usize, f64)> {
+    let length = bins.end + 1 + BESIDE.end();
+    let mut power = vec![0.0; length];
+    // Sum of the weights of noise, and of their squares over the degrees of freedom.
+    let (mut sum, mut square) = (0.0, 0.0);
+    for s in all {
+        let dof = s.chunk.summary.frames as f64 - 1.0;
+        let w = dof * weight(s);
+        power.iter_mut().zip(s.power).for_each(|(p, v)| *p += w * v);
+        sum += w * s.noise_dn2;
+        square += (w * s.noise_dn2).powi(2) / dof;
+    }
+    let frames = sum * sum / square;
+    let ratio = |k: usize| {
+        let beside: f64 = BESIDE.map(|d| power[k - d] + power[k + d]).sum();
+        power[k] / (beside / (2 * BESIDE.count()) as f64)
+    };
+    let bin = bins.clone().max_by(|a, b| ratio(*a).total_cmp(&ratio(*b)))?;
+    // Power of normal noise is exponential, so that sums are of chi^2 with two degrees of freedom a frame, and their ratio is F.
+    let law = FisherSnedecor::new(2.0 * frames, 2.0 * INDEPENDENT * frames).ok()?;
+    let tries = bins.len() as f64 / 2.0;
+    Some((tries * law.sf(ratio(bin)), bin, refined(&power, bin) / (PADDED * lines) as f64))
+}
+
+impl Peak {
+    /// Puts the values of one half: one a group, the mean power beyond that beside the peak.
+    pub(super) fn put(&self, half: Half, put: &mut Put<'_>) {
+        for (index, group) in Group::ALL.into_iter().enumerate() {
+            let parts = || self.parts.iter().filter(|p| p.half == half && p.group == group);
+            let sum: f64 = parts().map(|p| p.weight).sum();
+            if sum > 0.0 {
+                let value = parts().map(|p| p.weight * p.beyond_dn2).sum::<f64>() / sum;
+                let noise = parts().map(|p| (p.weight * p.noise_dn2).powi(2) / p.dof()).sum::<f64>();
+                put.put(index, value, (noise * (1.0 + 1.0 / INDEPENDENT)).sqrt() / sum);
+            }
+        }
+    }
+
+    /// What a prediction has there.
+    pub(super) fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
+        let (rows, columns) = view.all.campaign.shape;
+        let parts = || self.parts.iter().filter(|p| p.half == o.half && p.group == Group::of(o.index));
+        let (mut sum, mut value, mut var) = (0.0, 0.0, 0.0);
+        for p in parts() {
+            let Some(s) = view.prediction.sets.get(p.set) else { continue };
+            let of = |bin: usize| self.power_dn2(s, bin as f64 / (PADDED * self.lines) as f64, rows, columns);
+            let power = beyond(self.bin, of);
+            sum += p.weight;
+            value += p.weight * power;
+            // A sine of random phases beside noise, and what few frames show of it once their mean is taken off.
+            let with_noise = 2.0 * power.max(0.0) * p.noise_dn2 / p.dof();
+            let of_phases = power * power / (p.frames * p.dof());
+            var += p.weight * p.weight * (with_noise + of_phases);
+        }
+        let sum = f64::max(sum, f64::MIN_POSITIVE);
+        Expected::plain(o, value / sum, in_quadrature(&[o.measured.std_err, var.sqrt() / sum]))
+    }
+
+    /// Power that ripples and lines of a set have at a frequency, DN^2.
+    fn power_dn2(&self, s: &SetPrediction, cycles: f64, rows: usize, columns: usize) -> f64 {
+        let lines = self.lines as f64;
+        let turns = |phase: f64| phase / std::f64::consts::TAU;
+        let sine = |v: f64, own: f64| {
+            0.5 * v * lines * (through(lines, cycles - own) + through(lines, cycles + own))
+        };
+        let of_lines = s.lines.iter().map(|&(v, across, down)| match self.axis {
+            Axis::Rows => sine(v * through(columns as f64, turns(across)), turns(down)),
+            Axis::Columns => sine(v * through(rows as f64, turns(down)), turns(across)),
+        });
+        let of_ripples = s.ripples.iter().map(|(v, ripple)| match *ripple {
+            _ if self.axis == Axis::Columns => 0.0,
+            Ripple::Sine(own) => sine(*v, own),
+            // An autoregression of the first order (Box and Jenkins 1976, 3.2.3).
+            Ripple::Wander(next) => {
+                let cosine = (std::f64::consts::TAU * cycles).cos();
+                v * (1.0 - next * next) / (1.0 + next * next - 2.0 * next * cosine)
+            }
+        });
+        of_lines.sum::<f64>() + of_ripples.sum::<f64>()
+    }
+}
+
+/// Share of a sine's power that a sum over so many lines passes, so many cycles a line away (the kernel of Dirichlet; Oppenheim and Schafer,
+/// Discrete-Time Signal Processing, section 2.6).
+fn through(lines: f64, cycles: f64) -> f64 {
+    let half = std::f64::consts::PI * (cycles - cycles.round());
+    if half.abs() < 1e-9 { 1.0 } else { ((lines * half).sin() / (lines * half.sin())).powi(2) }
+}
