@@ -49,6 +49,51 @@ const NO_KIND: [&str; 13] = [
 const OF_DARK: [&str; 8] =
     ["corr", "correction", "corrected", "current", "sub", "subtraction", "subtracted", "signal"];
 
+/// Words for a lamp or a card, behind which `off` says that there was no light: `flat_LEDoff_3ms`.
+const LAMPS: [&str; 16] = [
+    "led",
+    "leds",
+    "lamp",
+    "lamps",
+    "light",
+    "lights",
+    "illumination",
+    "source",
+    "laser",
+    "flat",
+    "flats",
+    "white",
+    "bright",
+    "uniform",
+    "field",
+    "beam",
+];
+/// Words that say that no light fell.
+const NO_LIGHT: [&str; 11] = [
+    "capped",
+    "lenscap",
+    "covered",
+    "closed",
+    "nolight",
+    "unlit",
+    "ledoff",
+    "lampoff",
+    "lightoff",
+    "lightsoff",
+    "shuttered",
+];
+
+/// Returns true where words say that no light fell: `LED off`, `capped`, `no light`.
+fn is_unlit(words: &[String]) -> bool {
+    let pair = |first: &str, second: &str| match second {
+        "off" => LAMPS.contains(&first),
+        "light" | "illumination" => matches!(first, "no" | "without"),
+        "on" => first == "cap",
+        _ => false,
+    };
+    words.iter().any(|w| NO_LIGHT.contains(&&**w)) || words.windows(2).any(|w| pair(&w[0], &w[1]))
+}
+
 /// The kind that a text names. Flat darks (`Flat Darks`, `flat_dark_`, `DarkFlat`) are darks; where both words
 /// stand apart from each other (`flats and darks`) the text says nothing.
 pub fn of(text: &str) -> Said {
@@ -59,7 +104,11 @@ pub fn of(text: &str) -> Said {
     let mut out = Said::default();
     for (place, (word, number)) in words.iter().enumerate() {
         out.object |= !number && is_object(&lower[place]);
-        let Some(kind) = kind(word).filter(|_| !follows(place, &NO_KIND)) else { continue };
+        // `dark_gain0` states a gain; a dark gain is a map.
+        let is_setting =
+            words.get(place + 1).is_some_and(|(next, number)| *number && next.eq_ignore_ascii_case("gain"));
+        let names = |_: &Kind| is_setting || !follows(place, &NO_KIND);
+        let Some(kind) = kind(word).filter(names) else { continue };
         out.bias |= ["bias", "biases", "biasframe", "zero", "zeros"].contains(&&*lower[place]);
         if *number && ["offset", "black", "zero", "white", "bright", "target"].contains(&&*lower[place]) {
             out.weak = out.weak.or(Some(kind));
@@ -82,6 +131,9 @@ pub fn of(text: &str) -> Said {
         }
         _ => first,
     };
+    if is_unlit(&lower) && out.kind.is_none_or(|k| k == Kind::Flat) {
+        (out.kind, out.weak) = (Some(Kind::Dark), None);
+    }
     out.object &= out.kind.is_none() && out.weak.is_none();
     out
 }
@@ -259,6 +311,20 @@ mod tests {
                 && !of("flat_light_1").object
                 && !of("light2").object
         );
+        for text in [
+            "flat_LEDoff_3ms",
+            "flat_capped",
+            "flats off",
+            "flat_no_light",
+            "led_off_10ms",
+            "dark_gain0_exp10ms",
+            "white cap on",
+        ] {
+            assert_eq!(of(text).kind, Some(Kind::Dark), "{text}");
+        }
+        for text in ["flat_LEDon_3ms", "flat_shading_off", "flat_gain_0_10ms", "flat_shutter_open"] {
+            assert_eq!(of(text).kind, Some(Kind::Flat), "{text}");
+        }
         assert_eq!(of("flats and darks").kind, None);
         assert_eq!(of("darkroom").kind, None);
         assert!(alone("01_Darks") && alone("flat 10ms gain0") && alone("Flat Field"));

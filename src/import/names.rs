@@ -37,6 +37,11 @@ const GAIN: &[&str] = &["gain", "gainraw"];
 const ISO: &[&str] = &["iso"];
 /// Words for one of several cameras: `cam1`.
 const CAMERA: &[&str] = &["cam", "camera"];
+const SERIAL: &[&str] = &["sn", "serial", "ser"];
+/// Letters behind a number that is a depth.
+const BITS: &[&str] = &["bit", "bits"];
+/// Words for one of two conversion gains.
+const CONVERSION: &[&str] = &["lcg", "hcg"];
 const BIN: &[&str] = &["bin", "binning"];
 const BLACK: &[&str] = &["offset", "blacklevel", "blklevel", "black"];
 const LIGHT: &[&str] = &["light", "illum", "illumination", "level"];
@@ -88,6 +93,7 @@ impl Number<'_> {
             .any(|words| is(self.before, words))
             || self.is_black_level()
             || (is(self.before, CAMERA) && !self.apart)
+            || (is(self.before, SERIAL) && self.unit.is_empty())
             || (is(self.before, LIGHT) && self.pointed());
         let means_something = setting && !self.is_counter();
         !means_something
@@ -270,15 +276,21 @@ fn in_context(name: &str, at: usize, text: &str, unit: &str, last: Option<&Numbe
     if let Some((_, rest)) = plain.split_once('.').filter(|_| of_points) {
         return values::number(rest).0.one().map_or(value, |rest| Reading::Two(number, rest));
     }
+    // flat_0_25ms: the sign stands for the decimal point, or counts.
+    let no_point = ["_", "-", " ", "'", "pt", "dot", "d"];
+    let of_none = no_point
+        .iter()
+        .any(|sign| before.strip_suffix(sign).and_then(|head| head.strip_suffix('0')).is_some_and(separated));
+    if seconds(unit).is_some() && !pointed && of_none {
+        let behind = values::number(&format!("0.{plain}")).0.one();
+        return behind.filter(|b| *b > 0.0).map_or(value, |b| Reading::Two(number, b));
+    }
     if seconds(unit) == Some(1.0) && !pointed {
         let alone = |word: &str| {
             ["_", "-"].iter().any(|sign| {
                 before.strip_suffix(sign).and_then(|head| head.strip_suffix(word)).is_some_and(separated)
             })
         };
-        if text.len() == 1 && alone("0") {
-            return Reading::Two(number, number / 10.0);
-        }
         if before.ends_with("1-") && alone("1") && DENOMINATORS.contains(&number) {
             return Reading::Two(number, 1.0 / number);
         }
@@ -295,7 +307,10 @@ fn is_binning(name: &str, at: usize, end: usize) -> bool {
     let single = end == at + 1 && digit(Some(at));
     let first = cross(Some(end)) && digit(Some(end + 1)) && !any(Some(end + 2));
     let second = cross(at.checked_sub(1)) && digit(at.checked_sub(2)) && !any(at.checked_sub(3));
-    single && (first || second)
+    // 2x3ms are two frames of 3 ms.
+    let rest = &name[end..];
+    let unit = &rest[..rest.find(|c: char| !c.is_alphabetic()).unwrap_or(rest.len())];
+    single && (first || second) && seconds(unit).is_none()
 }
 
 /// Exposures that a text tells, s.
@@ -430,9 +445,16 @@ pub fn facts_in(folders: &[&str], own: usize, name: &str) -> Facts {
 
 /// Gain, black level, binning, light and temperature of one text.
 fn settings(text: &str, of: &str, strong: bool, out: &mut Facts) {
+    if let Some(word) = text.split(|c: char| !c.is_alphabetic()).find(|word| is(word, CONVERSION)) {
+        out.set_feature("ConversionGain", &word.to_uppercase(), of);
+    }
     for number in numbers(text) {
         let Some(value) = number.value().filter(|_| !number.is_counter()) else { continue };
         let word = number.before;
+        // `low_gain_20ms`: a time is no gain.
+        if seconds(number.unit).is_some() {
+            continue;
+        }
         let mut setting = |feature: &str| out.set_feature(feature, &value.to_string(), of);
         if number.unit.eq_ignore_ascii_case("db") {
             if out.gain_db.is_none() {
@@ -445,6 +467,10 @@ fn settings(text: &str, of: &str, strong: bool, out: &mut Facts) {
             setting("ISO");
         } else if is(word, CAMERA) && !number.apart && number.unit.is_empty() && value.fract() == 0.0 {
             setting("camera");
+        } else if is(word, SERIAL) && number.unit.is_empty() && value.fract() == 0.0 {
+            setting("serial number");
+        } else if is(number.unit, BITS) && value.fract() == 0.0 {
+            setting("bit depth");
         } else if is(word, CONFIGURATION) && value.fract() == 0.0 {
             if out.configuration.is_none() {
                 out.configuration = Some(value as u32);
@@ -539,6 +565,12 @@ mod tests {
             ("", "dark.12.10ms.tif", None, None, Some(Kind::Dark)),
             ("", "dark_0_5s_1.tif", None, None, Some(Kind::Dark)),
             ("", "dark_1-250s_1.tif", None, None, Some(Kind::Dark)),
+            ("", "flat_0_1ms_01.tif", None, None, Some(Kind::Flat)),
+            ("", "flat_0-25ms_01.tif", None, None, Some(Kind::Flat)),
+            ("", "flat_0pt2ms.tif", None, None, Some(Kind::Flat)),
+            ("", "flat_10_2ms.tif", Some(0.002), None, Some(Kind::Flat)),
+            ("", "flat_low_gain_20ms.tif", Some(0.02), None, Some(Kind::Flat)),
+            ("", "flat_2x3ms.tif", Some(0.003), None, Some(Kind::Flat)),
             ("", "dark_3_250s_1.tif", Some(250.0), None, Some(Kind::Dark)),
             ("", "dark_10.000,5ms_1.tif", None, None, Some(Kind::Dark)),
             ("", "dark_1s500ms_0.tif", None, None, Some(Kind::Dark)),

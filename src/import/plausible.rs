@@ -51,6 +51,110 @@ pub fn falling_levels(sets: &mut [Growing], lowest_dn: f64) {
     }
 }
 
+/// Part by which a set is off the usual signal for its exposure, from which on another light fell on it, and
+/// the part of the range above which a signal may have ended (named choices).
+const OTHER_LIGHT: f64 = 0.15;
+const NEAR_THE_END: f64 = 0.8;
+/// Part of the signal that is expected below which no light fell.
+const NO_LIGHT: f64 = 0.02;
+
+/// Questions flats of one stated light of which several are off the signal that their exposures have, one of
+/// them darker than a shorter one: another lamp current, filter or aperture that no name states so that it is
+/// read, or flats without light. One alone is a slip, which every look at the data names.
+pub fn off_the_light(sets: &mut [Growing], lowest_dn: f64) {
+    let asked = |s: &Growing| s.set.doubts.iter().any(|d| d.starts_with("exposure"));
+    if sets.iter().any(asked) {
+        return;
+    }
+    // Place, exposure, signal and signal a second.
+    let flats: Vec<(usize, f64, f64, f64)> = sets
+        .iter()
+        .enumerate()
+        .filter(|(_, s)| s.set.kind == Kind::Flat && s.set.illumination.is_none())
+        .filter_map(|(k, s)| {
+            let (exposure_s, signal_dn) = (s.set.exposure_s?, s.mean_dn - lowest_dn);
+            Some((k, exposure_s, signal_dn, signal_dn / exposure_s))
+        })
+        .collect();
+    let top = flats.iter().map(|f| f.2).fold(0.0, f64::max);
+    let usual = crate::statistics::median::median(flats.iter().map(|f| f.3));
+    let is_off = |f: &&(usize, f64, f64, f64)| {
+        let ended = f.2 > NEAR_THE_END * top && f.3 < usual;
+        (f.2 - usual * f.1).abs() > OTHER_LIGHT * usual * f.1
+            && (f.2 - usual * f.1).abs() > OFF_THE_LINE * top
+            && !ended
+    };
+    let off: Vec<&(usize, f64, f64, f64)> = flats.iter().filter(is_off).collect();
+    let darker = |f: &&&(usize, f64, f64, f64)| {
+        flats.iter().any(|g| f.1 > g.1 * LONGER && f.2 * BRIGHTER < g.2 && f.3 < usual)
+    };
+    let Some(first) = off.iter().find(darker).filter(|_| off.len() > 1) else { return };
+    let (place, exposure_s, signal_dn, _) = **first;
+    let unlit = off.iter().filter(|f| f.2 < NO_LIGHT * usual * f.1).count() == off.len();
+    let numbers: Vec<usize> = off.iter().map(|f| f.0).collect();
+    let of = ranges(&numbers);
+    sets[place].set.doubts.push(if unlit {
+        format!(
+            "kind: sets {of} are called flats, and no light fell on them (flats of {} s have {:.0} DN): darks (lamp off, cap on)?",
+            six_digits(exposure_s),
+            signal_dn + lowest_dn
+        )
+    } else {
+        format!(
+            "illumination: flats of {} s have {:.0} DN, darker than shorter ones, and sets {of} are off the signal that the others have a second by \
+             more than {:.0} %: the light was not the same (lamp current, filter, aperture, distance); give illumination",
+            six_digits(exposure_s),
+            signal_dn + lowest_dn,
+            100.0 * OTHER_LIGHT
+        )
+    });
+}
+
+/// Part of the range of levels by which two darks of like exposures differ, from which on light fell on one.
+const LIT_DARK: f64 = 0.2;
+
+/// Questions darks of which one is far brighter than another that is as long or longer: `black_card_10ms`,
+/// `dark_slide_out`.
+pub fn lit_and_dark(sets: &mut [Growing], lowest_dn: f64) {
+    let top = sets.iter().map(|s| s.mean_dn - lowest_dn).fold(0.0, f64::max);
+    let stated = |s: &Growing| s.set.kind == Kind::Dark && !s.set.kind_by_mean;
+    // Place, exposure and signal of each.
+    let darks: Vec<(usize, f64, f64)> = sets
+        .iter()
+        .enumerate()
+        .filter(|(_, s)| stated(s))
+        .filter_map(|(k, s)| Some((k, s.set.exposure_s?, s.mean_dn - lowest_dn)))
+        .collect();
+    let lit: Vec<usize> = darks
+        .iter()
+        .filter(|(_, t, dn)| {
+            darks
+                .iter()
+                .any(|(_, u, other)| *u > t / BRIGHTER && dn - other > LIT_DARK * top && *dn > 2.0 * other)
+        })
+        .map(|d| d.0)
+        .collect();
+    // One alone is a slip.
+    if let [first, _, ..] = *lit {
+        let text = format!(
+            "kind: sets {} are called darks, and light fell on them ({:.0} DN, where other darks as long have {lowest_dn:.0}): flats?",
+            ranges(&lit),
+            sets[first].mean_dn
+        );
+        sets[first].set.doubts.push(text);
+    }
+}
+
+/// Questions frames that are stated as those of an object and have become darks or flats by their mean.
+pub fn neither_dark_nor_flat(sets: &mut [Growing], found: &[Found]) {
+    let of_object = |s: &Growing| s.set.kind_by_mean && s.frames.iter().any(|k| found[*k].facts.object);
+    if let Some(set) = sets.iter_mut().find(|s| of_object(s)) {
+        set.set.doubts.push(
+            "kind: the frames are stated as light frames or objects, neither dark nor flat: give the kind of those that are".into(),
+        );
+    }
+}
+
 /// Questions darks by their mean that lie on the line of the flats over the exposure: they are the dimmest
 /// flats.
 pub fn darks_on_the_line(sets: &mut [Growing]) {

@@ -95,6 +95,9 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
     }
     let mut sets = joined(sets, found, lowest);
     plausible::falling_levels(&mut sets, lowest);
+    plausible::off_the_light(&mut sets, lowest);
+    plausible::lit_and_dark(&mut sets, lowest);
+    plausible::neither_dark_nor_flat(&mut sets, found);
     plausible::darks_on_the_line(&mut sets);
     plausible::fewer_bits(&mut sets, found);
     plausible::shifted_codes(&mut sets, found);

@@ -221,3 +221,49 @@ fn shifted_codes_and_narrow_arrays_are_asked() {
     std::fs::write(bench.path("npy/flat_2ms.npy"), bytes).unwrap();
     assert!(bench.refused("npy").contains("--frames-axis 2 (or 0)"));
 }
+
+/// Light that names state in words of their own (lamp current, filter, per cent), flats without light, and
+/// darks with light: each is asked where more than one set says so; one alone is left to the look at the
+/// data.
+#[test]
+fn light_that_no_name_states_is_asked() {
+    let bench = Bench::new();
+    let dark = |ms: f64| (format!("dark_{ms}ms"), 0.0, ms / 1e3);
+    let flat = |word: &str, ms: f64, light_e: f64| (format!("{word}_{ms}ms"), light_e, ms / 1e3);
+    let put = |folder: &str, sets: &[(String, f64, f64)]| {
+        let sets: Vec<(&str, f64, f64)> = sets.iter().map(|(n, e, s)| (&**n, *e, *s)).collect();
+        campaign(&bench, folder, &sets);
+    };
+    let bright = [1.0, 2.0, 4.0].map(|ms| flat("flat_500mA", ms, 600.0 * ms));
+    let dim = [8.0, 16.0].map(|ms| flat("flat_50mA", ms, 60.0 * ms));
+    put("lamp", &[&bright[..], &dim[..], &[dark(1.0), dark(16.0)]].concat());
+    let said = bench.refused("lamp");
+    assert!(said.contains("illumination of set") && said.contains("the light was not the same"), "{said}");
+    let lit = [1.0, 2.0, 4.0, 8.0].map(|ms| flat("flat", ms, 300.0 * ms));
+    let unlit = [3.0, 12.0].map(|ms| flat("flat_b", ms, 0.0));
+    put("unlit", &[&lit[..], &unlit[..], &[dark(1.0), dark(8.0)]].concat());
+    let said = bench.refused("unlit");
+    assert!(said.contains("kind of set") && said.contains("no light fell on them"), "{said}");
+    let cards = [2.0, 4.0, 8.0].map(|ms| flat("black_card", ms, 300.0 * ms));
+    put("cards", &[&cards[..], &[dark(2.0), dark(16.0)]].concat());
+    let said = bench.refused("cards");
+    assert!(said.contains("are called darks, and light fell on them"), "{said}");
+    // One set whose exposure is another than its name says.
+    put("slip", &[&lit[..], &[flat("flat", 16.0, 300.0), dark(1.0), dark(16.0)]].concat());
+    assert_eq!(sets(&bench.import("slip", &[]).0).len(), 7);
+}
+
+/// A point that names cannot have is an underline, a hyphen, or nothing at all: asked, since it may count
+/// too.
+#[test]
+fn decimals_without_a_point_are_asked() {
+    let bench = Bench::new();
+    campaign(
+        &bench,
+        "us",
+        &[("dark_0_2ms", 0.0, 2e-4), ("flat_0_2ms", 900.0, 2e-4), ("flat_0_4ms", 1800.0, 4e-4)],
+    );
+    assert!(bench.refused("us").contains("is 2 or 0.2 ms"));
+    campaign(&bench, "s", &[("dark_0_05s", 0.0, 0.05), ("flat_0_05s", 900.0, 0.05)]);
+    assert!(bench.refused("s").contains("is 5 or 0.05 s"));
+}

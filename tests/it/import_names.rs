@@ -244,7 +244,22 @@ fn kinds_of_folders_and_flat_darks() {
 #[test]
 fn settings_in_names_are_compared() {
     let bench = Bench::new();
-    let ways: [(&str, &Name, &str); 9] = [
+    let ways: [(&str, &Name, &str); 12] = [
+        (
+            "serials",
+            &|k, ms, i, _| format!("SN{}_{k}_{ms}ms_{i}.tif", if k == "Dark" { 1001 } else { 1002 }),
+            "serial number 1002",
+        ),
+        (
+            "depths",
+            &|k, ms, i, _| format!("{k}_{}bit_{ms}ms_{i}.tif", if k == "Dark" { 14 } else { 12 }),
+            "bit depth 12",
+        ),
+        (
+            "conversion gains",
+            &|k, ms, i, _| format!("{k}_{}_{ms}ms_{i}.tif", if k == "Dark" { "LCG" } else { "HCG" }),
+            "ConversionGain HCG",
+        ),
         ("cameras", &|k, ms, i, _| format!("cam{}_{k}_{ms}ms_{i}.tif", i % 2 + 1), "camera 2"),
         (
             "asiair",
