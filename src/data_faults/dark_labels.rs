@@ -2,10 +2,11 @@
 //! ones.
 //!
 //! A black-level clamp or a drift may lower the level of long darks; the dark charge of single pixels grows
-//! with the exposure whatever the level does.
+//! with the exposure whatever the level does, and so does its noise.
 
 use super::campaign::SetView;
 use super::patterns::{noise_of_mean, pattern_of};
+use super::transfer::{MODEL_ERROR, Transfer};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
@@ -21,8 +22,27 @@ const MAX_SPREAD_SHARE: f64 = 0.7;
 /// deviation of the noise from that ratio.
 const SCALED: (f64, f64) = (3.0, 1.5);
 
+/// Largest ratio between the fall of the variance and that of the noise of a charge, and least fall in its
+/// errors (named choices).
+const AS_CHARGE: (f64, f64) = (1.5, 5.0);
+
 /// The check.
 pub struct DarkLabels;
+
+/// Returns true if dark b has less noise than dark a by as much as the charge between their levels has: the
+/// system gain times the difference of the levels (Healey and Kondepudy 1994, eq. 35).
+fn falls_as_charge(campaign: &Campaign<'_>, a: usize, b: usize) -> bool {
+    let variance = |i: usize| Some(campaign.sets[i].variance_dn2()?.0);
+    let transfer = || Transfer::of(campaign, &campaign.zero()?, &[]);
+    let (Some(of_a), Some(of_b), Some(transfer)) = (variance(a), variance(b), transfer()) else {
+        return false;
+    };
+    let charge = transfer.slope() * (campaign.sets[a].level_dn() - campaign.sets[b].level_dn());
+    let fall = of_a - of_b;
+    fall > AS_CHARGE.1 * MODEL_ERROR * of_a.hypot(of_b)
+        && fall < AS_CHARGE.0 * charge
+        && charge < AS_CHARGE.0 * fall
+}
 
 /// Spread over the pixels that is not noise, DN^2: hot pixels and all.
 fn spread_dn2(set: &SetView) -> f64 {
@@ -73,7 +93,7 @@ impl Check for DarkLabels {
         if exposure_s(longest) < MIN_RATIO * exposure_s(shortest)
             || !falls
             || is_scaled(&campaign.sets[shortest], &campaign.sets[longest])
-            || spreads().1 > MAX_SPREAD_SHARE * spreads().0
+            || (spreads().1 > MAX_SPREAD_SHARE * spreads().0 && !falls_as_charge(campaign, shortest, longest))
         {
             return Vec::new();
         }
@@ -91,7 +111,8 @@ impl Check for DarkLabels {
         }
         wrong.sort_unstable();
         let text = format!(
-            "{}: the exposures of these darks are exchanged: those of {} s have {} DN and more hot pixels than those of {} s with {} DN",
+            "{}: the exposures of these darks are exchanged: those of {} s have {} DN and the noise and hot pixels of more charge than those of {} s \
+             with {} DN",
             campaign.named(&wrong),
             six_digits(exposure_s(shortest)),
             six_digits(level(shortest)),

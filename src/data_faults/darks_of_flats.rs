@@ -29,6 +29,10 @@ const MIN_RANGE: f64 = 2.5;
 const MAX_BEND: f64 = 0.03;
 /// Difference of the exposures, relative, up to which the dark charge of one stands for that of another.
 const SAME_EXPOSURE: f64 = 0.2;
+/// Ratio of a dark's exposure to that of the longest flat up to which it counts (a named choice; the standard
+/// plan has 16): the charge of far longer ones is the larger part of their pattern, and hot pixels of theirs
+/// are full.
+const MAX_LONGER: f64 = 20.0;
 /// Ratio of the darks' exposures from which on they tell the growth of the pattern.
 const MIN_EXPOSURE_RATIO: f64 = 1.5;
 /// Usual bend of a response at the highest level, of the range, scatter of a lamp, and least error of a
@@ -53,7 +57,10 @@ impl Check for DarksOfFlats {
         let blurred_dn2 = MIN_VARIANCE_DN2 * steps.fold(1.0, f64::max).powi(2);
         let told = |s: &SetView| s.variance_dn2().is_some_and(|v| v.0 > blurred_dn2);
         let usable = |s: &SetView| s.has_pattern() && !s.is_cut_off() && told(s);
-        let darks = campaign.places(|s| s.kind == Kind::Dark && usable(s));
+        let lit = campaign.places(|s| s.is_lit());
+        let longest_s = lit.iter().map(|&i| campaign.sets[i].exposure_s).fold(0.0, f64::max);
+        let is_long = |s: &SetView| s.exposure_s > MAX_LONGER * longest_s;
+        let darks = campaign.places(|s| s.kind == Kind::Dark && usable(s) && !is_long(s));
         let mut flats = campaign.flats_by_field();
         flats.values_mut().for_each(|sets| sets.retain(|&i| usable(&campaign.sets[i])));
         // One level has no line.
@@ -201,7 +208,8 @@ fn of_black_level(
     if !response.straight || black_dn.abs() < MIN_BLACK_DN.max(MIN_SIGMAS * std) {
         return None;
     }
-    let transfer = Transfer::of(campaign, zero, darks)?;
+    let all_darks = campaign.places(|s| s.kind == Kind::Dark);
+    let transfer = Transfer::of(campaign, zero, &all_darks)?;
     // Noise of the shortest dark against that of the flats, at its level and where they have no light.
     let shortest = *darks
         .iter()

@@ -79,8 +79,16 @@ impl Check for DependentFrames {
                 && !set.wanders()
                 && set.dependence().is_some_and(|d| d < usual - MIN_DEPENDENCE.max(MIN_SIGMAS * std))
         };
-        let filtered: Vec<usize> = all.iter().copied().filter(|&i| alike(i)).collect();
+        let mut filtered: Vec<usize> = all.iter().copied().filter(|&i| alike(i)).collect();
         let transfer = Transfer::of(campaign, &zero, &filtered);
+        // A filter takes noise away: frames that are alike and as noisy as others drift, or their pixels
+        // jump.
+        if let Some(transfer) = &transfer {
+            let is_less = |i: usize| {
+                transfer.off(campaign, i, level(i)).is_none_or(|(off, _)| off < MAX_AVERAGED_RATIO.ln())
+            };
+            filtered.retain(|i| is_less(*i));
+        }
         let (mut averaged, mut gained) = (filtered.clone(), Vec::new());
         if let Some(transfer) = &transfer {
             for &i in &all {

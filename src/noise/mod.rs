@@ -377,6 +377,24 @@ pub fn of_dataset(
             six_digits(dark_s),
             six_digits(flat_s)
         ));
+    } else if let Some(charge_dn) =
+        charge_of_darks(&measured, &dataset).filter(|_| zero.source == ONE_EXPOSURE)
+    {
+        let (gain, constant) = (report.gain_dn_per_e.value, report.constant_noise_var_dn2.value);
+        let without = constant - gain * charge_dn - dataset.quantisation_dn2();
+        if report.read_noise_e.value.is_finite() && gain * charge_dn > CHARGE_SHARE * constant {
+            let most = with_error(report.read_noise_e.value, report.read_noise_e.std_err);
+            (report.read_noise_e.value, report.read_noise_e.std_err) = (f64::NAN, f64::NAN);
+            let about = if without > 0.0 {
+                format!(", about {:.1} e⁻", without.sqrt() / gain)
+            } else {
+                String::new()
+            };
+            report.notes.push(format!(
+                "the flats meet zero exposure {charge_dn:.1} DN below the darks, which have one exposure: so much dark charge is in them, and its noise \
+                 is in the constant noise. The read noise is less than {most} e⁻{about}. Take darks at two exposures"
+            ));
+        }
     }
     let step = dataset.code_step_dn();
     if step > 1.0 {
@@ -393,6 +411,37 @@ pub fn of_dataset(
     report.notes.extend(struck(&measured));
     report.notes.extend(temperature(&dataset));
     Ok(NoiseReport { data_faults: dataset.data_faults().to_vec(), ..report })
+}
+
+/// Part of the constant noise that dark charge has, from which on it is no read noise (a named choice).
+const CHARGE_SHARE: f64 = 0.1;
+/// Part of full scale up to which flats lie on a line over the exposure, and their largest scatter about it,
+/// relative (named choices).
+const ON_A_LINE: (f64, f64) = (0.7, 0.005);
+
+/// Level of the darks above that at which a line through the flats of at least three exposures meets no
+/// light, DN; `None` where it is not above that by three of its errors, or the flats are on no line.
+fn charge_of_darks(measured: &Measured, dataset: &Dataset) -> Option<f64> {
+    let light = |number: u32| {
+        let set = dataset.sets().iter().find(|s| s.number == number)?;
+        let settings = dataset.settings(set);
+        Some(settings.exposure_s * settings.illumination)
+    };
+    let highest_dn = ON_A_LINE.0 * measured.full_scale_dn;
+    let flats =
+        measured.levels.iter().filter(|(_, kind, _, l)| *kind == Kind::Flat && l.mean_dn < highest_dn);
+    let points: Vec<(f64, f64)> = flats.filter_map(|f| Some((light(f.0)?, f.3.mean_dn))).collect();
+    let mut exposures: Vec<f64> = points.iter().map(|p| p.0).collect();
+    exposures.sort_by(f64::total_cmp);
+    exposures.dedup_by(|a, b| (*a / *b - 1.0).abs() < 1e-6);
+    let line = crate::fit::line::fit(points.iter().map(|(x, y)| (*x, *y, y * y)))?;
+    let scatter = (line.chi2 / line.dof.max(1) as f64).sqrt();
+    if exposures.len() < 3 || scatter > ON_A_LINE.1 || line.slope <= 0.0 {
+        return None;
+    }
+    let darks = || measured.levels.iter().filter(|l| l.1 == Kind::Dark).map(|l| l.3.mean_dn);
+    let charge_dn = darks().sum::<f64>() / darks().count().max(1) as f64 - line.intercept;
+    (charge_dn > 3.0 * scatter * line.var_intercept.sqrt()).then_some(charge_dn)
 }
 
 /// Exposure of the darks and the longest one of the flats, s, where all darks are far longer.

@@ -686,3 +686,97 @@ fn bits_that_a_link_turned_over_change_nothing() {
     }
     assert_eq!(struck.said("diagnose")["consistent"], true);
 }
+
+/// Darks from short to far longer than the flats, whose hot pixels are full and whose pattern is that of the
+/// dark charge: nothing is wrong with them.
+#[test]
+fn long_darks_are_no_slip() {
+    let mut campaign = Campaign::new("cmos12", "standard", 71);
+    let darks = campaign.sets("dark", 2);
+    let mut random = PixelRng::new(71, Stream::Effect, 0, 0, 0);
+    let first = campaign.frame(campaign.of(darks[0])[0]);
+    // Dark charge of each pixel, DN/s: lognormal, and one in fifty is hot.
+    let rate: Vec<f64> = (0..first.len())
+        .map(|i| 8.0 * (0.8 * random.normal()).exp() * if i % 53 == 0 { 60.0 } else { 1.0 })
+        .collect();
+    for (set, exposure_s) in darks.iter().zip([0.02, 0.5, 2.0, 5.0, 10.0, 20.0]) {
+        for row in campaign.of(*set) {
+            let frame = campaign.frame(row);
+            let charge = |(v, rate): (&u16, &f64)| {
+                let dn = rate * exposure_s;
+                let noisy = f64::from(*v) + dn + (0.4 * dn).sqrt() * random.normal();
+                noisy.round().clamp(0.0, 4095.0) as u16
+            };
+            let codes: Vec<u16> = frame.iter().zip(&rate).map(charge).collect();
+            campaign.put(row, &Array2::from_shape_vec(frame.dim(), codes).unwrap());
+            campaign.rows[row][4] = exposure_s.to_string();
+        }
+    }
+    campaign.save();
+    let said = campaign.said("noise");
+    assert!(said["data_faults"].as_array().is_none_or(Vec::is_empty), "{}", said["data_faults"]);
+}
+
+/// Two darks with exchanged exposures on a sensor without a pattern: their noise has the charge.
+#[test]
+fn exchanged_darks_are_told_by_the_noise_of_their_charge() {
+    let mut campaign = Campaign::new("cmos12", "standard", 72);
+    let darks = campaign.sets("dark", 2);
+    let (short, long) = (darks[0], darks[1]);
+    let gain = expected_gain(&campaign);
+    let mut random = PixelRng::new(72, Stream::Effect, 0, 0, 0);
+    let mean_dn = 40.0;
+    // The one stated as short has the charge.
+    for (set, charged) in [(short, true), (long, false)] {
+        for row in campaign.of(set) {
+            campaign.rows[row][4] = if charged { "0.001".into() } else { "0.02".into() };
+            let frame = campaign.frame(row);
+            let more = |v: &u16| {
+                let noise = (gain * mean_dn).sqrt() * random.normal();
+                if charged { (f64::from(*v) + mean_dn + noise).round() as u16 } else { *v }
+            };
+            let codes: Vec<u16> = frame.iter().map(more).collect();
+            campaign.put(row, &Array2::from_shape_vec(frame.dim(), codes).unwrap());
+        }
+    }
+    let others: Vec<usize> = darks[2..].iter().flat_map(|set| campaign.of(*set)).collect();
+    campaign.rows =
+        (0..campaign.rows.len()).filter(|r| !others.contains(r)).map(|r| campaign.rows[r].clone()).collect();
+    campaign.save();
+    let said = campaign.said("noise");
+    let text = said["data_faults"][0]["text"].as_str().unwrap_or_default();
+    assert!(text.contains("the exposures of these darks are exchanged"), "{}", said["data_faults"]);
+}
+
+/// System gain of a campaign as it was drawn, DN/e.
+fn expected_gain(campaign: &Campaign) -> f64 {
+    campaign.said("noise")["gain_dn_per_e"]["value"].as_f64().unwrap()
+}
+
+/// Darks of one exposure with charge in them: the noise of the charge is no read noise, and is said.
+#[test]
+fn charge_in_the_only_dark_is_no_read_noise() {
+    let mut campaign = Campaign::new("cmos12", "standard", 73);
+    let gain = expected_gain(&campaign);
+    let darks = campaign.sets("dark", 2);
+    let others: Vec<usize> = darks[1..].iter().flat_map(|set| campaign.of(*set)).collect();
+    let mut random = PixelRng::new(73, Stream::Effect, 0, 0, 0);
+    let mean_dn = 30.0;
+    for row in campaign.of(darks[0]) {
+        let frame = campaign.frame(row);
+        let more =
+            |v: &u16| (f64::from(*v) + mean_dn + (gain * mean_dn).sqrt() * random.normal()).round() as u16;
+        let codes: Vec<u16> = frame.iter().map(more).collect();
+        campaign.put(row, &Array2::from_shape_vec(frame.dim(), codes).unwrap());
+    }
+    campaign.rows =
+        (0..campaign.rows.len()).filter(|r| !others.contains(r)).map(|r| campaign.rows[r].clone()).collect();
+    campaign.save();
+    let manifest = Path::new(&campaign.path()).join("dataset.toml");
+    let text = std::fs::read_to_string(&manifest).unwrap();
+    let without: Vec<&str> = text.lines().filter(|l| !l.starts_with("black_level_dn")).collect();
+    std::fs::write(&manifest, without.join("\n") + "\n").unwrap();
+    let said = campaign.said("noise");
+    assert!(said["read_noise_e"]["value"].is_null(), "{said}");
+    assert!(said["notes"].to_string().contains("so much dark charge is in them"), "{}", said["notes"]);
+}
