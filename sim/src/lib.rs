@@ -21,6 +21,7 @@
 mod chart;
 mod clipping;
 mod draw;
+mod drift;
 pub mod effects;
 mod maps;
 mod model;

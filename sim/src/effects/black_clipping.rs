@@ -69,7 +69,8 @@ impl Effect for BlackClipping {
     fn contradicted(&self, p: &[f64], _: &[f64], seen: &Seen) -> Option<&'static str> {
         // To within rounding and what the black level is known to.
         if is_at_code_0(p) {
-            return None;
+            return (seen.darkest_code? > 1.0)
+                .then_some("fewer than one in two hundred samples of the darks lie near code 0");
         }
         (seen.darkest_dn? < p[LEVEL] - 1.0)
             .then_some("darks go on below the level at which they would be cut off")
@@ -131,5 +132,17 @@ impl Effect for BlackClipping {
         if !is_at_code_0(p) {
             d.image.mapv_inplace(|v| v.max(p[LEVEL]));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn darks_far_above_code_0_are_not_cut_off_there() {
+        let seen = |code: Option<f64>| Seen { darkest_code: code, ..Seen::default() };
+        let speaks_against = |code| BlackClipping.contradicted(&[0.0, 1.0], &[], &seen(code)).is_some();
+        assert!(speaks_against(Some(57.0)) && !speaks_against(Some(0.0)) && !speaks_against(None));
     }
 }

@@ -1,6 +1,7 @@
 //! Dark current drift: the sensor warms up or cools down.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
+use crate::drift;
 
 /// Dark charge per second times 1 + rate * time.
 pub struct DarkCurrentDrift;
@@ -26,14 +27,42 @@ impl Effect for DarkCurrentDrift {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter {
-            name: "rel_per_s",
-            meaning: "change of the dark current per second, relative to its value at the start",
-            unit: "1/s",
-            min: -0.05,
-            max: 0.2,
-            starts: &[1e-3],
-        }]
+        &[
+            drift::SHAPE,
+            Parameter {
+                name: "rel_per_s",
+                meaning: "shape 0: change of the dark current per second, relative to its value at the start",
+                unit: "1/s",
+                min: -0.05,
+                max: 0.2,
+                starts: &[1e-3],
+            },
+            Parameter {
+                name: "rel",
+                meaning: "shape 1: excess of the dark current at the start, relative to its value late",
+                unit: "1",
+                min: -1.0,
+                max: 100.0,
+                starts: &[0.1],
+            },
+            drift::TAU,
+        ]
+    }
+
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        drift::starts(&[1e-3], 0.1, seen)
+    }
+
+    fn uses(&self, p: &[f64], parameter: usize) -> bool {
+        drift::uses(p, parameter)
+    }
+
+    fn usual(&self, parameter: usize) -> Option<f64> {
+        drift::usual(parameter)
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        Some(drift::form(p))
     }
 
     fn shows_in_darks(&self) -> bool {
@@ -44,13 +73,13 @@ impl Effect for DarkCurrentDrift {
         // Some 0.3 DN of the long darks at the end, or a tenth of the noise.
         let rel = (0.1 * plain.noise_e * plain.gain_dn_per_e).max(0.3)
             / (plain.long_dark_e * plain.gain_dn_per_e).max(0.1);
-        Some(vec![rel.min(3.0) / (300.0 * plain.frame_s)])
+        Some(vec![0.0, rel.min(3.0) / (300.0 * plain.frame_s), 0.0, 60.0 * plain.frame_s])
     }
 
     fn page(&self) -> Page {
         Page {
             what: "The sensor's temperature changes during the campaign, and its dark current with it.",
-            equation: "dark charge = dark current * exposure * (1 + rate t)",
+            equation: "dark charge = dark current * exposure * (1 + rate t); or (1 + rel exp(-t / tau)) of the dark current late",
             signature: "darks of long exposure move with time, in proportion to the exposure; short ones stand still",
             look_alikes: "offset drift moves darks of all exposures alike; light drift leaves darks alone",
             remedy: "let the camera warm up; record the sensor's temperature; take darks close to the frames they serve",
@@ -65,7 +94,7 @@ impl Effect for DarkCurrentDrift {
         let mut of_set = vec![(0.0, 0.0, 0.0); c.sets.len()];
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
             let Some(info) = c.sets.get(frame.set) else { continue };
-            let more = p[0] * frame.time_s * dark * info.exposure_s;
+            let more = drift::change(p, frame.time_s) * dark * info.exposure_s;
             *m += more;
             let (sum, square, frames) = of_set[frame.set];
             of_set[frame.set] = (sum + more, square + more * more, frames + 1.0);
@@ -82,7 +111,7 @@ impl Effect for DarkCurrentDrift {
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
-        d.image.scaled_add(p[0] * d.time_s * d.exposure_s, d.dark_e_per_s);
+        d.image.scaled_add(drift::change(p, d.time_s) * d.exposure_s, d.dark_e_per_s);
         d.image.mapv_inplace(|q| q.max(0.0));
     }
 }

@@ -1,6 +1,7 @@
 //! Gain drift: the amplifier's gain changes slowly.
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
+use crate::drift;
 
 /// A times 1 + rate * time.
 pub struct GainDrift;
@@ -15,20 +16,43 @@ impl Effect for GainDrift {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter {
-            name: "rel_per_s",
-            meaning: "change of the gain per second, relative",
-            unit: "1/s",
-            min: -0.05,
-            max: 0.05,
-            starts: &[1e-4, -1e-4],
-        }]
+        &[
+            drift::SHAPE,
+            Parameter {
+                name: "rel_per_s",
+                meaning: "shape 0: change of the gain per second, relative",
+                unit: "1/s",
+                min: -0.05,
+                max: 0.05,
+                starts: &[1e-4, -1e-4],
+            },
+            Parameter {
+                name: "rel",
+                meaning: "shape 1: excess of the gain at the start, relative",
+                unit: "1",
+                min: -0.5,
+                max: 0.5,
+                starts: &[0.01],
+            },
+            drift::TAU,
+        ]
+    }
+
+    fn uses(&self, p: &[f64], parameter: usize) -> bool {
+        drift::uses(p, parameter)
+    }
+
+    fn usual(&self, parameter: usize) -> Option<f64> {
+        drift::usual(parameter)
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        Some(drift::form(p))
     }
 
     /// Flats of two times are needed: darks show a drift of their noise only, which has other causes too.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
-        let starts = if seen.flat_sets < 2 { &[] } else { self.parameters()[0].starts };
-        starts.iter().map(|rate| vec![*rate]).collect()
+        if seen.flat_sets < 2 { Vec::new() } else { drift::starts(&[1e-4, -1e-4], 0.01, seen) }
     }
 
     /// One amplifier serves all pixels.
@@ -37,13 +61,13 @@ impl Effect for GainDrift {
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
-        Some(vec![0.006 / (300.0 * plain.frame_s)])
+        Some(vec![0.0, 0.006 / (300.0 * plain.frame_s), 0.0, 60.0 * plain.frame_s])
     }
 
     fn page(&self) -> Page {
         Page {
             what: "The camera warms up and its gain with it.",
-            equation: "A(t) = A(0) (1 + rate t)",
+            equation: "A(t) = A(0) (1 + rate t); or A(late) (1 + rel exp(-t / tau))",
             signature: "the repeated reference level moves with time; dark charge and all noise move with it",
             look_alikes: "illumination drift leaves dark charge and read noise alone: only dark charge or very many frames tell",
             remedy: "let the camera warm up; repeat a reference level",
@@ -56,7 +80,7 @@ impl Effect for GainDrift {
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let mut of_set = vec![(0.0, 0.0); c.sets.len()];
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
-            let gain = 1.0 + p[0] * frame.time_s;
+            let gain = 1.0 + drift::change(p, frame.time_s);
             *m *= gain;
             if let Some(s) = of_set.get_mut(frame.set) {
                 *s = (s.0 + gain * gain, s.1 + 1.0);
@@ -69,7 +93,7 @@ impl Effect for GainDrift {
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
-        let gain = 1.0 + p[0] * d.time_s;
+        let gain = 1.0 + drift::change(p, d.time_s);
         d.image.mapv_inplace(|v| v * gain);
     }
 }

@@ -1,14 +1,10 @@
 //! Illumination drift: the lamp slowly becomes brighter or darker.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
+use crate::drift;
 
 /// Light times 1 + rate * time, or 1 + rel * exp(-time / tau).
 pub struct IlluminationDrift;
-
-/// Relative change of the light at a time.
-fn change(p: &[f64], time_s: f64) -> f64 {
-    if p[0] >= 0.5 { p[2] * libm::exp(-time_s / p[3].max(1e-9)) } else { p[1] * time_s }
-}
 
 impl Effect for IlluminationDrift {
     fn id(&self) -> &'static str {
@@ -25,14 +21,7 @@ impl Effect for IlluminationDrift {
 
     fn parameters(&self) -> &'static [Parameter] {
         &[
-            Parameter {
-                name: "shape",
-                meaning: "0: a straight line in time, 1: a lamp that warms up",
-                unit: "choice",
-                min: 0.0,
-                max: 1.0,
-                starts: &[0.0, 1.0],
-            },
+            drift::SHAPE,
             Parameter {
                 name: "rel_per_s",
                 meaning: "shape 0: change of the light per second, relative",
@@ -49,29 +38,24 @@ impl Effect for IlluminationDrift {
                 max: 0.5,
                 starts: &[0.01],
             },
-            Parameter {
-                name: "tau_s",
-                meaning: "shape 1: time constant of the warming up",
-                unit: "s",
-                min: 1e-3,
-                max: 1e5,
-                starts: &[],
-            },
+            drift::TAU,
         ]
     }
 
     fn uses(&self, p: &[f64], parameter: usize) -> bool {
-        parameter == 0 || (parameter >= 2) == (p[0] >= 0.5)
+        drift::uses(p, parameter)
+    }
+
+    fn usual(&self, parameter: usize) -> Option<f64> {
+        drift::usual(parameter)
     }
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {
-        Some(if p[0] >= 0.5 { "it settles" } else { "straight in time" })
+        Some(drift::form(p))
     }
 
-    fn starts(&self, seen: &super::Seen) -> Vec<Vec<f64>> {
-        let mut all = vec![vec![0.0, 1e-4, 0.0, 1.0]];
-        all.extend([0.1, 0.4].map(|part| vec![1.0, 0.0, 0.01, part * seen.duration_s.max(1e-3)]));
-        all
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        drift::starts(&[1e-4], 0.01, seen)
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
@@ -96,7 +80,7 @@ impl Effect for IlluminationDrift {
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
             let Some(info) = c.sets.get(frame.set).filter(|s| s.light.is_some()) else { continue };
             let light = *m - out.base.dark_e_per_s * info.exposure_s;
-            let more = change(p, frame.time_s) * light;
+            let more = drift::change(p, frame.time_s) * light;
             *m += more;
             of_set[frame.set].0 += more;
             of_set[frame.set].1 += 1.0;
@@ -108,7 +92,7 @@ impl Effect for IlluminationDrift {
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
-        d.image.scaled_add(change(p, d.time_s) * d.exposure_s, d.rate_e_per_s);
+        d.image.scaled_add(drift::change(p, d.time_s) * d.exposure_s, d.rate_e_per_s);
         d.image.mapv_inplace(|q| q.max(0.0));
     }
 }

@@ -127,6 +127,8 @@ pub struct Seen {
     pub together_dn4: Option<(f64, f64)>,
     /// Code below which one in two hundred samples of the darks lies, from the black level, DN.
     pub darkest_dn: Option<f64>,
+    /// The same as it is in the files, DN.
+    pub darkest_code: Option<f64>,
 }
 
 /// Part of a lamp ripple's amplitude that an exposure leaves, with its sign: sinc(f T), since an exposure is a
@@ -414,6 +416,11 @@ pub trait Effect: Sync + Send {
     /// What only a combination of parameters may tell, where single ones are not known.
     fn together(&self, _p: &[f64]) -> Option<Together> {
         None
+    }
+    /// Twice the logarithm of how many times rarer it is than what looks the same: of two that a campaign
+    /// cannot tell apart the more common one stands first.
+    fn rarer(&self) -> f64 {
+        0.0
     }
     /// Whether frames depend on those before them: what was exposed before the first is then not known.
     fn has_memory(&self) -> bool {

@@ -1,6 +1,7 @@
 //! Offset drift: the black level wanders.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
+use crate::drift;
 
 /// Black level plus rate * time.
 pub struct OffsetDrift;
@@ -15,14 +16,42 @@ impl Effect for OffsetDrift {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter {
-            name: "dn_per_s",
-            meaning: "change of the black level per second",
-            unit: "DN/s",
-            min: -10.0,
-            max: 10.0,
-            starts: &[1e-3, -1e-3],
-        }]
+        &[
+            drift::SHAPE,
+            Parameter {
+                name: "dn_per_s",
+                meaning: "shape 0: change of the black level per second",
+                unit: "DN/s",
+                min: -10.0,
+                max: 10.0,
+                starts: &[1e-3, -1e-3],
+            },
+            Parameter {
+                name: "dn",
+                meaning: "shape 1: excess of the black level at the start",
+                unit: "DN",
+                min: -1e4,
+                max: 1e4,
+                starts: &[1.0],
+            },
+            drift::TAU,
+        ]
+    }
+
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        drift::starts(&[1e-3, -1e-3], 1.0, seen)
+    }
+
+    fn uses(&self, p: &[f64], parameter: usize) -> bool {
+        drift::uses(p, parameter)
+    }
+
+    fn usual(&self, parameter: usize) -> Option<f64> {
+        drift::usual(parameter)
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        Some(drift::form(p))
     }
 
     /// A glow fades where it glows; the black level moves everywhere.
@@ -31,13 +60,13 @@ impl Effect for OffsetDrift {
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
-        Some(vec![0.06 / (300.0 * plain.frame_s)])
+        Some(vec![0.0, 0.06 / (300.0 * plain.frame_s), 0.0, 60.0 * plain.frame_s])
     }
 
     fn page(&self) -> Page {
         Page {
             what: "The black level moves with temperature.",
-            equation: "offset(t) = offset(0) + rate t",
+            equation: "offset(t) = offset(0) + rate t; or offset(late) + dn exp(-t / tau)",
             signature: "darks and flats move with time by the same DN; no noise changes",
             look_alikes: "dark current that grows with temperature scales with exposure",
             remedy: "a black clamp; darks taken between the flats",
@@ -49,11 +78,12 @@ impl Effect for OffsetDrift {
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
-            *m += p[0] * frame.time_s;
+            *m += drift::change(p, frame.time_s);
         }
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
-        d.image.mapv_inplace(|v| v + p[0] * d.time_s);
+        let more = drift::change(p, d.time_s);
+        d.image.mapv_inplace(|v| v + more);
     }
 }

@@ -50,7 +50,7 @@ impl Effect for SpatialFilter {
                 name: "strength",
                 meaning: "s: positive sharpens, negative smooths",
                 unit: "1",
-                min: -0.49,
+                min: -0.95,
                 max: 3.0,
                 starts: &[0.05],
             },
@@ -77,7 +77,9 @@ impl Effect for SpatialFilter {
 
     /// Each kernel, of whole codes and of finer ones.
     fn starts(&self, _: &Seen) -> Vec<Vec<f64>> {
-        (0..6).map(|k| vec![0.05, f64::from(k % 3), f64::from(k / 3)]).collect()
+        let weak = (0..6).map(|k| vec![0.05, f64::from(k % 3), f64::from(k / 3)]);
+        // The mean over 3 x 3 pixels by 1, 2, 1 is -0.75.
+        weak.chain([0.0, 1.0].map(|of| vec![-0.6, 2.0, of])).collect()
     }
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {

@@ -1,0 +1,58 @@
+//! Change with time: a straight line, or one that settles, as what warms up does (the first time constant of
+//! a body's way to its surroundings: Newton's law of cooling). Four values: the shape, the change per second,
+//! the excess at the start, the time constant.
+
+use crate::effects::{Parameter, Seen};
+
+/// Choice between the two.
+pub(crate) const SHAPE: Parameter = Parameter {
+    name: "shape",
+    meaning: "0: a straight line in time, 1: it settles",
+    unit: "choice",
+    min: 0.0,
+    max: 1.0,
+    starts: &[0.0, 1.0],
+};
+
+/// Time constant of the second.
+pub(crate) const TAU: Parameter = Parameter {
+    name: "tau_s",
+    meaning: "shape 1: time constant of the settling",
+    unit: "s",
+    min: 1e-3,
+    max: 1e5,
+    starts: &[],
+};
+
+/// Time constants that a search starts from, in durations of the campaign.
+const PARTS: [f64; 2] = [0.1, 0.4];
+
+fn settles(p: &[f64]) -> bool {
+    p[0] >= 0.5
+}
+
+/// Change at a time.
+pub(crate) fn change(p: &[f64], time_s: f64) -> f64 {
+    if settles(p) { p[2] * libm::exp(-time_s / p[3].max(1e-9)) } else { p[1] * time_s }
+}
+
+/// Whether a shape uses a parameter.
+pub(crate) fn uses(p: &[f64], parameter: usize) -> bool {
+    parameter == 0 || (parameter >= 2) == settles(p)
+}
+
+/// The shape in words.
+pub(crate) fn form(p: &[f64]) -> &'static str {
+    if settles(p) { "it settles" } else { "straight in time" }
+}
+
+/// Starts with these changes per second, and with this excess.
+pub(crate) fn starts(rates: &[f64], excess: f64, seen: &Seen) -> Vec<Vec<f64>> {
+    let straight = rates.iter().map(|rate| vec![0.0, *rate, 0.0, 1.0]);
+    straight.chain(PARTS.map(|part| vec![1.0, 0.0, excess, part * seen.duration_s.max(1e-3)])).collect()
+}
+
+/// Values of a model that gives the change per second alone.
+pub(crate) fn usual(parameter: usize) -> Option<f64> {
+    [Some(0.0), None, Some(0.0), Some(1.0)][parameter.min(3)]
+}
