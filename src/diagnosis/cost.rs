@@ -14,6 +14,8 @@ use crate::observables::{Observations, expectations, mean, variance};
 use radcam_sim::effects::{self, Effect};
 use serde::{Deserialize, Serialize};
 
+use super::sensor::NOT_DETERMINED;
+
 /// Relative errors of three results where an effect is left out of account; 0 where this campaign does not
 /// tell.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -160,7 +162,10 @@ impl Plain {
 pub(super) fn of_effect(all: &Observations, whole: &Fitted, id: &str) -> Cost {
     let rest: Effects = whole.effects.iter().filter(|(e, _)| e.id() != id).cloned().collect();
     let both = Plain::of_model(all, whole, &whole.effects).zip(Plain::of_model(all, whole, &rest));
-    both.map_or_else(Cost::default, |(with, without)| with.against(&without))
+    let cost = both.map_or_else(Cost::default, |(with, without)| with.against(&without));
+    // Beside noise of single pixels that is next to none no share of it means anything.
+    let known = whole.base_std_err[1] < NOT_DETERMINED * whole.base.read_noise_e;
+    Cost { read_noise_rel: if known { cost.read_noise_rel } else { 0.0 }, ..cost }
 }
 
 /// Cost of the remainder: measured means and variances against those that the model expects.

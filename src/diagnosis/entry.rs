@@ -1,5 +1,6 @@
 //! An entry of the answer: an effect with its values and the statistics that show it.
 
+use super::sensor::tells_gain;
 use super::{Cost, Missing, Signature, signatures};
 use crate::inference::{Fitted, Residual};
 use crate::number::Quantity;
@@ -36,7 +37,8 @@ fn parameters(fitted: &Fitted, at: usize, seen: &Seen) -> BTreeMap<String, Quant
     let used = effect.parameters().iter().enumerate().filter(|(k, _)| effect.uses(values, *k));
     let own = |(k, p): (usize, &Parameter)| {
         let std_err = errors[k].hypot(effect.resolution(k, values, seen));
-        (p.name.to_string(), Quantity::new(values[k], std_err, p.unit))
+        let (by, unit) = in_dn(fitted, p.unit);
+        (p.name.to_string(), Quantity::new(by * values[k], by * std_err, unit))
     };
     let mut out: BTreeMap<String, Quantity> = used.map(own).collect();
     let Some(t) = effect.together(values) else { return out };
@@ -51,9 +53,20 @@ fn parameters(fitted: &Fitted, at: usize, seen: &Seen) -> BTreeMap<String, Quant
         of.iter().for_each(|k| {
             out.remove(effect.parameters()[*k].name);
         });
-        out.insert(t.name.into(), Quantity::new(t.value, std_err, t.unit));
+        let (by, unit) = in_dn(fitted, t.unit);
+        out.insert(t.name.into(), Quantity::new(by * t.value, by * std_err, unit));
     }
     out
+}
+
+/// Unit in which a value of this unit is said, and how many of it there are: where nothing tells the gain
+/// electrons are codes.
+fn in_dn(fitted: &Fitted, unit: &'static str) -> (f64, &'static str) {
+    match unit {
+        "e" if !tells_gain(fitted) => (fitted.base.gain_dn_per_e, "DN"),
+        "e/s" if !tells_gain(fitted) => (fitted.base.gain_dn_per_e, "DN/s"),
+        unit => (1.0, unit),
+    }
 }
 
 /// The statistics that deviate without an effect and are mended with it, worst first, and what the effect does.

@@ -300,6 +300,7 @@ fn missing(
             );
         }
     }
+    costliest_first(&mut out);
     let place = place_of_unknown(parts, first_in_doubt.as_deref(), left, [first.error, last.error]);
     if place == Place::Nowhere {
         return out;
@@ -318,6 +319,29 @@ fn missing(
         _ => out.push(unknown),
     }
     out
+}
+
+/// Share of the misfit from which on what costs most stands first, the least such cost, and its least ratio
+/// to that of the largest share (named choices: what costs less is below the per cent that EMVA 1288 asks
+/// for).
+const COSTLY: (f64, f64, f64) = (0.1, 0.01, 5.0);
+
+/// Moves what costs the user far more than the largest share does to the front, with what ties with it.
+fn costliest_first(out: &mut [Missing]) {
+    let Some(first) = out.first().map(|m| m.cost.largest()) else { return };
+    let is_costly = |m: &Missing| {
+        let cost = m.cost.largest();
+        m.tied_with.is_none() && !m.partial && m.share >= COSTLY.0 && cost > COSTLY.1.max(COSTLY.2 * first)
+    };
+    let costly = out.iter().enumerate().filter(|(_, m)| is_costly(m));
+    let Some((k, id)) = costly
+        .max_by(|a, b| a.1.cost.largest().total_cmp(&b.1.cost.largest()))
+        .map(|(k, m)| (k, m.effect.clone()))
+    else {
+        return;
+    };
+    let ties = out[k + 1..].iter().take_while(|m| m.tied_with.as_ref() == Some(&id)).count();
+    out[..=k + ties].rotate_right(1 + ties);
 }
 
 /// What levels and light say against a bend of the means, or that they do not tell it from noise.
@@ -686,9 +710,40 @@ fn what_deviates(first: &Comparison, last: &Comparison, named: bool) -> Vec<Stri
 
 #[cfg(test)]
 mod tests {
-    use super::{STATISTICS, Statistic};
+    use super::{Cost, Missing, STATISTICS, Statistic, costliest_first};
     use crate::inference::{AT_LONG_EXPOSURES, THAT_COME_BACK};
     use radcam_sim::effects;
+
+    /// A filter that makes the gain wrong stands before what has the larger share and costs nothing, with
+    /// what ties with it; a trace and what is not quite right do not.
+    #[test]
+    fn what_costs_most_stands_first() {
+        let entry = |effect: &str, share: f64, gain_rel: f64| Missing {
+            effect: effect.into(),
+            confidence: 1.0,
+            share,
+            cost: Cost { gain_rel, ..Cost::default() },
+            error_drop: 0.0,
+            parameters: Default::default(),
+            form: None,
+            partial: false,
+            nearest: Vec::new(),
+            tied_with: None,
+            evidence: Vec::new(),
+            doubt: None,
+        };
+        let order = |mut list: Vec<Missing>| -> Vec<String> {
+            costliest_first(&mut list);
+            list.into_iter().map(|m| m.effect).collect()
+        };
+        let tied = Missing { tied_with: Some("b".into()), ..entry("c", 0.3, 0.2) };
+        let list = vec![entry("a", 0.6, 0.0), entry("b", 0.3, 0.2), tied, entry("d", 0.1, 0.0)];
+        assert_eq!(order(list), ["b", "c", "a", "d"]);
+        assert_eq!(order(vec![entry("a", 0.95, 0.0), entry("b", 0.05, 0.2)]), ["a", "b"]);
+        let partial = Missing { partial: true, ..entry("b", 0.3, 0.2) };
+        assert_eq!(order(vec![entry("a", 0.7, 0.0), partial]), ["a", "b"]);
+        assert_eq!(order(vec![entry("a", 0.7, 0.05), entry("b", 0.3, 0.2)]), ["a", "b"]);
+    }
 
     /// A name with a slip would never contradict anything.
     #[test]

@@ -80,11 +80,12 @@ fn there(all: &Observations) -> Needs {
     }
 }
 
-/// Price of a model's parameters by BIC, and twice the logarithm of the number of forms of each effect: a prior
-/// that is spread evenly over the forms of a name (Kass and Raftery 1995, J. Am. Stat. Assoc. 90, 773).
+/// Price of a model's parameters by BIC, and twice the logarithm of the number of forms of each effect and of
+/// its rarity: a prior that is spread evenly over the forms of a name (Kass and Raftery 1995, J. Am. Stat.
+/// Assoc. 90, 773).
 fn price(all: &Observations, fitted: &Fitted) -> f64 {
-    let forms: f64 = fitted.effects.iter().map(|(e, _)| (forms(*e) as f64).ln()).sum();
-    fitted.parameters() as f64 * (all.list.len() as f64).ln() + 2.0 * forms
+    let forms: f64 = fitted.effects.iter().map(|(e, _)| 2.0 * (forms(*e) as f64).ln() + e.rarer()).sum();
+    fitted.parameters() as f64 * (all.list.len() as f64).ln() + forms
 }
 
 /// Combinations of the choices of an effect.

@@ -34,7 +34,7 @@ pub struct SensorValues {
 }
 
 /// Error of a value, relative, from which on the campaign does not determine it.
-const NOT_DETERMINED: f64 = 0.3;
+pub(super) const NOT_DETERMINED: f64 = 0.3;
 
 /// True if the gain was fitted. Darks alone tell it only by the shot noise of their dark charge.
 pub(super) fn tells_gain(fitted: &Fitted) -> bool {
@@ -50,7 +50,7 @@ pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorVa
         (std_err.is_finite() && std_err < NOT_DETERMINED * value.abs())
             .then(|| Quantity::new(value, std_err, unit))
     };
-    let dark_noise_over_read_noise = dark_noise(all, whole).filter(|ratio| (ratio - 1.0).abs() > SAID);
+    let mut dark_noise_over_read_noise = dark_noise(all, whole).filter(|ratio| (ratio - 1.0).abs() > SAID);
     let pixels = all.pixel_noise.filter(|p| p.log_spread.is_finite());
     if !tells_gain(whole) {
         let gain = base.gain_dn_per_e;
@@ -65,17 +65,34 @@ pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorVa
             dark_current_e_per_s: None,
         };
     }
-    let read_noise_e = of(base.read_noise_e, errors[1], "e");
+    let (mut rms_e, mut read_noise_e) = (base.read_noise_e, of(base.read_noise_e, errors[1], "e"));
+    // Where neighbours share nearly all of it single pixels have next to none of their own: all of it is the
+    // read noise.
+    if read_noise_e.is_none()
+        && let (Some(ratio), Some(shared_rel)) = (dark_noise_over_read_noise, shared_rel(whole))
+    {
+        let total_e = ratio * base.read_noise_e;
+        rms_e = total_e;
+        read_noise_e = of(total_e, total_e * shared_rel.hypot(errors[0] / base.gain_dn_per_e), "e");
+        dark_noise_over_read_noise = None;
+    }
     SensorValues {
         read_noise_dn: None,
         dark_noise_over_read_noise,
         gain_dn_per_e: of(base.gain_dn_per_e, errors[0], "DN/e"),
-        read_noise_median_e: pixels.filter(|_| read_noise_e.is_some()).map(|p| p.median * base.read_noise_e),
+        read_noise_median_e: pixels.filter(|_| read_noise_e.is_some()).map(|p| p.median * rms_e),
         read_noise_log_spread: pixels.map(|p| p.log_spread),
         noisy_pixel_share: pixels.map(|p| p.noisy),
         read_noise_e,
         dark_current_e_per_s: of(base.dark_e_per_s, errors[3], "e/s"),
     }
+}
+
+/// Relative error of the noise that neighbours of a row share, where a model has it.
+fn shared_rel(whole: &Fitted) -> Option<f64> {
+    let place = whole.effects.iter().position(|(e, _)| e.id() == "read-noise-correlation")?;
+    let (values, errors) = (&whole.effects[place].1, &whole.std_err[place]);
+    Some(errors.get(1)? / values.get(1)?)
 }
 
 /// Difference from the read noise from which on the noise of darks is said.

@@ -304,6 +304,7 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
         ripples: all.ripples.fitting,
         steady_dn4: all.steady_dn4.map(|v| (v.value, v.std_err)),
         darkest_dn: all.darkest_dn.map(|code| code - base.offset_dn),
+        darkest_code: all.darkest_dn,
         together_dn4: all.together_dn4.and_then(|of| {
             let of = of.map(|v| (v.value, v.std_err)).into_iter().filter(|v| v.1 > 0.0);
             of.max_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)))

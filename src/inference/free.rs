@@ -14,8 +14,8 @@ const LIGHT_FLOOR: f64 = 5e-5;
 /// one that is known to a fifth of itself has its error changed by less than a two-hundredth.
 const FACTOR: f64 = 2.0;
 
-/// Least read noise, DN (a named choice: beside the 0.29 DN of rounding it is none). A variance does not change with its root at 0, and a
-/// fit that came there would never leave.
+/// Least read noise, DN (a named choice: beside the 0.29 DN of rounding it is none). A variance does not
+/// change with its root at 0, and a fit that came there would never leave.
 const LEAST_READ_DN: f64 = 0.01;
 
 /// A value that is common to all sets.
@@ -119,9 +119,18 @@ fn of_base(all: &Observations, base: &BaseParameters) -> Vec<Entry> {
     // Of a table the level without light was taken off.
     let table = all.is_table;
     let no_gain = !has_flats(all) && of_darks(all, base.offset_dn).is_none();
+    // Darks of two exposures may fall for reasons of their own, which is said; what flats say of a single
+    // dark is no reason for a charge below 0.
+    let dark = if all.darks_tell_dark_current() { ANY } else { (0.0, f64::INFINITY) };
     let mut list = vec![
         entry(Common::Gain, 0.0, 1.0, no_gain, (-14.0, 14.0)),
-        entry(Common::Read, base.read_noise_e, 0.0, false, (LEAST_READ_DN / base.gain_dn_per_e, f64::INFINITY)),
+        entry(
+            Common::Read,
+            base.read_noise_e,
+            0.0,
+            false,
+            (LEAST_READ_DN / base.gain_dn_per_e, f64::INFINITY),
+        ),
         entry(
             Common::ReadSpread,
             base.read_noise_spread,
@@ -130,7 +139,7 @@ fn of_base(all: &Observations, base: &BaseParameters) -> Vec<Entry> {
             (0.0, MOST_SPREAD),
         ),
         entry(Common::Offset, base.offset_dn, 0.0, table, if table { ANY } else { zero_bounds(all) }),
-        entry(Common::Dark, base.dark_e_per_s, 0.0, table || !all.tells_dark_current(None), ANY),
+        entry(Common::Dark, base.dark_e_per_s, 0.0, table || !all.tells_dark_current(None), dark),
         entry(Common::Light, 0.0, 1.0, false, ANY),
     ];
     if let Some(rel) = base.setting_rel {

@@ -167,7 +167,7 @@ fn zero_and_dark(all: &Observations) -> (f64, f64) {
     let longest = darks.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0));
     match (shortest, longest) {
         (Some(a), Some(b)) if b.0 > a.0 => (a.1, ((b.1 - a.1) / (b.0 - a.0)).max(0.0)),
-        (Some(a), _) if are_long(all, a.0) => {
+        (Some(a), _) if are_long(all, a.0) || is_far_above_the_flats(all, a.1) => {
             let zero_dn = zero_of_flats(all).map_or(a.1, |zero_dn| zero_dn.clamp(0.0, a.1));
             (zero_dn, (a.1 - zero_dn) / a.0)
         }
@@ -181,6 +181,17 @@ fn are_long(all: &Observations, exposure_s: f64) -> bool {
     let of_flats = |(set, _): (usize, f64)| all.campaign.sets[set].exposure_s;
     let longest = values(all, &mean::Mean, Some(Kind::Flat)).map(of_flats).fold(0.0, f64::max);
     longest > 0.0 && exposure_s > LONG_DARKS * longest
+}
+
+/// Noise of darks, the largest of their deviations, DN.
+fn dark_noise_dn(all: &Observations) -> f64 {
+    values(all, &variance::Variance, Some(Kind::Dark)).map(|v| v.1).fold(0.0, f64::max).sqrt()
+}
+
+/// Returns true for darks that lie above the level of the flats at zero exposure by more than
+/// [`AROUND_DARKS`]: charge that was collected without light.
+fn is_far_above_the_flats(all: &Observations, dark_dn: f64) -> bool {
+    zero_of_flats(all).is_some_and(|zero_dn| dark_dn - zero_dn > AROUND_DARKS * dark_noise_dn(all).max(1.0))
 }
 
 /// Level of the flats at zero exposure, DN: that of the line through the shortest and the median one, of the light
@@ -207,7 +218,7 @@ pub(super) fn zero_bounds(all: &Observations) -> (f64, f64) {
     let darks: Vec<(f64, f64)> = values(all, &mean::Mean, Some(Kind::Dark))
         .map(|(s, m)| (all.campaign.sets[s].exposure_s, m))
         .collect();
-    let noise_dn = values(all, &variance::Variance, Some(Kind::Dark)).map(|v| v.1).fold(0.0, f64::max).sqrt();
+    let noise_dn = dark_noise_dn(all);
     let of = |pick: fn(f64, f64) -> f64, from: f64| darks.iter().map(|d| d.1).fold(from, pick);
     let (lowest, highest) = (of(f64::min, f64::INFINITY), of(f64::max, f64::NEG_INFINITY));
     if !lowest.is_finite() || !highest.is_finite() {
@@ -218,7 +229,8 @@ pub(super) fn zero_bounds(all: &Observations) -> (f64, f64) {
     let times = if longest > shortest { longest / (longest - shortest) } else { 1.0 };
     let around = times * (highest - lowest) + AROUND_DARKS * noise_dn.max(1.0);
     // All of the level may be dark charge.
-    let charge = if times == 1.0 && are_long(all, longest) { lowest.max(0.0) } else { 0.0 };
+    let is_charge = times == 1.0 && (are_long(all, longest) || is_far_above_the_flats(all, lowest));
+    let charge = if is_charge { lowest.max(0.0) } else { 0.0 };
     (lowest - around - charge, highest + around)
 }
 

@@ -131,13 +131,32 @@ impl Observations {
         self.list.iter().filter(move |o| o.is(statistic))
     }
 
-    /// Returns true if dark charge can be told from the black level: darks, or flats of one light, have two
-    /// exposures. A half that leaves it to its flats, where all darks together tell it, tells it badly.
+    /// Returns true if dark charge can be told from the black level and from light: darks have two exposures,
+    /// or flats of one light have, and there is a dark or another known light beside them. A half that leaves
+    /// it to its flats, where all darks together tell it, tells it badly.
     pub fn tells_dark_current(&self, half: Option<Half>) -> bool {
         if half.is_some() && self.exposures_differ(None, true) {
             return self.exposures_differ(half, true);
         }
-        self.exposures_differ(half, true) || self.exposures_differ(half, false)
+        self.exposures_differ(half, true)
+            || (self.exposures_differ(half, false) && self.has_another_level(half))
+    }
+
+    /// Returns true if darks have two exposures.
+    pub fn darks_tell_dark_current(&self) -> bool {
+        self.exposures_differ(None, true)
+    }
+
+    /// Whether a dark, or flats of two lights of a known lamp, tell dark charge from the light of flats.
+    fn has_another_level(&self, half: Option<Half>) -> bool {
+        let looked_at = |o: &&Observable| o.half != Half::Both && half.is_none_or(|h| o.half == h);
+        let mut sets = self.of(&mean::Mean).filter(looked_at).filter_map(|o| o.set);
+        let mut light = None;
+        sets.any(|s| {
+            let own = self.campaign.sets[s].illumination;
+            let another = *light.get_or_insert(own) != own && self.light_rel_std.is_some();
+            self.kinds[s] == Kind::Dark || another
+        })
     }
 
     /// Whether darks, or flats of one light, have two exposures.
@@ -313,7 +332,7 @@ pub fn of_dataset(
     let no_flats = chunks.iter().all(|c| settings[c.set].kind != Kind::Flat);
     if no_flats {
         missing.push(
-            "no flats that can be used (two frames that are not clipped): darks tell noise, offsets and dark charge, and no gain; what is said in e is in DN, unless the noise of the dark charge \
+            "no flats that can be used (two frames that are not clipped): darks tell noise, offsets and dark charge, and no gain, unless the noise of the dark charge \
              tells the gain"
                 .into(),
         );
@@ -500,11 +519,15 @@ pub fn of_dataset(
         no_black_level: camera.black_level_dn.is_some_and(|level| level <= 0.0),
     };
     if !no_flats && !all.tells_dark_current(None) {
-        all.missing.push(
-            "every light has one exposure, and so have the darks: dark current cannot be told from black level and read noise, and is taken \
-             as 0; darks at two exposures tell it"
-                .into(),
-        );
+        let darks = all
+            .of(&mean::Mean)
+            .any(|o| o.half != Half::Both && o.set.is_some_and(|s| all.kinds[s] == Kind::Dark));
+        let why = if darks {
+            "every light has one exposure, and so have the darks: dark current cannot be told from black level and read noise"
+        } else {
+            "no darks that can be used (of two frames or more): dark current cannot be told from light"
+        };
+        all.missing.push(format!("{why}, and is taken as 0; darks at two exposures tell it"));
     }
     Ok(all)
 }
@@ -596,9 +619,7 @@ fn place(of: &dyn Statistic) -> Option<usize> {
 fn peaks(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> [Option<line_peak::Peak>; 2] {
     let spectra: [(Axis, &dyn Statistic); 2] =
         [(Axis::Rows, &row_spectrum::RowSpectrum), (Axis::Columns, &column_spectrum::ColumnSpectrum)];
-    spectra.map(|(axis, of)| {
-        line_peak::find(chunks, settings, zero_dn, axis, place(of)?)
-    })
+    spectra.map(|(axis, of)| line_peak::find(chunks, settings, zero_dn, axis, place(of)?))
 }
 
 /// Frequencies to start from, the strongest peak of all frames first.

@@ -717,7 +717,8 @@ fn no_growth(frames: u64, openings: u32) {
     assert!(grown < 1 << 20, "{grown} bytes");
     let mut open = |times: u32| (0..times).map(|_| stream_for(5, 0)).max();
     open(5);
-    // The allocator takes memory for new threads now and then, a megabyte at once; what leaks grows each time.
+    // The allocator takes memory for new threads now and then, a megabyte at once; what leaks grows each
+    // time.
     let mut round = || {
         let before = resident();
         open(openings);
@@ -725,7 +726,7 @@ fn no_growth(frames: u64, openings: u32) {
         println!("{openings} openings: {each} bytes each");
         each
     };
-    let each = (0..4).map(|_| round()).find(|&each| each < 4096).unwrap_or_else(|| round());
+    let each = (0..4).map(|_| round()).find(|&each| each < 4096).unwrap_or_else(round);
     // A description alone has 30 kB, a buffer of a frame 6 kB.
     assert!(each < 4096, "{each} bytes");
 }
