@@ -391,8 +391,8 @@ pub fn of_dataset(
                 String::new()
             };
             report.notes.push(format!(
-                "the flats meet zero exposure {charge_dn:.1} DN below the darks, which have one exposure: so much dark charge is in them, and its noise \
-                 is in the constant noise. The read noise is less than {most} e⁻{about}. Take darks at two exposures"
+                "the flats meet zero exposure {charge_dn:.1} DN below the darks, which have one exposure: so much dark charge is in them \
+                 (unless exposures are shorter than stated), and its noise is in the constant noise. The read noise is less than {most} e⁻{about}. Take darks at two exposures"
             ));
         }
     }
