@@ -1,6 +1,6 @@
 //! Spectrum of the column means: stripes down the image that move from frame to frame. Its peaks give a
 //! search its starts, and the strongest one of the campaign is an observable
-//! ([`line_peak`](super::line_peak)).
+//! ([`line_peak`]).
 
 use super::line_peak::{self, Axis};
 use super::{Expected, HalfView, Observable, Put, Statistic, View, row_spectrum};

@@ -1,5 +1,5 @@
 //! Spectrum of the row means: at which frequencies light ripples down the rows. Its peaks give a search its
-//! starts, and the strongest one of the campaign is an observable ([`line_peak`](super::line_peak)).
+//! starts, and the strongest one of the campaign is an observable ([`line_peak`]).
 
 use super::line_peak::{self, Axis};
 use super::{Expected, HalfView, Observable, Put, Statistic, View};
