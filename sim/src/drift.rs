@@ -24,6 +24,16 @@ pub(crate) const TAU: Parameter = Parameter {
     starts: &[],
 };
 
+/// Change per second of light or gain.
+pub(crate) const fn relative_rate(meaning: &'static str) -> Parameter {
+    Parameter { name: "rel_per_s", meaning, unit: "1/s", min: -0.05, max: 0.05, starts: &[1e-4, -1e-4] }
+}
+
+/// Excess of light or gain at the start.
+pub(crate) const fn relative_excess(meaning: &'static str) -> Parameter {
+    Parameter { name: "rel", meaning, unit: "1", min: -0.5, max: 0.5, starts: &[0.01] }
+}
+
 /// Time constants that a search starts from, in durations of the campaign.
 const PARTS: [f64; 2] = [0.1, 0.4];
 
@@ -36,7 +46,7 @@ pub(crate) fn change(p: &[f64], time_s: f64) -> f64 {
     if settles(p) { p[2] * libm::exp(-time_s / p[3].max(1e-9)) } else { p[1] * time_s }
 }
 
-/// Whether a shape uses a parameter.
+/// Use of a parameter by a shape.
 pub(crate) fn uses(p: &[f64], parameter: usize) -> bool {
     parameter == 0 || (parameter >= 2) == settles(p)
 }
@@ -56,3 +66,21 @@ pub(crate) fn starts(rates: &[f64], excess: f64, seen: &Seen) -> Vec<Vec<f64>> {
 pub(crate) fn usual(parameter: usize) -> Option<f64> {
     [Some(0.0), None, Some(0.0), Some(1.0)][parameter.min(3)]
 }
+
+/// Methods of an effect whose values are those four.
+macro_rules! in_time {
+    () => {
+        fn uses(&self, p: &[f64], parameter: usize) -> bool {
+            $crate::drift::uses(p, parameter)
+        }
+
+        fn usual(&self, parameter: usize) -> Option<f64> {
+            $crate::drift::usual(parameter)
+        }
+
+        fn form(&self, p: &[f64]) -> Option<&'static str> {
+            Some($crate::drift::form(p))
+        }
+    };
+}
+pub(crate) use in_time;

@@ -140,8 +140,8 @@ impl SetView {
         self.exposure_s * self.illumination
     }
 
-    /// Returns true if level, noise and fixed pattern are known. The pattern is that of all frames: none may be
-    /// left out.
+    /// Returns true if level, noise and fixed pattern are known. The pattern is that of all frames: none may
+    /// be left out.
     pub fn has_pattern(&self) -> bool {
         let whole = self.kept.iter().all(|kept| *kept);
         whole && !self.clipped && self.variance_dn2().is_some() && self.facts.middle_dn.len() >= MIN_PIXELS
@@ -492,7 +492,8 @@ fn shares(mut changes: Vec<(f64, f64)>) -> Vec<f64> {
     changes.into_iter().map(|c| c.1 / c.0).collect()
 }
 
-/// Median of shares that are one; `None` where they scatter as those of flicker do, or are too small to matter.
+/// Median of shares that are one; `None` where they scatter as those of flicker do, or are too small to
+/// matter.
 fn usual(shares: &[f64]) -> Option<f64> {
     let share = median(shares.iter().copied());
     let scatter = median(shares.iter().map(|s| (s - share).abs())) / MAD_OF_NORMAL;
@@ -525,8 +526,8 @@ mod tests {
     use super::usual;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Flicker of any size is no share that is carried: at most 1 in 1000 of 20,000 campaigns of 8 to 30 changes. A lag
-    /// of 1 % under flicker of 0.1 % is found in all.
+    /// Flicker of any size is no share that is carried: at most 1 in 1000 of 20,000 campaigns of 8 to 30
+    /// changes. A lag of 1 % under flicker of 0.1 % is found in all.
     #[test]
     fn flicker_is_no_lag() {
         let mut false_ones = 0;

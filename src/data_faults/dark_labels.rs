@@ -50,8 +50,8 @@ fn spread_dn2(set: &SetView) -> f64 {
     pattern.iter().map(|v| v * v).sum::<f64>() / pattern.len().max(1) as f64 - noise_of_mean(set)
 }
 
-/// Returns true if black level and noise of dark b are those of dark a divided by one number, or b has no noise
-/// at all: codes that lost their last bits, or an image that is not of the sensor.
+/// Returns true if black level and noise of dark b are those of dark a divided by one number, or b has no
+/// noise at all: codes that lost their last bits, or an image that is not of the sensor.
 fn is_scaled(a: &SetView, b: &SetView) -> bool {
     let deviation = |set: &SetView| set.variance_dn2().map_or(0.0, |v| v.0.sqrt());
     let (level, noise) = (a.level_dn() / b.level_dn(), deviation(a) / deviation(b));

@@ -66,8 +66,8 @@ pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorVa
         };
     }
     let (mut rms_e, mut read_noise_e) = (base.read_noise_e, of(base.read_noise_e, errors[1], "e"));
-    // Where neighbours share nearly all of it single pixels have next to none of their own: all of it is the
-    // read noise.
+    // Noise that neighbours share nearly whole leaves next to none to single pixels: all of it is the read
+    // noise.
     if read_noise_e.is_none()
         && let (Some(ratio), Some(shared_rel)) = (dark_noise_over_read_noise, shared_rel(whole))
     {

@@ -9,8 +9,8 @@ use std::path::Path;
 /// Frames, rows, columns.
 pub type Stack = Array3<f64>;
 
-/// Columns up to which the last axis of a stack may count frames (a named choice: no sensor is that narrow, and
-/// few windows are).
+/// Columns up to which the last axis of a stack may count frames (a named choice: no sensor is that narrow,
+/// and few windows are).
 const NARROWEST: usize = 16;
 
 /// Most axes of an array of NumPy (NPY_MAXDIMS of version 2).

@@ -200,8 +200,8 @@ pub fn fewer_bits(sets: &mut [Growing], found: &[Found]) {
     }
 }
 
-/// Questions frames whose codes are all multiples of 4 or more where others' are not: shifted in some files and
-/// not in the rest.
+/// Questions frames whose codes are all multiples of 4 or more where others' are not: shifted in some files
+/// and not in the rest.
 pub fn shifted_codes(sets: &mut [Growing], found: &[Found]) {
     let step = |f: &Found| 1u32 << f.bits.trailing_zeros().min(15);
     // A frame of one code alone has that code's bits.

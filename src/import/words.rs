@@ -490,8 +490,8 @@ fn tells_of_a_correction(line: &str) -> bool {
         && !line.split_whitespace().any(|w| w == "not" || w == "no")
 }
 
-/// Returns true if a line of a header's history says that several exposures were combined: `imcombine: average
-/// of 8`, `Stacking result of 10 images`.
+/// Returns true if a line of a header's history says that several exposures were combined: `imcombine:
+/// average of 8`, `Stacking result of 10 images`.
 fn tells_of_a_combination(line: &str) -> bool {
     const WORDS: [&str; 8] = [
         "imcombine",

@@ -10,9 +10,8 @@ use crate::statistics::peak::{strays, turn_off};
 /// Adjacent levels on one side of the line from which on they are a curve, and no outliers.
 const CURVE: usize = 3;
 
-/// Share of the highest level that the variance's peak has at least where wells fill: beyond it the mean hardly
-/// rises
-/// (EMVA 1288 release 4, 6.5; a named choice).
+/// Share of the highest level that the variance's peak has at least where wells fill: beyond it the mean
+/// hardly rises (EMVA 1288 release 4, 6.5; a named choice).
 const LEAST_PEAK: f64 = 0.5;
 
 /// Marks levels whose variance lies far above that of the levels around: one of them would be taken for the

@@ -381,9 +381,9 @@ fn by_memory(level: &Level, share: f64) -> f64 {
 /// independent frames.
 ///
 /// The variance of y_t = (1 - f) x_t + f y_(t-1) is (1 - f) / (1 + f) that of x, frames k apart have the
-/// correlation f^k (Box and Jenkins 1976, 3.2.3), and the variance about the mean of n frames is less by
-/// 2 / (n - 1) times the sum of (1 - k / n) f^k (ibid., 2.1.5: the variance of a mean). Charge that is read with the
-/// next frame only makes nearly the same of both.
+/// correlation f^k (Box and Jenkins 1976, 3.2.3), and the variance about the mean of n frames is less by 2 /
+/// (n - 1) times the sum of (1 - k / n) f^k (ibid., 2.1.5: the variance of a mean). Charge that is read with
+/// the next frame only makes nearly the same of both.
 fn kept_variance(share: f64, frames: u64) -> f64 {
     let n = frames as f64;
     let shared: f64 = (1..frames.min(100)).map(|k| (1.0 - k as f64 / n) * share.powi(k as i32)).sum();
@@ -600,8 +600,8 @@ pub(crate) fn pixels_from_scatter(points: &mut [Point]) -> Counts {
 mod tests {
     use super::*;
 
-    /// Drawn sets of 2, 5 and 16 frames, each of which carries 3 or 20 % of the one before: the variance within five
-    /// standard errors of 40,000 sets.
+    /// Drawn sets of 2, 5 and 16 frames, each of which carries 3 or 20 % of the one before: the variance
+    /// within five standard errors of 40,000 sets.
     #[test]
     fn frames_that_carry_the_one_before_have_this_variance() {
         use radcam_sim::rng::{PixelRng, Stream};

@@ -526,8 +526,9 @@ pub fn of_table(table: &Table) -> Result<NoiseReport, NoiseError> {
     Ok(report)
 }
 
-/// Black level that the means of a table contain, DN: the line of the variances (Healey and Kondepudy 1994, eq. 41)
-/// meets zero there, and no variance is below zero. `None` where the line leaves a constant noise, or is none.
+/// Black level that the means of a table contain, DN: the line of the variances (Healey and Kondepudy 1994,
+/// eq. 41) meets zero there, and no variance is below zero. `None` where the line leaves a constant noise, or
+/// is none.
 pub(crate) fn black_level_of(table: &Table) -> Option<Quantity> {
     let zero = Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO, moved_dn: 0.0 };
     let report = estimate(table_points(table), &zero).ok()?;

@@ -147,7 +147,8 @@ impl Observations {
         self.exposures_differ(None, true)
     }
 
-    /// Whether a dark, or flats of two lights of a known lamp, tell dark charge from the light of flats.
+    /// Returns true if a dark, or flats of two lights of a known lamp, tell dark charge from the light of the
+    /// flats.
     fn has_another_level(&self, half: Option<Half>) -> bool {
         let looked_at = |o: &&Observable| o.half != Half::Both && half.is_none_or(|h| o.half == h);
         let mut sets = self.of(&mean::Mean).filter(looked_at).filter_map(|o| o.set);

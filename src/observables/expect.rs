@@ -268,7 +268,7 @@ impl Whole {
 }
 
 impl<'a> View<'a> {
-    /// What is expected at the peak of a spectrum of line means.
+    /// Expected power at the peak of a spectrum of line means.
     pub fn peak(&self, axis: Axis, o: &Observable) -> Expected {
         match &self.all.peaks[axis as usize] {
             Some(peak) => peak.expect(o, self),

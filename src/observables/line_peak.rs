@@ -152,7 +152,7 @@ pub(super) fn find(
     if bins < first + BESIDE.end() {
         return None;
     }
-    // What is the same in all frames, and of rows what is in proportion to the light.
+    // Ripples of one size in all frames, and of rows those in proportion to the light.
     let additive = |s: &Spectrum<'_>| s.noise_dn2.powi(-2);
     let of_light = |s: &Spectrum<'_>| if s.is_dark { 0.0 } else { (s.signal_dn / s.noise_dn2).powi(2) };
     let mut found = strongest(&all, lines, bins, looked_at.clone(), additive);
@@ -254,7 +254,7 @@ impl Peak {
         }
     }
 
-    /// What a prediction has there.
+    /// Power that a prediction has there.
     pub(super) fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let (rows, columns) = view.all.campaign.shape;
         let parts = || self.parts.iter().filter(|p| p.half == o.half && p.group == Group::of(o.index));

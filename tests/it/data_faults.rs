@@ -392,8 +392,9 @@ fn a_field_that_moves_is_named() {
     assert!(text.contains("the field moves or changes while it is taken"), "{text}");
 }
 
-/// Pairs of flats and darks in a random order of a camera with a lag of 10 %, one under a wrong label: that is
-/// named and nothing else, the set that is left out still leaves its charge in the next, and the lag is right. `noise` has a gain that is too low by what frames share, and its error says so.
+/// Pairs of flats and darks in a random order of a camera with a lag of 10 %, one under a wrong label: that
+/// is named and nothing else, the set that is left out still leaves its charge in the next, and the lag is
+/// right. `noise` has a gain that is too low by what frames share, and its error says so.
 #[test]
 fn a_wrong_label_beside_image_lag_is_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -472,8 +473,8 @@ fn dark_first_frames_and_exchanged_kinds_are_named() {
     assert_eq!((faults.len(), &faults[0]["kind"]), (1, &"odd-frame".into()), "{faults:?}");
 }
 
-/// The light of the one stack of flats is stated 5 % too high: the set is named, and PRNU and DSNU, which do not need
-/// the light, are those of the right label.
+/// The light of the one stack of flats is stated 5 % too high: the set is named, and PRNU and DSNU, which do
+/// not need the light, are those of the right label.
 #[test]
 fn a_stack_under_a_wrong_label_still_tells_nonuniformity() {
     let mut campaign = Campaign::new("cmos12", "emva1288", 79);

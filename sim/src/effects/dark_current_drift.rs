@@ -53,17 +53,7 @@ impl Effect for DarkCurrentDrift {
         drift::starts(&[1e-3], 0.1, seen)
     }
 
-    fn uses(&self, p: &[f64], parameter: usize) -> bool {
-        drift::uses(p, parameter)
-    }
-
-    fn usual(&self, parameter: usize) -> Option<f64> {
-        drift::usual(parameter)
-    }
-
-    fn form(&self, p: &[f64]) -> Option<&'static str> {
-        Some(drift::form(p))
-    }
+    drift::in_time!();
 
     fn shows_in_darks(&self) -> bool {
         true

@@ -6,6 +6,9 @@ use crate::drift;
 /// A times 1 + rate * time.
 pub struct GainDrift;
 
+const RATE: Parameter = drift::relative_rate("shape 0: change of the gain per second, relative");
+const EXCESS: Parameter = drift::relative_excess("shape 1: excess of the gain at the start, relative");
+
 impl Effect for GainDrift {
     fn id(&self) -> &'static str {
         "gain-drift"
@@ -16,39 +19,10 @@ impl Effect for GainDrift {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[
-            drift::SHAPE,
-            Parameter {
-                name: "rel_per_s",
-                meaning: "shape 0: change of the gain per second, relative",
-                unit: "1/s",
-                min: -0.05,
-                max: 0.05,
-                starts: &[1e-4, -1e-4],
-            },
-            Parameter {
-                name: "rel",
-                meaning: "shape 1: excess of the gain at the start, relative",
-                unit: "1",
-                min: -0.5,
-                max: 0.5,
-                starts: &[0.01],
-            },
-            drift::TAU,
-        ]
+        &[drift::SHAPE, RATE, EXCESS, drift::TAU]
     }
 
-    fn uses(&self, p: &[f64], parameter: usize) -> bool {
-        drift::uses(p, parameter)
-    }
-
-    fn usual(&self, parameter: usize) -> Option<f64> {
-        drift::usual(parameter)
-    }
-
-    fn form(&self, p: &[f64]) -> Option<&'static str> {
-        Some(drift::form(p))
-    }
+    drift::in_time!();
 
     /// Flats of two times are needed: darks show a drift of their noise only, which has other causes too.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {

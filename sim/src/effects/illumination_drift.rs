@@ -6,6 +6,9 @@ use crate::drift;
 /// Light times 1 + rate * time, or 1 + rel * exp(-time / tau).
 pub struct IlluminationDrift;
 
+const RATE: Parameter = drift::relative_rate("shape 0: change of the light per second, relative");
+const EXCESS: Parameter = drift::relative_excess("shape 1: excess of the light at the start, relative");
+
 impl Effect for IlluminationDrift {
     fn id(&self) -> &'static str {
         "illumination-drift"
@@ -20,39 +23,10 @@ impl Effect for IlluminationDrift {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[
-            drift::SHAPE,
-            Parameter {
-                name: "rel_per_s",
-                meaning: "shape 0: change of the light per second, relative",
-                unit: "1/s",
-                min: -0.05,
-                max: 0.05,
-                starts: &[1e-4],
-            },
-            Parameter {
-                name: "rel",
-                meaning: "shape 1: excess of the light at the start, relative",
-                unit: "1",
-                min: -0.5,
-                max: 0.5,
-                starts: &[0.01],
-            },
-            drift::TAU,
-        ]
+        &[drift::SHAPE, RATE, EXCESS, drift::TAU]
     }
 
-    fn uses(&self, p: &[f64], parameter: usize) -> bool {
-        drift::uses(p, parameter)
-    }
-
-    fn usual(&self, parameter: usize) -> Option<f64> {
-        drift::usual(parameter)
-    }
-
-    fn form(&self, p: &[f64]) -> Option<&'static str> {
-        Some(drift::form(p))
-    }
+    drift::in_time!();
 
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         drift::starts(&[1e-4], 0.01, seen)

@@ -127,7 +127,7 @@ pub struct Seen {
     pub together_dn4: Option<(f64, f64)>,
     /// Code below which one in two hundred samples of the darks lies, from the black level, DN.
     pub darkest_dn: Option<f64>,
-    /// The same as it is in the files, DN.
+    /// That code as it stands in the files, DN.
     pub darkest_code: Option<f64>,
 }
 
@@ -175,7 +175,8 @@ impl Seen {
 /// Reason that no well ends at a charge.
 const BRIGHTER_PIXELS: &str = "many samples hold far more charge than that, and are not cut off";
 
-/// Ratio of the brightest samples to a full well up to which noise and unequal pixels make them (a named choice).
+/// Ratio of the brightest samples to a full well up to which noise and unequal pixels make them (a named
+/// choice).
 const FAR_ABOVE: f64 = 1.5;
 
 impl Parameter {

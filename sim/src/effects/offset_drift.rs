@@ -42,17 +42,7 @@ impl Effect for OffsetDrift {
         drift::starts(&[1e-3, -1e-3], 1.0, seen)
     }
 
-    fn uses(&self, p: &[f64], parameter: usize) -> bool {
-        drift::uses(p, parameter)
-    }
-
-    fn usual(&self, parameter: usize) -> Option<f64> {
-        drift::usual(parameter)
-    }
-
-    fn form(&self, p: &[f64]) -> Option<&'static str> {
-        Some(drift::form(p))
-    }
+    drift::in_time!();
 
     /// A glow fades where it glows; the black level moves everywhere.
     fn told_by(&self) -> &'static [&'static str] {

@@ -14,7 +14,7 @@ fn sign(p: &[f64]) -> f64 {
     if p[0] >= 0.5 { 1.0 } else { -1.0 }
 }
 
-/// Whether it dies away from pixel to pixel.
+/// Returns true for noise that dies away from pixel to pixel.
 fn decays(p: &[f64]) -> bool {
     p[0] >= 1.5
 }
