@@ -450,6 +450,14 @@ impl<'a> View<'a> {
         1.0 / (self.n * (self.n - 1.0)).max(1.0).sqrt()
     }
 
+    /// Error that few frames leave of the variance of a sine of so many lines beside noise of a line's mean, DN^2: their phases (random
+    /// walk), and its products with the noise, whose power at one frequency is that of every other (Priestley 1981, Spectral Analysis and
+    /// Time Series, section 6.2: twice the product of both powers, over the frames).
+    pub fn of_stripes(&self, stripes: f64, noise: f64, lines: usize) -> f64 {
+        let with_noise = 4.0 * stripes.max(0.0) * noise.max(0.0) / (self.dof * lines as f64);
+        in_quadrature(&[self.walk() * stripes, with_noise.sqrt()])
+    }
+
     /// Variance of the means of rows or of columns, as it is measured.
     pub fn line_variance(&self, o: &Observable, rows: bool) -> Expected {
         let Some(s) = self.set() else { return Expected::plain(o, 0.0, 1.0) };
@@ -480,7 +488,11 @@ impl<'a> View<'a> {
             value,
             in_quadrature(&[own, self.walk() * of_lines, 0.3 * self.moving, single, ripple, FIELD * field]),
         )
-        .with_common(ripple.max(self.walk() * of_lines))
+        .with_common(ripple.max(if rows {
+            self.walk() * of_lines
+        } else {
+            self.of_stripes(of_lines, value - of_lines, count)
+        }))
     }
 
     /// Share of noise with these correlations that is left once the mean over the frames is taken off.
