@@ -5,6 +5,7 @@ use super::campaign::SetView;
 use super::law::{Law, Point};
 use super::transfer::Transfer;
 use super::{Campaign, Check, DataFault, FaultKind};
+use crate::dataset::Kind;
 use crate::number::{percent, six_digits};
 
 /// Usual scatter of a set's light: what lamps that nobody touches have (a named choice).
@@ -43,6 +44,11 @@ struct Factors {
 /// Standard deviations of the priors (named choices): exponent of the response, its change over the range, offset
 /// at the lowest light, compression at the highest (two terms), exposure offset, drift of the lamp.
 const PRIORS: [f64; 8] = [1e3, 0.15, 0.03, 0.03, 0.05, 0.05, 0.05, 0.006];
+/// Place among them of the offset at the lowest light, and its prior where darks of one exposure leave their charge
+/// in the zero of flats of others.
+const OFFSET: (usize, f64) = (3, 1.0);
+/// Ratio from which on exposures differ.
+const MIN_EXPOSURE_RATIO: f64 = 1.5;
 
 impl Factors {
     /// `when`: from -0.5 at the first set to 0.5 at the last.
@@ -53,6 +59,22 @@ impl Factors {
         let top = x / self.most;
         vec![1.0, u, u * u, self.least / x, top, top * top, offset, when]
     }
+}
+
+/// Returns true where no darks tell the dark current, and that of the darks is not that of the flats: one exposure,
+/// longer than the shortest of the flats, or another than theirs where the light is changed. A sweep of exposures
+/// takes the rest for light.
+fn charge_is_unknown(
+    campaign: &Campaign<'_>,
+    (shortest_s, longest_s): (f64, f64),
+    light_varies: bool,
+) -> bool {
+    let darks = campaign.places(|s| s.kind == Kind::Dark && !s.clipped);
+    let exposures = || darks.iter().map(|&i| campaign.sets[i].exposure_s);
+    let (least, most) = (exposures().fold(f64::INFINITY, f64::min), exposures().fold(0.0, f64::max));
+    let longer = most > MIN_EXPOSURE_RATIO * shortest_s;
+    let shorter = light_varies && longest_s > MIN_EXPOSURE_RATIO * most;
+    most < MIN_EXPOSURE_RATIO * least && (longer || shorter)
 }
 
 impl Check for SettingLabel {
@@ -94,7 +116,11 @@ impl Check for SettingLabel {
         };
         let points: Vec<Point> = lit.iter().map(|&i| point(i)).collect();
         let few = ((MAX_STRAY_SHARE * lit.len() as f64) as usize).clamp(1, 4);
-        let Some(law) = Law::fit(&points, &PRIORS, few) else { return Vec::new() };
+        let mut priors = PRIORS;
+        if charge_is_unknown(campaign, exposures, factors.vary.1) {
+            priors[OFFSET.0] = OFFSET.1;
+        }
+        let Some(law) = Law::fit(&points, &priors, few) else { return Vec::new() };
         for (p, &i) in points.iter().zip(&lit) {
             let (off, std) = (p.value - law.at(&p.factors), law.std(p));
             tracing::debug!(

@@ -17,6 +17,7 @@ mod docs;
 mod effects;
 mod eight_bits;
 mod emva;
+mod few_darks;
 mod frame_headers;
 mod fuzz;
 #[cfg(feature = "hdf5")]
