@@ -503,7 +503,7 @@ fn usual(shares: &[f64]) -> Option<f64> {
 
 /// Intercept and slope by the median of the slopes between all points (Theil 1950, Sen 1968); of one abscissa
 /// the median and 0.
-fn median_line(points: &[(f64, f64)]) -> Option<(f64, f64)> {
+pub(super) fn median_line(points: &[(f64, f64)]) -> Option<(f64, f64)> {
     if points.is_empty() {
         return None;
     }

@@ -36,6 +36,10 @@ pub struct SetFacts {
     /// the set before. 0 of fewer than six, and in files of earlier versions.
     #[serde(default)]
     pub ends_dn2: f64,
+    /// Correlation of the difference of the last two frames with that 1 and 2 columns, and 1 and 2 rows, away; 0 of
+    /// one frame, and in files of earlier versions.
+    #[serde(default)]
+    pub neighbours: [f64; 4],
     /// Share of the samples at full scale.
     pub clipped: f64,
     /// Variance over the pixels of the first frame, DN^2.
@@ -131,6 +135,9 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     if let (Some(third), Some(last), 6..) = (&third, &before, out.means_dn.len()) {
         let codes = [third, last].map(|f| f.as_slice().unwrap_or(&[]));
         out.ends_dn2 = difference(codes[0], codes[1], last.ncols()).1;
+    }
+    if let (Some(a), Some(b)) = (&second, &before) {
+        out.neighbours = correlations(a, b);
     }
     let stretch = occurring.stretch().map(|s| s.step);
     out.code_step_dn = stretch.unwrap_or(if occurring.has_neighbours() { 1.0 } else { 0.0 });
@@ -243,6 +250,49 @@ fn difference(a: &[u16], b: &[u16], columns: usize) -> (u64, f64) {
         (of_frame, n)
     };
     (changed, 0.5 * (square as f64 - shared).max(0.0) / dof)
+}
+
+/// Pixels away at which a difference has nothing of filters and crosstalk left; what it still has are fields
+/// that move as a whole (a named choice).
+const FAR: std::ops::RangeInclusive<usize> = 6..=9;
+/// Side of the middle of the frame that tells it: a quarter of a million pixels, a correlation to 0.002.
+const NEIGHBOURS: usize = 512;
+
+/// Correlation of the difference of two frames, over the middle, with that 1 and 2 columns, and 1 and 2 rows,
+/// away. What pixels [`FAR`] away share is taken off.
+fn correlations(a: &Array2<u16>, b: &Array2<u16>) -> [f64; 4] {
+    let (rows, columns) = a.dim();
+    let (height, width) = (rows.min(NEIGHBOURS), columns.min(NEIGHBOURS));
+    if height.min(width) < 2 * FAR.end() || a.dim() != b.dim() {
+        return [0.0; 4];
+    }
+    let (top, left) = ((rows - height) / 2, (columns - width) / 2);
+    let part = s![top..top + height, left..left + width];
+    let mut off: Array2<f32> = Array2::zeros((height, width));
+    ndarray::Zip::from(&mut off)
+        .and(a.slice(part))
+        .and(b.slice(part))
+        .for_each(|d, &a, &b| *d = f32::from(a) - f32::from(b));
+    // What a row or a column shares is no neighbours' noise.
+    for axis in [1, 0] {
+        let means = off.mean_axis(ndarray::Axis(axis)).unwrap_or_default().insert_axis(ndarray::Axis(axis));
+        off -= &means;
+    }
+    let product = |down: usize, across: usize| {
+        let one = off.slice(s![..height - down, ..width - across]);
+        let other = off.slice(s![down.., across..]);
+        ndarray::Zip::from(one).and(other).fold(0.0, |sum, a, b| sum + f64::from(a * b)) / one.len() as f64
+    };
+    let own = product(0, 0);
+    let share = |near: f64, far: f64| if own > far.max(0.0) { (near - far) / (own - far) } else { 0.0 };
+    let far = |of: &dyn Fn(usize) -> f64| FAR.map(of).sum::<f64>() / FAR.count() as f64;
+    let (across, down) = (far(&|k| product(0, k)), far(&|k| product(k, 0)));
+    [
+        share(product(0, 1), across),
+        share(product(0, 2), across),
+        share(product(1, 0), down),
+        share(product(2, 0), down),
+    ]
 }
 
 /// FNV-1a over the codes (Fowler, Noll and Vo), in four lanes: frames that differ have the same by a chance

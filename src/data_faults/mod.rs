@@ -17,11 +17,13 @@ mod facts;
 mod law;
 mod orientation;
 mod patterns;
+mod shared_noise;
 mod transfer;
 
 pub use crate::dataset::{DataFault, FaultKind};
 use campaign::Campaign;
 pub(crate) use facts::SetFacts;
+pub(crate) use shared_noise::SharedNoise;
 
 use crate::dataset::{Dataset, DatasetError, Examination, Kind, StruckSamples};
 use crate::reduction::Key;
@@ -80,7 +82,9 @@ pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, Examine
         faults.extend(check.find(&mut campaign));
     }
     let passed_over = campaign.passed_over(&faults);
-    let examination = Examination { code_step_dn, struck, carried_share: campaign.carried_share };
+    let shared_noise = SharedNoise::of(&campaign);
+    let examination =
+        Examination { code_step_dn, struck, carried_share: campaign.carried_share, shared_noise };
     Ok(dataset.without(&campaign.rows_left_out(), passed_over, faults, examination))
 }
 

@@ -20,6 +20,7 @@ pub(crate) use rows::{Lines, MAX_EXPOSURE_S, csv_words};
 pub(crate) use write::{Aside, synchronise};
 pub use write::{Folder, Writer, write_whole};
 
+use crate::data_faults::SharedNoise;
 use crate::input::{self, echo};
 use crate::reduction::{self, Reduced};
 use crate::statistics::outliers;
@@ -203,6 +204,8 @@ pub(crate) struct Examination {
     pub struck: StruckSamples,
     /// Share of a change of level that first frames carry from the set before; 0 where none is seen.
     pub carried_share: f64,
+    /// Noise that neighbours or successive frames share.
+    pub shared_noise: SharedNoise,
 }
 
 /// Values before the examination.
@@ -210,6 +213,7 @@ const UNEXAMINED: Examination = Examination {
     code_step_dn: 1.0,
     struck: StruckSamples { number: 0, are_rays: true },
     carried_share: 0.0,
+    shared_noise: SharedNoise { neighbours: 0.0, frames: 0.0 },
 };
 
 /// Single samples that stand far off the same pixel in other frames.
@@ -454,6 +458,11 @@ impl Dataset {
     /// time, as [`examined`](crate::data_faults::examined) found it; 0 before it ran, and where none is seen.
     pub fn carried_share(&self) -> f64 {
         self.examination.carried_share
+    }
+
+    /// Noise that neighbours or successive frames share in all flats.
+    pub(crate) fn shared_noise(&self) -> SharedNoise {
+        self.examination.shared_noise
     }
 
     /// False where the samples that stand far off lie in the same pixels again and again: noisy pixels.

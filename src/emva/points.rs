@@ -1,7 +1,7 @@
 //! What the frames say: means and variances of pairs, and the stacks of the spatial part.
 
 use super::EmvaError;
-use crate::data_faults::{DataFault, FaultKind, examined};
+use crate::data_faults::{DataFault, FaultKind, SharedNoise, examined};
 use crate::dataset::image::Buffer;
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
 use crate::light::Light;
@@ -114,6 +114,8 @@ pub struct Points {
     pub struck: u64,
     /// Share of a change of level that first frames carry from the set before.
     pub carried_share: f64,
+    /// Noise that neighbours or successive frames share.
+    pub(crate) shared_noise: SharedNoise,
     /// Faults of the data.
     pub data_faults: Vec<DataFault>,
 }
@@ -549,6 +551,7 @@ pub fn of_dataset(
         code_step_dn: dataset.code_step_dn(),
         struck: dataset.struck(),
         carried_share: dataset.carried_share(),
+        shared_noise: dataset.shared_noise(),
         data_faults: dataset.data_faults().to_vec(),
     })
 }

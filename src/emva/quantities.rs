@@ -225,6 +225,8 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
         ));
     }
 
+    sheet.notes.extend(points.shared_noise.in_words(k.value));
+
     let dark = dark_noise(&points, definitions, clipped, pixels, &mut sheet);
     sensitivity(&points, definitions, &mut sheet, &k, &r, &dark, &at_saturation);
     linearity(t, most, definitions, pixels, &mut sheet);

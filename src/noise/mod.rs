@@ -236,6 +236,7 @@ fn estimate_with(
         q: best.q,
         estimators,
         levels,
+        shared_noise_rel: 0.0,
         data_faults: Vec::new(),
         notes,
     };
@@ -315,6 +316,7 @@ fn one_level(points: &[Point], zero: &Zero, quantisation_dn2: f64) -> Option<Noi
         q: f64::NAN,
         estimators: vec![estimate],
         levels: levels.collect(),
+        shared_noise_rel: 0.0,
         data_faults: Vec::new(),
         notes: vec![
             format!(
@@ -407,6 +409,9 @@ pub fn of_dataset(
     report.notes.extend(memory_in_words(dataset.carried_share()).map(|m| {
         format!("{m} A is too low by what they share, which its error takes in; `radcam diagnose` puts it into the model")
     }));
+    let shared = dataset.shared_noise();
+    report.notes.extend(shared.in_words(report.gain_dn_per_e.value));
+    report.shared_noise_rel = shared.share();
     report.notes.extend(masked(&measured));
     report.notes.extend(struck(&measured));
     report.notes.extend(temperature(&dataset));
