@@ -3,7 +3,7 @@
 use super::propose::Growing;
 use super::{Found, few};
 use crate::dataset::Kind;
-use crate::number::{ranges, six_digits};
+use crate::number::{ranges, seconds, six_digits};
 use std::collections::BTreeMap;
 
 /// Ratio of exposures from which on the level tells which is longer, and of the signals.
@@ -247,4 +247,74 @@ pub fn serial_numbers(sets: &mut [Growing], found: &[Found]) {
     if let Some(place) = fewest.and_then(|of| of.first()) {
         sets[*place].set.doubts.push(text);
     }
+}
+
+/// Flats below which levels tell no decimals from counters, and the part of them whose levels agree with a right
+/// reading (named choices).
+const MIN_FLATS: usize = 3;
+const AGREE: f64 = 0.8;
+
+/// Questions exposures in front of whose number another one stands, as in flat_2_4ms, where the levels are those
+/// of 2.4 ms and not of 4 ms.
+pub fn decimals_in_two(sets: &mut [Growing], found: &[Found], lowest_dn: f64) {
+    // Place, signal, exposure as it was read and as the other reading has it, and the digits.
+    let mut flats: Vec<(usize, f64, f64, f64, String)> = Vec::new();
+    for (k, s) in sets.iter().enumerate().filter(|(_, s)| s.set.kind == Kind::Flat) {
+        let name = s.frames.first().and_then(|i| found[*i].path.file_name());
+        let name = name.unwrap_or_default().to_string_lossy();
+        let (Some(exposure_s), Some((whole, part))) = (s.set.exposure_s, two_numbers(&name)) else { return };
+        let behind = part.parse::<f64>().unwrap_or(0.0);
+        let Ok(both) = format!("{whole}.{part}").parse::<f64>() else { return };
+        if behind <= 0.0 {
+            return;
+        }
+        flats.push((
+            k,
+            s.mean_dn - lowest_dn,
+            exposure_s,
+            exposure_s / behind * both,
+            format!("{whole}_{part}"),
+        ));
+    }
+    let agree = |exposure_s: &dyn Fn(&(usize, f64, f64, f64, String)) -> f64| {
+        let usual = crate::statistics::median::median(flats.iter().map(|f| f.1 / exposure_s(f)));
+        let close = flats.iter().filter(|f| (f.1 / exposure_s(f) / usual - 1.0).abs() < OTHER_LIGHT).count();
+        close as f64 / flats.len().max(1) as f64
+    };
+    if flats.len() < MIN_FLATS || agree(&|f| f.3) < AGREE || agree(&|f| f.2) >= AGREE {
+        return;
+    }
+    if let Some((k, _, read_s, other_s, digits)) = flats.into_iter().next() {
+        sets[k].set.doubts.push(format!(
+            "exposure: {digits} was read as {} s, and the levels of the flats are in proportion to the exposures if such numbers are decimals: {} s. \
+             State exposure_s",
+            six_digits(read_s),
+            six_digits(other_s)
+        ));
+    }
+}
+
+/// Digits, a sign that parts words, and digits in front of a unit of time, as in `2_4ms`; `None` where that is
+/// there never, or more than once.
+fn two_numbers(name: &str) -> Option<(&str, &str)> {
+    let digits_before = |end: usize| {
+        let start = name[..end].trim_end_matches(|c: char| c.is_ascii_digit()).len();
+        (start < end).then_some((start, end))
+    };
+    let mut out = None;
+    for (at, _) in name.char_indices().filter(|(_, c)| c.is_ascii_digit()) {
+        let rest = name[at..].trim_start_matches(|c: char| c.is_ascii_digit());
+        let end = name.len() - rest.len();
+        let unit = &rest[..rest.find(|c: char| !c.is_alphabetic()).unwrap_or(rest.len())];
+        let is_first = !name[..at].ends_with(|c: char| c.is_ascii_digit());
+        if !is_first || seconds(unit).is_none() {
+            continue;
+        }
+        let whole = name[..at].ends_with(['_', '-', ' ']).then(|| digits_before(at - 1)).flatten();
+        let (start, stop) = whole?;
+        if out.replace((&name[start..stop], &name[at..end])).is_some() {
+            return None;
+        }
+    }
+    out
 }

@@ -95,6 +95,7 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
     }
     let mut sets = joined(sets, found, lowest);
     plausible::falling_levels(&mut sets, lowest);
+    plausible::decimals_in_two(&mut sets, found, lowest);
     plausible::off_the_light(&mut sets, lowest);
     plausible::lit_and_dark(&mut sets, lowest);
     plausible::neither_dark_nor_flat(&mut sets, found);

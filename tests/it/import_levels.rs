@@ -266,4 +266,18 @@ fn decimals_without_a_point_are_asked() {
     assert!(bench.refused("us").contains("is 2 or 0.2 ms"));
     campaign(&bench, "s", &[("dark_0_05s", 0.0, 0.05), ("flat_0_05s", 900.0, 0.05)]);
     assert!(bench.refused("s").contains("is 5 or 0.05 s"));
+    // A whole part may count as well: levels tell.
+    let decimals =
+        [("flat_1_2ms", 360.0, 1.2e-3), ("flat_2_4ms", 720.0, 2.4e-3), ("flat_12_7ms", 3810.0, 12.7e-3)];
+    let dark = [("dark_1_5ms", 0.0, 1.5e-3), ("dark_18_9ms", 0.0, 18.9e-3)];
+    campaign(&bench, "whole", &[&dark[..], &decimals[..]].concat());
+    let said = bench.refused("whole");
+    assert!(said.contains("1_2 was read as 0.002 s") && said.contains("0.0012 s"), "{said}");
+    let counted = [("flat_1_2ms", 600.0, 2e-3), ("flat_2_4ms", 1200.0, 4e-3), ("flat_3_8ms", 2400.0, 8e-3)];
+    campaign(
+        &bench,
+        "counters",
+        &[&[("dark_1_2ms", 0.0, 2e-3), ("dark_2_8ms", 0.0, 8e-3)][..], &counted[..]].concat(),
+    );
+    assert_eq!(sets(&bench.import("counters", &[]).0).len(), 5);
 }
