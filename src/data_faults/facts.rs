@@ -36,8 +36,8 @@ pub struct SetFacts {
     /// the set before. 0 of fewer than six, and in files of earlier versions.
     #[serde(default)]
     pub ends_dn2: f64,
-    /// Correlation of the difference of the last two frames with that 1 and 2 columns, and 1 and 2 rows, away; 0 of
-    /// one frame, and in files of earlier versions.
+    /// Correlation of the difference of the last two frames with that 1 and 2 columns, and 1 and 2 rows,
+    /// away; 0 of one frame, and in files of earlier versions.
     #[serde(default)]
     pub neighbours: [f64; 4],
     /// Share of the samples at full scale.
@@ -314,6 +314,32 @@ fn digest(codes: &[u16]) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    /// The sum of the four correlations of white noise is 0 within four errors over 300 pairs, and its square
+    /// is six over the pixels within a third (four errors); the mean of two neighbours has a half.
+    #[test]
+    fn neighbours_of_white_noise_share_nothing() {
+        let (rows, columns) = (60, 80);
+        let mut random = PixelRng::new(17, Stream::Effect, 0, 0, 0);
+        let mut frame = |smooth: bool| {
+            let noise = Array2::from_shape_fn((rows, columns + 1), |_| random.normal());
+            let of = |(y, x): (usize, usize)| {
+                if smooth { 0.5 * (noise[[y, x]] + noise[[y, x + 1]]) } else { noise[[y, x]] }
+            };
+            Array2::from_shape_fn((rows, columns), |at| (1000.0 + 30.0 * of(at)).round() as u16)
+        };
+        let sums: Vec<f64> =
+            (0..300).map(|_| correlations(&frame(false), &frame(false)).iter().sum()).collect();
+        let n = sums.len() as f64;
+        let mean = sums.iter().sum::<f64>() / n;
+        let square = sums.iter().map(|s| s * s).sum::<f64>() / n;
+        let expected = 6.0 / (rows * columns) as f64;
+        assert!(mean.abs() < 4.0 * (expected / n).sqrt(), "{mean}");
+        assert!((square / expected - 1.0).abs() < 4.0 * (2.0 / n).sqrt(), "{square} for {expected}");
+        let smooth = correlations(&frame(true), &frame(true));
+        assert!((smooth[0] - 0.5).abs() < 0.05 && smooth[2].abs() < 0.08, "{smooth:?}");
+    }
 
     #[test]
     fn one_code_changes_the_digest() {

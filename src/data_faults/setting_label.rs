@@ -44,8 +44,8 @@ struct Factors {
 /// Standard deviations of the priors (named choices): exponent of the response, its change over the range, offset
 /// at the lowest light, compression at the highest (two terms), exposure offset, drift of the lamp.
 const PRIORS: [f64; 8] = [1e3, 0.15, 0.03, 0.03, 0.05, 0.05, 0.05, 0.006];
-/// Place among them of the offset at the lowest light, and its prior where darks of one exposure leave their charge
-/// in the zero of flats of others.
+/// Place among them of the offset at the lowest light, and its prior where darks of one exposure leave their
+/// charge in the zero of flats of others.
 const OFFSET: (usize, f64) = (3, 1.0);
 /// Ratio from which on exposures differ.
 const MIN_EXPOSURE_RATIO: f64 = 1.5;
@@ -61,9 +61,9 @@ impl Factors {
     }
 }
 
-/// Returns true where no darks tell the dark current, and that of the darks is not that of the flats: one exposure,
-/// longer than the shortest of the flats, or another than theirs where the light is changed. A sweep of exposures
-/// takes the rest for light.
+/// Returns true where no darks tell the dark current, and that of the darks is not that of the flats: one
+/// exposure, longer than the shortest of the flats, or another than theirs where the light is changed. A
+/// sweep of exposures takes the rest for light.
 fn charge_is_unknown(
     campaign: &Campaign<'_>,
     (shortest_s, longest_s): (f64, f64),

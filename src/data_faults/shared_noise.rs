@@ -1,5 +1,5 @@
-//! Noise that neighbours or successive frames share in all flats: variance that is measured pixel by pixel, or
-//! about the mean of the frames, lacks it, and the gain comes out too low.
+//! Noise that neighbours or successive frames share in all flats: variance that is measured pixel by pixel,
+//! or about the mean of the frames, lacks it, and the gain comes out too low.
 
 use super::Campaign;
 use super::campaign::median_line;
@@ -21,10 +21,11 @@ const PIXELS: f64 = 512.0 * 512.0;
 /// Noise that is shared, over that which is measured.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct SharedNoise {
-    /// By neighbours in a row and in a column: twice the sum of their correlations, below 0 after sharpening; 0 where
-    /// that is nothing.
+    /// By neighbours in a row and in a column: twice the sum of their correlations, below 0 after sharpening;
+    /// 0 where that is nothing.
     pub neighbours: f64,
-    /// By successive frames: the least that a filter over time makes of their variance; 0 where that is nothing.
+    /// By successive frames: the least that a filter over time makes of their variance; 0 where that is
+    /// nothing.
     pub frames: f64,
 }
 
@@ -54,8 +55,8 @@ impl SharedNoise {
             (sum != 0.0).then(|| (signal(i), 2.0 * sum * var / (var - quiet).max(0.5 * var)))
         };
         let shared: Vec<(f64, f64)> = flats.iter().filter_map(of_neighbours).collect();
-        // Four correlations, less what two means of four have; an intercept has twice the error of a mean, and its median
-        // 1.25 times that.
+        // Four correlations, less what two means of four have (`facts::tests`); a median has 1.25 times the error
+        // of a mean, and an intercept about twice as much.
         let std = 2.0 * 6f64.sqrt() * 1.25 / (pixels.min(PIXELS) * shared.len().max(1) as f64).sqrt();
         let middle = median(shared.iter().map(|p| p.1));
         let at_dark = median_line(&shared).map_or(0.0, |line| line.0);
@@ -69,13 +70,14 @@ impl SharedNoise {
         };
         let alike: Vec<(f64, f64)> = flats.iter().filter_map(of_frames).collect();
         let triples: f64 = alike.iter().map(|a| a.1).sum();
-        // The error of a ratio of variances, 4 over pixels and triples (see `dependent_frames`), and of a median.
+        // The error of a ratio of variances (as in `dependent_frames`), and of a median.
         let std = 1.25 * (4.0 / (pixels * triples.max(1.0))).sqrt();
         let frames = sure(median(alike.iter().map(|a| a.0)), std).max(0.0);
         Self { neighbours, frames }
     }
 
-    /// What is shared, over the noise that is measured: below 0 where neighbours differ by more than chance makes them.
+    /// What is shared, over the noise that is measured: below 0 where neighbours differ by more than chance
+    /// makes them.
     pub(crate) fn share(self) -> f64 {
         if self.neighbours.abs() > self.frames { self.neighbours } else { self.frames }
     }

@@ -249,53 +249,65 @@ pub fn serial_numbers(sets: &mut [Growing], found: &[Found]) {
     }
 }
 
-/// Flats below which levels tell no decimals from counters, and the part of them whose levels agree with a right
-/// reading (named choices).
+/// Flats below which levels tell no decimals from counters, and the part of them whose levels agree with a
+/// right reading (named choices).
 const MIN_FLATS: usize = 3;
 const AGREE: f64 = 0.8;
+
+/// A flat in front of whose exposure another number stands.
+struct InTwo {
+    set: usize,
+    signal_dn: f64,
+    /// Exposure as it was read.
+    read_s: f64,
+    /// The same if the number in front is the whole part.
+    decimal_s: f64,
+    digits: String,
+}
+
+impl InTwo {
+    fn of(place: usize, set: &Growing, found: &[Found], lowest_dn: f64) -> Option<Self> {
+        let name = found[*set.frames.first()?].path.file_name()?.to_string_lossy();
+        let (whole, part) = two_numbers(&name)?;
+        let behind = part.parse::<f64>().ok().filter(|v| *v > 0.0)?;
+        let both = format!("{whole}.{part}").parse::<f64>().ok()?;
+        let read_s = set.set.exposure_s?;
+        Some(Self {
+            set: place,
+            signal_dn: set.mean_dn - lowest_dn,
+            read_s,
+            decimal_s: read_s / behind * both,
+            digits: format!("{whole}_{part}"),
+        })
+    }
+}
 
 /// Questions exposures in front of whose number another one stands, as in flat_2_4ms, where the levels are those
 /// of 2.4 ms and not of 4 ms.
 pub fn decimals_in_two(sets: &mut [Growing], found: &[Found], lowest_dn: f64) {
-    // Place, signal, exposure as it was read and as the other reading has it, and the digits.
-    let mut flats: Vec<(usize, f64, f64, f64, String)> = Vec::new();
-    for (k, s) in sets.iter().enumerate().filter(|(_, s)| s.set.kind == Kind::Flat) {
-        let name = s.frames.first().and_then(|i| found[*i].path.file_name());
-        let name = name.unwrap_or_default().to_string_lossy();
-        let (Some(exposure_s), Some((whole, part))) = (s.set.exposure_s, two_numbers(&name)) else { return };
-        let behind = part.parse::<f64>().unwrap_or(0.0);
-        let Ok(both) = format!("{whole}.{part}").parse::<f64>() else { return };
-        if behind <= 0.0 {
-            return;
-        }
-        flats.push((
-            k,
-            s.mean_dn - lowest_dn,
-            exposure_s,
-            exposure_s / behind * both,
-            format!("{whole}_{part}"),
-        ));
-    }
-    let agree = |exposure_s: &dyn Fn(&(usize, f64, f64, f64, String)) -> f64| {
-        let usual = crate::statistics::median::median(flats.iter().map(|f| f.1 / exposure_s(f)));
-        let close = flats.iter().filter(|f| (f.1 / exposure_s(f) / usual - 1.0).abs() < OTHER_LIGHT).count();
-        close as f64 / flats.len().max(1) as f64
+    let flats = sets.iter().enumerate().filter(|(_, s)| s.set.kind == Kind::Flat);
+    let flats: Option<Vec<InTwo>> = flats.map(|(k, s)| InTwo::of(k, s, found, lowest_dn)).collect();
+    let Some(flats) = flats.filter(|f| f.len() >= MIN_FLATS) else { return };
+    let agree = |exposure_s: &dyn Fn(&InTwo) -> f64| {
+        let usual = crate::statistics::median::median(flats.iter().map(|f| f.signal_dn / exposure_s(f)));
+        let close = |f: &&InTwo| (f.signal_dn / exposure_s(f) / usual - 1.0).abs() < OTHER_LIGHT;
+        flats.iter().filter(close).count() as f64 / flats.len() as f64
     };
-    if flats.len() < MIN_FLATS || agree(&|f| f.3) < AGREE || agree(&|f| f.2) >= AGREE {
+    if agree(&|f| f.decimal_s) < AGREE || agree(&|f| f.read_s) >= AGREE {
         return;
     }
-    if let Some((k, _, read_s, other_s, digits)) = flats.into_iter().next() {
-        sets[k].set.doubts.push(format!(
+    if let Some(InTwo { set, read_s, decimal_s, digits, .. }) = flats.first() {
+        sets[*set].set.doubts.push(format!(
             "exposure: {digits} was read as {} s, and the levels of the flats are in proportion to the exposures if such numbers are decimals: {} s. \
              State exposure_s",
-            six_digits(read_s),
-            six_digits(other_s)
+            six_digits(*read_s),
+            six_digits(*decimal_s)
         ));
     }
 }
 
-/// Digits, a sign that parts words, and digits in front of a unit of time, as in `2_4ms`; `None` where that is
-/// there never, or more than once.
+/// Digits, a sign that parts words, and digits in front of a unit of time, as in `2_4ms`; `None` where that
+/// is there never, or more than once.
 fn two_numbers(name: &str) -> Option<(&str, &str)> {
     let digits_before = |end: usize| {
         let start = name[..end].trim_end_matches(|c: char| c.is_ascii_digit()).len();

@@ -130,8 +130,8 @@ pub struct NoiseReport {
     pub estimators: Vec<Estimate>,
     /// Every level.
     pub levels: Vec<LevelReport>,
-    /// Share of the noise that neighbouring pixels or successive frames have together, by which the gain is too low
-    /// (below 0: too high, after sharpening); 0 where none is seen.
+    /// Share of the noise that neighbouring pixels or successive frames have together, by which the gain is
+    /// too low (below 0: too high, after sharpening); 0 where none is seen.
     #[serde(default)]
     pub shared_noise_rel: f64,
     /// Faults of the data.

@@ -73,7 +73,8 @@ impl Statistic for ColumnShape {
         let error = in_quadrature(&[alone, 0.3 * view.moving, stripes, lines / rows as f64, single]);
         let field = view.with_light * view.all.field.column_lags[o.index.min(super::LINE_LAGS.len() - 1)];
         let error = in_quadrature(&[error, FIELD * view.with_light * view.all.field.columns]);
-        // Products of the stripes with the noise of the same frames are the same at every lag, but for the sign.
+        // Products of the stripes with the noise of the same frames are the same at every lag, but for the
+        // sign.
         let common = view.of_stripes(stripes, own, columns);
         let sign = if stripes > 0.0 { striped / stripes } else { 0.0 };
         Expected::plain(o, near - flat + striped + field, error).with_common(common * sign)

@@ -450,9 +450,10 @@ impl<'a> View<'a> {
         1.0 / (self.n * (self.n - 1.0)).max(1.0).sqrt()
     }
 
-    /// Error that few frames leave of the variance of a sine of so many lines beside noise of a line's mean, DN^2: their phases (random
-    /// walk), and its products with the noise, whose power at one frequency is that of every other (Priestley 1981, Spectral Analysis and
-    /// Time Series, section 6.2: twice the product of both powers, over the frames).
+    /// Error that few frames leave of the variance of a sine of so many lines beside noise of a line's mean,
+    /// DN^2: their phases (random walk), and its products with the noise, whose power at one frequency is
+    /// that of every other (Priestley 1981, Spectral Analysis and Time Series, section 6.2: twice the product
+    /// of both powers, over the frames).
     pub fn of_stripes(&self, stripes: f64, noise: f64, lines: usize) -> f64 {
         let with_noise = 4.0 * stripes.max(0.0) * noise.max(0.0) / (self.dof * lines as f64);
         in_quadrature(&[self.walk() * stripes, with_noise.sqrt()])

@@ -192,8 +192,8 @@ pub(super) fn find(
     Some(Peak { axis, bin, bins, lines, cycles, parts: all.iter().map(part).collect() })
 }
 
-/// Variance of a line's mean without peaks, DN^2, from the median of the bins: with a peak in it, frames whose
-/// phases lie together would weigh most, and they show least of it.
+/// Variance of a line's mean without peaks, DN^2, from the median of the bins: with a peak in it, frames
+/// whose phases lie together would weigh most, and they show least of it.
 fn noise_of(power: &[f64], lines: usize, frames: f64) -> f64 {
     // Power of noise over n frames is of chi^2 with 2 (n - 1) degrees of freedom; its median by Wilson and
     // Hilferty 1931.
@@ -277,10 +277,11 @@ impl Peak {
         Expected::plain(o, value / sum, var.sqrt() / sum)
     }
 
-    /// Variance of a part's value as if what the variance of line means does not tell of the same frames alone were in it, DN^4. Both
-    /// see one sine with the phases that it had (random walk) and its products with the noise of its own frequency, so that their
-    /// errors are alike where it is strong: V with 1/V = 1/(c + ab/(a + b)) - 1/(c + a), c what they share, a and b their own, is
-    /// what the second of two measurements adds to the first (Bevington and Robinson 2003, section 4.1).
+    /// Variance of a part's value as if what the variance of line means does not tell of the same frames
+    /// alone were in it, DN^4. Both see one sine with the phases that it had (random walk) and its products
+    /// with the noise of its own frequency, so that their errors are alike where it is strong: V with 1/V =
+    /// 1/(c + ab/(a + b)) - 1/(c + a), c what they share, a and b their own, is what the second of two
+    /// measurements adds to the first (Bevington and Robinson 2003, section 4.1).
     fn beyond_line_variance(&self, p: &Part, power: f64) -> f64 {
         let noise = p.noise_dn2;
         let shared = power * power / (p.frames * p.dof()) + 2.0 * power * noise / p.dof();
@@ -410,8 +411,9 @@ mod tests {
         assert!(square < 2.3, "{square} {z:?}");
     }
 
-    /// A strong sine weighs sets of few frames alike, whether their phases lie together or not: its weighted power is that drawn, within
-    /// four standard errors over 60 campaigns. Weighed by the variance of the lines, the sine in it, it would be a fifth too low.
+    /// A strong sine weighs sets of few frames alike, whether their phases lie together or not: its weighted
+    /// power is that drawn, within four standard errors over 60 campaigns. Weighed by the variance of the
+    /// lines, the sine in it, it would be a fifth too low.
     #[test]
     fn phases_that_lie_together_weigh_no_more() {
         let cycles = 20.0 / LINES as f64;

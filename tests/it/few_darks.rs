@@ -1,5 +1,5 @@
-//! Campaigns with one warm dark, with none, or with nothing else: what they tell is said, and what they do not
-//! tell is not made up. Of cameras that the program simulates; sets are taken away by their labels.
+//! Campaigns with one warm dark, with none, or with nothing else: what they tell is said, and what they do
+//! not tell is not made up. Of cameras that the program simulates; sets are taken away by their labels.
 
 use crate::support::{expect, small_sensor};
 use radcam::dataset::image::{read_single, tiff_bytes};
@@ -107,7 +107,8 @@ fn flats_alone_make_no_negative_dark_current() {
     }
 }
 
-/// Darks without charge tell no gain: the row noise in them has a size in DN, within four standard errors of the truth.
+/// Darks without charge tell no gain: the row noise in them has a size in DN, within four standard errors of
+/// the truth.
 #[test]
 fn darks_alone_say_sizes_in_dn() {
     let effect = "[[effect]]\nid = \"row-noise\"\n[effect.parameters]\ne = 1.5\n";

@@ -232,9 +232,10 @@ fn a_black_level_in_the_means_of_a_table_is_told() {
     }
 }
 
-/// Frames whose neighbours or successors share noise have a line, and a gain that is too low by what they share: it
-/// is said, with the gain that follows within 4 %, and exit code 1. Practice campaigns of others, and frames of ours
-/// that are the mean of two neighbouring pixels, a sharpened one, and a mean with the frame before.
+/// Frames whose neighbours or successors share noise have a line, and a gain that is too low by what they
+/// share: it is said, with the gain that follows within 4 %, and exit code 1. Practice campaigns of others,
+/// and frames of ours that are the mean of two neighbouring pixels, a sharpened one, and a mean with the
+/// frame before.
 #[test]
 fn noise_that_pixels_or_frames_share_is_said() {
     let said = |code: i32, path: &str| -> serde_json::Value {
