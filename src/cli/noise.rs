@@ -60,6 +60,13 @@ fn print(title: &str, r: &NoiseReport) {
     ] {
         println!("  {name:<16} {}", q);
     }
+    if r.shared_noise_rel != 0.0 {
+        println!(
+            "  {:<16} {:+.0} % of the variance: A is off by as much, see the first note",
+            "shared noise",
+            100.0 * r.shared_noise_rel
+        );
+    }
     println!(
         "  {:<16} {} DN ({})",
         "zero level",

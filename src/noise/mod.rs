@@ -410,7 +410,7 @@ pub fn of_dataset(
         format!("{m} A is too low by what they share, which its error takes in; `radcam diagnose` puts it into the model")
     }));
     let shared = dataset.shared_noise();
-    report.notes.extend(shared.in_words(report.gain_dn_per_e.value));
+    report.notes.splice(0..0, shared.in_words(report.gain_dn_per_e.value));
     report.shared_noise_rel = shared.share();
     report.notes.extend(masked(&measured));
     report.notes.extend(struck(&measured));

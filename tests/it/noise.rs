@@ -247,6 +247,12 @@ fn noise_that_pixels_or_frames_share_is_said() {
     if let Some(root) = shared("practice/interpixel-crosstalk") {
         let v = said(1, root.to_str().unwrap());
         assert!((corrected(&v) / 0.27727 - 1.0).abs() < 0.02, "{}", corrected(&v));
+        let text = expect(1, &["noise", root.to_str().unwrap()]);
+        let beside = text.lines().position(|l| l.contains("shared noise")).unwrap();
+        assert!(
+            beside < 7 && v["notes"][0].as_str().unwrap().contains("neighbouring pixels share"),
+            "{text}"
+        );
     }
     // What neighbours share grows with the level there, and the gain at the dark end is right.
     if let Some(root) = shared("practice/brighter-fatter") {
