@@ -5,7 +5,7 @@ use super::observe::{Colour, Datasets};
 use super::{Outcome, progress::Show};
 use crate::dataset::write_whole;
 use crate::noise::NoiseReport;
-use crate::number::with_error;
+use crate::number::{with_error, with_unit};
 use crate::report;
 use anyhow::Result;
 use std::path::PathBuf;
@@ -60,12 +60,9 @@ fn print(title: &str, r: &NoiseReport) {
     ] {
         println!("  {name:<16} {}", q);
     }
-    if r.shared_noise_rel != 0.0 {
-        println!(
-            "  {:<16} {:+.0} % of the variance: A is off by as much, see the first note",
-            "shared noise",
-            100.0 * r.shared_noise_rel
-        );
+    if let Some(shared) = &r.shared_noise_rel {
+        let size = with_unit(100.0 * shared.value, 100.0 * shared.std_err, "%");
+        println!("  {:<16} {size} of the variance: A is off by as much, see the first note", "shared noise");
     }
     println!(
         "  {:<16} {} DN ({})",

@@ -36,10 +36,9 @@ pub struct SetFacts {
     /// the set before. 0 of fewer than six, and in files of earlier versions.
     #[serde(default)]
     pub ends_dn2: f64,
-    /// Correlation of the difference of the last two frames with that 1 and 2 columns, and 1 and 2 rows,
-    /// away; 0 of one frame, and in files of earlier versions.
+    /// Sum of the covariances of the noise of a pixel with that of its neighbours, over its variance.
     #[serde(default)]
-    pub neighbours: [f64; 4],
+    pub neighbours: Neighbours,
     /// Share of the samples at full scale.
     pub clipped: f64,
     /// Variance over the pixels of the first frame, DN^2.
@@ -59,6 +58,29 @@ pub struct SetFacts {
     pub middle_dn: Vec<f32>,
     /// Columns of that.
     pub middle_columns: usize,
+}
+
+/// Covariances of neighbours over the variance, the mean of pairs of frames.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct Neighbours {
+    /// Their sum.
+    pub share: f64,
+    /// Pixels of all pairs; 0 of one frame or small ones, and in files of earlier versions.
+    pub pixels: f64,
+}
+
+impl Neighbours {
+    /// Takes in the next pair, until the pixels are enough.
+    fn add(&mut self, a: &Array2<u16>, b: &Array2<u16>) {
+        let own = a.len().min(ENOUGH) as f64;
+        if self.pixels + 0.5 * own > ENOUGH as f64 {
+            return;
+        }
+        if let Some(share) = shared_by_neighbours(a, b) {
+            self.pixels += own;
+            self.share += own / self.pixels * (share - self.share);
+        }
+    }
 }
 
 impl SetFacts {
@@ -112,6 +134,11 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
             let sent = sent.as_slice().unwrap_or(&[]);
             out.digests.push(digest(sent));
             clipped += sent.iter().filter(|v| **v >= full).count();
+            // The first frame may carry the set before.
+            let pairs = out.digests.len() % 2 == 0 && (out.digests.len() > 2 || set.rows.len() < 4);
+            if let Some(before) = before.as_ref().filter(|_| pairs) {
+                out.neighbours.add(before, &frame);
+            }
             let to = |other: &Option<Arc<Array2<u16>>>| {
                 other
                     .as_ref()
@@ -135,9 +162,6 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     if let (Some(third), Some(last), 6..) = (&third, &before, out.means_dn.len()) {
         let codes = [third, last].map(|f| f.as_slice().unwrap_or(&[]));
         out.ends_dn2 = difference(codes[0], codes[1], last.ncols()).1;
-    }
-    if let (Some(a), Some(b)) = (&second, &before) {
-        out.neighbours = correlations(a, b);
     }
     let stretch = occurring.stretch().map(|s| s.step);
     out.code_step_dn = stretch.unwrap_or(if occurring.has_neighbours() { 1.0 } else { 0.0 });
@@ -252,19 +276,26 @@ fn difference(a: &[u16], b: &[u16], columns: usize) -> (u64, f64) {
     (changed, 0.5 * (square as f64 - shared).max(0.0) / dof)
 }
 
-/// Pixels away at which a difference has nothing of filters and crosstalk left; what it still has are fields
-/// that move as a whole (a named choice).
-const FAR: std::ops::RangeInclusive<usize> = 6..=9;
-/// Side of the middle of the frame that tells it: a quarter of a million pixels, a correlation to 0.002.
-const NEIGHBOURS: usize = 512;
+/// Distance up to which pixels are neighbours, along both axes: a kernel of five by five.
+const NEAR: isize = 2;
+/// Distances at which a difference has nothing of filters and crosstalk left; what it still has is the noise
+/// of rows and columns, and fields that move as a whole (a named choice).
+const FAR: std::ops::RangeInclusive<isize> = 6..=13;
+/// Side of the middle of a frame that tells it, and pixels that are enough: 2 % of the variance in a set.
+const SIDE: usize = 512;
+const ENOUGH: usize = SIDE * SIDE;
+/// Variance of that sum for white noise, times the pixels: a correlation has 1 / n (Box and Jenkins 1976,
+/// 2.1.6), and twice are summed two along each axis, less twice the mean of eight, and eight others, less
+/// eight times the mean of 16.
+pub(super) const NEIGHBOURS_VAR: f64 = 4.0 * (2.0 * (2.0 + 4.0 / 8.0) + 8.0 + 64.0 / 16.0);
 
-/// Correlation of the difference of two frames, over the middle, with that 1 and 2 columns, and 1 and 2 rows,
-/// away. What pixels [`FAR`] away share is taken off.
-fn correlations(a: &Array2<u16>, b: &Array2<u16>) -> [f64; 4] {
+/// Sum of the covariances of the difference of two frames with itself up to [`NEAR`] pixels away, over its
+/// variance. Of each direction what pixels [`FAR`] away share is taken off.
+fn shared_by_neighbours(a: &Array2<u16>, b: &Array2<u16>) -> Option<f64> {
     let (rows, columns) = a.dim();
-    let (height, width) = (rows.min(NEIGHBOURS), columns.min(NEIGHBOURS));
-    if height.min(width) < 2 * FAR.end() || a.dim() != b.dim() {
-        return [0.0; 4];
+    let (height, width) = (rows.min(SIDE), columns.min(SIDE));
+    if height.min(width) < 2 * FAR.end().unsigned_abs() || a.dim() != b.dim() {
+        return None;
     }
     let (top, left) = ((rows - height) / 2, (columns - width) / 2);
     let part = s![top..top + height, left..left + width];
@@ -273,26 +304,30 @@ fn correlations(a: &Array2<u16>, b: &Array2<u16>) -> [f64; 4] {
         .and(a.slice(part))
         .and(b.slice(part))
         .for_each(|d, &a, &b| *d = f32::from(a) - f32::from(b));
-    // What a row or a column shares is no neighbours' noise.
-    for axis in [1, 0] {
-        let means = off.mean_axis(ndarray::Axis(axis)).unwrap_or_default().insert_axis(ndarray::Axis(axis));
-        off -= &means;
-    }
-    let product = |down: usize, across: usize| {
-        let one = off.slice(s![..height - down, ..width - across]);
-        let other = off.slice(s![down.., across..]);
+    off -= off.mean()?;
+    let (height, width) = (height as isize, width as isize);
+    let product = |down: isize, across: isize| {
+        let one = off.slice(s![..height - down, (-across).max(0)..width - across.max(0)]);
+        let other = off.slice(s![down.., across.max(0)..width + across.min(0)]);
         ndarray::Zip::from(one).and(other).fold(0.0, |sum, a, b| sum + f64::from(a * b)) / one.len() as f64
     };
-    let own = product(0, 0);
-    let share = |near: f64, far: f64| if own > far.max(0.0) { (near - far) / (own - far) } else { 0.0 };
-    let far = |of: &dyn Fn(usize) -> f64| FAR.map(of).sum::<f64>() / FAR.count() as f64;
-    let (across, down) = (far(&|k| product(0, k)), far(&|k| product(k, 0)));
-    [
-        share(product(0, 1), across),
-        share(product(0, 2), across),
-        share(product(1, 0), down),
-        share(product(2, 0), down),
-    ]
+    let mean = |of: &dyn Fn(isize) -> f64| FAR.map(of).sum::<f64>() / FAR.count() as f64;
+    let (in_row, in_column) = (mean(&|k| product(0, k)), mean(&|k| product(k, 0)));
+    let aslant = mean(&|k| 0.5 * (product(k, k) + product(k, -k)));
+    // Half of them: those on the other side are the same.
+    let half = (0..=NEAR).flat_map(|down| (-NEAR..=NEAR).map(move |across| (down, across)));
+    let half = half.filter(|(down, across)| *down > 0 || *across > 0);
+    let near = half.map(|(down, across)| {
+        let far = match (down, across) {
+            (0, _) => in_row,
+            (_, 0) => in_column,
+            _ => aslant,
+        };
+        product(down, across) - far
+    });
+    let near: f64 = near.sum();
+    let own = product(0, 0) - in_row - in_column + aslant;
+    (own > 0.0).then(|| 2.0 * near / own)
 }
 
 /// FNV-1a over the codes (Fowler, Noll and Vo), in four lanes: frames that differ have the same by a chance
@@ -316,29 +351,43 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// The sum of the four correlations of white noise is 0 within four errors over 300 pairs, and its square
-    /// is six over the pixels within a third (four errors); the mean of two neighbours has a half.
+    /// White noise shares nothing within four errors over 300 pairs, and the square is what is stated within
+    /// four errors. Kernels whose sum is 1 have the variance that their squares sum to, and share the rest:
+    /// the mean of two by two 3, that of three by three 8, a sharpening by 0.2 of four neighbours -0.706, all
+    /// within four errors of their pairs.
     #[test]
-    fn neighbours_of_white_noise_share_nothing() {
+    fn neighbours_share_what_a_kernel_makes() {
         let (rows, columns) = (60, 80);
         let mut random = PixelRng::new(17, Stream::Effect, 0, 0, 0);
-        let mut frame = |smooth: bool| {
-            let noise = Array2::from_shape_fn((rows, columns + 1), |_| random.normal());
-            let of = |(y, x): (usize, usize)| {
-                if smooth { 0.5 * (noise[[y, x]] + noise[[y, x + 1]]) } else { noise[[y, x]] }
+        let mut shared = |kernel: &[(usize, usize, f64)]| {
+            let mut frame = || {
+                let noise = Array2::from_shape_fn((rows + 2, columns + 2), |_| random.normal());
+                let of = |(y, x): (usize, usize)| {
+                    kernel.iter().map(|(i, j, k)| k * noise[[y + i, x + j]]).sum::<f64>()
+                };
+                Array2::from_shape_fn((rows, columns), |at| (1000.0 + 60.0 * of(at)).round() as u16)
             };
-            Array2::from_shape_fn((rows, columns), |at| (1000.0 + 30.0 * of(at)).round() as u16)
+            shared_by_neighbours(&frame(), &frame()).unwrap()
         };
-        let sums: Vec<f64> =
-            (0..300).map(|_| correlations(&frame(false), &frame(false)).iter().sum()).collect();
-        let n = sums.len() as f64;
-        let mean = sums.iter().sum::<f64>() / n;
-        let square = sums.iter().map(|s| s * s).sum::<f64>() / n;
-        let expected = 6.0 / (rows * columns) as f64;
+        let expected = NEIGHBOURS_VAR / (rows * columns) as f64;
+        let white: Vec<f64> = (0..300).map(|_| shared(&[(1, 1, 1.0)])).collect();
+        let n = white.len() as f64;
+        let mean = white.iter().sum::<f64>() / n;
+        let square = white.iter().map(|s| s * s).sum::<f64>() / n;
         assert!(mean.abs() < 4.0 * (expected / n).sqrt(), "{mean}");
         assert!((square / expected - 1.0).abs() < 4.0 * (2.0 / n).sqrt(), "{square} for {expected}");
-        let smooth = correlations(&frame(true), &frame(true));
-        assert!((smooth[0] - 0.5).abs() < 0.05 && smooth[2].abs() < 0.08, "{smooth:?}");
+        let box_of = |side: usize| -> Vec<(usize, usize, f64)> {
+            let each = 1.0 / (side * side) as f64;
+            (0..side).flat_map(|i| (0..side).map(move |j| (i, j, each))).collect()
+        };
+        let sharp = [(1, 1, 1.8), (0, 1, -0.2), (1, 0, -0.2), (1, 2, -0.2), (2, 1, -0.2)];
+        for kernel in [box_of(2), box_of(3), sharp.to_vec()] {
+            let truth = 1.0 / kernel.iter().map(|k| k.2 * k.2).sum::<f64>() - 1.0;
+            let all: Vec<f64> = (0..40).map(|_| shared(&kernel)).collect();
+            let mean = all.iter().sum::<f64>() / 40.0;
+            let std = (all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / 39.0 / 40.0).sqrt();
+            assert!((mean - truth).abs() < 4.0 * std + 0.01 * truth.abs(), "{mean} +- {std} for {truth}");
+        }
     }
 
     #[test]

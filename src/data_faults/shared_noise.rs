@@ -2,8 +2,9 @@
 //! or about the mean of the frames, lacks it, and the gain comes out too low.
 
 use super::Campaign;
-use super::campaign::median_line;
-use crate::number::percent;
+use super::campaign::{SetView, median_line};
+use super::facts::NEIGHBOURS_VAR;
+use crate::number::{Quantity, with_unit};
 use crate::statistics::median::median;
 
 /// Share of the noise from which on it is said: by as much the gain is too low (a named choice, above the
@@ -11,101 +12,108 @@ use crate::statistics::median::median;
 const LEAST: f64 = 0.05;
 /// Least significance, standard deviations.
 const SIGMAS: f64 = 6.0;
-/// Variance of a flat over that of the quietest set from which on light makes most of it (a named choice).
-const LIT: f64 = 2.0;
+/// Variance of a flat over that of the quietest set from which on the noise of reading is a tenth of it at
+/// most (a named choice): what neighbours share of that may be more or less.
+const LIT: f64 = 10.0;
 /// Most sets that are looked at: every pair of them is compared.
 const MOST_SETS: usize = 64;
-/// Pixels at most that tell the correlation of neighbours.
-const PIXELS: f64 = 512.0 * 512.0;
+/// Error of a median over that of a mean of normal numbers (Kenney and Keeping 1962, section 8.6).
+const OF_MEDIAN: f64 = 1.25;
+/// Error of the intercept of a line through levels from black to full scale, over that of their mean.
+const OF_INTERCEPT: f64 = 2.0;
 
-/// Noise that is shared, over that which is measured.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+/// Pixels or frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Between {
+    Neighbours,
+    Frames,
+}
+
+/// Noise that is shared.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct SharedNoise {
-    /// By neighbours in a row and in a column: twice the sum of their correlations, below 0 after sharpening;
-    /// 0 where that is nothing.
-    pub neighbours: f64,
-    /// By successive frames: the least that a filter over time makes of their variance; 0 where that is
-    /// nothing.
-    pub frames: f64,
+    between: Between,
+    /// Its covariances over the variance that is measured; below 0 after sharpening. Of frames the least that
+    /// a filter over time makes.
+    rel: f64,
+    std_err: f64,
 }
 
 impl SharedNoise {
-    /// Of flats in which light makes most of the noise, as it is at no light: what grows with the level (the
-    /// brighter-fatter effect) bends the photon transfer, and leaves the gain at its dark end.
-    pub(super) fn of(campaign: &Campaign<'_>) -> Self {
+    /// The larger one of both, in flats in which light makes the noise; `None` where there is nothing.
+    pub(super) fn of(campaign: &Campaign<'_>) -> Option<Self> {
         let variance = |i: usize| campaign.sets[i].variance_dn2().map(|v| v.0);
-        let quiet =
-            campaign.places(|s| !s.clipped).into_iter().filter_map(variance).fold(f64::INFINITY, f64::min);
+        let sets = campaign.places(|s| !s.clipped).into_iter();
+        let quiet = sets.filter_map(variance).fold(f64::INFINITY, f64::min);
         let mut flats = campaign.places(|s| s.is_lit() && !s.clipped);
-        flats.retain(|&i| variance(i).is_some_and(|v| v > LIT * quiet) || !quiet.is_finite());
+        flats.retain(|&i| variance(i).is_some_and(|v| v > LIT * quiet));
         let every = flats.len().div_ceil(MOST_SETS).max(1);
         let flats: Vec<usize> = flats.into_iter().step_by(every).collect();
-        let Some(pixels) = flats.iter().map(|&i| campaign.sets[i].facts.pixels).reduce(f64::min) else {
-            return Self::default();
-        };
-        let zero = campaign.zero();
-        let signal = |i: usize| {
-            let set = &campaign.sets[i];
-            set.level_dn() - zero.as_ref().map_or(0.0, |z| z.at(set.exposure_s))
-        };
-        let sure = |share: f64, std: f64| if share.abs() > LEAST.max(SIGMAS * std) { share } else { 0.0 };
-        let of_neighbours = |&i: &usize| {
-            let (sum, var) = (campaign.sets[i].facts.neighbours.iter().sum::<f64>(), variance(i)?);
-            // The noise of reading is shared by none.
-            (sum != 0.0).then(|| (signal(i), 2.0 * sum * var / (var - quiet).max(0.5 * var)))
-        };
-        let shared: Vec<(f64, f64)> = flats.iter().filter_map(of_neighbours).collect();
-        // Four correlations, less what two means of four have (`facts::tests`); a median has 1.25 times the error
-        // of a mean, and an intercept about twice as much.
-        let std = 2.0 * 6f64.sqrt() * 1.25 / (pixels.min(PIXELS) * shared.len().max(1) as f64).sqrt();
-        let middle = median(shared.iter().map(|p| p.1));
-        let at_dark = median_line(&shared).map_or(0.0, |line| line.0);
-        let grows = (middle - at_dark).abs() > 2.0 * 2.0 * std;
-        let neighbours = if grows { sure(at_dark, 2.0 * std) } else { sure(middle, std) };
-        let neighbours = if neighbours.is_finite() { neighbours } else { 0.0 };
-        let of_frames = |&i: &usize| {
-            let set = &campaign.sets[i];
-            let dependence = set.dependence().filter(|d| *d > 0.0 && !set.wanders())?;
-            Some((1.0 / dependence - 1.0, set.frames().saturating_sub(2).max(1) as f64))
-        };
-        let alike: Vec<(f64, f64)> = flats.iter().filter_map(of_frames).collect();
-        let triples: f64 = alike.iter().map(|a| a.1).sum();
-        // The error of a ratio of variances (as in `dependent_frames`), and of a median.
-        let std = 1.25 * (4.0 / (pixels * triples.max(1.0))).sqrt();
-        let frames = sure(median(alike.iter().map(|a| a.0)), std).max(0.0);
-        Self { neighbours, frames }
+        let all = [of_neighbours(campaign, &flats), of_frames(campaign, &flats)];
+        let told = all.into_iter().flatten().filter(|s| s.rel.abs() > LEAST.max(SIGMAS * s.std_err));
+        told.max_by(|a, b| a.rel.abs().total_cmp(&b.rel.abs()))
     }
 
-    /// What is shared, over the noise that is measured: below 0 where neighbours differ by more than chance
-    /// makes them.
-    pub(crate) fn share(self) -> f64 {
-        if self.neighbours.abs() > self.frames { self.neighbours } else { self.frames }
+    /// Its share of the variance that is measured.
+    pub(crate) fn quantity(&self) -> Quantity {
+        Quantity::new(self.rel, self.std_err, "1")
     }
 
-    /// A gain without what is shared, in words; `None` where nothing is.
-    pub(crate) fn in_words(self, gain: f64) -> Option<String> {
-        let share = self.share();
-        let (what, about) = match self {
-            _ if share == 0.0 => return None,
-            Self { frames, .. } if share == frames => (
+    /// Size and cause, and the gain without it, in words.
+    pub(crate) fn in_words(&self, gain: f64, std_err: f64) -> String {
+        let (what, at_least) = match self.between {
+            Between::Frames => (
                 "successive frames share noise in all flats (the camera averages over time: switch its noise reduction off): variance lacks it",
-                "at least",
+                "at least ",
             ),
-            _ if share < 0.0 => (
+            Between::Neighbours if self.rel < 0.0 => (
                 "neighbouring pixels differ by more than chance makes them in all flats (the images were sharpened): variance has too much of it",
-                "about",
+                "",
             ),
-            _ => (
+            Between::Neighbours => (
                 "neighbouring pixels share noise in all flats (the images were resampled, demosaiced, smoothed or compressed, or the sensor has \
                  crosstalk): variance lacks it",
-                "about",
+                "",
             ),
         };
-        Some(format!(
-            "{what}, and the system gain is {about} {} {}: {about} {:.4} DN/e⁻. `radcam diagnose` fits what does it",
-            percent(share.abs()),
-            if share > 0.0 { "higher" } else { "lower" },
-            gain * (1.0 + share)
-        ))
+        let own = gain * (1.0 + self.rel);
+        format!(
+            "{what}, and the system gain is {at_least}{} {}: {at_least}{}. `radcam diagnose` fits what does it",
+            with_unit(100.0 * self.rel.abs(), 100.0 * self.std_err, "%"),
+            if self.rel > 0.0 { "higher" } else { "lower" },
+            with_unit(own, (std_err * (1.0 + self.rel)).hypot(gain * self.std_err), "DN/e")
+        )
     }
+}
+
+/// Noise that neighbours share at no light: what grows with the level (the brighter-fatter effect) bends the
+/// photon transfer, and leaves the gain at its dark end.
+fn of_neighbours(campaign: &Campaign<'_>, flats: &[usize]) -> Option<SharedNoise> {
+    let zero = campaign.zero();
+    let known = || flats.iter().map(|&i| &campaign.sets[i]).filter(|set| set.facts.neighbours.pixels > 0.0);
+    let signal_dn = |set: &SetView| set.level_dn() - zero.as_ref().map_or(0.0, |z| z.at(set.exposure_s));
+    let shared: Vec<(f64, f64)> = known().map(|set| (signal_dn(set), set.facts.neighbours.share)).collect();
+    let pixels: f64 = known().map(|set| set.facts.neighbours.pixels).sum();
+    let std_err = OF_MEDIAN * (NEIGHBOURS_VAR / pixels).sqrt();
+    let middle = median(shared.iter().map(|p| p.1));
+    let at_dark = median_line(&shared)?.0;
+    let grows = (middle - at_dark).abs() > 2.0 * OF_INTERCEPT * std_err;
+    let (rel, std_err) = if grows { (at_dark, OF_INTERCEPT * std_err) } else { (middle, std_err) };
+    Some(SharedNoise { between: Between::Neighbours, rel, std_err })
+}
+
+/// Noise that successive frames share.
+fn of_frames(campaign: &Campaign<'_>, flats: &[usize]) -> Option<SharedNoise> {
+    let own = |&i: &usize| {
+        let set = &campaign.sets[i];
+        let dependence = set.dependence().filter(|d| *d > 0.0 && !set.wanders())?;
+        let triples = set.frames().saturating_sub(2).max(1) as f64;
+        Some((1.0 / dependence - 1.0, set.facts.pixels * triples))
+    };
+    let alike: Vec<(f64, f64)> = flats.iter().filter_map(own).collect();
+    let rel = median(alike.iter().map(|a| a.0));
+    // The error of a ratio of variances of successive frames and of those two apart.
+    let samples: f64 = alike.iter().map(|a| a.1).sum();
+    let std_err = OF_MEDIAN * (4.0 / samples).sqrt();
+    (rel > 0.0).then_some(SharedNoise { between: Between::Frames, rel, std_err })
 }

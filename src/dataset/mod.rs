@@ -205,7 +205,7 @@ pub(crate) struct Examination {
     /// Share of a change of level that first frames carry from the set before; 0 where none is seen.
     pub carried_share: f64,
     /// Noise that neighbours or successive frames share.
-    pub shared_noise: SharedNoise,
+    pub shared_noise: Option<SharedNoise>,
 }
 
 /// Values before the examination.
@@ -213,7 +213,7 @@ const UNEXAMINED: Examination = Examination {
     code_step_dn: 1.0,
     struck: StruckSamples { number: 0, are_rays: true },
     carried_share: 0.0,
-    shared_noise: SharedNoise { neighbours: 0.0, frames: 0.0 },
+    shared_noise: None,
 };
 
 /// Single samples that stand far off the same pixel in other frames.
@@ -461,7 +461,7 @@ impl Dataset {
     }
 
     /// Noise that neighbours or successive frames share in all flats.
-    pub(crate) fn shared_noise(&self) -> SharedNoise {
+    pub(crate) fn shared_noise(&self) -> Option<SharedNoise> {
         self.examination.shared_noise
     }
 

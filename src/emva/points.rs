@@ -115,7 +115,7 @@ pub struct Points {
     /// Share of a change of level that first frames carry from the set before.
     pub carried_share: f64,
     /// Noise that neighbours or successive frames share.
-    pub(crate) shared_noise: SharedNoise,
+    pub(crate) shared_noise: Option<SharedNoise>,
     /// Faults of the data.
     pub data_faults: Vec<DataFault>,
 }

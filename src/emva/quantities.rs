@@ -225,7 +225,7 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
         ));
     }
 
-    sheet.notes.extend(points.shared_noise.in_words(k.value));
+    sheet.notes.extend(points.shared_noise.map(|shared| shared.in_words(k.value, k.std_err())));
 
     let dark = dark_noise(&points, definitions, clipped, pixels, &mut sheet);
     sensitivity(&points, definitions, &mut sheet, &k, &r, &dark, &at_saturation);

@@ -260,7 +260,7 @@ struct InTwo {
     signal_dn: f64,
     /// Exposure as it was read.
     read_s: f64,
-    /// The same if the number in front is the whole part.
+    /// Exposure if the number in front is the whole part.
     decimal_s: f64,
     digits: String,
 }
@@ -282,8 +282,8 @@ impl InTwo {
     }
 }
 
-/// Questions exposures in front of whose number another one stands, as in flat_2_4ms, where the levels are those
-/// of 2.4 ms and not of 4 ms.
+/// Questions exposures in front of whose number another one stands, as in flat_2_4ms, where the levels are
+/// those of 2.4 ms and not of 4 ms.
 pub fn decimals_in_two(sets: &mut [Growing], found: &[Found], lowest_dn: f64) {
     let flats = sets.iter().enumerate().filter(|(_, s)| s.set.kind == Kind::Flat);
     let flats: Option<Vec<InTwo>> = flats.map(|(k, s)| InTwo::of(k, s, found, lowest_dn)).collect();

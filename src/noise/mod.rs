@@ -236,7 +236,7 @@ fn estimate_with(
         q: best.q,
         estimators,
         levels,
-        shared_noise_rel: 0.0,
+        shared_noise_rel: None,
         data_faults: Vec::new(),
         notes,
     };
@@ -316,7 +316,7 @@ fn one_level(points: &[Point], zero: &Zero, quantisation_dn2: f64) -> Option<Noi
         q: f64::NAN,
         estimators: vec![estimate],
         levels: levels.collect(),
-        shared_noise_rel: 0.0,
+        shared_noise_rel: None,
         data_faults: Vec::new(),
         notes: vec![
             format!(
@@ -409,9 +409,11 @@ pub fn of_dataset(
     report.notes.extend(memory_in_words(dataset.carried_share()).map(|m| {
         format!("{m} A is too low by what they share, which its error takes in; `radcam diagnose` puts it into the model")
     }));
-    let shared = dataset.shared_noise();
-    report.notes.splice(0..0, shared.in_words(report.gain_dn_per_e.value));
-    report.shared_noise_rel = shared.share();
+    if let Some(shared) = dataset.shared_noise() {
+        let gain = &report.gain_dn_per_e;
+        report.notes.insert(0, shared.in_words(gain.value, gain.std_err));
+        report.shared_noise_rel = Some(shared.quantity());
+    }
     report.notes.extend(masked(&measured));
     report.notes.extend(struck(&measured));
     report.notes.extend(temperature(&dataset));

@@ -130,10 +130,10 @@ pub struct NoiseReport {
     pub estimators: Vec<Estimate>,
     /// Every level.
     pub levels: Vec<LevelReport>,
-    /// Share of the noise that neighbouring pixels or successive frames have together, by which the gain is
-    /// too low (below 0: too high, after sharpening); 0 where none is seen.
+    /// Covariances of neighbouring pixels or successive frames over the variance: by so much, relative, the
+    /// gain is too low (below 0: too high, after sharpening). `None` where pixels and frames are independent.
     #[serde(default)]
-    pub shared_noise_rel: f64,
+    pub shared_noise_rel: Option<Quantity>,
     /// Faults of the data.
     #[serde(default)]
     pub data_faults: Vec<DataFault>,
@@ -158,8 +158,8 @@ impl NoiseReport {
         self.offset_source != NO_ZERO && constant.value < -BEYOND_CHANCE * constant.std_err
     }
 
-    /// Whether nothing speaks clearly against the line, and pixels and frames are independent.
+    /// Returns true if nothing speaks clearly against the line, and pixels and frames are independent.
     pub fn consistent(&self) -> bool {
-        self.agreement() != Agreement::Fails && self.shared_noise_rel == 0.0
+        self.agreement() != Agreement::Fails && self.shared_noise_rel.is_none()
     }
 }

@@ -489,11 +489,7 @@ impl<'a> View<'a> {
             value,
             in_quadrature(&[own, self.walk() * of_lines, 0.3 * self.moving, single, ripple, FIELD * field]),
         )
-        .with_common(ripple.max(if rows {
-            self.walk() * of_lines
-        } else {
-            self.of_stripes(of_lines, value - of_lines, count)
-        }))
+        .with_common(ripple.max(self.of_stripes(of_lines, value - of_lines, count)))
     }
 
     /// Share of noise with these correlations that is left once the mean over the frames is taken off.

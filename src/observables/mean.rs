@@ -2,7 +2,7 @@
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 
-/// What the light of a set may be off by, relative, whatever the lamp (a named choice: an LED's light falls
+/// Error of the light of a set at least, relative, whatever the lamp (a named choice: an LED's light falls
 /// by some 1e-3 per kelvin, so that a tenth of a kelvin is as much; a bend or a drift of 0.01 % costs nobody
 /// anything).
 const LAMP: f64 = 1e-4;

@@ -1,133 +1,26 @@
 //! Slips of the hand, put into campaigns of simulated cameras by rewriting labels and files, and read by the
 //! program.
 
+use crate::rewritten::Campaign;
 use crate::support::{expect, radcam, shared};
-use radcam::dataset::image::{read_single, tiff_bytes};
 use radcam::ndarray::{Array2, s};
 use radcam_sim::rng::{PixelRng, Stream};
 use std::path::Path;
 
-/// A small campaign on disk with its rows as text fields.
-struct Campaign {
-    dir: tempfile::TempDir,
-    rows: Vec<Vec<String>>,
-}
-
-impl Campaign {
-    fn new(sensor: &str, plan: &str, seed: u32) -> Self {
-        let dir = tempfile::tempdir().unwrap();
-        let at = dir.path().join("c");
-        let (at, seed) = (at.to_str().unwrap(), seed.to_string());
-        expect(
-            0,
-            &["simulate", sensor, "--plan", plan, "--region", "0,0,160,128", "--seed", &seed, "-o", at],
-        );
-        let text = std::fs::read_to_string(dir.path().join("c/frames.csv")).unwrap();
-        let rows = text.lines().skip(1).map(|l| l.split(',').map(String::from).collect()).collect();
-        Self { dir, rows }
-    }
-
-    fn path(&self) -> String {
-        self.dir.path().join("c").to_str().unwrap().into()
-    }
-
-    /// Writes the rows back.
-    fn save(&self) {
-        let path = Path::new(&self.path()).join("frames.csv");
-        let text = std::fs::read_to_string(&path).unwrap();
-        let header = text.lines().next().unwrap().to_string();
-        let rows: Vec<String> =
-            std::iter::once(header).chain(self.rows.iter().map(|r| r.join(","))).collect();
-        std::fs::write(path, rows.join("\n") + "\n").unwrap();
-    }
-
-    /// Places of the rows of a set.
-    fn of(&self, set: u32) -> Vec<usize> {
-        (0..self.rows.len()).filter(|r| self.rows[*r][2] == set.to_string()).collect()
-    }
-
-    /// Numbers of the sets of a kind with this many frames at least, in the order of time.
-    fn sets(&self, kind: &str, frames: usize) -> Vec<u32> {
-        let mut out: Vec<u32> = Vec::new();
-        for row in self.rows.iter().filter(|r| r[1] == kind) {
-            let set = row[2].parse().unwrap();
-            if !out.contains(&set) && self.of(set).len() >= frames {
-                out.push(set);
-            }
-        }
-        out
-    }
-
-    fn frame(&self, row: usize) -> Array2<u16> {
-        read_single(&Path::new(&self.path()).join(&self.rows[row][0])).unwrap()
-    }
-
-    fn put(&self, row: usize, codes: &Array2<u16>) {
-        let path = Path::new(&self.path()).join(&self.rows[row][0]);
-        std::fs::write(path, tiff_bytes(codes, 16).unwrap()).unwrap();
-    }
-
-    /// A flat in the middle of the range, with so many frames at least, that follows another level if one
-    /// does.
-    fn flat(&self, frames: usize) -> u32 {
-        self.flat_of(self.sets("flat", frames))
-    }
-
-    fn flat_of(&self, flats: Vec<u32>) -> u32 {
-        let level = |set: u32| self.frame(self.of(set)[0]).mapv(f64::from).mean().unwrap();
-        let mut inside: Vec<u32> =
-            flats.into_iter().filter(|f| (600.0..2200.0).contains(&level(*f))).collect();
-        let steps = |f: &u32| self.before(*f).is_some_and(|b| (level(*f) / level(b) - 1.0).abs() > 0.2);
-        if inside.iter().any(steps) {
-            inside.retain(steps);
-        }
-        inside[inside.len() / 2]
-    }
-
-    /// The set before, in the order of time.
-    fn before(&self, set: u32) -> Option<u32> {
-        let row = self.of(set)[0].checked_sub(1)?;
-        self.rows[row][2].parse().ok()
-    }
-
-    /// Scales the signal of a frame above a level.
-    fn scale(&self, row: usize, by: f64, above: f64) {
-        let codes = self.frame(row).mapv(|v| (above + by * (f64::from(v) - above)).round().max(0.0) as u16);
-        self.put(row, &codes);
-    }
-
-    fn change_darks(&self, to: impl Fn(usize) -> Array2<u16>) {
-        (0..self.rows.len())
-            .filter(|row| self.rows[*row][1] == "dark")
-            .for_each(|row| self.put(row, &to(row)));
-    }
-
-    /// One fault is said, of all darks; the gain is right, and so is the read noise, if there is one.
-    fn has_foreign_darks(&self, words: &str) {
-        let said = self.said("noise");
-        let faults = said["data_faults"].as_array().unwrap();
-        assert_eq!(faults.len(), 1, "{words}: {faults:?}");
-        assert_eq!(faults[0]["kind"], "other-settings");
-        assert_eq!(faults[0]["sets"].as_array().unwrap().len(), self.sets("dark", 1).len());
-        assert!(faults[0]["text"].as_str().unwrap().contains(words), "{faults:?}");
-        let gain = &said["gain_dn_per_e"];
-        let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
-        assert!((value - 0.38).abs() < 4.0 * error, "{words}: {value} +- {error}");
-        // By the flats alone, above the black level that the camera states.
-        let (value, error) =
-            (said["read_noise_e"]["value"].as_f64(), said["read_noise_e"]["std_err"].as_f64());
-        assert!(
-            value.is_none_or(|v| (v - 3.0).abs() < 4.0 * error.unwrap()),
-            "{words}: {value:?} +- {error:?}"
-        );
-    }
-
-    /// What a verb says in JSON, whatever its exit code.
-    fn said(&self, verb: &str) -> serde_json::Value {
-        let output = radcam(&[verb, &self.path(), "--json"]);
-        assert!(output.status.code() != Some(2), "{}", String::from_utf8_lossy(&output.stderr));
-        serde_json::from_slice(&output.stdout).unwrap()
-    }
+/// One fault is said, of all darks; the gain is right, and so is the read noise, if there is one.
+fn has_foreign_darks(campaign: &Campaign, words: &str) {
+    let said = campaign.said("noise");
+    let faults = said["data_faults"].as_array().unwrap();
+    assert_eq!(faults.len(), 1, "{words}: {faults:?}");
+    assert_eq!(faults[0]["kind"], "other-settings");
+    assert_eq!(faults[0]["sets"].as_array().unwrap().len(), campaign.sets("dark", 1).len());
+    assert!(faults[0]["text"].as_str().unwrap().contains(words), "{faults:?}");
+    let gain = &said["gain_dn_per_e"];
+    let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
+    assert!((value - 0.38).abs() < 4.0 * error, "{words}: {value} +- {error}");
+    // By the flats alone, above the black level that the camera states.
+    let (value, error) = (said["read_noise_e"]["value"].as_f64(), said["read_noise_e"]["std_err"].as_f64());
+    assert!(value.is_none_or(|v| (v - 3.0).abs() < 4.0 * error.unwrap()), "{words}: {value:?} +- {error:?}");
 }
 
 const BLACK_DN: f64 = 64.0;
@@ -280,14 +173,14 @@ fn darks_that_are_not_of_the_flats_are_named() {
         let own = campaign(0.38, 60);
         let other = campaign(gain, seed);
         own.change_darks(|row| other.frame(row));
-        own.has_foreign_darks(words);
+        has_foreign_darks(&own, words);
     }
     let own = campaign(0.38, 62);
     own.change_darks(|row| own.frame(row).slice(s![..;-1, ..;-1]).to_owned());
-    own.has_foreign_darks("turned by 180 degrees");
+    has_foreign_darks(&own, "turned by 180 degrees");
     let own = campaign(0.38, 63);
     own.change_darks(|row| own.frame(row).mapv(|v| v + 20));
-    own.has_foreign_darks("another black level than the flats, 19.9");
+    has_foreign_darks(&own, "another black level than the flats, 19.9");
 }
 
 /// Dim flats that are called darks have the response of the pixels in them, and the brighter half of the
@@ -773,10 +666,7 @@ fn charge_in_the_only_dark_is_no_read_noise() {
     campaign.rows =
         (0..campaign.rows.len()).filter(|r| !others.contains(r)).map(|r| campaign.rows[r].clone()).collect();
     campaign.save();
-    let manifest = Path::new(&campaign.path()).join("dataset.toml");
-    let text = std::fs::read_to_string(&manifest).unwrap();
-    let without: Vec<&str> = text.lines().filter(|l| !l.starts_with("black_level_dn")).collect();
-    std::fs::write(&manifest, without.join("\n") + "\n").unwrap();
+    campaign.forget_black_level();
     let said = campaign.said("noise");
     assert!(said["read_noise_e"]["value"].is_null(), "{said}");
     assert!(said["notes"].to_string().contains("so much dark charge is in them"), "{}", said["notes"]);

@@ -1,64 +1,21 @@
 //! Campaigns with one warm dark, with none, or with nothing else: what they tell is said, and what they do
 //! not tell is not made up. Of cameras that the program simulates; sets are taken away by their labels.
 
-use crate::support::{expect, small_sensor};
-use radcam::dataset::image::{read_single, tiff_bytes};
+use crate::rewritten::Campaign;
+use crate::support::small_sensor;
 use serde_json::Value;
-use std::path::PathBuf;
 
-/// A campaign of a small camera with these lines of its model file changed.
-struct Campaign {
-    dir: tempfile::TempDir,
-}
-
-impl Campaign {
-    fn new(changes: &[(&str, &str)], effect: &str, seed: u32) -> Self {
-        let dir = tempfile::tempdir().unwrap();
-        let model = small_sensor(dir.path(), "cmos12", 160, 128);
-        let mut text = std::fs::read_to_string(&model).unwrap();
-        for (name, value) in changes {
-            let line = text.lines().find(|l| l.starts_with(&format!("{name} ="))).unwrap().to_string();
-            text = text.replace(&line, &format!("{name} = {value}"));
-        }
-        std::fs::write(&model, format!("{text}\n{effect}")).unwrap();
-        let (model, at) = (model.to_str().unwrap(), dir.path().join("c"));
-        let seed = seed.to_string();
-        expect(0, &["simulate", model, "--plan", "standard", "--seed", &seed, "-o", at.to_str().unwrap()]);
-        Self { dir }
+/// A campaign of a small camera with these lines of its model file changed, and this effect.
+fn campaign(changes: &[(&str, &str)], effect: &str, seed: u32) -> Campaign {
+    let dir = tempfile::tempdir().unwrap();
+    let model = small_sensor(dir.path(), "cmos12", 160, 128);
+    let mut text = std::fs::read_to_string(&model).unwrap();
+    for (name, value) in changes {
+        let line = text.lines().find(|l| l.starts_with(&format!("{name} ="))).unwrap().to_string();
+        text = text.replace(&line, &format!("{name} = {value}"));
     }
-
-    fn path(&self) -> PathBuf {
-        self.dir.path().join("c")
-    }
-
-    /// Rows of the list of frames as text fields.
-    fn rows(&self) -> Vec<Vec<String>> {
-        let text = std::fs::read_to_string(self.path().join("frames.csv")).unwrap();
-        text.lines().skip(1).map(|l| l.split(',').map(String::from).collect()).collect()
-    }
-
-    /// Leaves the rows that are wanted. `wanted`: by kind, set and exposure in seconds.
-    fn keep(&self, wanted: impl Fn(&str, u32, f64) -> bool) {
-        let path = self.path().join("frames.csv");
-        let text = std::fs::read_to_string(&path).unwrap();
-        let header = text.lines().next().unwrap().to_string();
-        let kept =
-            self.rows().into_iter().filter(|r| wanted(&r[1], r[2].parse().unwrap(), r[4].parse().unwrap()));
-        let lines: Vec<String> = std::iter::once(header).chain(kept.map(|r| r.join(","))).collect();
-        std::fs::write(path, lines.join("\n") + "\n").unwrap();
-    }
-
-    /// A manifest that does not know the black level, as that of imported files.
-    fn forget_black_level(&self) {
-        let manifest = self.path().join("dataset.toml");
-        let text = std::fs::read_to_string(&manifest).unwrap();
-        let without: Vec<&str> = text.lines().filter(|l| !l.starts_with("black_level_dn")).collect();
-        std::fs::write(&manifest, without.join("\n") + "\n").unwrap();
-    }
-
-    fn diagnosed(&self, code: i32) -> Value {
-        serde_json::from_str(&expect(code, &["diagnose", self.path().to_str().unwrap(), "--json"])).unwrap()
-    }
+    std::fs::write(&model, format!("{text}\n{effect}")).unwrap();
+    Campaign::new(model.to_str().unwrap(), "standard", seed)
 }
 
 /// Standard errors between a value that was said and the truth.
@@ -72,16 +29,12 @@ fn sigmas(said: &Value, truth: f64) -> f64 {
 #[test]
 fn a_single_warm_dark_tells_gain_and_dark_current() {
     for seed in [31, 32] {
-        let campaign = Campaign::new(&[("dark_current_e_per_s", "200.0")], "", seed);
-        let dark = campaign
-            .rows()
-            .iter()
-            .filter(|r| r[1] == "dark")
-            .map(|r| r[4].parse::<f64>().unwrap())
-            .fold(0.0, f64::max);
-        campaign.keep(|kind, _, exposure_s| kind == "flat" || kind == "dark" && exposure_s == dark);
+        let mut campaign = campaign(&[("dark_current_e_per_s", "200.0")], "", seed);
+        let darks = campaign.rows.iter().filter(|r| r[1] == "dark");
+        let longest_s = darks.map(|r| r[4].parse::<f64>().unwrap()).fold(0.0, f64::max);
+        campaign.keep(|kind, exposure_s| kind == "flat" || kind == "dark" && exposure_s == longest_s);
         campaign.forget_black_level();
-        let said = campaign.diagnosed(0);
+        let said = campaign.said("diagnose");
         assert!(said["consistent"] == true && said["data_faults"] == Value::Array(vec![]), "{said:#}");
         let off = sigmas(&said["gain_dn_per_e"], 0.38);
         assert!(off.abs() < 4.0, "gain {off} of {}", said["gain_dn_per_e"]);
@@ -96,11 +49,10 @@ fn a_single_warm_dark_tells_gain_and_dark_current() {
 #[test]
 fn flats_alone_make_no_negative_dark_current() {
     for seed in [33, 34] {
-        let campaign = Campaign::new(&[], "", seed);
-        campaign.keep(|kind, _, _| kind == "flat");
+        let mut campaign = campaign(&[], "", seed);
+        campaign.keep(|kind, _| kind == "flat");
         campaign.forget_black_level();
-        let output = crate::support::radcam(&["diagnose", campaign.path().to_str().unwrap(), "--json"]);
-        let said: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let said = campaign.said("diagnose");
         let dark = &said["dark_current_e_per_s"];
         assert!(dark["value"].as_f64().is_none_or(|v| v >= 0.0), "{dark}");
         assert_eq!(said["consistent"], true, "{said:#}");
@@ -112,9 +64,9 @@ fn flats_alone_make_no_negative_dark_current() {
 #[test]
 fn darks_alone_say_sizes_in_dn() {
     let effect = "[[effect]]\nid = \"row-noise\"\n[effect.parameters]\ne = 1.5\n";
-    let campaign = Campaign::new(&[], effect, 35);
-    campaign.keep(|kind, _, exposure_s| kind == "dark" && exposure_s < 0.05);
-    let said = campaign.diagnosed(1);
+    let mut campaign = campaign(&[], effect, 35);
+    campaign.keep(|kind, exposure_s| kind == "dark" && exposure_s < 0.05);
+    let said = campaign.said("diagnose");
     let row = &said["missing"][0];
     assert_eq!(row["effect"], "row-noise", "{said:#}");
     let size = &row["parameters"]["e"];
@@ -126,22 +78,17 @@ fn darks_alone_say_sizes_in_dn() {
 /// gain is that without the loss, within four standard errors.
 #[test]
 fn rows_that_a_frame_lost_clip_no_set() {
-    let campaign = Campaign::new(&[], "", 36);
-    let rows = campaign.rows();
-    let level = |row: &Vec<String>| {
-        let codes = read_single(&campaign.path().join(&row[0])).unwrap();
-        codes.iter().map(|c| f64::from(*c)).sum::<f64>() / codes.len() as f64
-    };
+    let campaign = campaign(&[], "", 36);
+    let level = |row: &usize| campaign.frame(*row).mapv(f64::from).mean().unwrap();
     // The brightest flat that is not near full scale.
-    let flats = rows.iter().filter(|r| r[1] == "flat" && r[3] == "1");
+    let flats =
+        (0..campaign.rows.len()).filter(|r| campaign.rows[*r][1] == "flat" && campaign.rows[*r][3] == "1");
     let brightest = flats.filter(|r| level(r) < 3000.0).max_by(|a, b| level(a).total_cmp(&level(b))).unwrap();
-    let path = campaign.path().join(&brightest[0]);
-    let mut codes = read_single(&path).unwrap();
+    let mut codes = campaign.frame(brightest);
     let lost = codes.nrows() - codes.nrows() / 10;
     codes.slice_mut(radcam::ndarray::s![lost.., ..]).fill(0);
-    std::fs::write(&path, tiff_bytes(&codes, 16).unwrap()).unwrap();
-    let output = crate::support::radcam(&["diagnose", campaign.path().to_str().unwrap(), "--json"]);
-    let said: Value = serde_json::from_slice(&output.stdout).unwrap();
+    campaign.put(brightest, &codes);
+    let said = campaign.said("diagnose");
     let words = format!("{} {}", said["notes"], said["data_faults"]);
     assert!(!words.contains("clipped"), "{words}");
     let off = sigmas(&said["gain_dn_per_e"], 0.38);
@@ -152,8 +99,7 @@ fn rows_that_a_frame_lost_clip_no_set() {
 #[test]
 fn frames_that_drift_are_not_called_filtered() {
     let effect = "[[effect]]\nid = \"offset-drift\"\n[effect.parameters]\nshape = 1.0\ndn_per_s = 0.0\ndn = 12.0\ntau_s = 4.0\n";
-    let campaign = Campaign::new(&[], effect, 37);
-    let said = campaign.diagnosed(1);
+    let said = campaign(&[], effect, 37).said("diagnose");
     assert!(!said["data_faults"].to_string().contains("filtered"), "{}", said["data_faults"]);
     assert_eq!(said["missing"][0]["effect"], "offset-drift", "{said:#}");
 }

@@ -31,9 +31,9 @@ fn lights_twice(model: radcam_sim::Model, root: &Path) {
     without_stated_light(root);
 }
 
-/// Residuals at lights that the fit did not see are of unit size, over 16 clean cameras under a lamp that comes
-/// back to 1e-4, which the model takes for granted of none better: the means of lights that are set twice, the
-/// noise of pixels, rows and columns, and neighbours, each within four standard errors.
+/// Residuals at lights that the fit did not see are of unit size, over 16 clean cameras under a lamp that
+/// comes back to 1e-4, which the model takes for granted of none better: the means of lights that are set
+/// twice, the noise of pixels, rows and columns, and neighbours, each within four standard errors.
 #[test]
 fn residuals_at_lights_of_one_half_are_of_unit_size() {
     let mut of: BTreeMap<String, Vec<f64>> = BTreeMap::new();

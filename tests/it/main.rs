@@ -47,6 +47,7 @@ mod program;
 mod real;
 mod reduction;
 mod report;
+mod rewritten;
 mod sensors;
 #[cfg(feature = "aravis")]
 mod serve;

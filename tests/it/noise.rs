@@ -1,13 +1,14 @@
 //! Section IV against simulated truth over many seeds, and against data of others.
 
+use crate::rewritten::Campaign;
 use crate::support::{expect, shared, small};
 use radcam::dataset::Dataset;
-use radcam::dataset::image::{read_single, tiff_bytes};
 use radcam::ndarray::Array2;
 use radcam::noise::{self, Measured, Method, NoiseReport};
 use radcam::statistics::level::LevelAccumulator;
 use radcam::{dataset::Kind, fit::line::goodness};
 use radcam_sim::{Conditions, Sensor};
+use serde_json::Value;
 use std::sync::atomic::AtomicBool;
 
 /// A campaign of the paper's size: 6 levels of light, 100 x 100 pixels, one pair each.
@@ -233,20 +234,26 @@ fn a_black_level_in_the_means_of_a_table_is_told() {
 }
 
 /// Frames whose neighbours or successors share noise have a line, and a gain that is too low by what they
-/// share: it is said, with the gain that follows within 4 %, and exit code 1. Practice campaigns of others,
-/// and frames of ours that are the mean of two neighbouring pixels, a sharpened one, and a mean with the
-/// frame before.
+/// share: it is said with its error, and exit code 1. Practice campaigns of others, the gain that follows
+/// within four standard errors and 1 % (crosstalk acts on the light, not on the noise of reading); frames of
+/// ours of which two by two or two neighbours are the mean, a sharpened one, and a mean with the frame
+/// before.
 #[test]
 fn noise_that_pixels_or_frames_share_is_said() {
-    let said = |code: i32, path: &str| -> serde_json::Value {
+    let said = |code: i32, path: &str| -> Value {
         serde_json::from_str(&expect(code, &["noise", path, "--json"])).unwrap()
     };
-    let corrected = |v: &serde_json::Value| {
-        v["gain_dn_per_e"]["value"].as_f64().unwrap() * (1.0 + v["shared_noise_rel"].as_f64().unwrap())
+    let is_near = |v: &Value, truth: f64, name: &str| {
+        let of = |q: &str, part: &str| v[q][part].as_f64().unwrap();
+        let factor = 1.0 + of("shared_noise_rel", "value");
+        let gain = of("gain_dn_per_e", "value") * factor;
+        let error = (of("gain_dn_per_e", "std_err") * factor)
+            .hypot(of("gain_dn_per_e", "value") * of("shared_noise_rel", "std_err"));
+        assert!((gain - truth).abs() < 4.0 * error + 0.01 * truth, "{name}: {gain} +- {error} for {truth}");
     };
     if let Some(root) = shared("practice/interpixel-crosstalk") {
         let v = said(1, root.to_str().unwrap());
-        assert!((corrected(&v) / 0.27727 - 1.0).abs() < 0.02, "{}", corrected(&v));
+        is_near(&v, 0.27727, "crosstalk");
         let text = expect(1, &["noise", root.to_str().unwrap()]);
         let beside = text.lines().position(|l| l.contains("shared noise")).unwrap();
         assert!(
@@ -254,75 +261,49 @@ fn noise_that_pixels_or_frames_share_is_said() {
             "{text}"
         );
     }
-    // What neighbours share grows with the level there, and the gain at the dark end is right.
+    // Covariances of neighbours grow with the level there, and the gain at the dark end is right.
     if let Some(root) = shared("practice/brighter-fatter") {
         let v = said(1, root.to_str().unwrap());
-        assert_eq!(v["shared_noise_rel"], 0.0, "{}", v["notes"]);
+        assert!(v["shared_noise_rel"].is_null(), "{}", v["notes"]);
     }
-    let dir = tempfile::tempdir().unwrap();
-    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
-    let plain = at("plain");
-    expect(
-        0,
-        &[
-            "simulate",
-            "cmos12",
-            "--plan",
-            "standard",
-            "--region",
-            "0,0,160,128",
-            "--seed",
-            "41",
-            "-o",
-            &plain,
-        ],
-    );
-    assert_eq!(said(0, &plain)["shared_noise_rel"], 0.0);
-    let next = |a: &Array2<f64>, k: isize| {
-        let (rows, columns) = a.dim();
-        Array2::from_shape_fn((rows, columns), |(y, x)| {
-            a[[y, (x as isize + k).rem_euclid(columns as isize) as usize]]
-        })
+    let new = |seed| Campaign::of_region("cmos12", "standard", [256, 192], seed);
+    assert!(new(41).said("noise")["shared_noise_rel"].is_null());
+    let next = |a: &Array2<f64>, k: isize, axis: usize| {
+        let n = a.dim();
+        let at = |i: usize, n: usize, k: isize| (i as isize + k).rem_euclid(n as isize) as usize;
+        Array2::from_shape_fn(
+            n,
+            |(y, x)| {
+                if axis == 1 { a[[y, at(x, n.1, k)]] } else { a[[at(y, n.0, k), x]] }
+            },
+        )
     };
     type Change<'a> = &'a dyn Fn(&Array2<f64>, &Array2<f64>) -> Array2<f64>;
-    // What is made of a frame and the one before it.
-    let changes: [(&str, Change<'_>); 3] = [
-        ("mean", &|a, _| 0.5 * (a + &next(a, 1))),
-        ("sharpened", &|a, _| 1.4 * a - 0.2 * (next(a, 1) + next(a, -1))),
+    let two = |a: &Array2<f64>, axis: usize| 0.5 * (a + &next(a, 1, axis));
+    // Frames made of a frame and the one before it.
+    let changes: [(&str, Change<'_>); 4] = [
+        ("mean of two", &|a, _| two(a, 1)),
+        ("mean of two by two", &|a, _| two(&two(a, 1), 0)),
+        ("sharpened", &|a, _| 1.4 * a - 0.2 * (next(a, 1, 1) + next(a, -1, 1))),
         ("filtered", &|a, before| 0.5 * (a + before)),
     ];
-    for (name, change) in changes {
-        let folder = at(name);
-        copy_campaign(&plain, &folder);
-        let list = std::fs::read_to_string(format!("{folder}/frames.csv")).unwrap();
+    for (seed, (name, change)) in (42..).zip(changes) {
+        let campaign = new(seed);
         let mut before: Option<(String, Array2<f64>)> = None;
-        for line in list.lines().skip(1) {
-            let fields: Vec<&str> = line.split(',').collect();
-            let path = std::path::Path::new(&folder).join(fields[0]);
-            let own = read_single(&path).unwrap().mapv(f64::from);
-            let key = fields[2].to_string();
-            let last = before.take().filter(|(set, _)| *set == key).map_or_else(|| own.clone(), |b| b.1);
-            let codes = change(&own, &last).mapv(|v| v.round().clamp(0.0, 4095.0) as u16);
-            std::fs::write(&path, tiff_bytes(&codes, 16).unwrap()).unwrap();
-            before = Some((key, own));
+        for row in 0..campaign.rows.len() {
+            let set = campaign.rows[row][2].clone();
+            let own = campaign.frame(row).mapv(f64::from);
+            let last = before.filter(|b| b.0 == set).map_or_else(|| own.clone(), |b| b.1);
+            campaign.put(row, &change(&own, &last).mapv(|v| v.round().clamp(0.0, 4095.0) as u16));
+            before = Some((set, own));
         }
-        let v = said(1, &folder);
-        let gain = corrected(&v);
+        let v = said(1, &campaign.path());
         if name == "filtered" {
-            assert!(v["shared_noise_rel"].as_f64().unwrap() > 0.5 && gain < 0.39, "{name}: {gain}");
+            // The least of it: a mean of two frames has half the variance.
+            let rel = v["shared_noise_rel"]["value"].as_f64().unwrap();
+            assert!((0.5..1.1).contains(&rel), "{name}: {rel}");
         } else {
-            assert!((gain / 0.38 - 1.0).abs() < 0.04, "{name}: {gain}, {}", v["shared_noise_rel"]);
+            is_near(&v, 0.38, name);
         }
-    }
-}
-
-fn copy_campaign(from: &str, to: &str) {
-    std::fs::create_dir_all(format!("{to}/frames")).unwrap();
-    for part in ["dataset.toml", "frames.csv"] {
-        std::fs::copy(format!("{from}/{part}"), format!("{to}/{part}")).unwrap();
-    }
-    for file in std::fs::read_dir(format!("{from}/frames")).unwrap() {
-        let file = file.unwrap();
-        std::fs::copy(file.path(), format!("{to}/frames/{}", file.file_name().to_str().unwrap())).unwrap();
     }
 }

@@ -127,7 +127,7 @@ pub struct Seen {
     pub together_dn4: Option<(f64, f64)>,
     /// Code below which one in two hundred samples of the darks lies, from the black level, DN.
     pub darkest_dn: Option<f64>,
-    /// That code as it stands in the files, DN.
+    /// Code, as it stands in the files, below which one in two hundred samples of the darks lies, DN.
     pub darkest_code: Option<f64>,
 }
 
