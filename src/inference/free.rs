@@ -82,6 +82,7 @@ pub struct Free {
     pub light_of_level: Vec<Option<usize>>,
     template: BaseParameters,
     values: Vec<Vec<f64>>,
+    full_scale_dn: f64,
 }
 
 /// A place in the space of what is free.
@@ -248,6 +249,7 @@ impl Free {
             light_of_level,
             template,
             values: effects.iter().map(|(_, v)| v.clone()).collect(),
+            full_scale_dn: all.campaign.full_scale_dn,
         };
         (free, point)
     }
@@ -293,8 +295,27 @@ impl Free {
         (base, self.effects.iter().copied().zip(values).collect())
     }
 
-    /// Keeps every value within its bounds.
+    /// Directions in the parameters of an effect that change nothing: the place of the first parameter, and
+    /// the direction, in the parameters' own units.
+    pub fn redundant(&self, at: &Point) -> Vec<(usize, Vec<f64>)> {
+        let of = |(place, effect): (usize, &&'static dyn Effect)| {
+            let first = self.place(Common::Of(place, 0))?;
+            let these = first..first + effect.parameters().len();
+            let values: Vec<f64> = these.map(|i| at.x[i] * self.scale[i]).collect();
+            Some((first, effect.redundant(&values, self.full_scale_dn)?))
+        };
+        self.effects.iter().enumerate().filter_map(of).collect()
+    }
+
+    /// Keeps every value within its bounds, and without a part along a direction that changes nothing.
     pub fn clamp(&self, at: &mut Point) {
+        for (first, along) in self.redundant(at) {
+            let values = along.iter().enumerate().map(|(k, v)| v * at.x[first + k] * self.scale[first + k]);
+            let part = values.sum::<f64>() / along.iter().map(|v| v * v).sum::<f64>();
+            for (k, v) in along.iter().enumerate() {
+                at.x[first + k] -= part * v / self.scale[first + k];
+            }
+        }
         for (x, (min, max)) in at.x.iter_mut().zip(&self.bounds) {
             *x = x.clamp(*min, *max);
         }

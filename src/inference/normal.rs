@@ -51,6 +51,19 @@ impl Normal {
         self.matrix[i * self.n + i] += weight;
     }
 
+    /// Adds that a sum of successive common values with these factors is nothing, far better than the campaign
+    /// knows it.
+    pub fn rule_out(&mut self, first: usize, factors: &[f64]) {
+        let n = self.n;
+        let most = (0..n).map(|i| self.matrix[i * n + i]).fold(1.0, f64::max);
+        let weight = most / factors.iter().map(|f| f * f).sum::<f64>();
+        for (i, a) in factors.iter().enumerate() {
+            for (j, b) in factors.iter().enumerate() {
+                self.matrix[(first + i) * n + first + j] += weight * a * b;
+            }
+        }
+    }
+
     /// Damped; `None` where there is no solution.
     pub fn solver(&self, damping: f64) -> Option<Solver> {
         let n = self.n;

@@ -10,8 +10,20 @@ pub struct AdcNonlinearity;
 /// Bits at each end that have a weight of their own.
 const EACH: usize = 6;
 
+/// `max`: nearly half of the weight of a low bit, and of the lowest nearly a code (named choices: with more, codes
+/// would run backwards).
 const fn bit(name: &'static str, meaning: &'static str, max: f64) -> Parameter {
     Parameter { name, meaning, unit: "DN", min: -max, max, starts: &[0.05] }
+}
+
+const fn weight(bit: usize) -> f64 {
+    (1u32 << bit) as f64
+}
+
+/// Errors in proportion to the weights, over the weights: those are gain.
+fn gain_of(errors: &[f64]) -> f64 {
+    let sum = |of: &dyn Fn(usize) -> f64| (0..errors.len()).map(of).sum::<f64>();
+    sum(&|b| weight(b) * errors[b]) / sum(&|b| weight(b) * weight(b)).max(1.0)
 }
 
 /// Errors of all bits of a converter of so many.
@@ -27,10 +39,8 @@ fn errors(p: &[f64], bits: usize) -> [f64; BITS] {
         }
     }
     if part != 0 {
-        // Errors in proportion to the weights are gain: about the straight line they are none.
-        let weight = |b: usize| (1u32 << b) as f64;
-        let sum = |of: &dyn Fn(usize) -> f64| (0..bits).map(of).sum::<f64>();
-        let gain = sum(&|b| weight(b) * out[b]) / sum(&|b| weight(b) * weight(b)).max(1.0);
+        // About the straight line what is gain is no error.
+        let gain = gain_of(&out[..bits]);
         (0..bits).for_each(|b| out[b] -= gain * weight(b));
     }
     out
@@ -113,7 +123,6 @@ impl Smooth {
         let fine = std::array::from_fn(|k| errors.get(lowest + k).copied().unwrap_or(0.0));
         errors[..(lowest + FINE).min(BITS)].fill(0.0);
         let above = errors.iter().any(|e| *e != 0.0).then(|| Steps::new(errors, bits));
-        let weight = |b: usize| (1u32 << b) as f64;
         Self { apart: weight(lowest), full_scale_dn: weight(bits) - 1.0, below, fine, above, all }
     }
 
@@ -181,10 +190,10 @@ impl Effect for AdcNonlinearity {
             },
             bit("bit0_dn", "error of the weight of bit 0, counted from the lowest", 0.9),
             bit("bit1_dn", "error of the weight of bit 1, counted from the lowest", 0.9),
-            bit("bit2_dn", "error of the weight of bit 2, counted from the lowest", 0.9),
-            bit("bit3_dn", "error of the weight of bit 3, counted from the lowest", 0.9),
-            bit("bit4_dn", "error of the weight of bit 4, counted from the lowest", 0.9),
-            bit("bit5_dn", "error of the weight of bit 5, counted from the lowest", 0.9),
+            bit("bit2_dn", "error of the weight of bit 2, counted from the lowest", 1.8),
+            bit("bit3_dn", "error of the weight of bit 3, counted from the lowest", 3.6),
+            bit("bit4_dn", "error of the weight of bit 4, counted from the lowest", 7.2),
+            bit("bit5_dn", "error of the weight of bit 5, counted from the lowest", 14.4),
             bit("top0_dn", "error of the weight of bit 0, counted from the highest", 32.0),
             bit("top1_dn", "error of the weight of bit 1, counted from the highest", 32.0),
             bit("top2_dn", "error of the weight of bit 2, counted from the highest", 32.0),
@@ -202,6 +211,16 @@ impl Effect for AdcNonlinearity {
             (1, k) => k > EACH,
             _ => true,
         }
+    }
+
+    fn redundant(&self, p: &[f64], full_scale_dn: f64) -> Option<Vec<f64>> {
+        let bits = depth(full_scale_dn);
+        // Bits between the ends have no error of their own: where there are some they tell what is gain.
+        (p[0].round() as i32 == 2 && bits == 2 * EACH).then(|| {
+            let low = (0..EACH).map(weight);
+            let high = (0..EACH).map(|k| weight(bits - 1 - k));
+            std::iter::once(0.0).chain(low).chain(high).collect()
+        })
     }
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {

@@ -397,6 +397,11 @@ pub trait Effect: Sync + Send {
             |p: &Parameter, k: usize| p.starts.get(k).or(p.starts.last()).copied().unwrap_or(p.min.max(0.0));
         (0..tries).map(|k| parameters.iter().map(|p| of(p, k)).collect()).collect()
     }
+    /// Whether a start is tried at its own size too: what stands in the model already explains most of what the
+    /// effect does, and no slope leads from there to the right size.
+    fn starts_whole(&self, _start: &[f64]) -> bool {
+        false
+    }
     /// Standard error of a parameter beyond that of the fit, in its own unit: from values that give the same
     /// codes, or fit this campaign as well.
     fn resolution(&self, _parameter: usize, _p: &[f64], _seen: &Seen) -> f64 {
@@ -409,6 +414,11 @@ pub trait Effect: Sync + Send {
     /// Whether a parameter matters where the choices are those of these values.
     fn uses(&self, _p: &[f64], _parameter: usize) -> bool {
         true
+    }
+    /// Direction of the parameters that changes no code of a camera of this full scale: values have no part
+    /// along it.
+    fn redundant(&self, _p: &[f64], _full_scale_dn: f64) -> Option<Vec<f64>> {
+        None
     }
     /// What the choices mean, in words.
     fn form(&self, _p: &[f64]) -> Option<&'static str> {
