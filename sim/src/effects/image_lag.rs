@@ -2,6 +2,7 @@
 
 use super::temporal_filter::running_average;
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
+use crate::rng::PixelRng;
 
 /// A share of a frame's charge is handed on to the next; of that, again a share, or all of it is read; or two kinds of traps let it go in
 /// times of their own.
@@ -47,6 +48,29 @@ impl Held {
         }
     }
 
+    /// The same for whole electrons of which each is held or let go by chance: the means are those of
+    /// [`Self::pass`].
+    fn pass_by_chance(self, charge: f64, store: Store, after_s: f64, rng: &mut PixelRng) -> (f64, Store) {
+        match self {
+            Self::Next { share, again } => {
+                let all = charge + if again { store[0] } else { 0.0 };
+                let stays = by_chance(all, share, rng);
+                (all - stays + if again { 0.0 } else { store[0] }, [stays, 0.0])
+            }
+            Self::Traps(traps) => {
+                let (mut free, mut left, mut out, mut next) = (charge, 1.0, 0.0, store);
+                for ((share, tau_s), held) in traps.iter().zip(&mut next) {
+                    let stays = by_chance(*held, libm::exp(-after_s / tau_s.max(1e-9)), rng);
+                    let caught = by_chance(free, share / left, rng);
+                    (free, left) = (free - caught, left - share);
+                    out += *held - stays;
+                    *held = stays + caught;
+                }
+                (out + free, next)
+            }
+        }
+    }
+
     /// What is held where frames of this charge went before, for long, in steps of this time.
     fn settled(self, charge: f64, every_s: f64) -> Store {
         match self {
@@ -77,6 +101,42 @@ impl Held {
                 (lag(0), (1..8).map(|k| lag(k) / lag(0)).collect())
             }
         }
+    }
+}
+
+/// Place of the parameter that says whether single electrons are held by chance.
+const BY_CHANCE: usize = 5;
+
+fn is_by_chance(p: &[f64]) -> bool {
+    p[BY_CHANCE].round() as i32 == 1
+}
+
+/// Variance from which on a binomial number is drawn as a normal one (a named choice: its skewness is then
+/// below 0.15).
+const MANY: f64 = 50.0;
+
+/// How many of these electrons, each with this chance; of what is no whole electron the same share.
+fn by_chance(electrons: f64, chance: f64, rng: &mut PixelRng) -> f64 {
+    let (p, n) = (chance.clamp(0.0, 1.0), electrons.floor());
+    if p > 0.5 {
+        return electrons - by_chance(electrons, 1.0 - p, rng);
+    }
+    let part = p * (electrons - n);
+    if n <= 0.0 || p <= 0.0 {
+        return part;
+    }
+    let variance = n * p * (1.0 - p);
+    if variance > MANY {
+        return part + (n * p + variance.sqrt() * rng.normal()).round().clamp(0.0, n);
+    }
+    // From one that is taken to the next (geometric distribution).
+    let (mut taken, mut at, per) = (0.0, 0.0, libm::log1p(-p));
+    loop {
+        at += 1.0 + (libm::log(1.0 - rng.uniform()) / per).floor();
+        if at > n {
+            return part + taken;
+        }
+        taken += 1.0;
     }
 }
 
@@ -138,18 +198,34 @@ impl Effect for ImageLag {
                 max: 1e4,
                 starts: &[],
             },
+            Parameter {
+                name: "by_chance",
+                meaning: "0: the same share of every charge, 1: each electron stays by chance",
+                unit: "choice",
+                min: 0.0,
+                max: 1.0,
+                starts: &[0.0, 1.0],
+            },
         ]
     }
 
     fn uses(&self, p: &[f64], parameter: usize) -> bool {
-        parameter < 2 || p[0].round() as i32 == 2
+        parameter < 2 || parameter == BY_CHANCE || p[0].round() as i32 == 2
+    }
+
+    /// Models of before it was a choice.
+    fn usual(&self, parameter: usize) -> Option<f64> {
+        (parameter == BY_CHANCE).then_some(0.0)
     }
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {
-        Some(match p[0].round() as i32 {
-            0 => "the held charge is read with the next frame",
-            1 => "of what stays, the same share stays again",
-            _ => "two time constants",
+        Some(match (p[0].round() as i32, is_by_chance(p)) {
+            (0, false) => "the held charge is read with the next frame",
+            (1, false) => "of what stays, the same share stays again",
+            (_, false) => "two time constants",
+            (0, true) => "the held charge is read with the next frame; each electron stays by chance",
+            (1, true) => "of what stays, the same share stays again; each electron by chance",
+            (_, true) => "two time constants; each electron stays by chance",
         })
     }
 
@@ -164,17 +240,19 @@ impl Effect for ImageLag {
 
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let frame = seen.frame_s.max(1e-4);
-        let traps = |short: f64, long: f64| vec![2.0, 0.005, short * frame, 0.002, long * frame];
-        vec![
-            vec![0.0, 0.005, frame, 0.0, frame],
-            vec![1.0, 0.005, frame, 0.0, frame],
+        let traps = |short: f64, long: f64| [2.0, 0.005, short * frame, 0.002, long * frame];
+        let all = [
+            [0.0, 0.005, frame, 0.0, frame],
+            [1.0, 0.005, frame, 0.0, frame],
             traps(0.7, 6.0),
             traps(2.0, 25.0),
-        ]
+        ];
+        let of = |by_chance: f64| all.map(|p| p.into_iter().chain([by_chance]).collect());
+        [of(0.0), of(1.0)].concat()
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
-        Some(vec![0.0, 0.003, 0.8 * plain.frame_s, 0.002, 6.0 * plain.frame_s])
+        Some(vec![0.0, 0.003, 0.8 * plain.frame_s, 0.002, 6.0 * plain.frame_s, 0.0])
     }
 
     fn page(&self) -> Page {
@@ -185,14 +263,16 @@ impl Effect for ImageLag {
                        out_t = (1 - f) (q_t + f q_(t-1) + f^2 q_(t-2) + ...); shape 2: two kinds of \
                        traps, i = 1, 2, with f_1 = fraction, tau_1 = tau_s, f_2 = fraction_2, tau_2 = tau_2_s, s_i,t the charge that kind i holds \
                        after frame t: s_i,t = s_i,(t-1) exp(-dt / tau_i) + f_i q_t, out_t = (1 - f_1 - f_2) q_t + sum over i of s_i,(t-1) \
-                       (1 - exp(-dt / tau_i)), dt the time from frame to frame",
+                       (1 - exp(-dt / tau_i)), dt the time from frame to frame; by_chance = 1: each electron is held or let go by itself, with \
+                       these shares as its chance, and what is read of a steady light is Poisson's again: variance q, no covariance",
             signature: "the first frames after a change of level contain part of the previous signal, also darks that follow bright \
-                        frames; at constant signal the mean is unbiased and the temporal variance slightly too small",
+                        frames; at constant signal the mean is unbiased, and the temporal variance slightly too small where the same share of every charge \
+                        stays (a voltage that is not reset), unchanged where each electron stays by chance (charge transfer, traps)",
             look_alikes: "a temporal filter: unlike image lag, it correlates the read noise of darks from frame to frame",
             remedy: "discard the first frames after a change of level, which makes the mean right; to correct a photon-transfer gain, \
                      divide the temporal variance (read noise taken off, over many frames and not from differences of successive ones) by \
                      (1 - f)^2 + f^2 where the held charge is read with the next frame, by (1 - f) / (1 + f) where it is read over many \
-                     frames, f being the fraction; use a longer reset or charge \
+                     frames, f being the fraction (nothing is to be divided where each electron stays by chance); use a longer reset or charge \
                      flushing",
             measure: "darks directly after bright flats, and bright flats directly after darks",
             sets: takes::TRANSITIONS,
@@ -217,6 +297,11 @@ impl Effect for ImageLag {
             (*m, store) = held.pass(*m, store, after_s);
             last_s = Some(end_s);
         }
+        // What chance takes of a Poisson number of electrons, and what it leaves, are two independent Poisson
+        // numbers.
+        if is_by_chance(p) {
+            return;
+        }
         let (less, memory) = held.noise(c.frame_s);
         for s in &mut out.sets {
             s.shot.scale(less);
@@ -235,10 +320,19 @@ impl Effect for ImageLag {
         let end_s = d.time_s + d.exposure_s;
         let last_s = d.memory.get("image-lag-time").map(|t| t[(0, 0)]);
         let after_s = last_s.map_or(d.exposure_s, |last| (end_s - last).max(0.0));
-        ndarray::Zip::from(&mut d.image).and(&mut short).and(&mut long).for_each(|q, a, b| {
-            let (out, store) = held.pass(*q, [*a, *b], after_s);
+        let (columns, chance) = (dim.1, is_by_chance(p));
+        let mut image = std::mem::take(&mut d.image);
+        ndarray::Zip::indexed(&mut image).and(&mut short).and(&mut long).for_each(|(r, c), q, a, b| {
+            let store = [*a, *b];
+            let (out, store) = if chance {
+                let mut rng = d.random("image-lag", d.frame, (r * columns + c) as u32);
+                held.pass_by_chance(*q, store, after_s, &mut rng)
+            } else {
+                held.pass(*q, store, after_s)
+            };
             (*q, [*a, *b]) = (out, store);
         });
+        d.image = image;
         d.memory.insert("image-lag", short);
         d.memory.insert("image-lag-2", long);
         d.memory.insert("image-lag-time", ndarray::Array2::from_elem((1, 1), end_s));
