@@ -1,7 +1,7 @@
 //! Covariance of the means of columns some way apart, DN^2: whether columns that scatter do so one by one, in
 //! stripes, or with a field that changes its shape.
 
-use super::expect::{FIELD, line_mean};
+use super::expect::FIELD;
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature, line_shape};
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
@@ -61,11 +61,7 @@ impl Statistic for ColumnShape {
             0.0
         };
         let flat = view.of_mean - s.row.of_mean() / rows as f64 - view.ripple_of_mean;
-        let of_line = |&(v, px, py): &(f64, f64, f64)| {
-            let of_columns = v * line_mean(py, rows as f64);
-            (of_columns * libm::cos(px * lag as f64), of_columns)
-        };
-        let (striped, stripes) = s.lines.iter().map(of_line).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+        let (striped, stripes) = view.striped(false, lag);
         let own = (s.shot.across_lag(0) + s.read.across_lag(0)) / rows as f64 + s.column.lag(0);
         let alone = own / (((columns - lag) as f64) * view.dof).sqrt();
         let single = in_quadrature(&[s.unsure_var, view.rough.1]) / rows as f64;

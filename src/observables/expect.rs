@@ -459,15 +459,25 @@ impl<'a> View<'a> {
         in_quadrature(&[self.walk() * stripes, with_noise.sqrt()])
     }
 
+    /// Covariance of the means of rows, or of columns, so far apart by the sines of a line, and their variance, DN^2.
+    pub fn striped(&self, rows: bool, lag: usize) -> (f64, f64) {
+        let Some(s) = self.set() else { return (0.0, 0.0) };
+        let shape = self.all.campaign.shape;
+        let of_line = |&(v, px, py): &(f64, f64, f64)| {
+            let (along, width, across) = if rows { (px, shape.1, py) } else { (py, shape.0, px) };
+            let of_means = v * line_mean(along, width as f64);
+            (of_means * (across * lag as f64).cos(), of_means)
+        };
+        s.lines.iter().map(of_line).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1))
+    }
+
     /// Variance of the means of rows or of columns, as it is measured.
     pub fn line_variance(&self, o: &Observable, rows: bool) -> Expected {
         let Some(s) = self.set() else { return Expected::plain(o, 0.0, 1.0) };
         let shape = self.all.campaign.shape;
         let (axis, width, count) = if rows { (1, shape.1, shape.0) } else { (0, shape.0, shape.1) };
         let own = if rows { self.lags.row[0] + self.lags.ripple[0] } else { self.lags.column[0] };
-        let of_lines =
-            s.lines.iter().map(|&(v, px, py)| v * line_mean(if rows { px } else { py }, width as f64));
-        let of_lines: f64 = of_lines.sum();
+        let (of_lines, _) = self.striped(rows, 0);
         let (shot, read) = if rows { self.of_rows(0) } else { (s.shot.along(axis), s.read.along(axis)) };
         let pixels = (shot * self.left.0 + read * self.left.1) / width as f64;
         // Of noise across the lines each holds the mean, which the frame's mean takes with it.
