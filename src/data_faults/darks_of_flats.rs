@@ -33,6 +33,9 @@ const SAME_EXPOSURE: f64 = 0.2;
 /// plan has 16): the charge of far longer ones is the larger part of their pattern, and hot pixels of theirs
 /// are full.
 const MAX_LONGER: f64 = 20.0;
+/// Change of level within a dark, of the brightest flat's signal, from which on frames carry light of those
+/// before, with the pattern of the flats (a named choice: a black level does not move by as much).
+const CARRIED: f64 = 0.02;
 /// Ratio of the darks' exposures from which on they tell the growth of the pattern.
 const MIN_EXPOSURE_RATIO: f64 = 1.5;
 /// Usual bend of a response at the highest level, of the range, scatter of a lamp, and least error of a
@@ -60,13 +63,21 @@ impl Check for DarksOfFlats {
         let lit = campaign.places(|s| s.is_lit());
         let longest_s = lit.iter().map(|&i| campaign.sets[i].exposure_s).fold(0.0, f64::max);
         let is_long = |s: &SetView| s.exposure_s > MAX_LONGER * longest_s;
+        let brightest = lit.iter().map(|&i| campaign.sets[i].level_dn()).fold(0.0, f64::max);
+        let carries = |s: &SetView| {
+            let means = s.facts.means_dn.iter();
+            let (least, most) = means.fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(*v), b.max(*v)));
+            most - least > CARRIED * (brightest - least)
+        };
         let darks = campaign.places(|s| s.kind == Kind::Dark && usable(s) && !is_long(s));
         let mut flats = campaign.flats_by_field();
         flats.values_mut().for_each(|sets| sets.retain(|&i| usable(&campaign.sets[i])));
         // One level has no line.
         flats.retain(|_, sets| sets.len() > 1);
         let of_one_size = campaign.are_of_one_size(darks.iter().chain(flats.values().flatten()));
-        if darks.is_empty() || flats.is_empty() || !of_one_size {
+        // Where some do, those after dim flats do too.
+        let carried = darks.iter().any(|&i| carries(&campaign.sets[i]));
+        if darks.is_empty() || flats.is_empty() || !of_one_size || carried {
             return Vec::new();
         }
         let Some(response) = Response::of(campaign, &flats, &zero) else { return Vec::new() };
