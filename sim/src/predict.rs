@@ -179,10 +179,14 @@ impl BaseParameters {
 pub struct TwoLevels {
     /// Their share.
     pub share: f64,
-    /// Variance of the jumps, e^2, then DN^2.
+    /// Variance of the jumps, the mean over these pixels, e^2, then DN^2.
     pub variance: f64,
+    /// Variance, over all pixels, of the variance of the jumps, e^4, then DN^4.
+    pub spread: f64,
     /// Correlation of a pixel's level with that of the next frame.
     pub stays: f64,
+    /// The amplitudes have an exponential distribution over these pixels; else they are all the same.
+    pub differ: bool,
 }
 
 /// Expected statistics of one set.
@@ -400,6 +404,7 @@ impl SetPrediction {
         self.unsure_own *= by;
         self.unsure_moving *= by;
         self.two_levels.variance *= by;
+        self.two_levels.spread *= by * by;
         let powers = [&mut self.unequal, &mut self.fourth, &mut self.unsure, &mut self.unsure_fourth];
         powers.into_iter().chain(&mut self.fourth_next).for_each(|power| *power *= by * by);
     }

@@ -1,7 +1,7 @@
 //! Searches over sets of effects: several lines are followed, what others take over is dropped again.
 
-use super::HOLDS;
 use super::memo::{Memo, key, of_effects};
+use super::{BARELY, HOLDS};
 use crate::inference::{
     Effects, Fitted, Given, Residual, Scored, Screen, as_given, compare, fit, fit_briefly, fit_near,
     has_flats, residuals_of, seen, start,
@@ -10,6 +10,7 @@ use crate::inference::{
 use crate::observables::profile::LineProfile;
 use crate::observables::{Observations, Statistic, covariance, frame_scatter, succession};
 use radcam_sim::effects::{self, Effect, Needs, Seen};
+use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
 
 /// Effects added at most.
@@ -167,6 +168,12 @@ impl Look<'_> {
             .collect();
         // A few rounds tell which are far behind; the others are fitted to the end.
         let first = |tries: &[Fitted]| Some(self.evidence(tries.first()?));
+        for (effect, tries) in &brief {
+            for t in tries {
+                let values = t.effects.last().map_or(&[][..], |e| &e.1);
+                tracing::trace!("  a few rounds of {}: {:.1} at {values:?}", effect.id(), self.evidence(t));
+            }
+        }
         let ahead = brief.iter().filter_map(|(_, tries)| first(tries)).fold(self.against, f64::max);
         let mut found: Vec<Candidate> = brief
             .into_par_iter()
@@ -208,8 +215,11 @@ impl Look<'_> {
                 hinted.extend(fresh);
             }
             let mut starts = screen.starts(*effect, &[], &hinted);
+            let gain = starts.first()?.gain;
+            let whole = hinted.iter().filter(|h| effect.starts_whole(h));
+            starts.extend(whole.map(|values| Scored { values: values.clone(), gain: 0.0 }));
             starts.retain(|start| !is_banned(*effect, &start.values));
-            Some(Promising { gain: starts.first()?.gain, effect: *effect, starts })
+            Some(Promising { gain, effect: *effect, starts })
         };
         let lit = has_flats(self.all);
         let tells = |e: &&&'static dyn Effect| {
@@ -242,9 +252,27 @@ impl Look<'_> {
             let told = || is_told(self.all, self.now, &c.fitted, c.effect, &seen);
             (stands(c, &seen) || told()) && is_shown(self.all, c) && !self.only_excuses(c)
         };
+        for t in &tries {
+            let at = t.effects.len() - 1;
+            tracing::trace!(
+                "  to the end {}: {:.1} at {:?} +- {:?}",
+                effect.id(),
+                self.evidence(t),
+                t.effects[at].1,
+                t.std_err[at]
+            );
+        }
         let tries =
             tries.into_iter().map(|fitted| Candidate { effect, evidence: self.evidence(&fitted), fitted });
-        tries.into_iter().find(stands)
+        let standing: Vec<Candidate> = tries.filter(stands).collect();
+        // Of forms that explain it as well the one that stands first in its list.
+        let best = standing.first()?.evidence;
+        let form = |c: &Candidate| -> Vec<f64> {
+            let values = &c.fitted.effects[c.fitted.effects.len() - 1].1;
+            effect.parameters().iter().zip(values).filter(|(p, _)| p.is_choice()).map(|(_, v)| *v).collect()
+        };
+        let as_well = standing.into_iter().filter(|c| best - c.evidence < BARELY);
+        as_well.min_by(|a, b| form(a).partial_cmp(&form(b)).unwrap_or(std::cmp::Ordering::Equal))
     }
 
     fn evidence(&self, fitted: &Fitted) -> f64 {
@@ -292,7 +320,8 @@ fn from_starts(
     let has_size = effect.parameters().iter().any(effects::Parameter::is_size);
     let tried = if has_size { STARTS } else { starts.len() };
     let more: Vec<&Scored> = more.take((tried + 1).saturating_sub(distinct).max(1)).collect();
-    for s in more {
+    let whole = starts.iter().filter(|s| s.gain == 0.0 && effect.starts_whole(&s.values));
+    for s in more.into_iter().chain(whole) {
         if !picked.iter().any(|p| is_near(effect, &p.values, &s.values)) {
             picked.push(s);
         }
@@ -300,14 +329,42 @@ fn from_starts(
     let bases: Vec<&Fitted> = std::iter::once(now).chain(guess).collect();
     let tries: Vec<(&Fitted, &Scored)> =
         bases.into_iter().flat_map(|b| picked.iter().map(move |s| (b, *s))).collect();
-    let brief = tries.into_par_iter().map(|(base, start)| {
-        let mut effects: Effects = base.effects.clone();
+    let brief = tries.into_par_iter().map(|(from, start)| {
+        let mut effects: Effects = from.effects.clone();
         effects.push((effect, start.values.clone()));
+        let whole = effect.starts_whole(&start.values);
+        let base = if whole { with_room(all, &from.base, &effects) } else { from.base.clone() };
         // Slopes at the fit serve beside it, not at a fresh guess.
-        let known = screen.filter(|_| std::ptr::eq(base, now)).map(Screen::slopes);
-        fit_briefly(all, &base.base, &effects, known)
+        let known = screen.filter(|_| std::ptr::eq(from, now) && !whole).map(Screen::slopes);
+        fit_briefly(all, &base, &effects, known)
     });
     sorted(all, brief.collect())
+}
+
+/// Least part of the read noise's variance that is left beside an effect that explains it otherwise (a named
+/// choice).
+const ROOM: f64 = 0.1;
+
+/// The paper's parameters without what the last of some effects adds to the read noise of darks, and to its
+/// spread.
+fn with_room(all: &Observations, base: &BaseParameters, effects: &Effects) -> BaseParameters {
+    let dark = all.campaign.sets.iter().position(|s| s.light.is_none()).unwrap_or(0);
+    let of = |effects: &[(&'static dyn Effect, Vec<f64>)]| {
+        let list: Vec<(&dyn Effect, &[f64])> = effects.iter().map(|(e, p)| (*e, p.as_slice())).collect();
+        let out = effects::predict(&all.campaign, base, &list);
+        out.sets.get(dark).map_or((0.0, 0.0), |s| (s.covariance(0, 0), s.unequal))
+    };
+    let (with, without) = (of(effects), of(&effects[..effects.len() - 1]));
+    let square = base.gain_dn_per_e.powi(2);
+    let read = base.read_noise_e.powi(2);
+    let left = (read - (with.0 - without.0) / square).max(ROOM * read);
+    let spread = base.read_noise_spread * read * read - (with.1 - without.1) / (square * square);
+    let least = base.read_noise_spread.min(0.1);
+    BaseParameters {
+        read_noise_e: left.sqrt(),
+        read_noise_spread: (spread / (left * left)).clamp(least, base.read_noise_spread),
+        ..base.clone()
+    }
 }
 
 /// Ratio of two sizes below which a fit from the one start ends where that from the other does (a named

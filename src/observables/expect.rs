@@ -3,7 +3,7 @@
 use super::line_peak::Axis;
 use super::{Observable, Observations};
 use crate::statistics::steady::PixelNoise;
-use radcam_sim::predict::{LAGS, Prediction, Ripple, SetPrediction};
+use radcam_sim::predict::{LAGS, Prediction, Ripple, SetPrediction, TwoLevels};
 use std::cell::OnceCell;
 
 /// An expectation.
@@ -402,9 +402,12 @@ impl<'a> View<'a> {
         // what it makes large unknown.
         let Some(shown) = self.all.pixel_noise else { return (predicted, PixelNoise::usual(predicted)) };
         let base = &self.prediction.base;
-        let read = (base.gain_dn_per_e * base.read_noise_e).powi(4);
-        let rest = (predicted - base.read_noise_spread * read / square).max(0.0);
-        (rest + shown.spread.max(0.0) * read / square, shown)
+        let read = (base.gain_dn_per_e * base.read_noise_e).powi(2);
+        let jumps = self.set().map_or(TwoLevels::default(), |s| s.two_levels);
+        let of_darks = base.read_noise_spread * read * read + jumps.spread;
+        let rest = (predicted - of_darks / square).max(0.0);
+        let dark = read + jumps.share * jumps.variance;
+        (rest + shown.spread.max(0.0) * dark * dark / square, shown)
     }
 
     /// Largest variance of a pixel over the mean of all: one pixel may decide a mean of fourth powers.

@@ -17,13 +17,33 @@ const ALONE: f64 = 0.25;
 /// Largest share of the pixels that are a few (a named choice: sensors have some per cent at most). Jumps of more
 /// are the sensor's own noise.
 const FEW: f64 = 0.2;
+/// What fraction and amplitude may be off by where the distribution of the amplitudes is not told, of themselves
+/// (a half of the difference, as fits of both to ten cameras come out).
+const UNTOLD: [f64; 2] = [0.5, 0.33];
 /// Standard errors beyond which it is.
 const SURE: f64 = 3.0;
 
+/// Moments of the pixels that jump: of the variance of a jump its mean, e^2, and its mean square, e^4.
+///
+/// Jumps of a are +-a / 2, with the variance a^2 / 4. Of amplitudes with an exponential distribution of mean A
+/// the mean of a^2 is 2 A^2, of a^4 24 A^4.
+fn jumps(p: &[f64]) -> (f64, f64) {
+    let square = p[1] * p[1];
+    if differ(p) { (0.5 * square, 1.5 * square * square) } else { (0.25 * square, 0.0625 * square * square) }
+}
+
+/// Whether the amplitudes differ from pixel to pixel.
+fn differ(p: &[f64]) -> bool {
+    p[DIFFER].round() as i32 == 1
+}
+
+/// Place of the parameter that says so.
+const DIFFER: usize = 3;
+
 /// Spread of the pixels' variances, e^4.
 fn spread(p: &[f64]) -> f64 {
-    let jump = 0.25 * p[1] * p[1];
-    p[0] * (1.0 - p[0]) * jump * jump
+    let (mean, square) = jumps(p);
+    p[0] * square - (p[0] * mean).powi(2)
 }
 
 impl Effect for RandomTelegraphNoise {
@@ -51,7 +71,7 @@ impl Effect for RandomTelegraphNoise {
             },
             Parameter {
                 name: "amplitude_e",
-                meaning: "distance of the two levels",
+                meaning: "distance of the two levels, the mean over the pixels that have two",
                 unit: "e",
                 min: 0.0,
                 max: 1e5,
@@ -65,27 +85,59 @@ impl Effect for RandomTelegraphNoise {
                 max: 0.95,
                 starts: &[0.0],
             },
+            Parameter {
+                name: "amplitudes",
+                meaning: "0: all the same, 1: exponential distribution over the pixels",
+                unit: "choice",
+                min: 0.0,
+                max: 1.0,
+                starts: &[0.0, 1.0],
+            },
         ]
+    }
+
+    /// Models of before it was a choice.
+    fn usual(&self, parameter: usize) -> Option<f64> {
+        (parameter == DIFFER).then_some(0.0)
+    }
+
+    fn form(&self, p: &[f64]) -> Option<&'static str> {
+        Some(if differ(p) { "amplitudes with an exponential distribution" } else { "one amplitude" })
     }
 
     fn together(&self, p: &[f64]) -> Option<Together> {
         // What the variances of the pixels spread by; the mean variance says nothing beside a read noise that nobody knows.
         let cube = p[1].powi(3);
         let (name, value) = ("fraction * amplitude_e^4", p[0] * p[1] * cube);
-        let slopes = vec![p[1] * cube, 4.0 * p[0] * cube, 0.0];
+        let slopes = vec![p[1] * cube, 4.0 * p[0] * cube, 0.0, 0.0];
         Some(Together { name, unit: "e^4", value, slopes, unsure_per_e: 0.0 })
     }
 
     /// Jumps of some dark noise.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let noise_e = (seen.dark_noise_dn * seen.peak_e / seen.peak_dn.max(1e-9)).max(1.0);
-        let all =
+        let one =
             [(0.01, 3.0, 0.0), (0.01, 8.0, 0.0), (0.001, 20.0, 0.0), (0.01, 8.0, 0.3), (0.02, 6.0, -0.2)];
-        all.map(|(share, jump, stays)| vec![share, jump * noise_e, stays]).to_vec()
+        let differ = [(0.01, 3.0, 0.0), (0.05, 5.0, 0.0), (0.05, 5.0, 0.3), (0.003, 12.0, 0.0)];
+        let of = |list: &[(f64, f64, f64)], differ: f64| -> Vec<Vec<f64>> {
+            list.iter().map(|(share, jump, stays)| vec![*share, jump * noise_e, *stays, differ]).collect()
+        };
+        [of(&one, 0.0), of(&differ, 1.0)].concat()
+    }
+
+    /// How amplitudes are distributed few campaigns tell, and one amplitude fits an exponential distribution with a
+    /// half of the pixels and more than twice the mean amplitude.
+    fn resolution(&self, parameter: usize, p: &[f64], _: &Seen) -> f64 {
+        UNTOLD.get(parameter).map_or(0.0, |part| part * p[parameter])
+    }
+
+    /// A wider spread of the read noise explains most of what jumps do to darks.
+    fn starts_whole(&self, _: &[f64]) -> bool {
+        true
     }
 
     fn told_by(&self) -> &'static [&'static str] {
-        &["levels of noisy pixels"]
+        &["levels of noisy pixels", "covariance of successive frames"]
     }
 
     /// Deviations that hit any pixel are none of this, nor are parts of the sensor.
@@ -107,42 +159,45 @@ impl Effect for RandomTelegraphNoise {
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
-        Some(vec![0.01, 7.0 * plain.noise_e, 0.0])
+        Some(vec![0.01, 7.0 * plain.noise_e, 0.0, 0.0])
     }
 
     fn scaled(&self, values: &[f64], by: f64) -> Vec<f64> {
         // As many pixels, with other jumps.
-        vec![values[0], values[1] * by, values[2]]
+        vec![values[0], values[1] * by, values[2], values[3]]
     }
 
     fn page(&self) -> Page {
         Page {
             what: "A trap in the source follower of a pixel catches and frees one electron: the pixel has two levels.",
-            equation: "v +- amplitude / 2 in a share f of the pixels; their variance + amplitude^2 / 4",
-            signature: "the noisiest pixels of darks jump between two levels: each has a kurtosis below that of normal noise; bright frames hardly move",
+            equation: "v +- amplitude / 2 in a share f of the pixels; their variance + amplitude^2 / 4; where amplitudes differ, exponentially over the pixels, on average amplitude^2 / 2",
+            signature: "the noisiest pixels of darks jump between two levels, and stay at each for a frame or for seconds; bright frames hardly move",
             look_alikes: "pixels with more read noise than others scatter normally, and are part of every CMOS sensor; hot pixels have more variance too, but for their dark charge: it grows with the exposure",
             remedy: "list the pixels and replace them; a median over frames",
             measure: "a long run of short darks: the distribution of the pixels' variances",
             sets: takes::DARKS,
-            source: "Wang, Rao, Mierop and Theuwissen 2006, IEDM; Janesick 2007",
+            source: "Wang, Rao, Mierop and Theuwissen 2006, IEDM; Janesick 2007; exponential amplitudes: Fantini et al. 2007, IEEE EDL 28, 1114",
         }
     }
 
-    /// The fourth cumulant of +-a is -2 a^4: the variances of two levels scatter less than those of normal noise.
+    /// The fourth cumulant of +-a / 2 is -a^4 / 8, twice the square of its variance: the variances of two levels
+    /// scatter less than those of normal noise.
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
-        let jump = 0.25 * p[1] * p[1];
+        let (variance, square) = jumps(p);
+        // Squares of a^4 over the square of its mean: 1, and 8! / 4!^2 of an exponential distribution.
+        let few = if differ(p) { 70.0 } else { 3.0 };
         for s in &mut out.sets {
             let spread = spread(p);
             s.unequal += spread;
-            s.fourth -= 2.0 * p[0] * jump * jump;
+            s.fourth -= 2.0 * p[0] * square;
             // The number of jumping pixels scatters by chance. Where darks show the distribution of the pixels'
             // noise, the fitted spread of the read noise absorbs it.
             if c.ordinary.is_none() {
                 let pixels = (c.shape.0 * c.shape.1) as f64;
-                s.unsure = libm::hypot(s.unsure, spread * libm::sqrt(3.0 / (p[0] * pixels).max(1.0)));
+                s.unsure = libm::hypot(s.unsure, spread * libm::sqrt(few / (p[0] * pixels).max(1.0)));
             }
-            s.read.add_white(p[0] * jump);
-            s.two_levels = TwoLevels { share: p[0], variance: jump, stays: p[2] };
+            s.read.add_white(p[0] * variance);
+            s.two_levels = TwoLevels { share: p[0], variance, spread, stays: p[2], differ: differ(p) };
         }
     }
 
@@ -151,9 +206,11 @@ impl Effect for RandomTelegraphNoise {
         for y in 0..d.image.nrows() {
             for x in 0..columns {
                 let i = (y * columns + x) as u32;
-                if d.random(self.id(), 0, i).uniform() < p[0] {
+                let mut own = d.random(self.id(), 0, i);
+                if own.uniform() < p[0] {
+                    let half = 0.5 * p[1] * if differ(p) { own.exponential() } else { 1.0 };
                     let up = level(d, self.id(), i, p[2]);
-                    d.image[(y, x)] += if up { 0.5 * p[1] } else { -0.5 * p[1] };
+                    d.image[(y, x)] += if up { half } else { -half };
                 }
             }
         }
@@ -189,15 +246,15 @@ mod tests {
     fn what_any_pixel_has_is_no_telegraph_noise() {
         let seen = |steady_dn4| Seen { peak_e: 2000.0, peak_dn: 1000.0, steady_dn4, ..Seen::default() };
         let stands = |steady_dn4| {
-            RandomTelegraphNoise.contradicted(&[0.01, 20.0, 0.0], &[], &seen(steady_dn4)).is_none()
+            RandomTelegraphNoise.contradicted(&[0.01, 20.0, 0.0, 0.0], &[], &seen(steady_dn4)).is_none()
         };
-        assert!((spread(&[0.01, 20.0]) * 0.5f64.powi(4) - 6.1875).abs() < 1e-9);
+        assert!((spread(&[0.01, 20.0, 0.0, 0.0]) * 0.5f64.powi(4) - 6.1875).abs() < 1e-9);
         assert!(stands(Some((6.0, 0.5))) && stands(Some((2.5, 0.5))) && stands(None));
         // Not known well enough, and known to be nothing.
         assert!(stands(Some((0.0, 1.0))) && !stands(Some((0.0, 0.5))));
         let alone = |together_dn4| {
             let all = Seen { together_dn4, ..seen(Some((6.0, 0.5))) };
-            RandomTelegraphNoise.contradicted(&[0.01, 20.0, 0.0], &[], &all).is_none()
+            RandomTelegraphNoise.contradicted(&[0.01, 20.0, 0.0, 0.0], &[], &all).is_none()
         };
         assert!(alone(Some((0.5, 0.1))) && alone(Some((3.0, 1.0))) && !alone(Some((3.0, 0.5))));
     }
