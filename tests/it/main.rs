@@ -14,6 +14,7 @@ mod cost;
 mod data_faults;
 mod dataset;
 mod docs;
+mod effect_shapes;
 mod effects;
 mod eight_bits;
 mod emva;

@@ -1,0 +1,115 @@
+//! Shapes that effects have in sensors as they are sold: each is named by its effect first, in its shape, with
+//! its values and the gain within four standard errors.
+
+use crate::effects::{campaign, capture, observe, unit, with};
+use radcam::diagnosis::{Diagnosis, Missing, diagnose};
+use radcam::plan::Plan;
+use radcam_sim::Model;
+
+fn verdict(model: Model, plan: Option<&Plan>) -> Diagnosis {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    match plan {
+        Some(plan) => capture(model, plan, &root),
+        None => campaign(model, &root),
+    }
+    diagnose(&observe(&root), None, Vec::new(), &mut |_| {})
+}
+
+/// The first name, if it is this one and stands; the gain is that of the model.
+fn first<'d>(d: &'d Diagnosis, id: &str, model: &Model) -> &'d Missing {
+    let first =
+        d.missing.first().unwrap_or_else(|| panic!("{id}: nothing is named, error {}", d.error_before));
+    assert!(first.effect == id && !first.partial, "{id}: {:#?}", d.missing);
+    let gain = d.sensor.gain_dn_per_e.as_ref().unwrap();
+    assert!(
+        (gain.value - model.base.gain_dn_per_e).abs() < 4.0 * gain.std_err,
+        "{id}: {gain}, not {}",
+        model.base.gain_dn_per_e
+    );
+    first
+}
+
+fn is_near(m: &Missing, name: &str, truth: f64) {
+    let q = &m.parameters[name];
+    assert!((q.value - truth).abs() < 4.0 * q.std_err, "{}: {name} {q}, not {truth}", m.effect);
+}
+
+/// A share of every charge makes the noise smaller and successive frames alike; electrons that stay by chance do
+/// neither. Taken for the other, either makes the gain 6 % wrong.
+#[test]
+fn lag_of_voltage_and_of_electrons_are_told_apart() {
+    for by_chance in [0.0, 1.0] {
+        let model = unit(310 + by_chance as u64);
+        let d = verdict(with(model.clone(), "image-lag", &[0.0, 0.03, 1.0, 0.0, 1.0, by_chance]), None);
+        let lag = first(&d, "image-lag", &model);
+        assert_eq!(lag.parameters["by_chance"].value, by_chance, "{lag:#?}");
+        is_near(lag, "fraction", 0.03);
+    }
+}
+
+/// Errors of high and of low bits of twelve together: errors in proportion to all weights are gain, and no
+/// direction in which a fit walks away.
+#[test]
+fn high_and_low_bits_of_a_converter_are_wrong_together() {
+    let model = unit(320);
+    let mut values = vec![0.0; 13];
+    values[0] = 2.0;
+    values[4..10].copy_from_slice(&[0.3, -0.4, 0.6, 2.0, -1.1, 1.0]);
+    let d = verdict(with(model.clone(), "adc-nonlinearity", &values), None);
+    let bits = first(&d, "adc-nonlinearity", &model);
+    assert_eq!(bits.parameters["bits"].value, 2.0, "{bits:#?}");
+    // Less their part in proportion to the weights, 2^k.
+    let errors: Vec<f64> = (0..12).map(|b| if b < 6 { values[1 + b] } else { values[18 - b] }).collect();
+    let gain = errors.iter().enumerate().map(|(b, e)| e * f64::from(1 << b)).sum::<f64>()
+        / (4f64.powi(12) - 1.0)
+        * 3.0;
+    for (name, bit) in
+        [("bit3_dn", 3), ("bit4_dn", 4), ("bit5_dn", 5), ("top0_dn", 11), ("top1_dn", 10), ("top2_dn", 9)]
+    {
+        is_near(bits, name, errors[bit] - gain * f64::from(1 << bit));
+    }
+}
+
+/// Hum of the mains of less than a cycle a row: bands that roll through the picture are no row noise.
+#[test]
+fn hum_of_less_than_a_cycle_a_row_is_interference() {
+    let model = unit(330);
+    let per_px = 0.42 / model.camera.width as f64;
+    let d = verdict(with(model.clone(), "periodic-interference", &[0.45, per_px, 0.05, 0.0]), None);
+    let hum = first(&d, "periodic-interference", &model);
+    is_near(hum, "amplitude_dn", 0.45);
+    // Its phase from row to row.
+    let down = |f: f64, blanking: f64| (f * model.camera.width as f64 + blanking).rem_euclid(1.0);
+    let [f, blanking] = ["cycles_per_px", "blanking_cycles"].map(|name| hum.parameters[name].value);
+    assert!((down(f, blanking) - 0.47).abs() < 2e-3, "{hum:#?}");
+}
+
+/// Pixels that jump: all by as much, in sets of three frames, and by amplitudes with an exponential distribution
+/// that stay for some frames. Pixels with six times the noise of others scatter normally.
+#[test]
+fn pixels_that_jump_are_told_from_noisy_ones() {
+    let mut few = Plan::standard();
+    few.full_exposure_s = Some(0.02);
+    few.sets.iter_mut().for_each(|s| s.frames = 3);
+    for (seed, values, plan) in [
+        (340, [0.02, 10.0, 0.0, 0.0], Some(&few)),
+        (341, [0.05, 7.0, 0.5, 1.0], None),
+        (342, [0.02, 8.0, 0.0, 0.0], None),
+    ] {
+        let model = unit(seed);
+        let [share, jump, stays, differ] = values;
+        let amplitude_e = jump * model.base.read_noise_e;
+        let d = verdict(
+            with(model.clone(), "random-telegraph-noise", &[share, amplitude_e, stays, differ]),
+            plan,
+        );
+        let rtn = first(&d, "random-telegraph-noise", &model);
+        is_near(rtn, "amplitude_e", amplitude_e);
+        is_near(rtn, "fraction", share);
+    }
+    let mut noisy = unit(345);
+    (noisy.base.noisy_pixel_fraction, noisy.base.noisy_pixel_factor) = (0.01, 6.0);
+    let d = verdict(noisy, None);
+    assert!(d.consistent, "{:#?}", d.missing);
+}
