@@ -140,6 +140,8 @@ fn by_chance(electrons: f64, chance: f64, rng: &mut PixelRng) -> f64 {
     }
 }
 
+/// Time constant over the time from frame to frame below which nothing is left in the next: exp(-20) of it.
+const AT_ONCE: f64 = 0.05;
 /// Part of what the other kind of traps holds below which a kind holds nothing (a named choice).
 const NOTHING: f64 = 1e-3;
 
@@ -233,9 +235,13 @@ impl Effect for ImageLag {
         true
     }
 
-    /// Two kinds of traps of which one holds nothing are one kind.
-    fn is_another(&self, p: &[f64], _: &Seen) -> bool {
-        p[0].round() as i32 == 2 && p[1].min(p[3]) < NOTHING * p[1].max(p[3])
+    /// Two kinds of traps of which one holds nothing are one kind; so are they where one lets its charge go
+    /// before the frame ends, or keeps it for longer than the campaign: light that is lost.
+    fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
+        let holds_all = |tau_s: f64| tau_s > seen.duration_s.max(seen.frame_s);
+        let holds_none = |tau_s: f64| tau_s < AT_ONCE * seen.frame_s;
+        let one = [p[2], p[4]].into_iter().any(|tau_s| holds_all(tau_s) || holds_none(tau_s));
+        p[0].round() as i32 == 2 && (p[1].min(p[3]) < NOTHING * p[1].max(p[3]) || one)
     }
 
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
