@@ -33,9 +33,9 @@ const SAME_EXPOSURE: f64 = 0.2;
 /// plan has 16): the charge of far longer ones is the larger part of their pattern, and hot pixels of theirs
 /// are full.
 const MAX_LONGER: f64 = 20.0;
-/// Change of level within a dark, of the brightest flat's signal, from which on frames carry light of those
-/// before, with the pattern of the flats (a named choice: a black level does not move by as much).
-const CARRIED: f64 = 0.02;
+/// Least change of level within a dark set that shows light carried over from earlier frames, relative to the
+/// brightest flat's signal (a named choice: no black level moves by as much).
+const MIN_CARRIED_REL: f64 = 0.02;
 /// Ratio of the darks' exposures from which on they tell the growth of the pattern.
 const MIN_EXPOSURE_RATIO: f64 = 1.5;
 /// Usual bend of a response at the highest level, of the range, scatter of a lamp, and least error of a
@@ -67,7 +67,7 @@ impl Check for DarksOfFlats {
         let carries = |s: &SetView| {
             let means = s.facts.means_dn.iter();
             let (least, most) = means.fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(*v), b.max(*v)));
-            most - least > CARRIED * (brightest - least)
+            most - least > MIN_CARRIED_REL * (brightest - least)
         };
         let darks = campaign.places(|s| s.kind == Kind::Dark && usable(s) && !is_long(s));
         let mut flats = campaign.flats_by_field();
@@ -75,7 +75,7 @@ impl Check for DarksOfFlats {
         // One level has no line.
         flats.retain(|_, sets| sets.len() > 1);
         let of_one_size = campaign.are_of_one_size(darks.iter().chain(flats.values().flatten()));
-        // Where some do, those after dim flats do too.
+        // Carried light has the flats' pattern, and darks after dim flats carry some as well.
         let carried = darks.iter().any(|&i| carries(&campaign.sets[i]));
         if darks.is_empty() || flats.is_empty() || !of_one_size || carried {
             return Vec::new();

@@ -36,7 +36,7 @@ fn parameters(fitted: &Fitted, at: usize, seen: &Seen) -> BTreeMap<String, Quant
     let ((effect, values), errors) = (&fitted.effects[at], &fitted.std_err[at]);
     let used = effect.parameters().iter().enumerate().filter(|(k, _)| effect.uses(values, *k));
     let own = |(k, p): (usize, &Parameter)| {
-        // A value that may be anywhere in its range has the standard deviation of an even distribution over it.
+        // An undetermined value has the standard deviation of a uniform distribution over its range.
         let (std_err, most) =
             (errors[k].hypot(effect.resolution(k, values, seen)), (p.max - p.min) / 12f64.sqrt());
         let std_err = if std_err > most { most } else { std_err };

@@ -8,6 +8,7 @@ mod memo;
 mod search;
 mod sensor;
 mod share;
+mod starts;
 mod turns;
 mod unknown;
 mod verdict;

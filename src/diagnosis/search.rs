@@ -1,16 +1,16 @@
 //! Searches over sets of effects: several lines are followed, what others take over is dropped again.
 
 use super::memo::{Memo, key, of_effects};
+use super::starts::{Starts, finished, sorted};
 use super::{BARELY, HOLDS};
 use crate::inference::{
-    Effects, Fitted, Given, Residual, Scored, Screen, as_given, compare, fit, fit_briefly, fit_near,
-    has_flats, residuals_of, seen, start,
+    Effects, Fitted, Given, Residual, Screen, as_given, compare, fit, fit_near, has_flats, residuals_of,
+    seen, start,
 };
 
 use crate::observables::profile::LineProfile;
 use crate::observables::{Observations, Statistic, covariance, frame_scatter, succession};
 use radcam_sim::effects::{self, Effect, Needs, Seen};
-use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
 
 /// Effects added at most.
@@ -26,14 +26,8 @@ const RIVALS: usize = 4;
 /// rival of it. A named choice: on the 182 cameras of docs/CONFUSION.md as many are right, unknown and wrong
 /// as without it.
 const NO_RIVAL: f64 = 0.03;
-/// Starts of one candidate that are fitted for a few rounds; of the most promising candidate, one of every form.
-const STARTS: usize = 3;
-const FORMS: usize = 10;
-/// Of the starts of a candidate so many are fitted to the end.
-const FINISHED: usize = 4;
-/// Two fits whose scores differ by less, in proportion to the mean square of their residuals, have come to
-/// the same place (a named choice).
-const SAME: f64 = 0.01;
+/// Forms of an effect that are fitted: of a candidate, and of the most promising one.
+const FORMS: [usize; 2] = [3, 10];
 /// A size is something from so many of its errors on: 0 is rejected at 1 in 80.
 const KNOWN: f64 = 2.5;
 /// The same of the scatter of settings or of frames, of which there may be two.
@@ -120,7 +114,7 @@ fn candidates(all: &Observations, now: &Fitted, fresh: bool, not: &[Banned], mem
 type Banned = (&'static str, Option<Vec<u64>>);
 
 /// Bits of an effect's choices.
-fn choices(effect: &dyn Effect, values: &[f64]) -> Vec<u64> {
+pub fn choices(effect: &dyn Effect, values: &[f64]) -> Vec<u64> {
     let of = effect.parameters().iter().zip(values).filter(|(p, _)| p.is_choice());
     of.map(|(_, v)| v.to_bits()).collect()
 }
@@ -140,11 +134,10 @@ struct Look<'a> {
     memo: &'a Memo,
 }
 
-/// An effect with its starts, the best first, and what that promises.
+/// An effect with its starts, and the gain that the best of them promises.
 struct Promising {
     gain: f64,
-    effect: &'static dyn Effect,
-    starts: Vec<Scored>,
+    starts: Starts,
 }
 
 impl Look<'_> {
@@ -155,25 +148,19 @@ impl Look<'_> {
         let brief: Vec<(&'static dyn Effect, Vec<Fitted>)> = chosen
             .into_par_iter()
             .map(|p| {
-                let forms = if p.gain >= best { FORMS } else { STARTS };
+                let effect = p.starts.effect;
+                let forms = FORMS[usize::from(p.gain >= best)];
                 let guess = self.guess.as_ref();
                 let mut key = key(self.now);
                 key.extend([forms as u64, u64::from(guess.is_some())]);
-                let starts = p.starts.iter().map(|s| (p.effect, s.values.clone())).collect();
-                key.extend(of_effects(&starts));
-                let fits =
-                    || from_starts(self.all, self.now, guess, p.effect, &p.starts, forms, Some(&screen));
-                (p.effect, self.memo.fits(key, fits))
+                key.extend(of_effects(&p.starts.values().map(|v| (effect, v.clone())).collect()));
+                let fits = || p.starts.fit_briefly(self.all, self.now, guess, forms, Some(&screen));
+                (effect, self.memo.fits(key, fits))
             })
             .collect();
         // A few rounds tell which are far behind; the others are fitted to the end.
         let first = |tries: &[Fitted]| Some(self.evidence(tries.first()?));
-        for (effect, tries) in &brief {
-            for t in tries {
-                let values = t.effects.last().map_or(&[][..], |e| &e.1);
-                tracing::trace!("  a few rounds of {}: {:.1} at {values:?}", effect.id(), self.evidence(t));
-            }
-        }
+        brief.iter().for_each(|(effect, tries)| self.trace("a few rounds", *effect, tries));
         let ahead = brief.iter().filter_map(|(_, tries)| first(tries)).fold(self.against, f64::max);
         let mut found: Vec<Candidate> = brief
             .into_par_iter()
@@ -214,12 +201,9 @@ impl Look<'_> {
                     effect.starts(first).into_iter().filter(|s| !hinted.contains(s)).collect();
                 hinted.extend(fresh);
             }
-            let mut starts = screen.starts(*effect, &[], &hinted);
-            let gain = starts.first()?.gain;
-            let whole = hinted.iter().filter(|h| effect.starts_whole(h));
-            starts.extend(whole.map(|values| Scored { values: values.clone(), gain: 0.0 }));
-            starts.retain(|start| !is_banned(*effect, &start.values));
-            Some(Promising { gain, effect: *effect, starts })
+            let mut starts = Starts::of(screen, *effect, &[], &hinted);
+            starts.retain(|values| !is_banned(*effect, values));
+            Some(Promising { gain: starts.gain()?, starts })
         };
         let lit = has_flats(self.all);
         let tells = |e: &&&'static dyn Effect| {
@@ -232,7 +216,8 @@ impl Look<'_> {
         let mut found: Vec<Promising> = list.par_iter().filter_map(promising).collect();
         found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
         for p in found.iter().take(FITTED + 3) {
-            tracing::debug!("  screen {}: {:.1} at {:?}", p.effect.id(), p.gain, p.starts[0].values);
+            let first = p.starts.values().next();
+            tracing::debug!("  screen {}: {:.1} at {first:?}", p.starts.effect.id(), p.gain);
         }
         found
     }
@@ -252,27 +237,22 @@ impl Look<'_> {
             let told = || is_told(self.all, self.now, &c.fitted, c.effect, &seen);
             (stands(c, &seen) || told()) && is_shown(self.all, c) && !self.only_excuses(c)
         };
-        for t in &tries {
-            let at = t.effects.len() - 1;
-            tracing::trace!(
-                "  to the end {}: {:.1} at {:?} +- {:?}",
-                effect.id(),
-                self.evidence(t),
-                t.effects[at].1,
-                t.std_err[at]
-            );
-        }
+        self.trace("to the end", effect, &tries);
         let tries =
             tries.into_iter().map(|fitted| Candidate { effect, evidence: self.evidence(&fitted), fitted });
         let standing: Vec<Candidate> = tries.filter(stands).collect();
-        // Of forms that explain it as well the one that stands first in its list.
+        // Forms that explain it as well are tied: the first of the effect's list is taken.
         let best = standing.first()?.evidence;
-        let form = |c: &Candidate| -> Vec<f64> {
-            let values = &c.fitted.effects[c.fitted.effects.len() - 1].1;
-            effect.parameters().iter().zip(values).filter(|(p, _)| p.is_choice()).map(|(_, v)| *v).collect()
-        };
-        let as_well = standing.into_iter().filter(|c| best - c.evidence < BARELY);
-        as_well.min_by(|a, b| form(a).partial_cmp(&form(b)).unwrap_or(std::cmp::Ordering::Equal))
+        let form = |c: &Candidate| c.fitted.effects.last().map(|(e, values)| choices(*e, values));
+        standing.into_iter().filter(|c| best - c.evidence < BARELY).min_by_key(form)
+    }
+
+    /// Logs fits of an effect with their evidence.
+    fn trace(&self, stage: &str, effect: &'static dyn Effect, tries: &[Fitted]) {
+        for t in tries {
+            let last = t.effects.last().map(|(_, values)| values).zip(t.std_err.last());
+            tracing::trace!("  {stage} of {}: {:.1} at {last:?}", effect.id(), self.evidence(t));
+        }
     }
 
     fn evidence(&self, fitted: &Fitted) -> f64 {
@@ -292,111 +272,6 @@ impl Look<'_> {
             widened.map(|(a, b)| a.z.powi(2) - b.z.powi(2) - 2.0 * (b.std_err / a.std_err).ln()).sum();
         gained > 0.0 && c.evidence - gained < NEEDED
     }
-}
-
-/// Models with one more effect, from the most promising of its starts, after a few rounds of a fit; the best
-/// first.
-fn from_starts(
-    all: &Observations,
-    now: &Fitted,
-    guess: Option<&Fitted>,
-    effect: &'static dyn Effect,
-    starts: &[Scored],
-    forms: usize,
-    screen: Option<&Screen<'_>>,
-) -> Vec<Fitted> {
-    // Of each combination of choices the best start, then others.
-    let choices = |v: &[f64]| choices(effect, v);
-    let mut picked: Vec<&Scored> = Vec::new();
-    for s in starts {
-        if !picked.iter().any(|p| choices(&p.values) == choices(&s.values)) {
-            picked.push(s);
-        }
-    }
-    picked.truncate(forms);
-    let distinct = picked.len();
-    let more = starts.iter().filter(|s| picked.iter().all(|p| p.values != s.values));
-    // Where there is no size, what a start promises says little of where a fit ends: all are tried.
-    let has_size = effect.parameters().iter().any(effects::Parameter::is_size);
-    let tried = if has_size { STARTS } else { starts.len() };
-    let more: Vec<&Scored> = more.take((tried + 1).saturating_sub(distinct).max(1)).collect();
-    let whole = starts.iter().filter(|s| s.gain == 0.0 && effect.starts_whole(&s.values));
-    for s in more.into_iter().chain(whole) {
-        if !picked.iter().any(|p| is_near(effect, &p.values, &s.values)) {
-            picked.push(s);
-        }
-    }
-    let bases: Vec<&Fitted> = std::iter::once(now).chain(guess).collect();
-    let tries: Vec<(&Fitted, &Scored)> =
-        bases.into_iter().flat_map(|b| picked.iter().map(move |s| (b, *s))).collect();
-    let brief = tries.into_par_iter().map(|(from, start)| {
-        let mut effects: Effects = from.effects.clone();
-        effects.push((effect, start.values.clone()));
-        let whole = effect.starts_whole(&start.values);
-        let base = if whole { with_room(all, &from.base, &effects) } else { from.base.clone() };
-        // Slopes at the fit serve beside it, not at a fresh guess.
-        let known = screen.filter(|_| std::ptr::eq(from, now) && !whole).map(Screen::slopes);
-        fit_briefly(all, &base, &effects, known)
-    });
-    sorted(all, brief.collect())
-}
-
-/// Least part of the read noise's variance that is left beside an effect that explains it otherwise (a named
-/// choice).
-const ROOM: f64 = 0.1;
-
-/// The paper's parameters without what the last of some effects adds to the read noise of darks, and to its
-/// spread.
-fn with_room(all: &Observations, base: &BaseParameters, effects: &Effects) -> BaseParameters {
-    let dark = all.campaign.sets.iter().position(|s| s.light.is_none()).unwrap_or(0);
-    let of = |effects: &[(&'static dyn Effect, Vec<f64>)]| {
-        let list: Vec<(&dyn Effect, &[f64])> = effects.iter().map(|(e, p)| (*e, p.as_slice())).collect();
-        let out = effects::predict(&all.campaign, base, &list);
-        out.sets.get(dark).map_or((0.0, 0.0), |s| (s.covariance(0, 0), s.unequal))
-    };
-    let (with, without) = (of(effects), of(&effects[..effects.len() - 1]));
-    let square = base.gain_dn_per_e.powi(2);
-    let read = base.read_noise_e.powi(2);
-    let left = (read - (with.0 - without.0) / square).max(ROOM * read);
-    let spread = base.read_noise_spread * read * read - (with.1 - without.1) / (square * square);
-    let least = base.read_noise_spread.min(0.1);
-    BaseParameters {
-        read_noise_e: left.sqrt(),
-        read_noise_spread: (spread / (left * left)).clamp(least, base.read_noise_spread),
-        ..base.clone()
-    }
-}
-
-/// Ratio of two sizes below which a fit from the one start ends where that from the other does (a named
-/// choice: a fit passes over as much in one step).
-const NEAR_SIZE: f64 = 1.05;
-
-/// True for two starts of an effect that differ in their sizes alone, and by little.
-fn is_near(effect: &dyn Effect, one: &[f64], other: &[f64]) -> bool {
-    effect
-        .parameters()
-        .iter()
-        .zip(one.iter().zip(other))
-        .all(|(p, (a, b))| a == b || p.is_size() && a * b > 0.0 && (a / b).max(b / a) < NEAR_SIZE)
-}
-
-/// The best first.
-fn sorted(all: &Observations, mut models: Vec<Fitted>) -> Vec<Fitted> {
-    models.sort_by(|a, b| score(all, a).total_cmp(&score(all, b)));
-    models
-}
-
-/// The best of some models, fitted to the end; the best first.
-fn finished(all: &Observations, mut models: Vec<Fitted>, memo: &Memo) -> Vec<Fitted> {
-    models.dedup_by(|a, b| is_at(all, a, b));
-    let all_of = models.into_par_iter().take(FINISHED).map(|m| memo.near(all, &m, &m.effects));
-    sorted(all, all_of.collect())
-}
-
-/// Whether two fits of the same effects have come to the same place: to what no round would gain any more.
-fn is_at(all: &Observations, one: &Fitted, other: &Fitted) -> bool {
-    (score(all, one) - score(all, other)).abs() < SAME * one.mean_square.max(1.0)
-        && one.effects.iter().zip(&other.effects).all(|((e, a), (_, b))| e.form(a) == e.form(b))
 }
 
 /// Whether a candidate is something by itself: see [`is_something`].
@@ -788,8 +663,8 @@ fn with_one(all: &Observations, now: Fitted, (effect, given): &Given) -> Fitted 
     hinted.extend(effect.starts(&seen(all, &now.base)));
     // From the first guess too: a fit that lacks the effect may lie far off.
     let brief = [&guess, &now].map(|from| {
-        let starts = Screen::new(all, from, 0.0).starts(*effect, given, &hinted);
-        from_starts(all, &now, Some(&guess), *effect, &starts, FORMS, None)
+        let starts = Starts::of(&Screen::new(all, from, 0.0), *effect, given, &hinted);
+        starts.fit_briefly(all, &now, Some(&guess), FORMS[1], None)
     });
     finished(all, sorted(all, brief.concat()), &Memo::default()).into_iter().next().unwrap_or_else(|| {
         let first = hinted.into_iter().next();

@@ -165,9 +165,8 @@ fn fit_for(
     let mut normal = system.normal();
     (0..free.common.len()).for_each(|i| normal.add_weight(i, free.own_weight(i, &point)));
     for (first, along) in free.redundant(&point) {
-        // Values have no part along it.
         let along: Vec<f64> = along.iter().zip(&free.scale[first..]).map(|(v, scale)| v * scale).collect();
-        normal.rule_out(first, &along);
+        normal.constrain_to_zero(first, &along);
     }
     let covariance = normal.covariance();
     let errors = Errors { free: &free, covariance: &covariance };

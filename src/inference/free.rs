@@ -295,8 +295,8 @@ impl Free {
         (base, self.effects.iter().copied().zip(values).collect())
     }
 
-    /// Directions in the parameters of an effect that change nothing: the place of the first parameter, and
-    /// the direction, in the parameters' own units.
+    /// Redundant directions of the effects: index of the effect's first parameter, and the direction in the
+    /// parameters' units.
     pub fn redundant(&self, at: &Point) -> Vec<(usize, Vec<f64>)> {
         let of = |(place, effect): (usize, &&'static dyn Effect)| {
             let first = self.place(Common::Of(place, 0))?;
@@ -307,7 +307,7 @@ impl Free {
         self.effects.iter().enumerate().filter_map(of).collect()
     }
 
-    /// Keeps every value within its bounds, and without a part along a direction that changes nothing.
+    /// Keeps every value within its bounds, and orthogonal to redundant directions.
     pub fn clamp(&self, at: &mut Point) {
         for (first, along) in self.redundant(at) {
             let values = along.iter().enumerate().map(|(k, v)| v * at.x[first + k] * self.scale[first + k]);

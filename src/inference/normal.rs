@@ -51,9 +51,9 @@ impl Normal {
         self.matrix[i * self.n + i] += weight;
     }
 
-    /// Adds that a sum of successive common values with these factors is nothing, far better than the campaign
-    /// knows it.
-    pub fn rule_out(&mut self, first: usize, factors: &[f64]) {
+    /// Constrains a linear combination of successive common values to 0, far more tightly than the campaign
+    /// does.
+    pub fn constrain_to_zero(&mut self, first: usize, factors: &[f64]) {
         let n = self.n;
         let most = (0..n).map(|i| self.matrix[i * n + i]).fold(1.0, f64::max);
         let weight = most / factors.iter().map(|f| f * f).sum::<f64>();

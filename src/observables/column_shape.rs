@@ -61,18 +61,14 @@ impl Statistic for ColumnShape {
             0.0
         };
         let flat = view.of_mean - s.row.of_mean() / rows as f64 - view.ripple_of_mean;
-        let (striped, stripes) = view.striped(false, lag);
         let own = (s.shot.across_lag(0) + s.read.across_lag(0)) / rows as f64 + s.column.lag(0);
+        let stripes = view.stripes(false, lag, own);
         let alone = own / (((columns - lag) as f64) * view.dof).sqrt();
         let single = in_quadrature(&[s.unsure_var, view.rough.1]) / rows as f64;
         let lines: f64 = s.lines.iter().map(|l| l.0).sum();
-        let error = in_quadrature(&[alone, 0.3 * view.moving, stripes, lines / rows as f64, single]);
+        let error = in_quadrature(&[alone, 0.3 * view.moving, stripes.variance, lines / rows as f64, single]);
         let field = view.with_light * view.all.field.column_lags[o.index.min(super::LINE_LAGS.len() - 1)];
         let error = in_quadrature(&[error, FIELD * view.with_light * view.all.field.columns]);
-        // Products of the stripes with the noise of the same frames are the same at every lag, but for the
-        // sign.
-        let common = view.of_stripes(stripes, own, columns);
-        let sign = if stripes > 0.0 { striped / stripes } else { 0.0 };
-        Expected::plain(o, near - flat + striped + field, error).with_common(common * sign)
+        Expected::plain(o, near - flat + stripes.covariance + field, error).with_common(stripes.common)
     }
 }

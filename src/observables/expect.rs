@@ -94,7 +94,21 @@ fn left(memory: &[f64], n: f64) -> f64 {
     1.0 - 2.0 * lost / (n * (n - 1.0))
 }
 
-/// Share of a line's variance that is left in means over n pixels with a phase step.
+/// Stripes that a line of the spectrum makes in the means of rows or columns, DN^2.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Stripes {
+    /// Covariance of means at a lag.
+    pub covariance: f64,
+    /// Variance of a mean.
+    pub variance: f64,
+    /// Standard error of the variance: few phases, and products with noise.
+    pub std_err: f64,
+    /// Part of the error that all lags share, with its sign.
+    pub common: f64,
+}
+
+/// Share of a line's variance that is left in means over n pixels with a phase step (squared Dirichlet
+/// kernel).
 pub(super) fn line_mean(phase: f64, n: f64) -> f64 {
     let half = (0.5 * phase).sin();
     if half.abs() < 1e-9 { 1.0 } else { ((0.5 * phase * n).sin() / (n * half)).powi(2) }
@@ -462,16 +476,21 @@ impl<'a> View<'a> {
         in_quadrature(&[self.walk() * stripes, with_noise.sqrt()])
     }
 
-    /// Covariance of the means of rows, or of columns, so far apart by the sines of a line, and their variance, DN^2.
-    pub fn striped(&self, rows: bool, lag: usize) -> (f64, f64) {
-        let Some(s) = self.set() else { return (0.0, 0.0) };
+    /// Stripes in the means of rows, or of columns, `lag` apart; `noise`: variance of a mean without them,
+    /// DN^2.
+    pub fn stripes(&self, rows: bool, lag: usize, noise: f64) -> Stripes {
+        let Some(s) = self.set() else { return Stripes::default() };
         let shape = self.all.campaign.shape;
         let of_line = |&(v, px, py): &(f64, f64, f64)| {
             let (along, width, across) = if rows { (px, shape.1, py) } else { (py, shape.0, px) };
             let of_means = v * line_mean(along, width as f64);
             (of_means * (across * lag as f64).cos(), of_means)
         };
-        s.lines.iter().map(of_line).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1))
+        let (covariance, variance) =
+            s.lines.iter().map(of_line).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+        let std_err = self.of_stripes(variance, noise, if rows { shape.0 } else { shape.1 });
+        let sign = if variance > 0.0 { covariance / variance } else { 0.0 };
+        Stripes { covariance, variance, std_err, common: std_err * sign }
     }
 
     /// Variance of the means of rows or of columns, as it is measured.
@@ -480,7 +499,7 @@ impl<'a> View<'a> {
         let shape = self.all.campaign.shape;
         let (axis, width, count) = if rows { (1, shape.1, shape.0) } else { (0, shape.0, shape.1) };
         let own = if rows { self.lags.row[0] + self.lags.ripple[0] } else { self.lags.column[0] };
-        let (of_lines, _) = self.striped(rows, 0);
+        let of_lines = self.stripes(rows, 0, 0.0).variance;
         let (shot, read) = if rows { self.of_rows(0) } else { (s.shot.along(axis), s.read.along(axis)) };
         let pixels = (shot * self.left.0 + read * self.left.1) / width as f64;
         // Of noise across the lines each holds the mean, which the frame's mean takes with it.

@@ -1,23 +1,27 @@
-//! How far the noisiest pixels are off two levels in short darks, each about its own mean: whether they are noisy
-//! as others are, or jump.
+//! Kurtosis of the noisiest pixels above Pearson's bound in short darks: tells pixels that jump between two
+//! levels from noisy ones.
 
 use crate::statistics::steady::{LEAST_DN2, REACH};
 
 use super::{Expected, HalfView, Observable, Put, Statistic, View, in_quadrature};
 
-/// How far: of pixels that stand out, then of the noisiest hundredth and twentieth.
+/// Kurtosis above the bound: pixels that stand out, then the noisiest hundredth and twentieth.
 #[derive(Debug)]
 pub struct NoisyLevels;
 
-/// Relative error of what is expected (a named choice): the selection of jumping pixels is predicted roughly.
-const ROUGHLY: f64 = 0.4;
-/// Rounding to whole codes changes the kurtosis of noise of a code by no more (-1/120 over the square of 1/12 and
-/// the noise's variance), of which it is the half.
+/// Relative error of the expected value (a named choice): the share of jumping pixels among the noisiest is
+/// predicted roughly.
+const MODEL_ERROR_REL: f64 = 0.4;
+/// Largest change by rounding to whole codes: half of that of the kurtosis of noise of a code (-1/120 over
+/// the square of 1/12 and the noise's variance).
 const ROUNDING: f64 = 0.01;
 /// Share of a value above 0 that is not known to be none.
 const ABOVE: f64 = 0.7;
 /// Value of two levels alone, the least there is.
 const TWO_LEVELS: f64 = -1.0;
+/// Change by a code that is wider by a standard deviation of the noise (normal noise with a gap of 0.7
+/// deviations in its middle: 0.42), for pixels within two deviations of it.
+const SPLIT: f64 = 0.6;
 /// Pixels whose jumps are this part of their variance and more are all among the noisiest (a named choice).
 const CHOSEN: f64 = 1.3;
 /// Noise of less than a step makes two codes of a level, which look like two levels.
@@ -27,33 +31,32 @@ const NOISY: f64 = 3.0;
 /// Value of noise of which a part is cut off, at most some tenths (a named choice).
 const CUT_OFF: f64 = 0.25;
 
-/// Square of the part that jumps of one variance are of that of the noisiest pixels; `jumping`: pixels that
-/// jump for each of these.
-fn of_one(jumping: f64, variance: f64, rest: f64) -> f64 {
+/// Squared share of jumps of one variance in the variance of the noisiest pixels; `jumping`: jumping pixels
+/// per noisiest pixel.
+fn squared_share(jumping: f64, variance: f64, rest: f64) -> f64 {
     // Pixels that jump are among the noisiest as far as their jumps stand out of the noise.
     let part = variance / (rest + variance);
     // Weak jumps leave some of them among the others.
-    among(jumping) * (CHOSEN * part).min(1.0) * part * part
+    jumping_share(jumping) * (CHOSEN * part).min(1.0) * part * part
 }
 
-/// Share of the noisiest pixels that jump, where so many jump for each of these: all of them where there are more,
-/// without a kink, at which a fit would end.
-fn among(jumping: f64) -> f64 {
+/// Share of jumping pixels among the noisiest: min(jumping, 1) without its kink, at which fits would end.
+fn jumping_share(jumping: f64) -> f64 {
     (1.0 + jumping.max(1e-9).powi(-4)).powf(-0.25)
 }
 
-/// The same of amplitudes a with an exponential distribution of mean A, whose mean variance is A^2 / 2: the
-/// noisiest are those beyond the amplitude that so many exceed.
-fn of_noisiest(jumping: f64, variance: f64, rest: f64) -> f64 {
-    /// Values of the exponential distribution that stand for it.
+/// [`squared_share`] for exponentially distributed amplitudes of mean A, with the mean variance A^2 / 2: the
+/// noisiest pixels have the largest amplitudes.
+fn squared_share_exponential(jumping: f64, variance: f64, rest: f64) -> f64 {
+    /// Quantiles of the exponential distribution in the mean.
     const VALUES: usize = 32;
     let beyond = jumping.max(1.0).ln();
     let of = |k: usize| {
         let a = beyond - ((k as f64 + 0.5) / VALUES as f64).ln();
-        // A quarter of a^2 in units of A, of which the mean is a half.
-        of_one(f64::INFINITY, 0.5 * a * a * variance, rest)
+        // Variance a^2 / 4 in units of its mean, A^2 / 2.
+        squared_share(f64::INFINITY, 0.5 * a * a * variance, rest)
     };
-    among(jumping) * (0..VALUES).map(of).sum::<f64>() / VALUES as f64
+    jumping_share(jumping) * (0..VALUES).map(of).sum::<f64>() / VALUES as f64
 }
 
 impl Statistic for NoisyLevels {
@@ -68,7 +71,7 @@ impl Statistic for NoisyLevels {
             "the noisiest twentieth of the pixels",
         ];
         let which = which[index.min(2)];
-        format!("two levels of {which}")
+        format!("kurtosis above its bound (skewness^2 + 1), {which}")
     }
 
     fn meaning(&self, _: usize) -> &'static str {
@@ -78,7 +81,7 @@ impl Statistic for NoisyLevels {
     fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {
         for (index, levels) in half.noisy_levels.iter().enumerate() {
             let Some(levels) = levels else { continue };
-            put.put_of(index, levels.pixels, levels.off.value, levels.off.std_err);
+            put.put_of(index, levels.pixels, levels.excess.value, levels.excess.std_err);
         }
     }
 
@@ -92,23 +95,35 @@ impl Statistic for NoisyLevels {
         let noise = s.covariance(0, 0).max(1e-12);
         let rest = (noise - jump.share * jump.variance).max(1e-12);
         let jumping = jump.share * (rows * columns) as f64;
-        let of = if jump.differ { of_noisiest } else { of_one };
+        let of = if jump.differ { squared_share_exponential } else { squared_share };
         let off = TWO_LEVELS * of(jumping / o.pixels, jump.variance, rest);
         let step = view.prediction.code_step_dn.max(s.step_dn);
         // Selected pixels cover more than two codes, but with coarse steps they may cover two steps only.
         let own = (noise.max(LEAST_DN2) / (step * step) - 1.0 / 12.0).max(0.0);
         let rounding = TWO_CODES * (-std::f64::consts::PI.powi(2) * own).exp()
             + (ROUNDING * step * step / noise.max(1e-6)).min(1.0);
+        // Wide codes split the noise of the pixels around them.
+        let sd = noise.sqrt();
+        let split = |width_dn: f64, apart_dn: f64| SPLIT * width_dn / sd * (4.0 * sd / apart_dn).min(1.0);
+        let bits = view.prediction.bit_errors_dn.iter().enumerate();
+        let bits = bits.map(|(k, e)| split(e.abs(), f64::from(1u32 << k)).powi(2)).sum::<f64>().sqrt();
+        // Steps of a table differ by one code.
+        let table = if s.codes_used < 0.999 { split(0.5, 1.0) } else { 0.0 };
+        let unequal_codes = (bits + table).min(1.0);
         // Pixels that reach code 0 are left out; those that reach another floor are not.
         let cut_off = if view.prediction.floor_dn > -4.0 * NOISY * noise.sqrt() { CUT_OFF } else { 0.0 };
-        // Jumps that reach code 0 are left out, and say nothing.
+        // The measurement leaves out pixels whose jumps reach code 0.
         let level_dn = view.prediction.base.offset_dn + s.signal;
         let left_out = jump.share > 0.0 && REACH * REACH * (rest + jump.variance) > level_dn * level_dn;
-        let unsure = ROUGHLY * off.abs() + rounding + cut_off + if left_out { 1.0 } else { 0.0 };
+        let unsure = MODEL_ERROR_REL * off.abs()
+            + rounding
+            + unequal_codes
+            + cut_off
+            + if left_out { 1.0 } else { 0.0 };
         // Above 0 lies what grows from set to set, as the shot noise of dark charge does: only what lies below
         // tells of levels.
         let above = ABOVE * o.measured.value.max(0.0);
         Expected::plain(o, off, in_quadrature(&[o.measured.std_err, unsure, above]))
-            .with_common(ROUGHLY * off.abs())
+            .with_common(MODEL_ERROR_REL * off.abs())
     }
 }

@@ -59,24 +59,27 @@ impl Statistic for RowShape {
         } else {
             common * s.ripple(0.0) - 2.0 * s.ripple_with_mean(rows - lag, rows) + view.ripple_of_mean
         };
-        let (striped, stripes) = view.striped(true, lag);
         let lines: f64 = s.lines.iter().map(|l| l.0).sum();
         let (shot, read) = view.of_rows(0);
         let own = (shot + read) / columns as f64 + s.row.lag(0);
         // A product of rows that have little in common scatters by half of the variance of a square.
         let ripple = view.ripple_error * (0.5 * (1.0 + common * common)).sqrt();
-        let of_stripes = view.of_stripes(stripes, own, rows);
+        let stripes = view.stripes(true, lag, own);
         let alone = own / (((rows - lag) as f64) * view.dof).sqrt();
         let single = in_quadrature(&[s.unsure_var, view.rough.1]) / columns as f64;
-        let error =
-            in_quadrature(&[alone, ripple, 0.3 * view.moving, of_stripes, lines / columns as f64, single]);
+        let error = in_quadrature(&[
+            alone,
+            ripple,
+            0.3 * view.moving,
+            stripes.std_err,
+            lines / columns as f64,
+            single,
+        ]);
         let field = view.with_light * view.all.field.row_lags[o.index.min(super::LINE_LAGS.len() - 1)];
         let error = in_quadrature(&[error, FIELD * view.with_light * view.all.field.rows]);
-        // Products of the stripes with the noise of the same frames are the same at every lag, but for the
-        // sign; of a ripple and stripes the larger decides.
-        let sign = if stripes > 0.0 { striped / stripes } else { 0.0 };
-        let shared = [view.ripple_error * common, of_stripes * sign];
-        let shared = if shared[0].abs() > shared[1].abs() { shared[0] } else { shared[1] };
-        Expected::plain(o, near - flat + slow + striped + field, error).with_common(shared)
+        // A ripple and stripes have different common errors: the larger one is taken.
+        let of_ripple = view.ripple_error * common;
+        let shared = if of_ripple.abs() > stripes.common.abs() { of_ripple } else { stripes.common };
+        Expected::plain(o, near - flat + slow + stripes.covariance + field, error).with_common(shared)
     }
 }

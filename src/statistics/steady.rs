@@ -27,9 +27,9 @@ pub struct Steady {
 /// Frames of one half.
 #[derive(Debug, Clone, Default)]
 struct Half {
-    /// Sums over the groups of every pixel's squares about its mean in the group, and of [`off_two_levels`].
+    /// Sums over the groups of every pixel's squares about its mean in the group, and of [`above_bound`].
     squares: Vec<f64>,
-    off: Vec<f64>,
+    above_bound: Vec<f64>,
     dof: f64,
     /// Frames of every group that is in the sums.
     runs: Vec<u64>,
@@ -98,13 +98,14 @@ impl Half {
         self.runs.push(group.frames);
         self.dof += group.frames as f64 - 1.0;
         self.squares.resize(group.squares.len(), 0.0);
-        self.off.resize(group.squares.len(), 0.0);
+        self.above_bound.resize(group.squares.len(), 0.0);
         let powers = group.powers.thirds.iter().zip(&group.powers.fourths);
-        let sums = self.squares.iter_mut().zip(&mut self.off);
-        for ((square_sum, off_sum), (square, (third, fourth))) in sums.zip(group.squares.iter().zip(powers)) {
+        let sums = self.squares.iter_mut().zip(&mut self.above_bound);
+        for ((square_sum, above_sum), (square, (third, fourth))) in sums.zip(group.squares.iter().zip(powers))
+        {
             let powers = [*square, *third, *fourth].map(f64::from);
             *square_sum += powers[0];
-            *off_sum += off_two_levels(powers, group.frames as f64);
+            *above_sum += above_bound(powers, group.frames as f64);
         }
     }
 
@@ -113,24 +114,26 @@ impl Half {
     }
 }
 
-/// Q - T^2 / S - S^2 / n of the sums of squares S, third powers T and fourth powers Q of n deviations from their
-/// mean: S^2 / n times the kurtosis less the squared skewness less 1, which is 0 where the numbers have two values
-/// only, however often each, and above 0 otherwise (Pearson 1916, Phil. Trans. A 216, 429).
-fn off_two_levels([square, third, fourth]: [f64; 3], n: f64) -> f64 {
+/// Kurtosis above Pearson's bound, times S^2 / n: Q - T^2 / S - S^2 / n of the sums of squares S, third
+/// powers T and fourth powers Q of n deviations from their mean.
+///
+/// The bound, kurtosis >= skewness^2 + 1, is reached by numbers that have two values only, however often each
+/// (Pearson 1916, Phil. Trans. A 216, 429).
+fn above_bound([square, third, fourth]: [f64; 3], n: f64) -> f64 {
     if square > 0.0 { (fourth - third * third / square - square * square / n).max(0.0) } else { 0.0 }
 }
 
-/// The mean of [`off_two_levels`] over normal noise of variance 1: E Q = 3 (n - 1)^2 / n, E S^2 = n^2 - 1, and of
-/// the squared skewness 6 (n - 2) / (n + 1) (n + 3) (Fisher 1930), which is independent of S (Basu 1955).
-fn of_normal(n: f64) -> f64 {
+/// Mean of [`above_bound`] for normal noise of variance 1: E Q = 3 (n - 1)^2 / n, E S^2 = n^2 - 1, and a mean
+/// squared skewness of 6 (n - 2) / (n + 1) (n + 3) (Fisher 1930), independent of S (Basu 1955).
+fn mean_of_normal(n: f64) -> f64 {
     let square = (n * n - 1.0) / n;
     let skewness = 6.0 * (n - 2.0).max(0.0) / ((n + 1.0) * (n + 3.0));
     (3.0 * (n - 1.0).powi(2) / n - (skewness + 1.0) * square).max(0.0)
 }
 
-/// Mean square of [`off_two_levels`] over S^2, of normal noise: a mean over draws.
-fn square_of_normal(frames: u64) -> f64 {
-    let draws = (DRAWN / frames.max(1)).clamp(FEWEST_DRAWS, DRAWN);
+/// Mean square of [`above_bound`] over S^2 for normal noise, by Monte Carlo.
+fn mean_square_of_normal(frames: u64) -> f64 {
+    let draws = (DRAWN_NUMBERS / frames.max(1)).clamp(MIN_DRAWS, DRAWN_NUMBERS);
     let mut rng = PixelRng::new(0, Stream::Effect, frames, 0, 0);
     let mut values = vec![0.0; frames as usize];
     let mut sum = 0.0;
@@ -138,51 +141,52 @@ fn square_of_normal(frames: u64) -> f64 {
         values.fill_with(|| rng.normal());
         let mean = values.iter().sum::<f64>() / frames as f64;
         let powers = [2, 3, 4].map(|k| values.iter().map(|v| (v - mean).powi(k)).sum::<f64>());
-        sum += (off_two_levels(powers, frames as f64) / powers[0].powi(2)).powi(2);
+        sum += (above_bound(powers, frames as f64) / powers[0].powi(2)).powi(2);
     }
     sum / draws as f64
 }
 
-/// Numbers that are drawn for a mean over draws, and the fewest draws (named choices: it is known to some per
+/// Normal numbers drawn for one Monte Carlo mean, and its fewest draws (named choices: errors of some per
 /// cent).
-const DRAWN: u64 = 40_000;
-const FEWEST_DRAWS: u64 = 400;
+const DRAWN_NUMBERS: u64 = 40_000;
+const MIN_DRAWS: u64 = 400;
 
 impl Half {
-    /// How far the frames of a pixel are off two levels, over what normal noise is, less 1: 0 for normal noise of
-    /// any size, -1 for two levels without other noise. `None` where runs are too short to tell.
+    /// Kurtosis of a pixel above Pearson's bound, relative to that of normal noise, minus 1: 0 for normal
+    /// noise of any size, -1 for two levels without other noise. `None` if all runs are shorter than three
+    /// frames.
     ///
-    /// The ratio to the square of the sum of squares is independent of that (Basu 1955), so that pixels may be
-    /// selected by it. S of d degrees of freedom has E S^2 = d (d + 2).
+    /// The ratio to S^2 is independent of S (Basu 1955), so pixels may be selected by S. With d degrees of
+    /// freedom E S^2 = d (d + 2).
     fn levels(&self) -> Option<impl Fn(usize) -> f64> {
-        let normal: f64 = self.runs.iter().map(|n| of_normal(*n as f64)).sum();
+        let normal: f64 = self.runs.iter().map(|n| mean_of_normal(*n as f64)).sum();
         let scale = self.dof * (self.dof + 2.0) / normal;
-        let of = move |i: usize| scale * self.off[i] / (self.squares[i] * self.squares[i]) - 1.0;
+        let of = move |i: usize| scale * self.above_bound[i] / (self.squares[i] * self.squares[i]) - 1.0;
         (normal > 0.0).then_some(of)
     }
 
-    /// Variance of [`Self::levels`] of normal noise, by E S^4 = (n - 1) (n + 1) (n + 3) (n + 5); runs are
-    /// independent.
+    /// Variance of [`Self::levels`] for normal noise, with E S^4 = (n - 1) (n + 1) (n + 3) (n + 5) and
+    /// independent runs.
     fn variance(&self) -> f64 {
         let d = self.dof;
         let mut known: BTreeMap<u64, f64> = BTreeMap::new();
         let mut of_square = |frames: u64| {
             let n = frames as f64;
-            let one = *known.entry(frames).or_insert_with(|| square_of_normal(frames));
-            one * (n - 1.0) * (n + 1.0) * (n + 3.0) * (n + 5.0) - of_normal(n).powi(2)
+            let one = *known.entry(frames).or_insert_with(|| mean_square_of_normal(frames));
+            one * (n - 1.0) * (n + 1.0) * (n + 3.0) * (n + 5.0) - mean_of_normal(n).powi(2)
         };
-        let normal: f64 = self.runs.iter().map(|n| of_normal(*n as f64)).sum();
+        let normal: f64 = self.runs.iter().map(|n| mean_of_normal(*n as f64)).sum();
         let square = normal * normal + self.runs.iter().map(|n| of_square(*n)).sum::<f64>();
         let ratio = square / (d * (d + 2.0) * (d + 4.0) * (d + 6.0)) * (d * (d + 2.0) / normal).powi(2);
         (ratio - 1.0).max(0.0)
     }
 }
 
-/// How far some pixels are off two levels.
+/// Kurtosis of some pixels above Pearson's bound.
 #[derive(Debug, Clone, Copy)]
 pub struct Levels {
-    /// Over what normal noise is, less 1: the mean over the pixels.
-    pub off: Value,
+    /// Relative to that of normal noise, minus 1; mean over the pixels.
+    pub excess: Value,
     /// Number of pixels.
     pub pixels: f64,
 }
@@ -304,10 +308,9 @@ impl Steady {
         self.halves[half].add(run);
     }
 
-    /// How far the pixels that stand out, the noisiest hundredth and the noisiest twentieth are off two levels,
-    /// over what normal noise is, less 1, in one half; `None` of too few. Pixels whose noise reaches code 0 are
-    /// left out, and those whose noise covers two codes alone: what is cut off, or rounded to two levels, is
-    /// otherwise off.
+    /// Kurtosis above Pearson's bound of the pixels that stand out, the noisiest hundredth and the noisiest
+    /// twentieth, for each half; `None` for too few. Pixels whose noise reaches code 0 or covers two codes
+    /// only are left out: clipping and rounding change it.
     pub fn levels(&mut self, layout: &Layout) -> [[Option<Levels>; 3]; 2] {
         self.halves.iter_mut().for_each(Half::close_all);
         [0, 1].map(|half| self.levels_of(layout, half))
@@ -336,7 +339,7 @@ impl Steady {
             let chosen = all[..count].iter().map(|v| v.1).filter(whole_noise);
             let one = |(n, sum), i: usize| (n + 1.0, sum + off(i));
             let (pixels, sum) = chosen.fold((0.0, 0.0), one);
-            Levels { off: Value { value: sum / pixels, std_err: (variance / pixels).sqrt() }, pixels }
+            Levels { excess: Value { value: sum / pixels, std_err: (variance / pixels).sqrt() }, pixels }
         };
         [stand_out, few, more].map(|count| Some(of(count)).filter(|l| l.pixels >= PIXELS))
     }
@@ -527,10 +530,9 @@ mod tests {
         Stays,
     }
 
-    /// Over 200 campaigns of two halves of two runs, of one exposure and of two: pixels that stand out and
-    /// scatter normally are off two levels as normal noise is, which the errors cover; those that jump are not,
-    /// but for the noise's part, in runs of three frames and in long ones, and over many runs also where a level
-    /// stays for a run.
+    /// 200 campaigns of two halves of two runs, of one exposure and of two. Noisy pixels that scatter
+    /// normally have an excess of 0 within the stated errors. Pixels that jump have nearly -1, in runs of
+    /// three frames and in long ones, and over many runs also if a level stays for a run.
     #[test]
     fn noisy_pixels_and_two_levels_are_told_apart() {
         let (side, campaigns) = (32usize, 200u32);
@@ -554,7 +556,7 @@ mod tests {
                 let exposure_s = if apart { (k / 2) as f64 } else { 0.0 };
                 steady.add_run(k % 2, run(exposure_s, frames, one, side * side));
             }
-            steady.levels(&layout)[0][0].unwrap().off
+            steady.levels(&layout)[0][0].unwrap().excess
         };
         let of_all = |noise, frames, runs, apart| {
             let all: Vec<Value> = (0..campaigns).map(|c| of(noise, frames, runs, apart, c)).collect();
@@ -569,8 +571,8 @@ mod tests {
             assert!(mean.abs() < 5.0 * scatter / root, "{frames}: {mean}");
             assert!((stated / scatter - 1.0).abs() < 0.25, "{frames}: {stated}, scatter {scatter}");
         }
-        // 64 of a variance of 65 are jumps: the square of that part is 0.97. Of runs of three frames a quarter
-        // does not jump, of four an eighth.
+        // Jumps have 64 of a variance of 65, and 0.97 is the square of that. A quarter of the runs of three
+        // frames has no jump, and an eighth of those of four.
         for (frames, apart, least) in
             [(3, true, 0.84), (4, true, 0.9), (8, true, 0.94), (16, true, 0.94), (4, false, 0.9)]
         {

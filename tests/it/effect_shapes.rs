@@ -1,5 +1,5 @@
-//! Shapes that effects have in sensors as they are sold: each is named by its effect first, in its shape, with
-//! its values and the gain within four standard errors.
+//! Forms of effects in captured campaigns: the effect is named first in its form, with its values and the
+//! gain within four standard errors.
 
 use crate::effects::{campaign, capture, observe, unit, with};
 use radcam::diagnosis::{Diagnosis, Missing, diagnose};
@@ -16,7 +16,7 @@ fn verdict(model: Model, plan: Option<&Plan>) -> Diagnosis {
     diagnose(&observe(&root), None, Vec::new(), &mut |_| {})
 }
 
-/// The first name, if it is this one and stands; the gain is that of the model.
+/// First name of a diagnosis; asserts that it is this one, not partial, with the model's gain.
 fn first<'d>(d: &'d Diagnosis, id: &str, model: &Model) -> &'d Missing {
     let first =
         d.missing.first().unwrap_or_else(|| panic!("{id}: nothing is named, error {}", d.error_before));
@@ -35,8 +35,8 @@ fn is_near(m: &Missing, name: &str, truth: f64) {
     assert!((q.value - truth).abs() < 4.0 * q.std_err, "{}: {name} {q}, not {truth}", m.effect);
 }
 
-/// A share of every charge makes the noise smaller and successive frames alike; electrons that stay by chance do
-/// neither. Taken for the other, either makes the gain 6 % wrong.
+/// A held share of every charge lowers the noise and correlates successive frames; single electrons held at
+/// random do neither. Confusing them makes the gain 6 % wrong.
 #[test]
 fn lag_of_voltage_and_of_electrons_are_told_apart() {
     for by_chance in [0.0, 1.0] {
@@ -48,8 +48,8 @@ fn lag_of_voltage_and_of_electrons_are_told_apart() {
     }
 }
 
-/// Errors of high and of low bits of twelve together: errors in proportion to all weights are gain, and no
-/// direction in which a fit walks away.
+/// Errors of high and low bits at once, on twelve bits: errors in proportion to all weights are a gain, which
+/// is a redundant direction of the fit.
 #[test]
 fn high_and_low_bits_of_a_converter_are_wrong_together() {
     let model = unit(320);
@@ -71,7 +71,7 @@ fn high_and_low_bits_of_a_converter_are_wrong_together() {
     }
 }
 
-/// Hum of the mains of less than a cycle a row: bands that roll through the picture are no row noise.
+/// Mains hum below one cycle a row: rolling bands are named interference and not row noise.
 #[test]
 fn hum_of_less_than_a_cycle_a_row_is_interference() {
     let model = unit(330);
@@ -85,8 +85,8 @@ fn hum_of_less_than_a_cycle_a_row_is_interference() {
     assert!((down(f, blanking) - 0.47).abs() < 2e-3, "{hum:#?}");
 }
 
-/// Pixels that jump: all by as much, in sets of three frames, and by amplitudes with an exponential distribution
-/// that stay for some frames. Pixels with six times the noise of others scatter normally.
+/// Jumping pixels: equal amplitudes in sets of three frames, and slow ones with exponential amplitudes.
+/// Pixels with six times the read noise of others are not called telegraph noise.
 #[test]
 fn pixels_that_jump_are_told_from_noisy_ones() {
     let mut few = Plan::standard();

@@ -18,7 +18,7 @@ impl Campaign {
         Self::of_region(sensor, plan, [160, 128], seed)
     }
 
-    /// Of a sensor of the catalogue or a model file, with so many columns and rows.
+    /// Campaign of a catalogue sensor or a model file, with so many columns and rows.
     pub fn of_region(sensor: &str, plan: &str, [columns, rows]: [u32; 2], seed: u32) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let at = dir.path().join("c");
@@ -118,7 +118,7 @@ impl Campaign {
             .for_each(|row| self.put(row, &to(row)));
     }
 
-    /// What a verb says in JSON, whatever its exit code.
+    /// JSON output of a verb, whatever its exit code.
     pub fn said(&self, verb: &str) -> serde_json::Value {
         let output = radcam(&[verb, &self.path(), "--json"]);
         assert!(output.status.code() != Some(2), "{}", String::from_utf8_lossy(&output.stderr));

@@ -10,8 +10,8 @@ pub struct AdcNonlinearity;
 /// Bits at each end that have a weight of their own.
 const EACH: usize = 6;
 
-/// `max`: nearly half of the weight of a low bit, and of the lowest nearly a code (named choices: with more, codes
-/// would run backwards).
+/// Parameter of one bit; `max` is nearly half of the weight of a low bit, and nearly a code for the lowest
+/// (named choices: with more, codes would run backwards).
 const fn bit(name: &'static str, meaning: &'static str, max: f64) -> Parameter {
     Parameter { name, meaning, unit: "DN", min: -max, max, starts: &[0.05] }
 }
@@ -20,7 +20,7 @@ const fn weight(bit: usize) -> f64 {
     (1u32 << bit) as f64
 }
 
-/// Errors in proportion to the weights, over the weights: those are gain.
+/// Gain error of these bit errors: the part in proportion to the weights, over the weights (least squares).
 fn gain_of(errors: &[f64]) -> f64 {
     let sum = |of: &dyn Fn(usize) -> f64| (0..errors.len()).map(of).sum::<f64>();
     sum(&|b| weight(b) * errors[b]) / sum(&|b| weight(b) * weight(b)).max(1.0)
@@ -39,7 +39,7 @@ fn errors(p: &[f64], bits: usize) -> [f64; BITS] {
         }
     }
     if part != 0 {
-        // About the straight line what is gain is no error.
+        // Nonlinearity counts from the straight line: the gain error is taken out.
         let gain = gain_of(&out[..bits]);
         (0..bits).for_each(|b| out[b] -= gain * weight(b));
     }
@@ -215,7 +215,7 @@ impl Effect for AdcNonlinearity {
 
     fn redundant(&self, p: &[f64], full_scale_dn: f64) -> Option<Vec<f64>> {
         let bits = depth(full_scale_dn);
-        // Bits between the ends have no error of their own: where there are some they tell what is gain.
+        // With more than twelve bits the middle ones have no error and fix the gain.
         (p[0].round() as i32 == 2 && bits == 2 * EACH).then(|| {
             let low = (0..EACH).map(weight);
             let high = (0..EACH).map(|k| weight(bits - 1 - k));

@@ -48,20 +48,19 @@ impl Held {
         }
     }
 
-    /// The same for whole electrons of which each is held or let go by chance: the means are those of
-    /// [`Self::pass`].
+    /// Version of [`Self::pass`] that holds or releases each electron at random, with the same means.
     fn pass_by_chance(self, charge: f64, store: Store, after_s: f64, rng: &mut PixelRng) -> (f64, Store) {
         match self {
             Self::Next { share, again } => {
                 let all = charge + if again { store[0] } else { 0.0 };
-                let stays = by_chance(all, share, rng);
+                let stays = binomial(all, share, rng);
                 (all - stays + if again { 0.0 } else { store[0] }, [stays, 0.0])
             }
             Self::Traps(traps) => {
                 let (mut free, mut left, mut out, mut next) = (charge, 1.0, 0.0, store);
                 for ((share, tau_s), held) in traps.iter().zip(&mut next) {
-                    let stays = by_chance(*held, libm::exp(-after_s / tau_s.max(1e-9)), rng);
-                    let caught = by_chance(free, share / left, rng);
+                    let stays = binomial(*held, libm::exp(-after_s / tau_s.max(1e-9)), rng);
+                    let caught = binomial(free, share / left, rng);
                     (free, left) = (free - caught, left - share);
                     out += *held - stays;
                     *held = stays + caught;
@@ -104,32 +103,34 @@ impl Held {
     }
 }
 
-/// Place of the parameter that says whether single electrons are held by chance.
+/// Index of the parameter `by_chance`.
 const BY_CHANCE: usize = 5;
 
 fn is_by_chance(p: &[f64]) -> bool {
     p[BY_CHANCE].round() as i32 == 1
 }
 
-/// Variance from which on a binomial number is drawn as a normal one (a named choice: its skewness is then
-/// below 0.15).
-const MANY: f64 = 50.0;
+/// Least variance of a binomial number that is drawn as a normal one (a named choice: its skewness is then
+/// below
+/// 0.15).
+const MIN_NORMAL_VARIANCE: f64 = 50.0;
 
-/// How many of these electrons, each with this chance; of what is no whole electron the same share.
-fn by_chance(electrons: f64, chance: f64, rng: &mut PixelRng) -> f64 {
+/// Binomial number: electrons that are held, each with this chance. A fraction of an electron is split in
+/// proportion.
+fn binomial(electrons: f64, chance: f64, rng: &mut PixelRng) -> f64 {
     let (p, n) = (chance.clamp(0.0, 1.0), electrons.floor());
     if p > 0.5 {
-        return electrons - by_chance(electrons, 1.0 - p, rng);
+        return electrons - binomial(electrons, 1.0 - p, rng);
     }
     let part = p * (electrons - n);
     if n <= 0.0 || p <= 0.0 {
         return part;
     }
     let variance = n * p * (1.0 - p);
-    if variance > MANY {
+    if variance > MIN_NORMAL_VARIANCE {
         return part + (n * p + variance.sqrt() * rng.normal()).round().clamp(0.0, n);
     }
-    // From one that is taken to the next (geometric distribution).
+    // Electrons skipped until the next one is held have a geometric distribution.
     let (mut taken, mut at, per) = (0.0, 0.0, libm::log1p(-p));
     loop {
         at += 1.0 + (libm::log(1.0 - rng.uniform()) / per).floor();
@@ -140,8 +141,9 @@ fn by_chance(electrons: f64, chance: f64, rng: &mut PixelRng) -> f64 {
     }
 }
 
-/// Time constant over the time from frame to frame below which nothing is left in the next: exp(-20) of it.
-const AT_ONCE: f64 = 0.05;
+/// Least time constant of a trap, over the time from frame to frame: below it exp(-20) of the charge is left
+/// in the next frame.
+const MIN_TAU_FRAMES: f64 = 0.05;
 /// Part of what the other kind of traps holds below which a kind holds nothing (a named choice).
 const NOTHING: f64 = 1e-3;
 
@@ -215,7 +217,7 @@ impl Effect for ImageLag {
         parameter < 2 || parameter == BY_CHANCE || p[0].round() as i32 == 2
     }
 
-    /// Models of before it was a choice.
+    /// Default of models written before the parameter existed.
     fn usual(&self, parameter: usize) -> Option<f64> {
         (parameter == BY_CHANCE).then_some(0.0)
     }
@@ -235,11 +237,11 @@ impl Effect for ImageLag {
         true
     }
 
-    /// Two kinds of traps of which one holds nothing are one kind; so are they where one lets its charge go
-    /// before the frame ends, or keeps it for longer than the campaign: light that is lost.
+    /// Two kinds of traps are one kind if one of them holds nothing, releases its charge before the frame
+    /// ends, or keeps it for longer than the campaign (light that is lost).
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         let holds_all = |tau_s: f64| tau_s > seen.duration_s.max(seen.frame_s);
-        let holds_none = |tau_s: f64| tau_s < AT_ONCE * seen.frame_s;
+        let holds_none = |tau_s: f64| tau_s < MIN_TAU_FRAMES * seen.frame_s;
         let one = [p[2], p[4]].into_iter().any(|tau_s| holds_all(tau_s) || holds_none(tau_s));
         p[0].round() as i32 == 2 && (p[1].min(p[3]) < NOTHING * p[1].max(p[3]) || one)
     }
@@ -303,8 +305,8 @@ impl Effect for ImageLag {
             (*m, store) = held.pass(*m, store, after_s);
             last_s = Some(end_s);
         }
-        // What chance takes of a Poisson number of electrons, and what it leaves, are two independent Poisson
-        // numbers.
+        // Poisson numbers stay Poisson: the electrons that are held and those that are read are independent
+        // (colouring theorem: Kingman 1993, Poisson Processes, section 5.1).
         if is_by_chance(p) {
             return;
         }

@@ -397,9 +397,9 @@ pub trait Effect: Sync + Send {
             |p: &Parameter, k: usize| p.starts.get(k).or(p.starts.last()).copied().unwrap_or(p.min.max(0.0));
         (0..tries).map(|k| parameters.iter().map(|p| of(p, k)).collect()).collect()
     }
-    /// Whether a start is tried at its own size too: what stands in the model already explains most of what the
-    /// effect does, and no slope leads from there to the right size.
-    fn starts_whole(&self, _start: &[f64]) -> bool {
+    /// True if a fitted spread of the read noise absorbs most of the effect: a fit with it begins at a lower
+    /// read noise, since no slope leads there.
+    fn read_noise_absorbs_it(&self) -> bool {
         false
     }
     /// Standard error of a parameter beyond that of the fit, in its own unit: from values that give the same
@@ -415,8 +415,8 @@ pub trait Effect: Sync + Send {
     fn uses(&self, _p: &[f64], _parameter: usize) -> bool {
         true
     }
-    /// Direction of the parameters that changes no code of a camera of this full scale: values have no part
-    /// along it.
+    /// Redundant direction in the parameters: moving along it changes no code of a camera of this full scale.
+    /// Fits keep the values orthogonal to it.
     fn redundant(&self, _p: &[f64], _full_scale_dn: f64) -> Option<Vec<f64>> {
         None
     }

@@ -85,7 +85,7 @@ impl Effect for PeriodicInterference {
         let tooth =
             |f: f64| [0.0, -0.25, 0.25, -0.45, 0.45].map(|away| start(f + away / columns, -away, 0.0));
         let in_step = |f: f64| start(f, 0.0, 1.0);
-        // Rows that are sampled once show a phase from row to row and its opposite alike.
+        // Row means do not tell the sign of the phase step from row to row.
         let mirrored = |f: f64| f + (1.0 - 2.0 * (f * columns).fract()) / columns;
         let line = line.flat_map(|f| [f, mirrored(f)]);
         line.flat_map(tooth).chain(half).chain(seen.column_cycles.map(in_step)).collect()

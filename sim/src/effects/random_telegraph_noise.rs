@@ -17,32 +17,36 @@ const ALONE: f64 = 0.25;
 /// Largest share of the pixels that are a few (a named choice: sensors have some per cent at most). Jumps of more
 /// are the sensor's own noise.
 const FEW: f64 = 0.2;
-/// What fraction and amplitude may be off by where the distribution of the amplitudes is not told, of themselves
-/// (a half of the difference, as fits of both to ten cameras come out).
-const UNTOLD: [f64; 2] = [0.5, 0.33];
+/// Relative errors of fraction and amplitude by the unknown distribution of the amplitudes (half of the
+/// difference between fits of both distributions to four cameras).
+const DISTRIBUTION_ERROR_REL: [f64; 2] = [0.5, 0.33];
 /// Standard errors beyond which it is.
 const SURE: f64 = 3.0;
 
-/// Moments of the pixels that jump: of the variance of a jump its mean, e^2, and its mean square, e^4.
+/// Mean, e^2, and mean square, e^4, of the variance of a jump over the pixels that jump.
 ///
-/// Jumps of a are +-a / 2, with the variance a^2 / 4. Of amplitudes with an exponential distribution of mean A
-/// the mean of a^2 is 2 A^2, of a^4 24 A^4.
-fn jumps(p: &[f64]) -> (f64, f64) {
+/// A jump of +-a / 2 has the variance a^2 / 4. Exponentially distributed amplitudes of mean A have the
+/// moments E a^2 = 2 A^2 and E a^4 = 24 A^4.
+fn jump_moments(p: &[f64]) -> (f64, f64) {
     let square = p[1] * p[1];
-    if differ(p) { (0.5 * square, 1.5 * square * square) } else { (0.25 * square, 0.0625 * square * square) }
+    if amplitudes_differ(p) {
+        (0.5 * square, 1.5 * square * square)
+    } else {
+        (0.25 * square, 0.0625 * square * square)
+    }
 }
 
-/// Whether the amplitudes differ from pixel to pixel.
-fn differ(p: &[f64]) -> bool {
-    p[DIFFER].round() as i32 == 1
+/// True if the amplitudes differ from pixel to pixel.
+fn amplitudes_differ(p: &[f64]) -> bool {
+    p[AMPLITUDES].round() as i32 == 1
 }
 
-/// Place of the parameter that says so.
-const DIFFER: usize = 3;
+/// Index of the parameter `amplitudes`.
+const AMPLITUDES: usize = 3;
 
 /// Spread of the pixels' variances, e^4.
 fn spread(p: &[f64]) -> f64 {
-    let (mean, square) = jumps(p);
+    let (mean, square) = jump_moments(p);
     p[0] * square - (p[0] * mean).powi(2)
 }
 
@@ -96,13 +100,17 @@ impl Effect for RandomTelegraphNoise {
         ]
     }
 
-    /// Models of before it was a choice.
+    /// Default of models written before the parameter existed.
     fn usual(&self, parameter: usize) -> Option<f64> {
-        (parameter == DIFFER).then_some(0.0)
+        (parameter == AMPLITUDES).then_some(0.0)
     }
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {
-        Some(if differ(p) { "amplitudes with an exponential distribution" } else { "one amplitude" })
+        Some(if amplitudes_differ(p) {
+            "amplitudes with an exponential distribution"
+        } else {
+            "one amplitude"
+        })
     }
 
     fn together(&self, p: &[f64]) -> Option<Together> {
@@ -125,14 +133,13 @@ impl Effect for RandomTelegraphNoise {
         [of(&one, 0.0), of(&differ, 1.0)].concat()
     }
 
-    /// How amplitudes are distributed few campaigns tell, and one amplitude fits an exponential distribution with a
-    /// half of the pixels and more than twice the mean amplitude.
+    /// Few campaigns tell the distribution of the amplitudes: one amplitude fits an exponential distribution
+    /// with half of the pixels and more than twice the mean amplitude.
     fn resolution(&self, parameter: usize, p: &[f64], _: &Seen) -> f64 {
-        UNTOLD.get(parameter).map_or(0.0, |part| part * p[parameter])
+        DISTRIBUTION_ERROR_REL.get(parameter).map_or(0.0, |part| part * p[parameter])
     }
 
-    /// A wider spread of the read noise explains most of what jumps do to darks.
-    fn starts_whole(&self, _: &[f64]) -> bool {
+    fn read_noise_absorbs_it(&self) -> bool {
         true
     }
 
@@ -180,12 +187,12 @@ impl Effect for RandomTelegraphNoise {
         }
     }
 
-    /// The fourth cumulant of +-a / 2 is -a^4 / 8, twice the square of its variance: the variances of two levels
-    /// scatter less than those of normal noise.
+    /// The fourth cumulant of +-a / 2 is -a^4 / 8, minus twice the square of its variance: sample variances
+    /// of two levels scatter less than those of normal noise.
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
-        let (variance, square) = jumps(p);
-        // Squares of a^4 over the square of its mean: 1, and 8! / 4!^2 of an exponential distribution.
-        let few = if differ(p) { 70.0 } else { 3.0 };
+        let (variance, square) = jump_moments(p);
+        // E a^8 / (E a^4)^2 of an exponential distribution is 8! / 4!^2.
+        let few = if amplitudes_differ(p) { 70.0 } else { 3.0 };
         for s in &mut out.sets {
             let spread = spread(p);
             s.unequal += spread;
@@ -197,7 +204,8 @@ impl Effect for RandomTelegraphNoise {
                 s.unsure = libm::hypot(s.unsure, spread * libm::sqrt(few / (p[0] * pixels).max(1.0)));
             }
             s.read.add_white(p[0] * variance);
-            s.two_levels = TwoLevels { share: p[0], variance, spread, stays: p[2], differ: differ(p) };
+            s.two_levels =
+                TwoLevels { share: p[0], variance, spread, stays: p[2], differ: amplitudes_differ(p) };
         }
     }
 
@@ -208,7 +216,7 @@ impl Effect for RandomTelegraphNoise {
                 let i = (y * columns + x) as u32;
                 let mut own = d.random(self.id(), 0, i);
                 if own.uniform() < p[0] {
-                    let half = 0.5 * p[1] * if differ(p) { own.exponential() } else { 1.0 };
+                    let half = 0.5 * p[1] * if amplitudes_differ(p) { own.exponential() } else { 1.0 };
                     let up = level(d, self.id(), i, p[2]);
                     d.image[(y, x)] += if up { half } else { -half };
                 }
