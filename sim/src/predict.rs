@@ -270,8 +270,10 @@ pub struct Prediction {
     pub base: BaseParameters,
     /// What the weight of each bit is too large by, DN.
     pub bit_errors_dn: [f64; BITS],
-    /// Every code is a multiple of this, DN.
+    /// Distance of successive codes, DN.
     pub code_step_dn: f64,
+    /// A code from which all others are whole numbers of steps away, DN.
+    pub code_zero_dn: f64,
     /// Whether firmware has handed on whole codes already.
     pub whole: bool,
     /// Nothing lies below this level, DN above the black level.
@@ -565,7 +567,7 @@ impl Prediction {
             setting_rel: None,
             ..base.clone()
         };
-        let limits = |p: &Self| (p.code_step_dn, p.floor_dn, p.smear_s, p.bloom_e, p.well_e);
+        let limits = |p: &Self| (p.code_step_dn, p.code_zero_dn, p.floor_dn, p.smear_s, p.bloom_e, p.well_e);
         (self.bit_errors_dn, self.taps, limits(self)) == (other.bit_errors_dn, other.taps, limits(other))
             && (self.whole, self.cut_at_0) == (other.whole, other.cut_at_0)
             && dark(&self.base) == dark(&other.base)
@@ -594,6 +596,7 @@ impl Prediction {
             base: base.clone(),
             bit_errors_dn: [0.0; BITS],
             code_step_dn: 1.0,
+            code_zero_dn: 0.0,
             whole: false,
             floor_dn: f64::NEG_INFINITY,
             cut_at_0: base.cut_at_0,
@@ -629,7 +632,7 @@ impl Prediction {
                 None => (variance, unlike),
             };
             let (spread, places) = c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread_dn / step, &s.places));
-            let level = (s.signal + self.base.offset_dn) / step;
+            let level = (s.signal + self.base.offset_dn - self.code_zero_dn) / step;
             let rounded = if may_be_clipped && reaches_zero(level, spread, places, variance) {
                 // Levels are measured once they are clipped: before, they lie further apart, by the share of the pixels that is not clipped.
                 let slope = upper(-level / libm::sqrt(variance + spread * spread).max(0.02));

@@ -3,15 +3,17 @@
 use super::memo::{Memo, key, of_effects};
 use super::starts::{Starts, finished, sorted};
 use super::{BARELY, HOLDS};
+use crate::dataset::Kind;
 use crate::inference::{
     Effects, Fitted, Given, Residual, Screen, as_given, compare, fit, fit_near, has_flats, residuals_of,
     seen, start,
 };
 
 use crate::observables::profile::LineProfile;
-use crate::observables::{Observations, Statistic, covariance, frame_scatter, succession};
+use crate::observables::{Observations, Statistic, covariance, frame_scatter, mean, settling, succession};
 use radcam_sim::effects::{self, Effect, Needs, Seen};
 use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Effects added at most.
 const MOST: usize = 8;
@@ -427,6 +429,36 @@ const AGAIN: usize = 3;
 
 /// Adds effects to a model as long as the evidence pays for them. `far`: the model is so far off that its own
 /// values may be bent.
+/// True for an effect of memory whose drop in chi-square comes from the means of the frames of one set of flats: a
+/// lamp that starts dim makes a first frame dark too, and what is carried over would correlate the noise of
+/// frames, or show in other sets.
+fn is_of_one_set(all: &Observations, with: &Fitted, at: usize) -> bool {
+    let (effect, _) = &with.effects[at];
+    if !effect.has_memory() {
+        return false;
+    }
+    let rest = without(all, with, at);
+    let (before, after) = (residuals_of(all, &rest), residuals_of(all, with));
+    if before.len() != after.len() {
+        return false;
+    }
+    let of_frames: [&dyn Statistic; 4] =
+        [&mean::Mean, &settling::Settling, &frame_scatter::FrameScatter, &succession::Succession];
+    let of_frames = of_frames.map(|s| s.id());
+    let sets = all.kinds.iter().zip(&all.set_numbers);
+    let lit: BTreeSet<u32> = sets.filter(|(kind, _)| **kind == Kind::Flat).map(|(_, set)| *set).collect();
+    let (mut elsewhere, mut by_set) = (0.0, BTreeMap::<u32, f64>::new());
+    for (b, a) in before.iter().zip(&after) {
+        let explained = b.z.powi(2) - a.z.powi(2);
+        match b.set.filter(|set| lit.contains(set) && of_frames.contains(&b.statistic.as_ref())) {
+            Some(set) => *by_set.entry(set).or_default() += explained,
+            None => elsewhere += explained,
+        }
+    }
+    let most = by_set.values().copied().fold(0.0, f64::max);
+    elsewhere + by_set.values().sum::<f64>() - most < NEEDED
+}
+
 pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn FnMut(&str)) -> Found {
     let mut not: Vec<Banned> = Vec::new();
     let memo = Memo::default();
@@ -447,6 +479,9 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
                 || !is_something(&found.fitted, *i, &seen) && !told(*i, *effect)
         };
         let before = not.len();
+        if added.clone().any(|i| is_of_one_set(all, &found.fitted, i)) {
+            not.extend(effects::all().into_iter().filter(|e| e.has_memory()).map(|e| (e.id(), None)));
+        }
         // Another form of it may be something.
         let banned = |i: usize| {
             let (effect, values) = &found.fitted.effects[i];

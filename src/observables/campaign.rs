@@ -11,6 +11,7 @@ use crate::data_faults::{DataFault, ExamineError, examined};
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
 use crate::features::LeftOn;
 use crate::number::ranges;
+use crate::statistics::code_step::Stretch;
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
@@ -96,8 +97,8 @@ pub struct Observations {
     /// Frequencies of stripes of columns that move from frame to frame, cycles per column, the strongest
     /// first.
     pub column_cycles: Vec<f64>,
-    /// Distance of the codes that occur, where all lie on one line of steps; 1 where they do not.
-    pub stretch_dn: f64,
+    /// Line of steps on which all codes lie that occur.
+    pub stretch: Option<Stretch>,
     /// True where frames that are not saved were exposed between the sets.
     pub frames_between: bool,
     /// The field of the light.
@@ -389,7 +390,7 @@ pub fn of_dataset(
     }
     let line = lines[0].with(&lines[1]).strongest();
     let peaks = peaks(&chunks, &settings, zero_dn);
-    let stretch_dn = codes::stretch_dn(&codes);
+    let stretch = codes::stretch(&codes);
     let mut filled = [codes::Filled::default(), codes::Filled::default()];
     let mut pairs = [None, None];
     for (half, codes) in Half::TURNS.into_iter().zip(codes) {
@@ -479,7 +480,7 @@ pub fn of_dataset(
         row_cycles: with_peak(row_cycles(&chunks, &settings, zero_dn), &peaks[0]),
         column_cycles: with_peak(column_cycles(&chunks), &peaks[1]),
         peaks,
-        stretch_dn,
+        stretch,
         alike: alike(&chunks, &settings),
         field: field(&chunks, &settings, zero_dn),
         // Of flats: what a dark shows beside its charge is the offsets' pattern, which stays.

@@ -1,6 +1,6 @@
 //! Observables of a whole campaign: code occupancy, and the spectrum of the noise in read-out order.
 
-use crate::statistics::code_step::Occurring;
+use crate::statistics::code_step::{Occurring, Stretch};
 use crate::statistics::jackknife::Value;
 use crate::statistics::layout::Layout;
 use crate::statistics::median::median;
@@ -62,15 +62,16 @@ pub fn occupancy_of(widths: &dyn Fn(u32) -> f64, codes: &std::ops::Range<u32>, b
     relative(first) - relative(second)
 }
 
-/// Distance of the codes of all wide levels, where they lie on one line of steps; 1 where they do not. What
-/// is cut off at both ends is left out.
-pub fn stretch_dn(halves: &[Codes; 2]) -> f64 {
+/// Line of steps, which need not be whole, on which the codes of all wide levels lie. What is cut off at both ends
+/// is left out.
+pub fn stretch(halves: &[Codes; 2]) -> Option<Stretch> {
     let sum = |(a, b): (&u64, &u64)| a + b;
     let mut counts: Vec<u64> = halves[0].counts.iter().zip(&halves[1].counts).map(sum).collect();
     for end in [0, counts.len().saturating_sub(1)] {
         counts.get_mut(end).into_iter().for_each(|n| *n = 0);
     }
-    Occurring::of_counts(&counts).stretch().map_or(1.0, |line| line.step)
+    let occurring = Occurring::of_counts(&counts);
+    occurring.stretch().or_else(|| occurring.multiplied())
 }
 
 impl Codes {

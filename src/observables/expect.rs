@@ -274,7 +274,7 @@ struct Whole {
 impl Whole {
     fn of(p: &Prediction) -> Self {
         Self {
-            all_codes: p.sets.iter().all(|s| s.codes_used > 0.999),
+            all_codes: p.sets.iter().all(|s| s.codes_used > 0.999) && p.code_step_dn.fract() == 0.0,
             even_codes: p.code_step_dn <= 1.0 && p.bit_errors_dn.iter().all(|e| *e == 0.0),
             moves_samples: p.sets.iter().any(|s| s.moved != 0.0),
         }
@@ -547,8 +547,8 @@ impl<'a> View<'a> {
     pub fn width(&self, code: u32) -> f64 {
         let p = self.prediction;
         if p.code_step_dn > 1.0 {
-            let step = p.code_step_dn.round().max(1.0) as u32;
-            return if code.is_multiple_of(step) { f64::from(step) } else { 0.0 };
+            let from = (f64::from(code) - p.code_zero_dn).rem_euclid(p.code_step_dn);
+            return if from < 0.5 || from >= p.code_step_dn - 0.5 { p.code_step_dn } else { 0.0 };
         }
         // The next code has the lowest bit that is not set, and none below it.
         let bit = code.trailing_ones() as usize;

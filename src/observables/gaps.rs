@@ -27,7 +27,12 @@ impl Statistic for Gaps {
     }
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
-        if view.prediction.code_step_dn > 1.0 {
+        let step = view.prediction.code_step_dn;
+        if step > 1.0 && step < 2.0 {
+            let (share, error) = share_of([(1.0, step, 0.0)].into_iter(), 2.0 * o.measured.std_err);
+            return Expected::plain(o, share, o.measured.std_err.hypot(error));
+        }
+        if step > 1.0 {
             return Expected::plain(o, 0.0, 1.0);
         }
         let seen = &view.all.codes[o.half.place()];

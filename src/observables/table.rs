@@ -199,6 +199,6 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         row_cycles: Vec::new(),
         ripples: Ripples::default(),
         column_cycles: Vec::new(),
-        stretch_dn: 1.0,
+        stretch: None,
     })
 }

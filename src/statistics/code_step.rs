@@ -4,6 +4,8 @@
 //! 65535/4095 and rounded. All of these are floor(step k + offset) of whole k: a digital straight line. A line is
 //! accepted if every code lies on it, and if that is no accident.
 
+use statrs::function::factorial::ln_binomial;
+
 /// How often each value of 16 bits occurs.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Occurring(Vec<u64>);
@@ -71,6 +73,41 @@ impl Occurring {
         of_whole_codes(&self.more_often_than(limit.last().copied()?))
     }
 
+    /// Step and offset of codes that were multiplied by a number between 1 and 2 after conversion, as by a digital
+    /// gain, or `None`. Such codes are a balanced word: steps of one and of two as even as can be (Lothaire 2002,
+    /// Algebraic Combinatorics on Words, section 2.1.2).
+    pub fn multiplied(&self) -> Option<Stretch> {
+        let runs = self.runs();
+        let width = |step: f64| runs.iter().map(|run| band_of(run, step).1).fold(0.0, f64::max);
+        // The largest of convex functions is convex.
+        let step = least_of(width, 1.0, 2.0);
+        let chance: f64 = runs.iter().map(|run| evidence_of_balance(run)).sum();
+        let found = width(step) < WHOLE && chance > MIN_EVIDENCE && MULTIPLIED.contains(&step);
+        let longest = runs.iter().max_by_key(|run| run.len()).filter(|_| found)?;
+        let zero = band_of(longest, step).0;
+        Some(Stretch { step, zero: zero - step * (zero / step).round() })
+    }
+
+    /// Codes that occur within each range in which at most every second code is left out, and none by chance.
+    fn runs(&self) -> Vec<Vec<f64>> {
+        /// Samples of both neighbours from which on an empty code is no chance.
+        const MIN_SAMPLES: u64 = 100;
+        /// Share of its rarer neighbour up to which a code is left out: pixels that a camera fills in.
+        const LEFT_OUT: f64 = 0.02;
+        let (mut runs, mut run) = (Vec::new(), Vec::new());
+        for (code, n) in self.0.windows(3).enumerate().map(|(i, n)| ((i + 1) as f64, n)) {
+            let left_out = n[0].min(n[2]) >= MIN_SAMPLES && (n[1] as f64) < LEFT_OUT * n[0].min(n[2]) as f64;
+            if n[1] >= MIN_SAMPLES {
+                run.push(code);
+            } else if !left_out && !run.is_empty() {
+                runs.push(std::mem::take(&mut run));
+            }
+        }
+        runs.push(run);
+        runs.retain(|run| run.len() > 2);
+        runs
+    }
+
     /// True where noise covers four successive codes, as far apart as those that lie nearest, and none between
     /// them.
     fn has_a_run(&self) -> bool {
@@ -107,6 +144,33 @@ impl Stretch {
         // Rounded, a value is half a step of the file off at most.
         ((value - self.zero + 0.75) / self.step).floor()
     }
+}
+
+/// Steps of multiplied codes: nearer to 1 or 2 too few codes differ from those of whole steps (a named choice).
+const MULTIPLIED: std::ops::Range<f64> = 1.01..1.99;
+
+/// Middle of the band that successive values leave about lines of this step, at place 0, and its width.
+fn band_of(values: &[f64], step: f64) -> (f64, f64) {
+    let off = values.iter().enumerate().map(|(k, v)| v - step * k as f64);
+    let (low, high) = off.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+    (0.5 * (low + high), high - low)
+}
+
+/// Place of the least value of a convex function between two places, by thirds.
+fn least_of(of: impl Fn(f64) -> f64, mut a: f64, mut b: f64) -> f64 {
+    for _ in 0..60 {
+        let (left, right) = (a + (b - a) / 3.0, b - (b - a) / 3.0);
+        if of(left) <= of(right) { b = right } else { a = left }
+    }
+    0.5 * (a + b)
+}
+
+/// Logarithm of the number of ways to order these steps of one and two, over the number of balanced ones: of n
+/// steps there are fewer than n^3 for all numbers of twos, and n^2 for one.
+fn evidence_of_balance(values: &[f64]) -> f64 {
+    let steps = values.len() - 1;
+    let twos = values.windows(2).filter(|w| w[1] - w[0] > 1.5).count();
+    (ln_binomial(steps as u64, twos as u64) - 2.0 * (steps as f64).ln()).max(0.0)
 }
 
 /// Smallest chance that codes lie on a line by accident which is taken for one: exp(-14), one in a million.
@@ -261,12 +325,7 @@ fn narrowest(values: &[f64], places: &[f64], step: f64) -> Option<(f64, f64, f64
     };
     // Least squares are off by less than the band over the span of the places.
     let reach = 2.0 * width(step) / span.max(1.0);
-    let (mut a, mut b) = (step - reach, step + reach);
-    for _ in 0..60 {
-        let (left, right) = (a + (b - a) / 3.0, b - (b - a) / 3.0);
-        if width(left) <= width(right) { b = right } else { a = left }
-    }
-    let step = 0.5 * (a + b);
+    let step = least_of(width, step - reach, step + reach);
     let (low, high) = band(step);
     Some((step, 0.5 * (low + high), high - low))
 }
@@ -347,6 +406,37 @@ mod tests {
         // Codes off the line that are more than strays.
         let off = [1003, 1005, 2011, 3003, 5001];
         assert_eq!(of(converter(12).into_iter().map(|v| 16 * v as u16).chain(off)), None);
+    }
+
+    /// Counts of a campaign's codes: each of these often, and what its neighbours would have filled in now and then.
+    fn often(codes: impl Iterator<Item = f64>) -> Occurring {
+        let mut counts = vec![0u64; 1 << 16];
+        codes.for_each(|code| counts[code as usize] += 400);
+        Occurring::of_counts(&counts)
+    }
+
+    /// Codes times a number between 1 and 2 are found with it, rounded or cut off, of sweeps with gaps between
+    /// their levels; codes as they are, square-root tables and converters that leave single codes out are not.
+    #[test]
+    fn multiplied_codes_are_told_from_tables() {
+        for k in 0..300u32 {
+            let random = |n: u64| PixelRng::new(5, Stream::Effect, n, k, 0).uniform();
+            let (step, zero) = (1.02 + 0.96 * random(0), 200.0 * random(1));
+            let codes = converter(12).into_iter().filter(|c| *c > 4).map(f64::from);
+            let scaled =
+                |c: f64| if k % 2 == 0 { (step * c + zero).floor() } else { (step * c + zero).round() };
+            let found = often(codes.map(scaled)).multiplied().unwrap_or_else(|| panic!("{step}"));
+            assert!((found.step / step - 1.0).abs() < 0.003, "{step}: {found:?}");
+        }
+        assert_eq!(often(converter(12).into_iter().map(f64::from)).multiplied(), None);
+        for sent in [3000.0, 4000.0, 6000.0] {
+            let table = |c: u32| (f64::from(c) / sent).powi(2) * 4095.0;
+            let expanded = (300..sent as u32).map(|c| table(c).round());
+            assert_eq!(often(expanded).multiplied(), None, "{sent}");
+        }
+        // Every eighth code is missing, and another one by chance.
+        let some = (300..3000u32).filter(|c| c % 8 != 7 && c.wrapping_mul(2_654_435_761) >> 29 != 0);
+        assert_eq!(often(some.map(f64::from)).multiplied(), None);
     }
 
     /// Quiet darks alone tell the step too.

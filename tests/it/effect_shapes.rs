@@ -71,6 +71,15 @@ fn high_and_low_bits_of_a_converter_are_wrong_together() {
     }
 }
 
+/// Codes times 1.37, as of a digital gain, leave single codes out on one line of steps: a table would leave out more
+/// of the bright ones.
+#[test]
+fn codes_times_a_number_are_a_digital_gain() {
+    let model = unit(330);
+    let d = verdict(with(model.clone(), "coarse-quantization", &[1.37, -0.2]), None);
+    is_near(first(&d, "coarse-quantization", &model), "step_dn", 1.37);
+}
+
 /// Mains hum below one cycle a row: rolling bands are named interference and not row noise.
 #[test]
 fn hum_of_less_than_a_cycle_a_row_is_interference() {

@@ -73,6 +73,9 @@ fn one_level_of_light_draws_no_curve() {
     let of = |part: &str| row["parameters"]["e"][part].as_f64().unwrap();
     let (e, error) = (of("value"), of("std_err"));
     assert!((e - 0.52).abs() < 3.0 * error && error < 0.1, "{e} +- {error}");
+    // The first flat is 3 % darker: no share of the charge that stays makes the gain another one.
+    let gain = json["gain_dn_per_e"]["value"].as_f64().unwrap();
+    assert!((gain / 1.056 - 1.0).abs() < 0.02, "gain {gain}");
 }
 
 /// Interference that goes on while rows are blanked, and interference in step with the rows: both are named, with
@@ -104,7 +107,7 @@ fn steps_wider_than_the_noise_are_named() {
     let mut model = small("cmos12", 128, 96);
     model.base.black_level_dn = 104.0;
     let step = (8.0 * model.constant_noise_var_dn2(0.0).sqrt()).round();
-    campaign(with(model, "coarse-quantization", &[step]), &dir.path().join("c"));
+    campaign(with(model, "coarse-quantization", &[step, 0.0]), &dir.path().join("c"));
     let json = diagnosed(&dir.path().join("c"));
     assert_eq!(first(&json), "coarse-quantization", "{json:#}");
     assert_eq!(json["missing"][0]["parameters"]["step_dn"]["value"].as_f64().unwrap(), step);

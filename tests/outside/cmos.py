@@ -661,6 +661,17 @@ def _(S, v, A, x):
     return k * step
 
 
+@effect("digital-gain", "adc", 0.03, 5, amp="gain_less_1", group="codes", need=("deep",),
+        expect="coarse-quantization", always_strong=(0.03, 5), stats=("codes-folded", "variance"),
+        shape=lambda r, c, p: {"form": str(r.choice(["cut", "rounded"])), "about": str(r.choice(["zero", "black"]))})
+def _(S, v, A, x):
+    """Converted in steps of 1 + A and multiplied by it, on the whole code or above the black level."""
+    g = x["step_dn"] = 1 + A
+    black = round(S.black_dn) if x["about"] == "black" else 0
+    out = np.rint((v.astype(float) - black) / g) * g + black
+    return np.floor(out if x["form"] == "cut" else out + 0.5).astype(F32)
+
+
 # ------------------------------------------------------------------ new shapes, in no catalogue
 @new("new-noise-power-1.5", "pixel", 1e-5, 10, ())
 def _(S, v, A, x):

@@ -66,14 +66,13 @@ impl Effect for BlackClipping {
             .collect()
     }
 
-    fn contradicted(&self, p: &[f64], _: &[f64], seen: &Seen) -> Option<&'static str> {
-        // To within rounding and what the black level is known to.
+    /// Darks that go on below the level are not cut off there, and those of which fewer than one sample in two
+    /// hundred lies near code 0 not at code 0: to within rounding and the error of the black level.
+    fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         if is_at_code_0(p) {
-            return (seen.darkest_code? > 1.0)
-                .then_some("fewer than one in two hundred samples of the darks lie near code 0");
+            return seen.darkest_code.is_some_and(|code| code > 1.0);
         }
-        (seen.darkest_dn? < p[LEVEL] - 1.0)
-            .then_some("darks go on below the level at which they would be cut off")
+        seen.darkest_dn.is_some_and(|dn| dn < p[LEVEL] - 1.0)
     }
 
     /// Code 0 clips in any case.

@@ -7,8 +7,8 @@ use crate::rng::PixelRng;
 pub struct BlackLevelClamp;
 
 /// Share of the dark charge below which what is taken off is none of a clamp (a named choice): covered pixels have
-/// the dark current of the others, so that a clamp takes nearly all of it.
-const LEAST_SHARE: f64 = 0.25;
+/// a dark current of the order of that of the others.
+const LEAST_SHARE: f64 = 0.1;
 /// Standard errors within which it may be more.
 const SURE: f64 = 2.0;
 
@@ -47,6 +47,11 @@ impl Effect for BlackLevelClamp {
             max: 1e6,
             starts: &[1.0, 100.0],
         }]
+    }
+
+    /// Darks that are cut off at code 0 have neither the mean nor the noise of their charge.
+    fn is_another(&self, _: &[f64], seen: &Seen) -> bool {
+        seen.darkest_code.is_some_and(|code| code <= 1.0)
     }
 
     fn contradicted(&self, p: &[f64], std_err: &[f64], seen: &Seen) -> Option<&'static str> {

@@ -121,6 +121,8 @@ pub struct Seen {
     pub code_step_dn: Option<f64>,
     /// Distance of the codes that occur, where all lie on one line of steps; 1 where they do not.
     pub stretch_dn: f64,
+    /// A code on that line, DN.
+    pub stretch_zero_dn: f64,
     /// Covariance of the pixels' variances between short darks and its error, DN^4: what stays with its pixels.
     pub steady_dn4: Option<(f64, f64)>,
     /// The same of pixels two columns or two rows apart, DN^4, whichever is surer: noisy pixels that are parts of the sensor.
