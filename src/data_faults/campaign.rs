@@ -250,6 +250,11 @@ impl<'a> Campaign<'a> {
         usual(&shares((1..self.sets.len()).filter_map(|k| self.change_at(k)).collect()))
     }
 
+    /// Pixels of a row.
+    pub fn columns(&self) -> usize {
+        (self.dataset.manifest().camera.width as usize).max(1)
+    }
+
     /// File of a frame.
     pub fn file(&self, set: usize, place: usize) -> String {
         self.dataset.rows()[self.dataset.sets()[set].rows[place]].file.clone()

@@ -2,6 +2,7 @@
 //! pattern.
 
 use super::ExamineError;
+use super::old_data::{OldData, Search};
 use crate::dataset::{Dataset, Set};
 use crate::statistics::code_step::Occurring;
 use crate::statistics::outliers;
@@ -53,6 +54,9 @@ pub struct SetFacts {
     /// numbers but the digests, the pixels that differ, and the share at full scale.
     #[serde(default)]
     pub struck_pixels: Vec<u32>,
+    /// Parts of frames that hold the data of a frame before.
+    #[serde(default)]
+    pub old_data: Vec<OldData>,
     /// Mean over the frames of the middle of the frame, DN, row by row: at most [`MIDDLE`] x [`MIDDLE`]
     /// pixels.
     pub middle_dn: Vec<f32>,
@@ -112,7 +116,9 @@ fn middle_side(n: usize) -> (usize, usize) {
 pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<SetFacts, ExamineError> {
     let full = dataset.manifest().camera.full_scale_dn();
     let mut out = SetFacts::default();
+    let mut old_data = Search::default();
     let mut before: Option<Arc<Array2<u16>>> = None;
+    let mut sent_before: Option<Arc<Array2<u16>>> = None;
     let mut second: Option<Arc<Array2<u16>>> = None;
     let mut third: Option<Arc<Array2<u16>>> = None;
     let mut middle = Array2::<f32>::zeros((0, 0));
@@ -131,9 +137,12 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
             }
             out.means_dn.push(codes.iter().map(|v| u64::from(*v)).sum::<u64>() as f64 / out.pixels.max(1.0));
             out.cells_dn.push(outliers::cell_means(&frame));
+            let shared = Arc::clone(&sent);
             let sent = sent.as_slice().unwrap_or(&[]);
             out.digests.push(digest(sent));
             clipped += sent.iter().filter(|v| **v >= full).count();
+            old_data.add(sent, sent_before.as_ref().and_then(|b| b.as_slice()), full);
+            sent_before = Some(shared);
             // The first frame may carry the set before.
             let pairs = out.digests.len() % 2 == 0 && (out.digests.len() > 2 || set.rows.len() < 4);
             if let Some(before) = before.as_ref().filter(|_| pairs) {
@@ -163,6 +172,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
         let codes = [third, last].map(|f| f.as_slice().unwrap_or(&[]));
         out.ends_dn2 = difference(codes[0], codes[1], last.ncols()).1;
     }
+    out.old_data = old_data.finish();
     let stretch = occurring.stretch().map(|s| s.step);
     out.code_step_dn = stretch.unwrap_or(if occurring.has_neighbours() { 1.0 } else { 0.0 });
     out.clipped = clipped as f64 / (out.pixels * set.rows.len() as f64).max(1.0);
@@ -332,7 +342,7 @@ fn shared_by_neighbours(a: &Array2<u16>, b: &Array2<u16>) -> Option<f64> {
 
 /// FNV-1a over the codes (Fowler, Noll and Vo), in four lanes: frames that differ have the same by a chance
 /// of 2^-64.
-fn digest(codes: &[u16]) -> u64 {
+pub(super) fn digest(codes: &[u16]) -> u64 {
     const PRIME: u64 = 0x0000_0100_0000_01b3;
     let mut lanes = [0xcbf2_9ce4_8422_2325u64, 1, 2, 3];
     let whole = codes.chunks_exact(4);

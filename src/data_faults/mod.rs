@@ -134,6 +134,7 @@ checks! {
     lit_dark_frame::LitDarkFrame
     stale_frame::StaleFrame
     copied_frames::CopiedFrames
+    old_data::OldDataInFrames
     odd_frame::OddFrame
     moving_field::MovingField
     gain_step::GainStep

@@ -176,6 +176,9 @@ struct Part {
     rest: Fitted,
     /// What deviates then.
     without: Vec<Residual>,
+    /// True for a drift in a campaign in which a light is set again once: a lamp that comes back to another light
+    /// explains that too.
+    hangs_on_one_return: bool,
 }
 
 /// Looks for what a model lacks. `base` and `effects` are the model as given; without a base the campaign's
@@ -525,7 +528,17 @@ fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Vec<Part> {
         let of_levels = if lit { unknown::evidence(&without, all.list.len() as f64) } else { 0.0 };
         let nameless = (1.0 - NEARLY_ALL) * of_levels;
         let dispersion = whole.mean_square.max(1.0);
-        Part { effect, evidence, dispersion, others: Vec::new(), nameless, rest, without }
+        let hangs_on_one_return = effect.is_drift_of_level() && all.light_returns() == 1;
+        Part {
+            effect,
+            evidence,
+            dispersion,
+            others: Vec::new(),
+            nameless,
+            rest,
+            without,
+            hangs_on_one_return,
+        }
     };
     (given..whole.effects.len()).into_par_iter().map(part).collect()
 }
@@ -556,7 +569,9 @@ fn trace(part: &Part) -> String {
 
 /// Candidates that explain as much as the part that was chosen.
 fn tied(part: &Part) -> Vec<&Candidate> {
-    part.others.iter().filter(|c| part.evidence - c.evidence < TIE * part.dispersion).collect()
+    let same = |c: &&Candidate| part.evidence - c.evidence < TIE * part.dispersion;
+    let returns = |c: &&Candidate| part.hangs_on_one_return && c.effect.sets_each() && c.evidence > NEEDED;
+    part.others.iter().filter(|c| same(c) || returns(c)).collect()
 }
 
 /// The ladder: the parts added one by one, the strongest first.

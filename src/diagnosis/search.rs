@@ -2,7 +2,7 @@
 
 use super::memo::{Memo, key, of_effects};
 use super::starts::{Starts, finished, sorted};
-use super::{BARELY, HOLDS};
+use super::{BARELY, HOLDS, TIE};
 use crate::dataset::Kind;
 use crate::inference::{
     Effects, Fitted, Given, Residual, Screen, as_given, compare, fit, fit_near, has_flats, residuals_of,
@@ -499,8 +499,9 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
 /// errors become narrower, and a model whose narrow errors are wrong is no better for it.
 fn or_one_that_holds(all: &Observations, mut found: Found) -> Found {
     let best = found.first.first().map_or(0.0, |c| c.evidence);
-    let near: Vec<&Candidate> = found.first.iter().filter(|c| c.evidence > NEARLY * best).collect();
-    if best < MANY || near.len() < 2 || compare(all, &found.fitted).p_value >= HOLDS {
+    let far = if best < MANY { TIE } else { (1.0 - NEARLY) * best };
+    let near: Vec<&Candidate> = found.first.iter().filter(|c| best - c.evidence < far).collect();
+    if near.len() < 2 || compare(all, &found.fitted).p_value >= HOLDS {
         return found;
     }
     if let Some(one) = near.into_iter().find(|c| compare(all, &c.fitted).p_value >= HOLDS) {

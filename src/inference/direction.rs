@@ -34,7 +34,7 @@ impl<'s, 'a> Direction<'s, 'a> {
     /// What a scatter of settings that follows brings beyond that: of m of them with the sum of squares S that falls to T the likelihood
     /// gains m ln(S / T), and not S - T.
     fn narrower(&self, settings: &[(f64, f64)]) -> f64 {
-        let m = settings.len() as f64;
+        let m: f64 = self.system.blocks.iter().map(|b| b.told).sum();
         let (before, after) = settings.iter().fold((0.0, 0.0), |(a, b), (x, y)| (a + x * x, b + y * y));
         if m < 4.0 || after >= before {
             return 0.0;

@@ -10,6 +10,8 @@ use crate::observables::{Expected, HEAVY_DOF, Observable, lightened};
 /// From here on the square of a residual says that the model is wrong, and not how large its scatter is.
 const LARGE: f64 = 16.0;
 
+/// Degrees of freedom below which nothing tells how much settings scatter (a named choice).
+const LEAST_TOLD: f64 = 0.5;
 /// Variance of settings over that of the frames' means below which it is none.
 const NO_SETTING: f64 = 1e-6;
 
@@ -34,6 +36,8 @@ pub struct System<'a> {
     pub(super) white: White,
     priors: Vec<(usize, f64, f64)>,
     lights: usize,
+    /// Information on each open light, beside the settings that scatter.
+    known_light: Vec<f64>,
 }
 
 /// Observables of one set that see its light, where its setting scatters.
@@ -47,6 +51,8 @@ pub(super) struct Block {
     pub(super) weight: f64,
     /// Square of what the light moves the mean by, DN^2.
     pub(super) unit: f64,
+    /// Part of a degree of freedom that it tells of the scatter of settings.
+    pub(super) told: f64,
     /// Variance of the setting and of what the frames tell of it, in units of the light.
     pub(super) variance: f64,
 }
@@ -133,6 +139,7 @@ impl<'a> System<'a> {
             white,
             priors: priors.filter_map(|(k, (l, x))| Some((k, *x, 1.0 / l.known?.powi(2)))).collect(),
             lights: free.lights.len(),
+            known_light: Vec::new(),
         };
         system.gather(now, known);
         system.scatter.extend(known.scatter.iter().cloned());
@@ -148,6 +155,28 @@ impl<'a> System<'a> {
                 self.add(block, scatter);
             }
         }
+        self.share_out();
+    }
+
+    /// Computes how much each setting tells of their scatter: what is left of it once the open light of its level is
+    /// fitted (restricted likelihood: Patterson and Thompson 1971, Biometrika 58). The only setting of an open light
+    /// tells nothing.
+    fn share_out(&mut self) {
+        let first = self.layout.rows.len();
+        self.known_light = vec![0.0; self.lights];
+        for (light, by) in self.light.iter().zip(&self.by_light).take(first) {
+            light.iter().for_each(|k| self.known_light[*k] += by * by);
+        }
+        self.priors.iter().for_each(|(k, _, weight)| self.known_light[*k] += weight);
+        let mut squares = self.known_light.clone();
+        for (light, block) in self.light[first..].iter().zip(&self.blocks) {
+            light.iter().for_each(|k| squares[*k] += block.variance.recip());
+        }
+        for (b, block) in self.blocks.iter_mut().enumerate() {
+            let taken = self.light[first + b].map_or(0.0, |k| 1.0 / block.variance / squares[k].max(1e-300));
+            block.told = (1.0 - taken).clamp(0.0, 1.0);
+            self.expected_square[first + b] = block.told;
+        }
     }
 
     /// What sees the light of a set together; `None` where its setting does not scatter.
@@ -161,7 +190,7 @@ impl<'a> System<'a> {
         // The setting's scatter is a variance of the mean in DN^2: over the square of what the light moves the mean by.
         let unit = (loads[0] * now.expected[rows[0]].normal.2).powi(2);
         let variance = now.setting[b] / unit + 1.0 / weight;
-        Some(Block { rows, setting: self.layout.blocks[b].0, loads, weight, unit, variance })
+        Some(Block { rows, setting: self.layout.blocks[b].0, loads, weight, unit, variance, told: 1.0 })
     }
 
     /// Puts a block's common deviation into a row of its own. `scatter`: slopes of the logarithm of its error.
@@ -270,12 +299,18 @@ impl<'a> System<'a> {
 
     /// The factor of the scatter of settings: of their own variance beside what the frames have.
     fn factor_of_settings(&self) -> f64 {
-        let of = |(b, z): (&Block, &f64)| (z * z * b.variance, b.variance - 1.0 / b.weight, 1.0 / b.weight);
+        let of = |(b, z): (&Block, &f64)| {
+            (z * z * b.variance, b.variance - 1.0 / b.weight, 1.0 / b.weight, b.told)
+        };
         let parts: Vec<_> = self.blocks.iter().zip(&self.z[self.layout.rows.len()..]).map(of).collect();
-        let excess = |f: f64| parts.iter().map(|(e, own, frames)| e / (f * own + frames) - 1.0).sum::<f64>();
+        if parts.iter().map(|(.., told)| told).sum::<f64>() < LEAST_TOLD {
+            return 1.0;
+        }
+        let excess =
+            |f: f64| parts.iter().map(|(e, own, frames, told)| e / (f * own + frames) - told).sum::<f64>();
         if excess(1e-8) <= 0.0 {
             // Beside what the frames have it is nothing already.
-            let is_nothing = parts.iter().all(|(_, own, frames)| *own < NO_SETTING * frames);
+            let is_nothing = parts.iter().all(|(_, own, frames, _)| *own < NO_SETTING * frames);
             return if is_nothing { 1.0 } else { 1e-4 };
         }
         let (mut low, mut high) = (1e-8f64, 1e8f64);
@@ -337,9 +372,11 @@ impl<'a> System<'a> {
         self.priors.iter().map(|(k, _, weight)| weight * lights[*k] * lights[*k]).sum()
     }
 
-    /// Takes the common deviation off what sees the light of one set, and gives what it costs.
+    /// Takes the common deviation off what sees the light of one set, and returns its minus twice log restricted
+    /// likelihood.
     fn of_blocks(&self, z: &mut [f64], there: &State, whole: bool) -> f64 {
         let mut sum = 0.0;
+        let (mut with, mut without) = (vec![0.0; self.lights], vec![0.0; self.lights]);
         let mut known = self.blocks.iter();
         let mut next = known.next();
         for (b, (_, rows)) in self.layout.blocks.iter().enumerate() {
@@ -349,8 +386,15 @@ impl<'a> System<'a> {
             let common = block.loads.iter().zip(rows).map(|(a, r)| a * z[*r]).sum::<f64>() / block.weight;
             rows.iter().zip(&block.loads).for_each(|(r, a)| z[*r] -= a * common);
             sum += common * common / variance + variance.ln() + if whole { block.weight.ln() } else { 0.0 };
+            if let Some(k) = self.light[rows[0]] {
+                with[k] += variance.recip();
+                without[k] += block.weight;
+            }
         }
-        sum
+        // The information on each open light, with the scatter of settings and without it.
+        let parts = self.known_light.iter().zip(with.iter().zip(&without));
+        let open = parts.filter(|(_, (_, without))| **without > 0.0);
+        sum + open.map(|(known, (with, without))| ((known + with) / (known + without)).ln()).sum::<f64>()
     }
 
     /// Twice the negative logarithm of the likelihood at this place.

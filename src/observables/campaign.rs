@@ -143,6 +143,17 @@ impl Observations {
             || (self.exposures_differ(half, false) && self.has_another_level(half))
     }
 
+    /// Number of times that a light is set again after another one.
+    pub fn light_returns(&self) -> usize {
+        let lit = self.campaign.sets.iter().zip(&self.kinds).filter(|(_, kind)| **kind == Kind::Flat);
+        let mut lights: Vec<u64> = lit.map(|(set, _)| set.illumination.to_bits()).collect();
+        lights.dedup();
+        let settings = lights.len();
+        lights.sort_unstable();
+        lights.dedup();
+        settings - lights.len()
+    }
+
     /// Returns true if darks have two exposures.
     pub fn darks_tell_dark_current(&self) -> bool {
         self.exposures_differ(None, true)

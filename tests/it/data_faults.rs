@@ -57,6 +57,16 @@ fn copied(c: &mut Campaign) -> (&'static str, Vec<u32>) {
     ("copied-frames", vec![set])
 }
 
+/// A lost packet: 3000 pixels are those of the frame before.
+fn old_packet(c: &mut Campaign) -> (&'static str, Vec<u32>) {
+    let set = c.flat(2);
+    let rows = c.of(set);
+    let (before, mut own) = (c.frame(rows[0]), c.frame(rows[1]));
+    own.iter_mut().zip(&before).skip(2000).take(3000).for_each(|(own, before)| *own = *before);
+    c.put(rows[1], &own);
+    ("copied-frames", vec![set])
+}
+
 fn averaged(c: &mut Campaign) -> (&'static str, Vec<u32>) {
     let set = c.flat(4);
     let rows = c.of(set);
@@ -129,6 +139,8 @@ fn slips_are_named_with_their_sets_and_left_out() {
         told(plan, slip, 30 + seed as u32);
     }
     told("emva1288", other_black, 44);
+    told("standard", old_packet, 45);
+    told("emva1288", old_packet, 46);
 }
 
 fn told(plan: &str, slip: Slip, seed: u32) {

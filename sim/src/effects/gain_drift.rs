@@ -38,6 +38,10 @@ impl Effect for GainDrift {
         Some(vec![0.0, 0.006 / (300.0 * plain.frame_s), 0.0, 60.0 * plain.frame_s])
     }
 
+    fn is_drift_of_level(&self) -> bool {
+        true
+    }
+
     fn page(&self) -> Page {
         Page {
             what: "The camera warms up and its gain with it.",

@@ -36,6 +36,10 @@ impl Effect for IlluminationDrift {
         Some(vec![0.0, 0.006 / (300.0 * plain.frame_s), 0.01, 60.0 * plain.frame_s])
     }
 
+    fn is_drift_of_level(&self) -> bool {
+        true
+    }
+
     fn page(&self) -> Page {
         Page {
             what: "The lamp warms up or ages during the campaign.",

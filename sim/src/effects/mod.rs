@@ -460,6 +460,10 @@ pub trait Effect: Sync + Send {
     fn shows_in_darks(&self) -> bool {
         matches!(self.stage(), Stage::Read | Stage::Converter | Stage::Firmware)
     }
+    /// True for an effect by which flats of one light change their level with time.
+    fn is_drift_of_level(&self) -> bool {
+        false
+    }
     /// True for an effect by which each set has a light of its own; else the light stays until another level is
     /// set.
     fn sets_each(&self) -> bool {
