@@ -355,7 +355,7 @@ fn straight(all: &Observations, part: &Part, whole: &Fitted) -> Option<String> {
     }
     // Squares and errors of the noise; the rest of the objective is that of levels, profiles and light.
     let is_level = |r: &&Residual| {
-        r.statistic == LineProfile.id() || STATISTICS.iter().any(|s| s.sees_light() && s.id() == r.statistic)
+        r.statistic == LineProfile.id() || STATISTICS.iter().any(|s| s.is_level() && s.id() == r.statistic)
     };
     let of = |residuals: &[Residual]| -> f64 {
         let noise = residuals.iter().filter(|r| !is_level(r));

@@ -49,8 +49,6 @@ pub(super) fn tests(all: &Observations, model: &Fitted, levels: &[f64]) -> Vec<T
     let layout = Layout::new(all, &halves(None), model.free.effects.iter());
     let state = layout.at(&model.free, &model.point);
     let mut scores = System::new(&layout, &model.free, &model.point, &state, &model.slopes).setting_scores();
-    // The only set at a light tells nothing: its light is what it shows.
-    scores.retain(|s| s.1.abs() > 1e-6);
     if scores.len() < FEWEST {
         return Vec::new();
     }

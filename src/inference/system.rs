@@ -184,7 +184,8 @@ impl<'a> System<'a> {
         let rows = self.layout.blocks[b].1.clone();
         let loads: Vec<f64> = rows.iter().map(|r| self.by_light[*r]).collect();
         let weight: f64 = loads.iter().map(|a| a * a).sum();
-        if now.setting[b] <= 0.0 || weight <= 0.0 {
+        let has_level = self.layout.rows[rows[0]].statistic.is_level();
+        if now.setting[b] <= 0.0 || weight <= 0.0 || !has_level {
             return None;
         }
         // The setting's scatter is a variance of the mean in DN^2: over the square of what the light moves the mean by.
@@ -409,10 +410,14 @@ impl<'a> System<'a> {
         if sum.is_nan() { f64::INFINITY } else { sum }
     }
 
-    /// Deviations of the settings of sets, each over what it is expected to scatter by; by set.
+    /// Deviations of the settings of sets, each over what it is expected to scatter by; by set. The only set at an
+    /// open light tells nothing.
     pub fn setting_scores(&self) -> Vec<(usize, f64)> {
-        let sets = self.blocks.iter().filter_map(|b| self.layout.rows[b.rows[0]].set);
-        sets.zip(self.z[self.layout.rows.len()..].iter().copied()).collect()
+        /// Part of a degree of freedom below which a setting tells nothing (a named choice).
+        const MIN_TOLD: f64 = 0.05;
+        let blocks = self.blocks.iter().zip(&self.z[self.layout.rows.len()..]);
+        let told = blocks.filter(|(block, _)| block.told > MIN_TOLD);
+        told.filter_map(|(block, z)| Some((self.layout.rows[block.rows[0]].set?, *z))).collect()
     }
 
     /// What the frames tell of the light of sets whose setting scatters: its deviation, and the error that this leaves, in units of the

@@ -24,7 +24,7 @@ impl Statistic for Mean {
         "DN"
     }
 
-    fn sees_light(&self) -> bool {
+    fn is_level(&self) -> bool {
         true
     }
 

@@ -259,9 +259,14 @@ pub trait Statistic: Sync + std::fmt::Debug {
     fn unit(&self) -> &'static str {
         ""
     }
-    /// Whether it tells of the light of its set: what a lamp's setting is off by is common to all of a set that do.
-    fn sees_light(&self) -> bool {
+    /// True for a level of light.
+    fn is_level(&self) -> bool {
         false
+    }
+    /// True for a statistic that follows the light of its set: the error of a lamp's setting is common to all of a
+    /// set that do.
+    fn sees_light(&self) -> bool {
+        self.is_level()
     }
     /// Whether it judges models and is not followed by fits: where it deviates it says what a model is not, and
     /// hardly what it is.

@@ -15,7 +15,7 @@ impl Statistic for Monitor {
         "the light, as the monitor sees it"
     }
 
-    fn sees_light(&self) -> bool {
+    fn is_level(&self) -> bool {
         true
     }
 

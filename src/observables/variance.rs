@@ -26,6 +26,11 @@ impl Statistic for Variance {
         "DN^2"
     }
 
+    /// Shot noise is that of the set's own light, not of the nominal one.
+    fn sees_light(&self) -> bool {
+        true
+    }
+
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
         let r = chunk.summary();
         put.put(0, r.var.value, chunk.inflation.variance * theory(r));
