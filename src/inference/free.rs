@@ -114,8 +114,12 @@ struct Entry {
 
 const ANY: (f64, f64) = (f64::NEG_INFINITY, f64::INFINITY);
 
-/// The paper's parameters, what came before the first frame, and the light monitor.
-fn of_base(all: &Observations, base: &BaseParameters) -> Vec<Entry> {
+/// Part of the largest scatter of settings at which a fit of it begins (a named choice).
+pub(super) const FIRST_SETTING: f64 = 0.01;
+
+/// The paper's parameters, what came before the first frame, and the light monitor. `in_effect`: the scatter of
+/// settings is that of an effect.
+fn of_base(all: &Observations, base: &BaseParameters, in_effect: bool) -> Vec<Entry> {
     let entry = |what, value, scale, fixed, bounds| Entry { what, value, scale, fixed, bounds };
     // Of a table the level without light was taken off.
     let table = all.is_table;
@@ -144,9 +148,11 @@ fn of_base(all: &Observations, base: &BaseParameters) -> Vec<Entry> {
         entry(Common::Light, 0.0, 1.0, false, ANY),
     ];
     if let Some(rel) = base.setting_rel {
-        let (fixed, most) = match all.setting {
-            Some(Setting::Below(most)) => (false, most),
-            _ => (true, rel),
+        // An effect that is the scatter of the settings takes the place of one that is not stated.
+        let (fixed, rel, most) = match all.setting {
+            Some(Setting::Below(most)) if in_effect => (true, 0.0, most),
+            Some(Setting::Below(most)) => (false, rel.max(FIRST_SETTING * most), most),
+            _ => (true, rel, rel),
         };
         list.push(entry(Common::SettingRel, rel, most, fixed, (0.0, most)));
     }
@@ -225,7 +231,8 @@ impl Free {
         let has_memory = effects.iter().any(|(e, _)| e.has_memory()) && !all.is_table;
         let mut template = base.clone();
         template.past_e = has_memory.then(|| base.past_e.unwrap_or(0.0));
-        let mut entries = of_base(all, &template);
+        let in_effect = effects.iter().any(|(e, _)| e.sets_each());
+        let mut entries = of_base(all, &template, in_effect);
         for (place, (effect, values)) in effects.iter().enumerate() {
             entries.extend(of_effect(place, *effect, values));
         }

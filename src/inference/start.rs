@@ -1,5 +1,6 @@
 //! A first guess of the paper's parameters, from the darks and the slope of the variance.
 
+use super::free::FIRST_SETTING;
 use crate::dataset::{Kind, LONG_DARKS};
 use crate::observables::{Half, Observations, Setting, Statistic, mean, monitor, unequal, variance};
 use crate::statistics::median::median;
@@ -40,7 +41,7 @@ pub fn start(all: &Observations) -> BaseParameters {
         past_e: None,
         setting_rel: all.setting.map(|s| match s {
             Setting::Stated(rel) => rel,
-            Setting::Below(most) => 0.01 * most,
+            Setting::Below(most) => FIRST_SETTING * most,
         }),
         monitor,
         cut_at_0: true,
