@@ -1,14 +1,16 @@
-//! Parts of frames that hold the data of a frame before: a lost packet whose place in the buffer was not cleared.
+//! Parts of frames that hold the data of a frame before: a lost packet whose place in the buffer was not
+//! cleared.
 
 use super::facts::digest;
 use super::{Campaign, Check, DataFault, FaultKind};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Pixels of a segment: shorter than the payload of a GigE Vision packet of 1500 bytes, and noise that leaves seven
-/// tenths of the pixels as they were repeats all of them once in 10^40 times.
+/// Pixels of a segment: shorter than the payload of a GigE Vision packet of 1500 bytes, and noise that leaves
+/// seven tenths of the pixels as they were repeats all of them once in 10^40 times.
 const SEGMENT: usize = 256;
-/// Frames before, of the same set, that are compared: drivers have that many buffers in turn (a named choice).
+/// Frames before, of the same set, that are compared: drivers have that many buffers in turn (a named
+/// choice).
 const BUFFERS: usize = 16;
 /// Share of the pixels that differ from frame to frame around a segment, from which on its noise tells.
 const MIN_CHANGED: f64 = 0.3;
@@ -34,7 +36,8 @@ pub struct OldData {
 #[derive(Debug, Default)]
 pub(super) struct Search {
     frames: usize,
-    /// Digests of the segments of the frames before, the newest first; `None` of a segment whose noise tells nothing.
+    /// Digests of the segments of the frames before, the newest first; `None` of a segment whose noise tells
+    /// nothing.
     before: VecDeque<Vec<Option<u64>>>,
     /// Most pixels of each segment that differed from one frame to the next.
     most_changed: Vec<u16>,
@@ -108,7 +111,8 @@ impl Check for OldDataInFrames {
             let view = &campaign.sets[set];
             found.extend(view.facts.old_data.iter().filter(|o| view.kept[o.frame]).map(|o| (set, *o)));
         }
-        // What repeats at the same place in other sets is no lost packet: lines of the sensor's registers, say.
+        // What repeats at the same place in other sets is no lost packet: lines of the sensor's registers,
+        // say.
         let frames = campaign.places(|_| true).iter().map(|&s| campaign.sets[s].frames()).sum::<usize>();
         let most = (MAX_SHARE_OF_FRAMES * frames as f64).max(1.0) as usize;
         let places: Vec<usize> = found.iter().map(|(_, o)| o.pixels.0).collect();
@@ -154,8 +158,8 @@ mod tests {
         search.finish()
     }
 
-    /// A part of the frame before, or of one five before, is found with its place; noise repeats nothing, nor does
-    /// what is burnt into the image, is at full scale, or lies where nothing moves.
+    /// A part of the frame before, or of one five before, is found with its place; noise repeats nothing, nor
+    /// does what is burnt into the image, is at full scale, or lies where nothing moves.
     #[test]
     fn old_data_are_found_and_noise_is_not() {
         for sigma in [0.5, 3.0] {

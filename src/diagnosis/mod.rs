@@ -176,8 +176,8 @@ struct Part {
     rest: Fitted,
     /// What deviates then.
     without: Vec<Residual>,
-    /// True for a drift in a campaign in which a light is set again once: a lamp that comes back to another light
-    /// explains that too.
+    /// True for a drift in a campaign in which a light is set again once: a lamp that comes back to another
+    /// light explains that too.
     hangs_on_one_return: bool,
 }
 

@@ -428,10 +428,9 @@ const FAR_SQUARE: f64 = 4.0;
 const AGAIN: usize = 3;
 
 /// Adds effects to a model as long as the evidence pays for them. `far`: the model is so far off that its own
-/// values may be bent.
-/// True for an effect of memory whose drop in chi-square comes from the means of the frames of one set of flats: a
-/// lamp that starts dim makes a first frame dark too, and what is carried over would correlate the noise of
-/// frames, or show in other sets.
+/// values may be bent. True for an effect of memory whose drop in chi-square comes from the means of the
+/// frames of one set of flats: a lamp that starts dim makes a first frame dark too, and what is carried over
+/// would correlate the noise of frames, or show in other sets.
 fn is_of_one_set(all: &Observations, with: &Fitted, at: usize) -> bool {
     let (effect, _) = &with.effects[at];
     if !effect.has_memory() {

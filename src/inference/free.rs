@@ -117,8 +117,8 @@ const ANY: (f64, f64) = (f64::NEG_INFINITY, f64::INFINITY);
 /// Part of the largest scatter of settings at which a fit of it begins (a named choice).
 pub(super) const FIRST_SETTING: f64 = 0.01;
 
-/// The paper's parameters, what came before the first frame, and the light monitor. `in_effect`: the scatter of
-/// settings is that of an effect.
+/// The paper's parameters, what came before the first frame, and the light monitor. `in_effect`: the scatter
+/// of settings is that of an effect.
 fn of_base(all: &Observations, base: &BaseParameters, in_effect: bool) -> Vec<Entry> {
     let entry = |what, value, scale, fixed, bounds| Entry { what, value, scale, fixed, bounds };
     // Of a table the level without light was taken off.

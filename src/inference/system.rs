@@ -158,9 +158,9 @@ impl<'a> System<'a> {
         self.share_out();
     }
 
-    /// Computes how much each setting tells of their scatter: what is left of it once the open light of its level is
-    /// fitted (restricted likelihood: Patterson and Thompson 1971, Biometrika 58). The only setting of an open light
-    /// tells nothing.
+    /// Computes how much each setting tells of their scatter: what is left of it once the open light of its
+    /// level is fitted (restricted likelihood: Patterson and Thompson 1971, Biometrika 58). The only setting
+    /// of an open light tells nothing.
     fn share_out(&mut self) {
         let first = self.layout.rows.len();
         self.known_light = vec![0.0; self.lights];
@@ -373,8 +373,8 @@ impl<'a> System<'a> {
         self.priors.iter().map(|(k, _, weight)| weight * lights[*k] * lights[*k]).sum()
     }
 
-    /// Takes the common deviation off what sees the light of one set, and returns its minus twice log restricted
-    /// likelihood.
+    /// Takes the common deviation off what sees the light of one set, and returns its minus twice log
+    /// restricted likelihood.
     fn of_blocks(&self, z: &mut [f64], there: &State, whole: bool) -> f64 {
         let mut sum = 0.0;
         let (mut with, mut without) = (vec![0.0; self.lights], vec![0.0; self.lights]);
@@ -410,8 +410,8 @@ impl<'a> System<'a> {
         if sum.is_nan() { f64::INFINITY } else { sum }
     }
 
-    /// Deviations of the settings of sets, each over what it is expected to scatter by; by set. The only set at an
-    /// open light tells nothing.
+    /// Deviations of the settings of sets, each over what it is expected to scatter by; by set. The only set
+    /// at an open light tells nothing.
     pub fn setting_scores(&self) -> Vec<(usize, f64)> {
         /// Part of a degree of freedom below which a setting tells nothing (a named choice).
         const MIN_TOLD: f64 = 0.05;

@@ -62,8 +62,8 @@ pub fn occupancy_of(widths: &dyn Fn(u32) -> f64, codes: &std::ops::Range<u32>, b
     relative(first) - relative(second)
 }
 
-/// Line of steps, which need not be whole, on which the codes of all wide levels lie. What is cut off at both ends
-/// is left out.
+/// Line of steps, which need not be whole, on which the codes of all wide levels lie. What is cut off at both
+/// ends is left out.
 pub fn stretch(halves: &[Codes; 2]) -> Option<Stretch> {
     let sum = |(a, b): (&u64, &u64)| a + b;
     let mut counts: Vec<u64> = halves[0].counts.iter().zip(&halves[1].counts).map(sum).collect();

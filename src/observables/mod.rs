@@ -263,8 +263,8 @@ pub trait Statistic: Sync + std::fmt::Debug {
     fn is_level(&self) -> bool {
         false
     }
-    /// True for a statistic that follows the light of its set: the error of a lamp's setting is common to all of a
-    /// set that do.
+    /// True for a statistic that follows the light of its set: the error of a lamp's setting is common to all
+    /// of a set that do.
     fn sees_light(&self) -> bool {
         self.is_level()
     }

@@ -73,9 +73,9 @@ impl Occurring {
         of_whole_codes(&self.more_often_than(limit.last().copied()?))
     }
 
-    /// Step and offset of codes that were multiplied by a number between 1 and 2 after conversion, as by a digital
-    /// gain, or `None`. Such codes are a balanced word: steps of one and of two as even as can be (Lothaire 2002,
-    /// Algebraic Combinatorics on Words, section 2.1.2).
+    /// Step and offset of codes that were multiplied by a number between 1 and 2 after conversion, as by a
+    /// digital gain, or `None`. Such codes are a balanced word: steps of one and of two as even as can be
+    /// (Lothaire 2002, Algebraic Combinatorics on Words, section 2.1.2).
     pub fn multiplied(&self) -> Option<Stretch> {
         let runs = self.runs();
         let width = |step: f64| runs.iter().map(|run| band_of(run, step).1).fold(0.0, f64::max);
@@ -146,7 +146,8 @@ impl Stretch {
     }
 }
 
-/// Steps of multiplied codes: nearer to 1 or 2 too few codes differ from those of whole steps (a named choice).
+/// Steps of multiplied codes: nearer to 1 or 2 too few codes differ from those of whole steps (a named
+/// choice).
 const MULTIPLIED: std::ops::Range<f64> = 1.01..1.99;
 
 /// Middle of the band that successive values leave about lines of this step, at place 0, and its width.
@@ -165,8 +166,8 @@ fn least_of(of: impl Fn(f64) -> f64, mut a: f64, mut b: f64) -> f64 {
     0.5 * (a + b)
 }
 
-/// Logarithm of the number of ways to order these steps of one and two, over the number of balanced ones: of n
-/// steps there are fewer than n^3 for all numbers of twos, and n^2 for one.
+/// Logarithm of the number of ways to order these steps of one and two, over the number of balanced ones: of
+/// n steps there are fewer than n^3 for all numbers of twos, and n^2 for one.
 fn evidence_of_balance(values: &[f64]) -> f64 {
     let steps = values.len() - 1;
     let twos = values.windows(2).filter(|w| w[1] - w[0] > 1.5).count();
@@ -408,15 +409,17 @@ mod tests {
         assert_eq!(of(converter(12).into_iter().map(|v| 16 * v as u16).chain(off)), None);
     }
 
-    /// Counts of a campaign's codes: each of these often, and what its neighbours would have filled in now and then.
+    /// Counts of a campaign's codes: each of these often, and what its neighbours would have filled in now
+    /// and then.
     fn often(codes: impl Iterator<Item = f64>) -> Occurring {
         let mut counts = vec![0u64; 1 << 16];
         codes.for_each(|code| counts[code as usize] += 400);
         Occurring::of_counts(&counts)
     }
 
-    /// Codes times a number between 1 and 2 are found with it, rounded or cut off, of sweeps with gaps between
-    /// their levels; codes as they are, square-root tables and converters that leave single codes out are not.
+    /// Codes times a number between 1 and 2 are found with it, rounded or cut off, of sweeps with gaps
+    /// between their levels; codes as they are, square-root tables and converters that leave single codes out
+    /// are not.
     #[test]
     fn multiplied_codes_are_told_from_tables() {
         for k in 0..300u32 {

@@ -71,8 +71,8 @@ fn high_and_low_bits_of_a_converter_are_wrong_together() {
     }
 }
 
-/// Codes times 1.37, as of a digital gain, leave single codes out on one line of steps: a table would leave out more
-/// of the bright ones.
+/// Codes times 1.37, as of a digital gain, leave single codes out on one line of steps: a table would leave
+/// out more of the bright ones.
 #[test]
 fn codes_times_a_number_are_a_digital_gain() {
     let model = unit(330);

@@ -87,8 +87,8 @@ fn sweep_of_lights(lights: &[u32], stated: bool, model: radcam_sim::Model, root:
     state_light(root, stated.then_some(0.002));
 }
 
-/// A lamp whose settings are off by 5 %, where 0.2 % is stated: the variance of each set is that of its own light,
-/// so that no response bends and the gain is right.
+/// A lamp whose settings are off by 5 %, where 0.2 % is stated: the variance of each set is that of its own
+/// light, so that no response bends and the gain is right.
 #[test]
 fn a_lamp_off_by_more_than_is_stated_bends_no_response() {
     let dir = tempfile::tempdir().unwrap();

@@ -66,8 +66,8 @@ impl Effect for BlackClipping {
             .collect()
     }
 
-    /// Darks that go on below the level are not cut off there, and those of which fewer than one sample in two
-    /// hundred lies near code 0 not at code 0: to within rounding and the error of the black level.
+    /// Darks that go on below the level are not cut off there, and those of which fewer than one sample in
+    /// two hundred lies near code 0 not at code 0: to within rounding and the error of the black level.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         if is_at_code_0(p) {
             return seen.darkest_code.is_some_and(|code| code > 1.0);

@@ -8,8 +8,8 @@ const STEPS: [f64; 6] = [2.0, 4.0, 8.0, 16.0, 32.0, 64.0];
 /// Index of `zero_dn`.
 const ZERO: usize = 1;
 
-/// Deviation of a step from a whole number, relative, up to which it is one: 4.003 of a scale from 1023 to 4095 is
-/// three codes off at full scale, and none (a named choice).
+/// Deviation of a step from a whole number, relative, up to which it is one: 4.003 of a scale from 1023 to
+/// 4095 is three codes off at full scale, and none (a named choice).
 const WHOLE: f64 = 1e-4;
 
 /// The step, to whole codes where it is one.
@@ -17,8 +17,8 @@ fn to_whole(step: f64) -> f64 {
     if (step / step.round() - 1.0).abs() < WHOLE { step.round() } else { step }
 }
 
-/// What rounding each of some codes to a whole one adds to the mean, one standard deviation, DN, where noise and
-/// shading together cover so many steps. A bound of the root mean squares over tables and levels that
+/// What rounding each of some codes to a whole one adds to the mean, one standard deviation, DN, where noise
+/// and shading together cover so many steps. A bound of the root mean squares over tables and levels that
 /// tests/outside/companding.py prints.
 pub(super) fn rounded_mean(steps: f64) -> f64 {
     0.29 / libm::sqrt(1.0 + 3.5 * steps)
@@ -116,8 +116,8 @@ impl Effect for CoarseQuantization {
         if step.fract() == 0.0 {
             return;
         }
-        // Multiplied codes are rounded to whole ones, each by its own part of one: the bounds that a table of roots has
-        // too.
+        // Multiplied codes are rounded to whole ones, each by its own part of one: the bounds that a table of
+        // roots has too.
         for (i, s) in out.sets.iter_mut().enumerate() {
             let spread = c.sets.get(i).map_or(0.0, |s| s.spread_dn);
             let total = libm::hypot(spread, libm::sqrt(s.covariance(0, 0).max(0.0)));
