@@ -252,7 +252,7 @@ impl<'a> Campaign<'a> {
 
     /// Pixels of a row.
     pub fn columns(&self) -> usize {
-        (self.dataset.manifest().camera.width as usize).max(1)
+        self.dataset.manifest().camera.width.max(1)
     }
 
     /// File of a frame.

@@ -427,8 +427,7 @@ const FAR_SQUARE: f64 = 4.0;
 /// Repeated searches, each without the forms of effects that had become nothing.
 const AGAIN: usize = 3;
 
-/// Adds effects to a model as long as the evidence pays for them. `far`: the model is so far off that its own
-/// values may be bent. True for an effect of memory whose drop in chi-square comes from the means of the
+/// True for an effect of memory whose drop in chi-square comes from the means of the
 /// frames of one set of flats: a lamp that starts dim makes a first frame dark too, and what is carried over
 /// would correlate the noise of frames, or show in other sets.
 fn is_of_one_set(all: &Observations, with: &Fitted, at: usize) -> bool {
@@ -458,6 +457,8 @@ fn is_of_one_set(all: &Observations, with: &Fitted, at: usize) -> bool {
     elsewhere + by_set.values().sum::<f64>() - most < NEEDED
 }
 
+/// Adds effects to a model as long as the evidence pays for them. `far`: the model is so far off that its own
+/// values may be bent.
 pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn FnMut(&str)) -> Found {
     let mut not: Vec<Banned> = Vec::new();
     let memo = Memo::default();
