@@ -141,7 +141,11 @@ mod tests {
     #[test]
     fn darks_far_above_code_0_are_not_cut_off_there() {
         let seen = |code: Option<f64>| Seen { darkest_code: code, ..Seen::default() };
-        let speaks_against = |code| BlackClipping.contradicted(&[0.0, 1.0], &[], &seen(code)).is_some();
-        assert!(speaks_against(Some(57.0)) && !speaks_against(Some(0.0)) && !speaks_against(None));
+        let is_another = |code| BlackClipping.is_another(&[0.0, 1.0], &seen(code));
+        assert!(is_another(Some(57.0)) && !is_another(Some(0.0)) && !is_another(None));
+        // At a level: darks that go on below it.
+        let seen = |dn: Option<f64>| Seen { darkest_dn: dn, ..Seen::default() };
+        let is_another = |dn| BlackClipping.is_another(&[-6.0, 0.0], &seen(dn));
+        assert!(is_another(Some(-9.0)) && !is_another(Some(-6.5)) && !is_another(None));
     }
 }

@@ -107,16 +107,21 @@ impl Effect for BlackLevelClamp {
 mod tests {
     use super::*;
 
-    /// A clamp takes most of the dark charge off; what is a tenth of it within two standard errors is none.
+    /// A clamp takes a tenth of the dark charge off at least, within two standard errors.
     #[test]
     fn a_small_part_of_the_dark_charge_is_no_clamp() {
         let of = |taken: f64, std_err: f64, left: f64| {
             let seen = Seen { dark_e_per_s: left, ..Seen::default() };
             BlackLevelClamp.contradicted(&[taken], &[std_err], &seen).is_some()
         };
-        assert!(of(6.5, 0.8, 43.0));
+        assert!(of(3.0, 0.8, 43.0));
         assert!(!of(343.0, 41.0, 290.0) && !of(0.2, 0.02, -0.1) && !of(5.0, 1.0, 0.0));
         // Too few frames to tell.
-        assert!(!of(6.5, 6.0, 43.0));
+        assert!(!of(3.0, 6.0, 43.0));
+        // Darks that are cut off at code 0 tell nothing of it.
+        let cut = Seen { darkest_code: Some(0.0), dark_e_per_s: 5.0, ..Seen::default() };
+        assert!(
+            BlackLevelClamp.is_another(&[5.0], &cut) && !BlackLevelClamp.is_another(&[5.0], &Seen::default())
+        );
     }
 }
