@@ -176,8 +176,8 @@ struct Part {
     rest: Fitted,
     /// What deviates then.
     without: Vec<Residual>,
-    /// True for a drift in a campaign in which a light is set again once: a lamp that comes back to another
-    /// light explains that too.
+    /// True for a drift in a campaign in which one light has two sets of flats and every other has one: a lamp
+    /// that comes back to another light explains that too.
     hangs_on_one_return: bool,
 }
 
@@ -528,7 +528,7 @@ fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Vec<Part> {
         let of_levels = if lit { unknown::evidence(&without, all.list.len() as f64) } else { 0.0 };
         let nameless = (1.0 - NEARLY_ALL) * of_levels;
         let dispersion = whole.mean_square.max(1.0);
-        let hangs_on_one_return = effect.is_drift_of_level() && all.light_returns() == 1;
+        let hangs_on_one_return = effect.is_drift_of_level() && all.repeated_lights() == 1;
         Part {
             effect,
             evidence,

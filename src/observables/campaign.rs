@@ -143,15 +143,14 @@ impl Observations {
             || (self.exposures_differ(half, false) && self.has_another_level(half))
     }
 
-    /// Number of times that a light is set again after another one.
-    pub fn light_returns(&self) -> usize {
+    /// Number of flats beyond one for each light: what tells a drift from the scatter of settings.
+    pub fn repeated_lights(&self) -> usize {
         let lit = self.campaign.sets.iter().zip(&self.kinds).filter(|(_, kind)| **kind == Kind::Flat);
         let mut lights: Vec<u64> = lit.map(|(set, _)| set.illumination.to_bits()).collect();
-        lights.dedup();
-        let settings = lights.len();
+        let flats = lights.len();
         lights.sort_unstable();
         lights.dedup();
-        settings - lights.len()
+        flats - lights.len()
     }
 
     /// Returns true if darks have two exposures.
