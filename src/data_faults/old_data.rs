@@ -75,7 +75,7 @@ impl Search {
         self.frames += 1;
     }
 
-    /// What was found, frame by frame.
+    /// Old data, frame by frame.
     pub fn finish(mut self) -> Vec<OldData> {
         let around = |s: usize| {
             let near = s.saturating_sub(AROUND)..(s + AROUND + 1).min(self.most_changed.len());
@@ -111,8 +111,7 @@ impl Check for OldDataInFrames {
             let view = &campaign.sets[set];
             found.extend(view.facts.old_data.iter().filter(|o| view.kept[o.frame]).map(|o| (set, *o)));
         }
-        // What repeats at the same place in other sets is no lost packet: lines of the sensor's registers,
-        // say.
+        // Data that repeat at one place in many sets are no lost packet: lines of the sensor's registers, say.
         let frames = campaign.places(|_| true).iter().map(|&s| campaign.sets[s].frames()).sum::<usize>();
         let most = (MAX_SHARE_OF_FRAMES * frames as f64).max(1.0) as usize;
         let places: Vec<usize> = found.iter().map(|(_, o)| o.pixels.0).collect();

@@ -118,11 +118,8 @@ impl Plain {
             noise(FIT_RANGE).filter(|(_, gain)| *gain > 0.0).or_else(|| noise(f64::INFINITY))?;
         let shortest = noisy.iter().copied().min_by(|a, b| exposure(*a).total_cmp(&exposure(*b)));
         let dark_noise_dn2 = shortest.map_or(constant, variance);
-        let dark_noise_e = (dark_noise_dn2
-            - QUANTISATION_DN2 * all.stretch.map_or(1.0, |line| line.step).powi(2))
-        .max(0.0)
-        .sqrt()
-            / gain_dn_per_e;
+        let quantisation_dn2 = QUANTISATION_DN2 * all.code_step_dn().powi(2);
+        let dark_noise_e = (dark_noise_dn2 - quantisation_dn2).max(0.0).sqrt() / gain_dn_per_e;
         let (low, high) = (LINEAR_RANGE.0 * saturation, LINEAR_RANGE.1 * saturation);
         let lit: Vec<(f64, f64)> = flats
             .iter()

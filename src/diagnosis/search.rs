@@ -427,9 +427,9 @@ const FAR_SQUARE: f64 = 4.0;
 /// Repeated searches, each without the forms of effects that had become nothing.
 const AGAIN: usize = 3;
 
-/// True for an effect of memory whose drop in chi-square comes from the means of the
-/// frames of one set of flats: a lamp that starts dim makes a first frame dark too, and what is carried over
-/// would correlate the noise of frames, or show in other sets.
+/// True for an effect of memory whose drop in chi-square comes from the frame means of one set of flats: a lamp
+/// that starts dim makes a first frame dark too, and charge that is carried over correlates the noise of frames or
+/// shows in other sets.
 fn is_of_one_set(all: &Observations, with: &Fitted, at: usize) -> bool {
     let (effect, _) = &with.effects[at];
     if !effect.has_memory() {
@@ -499,8 +499,8 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
 /// errors become narrower, and a model whose narrow errors are wrong is no better for it.
 fn or_one_that_holds(all: &Observations, mut found: Found) -> Found {
     let best = found.first.first().map_or(0.0, |c| c.evidence);
-    let far = if best < MANY { TIE } else { (1.0 - NEARLY) * best };
-    let near: Vec<&Candidate> = found.first.iter().filter(|c| best - c.evidence < far).collect();
+    let reach = if best < MANY { TIE } else { (1.0 - NEARLY) * best };
+    let near: Vec<&Candidate> = found.first.iter().filter(|c| best - c.evidence < reach).collect();
     if near.len() < 2 || compare(all, &found.fitted).p_value >= HOLDS {
         return found;
     }

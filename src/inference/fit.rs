@@ -314,7 +314,7 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
             of.max_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)))
         }),
         code_step_dn: share.filter(|s| *s > 0.0).map(f64::recip),
-        stretch_dn: all.stretch.map_or(1.0, |line| line.step),
+        stretch_dn: all.code_step_dn(),
         stretch_zero_dn: all.stretch.map_or(0.0, |line| line.zero),
     }
 }

@@ -78,6 +78,12 @@ impl Slopes {
         }
     }
 
+    /// Takes the slopes with one value at this place.
+    pub fn take_again(&mut self, i: usize, layout: &Layout<'_>, free: &Free, point: &Point, now: &State) {
+        let (step, there) = moved(layout, free, point, now, None, i);
+        self.put(i, step, now, &there);
+    }
+
     /// The slopes with one value: what a step of it did.
     fn put(&mut self, i: usize, step: f64, now: &State, there: &State) {
         let n = self.scale.len();

@@ -143,6 +143,11 @@ impl Observations {
             || (self.exposures_differ(half, false) && self.has_another_level(half))
     }
 
+    /// Distance of successive codes, DN: 1 where they lie on no line of steps.
+    pub fn code_step_dn(&self) -> f64 {
+        self.stretch.map_or(1.0, |line| line.step)
+    }
+
     /// Number of flats beyond one for each light: what tells a drift from the scatter of settings.
     pub fn repeated_lights(&self) -> usize {
         let lit = self.campaign.sets.iter().zip(&self.kinds).filter(|(_, kind)| **kind == Kind::Flat);

@@ -3,7 +3,6 @@
 use crate::normal::upper;
 use crate::predict::quantised_mean;
 
-use super::coarse_quantization::{ROUNDED_VARIANCE, rounded_mean};
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
 /// A square-root table, or coarser steps above a knee.
@@ -154,8 +153,8 @@ impl Effect for Companding {
                 // levels that tests/outside/companding.py prints.
                 let r = libm::sqrt(wide.max(0.0));
                 let (square, variance) = (here * here, s.covariance(0, 0));
-                let of_variance = ROUNDED_VARIANCE / here;
-                s.unsure_mean = libm::hypot(s.unsure_mean, rounded_mean(total / here));
+                let of_variance = 0.3 / here;
+                s.unsure_mean = libm::hypot(s.unsure_mean, 0.29 / libm::sqrt(1.0 + 3.5 * total / here));
                 s.unsure_own = libm::hypot(s.unsure_own, of_variance * square);
                 let apart = of_variance / (1.0 + 8.0 * r * r * r);
                 s.unsure = libm::hypot(s.unsure, apart * variance * variance);

@@ -111,8 +111,7 @@ fn is_by_chance(p: &[f64]) -> bool {
 }
 
 /// Least variance of a binomial number that is drawn as a normal one (a named choice: its skewness is then
-/// below
-/// 0.15).
+/// below 0.15).
 const MIN_NORMAL_VARIANCE: f64 = 50.0;
 
 /// Binomial number: electrons that are held, each with this chance. A fraction of an electron is split in
