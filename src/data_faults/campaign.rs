@@ -16,6 +16,8 @@ const MIN_DARKS_FOR_A_LAW: usize = 6;
 /// what it would be.
 const MAX_CLIPPED_SHARE: f64 = 1e-3;
 
+/// Standard errors by which the noise of frames must contradict lag.
+const LAG_SIGMAS: f64 = 3.0;
 /// Fewest changes of level that tell a share that is carried over, and that tell it from flicker.
 const MIN_CHANGES: (usize, usize) = (3, 8);
 /// Least change of level, relative to the largest: small ones tell little of a share.
@@ -108,6 +110,21 @@ impl SetView {
             .sum();
         let far: f64 = all.iter().map(|i| self.facts.second_dn2[*i]).sum();
         (far > 0.0).then(|| near / far)
+    }
+
+    /// Returns true if the noise lacks the correlation of frames that keep this share of what the frame before
+    /// had more than a dimmer set: (1 - share) share of it.
+    pub fn lacks_lag(&self, share: f64, dimmer: &Self) -> bool {
+        let Some((ratio, ((noise, _), (without, _)))) =
+            self.dependence().zip(self.variance_dn2().zip(dimmer.variance_dn2()))
+        else {
+            return false;
+        };
+        let triples = self.frames().saturating_sub(self.settling() + 2) as f64;
+        // Of a triple of independent frames the difference of both variances, over the variance, is this for
+        // each pixel.
+        let std = (9.0 / 4.0 / (self.facts.pixels * triples).max(1.0)).sqrt();
+        1.0 - ratio + LAG_SIGMAS * std < share * (1.0 - share) * (1.0 - without / noise)
     }
 
     /// Returns true if frames differ by more the longer the time between them: the level of lines or parts

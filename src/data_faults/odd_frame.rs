@@ -91,6 +91,8 @@ impl Check for OddFrame {
                 };
                 let change = if before.frames() > 0 { before.last_dn() - apart.level_dn } else { 0.0 };
                 let carried = places[*k] <= 2 && off * change > 0.0 && off.abs() < most * change.abs();
+                // Of few changes of level the noise tells whether they are carried over.
+                let carried = carried && !(share.is_none() && view.lacks_lag(off / change, before));
                 let dies_away = (1..=2).contains(k)
                     && apart.mean_dn[*k - 1] * off > 0.0
                     && apart.mean_dn[*k - 1].abs() > 2.0 * off.abs();

@@ -5,6 +5,7 @@ mod cost;
 mod cut;
 mod entry;
 mod memo;
+mod part;
 mod search;
 mod sensor;
 mod share;
@@ -37,6 +38,7 @@ use crate::observables::{NO_PATCH, Observations, STATISTICS, Setting, Statistic}
 use crate::plan::Plan;
 use cut::{CUT, CutOff, with_cut};
 use entry::{describe, reasons};
+use part::{OtherForm, Part, as_good, left_out, other_forms, without_one};
 use radcam_sim::effects::{Effect, Seen, Take, find, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
@@ -160,27 +162,6 @@ pub struct Diagnosis {
     pub comparisons: Vec<Comparison>,
 }
 
-/// An effect that was found, with what it alone explains.
-struct Part {
-    effect: &'static dyn Effect,
-    /// Evidence that is lost without it.
-    evidence: f64,
-    /// Mean square of what the whole model leaves, 1 at least: where it leaves much, evidence counts as much
-    /// less (McCullagh and Nelder 1989, 4.5).
-    dispersion: f64,
-    /// Others that would explain it, most evidence first.
-    others: Vec<Candidate>,
-    /// The evidence that something without a name would have in its place.
-    nameless: f64,
-    /// The rest of the model without it.
-    rest: Fitted,
-    /// What deviates then.
-    without: Vec<Residual>,
-    /// True for a drift in a campaign in which one light has two sets of flats and every other has one: a lamp
-    /// that comes back to another light explains that too.
-    hangs_on_one_return: bool,
-}
-
 /// Looks for what a model lacks. `base` and `effects` are the model as given; without a base the campaign's
 /// own is taken.
 pub fn diagnose(
@@ -222,7 +203,10 @@ pub fn diagnose(
     ladder.extend(rungs(all, &model, &parts, &whole, &last));
     let remainder = remainder(all, &whole, [&first, &last], parts.is_empty());
     let mut missing = missing(all, &parts, &whole, [&first, &last], &ladder, remainder.as_ref());
+    let forms = other_forms(all, &parts, &whole);
     for m in &mut missing {
+        let own = forms.iter().filter(|f| m.effect == whole.effects[f.at].0.id());
+        m.evidence.extend(own.map(OtherForm::words));
         m.evidence.extend(suspects(&m.effect, &all.left_on));
         if let Some(cut_off) = cut_off.as_ref().filter(|_| m.effect == CUT) {
             m.evidence.insert(0, cut_off.to_string());
@@ -233,7 +217,7 @@ pub fn diagnose(
         notes.retain(|note| note != NO_PATCH);
     }
     let next = next_measurement(all, &parts, &missing);
-    let sensor = sensor(all, &whole, last.error);
+    let sensor = sensor(all, &whole, &as_good(&parts, &forms, &whole), last.error);
     notes.extend(sensor::below_zero(&sensor));
     Diagnosis {
         verdict: Verdict::of(&missing, remainder.as_ref(), &first, &whole, &all.left_on),
@@ -287,7 +271,7 @@ fn missing(
     let mut out = with_ties(parts, whole, named, &seen);
     let first_in_doubt = parts.first().and_then(|p| doubt(all, p, whole, &seen, last));
     for part in parts.iter().skip(1) {
-        let doubt = doubt(all, part, whole, &seen, last).or_else(|| better(part));
+        let doubt = doubt(all, part, whole, &seen, last).or_else(|| part.better());
         let entry = out.iter_mut().find(|m| m.effect == part.effect.id());
         if let (Some(entry), Some(doubt)) = (entry, doubt) {
             entry.partial = true;
@@ -447,7 +431,7 @@ fn next_measurement(
     }
     let tie = parts.iter().find_map(|part| {
         let page = part.effect.page();
-        let other = tied(part).first()?.effect.id();
+        let other = part.tied().first()?.effect.id();
         Some((format!("{} or {other}: {}", part.effect.id(), page.measure), page.sets))
     });
     tie.or_else(|| {
@@ -495,7 +479,7 @@ fn parts(
     for (k, part) in parts.iter_mut().enumerate() {
         part.others = if alone {
             first.iter().filter(|c| c.effect.id() != part.effect.id()).cloned().collect()
-        } else if k > 0 && (better(part).is_some() || last.p_value < HOLDS) {
+        } else if k > 0 && (part.better().is_some() || last.p_value < HOLDS) {
             // Its name is in doubt anyway.
             Vec::new()
         } else {
@@ -515,49 +499,6 @@ fn parts(
     (parts, whole, last)
 }
 
-/// Every effect that was added to a model, with what is lost without it.
-fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Vec<Part> {
-    let given = model.effects.len();
-    let part = |i: usize| {
-        let rest = if whole.effects.len() == given + 1 { model.clone() } else { without(all, whole, i) };
-        let effect = whole.effects[i].0;
-        let evidence = score(all, &rest) - score(all, whole);
-        let without = residuals_of(all, &rest);
-        // Darks alone have no levels that a function of them could follow.
-        let lit = all.kinds.iter().any(|kind| *kind != Kind::Dark);
-        let of_levels = if lit { unknown::evidence(&without, all.list.len() as f64) } else { 0.0 };
-        let nameless = (1.0 - NEARLY_ALL) * of_levels;
-        let dispersion = whole.mean_square.max(1.0);
-        let hangs_on_one_return = effect.is_drift_of_level() && all.repeated_lights() == 1;
-        Part {
-            effect,
-            evidence,
-            dispersion,
-            others: Vec::new(),
-            nameless,
-            rest,
-            without,
-            hangs_on_one_return,
-        }
-    };
-    (given..whole.effects.len()).into_par_iter().map(part).collect()
-}
-
-/// The model without an effect that does not belong there, where there is one: it does not pay in the
-/// presence of the others, or the campaign contradicts it where it agrees with the rest (settings that are in
-/// order, say).
-fn without_one<'p>(all: &Observations, parts: &'p [Part], last: &Comparison) -> Option<&'p Fitted> {
-    let weakest = parts.iter().min_by(|a, b| a.evidence.total_cmp(&b.evidence));
-    if let Some(idle) = weakest.filter(|p| p.evidence < NEEDED) {
-        return Some(&idle.rest);
-    }
-    if parts.len() < 2 || last.p_value >= HOLDS {
-        return None;
-    }
-    let near = parts.iter().filter(|p| p.rest.mean_square < AGREES);
-    near.map(|p| &p.rest).find(|rest| compare(all, rest).p_value >= HOLDS)
-}
-
 /// What is too weak for a name.
 fn trace(part: &Part) -> String {
     format!(
@@ -565,13 +506,6 @@ fn trace(part: &Part) -> String {
         part.effect.id(),
         part.evidence
     )
-}
-
-/// Candidates that explain as much as the part that was chosen.
-fn tied(part: &Part) -> Vec<&Candidate> {
-    let same = |c: &&Candidate| part.evidence - c.evidence < TIE * part.dispersion;
-    let returns = |c: &&Candidate| part.hangs_on_one_return && c.effect.sets_each() && c.evidence > NEEDED;
-    part.others.iter().filter(|c| same(c) || returns(c)).collect()
 }
 
 /// The ladder: the parts added one by one, the strongest first.
@@ -606,13 +540,13 @@ fn named(
     seen: &Seen,
 ) -> Vec<Missing> {
     let entry = |(k, part): (usize, &Part)| {
-        let mut entry = describe(whole, part.effect, confidence(part, part.evidence), seen);
+        let mut entry = describe(whole, part.effect, part.confidence(part.evidence), seen);
         entry.error_drop = ladder[k].error - ladder[k + 1].error;
         // Of one that stands alone, on frames that no fit saw.
         let [without, with] =
             if parts.len() == 1 { [&first.residuals, &last.residuals] } else { [&part.without, fitted] };
         entry.evidence = reasons(without, with, part.effect);
-        let ties = tied(part);
+        let ties = part.tied();
         for other in &ties {
             entry.evidence.push(format!("a tie: {} explains it as well", other.effect.id()));
         }
@@ -628,25 +562,17 @@ fn named(
     parts.iter().enumerate().map(entry).collect()
 }
 
-/// Share of the evidence that one explanation of a part has among all: others, nothing at all, and something
-/// without a name.
-fn confidence(part: &Part, evidence: f64) -> f64 {
-    let all = part.others.iter().map(|c| c.evidence).chain([part.evidence, 0.0, part.nameless]);
-    let sum: f64 = all.map(|e| (0.5 * (e - evidence)).clamp(-300.0, 300.0).exp()).sum();
-    1.0 / sum
-}
-
 /// Behind each part what is tied with it.
 fn with_ties(parts: &[Part], whole: &Fitted, named: Vec<Missing>, seen: &Seen) -> Vec<Missing> {
     let mut out = Vec::new();
     for (part, entry) in parts.iter().zip(named) {
         let (drop, share, cost) = (entry.error_drop, entry.share, entry.cost);
         out.push(entry);
-        for other in tied(part) {
+        for other in part.tied() {
             if whole.effects.iter().any(|(e, _)| e.id() == other.effect.id()) {
                 continue;
             }
-            let mut entry = describe(&other.fitted, other.effect, confidence(part, other.evidence), seen);
+            let mut entry = describe(&other.fitted, other.effect, part.confidence(other.evidence), seen);
             (entry.error_drop, entry.share, entry.cost) = (drop, share, cost);
             entry.tied_with = Some(part.effect.id().into());
             entry
@@ -661,22 +587,10 @@ fn with_ties(parts: &[Part], whole: &Fitted, named: Vec<Missing>, seen: &Seen) -
 /// Evidence that is not worth more than a bare mention (Kass and Raftery 1995, section 3.2).
 const BARELY: f64 = 2.0;
 
-/// What explains a part better than its name does, where something without a name does.
-fn better(part: &Part) -> Option<String> {
-    (part.nameless > part.evidence + BARELY).then(|| {
-        format!(
-            "a smooth function of the level that has no name explains it better than {} does: evidence {:.0} and {:.0}",
-            part.effect.id(),
-            part.nameless,
-            part.evidence
-        )
-    })
-}
-
 /// What no name explains. `doubt`: why the first of them is not what it is called.
 fn unknown(parts: &[Part], doubt: Option<String>, first: &Comparison, last: &Comparison) -> Missing {
     let strongest = parts.first();
-    let better = strongest.and_then(better);
+    let better = strongest.and_then(Part::better);
     let mut nearest: Vec<String> = parts.iter().map(|p| p.effect.id().to_string()).collect();
     if let Some(part) = strongest {
         nearest.extend(part.others.iter().filter(|c| c.evidence > NEEDED).map(|c| c.effect.id().to_string()));
@@ -692,8 +606,8 @@ fn unknown(parts: &[Part], doubt: Option<String>, first: &Comparison, last: &Com
         evidence.push(format!("error {:.3} over all statistics, p {}", last.error, chance(last.p_value)));
     }
     let confidence = match strongest {
-        Some(part) if doubt.is_some() => confidence(part, part.nameless).max(0.5),
-        Some(part) if last.p_value >= DOUBT => confidence(part, part.nameless),
+        Some(part) if doubt.is_some() => part.confidence(part.nameless).max(0.5),
+        Some(part) if last.p_value >= DOUBT => part.confidence(part.nameless),
         _ => 1.0 - last.p_value.min(1.0),
     };
     Missing {

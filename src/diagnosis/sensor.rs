@@ -5,6 +5,7 @@ use crate::inference::Fitted;
 use crate::number::Quantity;
 use crate::observables::{Observations, expectations, variance};
 use radcam_sim::effects::{self, Effect};
+use radcam_sim::predict::BaseParameters;
 use serde::{Deserialize, Serialize};
 
 /// The linear sensor with all effects in the model; null where the campaign does not determine a value.
@@ -42,11 +43,14 @@ pub(super) fn tells_gain(fitted: &Fitted) -> bool {
 }
 
 /// Values of the linear sensor; where a model does not describe the campaign their errors grow with the
-/// misfit.
-pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorValues {
+/// misfit. `as_good`: models that explain the campaign as well, whose values the errors reach to.
+pub(super) fn sensor(all: &Observations, whole: &Fitted, as_good: &[&Fitted], error: f64) -> SensorValues {
     let (base, errors) = (&whole.base, &whole.base_std_err);
-    let of = |value: f64, std_err: f64, unit: &'static str| {
-        let std_err = std_err * error.max(1.0);
+    let apart = |of: fn(&BaseParameters) -> f64| -> f64 {
+        as_good.iter().map(|other| (of(&other.base) - of(base)).abs()).fold(0.0, f64::max)
+    };
+    let of = |value: f64, std_err: f64, apart: f64, unit: &'static str| {
+        let std_err = (std_err * error.max(1.0)).hypot(apart);
         (std_err.is_finite() && std_err < NOT_DETERMINED * value.abs())
             .then(|| Quantity::new(value, std_err, unit))
     };
@@ -57,7 +61,12 @@ pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorVa
         return SensorValues {
             gain_dn_per_e: None,
             read_noise_e: None,
-            read_noise_dn: of(gain * base.read_noise_e, gain * errors[1], "DN"),
+            read_noise_dn: of(
+                gain * base.read_noise_e,
+                gain * errors[1],
+                apart(|b| b.gain_dn_per_e * b.read_noise_e),
+                "DN",
+            ),
             dark_noise_over_read_noise,
             read_noise_median_e: None,
             read_noise_log_spread: pixels.map(|p| p.log_spread),
@@ -65,7 +74,8 @@ pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorVa
             dark_current_e_per_s: None,
         };
     }
-    let (mut rms_e, mut read_noise_e) = (base.read_noise_e, of(base.read_noise_e, errors[1], "e"));
+    let (mut rms_e, mut read_noise_e) =
+        (base.read_noise_e, of(base.read_noise_e, errors[1], apart(|b| b.read_noise_e), "e"));
     // Noise that neighbours share nearly whole leaves next to none to single pixels: all of it is the read
     // noise.
     if read_noise_e.is_none()
@@ -73,18 +83,18 @@ pub(super) fn sensor(all: &Observations, whole: &Fitted, error: f64) -> SensorVa
     {
         let total_e = ratio * base.read_noise_e;
         rms_e = total_e;
-        read_noise_e = of(total_e, total_e * shared_rel.hypot(errors[0] / base.gain_dn_per_e), "e");
+        read_noise_e = of(total_e, total_e * shared_rel.hypot(errors[0] / base.gain_dn_per_e), 0.0, "e");
         dark_noise_over_read_noise = None;
     }
     SensorValues {
         read_noise_dn: None,
         dark_noise_over_read_noise,
-        gain_dn_per_e: of(base.gain_dn_per_e, errors[0], "DN/e"),
+        gain_dn_per_e: of(base.gain_dn_per_e, errors[0], apart(|b| b.gain_dn_per_e), "DN/e"),
         read_noise_median_e: pixels.filter(|_| read_noise_e.is_some()).map(|p| p.median * rms_e),
         read_noise_log_spread: pixels.map(|p| p.log_spread),
         noisy_pixel_share: pixels.map(|p| p.noisy),
         read_noise_e,
-        dark_current_e_per_s: of(base.dark_e_per_s, errors[3], "e/s"),
+        dark_current_e_per_s: of(base.dark_e_per_s, errors[3], apart(|b| b.dark_e_per_s), "e/s"),
     }
 }
 

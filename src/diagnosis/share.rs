@@ -1,6 +1,6 @@
 //! Shares of the misfit: of each effect, and of what is left.
 
-use super::{Cost, HOLDS, Part, better, cost, signatures};
+use super::{Cost, HOLDS, Part, cost, signatures};
 use crate::agreement::P_LIMIT;
 use crate::inference::{Comparison, Fitted, Residual};
 use crate::observables::Observations;
@@ -80,7 +80,7 @@ pub(super) fn place_of_unknown(
     [before, error]: [f64; 2],
 ) -> Place {
     let hopeless = error > HOPELESS || (error > MAX_LEFT.0 && error > MAX_LEFT.1 * before);
-    let better = parts.first().is_some_and(|p| better(p).is_some());
+    let better = parts.first().is_some_and(|p| p.better().is_some());
     match left {
         _ if parts.is_empty() && left > 0.0 || doubt.is_some() || better => Place::First,
         left if left >= LARGER_PART || hopeless => Place::First,

@@ -262,13 +262,12 @@ impl Peak {
 
     /// Power that a prediction has there.
     pub(super) fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
-        let (rows, columns) = view.all.campaign.shape;
         let parts = || self.parts.iter().filter(|p| p.half == o.half && p.group == Group::of(o.index));
         let (mut sum, mut value, mut var) = (0.0, 0.0, 0.0);
+        let mut known = Vec::new();
         for p in parts() {
             let Some(s) = view.prediction.sets.get(p.set) else { continue };
-            let of = |bin: usize| self.power_dn2(s, bin as f64 / (PADDED * self.lines) as f64, rows, columns);
-            let power = of(self.bin) - mean_beside(self.bin, self.bins, of);
+            let power = self.beyond_dn2(s, view.all.campaign.shape, &mut known);
             sum += p.weight;
             value += p.weight * power;
             var += p.weight * p.weight * self.beyond_line_variance(p, power.max(0.0));
@@ -291,27 +290,62 @@ impl Peak {
         (shared + both) * (shared + line) * (line + own) / (line * line)
     }
 
-    /// Power that ripples and lines of a set have at a frequency, DN^2.
-    fn power_dn2(&self, s: &SetPrediction, cycles: f64, rows: usize, columns: usize) -> f64 {
-        let lines = self.lines as f64;
-        let turns = |phase: f64| phase / std::f64::consts::TAU;
-        let sine = |v: f64, own: f64| {
-            0.5 * v * lines * (through(lines, cycles - own) + through(lines, cycles + own))
-        };
-        let of_lines = s.lines.iter().map(|&(v, across, down)| match self.axis {
-            Axis::Rows => sine(v * through(columns as f64, turns(across)), turns(down)),
-            Axis::Columns => sine(v * through(rows as f64, turns(down)), turns(across)),
-        });
-        let of_ripples = s.ripples.iter().map(|(v, ripple)| match *ripple {
-            _ if self.axis == Axis::Columns => 0.0,
-            Ripple::Sine(own) => sine(*v, own),
-            // An autoregression of the first order (Box and Jenkins 1976, 3.2.3).
-            Ripple::Wander(next) => {
-                let cosine = (std::f64::consts::TAU * cycles).cos();
-                v * (1.0 - next * next) / (1.0 + next * next - 2.0 * next * cosine)
+    /// Power that ripples and lines of a set have at the peak beyond that beside it, DN^2. `known`: that of shapes
+    /// of the variance 1, which most sets share.
+    fn beyond_dn2(
+        &self,
+        s: &SetPrediction,
+        (rows, columns): (usize, usize),
+        known: &mut Vec<(Shape, f64)>,
+    ) -> f64 {
+        let mut of_one = |shape: Shape| {
+            if let Some((_, power)) = known.iter().find(|(k, _)| *k == shape) {
+                return *power;
             }
-        });
-        of_lines.sum::<f64>() + of_ripples.sum::<f64>()
+            let of = |bin: usize| shape.power(bin as f64 / (PADDED * self.lines) as f64, self.lines as f64);
+            let power = of(self.bin) - mean_beside(self.bin, self.bins, of);
+            known.push((shape, power));
+            power
+        };
+        let turns = |phase: f64| phase / std::f64::consts::TAU;
+        let mut sum = 0.0;
+        for &(v, across, down) in &s.lines {
+            let (along, own, pixels) = match self.axis {
+                Axis::Rows => (turns(across), turns(down), columns),
+                Axis::Columns => (turns(down), turns(across), rows),
+            };
+            sum += v * through(pixels as f64, along) * of_one(Shape::Sine(own));
+        }
+        for (v, ripple) in s.ripples.iter().filter(|_| self.axis == Axis::Rows) {
+            sum += v * of_one(match *ripple {
+                Ripple::Sine(own) => Shape::Sine(own),
+                Ripple::Wander(next) => Shape::Wander(next),
+            });
+        }
+        sum
+    }
+}
+
+/// Spectrum of line means.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Shape {
+    /// Of a sine, cycles a line.
+    Sine(f64),
+    /// Of an autoregression of the first order, by the correlation of successive lines.
+    Wander(f64),
+}
+
+impl Shape {
+    /// Power at a frequency, of the variance 1.
+    fn power(self, cycles: f64, lines: f64) -> f64 {
+        match self {
+            Self::Sine(own) => 0.5 * lines * (through(lines, cycles - own) + through(lines, cycles + own)),
+            // Box and Jenkins 1976, 3.2.3.
+            Self::Wander(next) => {
+                let cosine = (std::f64::consts::TAU * cycles).cos();
+                (1.0 - next * next) / (1.0 + next * next - 2.0 * next * cosine)
+            }
+        }
     }
 }
 

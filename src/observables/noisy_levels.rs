@@ -107,8 +107,9 @@ impl Statistic for NoisyLevels {
         let split = |width_dn: f64, apart_dn: f64| SPLIT * width_dn / sd * (4.0 * sd / apart_dn).min(1.0);
         let bits = view.prediction.bit_errors_dn.iter().enumerate();
         let bits = bits.map(|(k, e)| split(e.abs(), f64::from(1u32 << k)).powi(2)).sum::<f64>().sqrt();
-        // Steps of a table differ by one code.
-        let table = if s.codes_used < 0.999 { split(0.5, 1.0) } else { 0.0 };
+        // Steps of a table and of multiplied codes differ by one code.
+        let multiplied = view.prediction.code_step_dn.fract() != 0.0;
+        let table = if s.codes_used < 0.999 || multiplied { split(0.5, 1.0) } else { 0.0 };
         let unequal_codes = (bits + table).min(1.0);
         // Pixels that reach code 0 are left out; those that reach another floor are not.
         let cut_off = if view.prediction.floor_dn > -4.0 * NOISY * noise.sqrt() { CUT_OFF } else { 0.0 };

@@ -242,6 +242,10 @@ pub fn struck<F: Borrow<Array2<u16>>>(block: &[F]) -> Vec<Struck> {
         noise * (1.0 + more / (noise * noise)).sqrt()
     };
     let far = |i: usize| {
+        // No extreme lies farther off the mean of the others than off the other extreme.
+        if f32::from(most[i] - least[i]) <= STRUCK * noise {
+            return false;
+        }
         let (above, below) = (others(i, most[i]), others(i, least[i]));
         f32::from(most[i]) - above > STRUCK * limit(above)
             || below - f32::from(least[i]) > STRUCK * limit(below)

@@ -404,15 +404,20 @@ fn a_stack_under_a_wrong_label_still_tells_nonuniformity() {
 
 /// Two darks, and flats at these lights with four frames each.
 fn few_darks(sensor: &str, lights: &[f64], seed: u32) -> Campaign {
+    of_flats(sensor, lights, 4, seed)
+}
+
+/// Two darks, and flats at these lights with so many frames each.
+fn of_flats(sensor: &str, lights: &[f64], frames: usize, seed: u32) -> Campaign {
     let plan = tempfile::tempdir().unwrap();
     let file = plan.path().join("plan.toml");
-    let set = |kind: &str, exposure: f64, light: f64| {
+    let set = |kind: &str, frames: usize, exposure: f64, light: f64| {
         format!(
-            "[[set]]\nkind = \"{kind}\"\nframes = 4\nexposure = {exposure}\nillumination = {light}\nconfiguration = 0\n"
+            "[[set]]\nkind = \"{kind}\"\nframes = {frames}\nexposure = {exposure}\nillumination = {light}\nconfiguration = 0\n"
         )
     };
-    let darks = [0.1, 1.0].map(|t| set("dark", t, 0.0)).concat();
-    let flats: String = lights.iter().map(|light| set("flat", 1.0, *light)).collect();
+    let darks = [0.1, 1.0].map(|t| set("dark", 4, t, 0.0)).concat();
+    let flats: String = lights.iter().map(|light| set("flat", frames, 1.0, *light)).collect();
     std::fs::write(&file, format!("format = \"radcam-plan/1\"\n{darks}{flats}")).unwrap();
     Campaign::new(sensor, file.to_str().unwrap(), seed)
 }
@@ -426,6 +431,23 @@ fn one_of_two_darks_is_not_called_averaged() {
     let faults = campaign.said("noise")["data_faults"].to_string();
     assert!(!faults.contains("dependent-frames"), "{faults}");
     assert!(faults.contains("the darks differ in gain or camera"), "{faults}");
+}
+
+/// Two darks and one light, whose first frame is 3 % dim: no lag, as the noise of its frames does not depend on
+/// the frame before, and the frame is left out.
+#[test]
+fn a_dim_first_flat_after_the_darks_is_odd() {
+    let campaign = of_flats("cmos12", &[1.0], 12, 71);
+    let first = campaign.of(campaign.sets("flat", 4)[0])[0];
+    campaign.scale(first, 0.97, BLACK_DN);
+    let said = campaign.said("diagnose");
+    let faults = said["data_faults"].as_array().unwrap();
+    assert_eq!(faults.len(), 1, "{faults:?}");
+    assert_eq!(
+        (&faults[0]["kind"], &faults[0]["frames"][0]),
+        (&"odd-frame".into(), &campaign.rows[first][0].as_str().into())
+    );
+    assert_eq!(said["missing"], serde_json::json!([]));
 }
 
 /// Every flat has one level, whatever exposure its label states.
