@@ -217,7 +217,12 @@ pub fn diagnose(
         notes.retain(|note| note != NO_PATCH);
     }
     let next = next_measurement(all, &parts, &missing);
-    let sensor = sensor(all, &whole, &as_good(&parts, &forms, &whole), last.error);
+    let mut as_good = as_good(&parts, &forms, &whole);
+    // Names that are in doubt move the values as far as to where they are without them.
+    if missing.first().is_some_and(|m| m.effect == "unknown") {
+        as_good.push(&model);
+    }
+    let sensor = sensor(all, &whole, &as_good, last.error);
     notes.extend(sensor::below_zero(&sensor));
     Diagnosis {
         verdict: Verdict::of(&missing, remainder.as_ref(), &first, &whole, &all.left_on),

@@ -34,6 +34,12 @@ const BLIND: f64 = 0.1;
 /// Median of the flats that tell blind pixels, of full scale, at least.
 const TELLS_BLIND: f64 = 0.1;
 
+/// Least part of the level of the pixels around it by which a single pixel is a defect: no photo response
+/// nonuniformity of a sensor is a tenth of it (a named choice).
+const DIM: f64 = 0.2;
+/// Standard errors of its mean by which it is, too.
+const DIM_SIGMAS: f64 = 6.0;
+
 /// What the first frames of a set show.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Look {
@@ -53,6 +59,9 @@ pub struct Look {
     /// Pixels of a flat set far below the median, with their means, DN.
     #[serde(default)]
     low: Vec<(usize, f32)>,
+    /// Pixels of a flat set far below those around them.
+    #[serde(default)]
+    dim: Vec<usize>,
     /// Median of a flat set's pixels, DN.
     #[serde(default)]
     level_dn: Option<f32>,
@@ -70,7 +79,8 @@ impl Look {
     /// Whether it can be of frames of (rows, columns).
     pub fn fits(&self, shape: (usize, usize)) -> bool {
         let low = self.low.iter().map(|(i, _)| i);
-        let pixels = self.clipped.iter().chain(&self.jumping).chain(self.filled.iter().flatten()).chain(low);
+        let pixels = self.clipped.iter().chain(&self.jumping).chain(self.filled.iter().flatten());
+        let pixels = pixels.chain(low).chain(&self.dim);
         pixels.copied().all(|i| i < shape.0 * shape.1) && self.dark.as_ref().is_none_or(|d| d.dim() == shape)
     }
 }
@@ -133,6 +143,8 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ExamineError> 
         if f64::from(level) > TELLS_BLIND * f64::from(full) {
             let low = sum.iter().map(|s| s / frames).enumerate().filter(|(_, mean)| *mean < 0.5 * level);
             out.low = low.collect();
+            let noise_dn = out.pair.map_or(0.0, |(_, var)| (var.max(0.0) / f64::from(frames)).sqrt());
+            out.dim = dim(&(&sum / frames), (DIM_SIGMAS * noise_dn) as f32);
             out.level_dn = Some(level);
         }
     }
@@ -224,13 +236,42 @@ fn rough_gain(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
     }
 }
 
-/// Pixels that see next to no light, by the brightest set of flats.
+/// Pixels that see next to no light, and single ones far below those around them, by the brightest set of flats.
 fn blind(looks: &[Look], zero_dn: f64) -> Vec<usize> {
     let brightest =
         looks.iter().filter_map(|l| Some((f64::from(l.level_dn?), l))).max_by(|a, b| a.0.total_cmp(&b.0));
     let Some((level_dn, look)) = brightest else { return Vec::new() };
     let is_blind = |mean: f32| f64::from(mean) - zero_dn < BLIND * (level_dn - zero_dn);
-    look.low.iter().filter(|(_, mean)| is_blind(*mean)).map(|(i, _)| *i).collect()
+    look.low
+        .iter()
+        .filter(|(_, mean)| is_blind(*mean))
+        .map(|(i, _)| *i)
+        .chain(look.dim.iter().copied())
+        .collect()
+}
+
+/// Single pixels and columns far below the median of those around them: by [`DIM`] of it and by this, DN, at least.
+fn dim(mean: &Array2<f32>, least_dn: f32) -> Vec<usize> {
+    let (rows, columns) = mean.dim();
+    let is_below = |own: f32, around: f32| around - own > least_dn.max(DIM as f32 * around);
+    let mut found = Vec::new();
+    for (y, row) in mean.outer_iter().enumerate() {
+        for (x, &own) in row.iter().enumerate() {
+            // Most pixels are done with by the one beside them.
+            let beside = if x > 0 { row[x - 1] } else { *row.get(1).unwrap_or(&own) };
+            let other = if x + 1 < columns { row[x + 1] } else { beside };
+            if !is_below(own, beside.max(other)) {
+                continue;
+            }
+            let around = |n: usize, end: usize| n.saturating_sub(1)..(n + 2).min(end);
+            let near = around(y, rows).flat_map(|yy| around(x, columns).map(move |xx| (yy, xx)));
+            let others = near.filter(|at| *at != (y, x)).map(|at| f64::from(mean[at]));
+            if is_below(own, median(others) as f32) {
+                found.push(y * columns + x);
+            }
+        }
+    }
+    found
 }
 
 /// Which pixels count, what zero is, and how variance grows with the signal.
@@ -364,8 +405,24 @@ pub fn record_looks(dataset: &Dataset, stop: &AtomicBool) -> Result<Reduced, Exa
 
 #[cfg(test)]
 mod tests {
-    use super::top_code;
+    use super::{dim, top_code};
     use ndarray::Array2;
+
+    /// Of a shaded field with dust of five by five pixels two single pixels are dim, one of them in a corner, and a
+    /// dead column is.
+    #[test]
+    fn single_pixels_are_dim() {
+        let mut mean = Array2::from_shape_fn((30, 40), |(r, c)| 1000.0 - 10.0 * r as f32 - 5.0 * c as f32);
+        for (r, c) in (14..19).flat_map(|r| (20..25).map(move |c| (r, c))) {
+            mean[(r, c)] *= 1.0 - 0.15 * (5.0 - (r as f32 - 16.0).abs() - (c as f32 - 22.0).abs()) / 5.0;
+        }
+        mean[(0, 0)] *= 0.7;
+        mean[(9, 10)] *= 0.3;
+        assert_eq!(dim(&mean, 10.0), [0, 9 * 40 + 10]);
+        assert_eq!(dim(&mean, 400.0), [9 * 40 + 10]);
+        mean.column_mut(30).fill(100.0);
+        assert!((0..30).all(|r| dim(&mean, 400.0).contains(&(r * 40 + 30))));
+    }
 
     /// Codes that pile up at 1022 of 1023; noise that ends there by itself; a well that is full far below.
     #[test]
