@@ -142,6 +142,11 @@ impl Law {
         Some(law)
     }
 
+    /// Scatter of the points about it, over what is stated of them.
+    pub fn scale(&self) -> f64 {
+        self.scale
+    }
+
     /// Value at given factors.
     pub fn at(&self, factors: &[f64]) -> f64 {
         self.coefficients.iter().zip(factors).map(|(c, f)| c * f).sum()

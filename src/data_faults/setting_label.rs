@@ -21,6 +21,11 @@ const MAX_STRAY_SHARE: f64 = 0.2;
 const MIN_CHI2_GAIN: f64 = 6.0;
 /// Standard deviations within which it must fit it.
 const MAX_FIT_SIGMAS: f64 = 6.0;
+/// Flats up to which exchanged labels are looked for pair by pair.
+const MAX_FLATS_EXCHANGED: usize = 16;
+/// Scatter about the law with exchanged labels put right, over that as they are stated, at most, and standard
+/// deviations by which each of the two is off it as stated (named choices).
+const EXCHANGED: (f64, f64) = (0.3, 6.0);
 /// Standard deviations by which sets of equal settings differ whose light does, and the least difference that is
 /// said.
 const REPEATS: (f64, f64) = (6.0, 0.008);
@@ -121,6 +126,17 @@ impl Check for SettingLabel {
             priors[OFFSET.0] = OFFSET.1;
         }
         let Some(law) = Law::fit(&points, &priors, few) else { return Vec::new() };
+        if let Some((a, b)) = exchanged(&points, &priors, &law) {
+            let sets = [lit[a.min(b)], lit[a.max(b)]];
+            let what = if factors.vary.0 { "exposures" } else { "lights" };
+            let text = format!(
+                "{}: their {what} are exchanged: the level of each, {} and {} DN above black, is that of the other's setting",
+                campaign.named(&sets),
+                six_digits(above(sets[0])),
+                six_digits(above(sets[1]))
+            );
+            return vec![campaign.fault_of_sets(FaultKind::SettingLabel, &sets, text, true)];
+        }
         for (p, &i) in points.iter().zip(&lit) {
             let (off, std) = (p.value - law.at(&p.factors), law.std(p));
             tracing::debug!(
@@ -234,6 +250,29 @@ impl Check for SettingLabel {
             .chain(unequal)
             .collect()
     }
+}
+
+/// Two points whose labels are exchanged: with them put right all points follow one law, and without that they do
+/// not, nor with single points left out. Of many points the law alone finds both.
+fn exchanged(points: &[Point], priors: &[f64], law: &Law) -> Option<(usize, usize)> {
+    if points.len() > MAX_FLATS_EXCHANGED {
+        return None;
+    }
+    let with = |i: usize, j: usize| {
+        let mut right = points.to_vec();
+        (right[i].factors, right[j].factors) = (points[j].factors.clone(), points[i].factors.clone());
+        Law::fit(&right, priors, 0).map(|law| (law, i, j))
+    };
+    let pairs = (0..points.len()).flat_map(|i| (0..i).map(move |j| (i, j)));
+    let tries =
+        pairs.filter(|(i, j)| points[*i].factors != points[*j].factors).filter_map(|(i, j)| with(i, j));
+    let (right, i, j) = tries.min_by(|a, b| a.0.scale().total_cmp(&b.0.scale()))?;
+    let is_off = |k: usize| {
+        let off = (points[k].value - right.at(&points[k].factors)).abs();
+        off > MIN_RELATIVE_OFFSET.max(EXCHANGED.1 * right.std(&points[k]))
+    };
+    let as_stated = Law::fit(points, priors, 0)?.scale().min(law.scale());
+    (right.scale() < EXCHANGED.0 * as_stated && is_off(i) && is_off(j)).then_some((i, j))
 }
 
 /// Error of a level of codes that stand so far apart that noise does not fill the gaps, DN.

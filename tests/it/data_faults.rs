@@ -433,6 +433,27 @@ fn one_of_two_darks_is_not_called_averaged() {
     assert!(faults.contains("the darks differ in gain or camera"), "{faults}");
 }
 
+/// Labels of two of six flats are exchanged, whichever: both are named and left out.
+#[test]
+fn exchanged_labels_of_two_of_six_flats_are_named() {
+    for (k, (a, b)) in [(0, 1), (1, 3), (2, 3), (4, 5), (0, 5)].into_iter().enumerate() {
+        let mut campaign = few_darks("cmos12", &[0.15, 0.3, 0.45, 0.6, 0.75, 0.9], 90 + k as u32);
+        let flats = campaign.sets("flat", 4);
+        let light = |c: &Campaign, set: u32| c.rows[c.of(set)[0]][5].clone();
+        let (of_a, of_b) = (light(&campaign, flats[a]), light(&campaign, flats[b]));
+        for (set, light) in [(flats[a], of_b), (flats[b], of_a)] {
+            campaign.of(set).into_iter().for_each(|row| campaign.rows[row][5] = light.clone());
+        }
+        campaign.save();
+        let said = campaign.said("diagnose");
+        let faults = said["data_faults"].as_array().unwrap();
+        assert_eq!(faults.len(), 1, "{a} {b}: {faults:?}");
+        let both = serde_json::json!([flats[a], flats[b]]);
+        assert_eq!((&faults[0]["kind"], &faults[0]["sets"]), (&"setting-label".into(), &both), "{faults:?}");
+        assert_eq!(said["missing"], serde_json::json!([]), "{a} {b}");
+    }
+}
+
 /// Two darks and one light, whose first frame is 3 % dim: no lag, as the noise of its frames does not depend on
 /// the frame before, and the frame is left out.
 #[test]
