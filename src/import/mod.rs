@@ -19,6 +19,7 @@ mod propose;
 mod scale;
 mod sections;
 mod settings;
+mod side;
 mod source;
 mod stacks;
 mod stamps;
@@ -41,6 +42,7 @@ use crate::dataset::{DatasetError, Kind, image};
 use facts::same_exposure;
 use ndarray::{ArrayView2, s};
 use scale::Census;
+use side::Side;
 use source::Source;
 use std::path::{Component, Path, PathBuf};
 
@@ -126,12 +128,17 @@ pub fn survey(
     let mut census = Census::default();
     let common = common_folder(paths);
     let twins = twins::names(paths);
+    let mut side = Side::default();
     for (at, path) in paths.iter().enumerate() {
         let mut go_on = || step(at, paths.len());
         let digest = twins.contains(&twins::name(path));
         let frames = Source::open(path, options)
             .map_err(|message| ImportError::File { path: path.clone(), message })
-            .and_then(|source| frames_of(path, &source, &common, digest, &mut census, &mut go_on));
+            .and_then(|source| {
+                let beside = if source.tells_all() { Facts::default() } else { side.facts(path) };
+                let names = beside.or(named(path, &common));
+                frames_of(path, &source, names, digest, &mut census, &mut go_on)
+            });
         match frames {
             Ok((frames, notes)) => {
                 out.frames.extend(frames);
@@ -171,18 +178,17 @@ fn without_objects(frames: &mut Vec<Found>) -> Option<String> {
     })
 }
 
-/// Every frame of a file, and what was passed over in it.
+/// Every frame of a file, and what was passed over in it. `names`: what names and files of settings beside it say.
 fn frames_of(
     path: &Path,
     source: &Source,
-    common: &Path,
+    names: Facts,
     digest: bool,
     census: &mut Census,
     go_on: &mut impl FnMut() -> bool,
 ) -> Result<(Vec<Found>, Vec<String>), ImportError> {
     let fault = |message: String| ImportError::File { path: path.into(), message };
     let header = if source.tells_all() { Facts::default() } else { headers::facts(path).map_err(fault)?.0 };
-    let names = named(path, common);
     let mut of_file = header.clone().or(names.clone());
     if source.is_mosaic() {
         of_file.mosaic = of_file.mosaic.or_else(|| Some("a colour filter (CFA)".into()));
@@ -287,7 +293,7 @@ fn in_codes(found: &mut [Found], census: &Census) -> Result<(), ImportError> {
     Ok(())
 }
 
-/// What header and name of a file say, of which the header counts more, and its number of pages.
+/// What header, settings beside it and name of a file say, of which the first counts most, and its number of pages.
 ///
 /// # Errors
 ///
@@ -295,7 +301,8 @@ fn in_codes(found: &mut [Found], census: &Census) -> Result<(), ImportError> {
 pub fn facts(path: &Path) -> Result<(Facts, usize), ImportError> {
     let (header, pages) =
         headers::facts(path).map_err(|message| ImportError::File { path: path.into(), message })?;
-    Ok((header.or(named(path, path.parent().unwrap_or(Path::new("")))), pages))
+    let beside = Side::default().facts(path);
+    Ok((header.or(beside).or(named(path, path.parent().unwrap_or(Path::new("")))), pages))
 }
 
 /// Facts of a file's name and of the folders above it, from the one that all files have in common downwards.

@@ -127,6 +127,8 @@ const DONE: &[&str] = &[
     "resample",
     "resampled",
     "subtract",
+    "subtractdark",
+    "applyflat",
     "shading",
     "shadingcorrection",
 ];
@@ -151,6 +153,7 @@ const EXPOSURES: &[&str] = &[
     "inttime",
     "itime",
     "shutterspeed",
+    "shutter",
     "exp",
 ];
 
@@ -387,6 +390,10 @@ fn exposure(said: &[Said], writer: Writer, out: &mut Facts) {
         let text =
             if comment.is_empty() { format!("{key} {value}") } else { format!("{key} {value} ({comment})") };
         let unit = rest.trim_matches(|c: char| matches!(c, '[' | ']' | '(' | ')' | ' '));
+        // A shutter is open, closed or 1, unless it is a time.
+        if word == "shutter" && unit.is_empty() && of_key.is_none() {
+            continue;
+        }
         let of_comment = values::unit_in(comment);
         if of_comment.is_err() && of_key.is_none() && seconds(unit).is_none() {
             out.doubts.push(format!("exposure_s: the comment of {text} names two units"));

@@ -517,6 +517,53 @@ fn the_tag_of_micro_manager_is_read() {
     assert_eq!((&*camera.model, camera.features["BinningHorizontal"].as_integer()), ("Andor", Some(2)));
 }
 
+/// Files of settings beside the frames, as SharpCap, FireCapture and scripts write them: of the start of a frame's
+/// name, of its own, of the folder. Headers count before them and they before names; a text of something else
+/// says nothing.
+#[test]
+fn settings_beside_the_frames_are_read() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(52);
+    let text = |name: &str, text: &str| fs::write(bench.path(name), text).unwrap();
+    let sharp = |exposure: &str| {
+        format!(
+            "[ZWO ASI178MM]\r\nBinning=1\r\nColour Space=MONO16\r\nExposure={exposure}\r\nGain=120\r\nSubtract Dark=None\r\n"
+        )
+    };
+    for k in 0..2 {
+        bench.tiff(&format!("in/dark/21_00_03/Capture_{k:05}.tif"), &camera.frame(0.0, 0.005));
+        bench.tiff(&format!("in/flat/21_05_07/Capture_{k:05}.tif"), &camera.frame(2000.0, 0.02));
+        bench.tiff(&format!("in/flat/two/f-{k}.tif"), &camera.frame(3000.0, 0.03));
+    }
+    text("in/dark/21_00_03/Capture.CameraSettings.txt", &sharp("5.0000ms"));
+    text("in/flat/21_05_07.CameraSettings.txt", &sharp("20.0000ms"));
+    (0..2).for_each(|k| text(&format!("in/flat/two/f-{k}.json"), r#"{"exposure_ms": 30.0}"#));
+    text("in/flat/two/notes.txt", "exposure: 77 ms");
+    let (dataset, said) = bench.import("in", &["--explain"]);
+    assert_eq!(sets(&dataset), [(Kind::Dark, 0.005, 2), (Kind::Flat, 0.02, 2), (Kind::Flat, 0.03, 2)]);
+    let info = &dataset.manifest().camera;
+    assert_eq!((&*info.model, info.features["Gain"].as_integer()), ("ZWO ASI178MM", Some(120)));
+    assert!(said.contains("Capture.CameraSettings.txt: Exposure 5.0000ms"), "{said}");
+
+    // FireCapture; a number without a unit is a question, and a dark that was taken off is refused.
+    for k in 0..2 {
+        bench.tiff(&format!("fire/dark_{k}.tif"), &camera.frame(0.0, 0.01));
+        bench.tiff(&format!("fire/flat_{k}.tif"), &camera.frame(2000.0, 0.01));
+    }
+    text("fire/dark.txt", "FireCapture v2.7\n--\nCamera=ZWO ASI178MM\nShutter=10.00ms\nGain=300 (50%)\n");
+    text("fire/flat.txt", "FireCapture v2.7\n--\nCamera=ZWO ASI178MM\nShutter=10.00ms\nGain=300 (50%)\n");
+    assert_eq!(sets(&bench.import("fire", &[]).0), [(Kind::Dark, 0.01, 2), (Kind::Flat, 0.01, 2)]);
+    text("fire/flat.txt", "Shutter=10.00ms\nGain=200\n");
+    let said = bench.refused("fire");
+    assert!(said.contains("300") && said.contains("200"), "{said}");
+    text("fire/flat.txt", "Exposure=0.01\nGain=300\n");
+    let said = bench.refused("fire");
+    assert!(said.contains("flat"), "{said}");
+    text("fire/flat.txt", "Shutter=10.00ms\nGain=300\nSubtract Dark=C:\\dark.fits\n");
+    let said = bench.refused("fire");
+    assert!(said.contains("Subtract Dark"), "{said}");
+}
+
 /// Guesses are said at the import, in the map, and by what uses the dataset.
 #[test]
 fn what_was_guessed_is_said_wherever_it_matters() {
