@@ -68,7 +68,7 @@ pub struct Look {
     /// Pixels that seem to be filled in from their neighbours, where that was looked for.
     #[serde(default)]
     filled: Option<Vec<usize>>,
-    /// Of a dark set: the code below which one in two hundred samples of its first frame lies.
+    /// The code below which one in two hundred samples of its first frame lies.
     #[serde(default)]
     darkest: Option<u16>,
     /// How far the frames lie from each other; whether they are dark.
@@ -126,7 +126,7 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ExamineError> 
     if !out.saturated {
         out.clipped = over.iter().enumerate().filter(|(_, o)| **o).map(|(i, _)| i).collect();
     }
-    out.darkest = block.first().filter(|f| kind == Kind::Dark && !f.is_empty()).map(|frame| {
+    out.darkest = block.first().filter(|f| !f.is_empty()).map(|frame| {
         let mut codes: Vec<u16> = frame.iter().copied().collect();
         let place = codes.len() / 200;
         *codes.select_nth_unstable(place).1
@@ -363,7 +363,11 @@ impl Seen {
         let looks = first_look(dataset, stop, progress)?;
         let (layout, zero_dn, filled) = layout(shape, full, &looks);
         let aparts: Vec<_> = looks.iter().filter_map(|l| l.apart.clone()).collect();
-        let darkest_dn = looks.iter().filter_map(|l| l.darkest).min().map(f64::from);
+        // Without darks, that of the flats.
+        let is_dark = |l: &&Look| l.dark.is_some();
+        let darkest = looks.iter().filter(is_dark).filter_map(|l| l.darkest).min();
+        let darkest = darkest.or_else(|| looks.iter().filter_map(|l| l.darkest).min());
+        let darkest_dn = darkest.map(f64::from);
         let lit = dataset.rows().iter().filter(|r| r.kind == Kind::Flat && r.illumination > 0.0);
         let longest_lit_s = lit.map(|r| r.exposure_s).fold(0.0, f64::max);
         Ok(Self {

@@ -27,7 +27,7 @@ pub fn of_bytes(header: &[u8]) -> Vec<Card> {
     let mut out: Vec<Card> = Vec::new();
     let mut continued = false;
     for card in header.chunks_exact(CARD) {
-        let text = String::from_utf8_lossy(card);
+        let text = image::card_text(card);
         let key = text.get(..8).unwrap_or(&text).trim_end();
         if key == "END" {
             break;

@@ -102,6 +102,7 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
     plausible::darks_on_the_line(&mut sets);
     plausible::fewer_bits(&mut sets, found);
     plausible::shifted_codes(&mut sets, found);
+    plausible::flats_below_darks(&mut sets);
     plausible::serial_numbers(&mut sets, found);
     lit_darks(&mut sets, LIT * f64::from((1u32 << bit_depth) - 1));
     notes.extend(several_levels(&sets, found, lowest));

@@ -69,10 +69,10 @@ fn base(path: &Path) -> Option<String> {
 
 /// What the file says; nothing of one that is too long or no text.
 fn read(path: &Path) -> Facts {
-    if path.metadata().map_or(true, |m| !m.is_file() || m.len() > MAX_BYTES) {
+    if path.metadata().map_or(true, |m| m.len() > MAX_BYTES) {
         return Facts::default();
     }
-    let Ok(text) = std::fs::read_to_string(path) else { return Facts::default() };
+    let Ok(text) = crate::input::settings(path) else { return Facts::default() };
     let mut facts = of_description(text.trim_start_matches('\u{feff}'));
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     facts.from.values_mut().for_each(|from| *from = format!("{name}: {from}"));

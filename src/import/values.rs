@@ -108,6 +108,13 @@ pub fn unit_in(comment: &str) -> Result<Option<f64>, ()> {
     {
         return Ok(Some(unit_s));
     }
+    // A micro sign that was lost on its way leaves a question mark.
+    if ["?s", "\u{fffd}s"].iter().any(|lost| comment.contains(lost)) {
+        return Err(());
+    }
+    if comment.contains("(min)") {
+        return Ok(Some(60.0));
+    }
     let words = comment.split(|c: char| !c.is_alphanumeric() && c != '\'' && c != '/');
     // min is the least as often as the minute.
     let words = words.map(|w| w.trim_matches('/')).filter(|w| !w.eq_ignore_ascii_case("min"));

@@ -152,6 +152,7 @@ const EXPOSURES: &[&str] = &[
     "integrationtime",
     "inttime",
     "itime",
+    "tint",
     "shutterspeed",
     "shutter",
     "exp",
@@ -396,7 +397,9 @@ fn exposure(said: &[Said], writer: Writer, out: &mut Facts) {
         }
         let of_comment = values::unit_in(comment);
         if of_comment.is_err() && of_key.is_none() && seconds(unit).is_none() {
-            out.doubts.push(format!("exposure_s: the comment of {text} names two units"));
+            out.doubts.push(format!(
+                "exposure_s: the comment of {text} names two units, or one that is not readable"
+            ));
             continue;
         }
         let genicam = match (writer, key.as_str()) {
@@ -453,7 +456,8 @@ pub fn of_description(text: &str) -> Facts {
         flatten(&json, "", &mut said);
         return facts(said, Writer::Json);
     }
-    let pairs = text.lines().filter_map(|line| line.split_once(['=', ':']));
+    // Several of a line are parted by semicolons.
+    let pairs = text.lines().flat_map(|line| line.split(';')).filter_map(|part| part.split_once(['=', ':']));
     facts(pairs.map(|(k, v)| Said::new(k, v.trim().trim_matches('\''))).collect(), Writer::Lines)
 }
 

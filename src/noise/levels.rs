@@ -314,9 +314,14 @@ fn moved(darks: impl Iterator<Item = (f64, f64)>, dof: usize) -> f64 {
     range / 12f64.sqrt()
 }
 
+/// True for a flat whose level lies below that of the darks.
+pub(super) fn is_darker(kind: Kind, mean_dn: f64, var_dn2: f64) -> bool {
+    kind == Kind::Flat && mean_dn < -var_dn2.max(1.0).sqrt()
+}
+
 /// Why a flat below the darks is none.
 fn darker(kind: Kind, mean_dn: f64, level: &Level) -> Option<String> {
-    (kind == Kind::Flat && mean_dn < -level.var_dn2.max(1.0).sqrt()).then(|| {
+    is_darker(kind, mean_dn, level.var_dn2).then(|| {
         format!(
             "a flat {:.0} DN darker than the darks: the two may be exchanged, or darks were taken off",
             -mean_dn

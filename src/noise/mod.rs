@@ -240,6 +240,24 @@ fn estimate_with(
         data_faults: Vec::new(),
         notes,
     };
+    let darker: Vec<&LevelReport> = report.levels.iter().filter(|l| l.is_below_the_darks()).collect();
+    if let Some(worst) = darker.iter().min_by(|a, b| a.mean_dn.total_cmp(&b.mean_dn)) {
+        report.notes.push(format!(
+            "{} flats are darker than the darks, that of set {} by {:.0} DN: darks and flats do not have one scale and one black level. Bits that \
+             were shifted in one of them, darks that were taken off the flats, another black level, or exchanged kinds do this",
+            darker.len(),
+            worst.set,
+            -worst.mean_dn
+        ));
+    }
+    if report.gain_dn_per_e.value <= 0.0 {
+        for q in [&mut report.gain_dn_per_e, &mut report.read_noise_e] {
+            (q.value, q.std_err) = (f64::NAN, f64::NAN);
+        }
+        report.notes.push(
+            "the noise does not grow with the signal: there is no gain to be told from these levels".into(),
+        );
+    }
     if report.constant_noise_is_negative() {
         (report.read_noise_e.value, report.read_noise_e.std_err) = (f64::NAN, f64::NAN);
         report.notes.push(

@@ -100,6 +100,13 @@ pub struct LevelReport {
     pub excluded_because: Option<String>,
 }
 
+impl LevelReport {
+    /// True for a flat below the darks.
+    pub(super) fn is_below_the_darks(&self) -> bool {
+        !self.used && super::levels::is_darker(self.kind, self.mean_dn, self.var_dn2)
+    }
+}
+
 /// Standard errors below zero at which a variance is negative by no chance.
 const BEYOND_CHANCE: f64 = 5.0;
 
@@ -158,8 +165,12 @@ impl NoiseReport {
         self.offset_source != NO_ZERO && constant.value < -BEYOND_CHANCE * constant.std_err
     }
 
-    /// Returns true if nothing speaks clearly against the line, and pixels and frames are independent.
+    /// Returns true if nothing speaks clearly against the line, pixels and frames are independent, and flats are
+    /// brighter than darks.
     pub fn consistent(&self) -> bool {
-        self.agreement() != Agreement::Fails && self.shared_noise_rel.is_none()
+        self.agreement() != Agreement::Fails
+            && self.shared_noise_rel.is_none()
+            && self.gain_dn_per_e.value > 0.0
+            && !self.levels.iter().any(LevelReport::is_below_the_darks)
     }
 }

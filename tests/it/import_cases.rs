@@ -184,7 +184,7 @@ fn the_unit_of_an_exposure_is_read() {
 #[test]
 fn an_exposure_of_two_readings_is_asked() {
     let bench = Bench::new();
-    let ways: [(&str, &[&str], &Cards); 8] = [
+    let ways: [(&str, &[&str], &Cards); 9] = [
         ("plain", &["EXPTIME 0.1", "EXPOSURE 100"], &|ms| {
             vec![format!("EXPTIME = {}", s(ms)), format!("EXPOSURE= {ms}")]
         }),
@@ -192,6 +192,7 @@ fn an_exposure_of_two_readings_is_asked() {
             vec![format!("EXPTIME = {}", s(ms)), format!("EXPTIME = {ms}")]
         }),
         ("units", &["names two units"], &|ms| vec![format!("EXPTIME = {ms} / ms or s")]),
+        ("lost", &["names two units"], &|ms| vec![format!("EXPOSURE= {ms}000 / Exposure time in ?s")]),
         ("thousands", &["0.1 s", "100"], &|ms| {
             vec![format!("EXPTIME = '0,{ms:03}'"), format!("EXPOSURE= {ms}")]
         }),
@@ -515,6 +516,40 @@ fn the_tag_of_micro_manager_is_read() {
     assert_eq!(sets(&dataset), [(Kind::Dark, 0.0125, 1), (Kind::Flat, 0.025, 1)]);
     let camera = &dataset.manifest().camera;
     assert_eq!((&*camera.model, camera.features["BinningHorizontal"].as_integer()), ("Andor", Some(2)));
+}
+
+/// Flats that lost bits, or from which darks were taken, are darker than the darks: asked at the import; where the
+/// map says that all is right, `noise` has no gain and says why.
+#[test]
+fn flats_darker_than_the_darks_are_asked() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(53);
+    for (k, light) in [500.0, 1000.0, 2000.0, 4000.0].into_iter().enumerate() {
+        for f in 0..4 {
+            let ms = 10 * (k + 1);
+            let exposure_s = s(ms as u32);
+            bench.tiff(&format!("in/dark_{ms}ms_{f}.tif"), &camera.frame(0.0, exposure_s));
+            bench.tiff(&format!("in/flat_{ms}ms_{f}.tif"), &camera.frame(light, exposure_s).mapv(|v| v >> 4));
+        }
+    }
+    let said = bench.refused("in");
+    assert!(said.contains("the darks") && said.contains("Bits that were shifted"), "{said}");
+    let map = fs::read_dir(bench.path("x").parent().unwrap()).unwrap().flatten().map(|e| e.path());
+    let map = map.filter(|p| p.to_string_lossy().ends_with(".map.toml")).next().unwrap();
+    let kept: Vec<String> = fs::read_to_string(&map)
+        .unwrap()
+        .lines()
+        .filter(|l| !l.contains("Bits that were"))
+        .map(String::from)
+        .collect();
+    fs::write(&map, kept.join("\n").replace("doubts = [\n]", "")).unwrap();
+    let to = bench.text("anyway");
+    expect(0, &["import", "--map", map.to_str().unwrap(), "-o", &to, "--yes"]);
+    let output = radcam(&["noise", &to, "--json"]);
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{json:#}");
+    assert!(json["gain_dn_per_e"]["value"].as_f64().is_none_or(|gain| gain > 0.0), "{json:#}");
+    assert!(json["notes"].to_string().contains("flats are darker than the darks"), "{json:#}");
 }
 
 /// Files of settings beside the frames, as SharpCap, FireCapture and scripts write them: of the start of a frame's

@@ -533,12 +533,20 @@ const FITS_CARD: usize = 80;
 
 type Cards = std::collections::HashMap<String, String>;
 
+/// Text of a card: ASCII by the standard; programs write a micro sign as UTF-8 or as Latin-1.
+pub(crate) fn card_text(card: &[u8]) -> String {
+    std::str::from_utf8(card).map_or_else(|_| card.iter().map(|b| char::from(*b)).collect(), String::from)
+}
+
 /// The cards of a FITS header that have a value, strings in their quotes, and where the header ends.
 fn cards_of(bytes: &[u8]) -> Result<(Cards, usize), ImageError> {
     let fault = |message: &str| ImageError::Fits(message.into());
     let mut values = Cards::new();
     for (i, card) in bytes.chunks_exact(FITS_CARD).enumerate() {
-        let card = std::str::from_utf8(card).map_err(|_| fault("the header is not text"))?;
+        if !card.iter().take(8).all(u8::is_ascii) {
+            return Err(fault("the header is not text"));
+        }
+        let card = &card_text(card);
         let keyword = card.get(..8).unwrap_or(card).trim_end();
         if keyword == "END" {
             return Ok((values, (i + 1) * FITS_CARD));
