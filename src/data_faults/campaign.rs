@@ -216,6 +216,8 @@ pub struct Campaign<'a> {
     pub full_scale_dn: f64,
     /// Share of a change of level that first frames usually carry; 0 where none is seen.
     pub carried_share: f64,
+    /// True if the black level was taken off the flats.
+    pub black_is_taken_off: bool,
 }
 
 impl<'a> Campaign<'a> {
@@ -240,7 +242,7 @@ impl<'a> Campaign<'a> {
         };
         let sets = dataset.sets().iter().zip(facts).map(view).collect();
         let full_scale_dn = f64::from(dataset.manifest().camera.full_scale_dn());
-        let mut all = Self { dataset, sets, full_scale_dn, carried_share: 0.0 };
+        let mut all = Self { dataset, sets, full_scale_dn, carried_share: 0.0, black_is_taken_off: false };
         all.carried_share = all.usual_share().unwrap_or(0.0);
         for k in 1..all.sets.len() {
             if let Some((change, _)) = all.change_at(k) {

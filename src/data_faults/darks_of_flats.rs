@@ -46,6 +46,15 @@ const MIN_STD_DN: f64 = 0.02;
 /// Standard deviations of the noise by which the black level of the darks is not that of the flats, and
 /// within which it is the one that the level tells.
 const BLACK: (f64, f64) = (6.0, 3.0);
+/// Error of the level at which flats meet no light, over that of the darks, up to which it is no chance that it
+/// lies at code 0 or at a multiple of the darks' (a named choice).
+const MAX_CHANCE: f64 = 0.12;
+/// Part of the darks' level within which it lies there whatever its error (a named choice).
+const NEAR_ZERO: f64 = 0.01;
+/// Standard deviations by which the noise of darks that lost bits is not that of the flats without light.
+const LOST_SIGMAS: f64 = 4.0;
+/// Bits that darks may have lost.
+const MAX_LOST_BITS: u32 = 8;
 /// Least difference of the black levels that is said, DN.
 const MIN_BLACK_DN: f64 = 2.0;
 
@@ -81,9 +90,11 @@ impl Check for DarksOfFlats {
             return Vec::new();
         }
         let Some(response) = Response::of(campaign, &flats, &zero) else { return Vec::new() };
-        let text = of_pattern(campaign, &darks, &flats, &zero, &response)
+        let found = of_pattern(campaign, &darks, &flats, &zero, &response)
+            .map(|text| (text, false))
             .or_else(|| of_black_level(campaign, &darks, &zero, &response));
-        let Some(text) = text else { return Vec::new() };
+        let Some((text, black_is_taken_off)) = found else { return Vec::new() };
+        campaign.black_is_taken_off = black_is_taken_off;
         let all = campaign.places(|s| s.kind == Kind::Dark);
         let text = format!("all darks: {text}");
         vec![campaign.fault_of_sets(FaultKind::OtherSettings, &all, text, true)]
@@ -208,13 +219,13 @@ fn at_exposure(campaign: &Campaign<'_>, darks: &[usize], exposure_s: f64) -> Opt
     near.then(|| weight.iter().map(|w| w / sum).collect())
 }
 
-/// Verdict of level and noise on the black level, in words.
+/// Verdict of level and noise on the black level, in words; whether it was taken off the flats.
 fn of_black_level(
     campaign: &Campaign<'_>,
     darks: &[usize],
     zero: &Zero,
     response: &Response,
-) -> Option<String> {
+) -> Option<(String, bool)> {
     let (black_dn, std) = response.black_dn;
     if !response.straight || black_dn.abs() < MIN_BLACK_DN.max(MIN_SIGMAS * std) {
         return None;
@@ -227,20 +238,49 @@ fn of_black_level(
         .min_by(|a, b| campaign.sets[**a].exposure_s.total_cmp(&campaign.sets[**b].exposure_s))?;
     let (var_dn2, pairs) = campaign.sets[shortest].variance_dn2()?;
     let own = var_dn2 * (3.0 / (campaign.sets[shortest].facts.pixels * pairs)).sqrt().hypot(MODEL_ERROR);
-    let off = |above_dn: f64| {
+    // Standard deviations by which the darks' noise, times a number, is off that of the flats at a level.
+    let off = |above_dn: f64, times: f64| {
         let (expected, std) = transfer.expected_dn2(above_dn);
-        (var_dn2 - expected) / std.hypot(own)
+        (times * var_dn2 - expected) / std.hypot(times * own)
     };
-    let (at_dark, at_black) = (off(0.0), off(black_dn));
+    let (at_dark, at_black) = (off(0.0, 1.0), off(black_dn, 1.0));
     tracing::debug!(
         "flats meet no light at {black_dn:.3} +- {std:.3} DN; the darks' noise is off by {at_black:.1} sigma there, by {at_dark:.1} at the darks' level"
     );
+    let zero_dn = zero.at(campaign.sets[shortest].exposure_s);
+    let near_dn = (2.0 * std).max(NEAR_ZERO * zero_dn);
+    if at_black.abs() < BLACK.1 && std < MAX_CHANCE * zero_dn && (zero_dn + black_dn).abs() < near_dn {
+        let text = format!(
+            "the flats meet no light at code {:.0} ± {:.0}, and the darks at {zero_dn:.0}: black level or dark frames were taken off the flats, \
+             and not off the darks",
+            // No -0.
+            (zero_dn + black_dn).round() + 0.0,
+            std
+        );
+        return Some((text, true));
+    }
+    let lost = (1..=MAX_LOST_BITS).find(|bits| {
+        let times = f64::from(1u32 << bits);
+        let same_level = (zero_dn + black_dn - times * zero_dn).abs() < near_dn.max(times);
+        std < MAX_CHANCE * zero_dn
+            && same_level
+            && at_black.abs() > LOST_SIGMAS
+            && off(black_dn, times * times).abs() < BLACK.1
+    });
+    if let Some(bits) = lost {
+        let by = 1u32 << bits;
+        let text = format!(
+            "level and noise are those of the flats without light divided by {by}: codes that lost their last bits"
+        );
+        return Some((text, false));
+    }
     let is_black = at_dark.abs() > BLACK.0 && at_black.abs() < BLACK.1;
     is_black.then(|| {
-        format!(
+        let text = format!(
             "another black level than the flats, {} DN {}: level and noise of the flats both say so",
             six_digits(black_dn.abs()),
             if black_dn > 0.0 { "lower" } else { "higher" }
-        )
+        );
+        (text, false)
     })
 }

@@ -83,8 +83,13 @@ pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, Examine
     }
     let passed_over = campaign.passed_over(&faults);
     let shared_noise = SharedNoise::of(&campaign);
-    let examination =
-        Examination { code_step_dn, struck, carried_share: campaign.carried_share, shared_noise };
+    let examination = Examination {
+        code_step_dn,
+        struck,
+        carried_share: campaign.carried_share,
+        shared_noise,
+        black_is_taken_off: campaign.black_is_taken_off,
+    };
     Ok(dataset.without(&campaign.rows_left_out(), passed_over, faults, examination))
 }
 

@@ -206,6 +206,8 @@ pub(crate) struct Examination {
     pub carried_share: f64,
     /// Noise that neighbours or successive frames share.
     pub shared_noise: Option<SharedNoise>,
+    /// True if the black level was taken off the flats: what the manifest states is not theirs.
+    pub black_is_taken_off: bool,
 }
 
 /// Values before the examination.
@@ -214,6 +216,7 @@ const UNEXAMINED: Examination = Examination {
     struck: StruckSamples { number: 0, are_rays: true },
     carried_share: 0.0,
     shared_noise: None,
+    black_is_taken_off: false,
 };
 
 /// Single samples that stand far off the same pixel in other frames.
@@ -458,6 +461,11 @@ impl Dataset {
     /// time, as [`examined`](crate::data_faults::examined) found it; 0 before it ran, and where none is seen.
     pub fn carried_share(&self) -> f64 {
         self.examination.carried_share
+    }
+
+    /// Black level that the manifest states, DN; `None` where the look at the data shows that it was taken off the flats.
+    pub fn black_level_dn(&self) -> Option<f64> {
+        self.manifest().camera.black_level_dn.filter(|_| !self.examination.black_is_taken_off)
     }
 
     /// Noise that neighbours or successive frames share in all flats.

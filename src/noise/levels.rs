@@ -143,7 +143,7 @@ pub fn measure(
     Ok(Measured {
         levels,
         full_scale_dn: camera.full_scale_dn().into(),
-        black_level_dn: camera.black_level_dn,
+        black_level_dn: dataset.black_level_dn(),
         code_step_dn: dataset.code_step_dn(),
         saturated: mask.saturated,
         carried_share: dataset.carried_share(),

@@ -402,6 +402,33 @@ fn a_stack_under_a_wrong_label_still_tells_nonuniformity() {
     }
 }
 
+/// The black level is taken off the flats and not off the darks: gain and no read noise come from the flats alone.
+#[test]
+fn a_black_level_that_was_taken_off_the_flats_is_named() {
+    let campaign = few_darks("cmos12", &[0.15, 0.3, 0.45, 0.6, 0.75, 0.9], 64);
+    let flats = (0..campaign.rows.len()).filter(|row| campaign.rows[*row][1] == "flat");
+    flats.for_each(|row| campaign.put(row, &campaign.frame(row).mapv(|v| v.saturating_sub(BLACK_DN as u16))));
+    has_foreign_darks(&campaign, "were taken off the flats");
+    assert!(campaign.said("noise")["read_noise_e"]["value"].is_null());
+}
+
+/// The darks of a noisy camera lost a bit, and the flats did not: before, half of the read noise and no word.
+#[test]
+fn darks_that_lost_a_bit_are_named() {
+    let mut model = crate::support::small("cmos12", 160, 128);
+    model.base.read_noise_e = 20.0;
+    let file = tempfile::NamedTempFile::with_suffix(".toml").unwrap();
+    std::fs::write(file.path(), model.to_toml().unwrap()).unwrap();
+    let campaign = few_darks(file.path().to_str().unwrap(), &[0.15, 0.3, 0.45, 0.6, 0.75, 0.9], 66);
+    let darks = (0..campaign.rows.len()).filter(|row| campaign.rows[*row][1] == "dark");
+    darks.for_each(|row| campaign.put(row, &campaign.frame(row).mapv(|v| v >> 1)));
+    let said = campaign.said("noise");
+    assert!(said["data_faults"].to_string().contains("divided by 2"), "{}", said["data_faults"]);
+    let (value, error) = (&said["gain_dn_per_e"]["value"], &said["gain_dn_per_e"]["std_err"]);
+    let (value, error) = (value.as_f64().unwrap(), error.as_f64().unwrap());
+    assert!((value - 0.38).abs() < 4.0 * error, "{value} +- {error}");
+}
+
 /// Two darks, and flats at these lights with four frames each.
 fn few_darks(sensor: &str, lights: &[f64], seed: u32) -> Campaign {
     of_flats(sensor, lights, 4, seed)
