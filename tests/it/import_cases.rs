@@ -534,8 +534,8 @@ fn flats_darker_than_the_darks_are_asked() {
     }
     let said = bench.refused("in");
     assert!(said.contains("the darks") && said.contains("Bits that were shifted"), "{said}");
-    let map = fs::read_dir(bench.path("x").parent().unwrap()).unwrap().flatten().map(|e| e.path());
-    let map = map.filter(|p| p.to_string_lossy().ends_with(".map.toml")).next().unwrap();
+    let mut entries = fs::read_dir(bench.path("x").parent().unwrap()).unwrap().flatten().map(|e| e.path());
+    let map = entries.find(|p| p.to_string_lossy().ends_with(".map.toml")).unwrap();
     let kept: Vec<String> = fs::read_to_string(&map)
         .unwrap()
         .lines()
