@@ -42,7 +42,6 @@ use crate::dataset::{DatasetError, Kind, image};
 use facts::same_exposure;
 use ndarray::{ArrayView2, s};
 use scale::Census;
-use side::Side;
 use source::Source;
 use std::path::{Component, Path, PathBuf};
 
@@ -128,14 +127,13 @@ pub fn survey(
     let mut census = Census::default();
     let common = common_folder(paths);
     let twins = twins::names(paths);
-    let mut side = Side::default();
     for (at, path) in paths.iter().enumerate() {
         let mut go_on = || step(at, paths.len());
         let digest = twins.contains(&twins::name(path));
         let frames = Source::open(path, options)
             .map_err(|message| ImportError::File { path: path.clone(), message })
             .and_then(|source| {
-                let beside = if source.tells_all() { Facts::default() } else { side.facts(path) };
+                let beside = if source.tells_all() { Facts::default() } else { side::facts(path) };
                 let names = beside.or(named(path, &common));
                 frames_of(path, &source, names, digest, &mut census, &mut go_on)
             });
@@ -301,8 +299,7 @@ fn in_codes(found: &mut [Found], census: &Census) -> Result<(), ImportError> {
 pub fn facts(path: &Path) -> Result<(Facts, usize), ImportError> {
     let (header, pages) =
         headers::facts(path).map_err(|message| ImportError::File { path: path.into(), message })?;
-    let beside = Side::default().facts(path);
-    Ok((header.or(beside).or(named(path, path.parent().unwrap_or(Path::new("")))), pages))
+    Ok((header.or(side::facts(path)).or(named(path, path.parent().unwrap_or(Path::new("")))), pages))
 }
 
 /// Facts of a file's name and of the folders above it, from the one that all files have in common downwards.

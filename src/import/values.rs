@@ -109,7 +109,10 @@ pub fn unit_in(comment: &str) -> Result<Option<f64>, ()> {
         return Ok(Some(unit_s));
     }
     // A micro sign that was lost on its way leaves a question mark.
-    if ["?s", "\u{fffd}s"].iter().any(|lost| comment.contains(lost)) {
+    let alone = |word: &str| {
+        word.trim_matches(|c: char| matches!(c, '(' | ')' | '[' | ']' | '.' | ',' | ';')).to_string()
+    };
+    if comment.split_whitespace().map(alone).any(|word| word == "?s" || word == "\u{fffd}s") {
         return Err(());
     }
     if comment.contains("(min)") {
