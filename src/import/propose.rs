@@ -115,6 +115,11 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
             six_digits(scale.step),
             six_digits(scale.zero)
         ));
+    } else if let Some(done) = scale.words() {
+        notes.push(format!(
+            "{done}: gain, noise and levels are in codes of the dataset, of which one is {} in the files",
+            six_digits(scale.step)
+        ));
     }
     let camera = found.iter().find_map(|f| f.facts.camera.clone());
     let bit_depth = camera.as_ref().map_or(bit_depth, |c| c.bit_depth.max(depth_of(bits).min(bit_depth)));
