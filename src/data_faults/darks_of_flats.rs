@@ -46,14 +46,15 @@ const MIN_STD_DN: f64 = 0.02;
 /// Standard deviations of the noise by which the black level of the darks is not that of the flats, and
 /// within which it is the one that the level tells.
 const BLACK: (f64, f64) = (6.0, 3.0);
-/// Error of the level at which flats meet no light, over that of the darks, up to which it is no chance that it
-/// lies at code 0 or at a multiple of the darks' (a named choice).
-const MAX_CHANCE: f64 = 0.12;
-/// Part of the darks' level within which it lies there whatever its error (a named choice).
-const NEAR_ZERO: f64 = 0.01;
-/// Standard deviations by which the noise of darks that lost bits is not that of the flats without light.
-const LOST_SIGMAS: f64 = 4.0;
-/// Bits that darks may have lost.
+/// Largest error of the flats' level at zero light, relative to that of the darks, that tells
+/// dark-subtracted flats and lost bits from a coincidence (a named choice).
+const MAX_REL_ERROR_AT_ZERO: f64 = 0.12;
+/// Distance from code 0, or from a multiple of the darks' level, relative to that level, that any error
+/// allows: a black level drifts by less (a named choice).
+const MIN_REL_TOLERANCE: f64 = 0.01;
+/// Standard deviations by which the noise of darks with lost bits is below that of the flats at zero light.
+const MIN_SIGMAS_OF_LOST_BITS: f64 = 4.0;
+/// Largest number of lost bits that is looked for.
 const MAX_LOST_BITS: u32 = 8;
 /// Least difference of the black levels that is said, DN.
 const MIN_BLACK_DN: f64 = 2.0;
@@ -90,14 +91,27 @@ impl Check for DarksOfFlats {
             return Vec::new();
         }
         let Some(response) = Response::of(campaign, &flats, &zero) else { return Vec::new() };
-        let found = of_pattern(campaign, &darks, &flats, &zero, &response)
-            .map(|text| (text, false))
+        let verdict = of_pattern(campaign, &darks, &flats, &zero, &response)
+            .map(Verdict::new)
             .or_else(|| of_black_level(campaign, &darks, &zero, &response));
-        let Some((text, black_is_taken_off)) = found else { return Vec::new() };
-        campaign.black_is_taken_off = black_is_taken_off;
+        let Some(Verdict { text, flats_are_dark_subtracted }) = verdict else { return Vec::new() };
+        campaign.flats_are_dark_subtracted = flats_are_dark_subtracted;
         let all = campaign.places(|s| s.kind == Kind::Dark);
         let text = format!("all darks: {text}");
         vec![campaign.fault_of_sets(FaultKind::OtherSettings, &all, text, true)]
+    }
+}
+
+/// Fault of all darks.
+struct Verdict {
+    text: String,
+    /// True if the black level was subtracted from the flats, and not from the darks.
+    flats_are_dark_subtracted: bool,
+}
+
+impl Verdict {
+    fn new(text: String) -> Self {
+        Self { text, flats_are_dark_subtracted: false }
     }
 }
 
@@ -219,13 +233,13 @@ fn at_exposure(campaign: &Campaign<'_>, darks: &[usize], exposure_s: f64) -> Opt
     near.then(|| weight.iter().map(|w| w / sum).collect())
 }
 
-/// Verdict of level and noise on the black level, in words; whether it was taken off the flats.
+/// Verdict of level and noise on the black level.
 fn of_black_level(
     campaign: &Campaign<'_>,
     darks: &[usize],
     zero: &Zero,
     response: &Response,
-) -> Option<(String, bool)> {
+) -> Option<Verdict> {
     let (black_dn, std) = response.black_dn;
     if !response.straight || black_dn.abs() < MIN_BLACK_DN.max(MIN_SIGMAS * std) {
         return None;
@@ -238,49 +252,48 @@ fn of_black_level(
         .min_by(|a, b| campaign.sets[**a].exposure_s.total_cmp(&campaign.sets[**b].exposure_s))?;
     let (var_dn2, pairs) = campaign.sets[shortest].variance_dn2()?;
     let own = var_dn2 * (3.0 / (campaign.sets[shortest].facts.pixels * pairs)).sqrt().hypot(MODEL_ERROR);
-    // Standard deviations by which the darks' noise, times a number, is off that of the flats at a level.
-    let off = |above_dn: f64, times: f64| {
+    // Deviation of the darks' noise, times a factor, from that of the flats at a level, standard deviations.
+    let off = |above_dn: f64, factor: f64| {
         let (expected, std) = transfer.expected_dn2(above_dn);
-        (times * var_dn2 - expected) / std.hypot(times * own)
+        (factor * var_dn2 - expected) / std.hypot(factor * own)
     };
     let (at_dark, at_black) = (off(0.0, 1.0), off(black_dn, 1.0));
     tracing::debug!(
         "flats meet no light at {black_dn:.3} +- {std:.3} DN; the darks' noise is off by {at_black:.1} sigma there, by {at_dark:.1} at the darks' level"
     );
     let zero_dn = zero.at(campaign.sets[shortest].exposure_s);
-    let near_dn = (2.0 * std).max(NEAR_ZERO * zero_dn);
-    if at_black.abs() < BLACK.1 && std < MAX_CHANCE * zero_dn && (zero_dn + black_dn).abs() < near_dn {
-        let text = format!(
-            "the flats meet no light at code {:.0} ± {:.0}, and the darks at {zero_dn:.0}: black level or dark frames were taken off the flats, \
-             and not off the darks",
-            // No -0.
-            (zero_dn + black_dn).round() + 0.0,
-            std
-        );
-        return Some((text, true));
+    let of_flats_dn = zero_dn + black_dn;
+    let is_known = std < MAX_REL_ERROR_AT_ZERO * zero_dn;
+    let tolerance_dn = (2.0 * std).max(MIN_REL_TOLERANCE * zero_dn);
+    if is_known && at_black.abs() < BLACK.1 && of_flats_dn.abs() < tolerance_dn {
+        return Some(Verdict {
+            text: format!(
+                "the flats have {:.0} ± {std:.0} DN at zero light, and the darks {zero_dn:.0} DN: the flats are dark-subtracted (black level or dark \
+                 frames), and the darks are not",
+                // Rounding below zero gives -0.
+                of_flats_dn.round() + 0.0
+            ),
+            flats_are_dark_subtracted: true,
+        });
     }
-    let lost = (1..=MAX_LOST_BITS).find(|bits| {
-        let times = f64::from(1u32 << bits);
-        let same_level = (zero_dn + black_dn - times * zero_dn).abs() < near_dn.max(times);
-        std < MAX_CHANCE * zero_dn
-            && same_level
-            && at_black.abs() > LOST_SIGMAS
-            && off(black_dn, times * times).abs() < BLACK.1
+    let lost_bits = (1..=MAX_LOST_BITS).find(|bits| {
+        let factor = f64::from(1u32 << bits);
+        let is_multiple = (of_flats_dn - factor * zero_dn).abs() < tolerance_dn.max(factor);
+        let noise_agrees = off(black_dn, factor * factor).abs() < BLACK.1;
+        is_known && is_multiple && noise_agrees && at_black.abs() > MIN_SIGMAS_OF_LOST_BITS
     });
-    if let Some(bits) = lost {
-        let by = 1u32 << bits;
-        let text = format!(
-            "level and noise are those of the flats without light divided by {by}: codes that lost their last bits"
-        );
-        return Some((text, false));
+    if let Some(bits) = lost_bits {
+        let factor = 1u32 << bits;
+        return Some(Verdict::new(format!(
+            "level and noise are those of the flats at zero light divided by {factor}: the darks lost their last bits"
+        )));
     }
     let is_black = at_dark.abs() > BLACK.0 && at_black.abs() < BLACK.1;
     is_black.then(|| {
-        let text = format!(
+        Verdict::new(format!(
             "another black level than the flats, {} DN {}: level and noise of the flats both say so",
             six_digits(black_dn.abs()),
             if black_dn > 0.0 { "lower" } else { "higher" }
-        );
-        (text, false)
+        ))
     })
 }

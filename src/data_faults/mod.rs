@@ -88,7 +88,7 @@ pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, Examine
         struck,
         carried_share: campaign.carried_share,
         shared_noise,
-        black_is_taken_off: campaign.black_is_taken_off,
+        flats_are_dark_subtracted: campaign.flats_are_dark_subtracted,
     };
     Ok(dataset.without(&campaign.rows_left_out(), passed_over, faults, examination))
 }

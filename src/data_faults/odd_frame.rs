@@ -91,7 +91,7 @@ impl Check for OddFrame {
                 };
                 let change = if before.frames() > 0 { before.last_dn() - apart.level_dn } else { 0.0 };
                 let carried = places[*k] <= 2 && off * change > 0.0 && off.abs() < most * change.abs();
-                // Of few changes of level the noise tells whether they are carried over.
+                // Noise tells lag from a dim frame where too few changes of level do.
                 let carried = carried && !(share.is_none() && view.lacks_lag(off / change, before));
                 let dies_away = (1..=2).contains(k)
                     && apart.mean_dn[*k - 1] * off > 0.0

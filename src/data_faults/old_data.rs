@@ -111,7 +111,8 @@ impl Check for OldDataInFrames {
             let view = &campaign.sets[set];
             found.extend(view.facts.old_data.iter().filter(|o| view.kept[o.frame]).map(|o| (set, *o)));
         }
-        // Data that repeat at one place in many sets are no lost packet: lines of the sensor's registers, say.
+        // Data that repeat at one place in many sets are no lost packet: lines of the sensor's registers,
+        // say.
         let frames = campaign.places(|_| true).iter().map(|&s| campaign.sets[s].frames()).sum::<usize>();
         let most = (MAX_SHARE_OF_FRAMES * frames as f64).max(1.0) as usize;
         let places: Vec<usize> = found.iter().map(|(_, o)| o.pixels.0).collect();

@@ -206,8 +206,8 @@ pub(crate) struct Examination {
     pub carried_share: f64,
     /// Noise that neighbours or successive frames share.
     pub shared_noise: Option<SharedNoise>,
-    /// True if the black level was taken off the flats: what the manifest states is not theirs.
-    pub black_is_taken_off: bool,
+    /// True if the flats are dark-subtracted: the black level of the manifest is not theirs.
+    pub flats_are_dark_subtracted: bool,
 }
 
 /// Values before the examination.
@@ -216,7 +216,7 @@ const UNEXAMINED: Examination = Examination {
     struck: StruckSamples { number: 0, are_rays: true },
     carried_share: 0.0,
     shared_noise: None,
-    black_is_taken_off: false,
+    flats_are_dark_subtracted: false,
 };
 
 /// Single samples that stand far off the same pixel in other frames.
@@ -463,9 +463,9 @@ impl Dataset {
         self.examination.carried_share
     }
 
-    /// Black level that the manifest states, DN; `None` where the look at the data shows that it was taken off the flats.
+    /// Black level of the manifest, DN; `None` for dark-subtracted flats.
     pub fn black_level_dn(&self) -> Option<f64> {
-        self.manifest().camera.black_level_dn.filter(|_| !self.examination.black_is_taken_off)
+        self.manifest().camera.black_level_dn.filter(|_| !self.examination.flats_are_dark_subtracted)
     }
 
     /// Noise that neighbours or successive frames share in all flats.

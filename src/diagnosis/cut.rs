@@ -4,9 +4,10 @@ use super::Part;
 use crate::dataset::Kind;
 use crate::inference::{Fitted, fit};
 use crate::number::percent;
-use crate::observables::Observations;
+use crate::observables::{Observations, mean};
 use radcam_sim::effects::find;
 use radcam_sim::predict::{BaseParameters, SetInfo};
+use std::collections::BTreeSet;
 
 /// Share of the samples of a dark that fall below code 0 from which on a black level is too low (a named
 /// choice: cut off at 2.9 deviations, the noise's variance loses half a per cent).
@@ -61,7 +62,9 @@ impl CutOff {
             0.5 * libm::erfc((level_dn + 0.5) / deviation * std::f64::consts::FRAC_1_SQRT_2)
         };
         let shares: Vec<f64> = all.campaign.sets.iter().map(below).collect();
-        let is_dark = |set: &usize| all.kinds[*set] == Kind::Dark;
+        // Darks that were left out are in the campaign as what was exposed, and were not counted.
+        let counted: BTreeSet<usize> = all.of(&mean::Mean).filter_map(|o| o.set).collect();
+        let is_dark = |set: &usize| all.kinds[*set] == Kind::Dark && counted.contains(set);
         let share = (0..shares.len()).filter(is_dark).map(|set| shares[set]).fold(0.0, f64::max);
         if share < CUT_OFF {
             return None;

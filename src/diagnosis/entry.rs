@@ -23,6 +23,7 @@ pub(super) fn describe(
         error_drop: 0.0,
         parameters: parameters(fitted, at, seen),
         form: effect.form(&fitted.effects[at].1).map(Into::into),
+        or_form: None,
         partial: false,
         nearest: Vec::new(),
         tied_with: None,

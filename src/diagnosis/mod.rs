@@ -38,7 +38,7 @@ use crate::observables::{NO_PATCH, Observations, STATISTICS, Setting, Statistic}
 use crate::plan::Plan;
 use cut::{CUT, CutOff, with_cut};
 use entry::{describe, reasons};
-use part::{OtherForm, Part, as_good, left_out, other_forms, without_one};
+use part::{OtherForm, Part, equally_good, left_out, other_forms, without_one};
 use radcam_sim::effects::{Effect, Seen, Take, find, takes};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
@@ -55,17 +55,11 @@ const TIE: f64 = 6.0;
 const FAR: f64 = 3.0;
 /// Chance below which what is left over with all names is there, and is said.
 const HOLDS: f64 = 0.01;
-/// Share of its evidence that something without a name is not given: numbers without a meaning follow the
-/// last per cent of any statistic better than physics does.
-const NEARLY_ALL: f64 = MATTERS;
 /// Evidence that names need together where the model as given holds: four standard errors, of whose 16 some 7
 /// are the price of a parameter. A named choice: of 400 clean cameras three raise an alarm, and of those in
 /// which outsiders hid something no more are named wrongly than with 20, at which a third of what stands at
 /// five standard errors has no name (docs/CONFUSION.md).
 const TRACE: f64 = 9.0;
-/// Beyond this mean square of the residuals that were fitted no campaign agrees with a model: of twenty
-/// residuals one in a thousand has it.
-const AGREES: f64 = 2.3;
 /// Least decrease of the error that a single addition must bring.
 const HELPS: f64 = 1e-3;
 /// Names that are given as the nearest of what has none.
@@ -91,6 +85,9 @@ pub struct Missing {
     /// Which of its forms, in words.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub form: Option<String>,
+    /// Another form that this campaign does not tell from it; `cost` is that of the one that costs more.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub or_form: Option<String>,
     /// True where the camera behaves mostly like this effect, and is not quite that.
     pub partial: bool,
     /// Of `unknown`: the names that come nearest.
@@ -202,11 +199,9 @@ pub fn diagnose(
     let mut ladder = vec![Rung { added: None, error: first.error, p_value: first.p_value }];
     ladder.extend(rungs(all, &model, &parts, &whole, &last));
     let remainder = remainder(all, &whole, [&first, &last], parts.is_empty());
-    let mut missing = missing(all, &parts, &whole, [&first, &last], &ladder, remainder.as_ref());
     let forms = other_forms(all, &parts, &whole);
+    let mut missing = missing(all, &parts, &whole, &forms, [&first, &last], &ladder, remainder.as_ref());
     for m in &mut missing {
-        let own = forms.iter().filter(|f| m.effect == whole.effects[f.at].0.id());
-        m.evidence.extend(own.map(OtherForm::words));
         m.evidence.extend(suspects(&m.effect, &all.left_on));
         if let Some(cut_off) = cut_off.as_ref().filter(|_| m.effect == CUT) {
             m.evidence.insert(0, cut_off.to_string());
@@ -217,12 +212,13 @@ pub fn diagnose(
         notes.retain(|note| note != NO_PATCH);
     }
     let next = next_measurement(all, &parts, &missing);
-    let mut as_good = as_good(&parts, &forms, &whole);
-    // Names that are in doubt move the values as far as to where they are without them.
+    let mut alternatives = equally_good(&parts, &forms, &whole);
+    // `unknown` first puts all names in doubt: the values without them are as good.
     if missing.first().is_some_and(|m| m.effect == "unknown") {
-        as_good.push(&model);
+        alternatives.push(&model);
     }
-    let sensor = sensor(all, &whole, &as_good, last.error);
+    let sensor = sensor(all, &whole, &alternatives, last.error);
+    notes.extend(sensor::range_of_gains(&whole, &alternatives, !forms.is_empty()));
     notes.extend(sensor::below_zero(&sensor));
     Diagnosis {
         verdict: Verdict::of(&missing, remainder.as_ref(), &first, &whole, &all.left_on),
@@ -258,6 +254,7 @@ fn missing(
     all: &Observations,
     parts: &[Part],
     whole: &Fitted,
+    forms: &[OtherForm],
     [first, last]: [&Comparison; 2],
     ladder: &[Rung],
     remainder: Option<&Remainder>,
@@ -270,6 +267,14 @@ fn missing(
     for (entry, share) in named.iter_mut().zip(shares(parts, &fitted)) {
         entry.share = share * (1.0 - left);
         entry.cost = cost::of_effect(all, whole, &entry.effect);
+        for form in forms.iter().filter(|form| form.id() == entry.effect) {
+            let other = cost::of_effect(all, &form.fitted, &entry.effect);
+            if other.largest() > entry.cost.largest() {
+                entry.cost = other;
+            }
+            entry.or_form = Some(form.name().into());
+            entry.evidence.push(form.words());
+        }
         let values = whole.effects.iter().find(|(e, _)| e.id() == entry.effect);
         entry.evidence.extend(values.and_then(|(e, values)| e.fits_as_well(values, &seen)));
     }
@@ -589,9 +594,6 @@ fn with_ties(parts: &[Part], whole: &Fitted, named: Vec<Missing>, seen: &Seen) -
     out
 }
 
-/// Evidence that is not worth more than a bare mention (Kass and Raftery 1995, section 3.2).
-const BARELY: f64 = 2.0;
-
 /// What no name explains. `doubt`: why the first of them is not what it is called.
 fn unknown(parts: &[Part], doubt: Option<String>, first: &Comparison, last: &Comparison) -> Missing {
     let strongest = parts.first();
@@ -623,6 +625,7 @@ fn unknown(parts: &[Part], doubt: Option<String>, first: &Comparison, last: &Com
         error_drop: 0.0,
         parameters: BTreeMap::new(),
         form: None,
+        or_form: None,
         partial: false,
         nearest,
         tied_with: None,
@@ -661,6 +664,7 @@ mod tests {
             error_drop: 0.0,
             parameters: Default::default(),
             form: None,
+            or_form: None,
             partial: false,
             nearest: Vec::new(),
             tied_with: None,

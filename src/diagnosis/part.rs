@@ -1,37 +1,49 @@
-//! Parts of a model that was found: each effect with what it alone explains, and what explains it as well.
+//! Parts of the fitted model: each effect with its own evidence, and the alternatives that explain it as
+//! well.
 
 use super::search::{Candidate, NEEDED, score, without};
-use super::{AGREES, BARELY, HOLDS, NEARLY_ALL, TIE, unknown};
+use super::share::MATTERS;
+use super::{HOLDS, TIE, unknown};
 use crate::dataset::Kind;
 use crate::inference::{Comparison, Fitted, Residual, compare, fit, residuals_of};
+use crate::number::six_digits;
 use crate::observables::Observations;
 use radcam_sim::effects::Effect;
 use rayon::prelude::*;
 
-/// An effect that was found, with what it alone explains.
+/// Discount on the evidence of the nameless model: a free curve follows the last per cent of any
+/// statistic better than physics does.
+const NAMELESS_DISCOUNT: f64 = MATTERS;
+/// Largest mean square of the fitted residuals with which a campaign may agree with a model: of twenty
+/// residuals one in a thousand has it.
+const MAX_MEAN_SQUARE: f64 = 2.3;
+/// Evidence that is not worth more than a bare mention (Kass and Raftery 1995, section 3.2).
+pub(super) const BARE_MENTION: f64 = 2.0;
+
+/// Effect of the fitted model with the evidence that is its own.
 pub(super) struct Part {
-    /// Its effect.
+    /// Effect.
     pub effect: &'static dyn Effect,
-    /// Evidence that is lost without it.
+    /// Evidence lost without the effect.
     pub evidence: f64,
     /// Mean square of what the whole model leaves, 1 at least: where it leaves much, evidence counts as much
     /// less (McCullagh and Nelder 1989, 4.5).
     pub dispersion: f64,
-    /// Others that would explain it, most evidence first.
+    /// Alternatives in place of the effect, most evidence first.
     pub others: Vec<Candidate>,
-    /// The evidence that something without a name would have in its place.
+    /// Evidence of the nameless model in place of the effect.
     pub nameless: f64,
-    /// The rest of the model without it.
+    /// Model without the effect.
     pub rest: Fitted,
-    /// What deviates then.
+    /// Residuals of the model without the effect.
     pub without: Vec<Residual>,
-    /// True for a drift in a campaign in which one light has two sets of flats and every other has one: a lamp
-    /// that comes back to another light explains that too.
+    /// True for a drift in a campaign in which one light has two sets of flats and every other has one: a
+    /// lamp that comes back to another light explains that too.
     pub hangs_on_one_return: bool,
 }
 
 impl Part {
-    /// Candidates that explain as much as the part that was chosen.
+    /// Alternatives that explain as much as the effect.
     pub fn tied(&self) -> Vec<&Candidate> {
         let same = |c: &&Candidate| self.evidence - c.evidence < TIE * self.dispersion;
         let returns =
@@ -39,17 +51,17 @@ impl Part {
         self.others.iter().filter(|c| same(c) || returns(c)).collect()
     }
 
-    /// Share of the evidence that one explanation of a part has among all: others, nothing at all, and something
-    /// without a name.
+    /// Share of the evidence that one explanation of a part has among all: others, nothing at all, and
+    /// something without a name.
     pub fn confidence(&self, evidence: f64) -> f64 {
         let all = self.others.iter().map(|c| c.evidence).chain([self.evidence, 0.0, self.nameless]);
         let sum: f64 = all.map(|e| (0.5 * (e - evidence)).clamp(-300.0, 300.0).exp()).sum();
         1.0 / sum
     }
 
-    /// What explains a part better than its name does, where something without a name does.
+    /// Sentence on the nameless model where it explains the part better than the effect does.
     pub fn better(&self) -> Option<String> {
-        (self.nameless > self.evidence + BARELY).then(|| {
+        (self.nameless > self.evidence + BARE_MENTION).then(|| {
             format!(
                 "a smooth function of the level that has no name explains it better than {} does: evidence {:.0} and {:.0}",
                 self.effect.id(),
@@ -60,7 +72,7 @@ impl Part {
     }
 }
 
-/// Every effect that was added to a model, with what is lost without it.
+/// Parts of a fitted model: every effect that was added to the given model.
 pub(super) fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Vec<Part> {
     let given = model.effects.len();
     let part = |i: usize| {
@@ -71,7 +83,7 @@ pub(super) fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Ve
         // Darks alone have no levels that a function of them could follow.
         let lit = all.kinds.iter().any(|kind| *kind != Kind::Dark);
         let of_levels = if lit { unknown::evidence(&without, all.list.len() as f64) } else { 0.0 };
-        let nameless = (1.0 - NEARLY_ALL) * of_levels;
+        let nameless = (1.0 - NAMELESS_DISCOUNT) * of_levels;
         let dispersion = whole.mean_square.max(1.0);
         let hangs_on_one_return = effect.is_drift_of_level() && all.repeated_lights() == 1;
         Part {
@@ -103,52 +115,56 @@ pub(super) fn without_one<'p>(
     if parts.len() < 2 || last.p_value >= HOLDS {
         return None;
     }
-    let near = parts.iter().filter(|p| p.rest.mean_square < AGREES);
+    let near = parts.iter().filter(|p| p.rest.mean_square < MAX_MEAN_SQUARE);
     near.map(|p| &p.rest).find(|rest| compare(all, rest).p_value >= HOLDS)
 }
 
-/// A model with another form of one of its effects that explains the campaign as well.
+/// Equally good model with another form of one of its effects.
 pub(super) struct OtherForm {
     /// Place of the effect in the model.
     pub at: usize,
-    /// The model.
+    /// Fit of the model.
     pub fitted: Fitted,
 }
 
 impl OtherForm {
-    /// The tie in words.
-    pub fn words(&self) -> String {
+    /// Identifier of the effect.
+    pub fn id(&self) -> &'static str {
+        self.fitted.effects[self.at].0.id()
+    }
+
+    /// Form in words.
+    pub fn name(&self) -> &'static str {
         let (effect, values) = &self.fitted.effects[self.at];
-        let form = effect.form(values).unwrap_or("another form");
-        format!(
-            "a tie: \"{form}\" explains it as well, with a gain of {:.4} DN/e",
-            self.fitted.base.gain_dn_per_e
-        )
+        effect.form(values).unwrap_or("another form")
+    }
+
+    /// Sentence on the tie.
+    pub fn words(&self) -> String {
+        let form = self.name();
+        let gain = six_digits(self.fitted.base.gain_dn_per_e);
+        format!("a tie: \"{form}\" explains it as well, with a gain of {gain} DN/e")
     }
 }
 
-/// Other forms of the parts by which the means are the same and the noise means another gain, where the campaign
-/// does not tell them apart.
+/// Fits the other forms of the effects found that give the same means at another gain, and returns those
+/// that the campaign does not tell from the fitted one.
 pub(super) fn other_forms(all: &Observations, parts: &[Part], whole: &Fitted) -> Vec<OtherForm> {
-    let (best, reach) = (score(all, whole), TIE * whole.mean_square.max(1.0));
-    let of_parts = whole.effects.iter().enumerate();
-    let of_parts = of_parts.filter(|(_, (e, _))| parts.iter().any(|p| p.effect.id() == e.id()));
-    let tries: Vec<(usize, Vec<f64>)> = of_parts
-        .flat_map(|(at, (e, values))| e.same_means(values).into_iter().map(move |v| (at, v)))
-        .collect();
-    let tries = tries.into_par_iter().map(|(at, values)| {
+    let is_found = |id: &str| parts.iter().any(|p| p.effect.id() == id);
+    let found = whole.effects.iter().enumerate().filter(|(_, (e, _))| is_found(e.id()));
+    let forms: Vec<(usize, Vec<f64>)> =
+        found.flat_map(|(at, (e, p))| e.forms_with_same_means(p).into_iter().map(move |p| (at, p))).collect();
+    let max_score = score(all, whole) + TIE * whole.mean_square.max(1.0);
+    let fitted = forms.into_par_iter().map(|(at, values)| {
         let mut effects = whole.effects.clone();
         effects[at].1 = values;
         OtherForm { at, fitted: fit(all, &whole.base, &effects) }
     });
-    let worse = |f: &OtherForm| score(all, &f.fitted) - best;
-    let tries: Vec<OtherForm> = tries.collect();
-    tries.iter().for_each(|f| tracing::debug!("{}: worse by {:.1}", f.words(), worse(f)));
-    tries.into_iter().filter(|f| worse(f) < reach).collect()
+    fitted.filter(|form| score(all, &form.fitted) < max_score).collect()
 }
 
-/// Models that explain the campaign as well as the whole does.
-pub(super) fn as_good<'p>(parts: &'p [Part], forms: &'p [OtherForm], whole: &Fitted) -> Vec<&'p Fitted> {
+/// Models that explain the campaign as well as the whole: with alternatives, and with other forms.
+pub(super) fn equally_good<'p>(parts: &'p [Part], forms: &'p [OtherForm], whole: &Fitted) -> Vec<&'p Fitted> {
     let has = |id: &str| whole.effects.iter().any(|(e, _)| e.id() == id);
     let tied = parts.iter().flat_map(Part::tied).filter(|c| !has(c.effect.id())).map(|c| &c.fitted);
     tied.chain(forms.iter().map(|f| &f.fitted)).collect()

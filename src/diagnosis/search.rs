@@ -1,8 +1,9 @@
 //! Searches over sets of effects: several lines are followed, what others take over is dropped again.
 
 use super::memo::{Memo, key, of_effects};
+use super::part::BARE_MENTION;
 use super::starts::{Starts, finished, sorted};
-use super::{BARELY, HOLDS, TIE};
+use super::{HOLDS, TIE};
 use crate::dataset::Kind;
 use crate::inference::{
     Effects, Fitted, Given, Residual, Screen, as_given, compare, fit, fit_near, has_flats, residuals_of,
@@ -246,7 +247,7 @@ impl Look<'_> {
         // Forms that explain it as well are tied: the first of the effect's list is taken.
         let best = standing.first()?.evidence;
         let form = |c: &Candidate| c.fitted.effects.last().map(|(e, values)| choices(*e, values));
-        standing.into_iter().filter(|c| best - c.evidence < BARELY).min_by_key(form)
+        standing.into_iter().filter(|c| best - c.evidence < BARE_MENTION).min_by_key(form)
     }
 
     /// Logs fits of an effect with their evidence.
@@ -427,9 +428,9 @@ const FAR_SQUARE: f64 = 4.0;
 /// Repeated searches, each without the forms of effects that had become nothing.
 const AGAIN: usize = 3;
 
-/// True for an effect of memory whose drop in chi-square comes from the frame means of one set of flats: a lamp
-/// that starts dim makes a first frame dark too, and charge that is carried over correlates the noise of frames or
-/// shows in other sets.
+/// True for an effect of memory whose drop in chi-square comes from the frame means of one set of flats:
+/// a lamp that starts dim makes a first frame dark too, and charge that is carried over correlates the
+/// noise of frames or shows in other sets.
 fn is_of_one_set(all: &Observations, with: &Fitted, at: usize) -> bool {
     let (effect, _) = &with.effects[at];
     if !effect.has_memory() {

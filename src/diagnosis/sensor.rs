@@ -2,7 +2,7 @@
 
 use crate::dataset::Kind;
 use crate::inference::Fitted;
-use crate::number::Quantity;
+use crate::number::{Quantity, six_digits};
 use crate::observables::{Observations, expectations, variance};
 use radcam_sim::effects::{self, Effect};
 use radcam_sim::predict::BaseParameters;
@@ -43,11 +43,16 @@ pub(super) fn tells_gain(fitted: &Fitted) -> bool {
 }
 
 /// Values of the linear sensor; where a model does not describe the campaign their errors grow with the
-/// misfit. `as_good`: models that explain the campaign as well, whose values the errors reach to.
-pub(super) fn sensor(all: &Observations, whole: &Fitted, as_good: &[&Fitted], error: f64) -> SensorValues {
+/// misfit, and cover the values of the equally good models `alternatives`.
+pub(super) fn sensor(
+    all: &Observations,
+    whole: &Fitted,
+    alternatives: &[&Fitted],
+    error: f64,
+) -> SensorValues {
     let (base, errors) = (&whole.base, &whole.base_std_err);
     let apart = |of: fn(&BaseParameters) -> f64| -> f64 {
-        as_good.iter().map(|other| (of(&other.base) - of(base)).abs()).fold(0.0, f64::max)
+        alternatives.iter().map(|other| (of(&other.base) - of(base)).abs()).fold(0.0, f64::max)
     };
     let of = |value: f64, std_err: f64, apart: f64, unit: &'static str| {
         let std_err = (std_err * error.max(1.0)).hypot(apart);
@@ -96,6 +101,20 @@ pub(super) fn sensor(all: &Observations, whole: &Fitted, as_good: &[&Fitted], er
         read_noise_e,
         dark_current_e_per_s: of(base.dark_e_per_s, errors[3], apart(|b| b.dark_e_per_s), "e/s"),
     }
+}
+
+/// Sentence on the gains of equally good models, where they differ by more than the fit's own error.
+pub(super) fn range_of_gains(whole: &Fitted, alternatives: &[&Fitted], noise_tells: bool) -> Option<String> {
+    let gains = || alternatives.iter().chain([&whole]).map(|model| model.base.gain_dn_per_e);
+    let (least, most) = (gains().fold(f64::INFINITY, f64::min), gains().fold(0.0, f64::max));
+    (tells_gain(whole) && most - least > whole.base_std_err[0]).then(|| {
+        let more = if noise_tells { "; more frames in each set tell them apart by their noise" } else { "" };
+        format!(
+            "models that this campaign does not tell apart have system gains of {} to {} DN/e⁻, which the error of the gain covers{more}",
+            six_digits(least),
+            six_digits(most)
+        )
+    })
 }
 
 /// Relative error of the noise that neighbours of a row share, where a model has it.

@@ -170,7 +170,7 @@ fn sentences(
         if top.partial { ("behaves mostly like", ", and is not quite that") } else { ("shows", "") };
     let costs = cost(&top.cost, whole).map_or_else(
         || "it does not bias system gain, read noise or linearity".to_string(),
-        |cost| format!("an EMVA 1288 evaluation finds {cost}"),
+        |cost| format!("{}an EMVA 1288 evaluation finds {cost}", top.at_worst()),
     );
     let (first, more) = page.map_or(("", None), |p| match p.remedy.split_once("; ") {
         Some((first, more)) => (first, Some(more)),
@@ -270,14 +270,23 @@ impl Missing {
                 format!("{what} {}", wrong_by(ratio, decimals))
             }
         });
-        (!parts.is_empty()).then(|| parts.join(", "))
+        (!parts.is_empty()).then(|| format!("{}{}", self.at_worst(), parts.join(", ")))
+    }
+
+    /// Words before the cost where it is that of the costlier of two forms.
+    fn at_worst(&self) -> &'static str {
+        if self.or_form.is_some() { "at worst " } else { "" }
     }
 }
 
 /// Meaning of its size and its form.
 fn meaning(m: &Missing) -> Option<String> {
     let size = main_size(m).map(|(p, _)| p.plain_meaning().to_string());
-    let parts: Vec<String> = size.into_iter().chain(m.form.clone()).collect();
+    let form = m.form.clone().map(|form| match &m.or_form {
+        Some(other) => format!("\"{form}\" or \"{other}\", which this campaign does not tell apart"),
+        None => form,
+    });
+    let parts: Vec<String> = size.into_iter().chain(form).collect();
     (!parts.is_empty()).then(|| parts.join("; "))
 }
 

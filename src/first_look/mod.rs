@@ -34,11 +34,11 @@ const BLIND: f64 = 0.1;
 /// Median of the flats that tell blind pixels, of full scale, at least.
 const TELLS_BLIND: f64 = 0.1;
 
-/// Least part of the level of the pixels around it by which a single pixel is a defect: no photo response
-/// nonuniformity of a sensor is a tenth of it (a named choice).
-const DIM: f64 = 0.2;
-/// Standard errors of its mean by which it is, too.
-const DIM_SIGMAS: f64 = 6.0;
+/// Smallest deviation of a dim defect pixel from its neighbours, relative to their level: ten times a
+/// usual PRNU (a named choice).
+const MIN_DIM_REL: f64 = 0.2;
+/// Smallest deviation in standard errors of its mean.
+const MIN_DIM_SIGMAS: f64 = 6.0;
 
 /// What the first frames of a set show.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
@@ -59,7 +59,7 @@ pub struct Look {
     /// Pixels of a flat set far below the median, with their means, DN.
     #[serde(default)]
     low: Vec<(usize, f32)>,
-    /// Pixels of a flat set far below those around them.
+    /// Dim defect pixels of a flat set.
     #[serde(default)]
     dim: Vec<usize>,
     /// Median of a flat set's pixels, DN.
@@ -68,7 +68,7 @@ pub struct Look {
     /// Pixels that seem to be filled in from their neighbours, where that was looked for.
     #[serde(default)]
     filled: Option<Vec<usize>>,
-    /// The code below which one in two hundred samples of its first frame lies.
+    /// Of a dark set: the code below which one in two hundred samples of its first frame lies.
     #[serde(default)]
     darkest: Option<u16>,
     /// How far the frames lie from each other; whether they are dark.
@@ -126,7 +126,7 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ExamineError> 
     if !out.saturated {
         out.clipped = over.iter().enumerate().filter(|(_, o)| **o).map(|(i, _)| i).collect();
     }
-    out.darkest = block.first().filter(|f| !f.is_empty()).map(|frame| {
+    out.darkest = block.first().filter(|f| kind == Kind::Dark && !f.is_empty()).map(|frame| {
         let mut codes: Vec<u16> = frame.iter().copied().collect();
         let place = codes.len() / 200;
         *codes.select_nth_unstable(place).1
@@ -144,7 +144,7 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ExamineError> 
             let low = sum.iter().map(|s| s / frames).enumerate().filter(|(_, mean)| *mean < 0.5 * level);
             out.low = low.collect();
             let noise_dn = out.pair.map_or(0.0, |(_, var)| (var.max(0.0) / f64::from(frames)).sqrt());
-            out.dim = dim(&(&sum / frames), (DIM_SIGMAS * noise_dn) as f32);
+            out.dim = dim(&(&sum / frames), (MIN_DIM_SIGMAS * noise_dn) as f32);
             out.level_dn = Some(level);
         }
     }
@@ -236,7 +236,7 @@ fn rough_gain(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
     }
 }
 
-/// Pixels that see next to no light, and single ones far below those around them, by the brightest set of flats.
+/// Pixels without light and dim defect pixels, by the brightest set of flats.
 fn blind(looks: &[Look], zero_dn: f64) -> Vec<usize> {
     let brightest =
         looks.iter().filter_map(|l| Some((f64::from(l.level_dn?), l))).max_by(|a, b| a.0.total_cmp(&b.0));
@@ -250,14 +250,14 @@ fn blind(looks: &[Look], zero_dn: f64) -> Vec<usize> {
         .collect()
 }
 
-/// Single pixels and columns far below the median of those around them: by [`DIM`] of it and by this, DN, at least.
-fn dim(mean: &Array2<f32>, least_dn: f32) -> Vec<usize> {
+/// Dim defect pixels and columns: [`MIN_DIM_REL`] and this, DN, below the median of their neighbours.
+fn dim(mean: &Array2<f32>, min_dn: f32) -> Vec<usize> {
     let (rows, columns) = mean.dim();
-    let is_below = |own: f32, around: f32| around - own > least_dn.max(DIM as f32 * around);
+    let is_below = |own: f32, around: f32| around - own > min_dn.max(MIN_DIM_REL as f32 * around);
     let mut found = Vec::new();
     for (y, row) in mean.outer_iter().enumerate() {
         for (x, &own) in row.iter().enumerate() {
-            // Most pixels are done with by the one beside them.
+            // The two neighbours in the row rule most pixels out at little cost.
             let beside = if x > 0 { row[x - 1] } else { *row.get(1).unwrap_or(&own) };
             let other = if x + 1 < columns { row[x + 1] } else { beside };
             if !is_below(own, beside.max(other)) {
@@ -363,11 +363,7 @@ impl Seen {
         let looks = first_look(dataset, stop, progress)?;
         let (layout, zero_dn, filled) = layout(shape, full, &looks);
         let aparts: Vec<_> = looks.iter().filter_map(|l| l.apart.clone()).collect();
-        // Without darks, that of the flats.
-        let is_dark = |l: &&Look| l.dark.is_some();
-        let darkest = looks.iter().filter(is_dark).filter_map(|l| l.darkest).min();
-        let darkest = darkest.or_else(|| looks.iter().filter_map(|l| l.darkest).min());
-        let darkest_dn = darkest.map(f64::from);
+        let darkest_dn = looks.iter().filter_map(|l| l.darkest).min().map(f64::from);
         let lit = dataset.rows().iter().filter(|r| r.kind == Kind::Flat && r.illumination > 0.0);
         let longest_lit_s = lit.map(|r| r.exposure_s).fold(0.0, f64::max);
         Ok(Self {
@@ -412,8 +408,8 @@ mod tests {
     use super::{dim, top_code};
     use ndarray::Array2;
 
-    /// Of a shaded field with dust of five by five pixels two single pixels are dim, one of them in a corner, and a
-    /// dead column is.
+    /// Two dim pixels, one of them in a corner, and a dead column of a shaded field with dust of five by
+    /// five pixels are found; the dust is not.
     #[test]
     fn single_pixels_are_dim() {
         let mut mean = Array2::from_shape_fn((30, 40), |(r, c)| 1000.0 - 10.0 * r as f32 - 5.0 * c as f32);

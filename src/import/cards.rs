@@ -102,6 +102,18 @@ mod tests {
         cards.iter().flat_map(|c| format!("{c:<80}").into_bytes()).collect()
     }
 
+    /// A micro sign in UTF-8 and in Latin-1, where it is one byte.
+    #[test]
+    fn micro_signs_are_read() {
+        let mut header = header(&["EXPTIME =                 25 / [µs]", "END"]);
+        let utf8 = header.windows(2).position(|w| w == "µ".as_bytes()).unwrap();
+        assert_eq!(of_bytes(&header)[0].comment, "[µs]");
+        header.splice(utf8..utf8 + 2, [0xb5, b's']);
+        header.splice(utf8 + 2..utf8 + 3, *b"]");
+        header.resize(160, b' ');
+        assert!(of_bytes(&header)[0].comment.starts_with("[µs]"), "{:?}", of_bytes(&header));
+    }
+
     #[test]
     fn values_and_comments_are_told_apart() {
         let found = of_bytes(&header(&[

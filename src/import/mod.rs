@@ -19,7 +19,7 @@ mod propose;
 mod scale;
 mod sections;
 mod settings;
-mod side;
+mod sidecar;
 mod source;
 mod stacks;
 mod stamps;
@@ -133,8 +133,8 @@ pub fn survey(
         let frames = Source::open(path, options)
             .map_err(|message| ImportError::File { path: path.clone(), message })
             .and_then(|source| {
-                let beside = if source.tells_all() { Facts::default() } else { side::facts(path) };
-                let names = beside.or(named(path, &common));
+                let sidecar = if source.tells_all() { Facts::default() } else { sidecar::facts(path) };
+                let names = sidecar.or(named(path, &common));
                 frames_of(path, &source, names, digest, &mut census, &mut go_on)
             });
         match frames {
@@ -176,7 +176,7 @@ fn without_objects(frames: &mut Vec<Found>) -> Option<String> {
     })
 }
 
-/// Every frame of a file, and what was passed over in it. `names`: what names and files of settings beside it say.
+/// Every frame of a file, and notes on what was passed over. `names`: facts of names and sidecar file.
 fn frames_of(
     path: &Path,
     source: &Source,
@@ -291,7 +291,7 @@ fn in_codes(found: &mut [Found], census: &Census) -> Result<(), ImportError> {
     Ok(())
 }
 
-/// What header, settings beside it and name of a file say, of which the first counts most, and its number of pages.
+/// Facts of a file and its number of pages: header before sidecar file before name.
 ///
 /// # Errors
 ///
@@ -299,7 +299,7 @@ fn in_codes(found: &mut [Found], census: &Census) -> Result<(), ImportError> {
 pub fn facts(path: &Path) -> Result<(Facts, usize), ImportError> {
     let (header, pages) =
         headers::facts(path).map_err(|message| ImportError::File { path: path.into(), message })?;
-    Ok((header.or(side::facts(path)).or(named(path, path.parent().unwrap_or(Path::new("")))), pages))
+    Ok((header.or(sidecar::facts(path)).or(named(path, path.parent().unwrap_or(Path::new("")))), pages))
 }
 
 /// Facts of a file's name and of the folders above it, from the one that all files have in common downwards.

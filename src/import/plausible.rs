@@ -145,27 +145,25 @@ pub fn lit_and_dark(sets: &mut [Growing], lowest_dn: f64) {
     }
 }
 
-/// Least level by which a flat is darker than every dark, DN, and of the darks' level (named choices: a black
-/// level drifts by less).
-const BELOW_DARKS: (f64, f64) = (5.0, 0.05);
+/// Smallest level below that of all darks, DN and relative to it, at which flats are questioned: a black
+/// level drifts by less (named choices).
+const MIN_BELOW_DARKS: (f64, f64) = (5.0, 0.05);
 
-/// Questions flats that are darker than all darks: the two are not of one scale, or something was taken off.
+/// Questions flats that are darker than all darks. Fewer bits of some files, which also make them so, are
+/// questioned before.
 pub fn flats_below_darks(sets: &mut [Growing]) {
     if sets.iter().any(|s| s.set.doubts.iter().any(|d| d.starts_with("frames"))) {
         return;
     }
     let darks = sets.iter().filter(|s| s.set.kind == Kind::Dark && !s.set.kind_by_mean);
     let lowest = darks.map(|s| s.mean_dn).fold(f64::INFINITY, f64::min);
-    if !lowest.is_finite() {
-        return;
-    }
-    let least = BELOW_DARKS.0.max(BELOW_DARKS.1 * lowest);
+    let least = MIN_BELOW_DARKS.0.max(MIN_BELOW_DARKS.1 * lowest);
     let is_below = |s: &Growing| s.set.kind == Kind::Flat && s.mean_dn < lowest - least;
-    let below: Vec<usize> = (0..sets.len()).filter(|k| is_below(&sets[*k])).collect();
+    let below: Vec<usize> = (0..sets.len()).filter(|k| lowest.is_finite() && is_below(&sets[*k])).collect();
     let Some(&first) = below.first() else { return };
     let text = format!(
-        "frames: the flats of sets {} have {:.0} DN, and the darks {lowest:.0} DN or more. Bits that were shifted in one of them, darks that were taken off the \
-         flats, another black level or exchanged kinds do this: save both in the same way",
+        "frames: the flats of sets {} have {:.0} DN, and the darks {lowest:.0} DN or more. Cause: shifted bits, dark-subtracted flats, another black \
+         level, or exchanged kinds. Save darks and flats in the same way",
         ranges(&below),
         sets[first].mean_dn
     );

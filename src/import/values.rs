@@ -100,7 +100,8 @@ pub fn in_seconds(value: f64, unit_s: f64) -> f64 {
     format!("{seconds:.14e}").parse().unwrap_or(seconds)
 }
 
-/// The unit of time that a comment names: `exposure time in ms`, `[s] integration`. `Err` where it names two.
+/// The unit of time that a comment names: `exposure time in ms`, `[s] integration`. `Err` where it names two,
+/// or one that cannot be read.
 pub fn unit_in(comment: &str) -> Result<Option<f64>, ()> {
     // A unit in brackets counts alone (FITS standard 4.0, section 4.3).
     if let Some((inside, _)) = comment.split_once('[').and_then(|(_, rest)| rest.split_once(']'))
@@ -108,15 +109,12 @@ pub fn unit_in(comment: &str) -> Result<Option<f64>, ()> {
     {
         return Ok(Some(unit_s));
     }
-    // A micro sign that was lost on its way leaves a question mark.
-    let alone = |word: &str| {
-        word.trim_matches(|c: char| matches!(c, '(' | ')' | '[' | ']' | '.' | ',' | ';')).to_string()
-    };
-    if comment.split_whitespace().map(alone).any(|word| word == "?s" || word == "\u{fffd}s") {
+    // Programs replace a micro sign that they cannot write by a question mark.
+    let is_lost =
+        |word: &str| matches!(word.trim_matches(['(', ')', '[', ']', '.', ',', ';']), "?s" | "\u{fffd}s");
+    // In brackets min is the minute or the least.
+    if comment.split_whitespace().any(is_lost) || comment.contains("(min)") {
         return Err(());
-    }
-    if comment.contains("(min)") {
-        return Ok(Some(60.0));
     }
     let words = comment.split(|c: char| !c.is_alphanumeric() && c != '\'' && c != '/');
     // min is the least as often as the minute.
@@ -192,6 +190,10 @@ mod tests {
             ("[ms] and not in seconds", Ok(Some(1e-3))),
             ("Total Exposure Time (s)", Ok(Some(1.0))),
             ("the camera's exposure", Ok(None)),
+            ("exposure (min)", Err(())),
+            ("least exposure, min 1", Ok(None)),
+            ("Exposure time in ?s", Err(())),
+            ("is this the exposure?so it is", Ok(None)),
             ("ms or s", Err(())),
             ("min exposure", Ok(None)),
             ("", Ok(None)),

@@ -456,7 +456,7 @@ pub fn of_description(text: &str) -> Facts {
         flatten(&json, "", &mut said);
         return facts(said, Writer::Json);
     }
-    // Several of a line are parted by semicolons.
+    // Semicolons part the pairs of a line.
     let pairs = text.lines().flat_map(|line| line.split(';')).filter_map(|part| part.split_once(['=', ':']));
     facts(pairs.map(|(k, v)| Said::new(k, v.trim().trim_matches('\''))).collect(), Writer::Lines)
 }

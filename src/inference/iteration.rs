@@ -181,8 +181,8 @@ impl<'a> Iteration<'a> {
             return true;
         }
         self.now = self.layout.at_from(self.free, &self.point, &self.now, &from, None);
-        // The slope of a variance grows with the scatter: without it the errors of the scatter would be those of the
-        // start.
+        // The slope of a variance grows with the scatter: without it the errors of the scatter would be
+        // those of the start.
         for (i, _) in &factors {
             self.slopes.take_again(*i, self.layout, self.free, &self.point, &self.now);
         }

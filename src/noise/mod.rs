@@ -243,8 +243,8 @@ fn estimate_with(
     let darker: Vec<&LevelReport> = report.levels.iter().filter(|l| l.is_below_the_darks()).collect();
     if let Some(worst) = darker.iter().min_by(|a, b| a.mean_dn.total_cmp(&b.mean_dn)) {
         report.notes.push(format!(
-            "{} flats are darker than the darks, that of set {} by {:.0} DN: darks and flats do not have one scale and one black level. Bits that \
-             were shifted in one of them, darks that were taken off the flats, another black level, or exchanged kinds do this",
+            "{} flats are darker than the darks, set {} by {:.0} DN. Cause: shifted bits, dark-subtracted flats, another black level, or exchanged \
+             kinds. Save darks and flats in the same way",
             darker.len(),
             worst.set,
             -worst.mean_dn
@@ -255,7 +255,7 @@ fn estimate_with(
             (q.value, q.std_err) = (f64::NAN, f64::NAN);
         }
         report.notes.push(
-            "the noise does not grow with the signal: there is no gain to be told from these levels".into(),
+            "the noise does not grow with the signal: the gain is not determined. Take flats at several levels, with darks saved in the same way".into(),
         );
     }
     if report.constant_noise_is_negative() {

@@ -165,8 +165,8 @@ impl NoiseReport {
         self.offset_source != NO_ZERO && constant.value < -BEYOND_CHANCE * constant.std_err
     }
 
-    /// Returns true if nothing speaks clearly against the line, pixels and frames are independent, and flats are
-    /// brighter than darks.
+    /// Returns true if nothing speaks clearly against the line, pixels and frames are independent, and
+    /// flats are brighter than darks.
     pub fn consistent(&self) -> bool {
         self.agreement() != Agreement::Fails
             && self.shared_noise_rel.is_none()

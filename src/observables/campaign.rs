@@ -143,7 +143,7 @@ impl Observations {
             || (self.exposures_differ(half, false) && self.has_another_level(half))
     }
 
-    /// Distance of successive codes, DN: 1 where they lie on no line of steps.
+    /// Step of the converter, DN; 1 unless all codes are multiples of another.
     pub fn code_step_dn(&self) -> f64 {
         self.stretch.map_or(1.0, |line| line.step)
     }

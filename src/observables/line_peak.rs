@@ -290,61 +290,45 @@ impl Peak {
         (shared + both) * (shared + line) * (line + own) / (line * line)
     }
 
-    /// Power that ripples and lines of a set have at the peak beyond that beside it, DN^2. `known`: that of shapes
-    /// of the variance 1, which most sets share.
+    /// Power at the peak less that beside it, DN^2, of the ripples and lines of a set. `known` holds the
+    /// power of ripples of variance 1, which most sets share.
     fn beyond_dn2(
         &self,
         s: &SetPrediction,
         (rows, columns): (usize, usize),
-        known: &mut Vec<(Shape, f64)>,
+        known: &mut Vec<(Ripple, f64)>,
     ) -> f64 {
-        let mut of_one = |shape: Shape| {
-            if let Some((_, power)) = known.iter().find(|(k, _)| *k == shape) {
+        let mut of_one = |ripple: Ripple| {
+            if let Some((_, power)) = known.iter().find(|(k, _)| *k == ripple) {
                 return *power;
             }
-            let of = |bin: usize| shape.power(bin as f64 / (PADDED * self.lines) as f64, self.lines as f64);
+            let lines = self.lines as f64;
+            let of = |bin: usize| power_of(ripple, bin as f64 / (PADDED as f64 * lines), lines);
             let power = of(self.bin) - mean_beside(self.bin, self.bins, of);
-            known.push((shape, power));
+            known.push((ripple, power));
             power
         };
         let turns = |phase: f64| phase / std::f64::consts::TAU;
-        let mut sum = 0.0;
-        for &(v, across, down) in &s.lines {
+        let of_lines = s.lines.iter().map(|&(v, across, down)| {
             let (along, own, pixels) = match self.axis {
                 Axis::Rows => (turns(across), turns(down), columns),
                 Axis::Columns => (turns(down), turns(across), rows),
             };
-            sum += v * through(pixels as f64, along) * of_one(Shape::Sine(own));
-        }
-        for (v, ripple) in s.ripples.iter().filter(|_| self.axis == Axis::Rows) {
-            sum += v * of_one(match *ripple {
-                Ripple::Sine(own) => Shape::Sine(own),
-                Ripple::Wander(next) => Shape::Wander(next),
-            });
-        }
-        sum
+            (v * through(pixels as f64, along), Ripple::Sine(own))
+        });
+        let of_rows = s.ripples.iter().filter(|_| self.axis == Axis::Rows).copied();
+        of_lines.chain(of_rows).map(|(variance, ripple)| variance * of_one(ripple)).sum()
     }
 }
 
-/// Spectrum of line means.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Shape {
-    /// Of a sine, cycles a line.
-    Sine(f64),
-    /// Of an autoregression of the first order, by the correlation of successive lines.
-    Wander(f64),
-}
-
-impl Shape {
-    /// Power at a frequency, of the variance 1.
-    fn power(self, cycles: f64, lines: f64) -> f64 {
-        match self {
-            Self::Sine(own) => 0.5 * lines * (through(lines, cycles - own) + through(lines, cycles + own)),
-            // Box and Jenkins 1976, 3.2.3.
-            Self::Wander(next) => {
-                let cosine = (std::f64::consts::TAU * cycles).cos();
-                (1.0 - next * next) / (1.0 + next * next - 2.0 * next * cosine)
-            }
+/// Power that a ripple of variance 1 has at a frequency, in the spectrum of so many lines.
+fn power_of(ripple: Ripple, cycles: f64, lines: f64) -> f64 {
+    match ripple {
+        Ripple::Sine(own) => 0.5 * lines * (through(lines, cycles - own) + through(lines, cycles + own)),
+        // Spectrum of an autoregression of the first order (Box and Jenkins 1976, 3.2.3).
+        Ripple::Wander(next) => {
+            let cosine = (std::f64::consts::TAU * cycles).cos();
+            (1.0 - next * next) / (1.0 + next * next - 2.0 * next * cosine)
         }
     }
 }

@@ -242,7 +242,7 @@ pub fn struck<F: Borrow<Array2<u16>>>(block: &[F]) -> Vec<Struck> {
         noise * (1.0 + more / (noise * noise)).sqrt()
     };
     let far = |i: usize| {
-        // No extreme lies farther off the mean of the others than off the other extreme.
+        // The range bounds the deviation of either extreme from the mean of the others.
         if f32::from(most[i] - least[i]) <= STRUCK * noise {
             return false;
         }

@@ -402,14 +402,16 @@ fn a_stack_under_a_wrong_label_still_tells_nonuniformity() {
     }
 }
 
-/// The black level is taken off the flats and not off the darks: gain and no read noise come from the flats alone.
+/// Dark-subtracted flats beside raw darks: the gain comes from the flats alone, the read noise is not
+/// determined, and darks that were left out clip nothing.
 #[test]
-fn a_black_level_that_was_taken_off_the_flats_is_named() {
+fn dark_subtracted_flats_are_named() {
     let campaign = few_darks("cmos12", &[0.15, 0.3, 0.45, 0.6, 0.75, 0.9], 64);
     let flats = (0..campaign.rows.len()).filter(|row| campaign.rows[*row][1] == "flat");
     flats.for_each(|row| campaign.put(row, &campaign.frame(row).mapv(|v| v.saturating_sub(BLACK_DN as u16))));
-    has_foreign_darks(&campaign, "were taken off the flats");
+    has_foreign_darks(&campaign, "the flats are dark-subtracted");
     assert!(campaign.said("noise")["read_noise_e"]["value"].is_null());
+    assert_eq!(campaign.said("diagnose")["missing"], serde_json::json!([]));
 }
 
 /// The darks of a noisy camera lost a bit, and the flats did not: before, half of the read noise and no word.
@@ -481,8 +483,8 @@ fn exchanged_labels_of_two_of_six_flats_are_named() {
     }
 }
 
-/// Two darks and one light, whose first frame is 3 % dim: no lag, as the noise of its frames does not depend on
-/// the frame before, and the frame is left out.
+/// Two darks and one light, whose first frame is 3 % dim: no lag, as the noise of its frames does not
+/// depend on the frame before, and the frame is left out.
 #[test]
 fn a_dim_first_flat_after_the_darks_is_odd() {
     let campaign = of_flats("cmos12", &[1.0], 12, 71);

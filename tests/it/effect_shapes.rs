@@ -49,8 +49,8 @@ fn lag_of_voltage_and_of_electrons_are_told_apart() {
     }
 }
 
-/// Few frames do not tell whether a held share of every charge or single electrons stay, and the noise of the one
-/// means another gain than that of the other: the error reaches to both.
+/// Few frames do not tell whether a held share of every charge or single electrons stay, and the noise of
+/// the one means another gain than that of the other: the error reaches to both.
 #[test]
 fn lag_that_is_not_told_apart_widens_the_gain() {
     let mut ties = 0;

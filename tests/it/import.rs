@@ -193,7 +193,7 @@ fn shifted_codes_and_mosaics_are_written_anew() {
     let camera = &dataset.manifest().camera;
     assert_eq!((camera.width, camera.height, camera.bit_depth), (4, 3, 12));
     assert_eq!(dataset.read(&dataset.rows()[1]).unwrap()[[1, 2]], 4000 + 3 + 5);
-    // What uses the dataset says of which codes its numbers are.
+    // Notes for `noise` and `diagnose`.
     let notes = dataset.manifest().import_notes().join("; ");
     assert!(notes.contains("in codes of the dataset, of which one is 16 in the files"), "{notes}");
 }

@@ -518,8 +518,8 @@ fn the_tag_of_micro_manager_is_read() {
     assert_eq!((&*camera.model, camera.features["BinningHorizontal"].as_integer()), ("Andor", Some(2)));
 }
 
-/// Flats that lost bits, or from which darks were taken, are darker than the darks: asked at the import; where the
-/// map says that all is right, `noise` has no gain and says why.
+/// `import` asks about flats that are darker than the darks. Imported all the same, they have no gain in
+/// `noise`, which says why.
 #[test]
 fn flats_darker_than_the_darks_are_asked() {
     let bench = Bench::new();
@@ -533,13 +533,13 @@ fn flats_darker_than_the_darks_are_asked() {
         }
     }
     let said = bench.refused("in");
-    assert!(said.contains("the darks") && said.contains("Bits that were shifted"), "{said}");
+    assert!(said.contains("the darks") && said.contains("Cause: shifted bits"), "{said}");
     let mut entries = fs::read_dir(bench.path("x").parent().unwrap()).unwrap().flatten().map(|e| e.path());
     let map = entries.find(|p| p.to_string_lossy().ends_with(".map.toml")).unwrap();
     let kept: Vec<String> = fs::read_to_string(&map)
         .unwrap()
         .lines()
-        .filter(|l| !l.contains("Bits that were"))
+        .filter(|l| !l.contains("Cause: shifted bits"))
         .map(String::from)
         .collect();
     fs::write(&map, kept.join("\n").replace("doubts = [\n]", "")).unwrap();
@@ -552,9 +552,8 @@ fn flats_darker_than_the_darks_are_asked() {
     assert!(json["notes"].to_string().contains("flats are darker than the darks"), "{json:#}");
 }
 
-/// Files of settings beside the frames, as SharpCap, FireCapture and scripts write them: of the start of a frame's
-/// name, of its own, of the folder. Headers count before them and they before names; a text of something else
-/// says nothing.
+/// Sidecar files of SharpCap, FireCapture and scripts, under the frame's name, a prefix of it, and the
+/// folder's name. Texts under other names are not read.
 #[test]
 fn settings_beside_the_frames_are_read() {
     let bench = Bench::new();

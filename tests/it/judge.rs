@@ -104,8 +104,8 @@ fn a_lamp_off_by_more_than_is_stated_bends_no_response() {
     assert!((gain.value - model.base.gain_dn_per_e).abs() < 4.0 * gain.std_err, "{gain}");
 }
 
-/// One light of thirteen comes back, to another light: a drift or a setting, a tie. The scatter of settings has
-/// one degree of freedom, whether the pair differs by many errors or by few.
+/// One light of thirteen comes back, to another light: a drift or a setting, a tie. The scatter of
+/// settings has one degree of freedom, whether the pair differs by many errors or by few.
 #[test]
 fn a_light_that_comes_back_once_is_a_drift_or_a_setting() {
     for rel in [0.004, 0.02] {
@@ -121,8 +121,9 @@ fn a_light_that_comes_back_once_is_a_drift_or_a_setting() {
     }
 }
 
-/// The scatter of settings over eight campaigns of twelve lights, of which 0.2 % is stated: within a tenth of the
-/// standard deviation of level over light, and its error is that of 8 to 14 degrees of freedom.
+/// The scatter of settings over eight campaigns of twelve lights, of which 0.2 % is stated: within a
+/// tenth of the standard deviation of level over light, and its error is that of 8 to 14 degrees of
+/// freedom.
 #[test]
 fn the_scatter_of_settings_is_that_of_the_levels() {
     for seed in 80..88 {

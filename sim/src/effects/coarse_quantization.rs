@@ -17,9 +17,9 @@ fn to_whole(step: f64) -> f64 {
     if (step / step.round() - 1.0).abs() < WHOLE { step.round() } else { step }
 }
 
-/// Error of a mean, one standard deviation, DN, if each code of a line is rounded to a whole one and the levels
-/// cover so many steps: 1 / 12 of one code alone. A bound of the root mean squares over lines and levels, as is the
-/// next (`multiplied_codes_are_within_the_bounds`).
+/// Error of a mean, one standard deviation, DN, if each code of a line is rounded to a whole one and the
+/// levels cover so many steps: 1 / 12 of one code alone. A bound of the root mean squares over lines and
+/// levels, as is the next (`multiplied_codes_are_within_the_bounds`).
 fn rounded_mean(steps: f64) -> f64 {
     1.0 / (libm::sqrt(12.0) * (1.0 + 0.45 * steps))
 }
@@ -140,9 +140,9 @@ mod tests {
     use crate::normal::upper;
     use crate::rng::{PixelRng, Stream};
 
-    /// Mean and variance of normal levels, converted in steps and rounded to whole codes, against those of the codes
-    /// before they are rounded: the root mean squares over 4000 lines and levels lie within the bounds, and above half
-    /// of them.
+    /// Mean and variance of normal levels, converted in steps and rounded to whole codes, against those
+    /// of the codes before they are rounded: the root mean squares over 4000 lines and levels lie within
+    /// the bounds, and above half of them.
     #[test]
     fn multiplied_codes_are_within_the_bounds() {
         for steps in [0.1, 0.3, 1.0, 3.0, 10.0] {

@@ -232,7 +232,7 @@ impl Effect for ImageLag {
         })
     }
 
-    fn same_means(&self, p: &[f64]) -> Vec<Vec<f64>> {
+    fn forms_with_same_means(&self, p: &[f64]) -> Vec<Vec<f64>> {
         let mut other = p.to_vec();
         other[BY_CHANCE] = f64::from(!is_by_chance(p));
         vec![other]

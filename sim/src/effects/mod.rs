@@ -456,9 +456,9 @@ pub trait Effect: Sync + Send {
     fn fits_as_well(&self, _p: &[f64], _seen: &Seen) -> Option<String> {
         None
     }
-    /// Values of other forms, which change the means alike and the noise otherwise: where a campaign does not tell them
-    /// apart, neither does it tell the gain of each from that of the others.
-    fn same_means(&self, _p: &[f64]) -> Vec<Vec<f64>> {
+    /// Values of the forms with the same means and another noise: each means another gain, and few frames
+    /// do not tell them apart.
+    fn forms_with_same_means(&self, _p: &[f64]) -> Vec<Vec<f64>> {
         Vec::new()
     }
     /// True for an effect that darks alone can show.
