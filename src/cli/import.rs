@@ -43,7 +43,7 @@ pub struct Arguments {
     /// Dataset of frames in HDF5 files, such as /entry/data/data; else the only one that can be
     #[arg(long, value_name = "PATH", conflicts_with = "map")]
     hdf5_dataset: Option<String>,
-    /// Leave out files that cannot be read; else nothing is imported while there is one
+    /// Leave out files that cannot be read or are of another size than most; else nothing is imported while there is one
     #[arg(long, conflicts_with = "map")]
     leave_out_damaged: bool,
     /// Print where each value comes from
@@ -180,7 +180,7 @@ fn found(arguments: &Arguments, go_on: &impl Fn() -> bool) -> Result<Map> {
             let rest = if frames.is_empty() { "" } else { "; --leave-out-damaged imports the others" };
             bail!("{all}{rest}");
         }
-        tracing::warn!("left out, {} files that cannot be read: {all}", damaged.len());
+        tracing::warn!("left out, {} files: {all}", damaged.len());
     }
     let pattern = kept_whole(&frames, arguments)?;
     Ok(Map {

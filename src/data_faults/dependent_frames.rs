@@ -19,6 +19,8 @@ const MIN_EQUAL_LEVEL: f64 = 0.98;
 const MIN_DEPENDENCE: f64 = 0.12;
 /// Minimum significance of that, standard deviations.
 const MIN_SIGMAS: f64 = 10.0;
+/// Standard deviations within which two sets lost the same share of their variance.
+const SAME_LOSS_SIGMAS: f64 = 3.0;
 /// Share of the sets up to which it is a slip: more are what the camera does.
 const MAX_SHARE_OF_SETS: f64 = 0.34;
 
@@ -90,6 +92,7 @@ impl Check for DependentFrames {
             filtered.retain(|i| is_less(*i));
         }
         let (mut averaged, mut gained) = (filtered.clone(), Vec::new());
+        let mut brightest: Vec<(usize, f64, f64)> = Vec::new();
         if let Some(transfer) = &transfer {
             for &i in &all {
                 if let Some((off, std)) = transfer.off(campaign, i, level(i)) {
@@ -128,12 +131,23 @@ impl Check for DependentFrames {
                 let of_gain = gain.is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < (0.5 * off).abs());
                 if of_gain && off.abs() > MIN_GAIN_RATIO.ln() && off.abs() > MIN_SIGMAS * std {
                     gained.push((i, off));
-                } else if off < MAX_AVERAGED_RATIO.ln() && off < -MIN_SIGMAS * std && !saturates {
-                    averaged.push(i);
+                } else if off < MAX_AVERAGED_RATIO.ln() && off < -MIN_SIGMAS * std {
+                    if saturates { brightest.push((i, off, std)) } else { averaged.push(i) }
                 } else if !lit && off > MIN_GAIN_RATIO.ln() && off > MIN_SIGMAS * std {
                     gained.push((i, off));
                 }
             }
+            // A full well takes off what it takes off; the share that other sets lost is that of their frames.
+            let is_as_others = |&(_, off, std): &(usize, f64, f64)| {
+                averaged.iter().any(|&i| {
+                    let other = transfer.off(campaign, i, level(i)).filter(|_| campaign.sets[i].is_lit());
+                    other.is_some_and(|(own, own_std)| {
+                        (own - off).abs() < SAME_LOSS_SIGMAS * std.hypot(own_std)
+                    })
+                })
+            };
+            let same: Vec<usize> = brightest.iter().filter(|b| is_as_others(b)).map(|b| b.0).collect();
+            averaged.extend(same);
             // Rounding decides the noise of quiet darks; of those on the same part of a code it decides the
             // same.
             let darks = || all.iter().copied().filter(|&i| campaign.sets[i].kind == Kind::Dark);

@@ -4,33 +4,36 @@
 //! frames, is [`table::Table`].
 
 mod emva;
+mod examination;
 mod fault;
+mod frames;
 pub mod image;
 mod kept;
 mod manifest;
+mod parts;
 mod rows;
 pub mod table;
 pub mod tag;
 mod write;
 
 pub use emva::{DESCRIPTOR, write_descriptor};
+use examination::UNEXAMINED;
+pub(crate) use examination::{Examination, PassedOver, StruckSamples};
 pub use fault::{DataFault, FaultKind};
 pub use manifest::{BenchInfo, CameraInfo, FORMAT, ImportInfo, Manifest};
 pub(crate) use rows::{Lines, MAX_EXPOSURE_S, csv_words};
+pub(crate) use table::delimiter;
 pub(crate) use write::{Aside, synchronise};
 pub use write::{Folder, Writer, write_whole};
 
-use crate::data_faults::SharedNoise;
 use crate::input::{self, echo};
 use crate::reduction::{self, Reduced};
-use crate::statistics::outliers;
-use ndarray::Array2;
 use rows::{check_row, parse_rows, plain_name, same_settings, split_page};
 use serde::{Deserialize, Serialize};
 use std::collections::{HashMap, HashSet};
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// Header of `frames.csv`.
 pub const COLUMNS: [&str; 9] = [
@@ -184,50 +187,6 @@ pub struct Dataset {
     passed_over: Option<Arc<(Dataset, Vec<PassedOver>)>>,
 }
 
-/// Set that is left out, and was exposed nonetheless: what follows it may carry its charge.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct PassedOver {
-    /// Number of the set.
-    pub set: u32,
-    /// Mean of its last frame, DN.
-    pub last_dn: f64,
-    /// True if its charge is that of stated exposure and light, and its level is not, as under another gain.
-    pub as_stated: bool,
-}
-
-/// Findings of the examination beside the faults.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Examination {
-    /// Step of the converter as the codes show it, DN; 1 before.
-    pub code_step_dn: f64,
-    /// Single samples that stand far off.
-    pub struck: StruckSamples,
-    /// Share of a change of level that first frames carry from the set before; 0 where none is seen.
-    pub carried_share: f64,
-    /// Noise that neighbours or successive frames share.
-    pub shared_noise: Option<SharedNoise>,
-    /// True if the flats are dark-subtracted: the black level of the manifest is not theirs.
-    pub flats_are_dark_subtracted: bool,
-}
-
-/// Values before the examination.
-const UNEXAMINED: Examination = Examination {
-    code_step_dn: 1.0,
-    struck: StruckSamples { number: 0, are_rays: true },
-    carried_share: 0.0,
-    shared_noise: None,
-    flats_are_dark_subtracted: false,
-};
-
-/// Single samples that stand far off the same pixel in other frames.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct StruckSamples {
-    /// Their number; 0 before the examination.
-    pub number: u64,
-    /// False where they lie in the same pixels again and again, and belong to the sensor.
-    pub are_rays: bool,
-}
-
 impl Dataset {
     /// Opens a dataset folder or an EMVA 1288 descriptor file, and checks every row of it.
     ///
@@ -333,101 +292,6 @@ impl Dataset {
         })
     }
 
-    /// Several datasets of one camera under one set of settings as one: sets and times of each follow those
-    /// of the one before.
-    ///
-    /// Their light levels are told apart, for nobody knows that two campaigns had the same light. The pause
-    /// between them is not known.
-    ///
-    /// # Errors
-    ///
-    /// Where they differ in camera, settings or unit of light, or one is given twice.
-    pub fn join(datasets: Vec<Self>) -> Result<Self, DatasetError> {
-        let mut datasets = datasets.into_iter();
-        let Some(mut all) = datasets.next() else {
-            return Err(DatasetError::Manifest { path: "datasets".into(), message: "none is given".into() });
-        };
-        let Some(second) = datasets.next() else { return Ok(all) };
-        all.parts.push((all.root.clone(), 0));
-        all.rows_of_files = Arc::default();
-        all.rows.iter_mut().for_each(|r| r.file = all.root.join(&r.file).to_string_lossy().into_owned());
-        for next in std::iter::once(second).chain(datasets) {
-            let files: HashSet<PathBuf> = all
-                .rows
-                .iter()
-                .take(1)
-                .chain(all.parts.iter().skip(1).map(|(_, at)| &all.rows[*at]))
-                .filter_map(|r| Path::new(split_page(&r.file).ok()?.0).canonicalize().ok())
-                .collect();
-            let first_file = next
-                .rows
-                .first()
-                .and_then(|r| next.root.join(split_page(&r.file).ok()?.0).canonicalize().ok());
-            if first_file.is_some_and(|file| files.contains(&file)) {
-                return Err(DatasetError::Manifest { path: next.root, message: "is given twice".into() });
-            }
-            let differs = all.manifest.differences(&next.manifest);
-            if !differs.is_empty() {
-                return Err(DatasetError::Manifest {
-                    path: next.root,
-                    message: format!(
-                        "{} in {}: only datasets of one camera under one set of settings go together",
-                        differs.join("; "),
-                        all.root.display()
-                    ),
-                });
-            }
-            let first = all.rows.len();
-            let number = all.sets.iter().map(|s| s.number.saturating_add(1)).max().unwrap_or(0);
-            let least = next.sets.iter().map(|s| s.number).min().unwrap_or(0);
-            let ends = all.rows.iter().filter_map(|r| Some(r.timestamp_s? + r.exposure_s));
-            let end_s = ends.fold(0.0, f64::max);
-            let renumbered = |k: u32| number.saturating_add(k - least);
-            all.rows.extend(next.rows.into_iter().map(|r| FrameRow {
-                file: next.root.join(&r.file).to_string_lossy().into_owned(),
-                set: renumbered(r.set),
-                timestamp_s: r.timestamp_s.map(|t| t + end_s),
-                ..r
-            }));
-            all.sets.extend(next.sets.into_iter().map(|s| Set {
-                number: renumbered(s.number),
-                rows: s.rows.into_iter().map(|i| first + i).collect(),
-            }));
-            all.folders.extend(next.folders);
-            all.parts.push((next.root, first));
-        }
-        Ok(all)
-    }
-
-    /// Rows of one campaign whose files have absolute paths in some folders.
-    pub(crate) fn of_parts(
-        root: &Path,
-        manifest: Manifest,
-        rows: Vec<FrameRow>,
-        folders: Vec<PathBuf>,
-    ) -> Result<Self, DatasetError> {
-        let rows = rows.into_iter().enumerate().map(|(i, row)| (i as u64 + 1, row)).collect();
-        Self::within(folders, root.into(), manifest, rows, root)
-    }
-
-    /// The same with absolute paths, so that its rows can go together with others.
-    pub(crate) fn absolute(mut self) -> Result<Self, DatasetError> {
-        if self.folders.is_empty() {
-            let root = self.root.canonicalize().map_err(DatasetError::io(&self.root))?;
-            for row in &mut self.rows {
-                let file = root.join(&row.file);
-                let Some(file) = file.to_str() else {
-                    let message = format!("{} is not UTF-8: rename it", file.display());
-                    return Err(DatasetError::Manifest { path: root, message });
-                };
-                row.file = file.into();
-            }
-            self.folders.push(root);
-            self.rows_of_files = Arc::default();
-        }
-        Ok(self)
-    }
-
     /// With what is known of its frames.
     pub(crate) fn with_reduced(mut self, reduced: Reduced) -> Self {
         self.reduced = Some(Arc::new(reduced));
@@ -439,180 +303,9 @@ impl Dataset {
         self.reduced.as_deref()
     }
 
-    /// Faults that [`examined`](crate::data_faults::examined) found; empty before it ran.
-    pub fn data_faults(&self) -> &[DataFault] {
-        self.faults.as_deref().unwrap_or_default()
-    }
-
-    /// Distance of the codes of the converter, DN, as [`examined`](crate::data_faults::examined) found it from
-    /// the codes that occur: 16 of 12 bits in the upper bits of 16; 1 before it ran, and of codes that are the
-    /// converter's.
-    pub fn code_step_dn(&self) -> f64 {
-        self.examination.code_step_dn
-    }
-
-    /// Number of single samples that stand far off the same pixel in other frames (cosmic rays, bit errors); 0
-    /// before [`examined`](crate::data_faults::examined) ran.
-    pub fn struck(&self) -> u64 {
-        self.examination.struck.number
-    }
-
-    /// Share of a change of level that first frames carry from the set before, by image lag or a filter over
-    /// time, as [`examined`](crate::data_faults::examined) found it; 0 before it ran, and where none is seen.
-    pub fn carried_share(&self) -> f64 {
-        self.examination.carried_share
-    }
-
-    /// Black level of the manifest, DN; `None` for dark-subtracted flats.
-    pub fn black_level_dn(&self) -> Option<f64> {
-        self.manifest().camera.black_level_dn.filter(|_| !self.examination.flats_are_dark_subtracted)
-    }
-
-    /// Noise that neighbours or successive frames share in all flats.
-    pub(crate) fn shared_noise(&self) -> Option<SharedNoise> {
-        self.examination.shared_noise
-    }
-
-    /// False where the samples that stand far off lie in the same pixels again and again: noisy pixels.
-    pub(crate) fn struck_are_rays(&self) -> bool {
-        self.examination.struck.are_rays
-    }
-
-    /// Frames without single samples that stand far off the same pixel in the others, where these are rays,
-    /// and how many they are.
-    pub(crate) fn without_struck(&self, block: Vec<Arc<Array2<u16>>>) -> (Vec<Arc<Array2<u16>>>, usize) {
-        if !self.examination.struck.are_rays {
-            return (block, 0);
-        }
-        let (block, pixels) = outliers::without_struck(&block);
-        (block, pixels.len())
-    }
-
-    /// Variance of quantisation, DN^2: q^2 / 12 (eq. 27 of Healey and Kondepudy).
-    pub fn quantisation_dn2(&self) -> f64 {
-        self.examination.code_step_dn.powi(2) / 12.0
-    }
-
-    /// Returns true after [`examined`](crate::data_faults::examined).
-    pub fn is_examined(&self) -> bool {
-        self.faults.is_some()
-    }
-
-    /// Removes rows because of these faults. Some of the sets were exposed nonetheless.
-    pub(crate) fn without(
-        &self,
-        out: &[bool],
-        passed_over: Vec<PassedOver>,
-        faults: Vec<DataFault>,
-        examination: Examination,
-    ) -> Self {
-        let mut kept = self.only(|row| !out[row]);
-        (kept.faults, kept.examination) = (Some(faults.into()), examination);
-        if !passed_over.is_empty() {
-            let is_passed_over = |set: &&Set| passed_over.iter().any(|p| p.set == set.number);
-            let rows: HashSet<usize> =
-                self.sets.iter().filter(is_passed_over).flat_map(|s| s.rows.iter().copied()).collect();
-            let mut all = self.only(|row| !out[row] || rows.contains(&row));
-            (all.faults, all.examination) = (kept.faults.clone(), examination);
-            kept.passed_over = Some(Arc::new((all, passed_over)));
-        }
-        kept
-    }
-
-    /// The campaign with the sets that were left out and exposed nonetheless, and these.
-    pub(crate) fn timeline(&self) -> (Self, Vec<PassedOver>) {
-        match &self.passed_over {
-            Some(all) => (**all).clone(),
-            None => (self.clone(), Vec::new()),
-        }
-    }
-
-    /// Dataset of some of its rows.
-    fn only(&self, keeps: impl Fn(usize) -> bool) -> Self {
-        let out: Vec<bool> = (0..self.rows.len()).map(|row| !keeps(row)).collect();
-        let mut place = Vec::with_capacity(out.len());
-        let mut kept = 0;
-        for out in &out {
-            place.push(kept);
-            kept += usize::from(!out);
-        }
-        let of_set = |set: &Set| {
-            let rows: Vec<usize> = set.rows.iter().filter(|r| !out[**r]).map(|r| place[*r]).collect();
-            (!rows.is_empty()).then_some(Set { number: set.number, rows })
-        };
-        let rows = self.rows.iter().zip(&out).filter(|(_, out)| !**out).map(|(r, _)| r.clone()).collect();
-        let parts =
-            self.parts.iter().map(|(root, first)| (root.clone(), place.get(*first).copied().unwrap_or(kept)));
-        Self {
-            rows,
-            sets: self.sets.iter().filter_map(of_set).collect(),
-            parts: parts.collect(),
-            ..self.clone()
-        }
-    }
-
-    /// Folders in which rows with absolute paths may lie: none of a dataset folder.
-    pub fn folders(&self) -> &[PathBuf] {
-        &self.folders
-    }
-
-    /// Of joined datasets: which one a row is of, and whether it is the first of it.
-    pub fn part_of(&self, row: usize) -> (usize, bool) {
-        let part = self.parts.iter().rposition(|(_, first)| *first <= row).unwrap_or(0);
-        (part, self.parts.get(part).is_some_and(|(_, first)| *first == row))
-    }
-
-    /// The folders of the datasets that were joined; of one that was not, none.
-    pub fn parts(&self) -> Vec<&Path> {
-        self.parts.iter().map(|(root, _)| root.as_path()).collect()
-    }
-
     /// What camera and bench said of themselves; of joined datasets those of the first.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
-    }
-
-    /// One colour of a mosaic, as a campaign of half the size: the pixel at this row and column, 0 or 1, of every
-    /// 2 x 2 cell.
-    ///
-    /// # Errors
-    ///
-    /// Where it is one plane already, or statistics whose frames are not read again.
-    pub fn plane(mut self, plane: [u8; 2]) -> Result<Self, DatasetError> {
-        let fault =
-            |message: &str| DatasetError::Manifest { path: self.root.clone(), message: message.into() };
-        if self.manifest.plane.is_some() {
-            return Err(fault("is one plane of a mosaic already; leave --plane out"));
-        }
-        if self.reduced.is_some() {
-            return Err(fault("holds statistics of all pixels; take the plane where the frames are reduced"));
-        }
-        let camera = &mut self.manifest.camera;
-        let half = |pixels: usize, from: u8| pixels.saturating_sub(from.into()).div_ceil(2);
-        (camera.height, camera.width) = (half(camera.height, plane[0]), half(camera.width, plane[1]));
-        camera.pixel_format = format!("Mono{}", camera.bit_depth);
-        self.manifest.plane = Some(plane);
-        self.kept = Arc::default();
-        Ok(self)
-    }
-
-    /// Refuses a colour mosaic, for statistics that hold for pixels of one kind: its planes differ in light and,
-    /// with a white balance, in gain.
-    ///
-    /// # Errors
-    ///
-    /// Where the frames are a mosaic, with its format and what to do.
-    pub fn must_be_monochrome(&self) -> Result<(), DatasetError> {
-        let camera = &self.manifest.camera;
-        if !camera.is_mosaic() {
-            return Ok(());
-        }
-        let message = format!(
-            "pixel_format is {}: a colour mosaic, whose planes differ in light and gain; measure each colour by itself with {}",
-            echo(&camera.pixel_format),
-            planes_in_words(&camera.pixel_format)
-        );
-        Err(DatasetError::Manifest { path: self.root.clone(), message })
     }
 
     /// Every row, in the order of the file, which is the order of time.
@@ -640,115 +333,6 @@ impl Dataset {
     /// Where the dataset lies.
     pub fn root(&self) -> &Path {
         &self.root
-    }
-
-    /// Reads one frame, (rows, columns) in DN, and checks its size and range by the manifest.
-    ///
-    /// # Errors
-    ///
-    /// Which frame cannot be read, or has another size or larger codes than the manifest says.
-    pub fn read(&self, row: &FrameRow) -> Result<Array2<u16>, DatasetError> {
-        if let Some(known) = self.kept.get(&row.file) {
-            return Ok(Arc::unwrap_or_clone(known));
-        }
-        let mut buffer = image::Buffer::default();
-        self.read_into(row, &mut buffer)?;
-        Ok(buffer.into_array())
-    }
-
-    /// The same, kept in memory for the next time as long as there is room: several passes decode a frame once.
-    pub(crate) fn frame(&self, row: &FrameRow) -> Result<Arc<Array2<u16>>, DatasetError> {
-        if let Some(known) = self.kept.get(&row.file) {
-            return Ok(known);
-        }
-        let frame = Arc::new(self.read(row)?);
-        self.kept.put(&row.file, &frame);
-        Ok(frame)
-    }
-
-    /// Gives the memory of [`frame`](Self::frame) back.
-    pub(crate) fn forget_frames(&self) {
-        self.kept.clear();
-    }
-
-    /// The same as [`read`](Self::read) into memory that is there: many frames one after the other cost less so.
-    ///
-    /// # Errors
-    ///
-    /// As [`read`](Self::read).
-    pub fn read_into(&self, row: &FrameRow, buffer: &mut image::Buffer) -> Result<(), DatasetError> {
-        let fault = |message: String| DatasetError::Frame {
-            file: row.file.clone(),
-            set: row.set,
-            index: row.index,
-            message,
-        };
-        let (name, page) = split_page(&row.file).map_err(fault)?;
-        let mut root = &self.root;
-        let roots = || self.parts.iter().map(|(root, _)| root).chain(&self.folders);
-        if let Some(of_part) = roots().find(|root| Path::new(name).starts_with(root)) {
-            root = of_part;
-        }
-        // Joining a path with one that begins as it does would double it.
-        let path = if roots().next().is_none() { root.join(name) } else { name.into() };
-        // A link inside the folder may point out of it.
-        let whole = match (path.canonicalize(), root.canonicalize()) {
-            (Ok(path), Ok(root)) if path.starts_with(&root) => path,
-            (Ok(_), Ok(_)) => return Err(fault("the path leaves the dataset folder".into())),
-            (Err(e), _) | (_, Err(e)) => {
-                return Err(fault(format!("{}: {e}", echo(&path.display().to_string()))));
-            }
-        };
-        self.must_be_one_row(row, (whole, page)).map_err(fault)?;
-        let read = if row.file.len() == name.len() {
-            image::read_into(&path, None, buffer)
-        } else {
-            self.opened.stack(&path).and_then(|images| images.read_into(page, buffer))
-        };
-        read.map_err(|e| match e {
-            image::ImageError::Stack(_) => fault(format!("{e}; a row names its page as {name}#0")),
-            e => fault(e.to_string()),
-        })?;
-        let camera = &self.manifest.camera;
-        if let Some(plane) = self.manifest.plane {
-            buffer.keep_plane(plane);
-        }
-        if buffer.shape() != (camera.height, camera.width) {
-            let (h, w) = buffer.shape();
-            let of = self.manifest.plane.map_or(String::new(), |[y, x]| format!("has a plane {y},{x} that "));
-            return Err(fault(format!(
-                "{of}is {w} x {h} px, and dataset.toml says {} x {} px",
-                camera.width, camera.height
-            )));
-        }
-        let full_scale = camera.full_scale_dn();
-        if buffer.dn().iter().fold(0, |a, &b| a | b) > full_scale {
-            let largest = buffer.dn().iter().max().copied().unwrap_or(0);
-            return Err(fault(format!(
-                "holds {largest} DN, and bit_depth = {} in dataset.toml allows at most {full_scale} DN",
-                camera.bit_depth
-            )));
-        }
-        Ok(())
-    }
-
-    /// Refuses a file that another row names too, by a link or a loop of links.
-    fn must_be_one_row(&self, row: &FrameRow, file: (PathBuf, usize)) -> Result<(), String> {
-        let mut known = self.rows_of_files.lock().unwrap_or_else(PoisonError::into_inner);
-        let first = known.entry(file).or_insert_with(|| row.file.clone());
-        if *first == row.file {
-            return Ok(());
-        }
-        Err(format!("is the file of row {} too, by a link: a frame is named twice", echo(first)))
-    }
-
-    /// Reads the frames of a set in the order of time.
-    ///
-    /// # Errors
-    ///
-    /// Which frame cannot be read, or has another size or larger codes than the manifest says.
-    pub fn read_set(&self, set: &Set) -> Result<Vec<Array2<u16>>, DatasetError> {
-        set.rows.iter().map(|&i| self.read(&self.rows[i])).collect()
     }
 }
 

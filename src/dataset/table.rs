@@ -156,7 +156,7 @@ fn header(text: &str) -> Option<&str> {
 }
 
 /// Sign between columns: spreadsheets write semicolons where the comma is the decimal sign.
-fn delimiter(header: &str) -> u8 {
+pub(crate) fn delimiter(header: &str) -> u8 {
     let count = |c: char| header.matches(c).count();
     match (count(';'), count('\t'), count(',')) {
         (0, 0, _) => b',',

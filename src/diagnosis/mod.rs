@@ -179,7 +179,10 @@ pub fn diagnose(
     let first = compare(all, &model);
     progress(&format!("error {:.2}", first.error));
     let found = search(all, &start, first.error > FAR, progress);
-    let (mut parts, mut whole, mut last) = parts(all, &model, found.fitted, found.first, &first);
+    // Evidence speaks for what was given up as for what holds.
+    let mut given_up: Vec<Fitted> = found.given_up.into_iter().collect();
+    let (mut parts, mut whole, mut last) =
+        parts(all, &model, found.fitted, found.first, &first, &mut given_up);
     let mut notes: Vec<String> = all.missing.clone();
     let weak = || parts.iter().all(|p| !surely_there(all, &model, &whole, p.effect));
     if first.p_value >= DOUBT && (score(all, &model) - score(all, &whole) < TRACE || weak()) {
@@ -217,6 +220,7 @@ pub fn diagnose(
     if missing.first().is_some_and(|m| m.effect == "unknown") {
         alternatives.push(&model);
     }
+    alternatives.extend(given_up.iter().filter(|_| !parts.is_empty()));
     let sensor = sensor(all, &whole, &alternatives, last.error);
     notes.extend(sensor::range_of_gains(&whole, &alternatives, !forms.is_empty()));
     notes.extend(sensor::below_zero(&sensor));
@@ -458,6 +462,7 @@ fn parts(
     mut whole: Fitted,
     first: Vec<Candidate>,
     before: &Comparison,
+    given_up: &mut Vec<Fitted>,
 ) -> (Vec<Part>, Fitted, Comparison) {
     let nothing = || (Vec::new(), model.clone(), before.clone());
     let (parts, last) = loop {
@@ -466,7 +471,10 @@ fn parts(
         }
         let (parts, last) = (left_out(all, model, &whole), compare(all, &whole));
         match without_one(all, &parts, &last) {
-            Some(less) => whole = fit(all, &less.base, &less.effects),
+            Some(less) => {
+                let less = fit(all, &less.base, &less.effects);
+                given_up.push(std::mem::replace(&mut whole, less));
+            }
             None => break (parts, last),
         }
     };

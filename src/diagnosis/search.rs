@@ -420,6 +420,8 @@ pub struct Found {
     pub fitted: Fitted,
     /// Candidates for the first addition.
     pub first: Vec<Candidate>,
+    /// Model of more evidence that was given up because the campaign does not agree with it.
+    pub given_up: Option<Fitted>,
 }
 
 /// Mean square of the residuals beyond which a fit may have ended early.
@@ -507,7 +509,8 @@ fn or_one_that_holds(all: &Observations, mut found: Found) -> Found {
     }
     if let Some(one) = near.into_iter().find(|c| compare(all, &c.fitted).p_value >= HOLDS) {
         tracing::debug!("{} alone agrees, what was found does not", one.effect.id());
-        found.fitted = one.fitted.clone();
+        let one = one.fitted.clone();
+        found.given_up = Some(std::mem::replace(&mut found.fitted, one));
     }
     found
 }
@@ -573,7 +576,7 @@ fn search_without(
         let (here, fresh) = rayon::join(|| from(&l.fitted.base), || from(&guess));
         if score(all, &fresh) < score(all, &here) { fresh } else { here }
     });
-    Found { fitted: best.unwrap_or_else(|| model.clone()), first }
+    Found { fitted: best.unwrap_or_else(|| model.clone()), first, given_up: None }
 }
 
 /// A line with the best of these candidates, and one with the second where that is near; each with what

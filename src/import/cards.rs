@@ -43,8 +43,9 @@ pub fn of_bytes(header: &[u8]) -> Vec<Card> {
             continue;
         }
         continued = false;
-        // HISTORY is text without a value (section 4.4.2.4).
-        if key == "HISTORY" {
+        // HISTORY and COMMENT are text without a value (section 4.4.2.4).
+        if key == "HISTORY" || (key == "COMMENT" && !text.get(8..).is_some_and(|rest| rest.starts_with('=')))
+        {
             let value = text.get(8..).unwrap_or_default().trim().to_string();
             out.push(Card { key: key.to_string(), value, comment: String::new() });
             continue;
@@ -123,7 +124,7 @@ mod tests {
             "OBSERVER= 'O''Neil'",
             "LONG    = 'one &'",
             "CONTINUE  'and two' / joined",
-            "COMMENT = no value of its own",
+            "COMMENT exposure in ms",
             "HISTORY Auto-Dark Subtraction",
             "END",
             "AFTER   = 1",
@@ -134,6 +135,7 @@ mod tests {
         assert_eq!(of("DET EXP TIME"), Some(("3.5", "[s]")));
         assert_eq!(of("OBSERVER"), Some(("O'Neil", "")));
         assert_eq!(of("LONG"), Some(("one and two", "joined")));
+        assert_eq!(of("COMMENT"), Some(("exposure in ms", "")));
         assert_eq!(of("HISTORY"), Some(("Auto-Dark Subtraction", "")));
         assert_eq!(of("AFTER"), None);
     }

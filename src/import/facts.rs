@@ -173,6 +173,21 @@ impl Facts {
         self
     }
 
+    /// These of a whole file, for a page that says some of them itself: what it says is no contradiction.
+    pub(super) fn beside(mut self, page: &Self) -> Self {
+        if page.exposure_s.is_some() || page.doubts("exposure_s") {
+            self.exposure_s = None;
+            self.doubts.retain(|d| !d.starts_with("exposure_s:"));
+        }
+        if page.kind.is_some() || page.doubts("kind") {
+            self.kind = None;
+            self.doubts.retain(|d| !d.starts_with("kind:"));
+        }
+        self.differs.retain(|(name, _)| page.feature(name).is_none());
+        self.overruled.clear();
+        self
+    }
+
     /// Takes a value that is not known here.
     fn take<T: Clone>(&mut self, other: &Self, key: &str, of: impl Fn(&mut Self) -> &mut Option<T>) {
         if of(self).is_some() {

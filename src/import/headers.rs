@@ -4,6 +4,7 @@ use super::words::{self, Said, Writer, of_description};
 use super::{Facts, cards, ome, stacks};
 use crate::dataset::image;
 use crate::dataset::tag::FrameTag;
+use std::collections::BTreeMap;
 use std::path::Path;
 use tiff::decoder::ifd::Value;
 use tiff::tags::Tag;
@@ -34,6 +35,22 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
     }
     let mut decoder = image::tiff_head(path).map_err(|e| e.to_string())?;
     let text = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap_or_default();
+    let found = of_directory(&mut decoder);
+    let pages = image::Images::open(path).map_err(|e| e.to_string())?.frames().len();
+    // ImageJ keeps stacks of more than 4 GB behind one page.
+    let said =
+        text.lines().find_map(|l| l.strip_prefix("images=")).and_then(|n| n.trim().parse::<usize>().ok());
+    match said.filter(|n| *n > pages && text.starts_with("ImageJ")) {
+        Some(n) => Err(format!(
+            "an ImageJ stack that says it has {n} images, and {pages} can be read; save it as an image sequence"
+        )),
+        None => Ok((found, pages)),
+    }
+}
+
+/// What the tags of a TIFF directory say.
+fn of_directory<R: std::io::Read + std::io::Seek>(decoder: &mut tiff::decoder::Decoder<R>) -> Facts {
+    let text = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap_or_default();
     let mut found = match FrameTag::from_text(&text) {
         Some(tag) => of_tag(tag),
         None => {
@@ -49,19 +66,29 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
     if let Ok(json) = decoder.get_tag_ascii_string(Tag::Unknown(MICRO_MANAGER)) {
         found = found.or(of_description(&json));
     }
-    let time = || decoder_time(&mut decoder);
-    found.time_s = found.time_s.or_else(time);
-    exif(&mut decoder, &mut found);
-    let pages = image::Images::open(path).map_err(|e| e.to_string())?.frames().len();
-    // ImageJ keeps stacks of more than 4 GB behind one page.
-    let said =
-        text.lines().find_map(|l| l.strip_prefix("images=")).and_then(|n| n.trim().parse::<usize>().ok());
-    match said.filter(|n| *n > pages && text.starts_with("ImageJ")) {
-        Some(n) => Err(format!(
-            "an ImageJ stack that says it has {n} images, and {pages} can be read; save it as an image sequence"
-        )),
-        None => Ok((found, pages)),
+    found.time_s = found.time_s.or_else(|| decoder_time(decoder));
+    exif(decoder, &mut found);
+    found
+}
+
+/// Facts of the pages of a TIFF whose directories say something each; empty of other files, and of stacks
+/// whose first directory speaks for all.
+pub fn of_pages(path: &Path, pages: &[usize]) -> BTreeMap<usize, Facts> {
+    let empty = BTreeMap::new;
+    let (Some(second), Ok(directories)) = (pages.get(1), image::tiff_directories(path)) else {
+        return empty();
+    };
+    if directories.is_contiguous() {
+        return empty();
     }
+    let said = |page: usize| {
+        let mut decoder = directories.decoder(path, page).ok()?;
+        let texts = [Tag::ImageDescription, Tag::Unknown(MICRO_MANAGER), Tag::ExifDirectory];
+        let says = texts.into_iter().any(|tag| matches!(decoder.find_tag(tag), Ok(Some(_))));
+        says.then(|| of_directory(&mut decoder))
+    };
+    let Some(_) = said(*second) else { return empty() };
+    pages.iter().filter_map(|&page| Some((page, said(page)?))).collect()
 }
 
 fn decoder_time<R: std::io::Read + std::io::Seek>(decoder: &mut tiff::decoder::Decoder<R>) -> Option<f64> {

@@ -206,6 +206,47 @@ fn words(text: &str) -> Vec<(&str, bool)> {
     out
 }
 
+/// Step of the gain that a name says in words: `lowgain_flat`, `flat_high_gain`.
+pub fn gain_step(name: &str) -> Option<&'static str> {
+    let lower: Vec<(String, bool)> =
+        words(name).iter().map(|(word, number)| (word.to_lowercase(), *number)).collect();
+    let steps = [("low", "low"), ("lo", "low"), ("high", "high"), ("hi", "high"), ("medium", "medium")];
+    let of = |(short, step): (&str, &'static str)| {
+        let together = format!("{short}gain");
+        let pair = |a: &(String, bool), b: &(String, bool)| {
+            // The number of gain100_low is the gain.
+            (a.0 == short && b.0 == "gain") || (a.0 == "gain" && !a.1 && b.0 == short)
+        };
+        let apart = lower.windows(2).any(|w| pair(&w[0], &w[1]));
+        (apart || lower.iter().any(|w| w.0 == together)).then_some(step)
+    };
+    steps.into_iter().find_map(of)
+}
+
+/// Letter of one of several cameras: `camA_flat`, `flat_Camera-B`, `cam_left`.
+pub fn camera_letter(name: &str) -> Option<String> {
+    const SIDES: [&str; 4] = ["left", "right", "master", "slave"];
+    const CAMERA: [&str; 2] = ["camera", "cam"];
+    let parts: Vec<&str> = name.split(|c: char| !c.is_alphanumeric()).collect();
+    // Of small letters only the first count: `cams` are several.
+    let is_letter = |word: &str| {
+        word.len() == 1 && word.starts_with(|c: char| c.is_ascii_uppercase() || matches!(c, 'a'..='d'))
+    };
+    let is_camera = |word: &str| CAMERA.iter().any(|c| word.eq_ignore_ascii_case(c));
+    let glued = |part: &str| {
+        let rest = CAMERA
+            .iter()
+            .find_map(|c| part.get(..c.len()).filter(|p| p.eq_ignore_ascii_case(c)).map(|_| c))?;
+        let rest = &part[rest.len()..];
+        is_letter(rest).then(|| rest.to_uppercase())
+    };
+    let apart = |w: &[&str]| {
+        let is_name = is_letter(w[1]) || SIDES.contains(&&*w[1].to_lowercase());
+        (is_camera(w[0]) && is_name).then(|| w[1].to_uppercase())
+    };
+    parts.iter().find_map(|p| glued(p)).or_else(|| parts.windows(2).find_map(apart))
+}
+
 /// Why a name says that its file is no raw frame: averages and corrected frames have another noise.
 pub fn processed(name: &str) -> Option<String> {
     // Siril's prefix of preprocessed frames, also behind that of registered ones.
@@ -269,13 +310,57 @@ pub fn processed(name: &str) -> Option<String> {
     ];
     let whole: Vec<String> =
         name.split(|c: char| !c.is_alphabetic()).map(str::to_lowercase).filter(|w| !w.is_empty()).collect();
-    let camel = words(name).into_iter().map(|(word, _)| word.to_lowercase());
-    let word = whole.into_iter().chain(camel).find(|word| WORDS.contains(&&**word));
+    let camel: Vec<String> = words(name).into_iter().map(|(word, _)| word.to_lowercase()).collect();
+    let of = |all: &[String]| {
+        let is_one = |k: &usize| {
+            let next = all.get(k + 1).map_or("", String::as_str);
+            WORDS.contains(&&*all[*k]) && !SENSORS_AND_TESTS.contains(&(&*all[*k], next))
+        };
+        (0..all.len()).find(is_one).map(|k| all[k].clone())
+    };
+    let word = of(&whole).or_else(|| of(&camel));
     match (siril, word) {
         (true, _) => Some("the name begins with pp_, which Siril gives to calibrated frames".into()),
         (_, Some(word)) => Some(format!("the name says \"{word}\"")),
-        _ => None,
+        _ => times(name).map(|(word, n)| format!("the name says \"{word}\", maybe an average of {n} frames")),
     }
+}
+
+/// Words of [`processed`] that with the word behind them are a sensor, a test or an exposure.
+const SENSORS_AND_TESTS: [(&str, &str); 12] = [
+    ("stacked", "cmos"),
+    ("stacked", "sensor"),
+    ("stacked", "bsi"),
+    ("mean", "variance"),
+    ("mean", "var"),
+    ("mean", "vs"),
+    ("mean", "sigma"),
+    ("mean", "signal"),
+    ("integration", "time"),
+    ("integration", "ms"),
+    ("integration", "us"),
+    ("integration", "s"),
+];
+
+/// Number of frames in a word of its own, `x4` or `8x`, with that word. Places (`x2_y3`), regions (`64x64`),
+/// shares (`x2.5`) and the magnifications of lenses (`10x`, `20x`) are none.
+fn times(name: &str) -> Option<(&str, u32)> {
+    // The extension stands behind a point.
+    let stem = name
+        .rsplit_once('.')
+        .filter(|(_, e)| e.starts_with(|c: char| c.is_alphabetic()))
+        .map_or(name, |s| s.0);
+    let parts = || stem.split(|c: char| !c.is_alphanumeric() && c != '.');
+    let number = |digits: &str| digits.parse::<u32>().ok();
+    let many = |n: &u32| (2..=1024).contains(n);
+    if parts().any(|part| part.strip_prefix(['y', 'Y']).and_then(number).is_some()) {
+        return None;
+    }
+    parts().find_map(|part| {
+        let in_front = part.strip_prefix(['x', 'X']).and_then(number).filter(many);
+        let behind = part.strip_suffix(['x', 'X']).and_then(number).filter(many);
+        in_front.or(behind.filter(|n| n.is_power_of_two())).map(|n| (part, n))
+    })
 }
 
 #[cfg(test)]
@@ -344,8 +429,47 @@ mod tests {
         {
             assert!(processed(name).is_some(), "{name}");
         }
-        for name in ["dark_10ms_stack.tif", "flat_10ms_003.tif", "applepp_1.tif", "mastery_flat.tif"] {
-            assert!(processed(name).is_none(), "{name}");
+        for name in ["flat_10ms_x4_001.tif", "dark_8x_10ms.tif", "flat x16.tif", "16x"] {
+            assert!(processed(name).is_some_and(|why| why.contains("average of")), "{name}");
+        }
+        for name in [
+            "dark_10ms_stack.tif",
+            "flat_10ms_003.tif",
+            "applepp_1.tif",
+            "mastery_flat.tif",
+            "stacked_cmos",
+            "StackedCMOS_2",
+            "mean_variance_test",
+            "mean-vs-sigma",
+            "integration_time_10ms",
+            "flat_2x2_10ms.tif",
+            "flat_64x64_3.tif",
+            "flat_x2.5_3.tif",
+            "flat_x2_y3.tif",
+            "flat_20x_10ms.tif",
+            "flat_x1.tif",
+            "x0.25",
+        ] {
+            assert_eq!(processed(name), None, "{name}");
+        }
+        assert!(processed("stacked_flats").is_some() && processed("flat_mean").is_some());
+    }
+
+    #[test]
+    fn cameras_and_gains_have_words() {
+        for (name, letter) in
+            [("camA_flat_1.tif", "A"), ("flat_Camera-B_2", "B"), ("cam_left_3", "LEFT"), ("cama_1", "A")]
+        {
+            assert_eq!(camera_letter(name).as_deref(), Some(letter), "{name}");
+        }
+        for name in ["cams_1", "camera_flat", "campaign_a", "cam1_flat", "camera_s_1", "a_cam"] {
+            assert_eq!(camera_letter(name), None, "{name}");
+        }
+        for (name, step) in [("lowgain_flat", "low"), ("flat_high_gain_3", "high"), ("FlatLowGain", "low")] {
+            assert_eq!(gain_step(name), Some(step), "{name}");
+        }
+        for name in ["low_light_gain5", "highlight_gain", "gain100_low"] {
+            assert_eq!(gain_step(name), None, "{name}");
         }
     }
 }

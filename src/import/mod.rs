@@ -23,6 +23,7 @@ mod sidecar;
 mod source;
 mod stacks;
 mod stamps;
+mod tables;
 mod twins;
 mod values;
 mod words;
@@ -43,6 +44,7 @@ use facts::same_exposure;
 use ndarray::{ArrayView2, s};
 use scale::Census;
 use source::Source;
+use std::collections::BTreeSet;
 use std::path::{Component, Path, PathBuf};
 
 /// Why files cannot be imported.
@@ -107,7 +109,7 @@ pub struct Found {
 pub struct Survey {
     /// Frames in the order of time, or of their names where not all have a time.
     pub frames: Vec<Found>,
-    /// Files that cannot be read, each with the reason.
+    /// Files that cannot be read, or are of another size than most, each with the reason.
     pub damaged: Vec<(PathBuf, String)>,
     /// What was passed over, in words.
     pub notes: Vec<String>,
@@ -117,7 +119,8 @@ pub struct Survey {
 ///
 /// # Errors
 ///
-/// Files of several sizes, two files of one name and other pixels, or that it was stopped.
+/// Files of several sizes none of which is that of most, two files of one name and other pixels, or that it
+/// was stopped.
 pub fn survey(
     paths: &[PathBuf],
     options: &ReadOptions,
@@ -127,14 +130,18 @@ pub fn survey(
     let mut census = Census::default();
     let common = common_folder(paths);
     let twins = twins::names(paths);
+    let tables = tables::Tables::beside(paths);
     for (at, path) in paths.iter().enumerate() {
         let mut go_on = || step(at, paths.len());
         let digest = twins.contains(&twins::name(path));
         let frames = Source::open(path, options)
             .map_err(|message| ImportError::File { path: path.clone(), message })
             .and_then(|source| {
-                let sidecar = if source.tells_all() { Facts::default() } else { sidecar::facts(path) };
-                let names = sidecar.or(named(path, &common));
+                let beside = match source.tells_all() {
+                    true => Facts::default(),
+                    false => sidecar::facts(path).or(tables.facts(path)),
+                };
+                let names = beside.or(named(path, &common));
                 frames_of(path, &source, names, digest, &mut census, &mut go_on)
             });
         match frames {
@@ -148,7 +155,7 @@ pub fn survey(
     }
     out.notes.extend(twins::count_once(&mut out.frames)?);
     out.notes.extend(without_objects(&mut out.frames));
-    one_size(&out.frames)?;
+    out.damaged.extend(one_size(&mut out.frames)?);
     in_codes(&mut out.frames, &census)?;
     // The order of time is what matters; where it is not known for all, that of the names.
     if out.frames.iter().all(|f| f.facts.time_s.is_some()) {
@@ -193,8 +200,8 @@ fn frames_of(
     }
     let pages = source.pages();
     let stored_bits = source.stored_bits().map_err(fault)?;
-    let mut out = Vec::new();
-    let mut blank = 0;
+    let mut out: Vec<Found> = Vec::new();
+    let (mut blank, mut thumbnails) = (0, 0);
     for &page in pages {
         if !go_on() {
             return Err(ImportError::Interrupted);
@@ -208,6 +215,11 @@ fn frames_of(
             image::Values::Codes(codes) => codes.dim(),
             image::Values::Numbers(numbers) => numbers.dim(),
         };
+        // Programs append a small picture for browsers to a frame, and not all mark it as one.
+        if out.first().is_some_and(|f| 2 * rows <= f.shape.0 && 2 * columns <= f.shape.1) {
+            thumbnails += 1;
+            continue;
+        }
         let region =
             sections::region_of(source.told(page).unwrap_or(&of_file), (rows, columns)).map_err(fault)?;
         let values = match &region {
@@ -236,7 +248,7 @@ fn frames_of(
         header.time_s = header.time_s.filter(|_| pages.len() == 1);
         let mut facts = match source.told(page) {
             Some(own) => {
-                let facts = own.clone().or(header).or(names.clone());
+                let facts = own.clone().or(header.beside(own)).or(names.clone());
                 Facts { mosaic: facts.mosaic.clone().or(of_file.mosaic.clone()), ..facts }
             }
             None => Facts { time_s: of_file.time_s.filter(|_| pages.len() == 1), ..of_file.clone() },
@@ -269,6 +281,12 @@ fn frames_of(
             pages.len()
         ));
     }
+    if thumbnails > 0 {
+        notes.push(format!(
+            "{thumbnails} of {} pages are left out: pictures of half the size or less",
+            pages.len()
+        ));
+    }
     if out.is_empty() && blank > 0 {
         return Err(fault(notes.join("; ")));
     }
@@ -291,7 +309,8 @@ fn in_codes(found: &mut [Found], census: &Census) -> Result<(), ImportError> {
     Ok(())
 }
 
-/// Facts of a file and its number of pages: header before sidecar file before name.
+/// Facts of a file and its number of pages: header before sidecar file before name. Tables of a folder are
+/// those of an import: looked up for every frame of a stream they would cost more than the frame.
 ///
 /// # Errors
 ///
@@ -337,32 +356,39 @@ fn common_folder(paths: &[PathBuf]) -> PathBuf {
     folders.fold(first.into(), shared)
 }
 
-/// Refuses frames of several sizes, and names the odd ones.
-fn one_size(frames: &[Found]) -> Result<(), ImportError> {
+/// Takes the files of another size than that of most frames out, with the reason.
+///
+/// # Errors
+///
+/// Files of several sizes of which none is that of most.
+fn one_size(frames: &mut Vec<Found>) -> Result<Vec<(PathBuf, String)>, ImportError> {
     let mut counts: Vec<((usize, usize), usize)> = Vec::new();
-    for frame in frames {
+    for frame in frames.iter() {
         match counts.iter_mut().find(|(shape, _)| *shape == frame.shape) {
             Some((_, n)) => *n += 1,
             None => counts.push((frame.shape, 1)),
         }
     }
     if counts.len() < 2 {
-        return Ok(());
+        return Ok(Vec::new());
     }
     // The size of most; of several the first.
     let most = counts.iter().map(|(_, n)| *n).max().unwrap_or(0);
     let usual = counts.iter().find(|(_, n)| *n == most).map_or((0, 0), |(shape, _)| *shape);
     let of = |shape: (usize, usize)| format!("{} x {} px", shape.1, shape.0);
-    let odd: Vec<String> = frames
-        .iter()
-        .filter(|f| f.shape != usual)
-        .map(|f| format!("{} is {}", f.path.display(), of(f.shape)))
-        .collect();
-    Err(ImportError::Files(format!(
-        "{}, and {most} frames are {}; a dataset has frames of one size",
-        few(&odd),
-        of(usual)
-    )))
+    let why = |shape| {
+        format!("is {}, and {most} frames are {}; a dataset has frames of one size", of(shape), of(usual))
+    };
+    let mut odd: Vec<(PathBuf, String)> =
+        frames.iter().filter(|f| f.shape != usual).map(|f| (f.path.clone(), why(f.shape))).collect();
+    odd.dedup_by(|a, b| a.0 == b.0);
+    if 2 * most <= frames.len() {
+        let odd: Vec<String> = odd.iter().map(|(path, why)| format!("{}: {why}", path.display())).collect();
+        return Err(ImportError::Files(few(&odd)));
+    }
+    let paths: BTreeSet<&PathBuf> = odd.iter().map(|(path, _)| path).collect();
+    frames.retain(|f| !paths.contains(&f.path));
+    Ok(odd)
 }
 
 /// Texts that are listed in a message.

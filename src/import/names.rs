@@ -320,10 +320,49 @@ struct Exposures {
     doubt: Option<String>,
 }
 
+/// Word between a time and the number behind it, signs left off; `None` if the first is no time.
+fn word_between<'a>(text: &'a str, time: &Number<'_>, next: &Number<'_>) -> Option<&'a str> {
+    let between = text.get(time.unit_place.end..next.place.start)?;
+    seconds(time.unit).map(|_| between.trim_matches(|c: char| !c.is_alphanumeric()))
+}
+
+/// Word that says what each number is: the one in front of it, and in names that write it behind their times
+/// (`2.5ms-exp_100ms-period`) that one. A name writes it behind if a hyphen ties it to the time, or if it
+/// ends with one.
+fn labels<'a>(text: &'a str, numbers: &[Number<'a>]) -> Vec<&'a str> {
+    let is_label = |word: &str| is(word, EXPOSURE) || is(word, OTHER_TIMES);
+    let times: Vec<usize> = (0..numbers.len()).filter(|k| seconds(numbers[*k].unit).is_some()).collect();
+    let behind = |k: usize| {
+        let end = numbers[k].unit_place.end;
+        let next = numbers.get(k + 1).map_or(text.len(), |n| n.place.start);
+        let rest = text.get(end..next).unwrap_or_default();
+        let word = rest.trim_start_matches(['_', '-', ' ']);
+        let (signs, word) = (&rest[..rest.len() - word.len()], word);
+        let word = &word[..word.find(|c: char| !c.is_alphabetic()).unwrap_or(word.len())];
+        let after = &rest[signs.len() + word.len()..];
+        // Nothing but a separator parts the word from a number that it may be of as well.
+        let is_last = numbers.get(k + 1).is_none_or(|n| n.before != word);
+        let tied = signs == "-" && after.starts_with(['_', ' ']);
+        (is_label(word) && !signs.is_empty()).then_some((word, tied, is_last))
+    };
+    let write_behind = times.iter().filter_map(|k| behind(*k)).any(|(_, tied, _)| tied)
+        || (times.len() > 1
+            && times.last().is_some_and(|k| behind(*k).is_some_and(|b| b.2))
+            && times.first().is_some_and(|k| !is_label(numbers[*k].before)));
+    let of = |k: usize| match behind(k) {
+        Some((word, _, is_last)) if seconds(numbers[k].unit).is_some() && (write_behind || is_last) => word,
+        // The word in front is that of the time before.
+        _ if write_behind && k > 0 && behind(k - 1).is_some_and(|b| b.0 == numbers[k].before) => "",
+        _ => numbers[k].before,
+    };
+    (0..numbers.len()).map(of).collect()
+}
+
 fn exposures(text: &str) -> Exposures {
     let mut out = Exposures::default();
     let mut sure = Vec::new();
     let numbers = numbers(text);
+    let labels = labels(text, &numbers);
     for (k, number) in numbers.iter().enumerate() {
         let unit_s = match seconds(number.unit) {
             Some(_) if number.binning => continue,
@@ -331,22 +370,21 @@ fn exposures(text: &str) -> Exposures {
             None if number.is_exposure_behind_its_unit() => seconds(number.before).unwrap_or(1.0),
             None => continue,
         };
+        let label = labels[k];
         // The word of 5min_warmup_10ms may be of either time.
         let of_either = k.checked_sub(1).and_then(|k| numbers.get(k)).is_some_and(|last| {
-            let between = text.get(last.unit_place.end..number.place.start);
-            let word = between.map(|b| b.trim_matches(|c: char| !c.is_alphanumeric()));
             let glued = text[..number.place.start].ends_with(char::is_alphabetic);
-            seconds(last.unit).is_some() && word == Some(number.before) && !glued
+            label == number.before && word_between(text, last, number) == Some(label) && !glued
         });
         // A time of day is no exposure, and neither is a pause.
-        if stamps::is_stamp(text, &number.place) || (is(number.before, OTHER_TIMES) && !of_either) {
+        if stamps::is_stamp(text, &number.place) || (is(label, OTHER_TIMES) && !of_either) {
             continue;
         }
         match number.reading {
             // Of a bias frame 0 is the exposure; of others it is not known.
             Reading::One(value) if value > 0.0 || (value == 0.0 && kinds::of(text).bias) => {
                 let seconds = values::in_seconds(value, unit_s);
-                if is(number.before, EXPOSURE) { sure.push(seconds) } else { out.found.push(seconds) }
+                if is(label, EXPOSURE) { sure.push(seconds) } else { out.found.push(seconds) }
             }
             Reading::Two(a, b) => {
                 let unit = if number.unit.is_empty() { number.before } else { number.unit };
@@ -447,6 +485,12 @@ pub fn facts_in(folders: &[&str], own: usize, name: &str) -> Facts {
 fn settings(text: &str, of: &str, strong: bool, out: &mut Facts) {
     if let Some(word) = text.split(|c: char| !c.is_alphabetic()).find(|word| is(word, CONVERSION)) {
         out.set_feature("ConversionGain", &word.to_uppercase(), of);
+    }
+    if let Some(step) = kinds::gain_step(text) {
+        out.set_feature("gain step", step, of);
+    }
+    if let Some(letter) = kinds::camera_letter(text) {
+        out.set_feature("camera", &letter, of);
     }
     for number in numbers(text) {
         let Some(value) = number.value().filter(|_| !number.is_counter()) else { continue };
@@ -584,6 +628,14 @@ mod tests {
             ("", "flat_2-20ms.tif", None, None, Some(Kind::Flat)),
             ("", "flat-2-20ms.tif", Some(0.02), None, Some(Kind::Flat)),
             ("", "flat_0002-20ms.tif", Some(0.02), None, Some(Kind::Flat)),
+            ("", "flat_2.5ms-exp_100ms-period_03.tif", Some(2.5e-3), None, Some(Kind::Flat)),
+            ("", "flat_2.5ms_exp_100ms_period.tif", Some(2.5e-3), None, Some(Kind::Flat)),
+            ("", "flat_100ms-period_2.5ms-exp.tif", Some(2.5e-3), None, Some(Kind::Flat)),
+            ("", "flat_period_100ms_exp_2.5ms.tif", Some(2.5e-3), None, Some(Kind::Flat)),
+            ("", "flat_exp-2.5ms_delay-100ms.tif", Some(2.5e-3), None, Some(Kind::Flat)),
+            ("", "flat_5ms exp 40ms interval.tif", Some(5e-3), None, Some(Kind::Flat)),
+            ("", "dark_10ms_delay.tif", None, None, Some(Kind::Dark)),
+            ("", "dark_10ms-exposure_7.tif", Some(0.01), None, Some(Kind::Dark)),
         ] {
             let got = facts(folder, name);
             assert_eq!((got.gain_db, got.kind), (gain_db, kind), "{name}");

@@ -149,6 +149,27 @@ pub fn lit_and_dark(sets: &mut [Growing], lowest_dn: f64) {
 /// level drifts by less (named choices).
 const MIN_BELOW_DARKS: (f64, f64) = (5.0, 0.05);
 
+/// Largest relative difference of the means of flats that were divided by them, above rounding to 24 bits;
+/// lamps and shot noise move means by more (a named choice).
+const MAX_REL_OF_NORMALIZED: f64 = 1e-6;
+
+/// Questions flats of floating-point numbers whose means are all the same: each was divided by its mean.
+pub fn normalized(sets: &mut [Growing], found: &[Found]) {
+    let flats = || sets.iter().enumerate().filter(|(_, s)| s.set.kind == Kind::Flat);
+    let frames = || flats().flat_map(|(_, s)| &s.frames).map(|k| &found[*k]);
+    let level = |f: &Found| f.scale.zero + f.scale.step * f.mean_dn;
+    let (least, most) = frames().map(level).fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(v), b.max(v)));
+    let is_one = most - least <= MAX_REL_OF_NORMALIZED * most;
+    if frames().count() < MIN_FLATS || !frames().all(|f| f.is_rounded) || !is_one {
+        return;
+    }
+    let Some((first, _)) = flats().next() else { return };
+    sets[first].set.doubts.push(format!(
+        "frames: all flats have one mean, {}, to a millionth: each was divided by its own; save frames as they were read",
+        six_digits(most)
+    ));
+}
+
 /// Questions flats that are darker than all darks. Fewer bits of some files, which also make them so, are
 /// questioned before.
 pub fn flats_below_darks(sets: &mut [Growing]) {
@@ -279,49 +300,52 @@ pub fn serial_numbers(sets: &mut [Growing], found: &[Found]) {
 const MIN_FLATS: usize = 3;
 const AGREE: f64 = 0.8;
 
-/// A flat in front of whose exposure another number stands.
-struct InTwo {
+/// Flat with its exposure as it was read and, where another number stands in front of it, as a decimal.
+struct Read {
     set: usize,
     signal_dn: f64,
-    /// Exposure as it was read.
     read_s: f64,
-    /// Exposure if the number in front is the whole part.
-    decimal_s: f64,
-    digits: String,
+    /// Exposure if the number in front is the whole part, and both numbers.
+    decimal: Option<(f64, String)>,
 }
 
-impl InTwo {
+impl Read {
     fn of(place: usize, set: &Growing, found: &[Found], lowest_dn: f64) -> Option<Self> {
         let name = found[*set.frames.first()?].path.file_name()?.to_string_lossy();
-        let (whole, part) = two_numbers(&name)?;
-        let behind = part.parse::<f64>().ok().filter(|v| *v > 0.0)?;
-        let both = format!("{whole}.{part}").parse::<f64>().ok()?;
         let read_s = set.set.exposure_s?;
-        Some(Self {
-            set: place,
-            signal_dn: set.mean_dn - lowest_dn,
-            read_s,
-            decimal_s: read_s / behind * both,
-            digits: format!("{whole}_{part}"),
-        })
+        let decimal = two_numbers(&name).and_then(|(whole, part)| {
+            let behind = part.parse::<f64>().ok().filter(|v| *v > 0.0)?;
+            let both = format!("{whole}.{part}").parse::<f64>().ok()?;
+            Some((read_s / behind * both, format!("{whole}_{part}")))
+        });
+        Some(Self { set: place, signal_dn: set.mean_dn - lowest_dn, read_s, decimal })
+    }
+
+    fn decimal_s(&self) -> f64 {
+        self.decimal.as_ref().map_or(self.read_s, |d| d.0)
     }
 }
 
-/// Questions exposures in front of whose number another one stands, as in flat_2_4ms, where the levels are
-/// those of 2.4 ms and not of 4 ms.
+/// Questions exposures in front of whose number another one stands, as in flat_2_4ms, where the levels of the
+/// flats are those of 2.4 ms and not of 4 ms. Others beside it (flat_5ms) may have one number.
 pub fn decimals_in_two(sets: &mut [Growing], found: &[Found], lowest_dn: f64) {
     let flats = sets.iter().enumerate().filter(|(_, s)| s.set.kind == Kind::Flat);
-    let flats: Option<Vec<InTwo>> = flats.map(|(k, s)| InTwo::of(k, s, found, lowest_dn)).collect();
+    let flats: Option<Vec<Read>> = flats.map(|(k, s)| Read::of(k, s, found, lowest_dn)).collect();
     let Some(flats) = flats.filter(|f| f.len() >= MIN_FLATS) else { return };
-    let agree = |exposure_s: &dyn Fn(&InTwo) -> f64| {
-        let usual = crate::statistics::median::median(flats.iter().map(|f| f.signal_dn / exposure_s(f)));
-        let close = |f: &&InTwo| (f.signal_dn / exposure_s(f) / usual - 1.0).abs() < OTHER_LIGHT;
-        flats.iter().filter(close).count() as f64 / flats.len() as f64
+    let signal = |exposure_s: &dyn Fn(&Read) -> f64| {
+        crate::statistics::median::median(flats.iter().map(|f| f.signal_dn / exposure_s(f)))
     };
-    if agree(&|f| f.decimal_s) < AGREE || agree(&|f| f.read_s) >= AGREE {
+    let agrees =
+        |f: &Read, exposure_s: f64, usual: f64| (f.signal_dn / exposure_s / usual - 1.0).abs() < OTHER_LIGHT;
+    let usual = signal(&Read::decimal_s);
+    let agree = flats.iter().filter(|f| agrees(f, f.decimal_s(), usual)).count();
+    let as_read = signal(&|f| f.read_s);
+    let agree_as_read = flats.iter().filter(|f| agrees(f, f.read_s, as_read)).count();
+    if (agree as f64) < AGREE * flats.len() as f64 || agree <= agree_as_read {
         return;
     }
-    if let Some(InTwo { set, read_s, decimal_s, digits, .. }) = flats.first() {
+    let wrong = flats.iter().find(|f| f.decimal.is_some() && !agrees(f, f.read_s, usual));
+    if let Some(Read { set, read_s, decimal: Some((decimal_s, digits)), .. }) = wrong {
         sets[*set].set.doubts.push(format!(
             "exposure: {digits} was read as {} s, and the levels of the flats are in proportion to the exposures if such numbers are decimals: {} s. \
              State exposure_s",

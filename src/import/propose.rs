@@ -64,6 +64,8 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
     let temperatures = settings::temperatures(found);
     let lowest = found.iter().map(|f| f.mean_dn).fold(f64::INFINITY, f64::min);
     let lit = lowest + LIT * f64::from((1u32 << bit_depth) - 1);
+    let mut frames_of: BTreeMap<&Path, usize> = BTreeMap::new();
+    found.iter().for_each(|f| *frames_of.entry(&f.path).or_default() += 1);
     let mut places: BTreeMap<String, usize> = BTreeMap::new();
     let mut sets: Vec<Growing> = Vec::new();
     for (number, frame) in found.iter().enumerate() {
@@ -74,7 +76,8 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
         let turned = turns && frame.facts.bottom_up == Some(true);
         let warm = settings::temperature_c(frame)
             .and_then(|t| temperatures.iter().position(|(low, high)| (*low..=*high).contains(&t)));
-        let (key, loose, timed) = keys(frame, kind, &format!("{turned} {warm:?}"));
+        let is_of_stack = frame.page.is_some() && frames_of.get(&*frame.path).is_some_and(|n| *n > 1);
+        let (key, loose, timed) = keys(frame, kind, is_of_stack, &format!("{turned} {warm:?}"));
         let place = *places.entry(key).or_insert_with(|| {
             sets.push(Growing {
                 set: set_of(frame, kind, by_mean, turned),
@@ -102,6 +105,7 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
     plausible::darks_on_the_line(&mut sets);
     plausible::fewer_bits(&mut sets, found);
     plausible::shifted_codes(&mut sets, found);
+    plausible::normalized(&mut sets, found);
     plausible::flats_below_darks(&mut sets);
     plausible::serial_numbers(&mut sets, found);
     lit_darks(&mut sets, LIT * f64::from((1u32 << bit_depth) - 1));
@@ -147,7 +151,7 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
 }
 
 /// What frames of one set share, strictly and without any counter.
-fn keys(frame: &Found, kind: Kind, further: &str) -> (String, String, bool) {
+fn keys(frame: &Found, kind: Kind, is_of_stack: bool, further: &str) -> (String, String, bool) {
     let facts = &frame.facts;
     let folder = frame.path.parent().unwrap_or(Path::new("")).display().to_string();
     if let Some(set) = facts.set {
@@ -164,7 +168,7 @@ fn keys(frame: &Found, kind: Kind, further: &str) -> (String, String, bool) {
     // A packed frame is of the set that it was of before it was packed.
     let name = PACKED.iter().find_map(|p| name.strip_suffix(&format!(".{p}"))).unwrap_or(&name);
     // Pages of a stack are one set.
-    if frame.page.is_some() {
+    if is_of_stack {
         return (format!("{folder}/{name} {all}"), String::new(), false);
     }
     // Two runs of a program that names folders by the time stay two sets.

@@ -29,10 +29,8 @@ pub fn facts(image: &Path) -> Facts {
     let folder = image.parent().unwrap_or(Path::new(""));
     let name_of = |name: Option<&std::ffi::OsStr>| name.unwrap_or_default().to_string_lossy().into_owned();
     let stem = name_of(image.file_stem());
-    let cuts = stem.char_indices().rev().filter(|(at, c)| *at > 0 && !c.is_alphanumeric()).map(|(at, _)| at);
-    let prefixes = [stem.len()].into_iter().chain(cuts).take(MAX_PREFIXES).map(|at| &stem[..at]);
     let of_frame =
-        prefixes.flat_map(|prefix| SUFFIXES.map(|suffix| folder.join(format!("{prefix}{suffix}"))));
+        prefixes(&stem).flat_map(|prefix| SUFFIXES.map(|suffix| folder.join(format!("{prefix}{suffix}"))));
     let of_folder = FOLDER_FILES.map(|name| folder.join(name));
     let beside_folder = folder.parent().filter(|_| folder.file_name().is_some()).map(|above| {
         let name = name_of(folder.file_name());
@@ -40,6 +38,12 @@ pub fn facts(image: &Path) -> Facts {
     });
     let mut all = of_frame.chain(of_folder).chain(beside_folder.into_iter().flatten());
     all.find(|path| path.is_file()).map(|path| read(&path)).unwrap_or_default()
+}
+
+/// A name and its beginnings up to a sign, the longest first.
+pub(super) fn prefixes(stem: &str) -> impl Iterator<Item = &str> {
+    let cuts = stem.char_indices().rev().filter(|(at, c)| *at > 0 && !c.is_alphanumeric()).map(|(at, _)| at);
+    [stem.len()].into_iter().chain(cuts).take(MAX_PREFIXES).map(|at| &stem[..at])
 }
 
 /// Facts of a sidecar file; none if it is too large or not UTF-8.

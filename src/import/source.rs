@@ -1,7 +1,7 @@
 //! Frames of one file, whatever holds them.
 
-use super::{Facts, npy, ome, stacks};
-use crate::dataset::image::{Images, NUMPY, Values};
+use super::{Facts, headers, npy, ome, stacks};
+use crate::dataset::image::{self, Images, NUMPY, Values};
 use ndarray::Axis;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -62,7 +62,10 @@ impl Source {
             let pages = facts.keys().copied().collect();
             return Ok(Self { told: facts, notes, ..of(Kind::Images(images), pages) });
         }
-        let told = ome::planes(path, &pages);
+        let mut told = ome::planes(path, &pages);
+        if told.is_empty() && !image::begins_as_fits(&start) {
+            told = headers::of_pages(path, &pages);
+        }
         let out = Self { told, ..of(Kind::Images(images), pages) };
         out.refuse_colours()?;
         Ok(out)

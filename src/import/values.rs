@@ -65,6 +65,17 @@ pub fn number(text: &str) -> (Reading, &str) {
     (reading, text[end..].trim_start())
 }
 
+/// Shutter speed `1/400`, a whole number over another one, at the start of a text, and the text behind it.
+pub fn fraction(text: &str) -> Option<(Reading, &str)> {
+    let (above, rest) = text.trim().split_once('/')?;
+    let end = rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len());
+    let (below, rest) = rest.split_at(end);
+    // 1/2/2024 is a date.
+    let ends = !rest.starts_with(['/', '.', ',', '-', ':']);
+    let (above, below) = (above.parse::<u32>().ok()?, below.parse::<u32>().ok()?);
+    (ends && below > 0).then(|| (Reading::One(f64::from(above) / f64::from(below)), rest.trim_start()))
+}
+
 /// Digits with a decimal point that a text of digits, points and commas may mean.
 fn readings(text: &str) -> (Option<String>, Option<String>) {
     let count = |c: char| text.matches(c).count();
@@ -179,6 +190,15 @@ mod tests {
         assert_eq!(in_seconds(35.0, 1e-3), 0.035);
         assert_eq!(in_seconds(47.933, 1e-6), 4.7933e-5);
         assert_eq!(in_seconds(2.0, 60.0), 120.0);
+    }
+
+    #[test]
+    fn shutter_speeds_are_fractions() {
+        assert_eq!(fraction("1/400"), Some((Reading::One(0.0025), "")));
+        assert_eq!(fraction(" 3/2 s"), Some((Reading::One(1.5), "s")));
+        for text in ["1/2/2024", "1/0", "a/b", "1.5/2", "1/", "400", "1/4.5"] {
+            assert_eq!(fraction(text), None, "{text}");
+        }
     }
 
     #[test]

@@ -173,7 +173,7 @@ const UNITS: &[&str] = &[
 const KINDS: &[&str] =
     &["imagetyp", "imagetype", "imgtype", "frametyp", "frametype", "obstype", "picttype", "kind"];
 
-fn plain(key: &str) -> String {
+pub(super) fn plain(key: &str) -> String {
     key.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
 }
 
@@ -387,12 +387,13 @@ fn exposure(said: &[Said], writer: Writer, out: &mut Facts) {
     for Said { key, value, comment } in said {
         let (word, of_key) = values::split_unit(key);
         let Some(rank) = EXPOSURES.iter().position(|e| *e == word) else { continue };
-        let (reading, rest) = values::number(value);
+        let (reading, rest) = values::fraction(value).unwrap_or_else(|| values::number(value));
         let text =
             if comment.is_empty() { format!("{key} {value}") } else { format!("{key} {value} ({comment})") };
         let unit = rest.trim_matches(|c: char| matches!(c, '[' | ']' | '(' | ')' | ' '));
         // A shutter is open, closed or 1, unless it is a time.
-        if word == "shutter" && unit.is_empty() && of_key.is_none() {
+        let is_fraction = values::fraction(value).is_some();
+        if word == "shutter" && unit.is_empty() && of_key.is_none() && !is_fraction {
             continue;
         }
         let of_comment = values::unit_in(comment);
@@ -408,6 +409,8 @@ fn exposure(said: &[Said], writer: Writer, out: &mut Facts) {
         };
         let fits = (writer == Writer::Fits).then_some(1.0);
         let stated = match unit {
+            // Shutter speeds of photography are in seconds.
+            "" if is_fraction => of_key.or(Some(1.0)),
             "" => of_key.or(of_comment.unwrap_or(None)).or(of_header),
             _ => seconds(unit),
         };
@@ -429,6 +432,20 @@ fn exposure(said: &[Said], writer: Writer, out: &mut Facts) {
             }
             _ => {}
         }
+    }
+    // A line of text that names another unit speaks of these times, or of others.
+    let line = |s: &&Said| matches!(&*plain(&s.key), "comment" | "history") && tells_of_a_time(&s.value);
+    let other = |s: &&Said| !matches!(values::unit_in(&s.value), Ok(None | Some(1.0)));
+    if writer == Writer::Fits
+        && found.iter().any(|f| !f.2)
+        && let Some(said) = said.iter().filter(line).find(other)
+    {
+        out.doubts.push(format!(
+            "exposure_s: {} states no unit, and {} says \"{}\"",
+            found.iter().find(|f| !f.2).map_or("", |f| &f.3),
+            said.key,
+            said.value
+        ));
     }
     // Zero is known to be wrong where another card tells more.
     if found.iter().any(|f| f.1 > 0.0) {
@@ -489,6 +506,12 @@ fn flatten(json: &serde_json::Value, key: &str, out: &mut Vec<Said>) {
 pub fn of_cards(cards: Vec<super::cards::Card>) -> Facts {
     let said = cards.into_iter().map(|c| Said { key: c.key, value: c.value, comment: c.comment });
     facts(said.collect(), Writer::Fits)
+}
+
+/// Returns true if a line of a header speaks of exposures.
+fn tells_of_a_time(line: &str) -> bool {
+    let words = ["exposure", "exposures", "exptime", "exposed", "integration", "shutter", "times"];
+    line.to_lowercase().split(|c: char| !c.is_alphabetic()).any(|word| words.contains(&word))
 }
 
 /// Returns true if a line of a header's history says that a dark, a bias or a flat was applied: `Auto-Dark
@@ -565,6 +588,13 @@ mod tests {
             (vec![("EXPTIME", "0", ""), ("IMAGETYP", "Bias Frame", "")], Some(0.0)),
             (vec![("EXPTIME", "12,500", "")], None),
             (vec![("EXPTIME", "100", "ms or s")], None),
+            (vec![("SHUTTER", "1/400", "")], Some(0.0025)),
+            (vec![("EXPTIME", "1/400 s", "")], Some(0.0025)),
+            (vec![("SHUTTER", "1", "open")], None),
+            (vec![("EXPTIME", "25", ""), ("COMMENT", "exposure time in milliseconds", "")], None),
+            (vec![("EXPTIME", "25", "[ms]"), ("COMMENT", "exposure time in milliseconds", "")], Some(0.025)),
+            (vec![("EXPTIME", "25", ""), ("COMMENT", "times are in s", "")], Some(25.0)),
+            (vec![("EXPTIME", "25", ""), ("COMMENT", "long exposure, 3 ms after the trigger", "")], None),
         ] {
             assert_eq!(fits(&cards).exposure_s, exposure_s, "{cards:?}");
         }

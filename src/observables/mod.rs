@@ -31,18 +31,21 @@ mod expect;
 mod field;
 mod left_out;
 pub mod line_peak;
+mod observations;
 mod read;
 mod ripple;
 mod scene;
+mod shapes;
 mod table;
 mod warm_up;
 
 pub(crate) use campaign::NO_PATCH;
-pub use campaign::{Identity, Observations, ObserveError, Setting, of_dataset};
+pub use campaign::{ObserveError, of_dataset};
 pub use expect::{Expected, HEAVY_DOF, View, expectations, expectations_beside, in_quadrature, lightened};
 mod line_shape;
 
 pub use field::{Field, LINE_LAGS};
+pub use observations::{Identity, Observations, Setting};
 pub use ripple::Ripples;
 pub use scene::{Direction, ScenePair};
 pub use table::observations as of_table;

@@ -1,6 +1,7 @@
 //! Observables of a table of means and variances: many labs keep only that.
 
-use super::campaign::{Identity, dark_spreads};
+use super::Identity;
+use super::campaign::dark_spreads;
 use super::{
     Field, Half, Observable, Observations, ObserveError, Ripples, Statistic, covariance, mean, monitor,
     variance,

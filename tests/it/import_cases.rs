@@ -492,7 +492,10 @@ fn headers_count_before_names() {
         bench.tiff(&format!("sizes/dark_1ms_{k}.tif"), &camera.frame(0.0, 0.01));
     }
     let said = bench.refused("sizes");
-    assert!(said.contains("dark_1ms_0.tif is 30 x 30 px, and 3 frames are 32 x 32 px"), "{said}");
+    assert!(said.contains("dark_1ms_0.tif: is 30 x 30 px, and 3 frames are 32 x 32 px"), "{said}");
+    assert!(said.contains("--leave-out-damaged"), "{said}");
+    let (dataset, _) = bench.import("sizes", &["--leave-out-damaged"]);
+    assert_eq!(dataset.rows().len(), 3);
 }
 
 /// Micro-Manager keeps exposure and binning of every page as JSON in a tag of its own.
@@ -596,6 +599,116 @@ fn settings_beside_the_frames_are_read() {
     text("fire/flat.txt", "Shutter=10.00ms\nGain=300\nSubtract Dark=C:\\dark.fits\n");
     let said = bench.refused("fire");
     assert!(said.contains("Subtract Dark"), "{said}");
+}
+
+/// Tables of scripts: one row for a frame, for a set by the beginning of its names, or for a folder.
+#[test]
+fn tables_beside_the_frames_are_read() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(53);
+    let right = [(Kind::Dark, 0.005, 2), (Kind::Flat, 0.02, 2), (Kind::Flat, 0.03, 2)];
+    let all = [("a", "dark", 5.0, 0.0), ("b", "flat", 20.0, 2000.0), ("c", "flat", 30.0, 3000.0)];
+    let text = |name: &str, rows: &[String]| fs::write(bench.path(name), rows.join("\r\n")).unwrap();
+    let mut rows = [
+        vec!["image;kind;exposure (ms)".to_string()],
+        vec!["#comment".to_string(), "prefix,type,kind,exposure_s".to_string()],
+        vec!["exposure_us\tkind\tfolder".to_string()],
+    ];
+    for (name, kind, ms, light) in all {
+        for k in 0..2 {
+            let frame = camera.frame(light, ms / 1e3);
+            ["frames", "sets"].iter().for_each(|f| bench.tiff(&format!("{f}/{name}_{k}.tif"), &frame));
+            bench.tiff(&format!("folders/{name}/img_{k}.tif"), &frame);
+            rows[0].push(
+                format!("C:\\data\\{name}_{k}.tif;{kind};{:.1}", ms)
+                    .replace('.', ",")
+                    .replace(",tif", ".tif"),
+            );
+        }
+        rows[1].push(format!("{name},raw,{kind},{}", ms / 1e3));
+        rows[2].push(format!("{}\t{kind}\tfolders/{name}", ms * 1e3));
+    }
+    text("frames/exposures.csv", &rows[0]);
+    text("sets/log.csv", &rows[1]);
+    text("folders/sets.tsv", &rows[2]);
+    for folder in ["frames", "sets", "folders"] {
+        let (dataset, said) = bench.import(folder, &["--explain"]);
+        assert_eq!(sets(&dataset), right, "{folder}");
+        assert!(said.contains("sv: exposure"), "{said}");
+    }
+    // A table that tells two exposures of one frame is asked, and one without a unit tells nothing.
+    text("sets/log.csv", &["name,exposure_ms".into(), "b,20".into(), "b,21".into()]);
+    assert!(bench.refused("sets").contains("exposure_ms 21"), "{}", bench.refused("sets"));
+    text("sets/log.csv", &["name,exposure".into(), "a,20".into()]);
+    assert!(bench.refused("sets").contains("exposure_s of set 0"));
+}
+
+/// Pages of one file, each with a description of its own.
+#[test]
+fn pages_have_their_own_exposures() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(54);
+    let pages = [(0.0, 5.0, "dark"), (0.0, 5.0, "dark"), (2000.0, 20.0, "flat"), (2000.0, 20.0, "flat")];
+    let mut encoder =
+        tiff::encoder::TiffEncoder::new(fs::File::create(bench.path("in/all.tif")).unwrap()).unwrap();
+    for (light, ms, kind) in pages {
+        let frame = camera.frame(light, ms / 1e3);
+        let size = frame.nrows() as u32;
+        let mut image = encoder.new_image::<Gray16>(size, size).unwrap();
+        let text = format!("{{\"kind\": \"{kind}\", \"exposure_ms\": {ms}, \"Gain\": 6}}");
+        image.encoder().write_tag(tiff::tags::Tag::ImageDescription, &*text).unwrap();
+        image.write_data(frame.as_slice().unwrap()).unwrap();
+    }
+    drop(encoder);
+    let (dataset, said) = bench.import("in", &[]);
+    assert_eq!(sets(&dataset), [(Kind::Dark, 0.005, 2), (Kind::Flat, 0.02, 2)]);
+    assert_eq!(dataset.manifest().camera.gain_db, Some(6.0));
+    assert!(!said.contains("guess"), "{said}");
+}
+
+/// Flats that were each divided by their mean tell no gain: asked.
+#[test]
+fn flats_divided_by_their_means_are_asked() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(56);
+    let mut array = |name: &str, light: f64, normalized: bool| {
+        let frame = camera.frame(light, 0.01).mapv(f64::from);
+        let mean = if normalized { frame.mean().unwrap() } else { 7.0 };
+        let mut bytes = b"\x93NUMPY\x01\x00\x46\x00".to_vec();
+        bytes.extend(
+            format!("{:<69}\n", "{'descr': '<f4', 'fortran_order': False, 'shape': (32, 32)}").bytes(),
+        );
+        bytes.extend(frame.iter().flat_map(|v| ((v / mean) as f32).to_le_bytes()));
+        fs::write(bench.path(name), bytes).unwrap();
+    };
+    for k in 0..4 {
+        array(&format!("in/dark_10ms_{k}.npy"), 0.0, false);
+        array(&format!("in/flat_10ms_{k}.npy"), 2000.0, true);
+        array(&format!("raw/dark_10ms_{k}.npy"), 0.0, false);
+        array(&format!("raw/flat_10ms_{k}.npy"), 2000.0, false);
+    }
+    let said = bench.refused("in");
+    assert!(said.contains("each was divided by its own"), "{said}");
+    bench.import("raw", &[]);
+}
+
+/// A second page with a small picture for browsers is no frame, also where nothing marks it as one.
+#[test]
+fn small_pictures_behind_a_frame_are_left_out() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(55);
+    for (name, light) in
+        [("dark_10ms_0", 0.0), ("dark_10ms_1", 0.0), ("flat_10ms_0", 2000.0), ("flat_10ms_1", 2000.0)]
+    {
+        let frame = camera.frame(light, 0.01);
+        let file = fs::File::create(bench.path(&format!("in/{name}.tif"))).unwrap();
+        let mut encoder = tiff::encoder::TiffEncoder::new(file).unwrap();
+        encoder.write_image::<Gray16>(32, 32, frame.as_slice().unwrap()).unwrap();
+        encoder.write_image::<Gray16>(8, 8, &vec![40_000; 64]).unwrap();
+    }
+    let (dataset, said) = bench.import("in", &[]);
+    assert_eq!(sets(&dataset), [(Kind::Dark, 0.01, 2), (Kind::Flat, 0.01, 2)]);
+    assert!(said.contains("1 of 2 pages are left out"), "{said}");
 }
 
 /// Guesses are said at the import, in the map, and by what uses the dataset.

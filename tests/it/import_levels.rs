@@ -273,6 +273,11 @@ fn decimals_without_a_point_are_asked() {
     campaign(&bench, "whole", &[&dark[..], &decimals[..]].concat());
     let said = bench.refused("whole");
     assert!(said.contains("1_2 was read as 0.002 s") && said.contains("0.0012 s"), "{said}");
+    // Others have one number.
+    let mixed = [("flat_2_5ms", 750.0, 2.5e-3), ("flat_5ms", 1500.0, 5e-3), ("flat_10ms", 3000.0, 1e-2)];
+    campaign(&bench, "mixed", &[&[("dark_5ms", 0.0, 5e-3)][..], &mixed[..]].concat());
+    let said = bench.refused("mixed");
+    assert!(said.contains("2_5 was read as 0.005 s") && said.contains("0.0025 s"), "{said}");
     let counted = [("flat_1_2ms", 600.0, 2e-3), ("flat_2_4ms", 1200.0, 4e-3), ("flat_3_8ms", 2400.0, 8e-3)];
     campaign(
         &bench,

@@ -244,7 +244,17 @@ fn kinds_of_folders_and_flat_darks() {
 #[test]
 fn settings_in_names_are_compared() {
     let bench = Bench::new();
-    let ways: [(&str, &Name, &str); 12] = [
+    let ways: [(&str, &Name, &str); 14] = [
+        (
+            "letters",
+            &|k, ms, i, _| format!("cam{}_{k}_{ms}ms_{i}.tif", if k == "Dark" { 'A' } else { 'B' }),
+            "camera B",
+        ),
+        (
+            "gains",
+            &|k, ms, i, _| format!("{}gain_{k}_{ms}ms_{i}.tif", if k == "Dark" { "low" } else { "high" }),
+            "gain step low",
+        ),
         (
             "serials",
             &|k, ms, i, _| format!("SN{}_{k}_{ms}ms_{i}.tif", if k == "Dark" { 1001 } else { 1002 }),
@@ -363,6 +373,8 @@ fn times_that_are_no_exposures() {
         ("master", "masterDark_10ms.tif", "frames of set 0"),
         ("siril", "pp_flat_10ms_00001.tif", "frames of set 0"),
         ("average", "dark_avg16_10ms_1.tif", "frames of set 0"),
+        ("times", "dark_10ms_x4_1.tif", "maybe an average of 4 frames"),
+        ("delay", "dark_100ms_delay.tif", "exposure_s of set 0"),
     ] {
         bench.tiff(&format!("{folder}/{name}"), &camera.frame(0.0, 0.01));
         let said = bench.refused(folder);
@@ -372,6 +384,9 @@ fn times_that_are_no_exposures() {
         ("pause", "dark_10ms_delay5s_1.tif", 0.01),
         ("exposure", "dark_exp10ms_every_5s_1.tif", 0.01),
         ("minutes", "dark_5min_1.tif", 300.0),
+        ("labels", "dark_2.5ms-exp_100ms-period_1.tif", 0.0025),
+        ("sensor", "stacked_cmos/dark_3ms_1.tif", 0.003),
+        ("test", "mean_variance_test/dark_3ms_1.tif", 0.003),
         ("behind", "dark_Sec120.00_1.tif", 120.0),
         ("day", "dark_2024-05-01_21-00-03_2s_0001.tif", 2.0),
         ("micro", "dark 250µs 1.tif", 250e-6),

@@ -487,7 +487,12 @@ fn narrowed(values: Values) -> Result<Array2<u16>, ImageError> {
 
 /// The decoder of a TIFF at its first directory, for its tags.
 pub(crate) fn tiff_head(path: &Path) -> Result<tiff_file::Tiff, ImageError> {
-    tiff_file::Directories::read(path)?.decoder(path, 0)
+    tiff_directories(path)?.decoder(path, 0)
+}
+
+/// Directories of a TIFF file, each of which can be opened.
+pub(crate) fn tiff_directories(path: &Path) -> Result<tiff_file::Directories, ImageError> {
+    tiff_file::Directories::read(path)
 }
 
 /// True of the first bytes of a FITS file, gzipped or not.

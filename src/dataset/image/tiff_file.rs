@@ -14,7 +14,7 @@ use tiff::tags::{ByteOrder, Tag};
 
 /// Directories of a TIFF file (TIFF 6.0, section 2; BigTIFF has the same with 8-byte numbers).
 #[derive(Debug, Clone)]
-pub(super) struct Directories {
+pub(crate) struct Directories {
     big_endian: bool,
     big_tiff: bool,
     /// Chain of the main directories, then those of SubIFDs.
@@ -163,7 +163,12 @@ impl Directories {
     }
 
     /// The decoder at a page.
-    pub(super) fn decoder(&self, path: &Path, page: usize) -> Result<Tiff, ImageError> {
+    /// True if the only directory is that of all frames, as in large stacks of ImageJ.
+    pub(crate) fn is_contiguous(&self) -> bool {
+        self.contiguous > 1
+    }
+
+    pub(crate) fn decoder(&self, path: &Path, page: usize) -> Result<Tiff, ImageError> {
         let place = if self.contiguous > 1 { 0 } else { page };
         let directory = self.all.get(place).ok_or(ImageError::NoPage(page))?;
         let order = |bytes: Vec<u8>| if self.big_endian { bytes.into_iter().rev().collect() } else { bytes };
