@@ -33,9 +33,10 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
         let pages = told.len();
         return Ok((told.into_values().next().unwrap_or_default(), pages));
     }
-    let mut decoder = image::tiff_head(path).map_err(|e| e.to_string())?;
+    let directories = image::tiff_directories(path).map_err(|e| e.to_string())?;
+    let mut decoder = directories.decoder(path, 0).map_err(|e| e.to_string())?;
     let text = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap_or_default();
-    let found = of_directory(&mut decoder);
+    let found = of_directory(&mut decoder, directories.first_description(path, 0));
     let pages = image::Images::open(path).map_err(|e| e.to_string())?.frames().len();
     // ImageJ keeps stacks of more than 4 GB behind one page.
     let said =
@@ -48,8 +49,11 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
     }
 }
 
-/// What the tags of a TIFF directory say.
-fn of_directory<R: std::io::Read + std::io::Seek>(decoder: &mut tiff::decoder::Decoder<R>) -> Facts {
+/// What the tags of a TIFF directory say. `first`: a description in front of the one that decoders return.
+fn of_directory<R: std::io::Read + std::io::Seek>(
+    decoder: &mut tiff::decoder::Decoder<R>,
+    first: Option<String>,
+) -> Facts {
     let text = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap_or_default();
     let mut found = match FrameTag::from_text(&text) {
         Some(tag) => of_tag(tag),
@@ -59,9 +63,17 @@ fn of_directory<R: std::io::Read + std::io::Seek>(decoder: &mut tiff::decoder::D
                 model: decoder.get_tag_ascii_string(Tag::Model).ok(),
                 ..Facts::default()
             };
-            tags.or(if ome::is_ome(&text) { ome::facts(&text) } else { of_description(&text) })
+            let of_text =
+                |text: &str| if ome::is_ome(text) { ome::facts(text) } else { of_description(text) };
+            let first = first.map(|text| of_text(&text)).unwrap_or_default();
+            tags.or(first).or(of_text(&text))
         }
     };
+    // Frames that a viewer turns are those of another orientation.
+    let orientation = decoder.find_tag(Tag::Orientation).ok().flatten().and_then(|v| v.into_u16().ok());
+    if let Some(turned) = orientation.filter(|o| (2..=8).contains(o)) {
+        found.set_feature(ORIENTATION, &turned.to_string(), ORIENTATION);
+    }
     // Micro-Manager keeps the settings of every page in a tag of its own.
     if let Ok(json) = decoder.get_tag_ascii_string(Tag::Unknown(MICRO_MANAGER)) {
         found = found.or(of_description(&json));
@@ -85,7 +97,7 @@ pub fn of_pages(path: &Path, pages: &[usize]) -> BTreeMap<usize, Facts> {
         let mut decoder = directories.decoder(path, page).ok()?;
         let texts = [Tag::ImageDescription, Tag::Unknown(MICRO_MANAGER), Tag::ExifDirectory];
         let says = texts.into_iter().any(|tag| matches!(decoder.find_tag(tag), Ok(Some(_))));
-        says.then(|| of_directory(&mut decoder))
+        says.then(|| of_directory(&mut decoder, directories.first_description(path, page)))
     };
     let Some(_) = said(*second) else { return empty() };
     pages.iter().filter_map(|&page| Some((page, said(page)?))).collect()
@@ -94,6 +106,10 @@ pub fn of_pages(path: &Path, pages: &[usize]) -> BTreeMap<usize, Facts> {
 fn decoder_time<R: std::io::Read + std::io::Seek>(decoder: &mut tiff::decoder::Decoder<R>) -> Option<f64> {
     time_s(&decoder.get_tag_ascii_string(Tag::DateTime).ok()?)
 }
+
+/// Setting of frames whose first pixel is not at the upper left (TIFF 6.0, Orientation); 1 where nothing says
+/// it.
+pub(super) const ORIENTATION: &str = "Orientation";
 
 /// Source of what radcam wrote into its own frames.
 const SELF: &str = "radcam's description";

@@ -13,9 +13,32 @@ pub fn kind(word: &str) -> Option<Kind> {
             rest.is_some_and(|rest| matches!(rest, "" | "s" | "frame" | "frames" | "field" | "fields"))
         })
     };
-    if is(&["dark", "bias", "biase", "offset", "black", "zero", "flatdark", "darkflat"]) {
+    if is(&[
+        "dark",
+        "bias",
+        "biase",
+        "offset",
+        "black",
+        "zero",
+        "flatdark",
+        "darkflat",
+        "dunkel",
+        "dunkelbild",
+        "dunkelbilder",
+    ]) {
         Some(Kind::Dark)
-    } else if is(&["flat", "bright", "white", "uniform", "ptc", "skyflat", "domeflat", "twiflat"]) {
+    } else if is(&[
+        "flat",
+        "bright",
+        "white",
+        "uniform",
+        "ptc",
+        "skyflat",
+        "domeflat",
+        "twiflat",
+        "hellbild",
+        "hellbilder",
+    ]) {
         Some(Kind::Flat)
     } else if is(&["scene"]) {
         Some(Kind::Scene)
@@ -178,6 +201,12 @@ pub fn alone(text: &str) -> bool {
     })
 }
 
+/// Returns true if `black` alone makes a dark of a folder: it may be that of a black camera, or of black
+/// columns.
+pub fn says_black_alone(text: &str) -> bool {
+    words(text).iter().all(|(word, _)| kind(word).is_none() || word.eq_ignore_ascii_case("black"))
+}
+
 /// Words of letters, and whether a number follows; `FlatDark` is two words.
 fn words(text: &str) -> Vec<(&str, bool)> {
     let mut out = Vec::new();
@@ -322,7 +351,7 @@ pub fn processed(name: &str) -> Option<String> {
     match (siril, word) {
         (true, _) => Some("the name begins with pp_, which Siril gives to calibrated frames".into()),
         (_, Some(word)) => Some(format!("the name says \"{word}\"")),
-        _ => times(name).map(|(word, n)| format!("the name says \"{word}\", maybe an average of {n} frames")),
+        _ => None,
     }
 }
 
@@ -342,9 +371,9 @@ const SENSORS_AND_TESTS: [(&str, &str); 12] = [
     ("integration", "s"),
 ];
 
-/// Number of frames in a word of its own, `x4` or `8x`, with that word. Places (`x2_y3`), regions (`64x64`),
-/// shares (`x2.5`) and the magnifications of lenses (`10x`, `20x`) are none.
-fn times(name: &str) -> Option<(&str, u32)> {
+/// Number of frames that may have been averaged, in a word of its own (`x4`, `8x`), with that word. Places
+/// (`x2_y3`), regions (`64x64`), shares (`x2.5`) and the magnifications of lenses (`10x`, `20x`) are none.
+pub fn times(name: &str) -> Option<(&str, u32)> {
     // The extension stands behind a point.
     let stem = name
         .rsplit_once('.')
@@ -430,7 +459,7 @@ mod tests {
             assert!(processed(name).is_some(), "{name}");
         }
         for name in ["flat_10ms_x4_001.tif", "dark_8x_10ms.tif", "flat x16.tif", "16x"] {
-            assert!(processed(name).is_some_and(|why| why.contains("average of")), "{name}");
+            assert!(times(name).is_some(), "{name}");
         }
         for name in [
             "dark_10ms_stack.tif",
@@ -450,7 +479,7 @@ mod tests {
             "flat_x1.tif",
             "x0.25",
         ] {
-            assert_eq!(processed(name), None, "{name}");
+            assert_eq!((processed(name), times(name)), (None, None), "{name}");
         }
         assert!(processed("stacked_flats").is_some() && processed("flat_mean").is_some());
     }

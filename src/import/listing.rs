@@ -37,6 +37,9 @@ const SYSTEM: [&str; 11] = [
     "lost+found",
 ];
 
+/// Extensions of files that may hold settings of frames.
+const SETTINGS: [&str; 4] = ["csv", "json", "tsv", "txt"];
+
 /// Text files that are looked at for a descriptor of EMVA 1288, at most.
 const MAX_TEXTS: usize = 20;
 
@@ -125,11 +128,18 @@ pub fn list(named: &[PathBuf]) -> Result<Listing, ImportError> {
             descriptor.display()
         ));
     }
+    let count = |(e, n): (&String, &usize)| match e.as_str() {
+        "" => format!("{n} without extension"),
+        e => format!("{n} .{e}"),
+    };
+    let (settings, others): (BTreeMap<_, _>, BTreeMap<_, _>) =
+        others.into_iter().partition(|(e, _)| SETTINGS.contains(&e.as_str()));
+    if !settings.is_empty() {
+        let words: Vec<String> = settings.iter().map(count).collect();
+        notes.push(format!("looked at for settings of the frames: {}", words.join(", ")));
+    }
     if !others.is_empty() {
-        let words: Vec<String> = others
-            .iter()
-            .map(|(e, n)| if e.is_empty() { format!("{n} without extension") } else { format!("{n} .{e}") })
-            .collect();
+        let words: Vec<String> = others.iter().map(count).collect();
         notes.push(format!("passed over, no images that radcam reads: {}", words.join(", ")));
     }
     // One file under two names is one file.

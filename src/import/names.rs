@@ -1,6 +1,7 @@
 //! What file names and folders say of a frame.
 
 use super::values::{self, Reading};
+use super::words::pattern;
 use super::{Facts, kinds, stamps};
 use crate::dataset::Kind;
 use crate::number::seconds;
@@ -35,6 +36,8 @@ pub(super) struct Number<'a> {
 /// Words in front of a number that is a setting.
 const GAIN: &[&str] = &["gain", "gainraw"];
 const ISO: &[&str] = &["iso"];
+/// Letter in front of a gain: `g120`.
+const GAIN_LETTER: &[&str] = &["g"];
 /// Words for one of several cameras: `cam1`.
 const CAMERA: &[&str] = &["cam", "camera"];
 const SERIAL: &[&str] = &["sn", "serial", "ser"];
@@ -83,7 +86,7 @@ impl Number<'_> {
 
     /// Black level as a setting: `offset50`, and no counter as in `offset_001`.
     fn is_black_level(&self) -> bool {
-        is(self.before, BLACK) && !(self.text.starts_with('0') && self.text.len() > 1)
+        is(self.before, BLACK) && !self.is_padded()
     }
 
     /// Not a setting: it may count.
@@ -94,12 +97,18 @@ impl Number<'_> {
             || self.is_black_level()
             || (is(self.before, CAMERA) && !self.apart)
             || (is(self.before, SERIAL) && self.unit.is_empty())
+            || (is(self.before, GAIN_LETTER) && !self.apart && !self.is_padded() && self.unit.is_empty())
             || (is(self.before, LIGHT) && self.pointed());
         let means_something = setting && !self.is_counter();
         !means_something
             && self.temperature_c.is_none()
             && !self.binning
             && !self.is_exposure_behind_its_unit()
+    }
+
+    /// A number with a zero in front, as counters have it.
+    fn is_padded(&self) -> bool {
+        self.text.len() > 1 && self.text.starts_with('0')
     }
 
     /// A number with zeros in front, apart from the word before it: `low gain_0001` and `Flat-013L`.
@@ -363,6 +372,7 @@ fn exposures(text: &str) -> Exposures {
     let mut sure = Vec::new();
     let numbers = numbers(text);
     let labels = labels(text, &numbers);
+    let times = numbers.iter().filter(|n| seconds(n.unit).is_some() && !n.binning).count();
     for (k, number) in numbers.iter().enumerate() {
         let unit_s = match seconds(number.unit) {
             Some(_) if number.binning => continue,
@@ -377,7 +387,9 @@ fn exposures(text: &str) -> Exposures {
             label == number.before && word_between(text, last, number) == Some(label) && !glued
         });
         // A time of day is no exposure, and neither is a pause.
-        if stamps::is_stamp(text, &number.place) || (is(label, OTHER_TIMES) && !of_either) {
+        // A dark after the flats is as long as its only time says.
+        let alone = times == 1 && is(label, &["after"]);
+        if stamps::is_stamp(text, &number.place) || (is(label, OTHER_TIMES) && !of_either && !alone) {
             continue;
         }
         match number.reading {
@@ -440,7 +452,9 @@ pub fn facts_in(folders: &[&str], own: usize, name: &str) -> Facts {
                 out.set_kind(kind, of);
                 out.bias = said.bias;
             }
-            (Some(Kind::Flat), Some(Kind::Dark)) if place <= own.max(1) && kinds::alone(text) => {
+            (Some(Kind::Flat), Some(Kind::Dark))
+                if place <= own.max(1) && kinds::alone(text) && !kinds::says_black_alone(text) =>
+            {
                 let first = out.from.get("kind").cloned().unwrap_or_default();
                 out.doubts.push(format!("kind: {first} says flat, and {of} says dark"));
             }
@@ -486,6 +500,17 @@ fn settings(text: &str, of: &str, strong: bool, out: &mut Facts) {
     if let Some(word) = text.split(|c: char| !c.is_alphabetic()).find(|word| is(word, CONVERSION)) {
         out.set_feature("ConversionGain", &word.to_uppercase(), of);
     }
+    let words = || text.split(|c: char| !c.is_alphanumeric());
+    let is_mosaic = |word: &&str| {
+        let lower = word.to_lowercase();
+        lower.strip_prefix("bayer").map_or(word.len() == 4, |rest| rest.len() >= 2)
+    };
+    if let Some(pattern) = words().filter(is_mosaic).find_map(pattern)
+        && out.mosaic.is_none()
+    {
+        out.mosaic = Some(pattern);
+        out.from.insert("mosaic".into(), of.into());
+    }
     if let Some(step) = kinds::gain_step(text) {
         out.set_feature("gain step", step, of);
     }
@@ -505,7 +530,7 @@ fn settings(text: &str, of: &str, strong: bool, out: &mut Facts) {
                 out.gain_db = Some(value);
                 out.from.insert("gain_db".into(), of.into());
             }
-        } else if is(word, GAIN) {
+        } else if is(word, GAIN) || (is(word, GAIN_LETTER) && !number.apart && !number.is_padded()) {
             setting("GainRaw");
         } else if is(word, ISO) {
             setting("ISO");

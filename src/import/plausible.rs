@@ -145,9 +145,30 @@ pub fn lit_and_dark(sets: &mut [Growing], lowest_dn: f64) {
     }
 }
 
-/// Smallest level below that of all darks, DN and relative to it, at which flats are questioned: a black
-/// level drifts by less (named choices).
-const MIN_BELOW_DARKS: (f64, f64) = (5.0, 0.05);
+/// Questions words like x4 that all frames of a set have: averages of four, a lens or a gain? In names that
+/// count frames (`x0`, `x1`) the words differ.
+pub fn averaged_by_name(sets: &mut [Growing], found: &[Found]) {
+    let said = |set: &Growing| {
+        let mut words = set.frames.iter().map(|k| {
+            let name = found[*k].path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            super::kinds::times(&name).map(|(word, n)| (word.to_string(), n))
+        });
+        let first = words.next().flatten()?;
+        words.all(|other| other.as_ref() == Some(&first)).then_some(first)
+    };
+    let all: Vec<Option<(String, u32)>> = sets.iter().map(said).collect();
+    // Of sets of one frame each, words that differ count.
+    let alone = sets.iter().all(|s| s.frames.len() == 1);
+    if alone && all.iter().any(|word| *word != all[0]) {
+        return;
+    }
+    for (set, word) in sets.iter_mut().zip(&all) {
+        let Some((word, n)) = word.as_ref().filter(|_| alone || set.frames.len() > 1) else { continue };
+        set.set.doubts.push(format!(
+            "frames: the names say \"{word}\": averages of {n} frames, a lens or a gain? Averages are no raw frames"
+        ));
+    }
+}
 
 /// Largest relative difference of the means of flats that were divided by them, above rounding to 24 bits;
 /// lamps and shot noise move means by more (a named choice).
@@ -169,6 +190,10 @@ pub fn normalized(sets: &mut [Growing], found: &[Found]) {
         six_digits(most)
     ));
 }
+
+/// Smallest level below that of all darks, DN and relative to it, at which flats are questioned: a black
+/// level drifts by less (named choices).
+const MIN_BELOW_DARKS: (f64, f64) = (5.0, 0.05);
 
 /// Questions flats that are darker than all darks. Fewer bits of some files, which also make them so, are
 /// questioned before.
@@ -233,9 +258,11 @@ pub fn darks_on_the_line(sets: &mut [Growing]) {
 
 /// Questions files that keep fewer bits than the others: 8 bits of 12 are another gain.
 pub fn fewer_bits(sets: &mut [Growing], found: &[Found]) {
-    let most = found.iter().map(|f| f.stored_bits).max().unwrap_or(0);
+    // Floating-point numbers have as many bits as their writer likes.
+    let bits = |f: &Found| if f.is_rounded { 32 } else { f.stored_bits.min(32) };
+    let most = found.iter().map(bits).max().unwrap_or(0);
     for set in sets.iter_mut() {
-        let Some(few) = set.frames.iter().map(|k| &found[*k]).find(|f| f.stored_bits < most) else {
+        let Some(few) = set.frames.iter().map(|k| &found[*k]).find(|f| bits(f) < most) else {
             continue;
         };
         set.set.doubts.push(format!(

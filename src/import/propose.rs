@@ -105,6 +105,7 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
     plausible::darks_on_the_line(&mut sets);
     plausible::fewer_bits(&mut sets, found);
     plausible::shifted_codes(&mut sets, found);
+    plausible::averaged_by_name(&mut sets, found);
     plausible::normalized(&mut sets, found);
     plausible::flats_below_darks(&mut sets);
     plausible::serial_numbers(&mut sets, found);

@@ -62,6 +62,11 @@ pub fn shared(found: &[Found]) -> Result<Shared, ImportError> {
         {
             all.push(("PEDESTAL".into(), "0".into()));
         }
+        // TIFF without the tag begins at the upper left.
+        let turned = super::headers::ORIENTATION;
+        if found.iter().any(|f| f.facts.feature(turned).is_some()) && facts.feature(turned).is_none() {
+            all.push((turned.into(), "1".into()));
+        }
         all
     };
     let mut said: BTreeMap<String, (String, PathBuf, usize)> = BTreeMap::new();

@@ -11,7 +11,7 @@ const MAX_BYTES: u64 = 4 * 1024 * 1024;
 /// Extensions of tables.
 const EXTENSIONS: [&str; 2] = ["csv", "tsv"];
 /// Columns that name the frame, its set or its folder, the best first; else the first column does.
-const NAMES: [&str; 13] = [
+const NAMES: [&str; 18] = [
     "file",
     "filename",
     "filepath",
@@ -25,6 +25,11 @@ const NAMES: [&str; 13] = [
     "prefix",
     "set",
     "series",
+    "datei",
+    "dateiname",
+    "bild",
+    "fichier",
+    "archivo",
 ];
 
 /// Tables by the folder in which they lie.

@@ -48,7 +48,7 @@ const SETTINGS: &[(&str, &[&str])] = &[
     ("EMGAIN", &["emgain", "emrealgn"]),
     ("READTIME", &["readtime"]),
     ("READSPD", &["readspd", "readspeed", "readoutspeed", "digitizer"]),
-    ("CONVGAIN", &["convgain", "conversiongain"]),
+    ("CONVGAIN", &["convgain", "conversiongain", "gainmode", "gainmod", "convgainmode", "sensorgainmode"]),
     ("SUBRECT", &["subrect", "roi", "region"]),
     ("DETECTOR", &["detector"]),
     ("HIGHSPD", &["highspd"]),
@@ -156,6 +156,12 @@ const EXPOSURES: &[&str] = &[
     "shutterspeed",
     "shutter",
     "exp",
+    "belichtungszeit",
+    "belichtung",
+    "integrationszeit",
+    "tempsdexposition",
+    "tempsdepose",
+    "tiempodeexposicion",
 ];
 
 /// Words for the unit of the times of a header.
@@ -170,8 +176,18 @@ const UNITS: &[&str] = &[
     "exposuretimeunit",
 ];
 
-const KINDS: &[&str] =
-    &["imagetyp", "imagetype", "imgtype", "frametyp", "frametype", "obstype", "picttype", "kind"];
+const KINDS: &[&str] = &[
+    "imagetyp",
+    "typ",
+    "type",
+    "imagetype",
+    "imgtype",
+    "frametyp",
+    "frametype",
+    "obstype",
+    "picttype",
+    "kind",
+];
 
 pub(super) fn plain(key: &str) -> String {
     key.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()

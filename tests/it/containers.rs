@@ -566,7 +566,7 @@ fn set_tag(bytes: &mut [u8], tag: u16, value: u16) {
     bytes[at..at + 2].copy_from_slice(&value.to_le_bytes());
 }
 
-fn rename_tag(bytes: &mut [u8], tag: u16, to: u16) {
+pub fn rename_tag(bytes: &mut [u8], tag: u16, to: u16) {
     let at = place(bytes, tag) - 8;
     bytes[at..at + 2].copy_from_slice(&to.to_le_bytes());
 }

@@ -244,7 +244,12 @@ fn kinds_of_folders_and_flat_darks() {
 #[test]
 fn settings_in_names_are_compared() {
     let bench = Bench::new();
-    let ways: [(&str, &Name, &str); 14] = [
+    let ways: [(&str, &Name, &str); 15] = [
+        (
+            "a letter",
+            &|k, ms, i, _| format!("{k}_g{}_{ms}ms_{i}.tif", if k == "Dark" { 0 } else { 120 }),
+            "gain 120",
+        ),
         (
             "letters",
             &|k, ms, i, _| format!("cam{}_{k}_{ms}ms_{i}.tif", if k == "Dark" { 'A' } else { 'B' }),
@@ -373,7 +378,7 @@ fn times_that_are_no_exposures() {
         ("master", "masterDark_10ms.tif", "frames of set 0"),
         ("siril", "pp_flat_10ms_00001.tif", "frames of set 0"),
         ("average", "dark_avg16_10ms_1.tif", "frames of set 0"),
-        ("times", "dark_10ms_x4_1.tif", "maybe an average of 4 frames"),
+        ("times", "dark_10ms_x4_1.tif", "averages of 4 frames"),
         ("delay", "dark_100ms_delay.tif", "exposure_s of set 0"),
     ] {
         bench.tiff(&format!("{folder}/{name}"), &camera.frame(0.0, 0.01));
@@ -384,6 +389,8 @@ fn times_that_are_no_exposures() {
         ("pause", "dark_10ms_delay5s_1.tif", 0.01),
         ("exposure", "dark_exp10ms_every_5s_1.tif", 0.01),
         ("minutes", "dark_5min_1.tif", 300.0),
+        ("after", "dark_after_10ms_1.tif", 0.01),
+        ("black columns", "black/dark_3ms_1.tif", 0.003),
         ("labels", "dark_2.5ms-exp_100ms-period_1.tif", 0.0025),
         ("sensor", "stacked_cmos/dark_3ms_1.tif", 0.003),
         ("test", "mean_variance_test/dark_3ms_1.tif", 0.003),
@@ -534,6 +541,7 @@ fn every_row_of_the_table_of_files_has_its_test() {
         "import_cases",
         "import_levels",
         "import_names",
+        "import_files",
         "containers",
         "frame_headers",
         "hdf5",

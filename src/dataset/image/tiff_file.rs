@@ -33,7 +33,12 @@ struct Directory {
     /// Place of PhotometricInterpretation and its value.
     photometric: Option<(u64, u16)>,
     sub: Vec<u64>,
+    /// Places and lengths of the ImageDescriptions.
+    descriptions: Vec<(u64, u64)>,
 }
+
+/// Longest description that is read, bytes.
+const MAX_DESCRIPTION_BYTES: u64 = 1 << 20;
 
 /// PhotometricInterpretation of a colour-filter mosaic (TIFF/EP) and of its planes (DNG): codes as the sensor
 /// gives them.
@@ -103,6 +108,12 @@ impl Directories {
             let of = |range: std::ops::Range<usize>| number(&entry[range], self.big_endian);
             let value = entry_bytes - pointer;
             let values = if self.big_tiff { of(4..12) } else { of(4..8) };
+            if (of(0..2), of(2..4)) == (270, 2) {
+                let inside = at + (count_bytes + k * entry_bytes + value) as u64;
+                let place = if values <= pointer as u64 { inside } else { of(value..value + pointer) };
+                out.descriptions.push((place, values));
+                continue;
+            }
             let bytes_each = match of(2..4) {
                 3 => 2,
                 4 | 13 => 4,
@@ -162,12 +173,24 @@ impl Directories {
         self.all.get(page).is_some_and(|d| d.photometric.is_some_and(|p| p.1 == CFA))
     }
 
-    /// The decoder at a page.
     /// True if the only directory is that of all frames, as in large stacks of ImageJ.
     pub(crate) fn is_contiguous(&self) -> bool {
         self.contiguous > 1
     }
 
+    /// The first of several ImageDescriptions of a page: of two, decoders return the last. Python's tifffile
+    /// writes the shape of the array behind the text of its caller.
+    pub(crate) fn first_description(&self, path: &Path, page: usize) -> Option<String> {
+        let [(place, length), _, ..] = self.all.get(page)?.descriptions[..] else { return None };
+        let mut file = crate::input::open(path).ok()?;
+        file.seek(SeekFrom::Start(place)).ok()?;
+        let mut bytes = Vec::new();
+        file.take(length.min(MAX_DESCRIPTION_BYTES)).read_to_end(&mut bytes).ok()?;
+        let text = String::from_utf8_lossy(&bytes);
+        Some(text.trim_end_matches('\0').to_string())
+    }
+
+    /// The decoder at a page.
     pub(crate) fn decoder(&self, path: &Path, page: usize) -> Result<Tiff, ImageError> {
         let place = if self.contiguous > 1 { 0 } else { page };
         let directory = self.all.get(place).ok_or(ImageError::NoPage(page))?;

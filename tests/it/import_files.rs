@@ -1,0 +1,177 @@
+//! What files hold beside one frame: tags, pages, tables beside them.
+
+use crate::containers::rename_tag;
+use crate::import_cases::{Bench, Camera, sets};
+use radcam::dataset::Kind;
+use std::fs;
+use tiff::encoder::TiffEncoder;
+use tiff::encoder::colortype::Gray16;
+use tiff::tags::Tag;
+
+/// Pages of one file, each with a description of its own.
+#[test]
+fn pages_have_their_own_exposures() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(54);
+    let pages = [(0.0, 5.0, "dark"), (0.0, 5.0, "dark"), (2000.0, 20.0, "flat"), (2000.0, 20.0, "flat")];
+    let mut encoder =
+        tiff::encoder::TiffEncoder::new(fs::File::create(bench.path("in/all.tif")).unwrap()).unwrap();
+    for (light, ms, kind) in pages {
+        let frame = camera.frame(light, ms / 1e3);
+        let size = frame.nrows() as u32;
+        let mut image = encoder.new_image::<Gray16>(size, size).unwrap();
+        let text = format!("{{\"kind\": \"{kind}\", \"exposure_ms\": {ms}, \"Gain\": 6}}");
+        image.encoder().write_tag(tiff::tags::Tag::ImageDescription, &*text).unwrap();
+        image.write_data(frame.as_slice().unwrap()).unwrap();
+    }
+    drop(encoder);
+    let (dataset, said) = bench.import("in", &[]);
+    assert_eq!(sets(&dataset), [(Kind::Dark, 0.005, 2), (Kind::Flat, 0.02, 2)]);
+    assert_eq!(dataset.manifest().camera.gain_db, Some(6.0));
+    assert!(!said.contains("guess"), "{said}");
+}
+
+/// A second page with a small picture for browsers is no frame, also where nothing marks it as one.
+#[test]
+fn small_pictures_behind_a_frame_are_left_out() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(55);
+    for (name, light) in
+        [("dark_10ms_0", 0.0), ("dark_10ms_1", 0.0), ("flat_10ms_0", 2000.0), ("flat_10ms_1", 2000.0)]
+    {
+        let frame = camera.frame(light, 0.01);
+        let file = fs::File::create(bench.path(&format!("in/{name}.tif"))).unwrap();
+        let mut encoder = tiff::encoder::TiffEncoder::new(file).unwrap();
+        encoder.write_image::<Gray16>(32, 32, frame.as_slice().unwrap()).unwrap();
+        encoder.write_image::<Gray16>(8, 8, &[40_000; 64]).unwrap();
+    }
+    let (dataset, said) = bench.import("in", &[]);
+    assert_eq!(sets(&dataset), [(Kind::Dark, 0.01, 2), (Kind::Flat, 0.01, 2)]);
+    assert!(said.contains("1 of 2 pages are left out"), "{said}");
+}
+
+/// Tables of scripts: one row for a frame, for a set by the beginning of its names, or for a folder.
+#[test]
+fn tables_beside_the_frames_are_read() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(53);
+    let right = [(Kind::Dark, 0.005, 2), (Kind::Flat, 0.02, 2), (Kind::Flat, 0.03, 2)];
+    let all = [("a", "dark", 5.0, 0.0), ("b", "flat", 20.0, 2000.0), ("c", "flat", 30.0, 3000.0)];
+    let text = |name: &str, rows: &[String]| fs::write(bench.path(name), rows.join("\r\n")).unwrap();
+    let mut rows = [
+        vec!["image;kind;exposure (ms)".to_string()],
+        vec!["#comment".to_string(), "prefix,type,kind,exposure_s".to_string()],
+        vec!["exposure_us\tkind\tfolder".to_string()],
+    ];
+    for (name, kind, ms, light) in all {
+        for k in 0..2 {
+            let frame = camera.frame(light, ms / 1e3);
+            ["frames", "sets"].iter().for_each(|f| bench.tiff(&format!("{f}/{name}_{k}.tif"), &frame));
+            bench.tiff(&format!("folders/{name}/img_{k}.tif"), &frame);
+            rows[0].push(
+                format!("C:\\data\\{name}_{k}.tif;{kind};{:.1}", ms)
+                    .replace('.', ",")
+                    .replace(",tif", ".tif"),
+            );
+        }
+        rows[1].push(format!("{name},raw,{kind},{}", ms / 1e3));
+        rows[2].push(format!("{}\t{kind}\tfolders/{name}", ms * 1e3));
+    }
+    text("frames/exposures.csv", &rows[0]);
+    text("sets/log.csv", &rows[1]);
+    text("folders/sets.tsv", &rows[2]);
+    for folder in ["frames", "sets", "folders"] {
+        let (dataset, said) = bench.import(folder, &["--explain"]);
+        assert_eq!(sets(&dataset), right, "{folder}");
+        assert!(said.contains("sv: exposure"), "{said}");
+    }
+    // A table that tells two exposures of one frame is asked, and one without a unit tells nothing.
+    text("sets/log.csv", &["name,exposure_ms".into(), "b,20".into(), "b,21".into()]);
+    assert!(bench.refused("sets").contains("exposure_ms 21"), "{}", bench.refused("sets"));
+    text("sets/log.csv", &["name,exposure".into(), "a,20".into()]);
+    assert!(bench.refused("sets").contains("exposure_s of set 0"));
+}
+
+/// Flats that were each divided by their mean tell no gain: asked.
+#[test]
+fn flats_divided_by_their_means_are_asked() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(56);
+    let mut array = |name: &str, light: f64, normalized: bool| {
+        let frame = camera.frame(light, 0.01).mapv(f64::from);
+        let mean = if normalized { frame.mean().unwrap() } else { 7.0 };
+        let mut bytes = b"\x93NUMPY\x01\x00\x46\x00".to_vec();
+        bytes.extend(
+            format!("{:<69}\n", "{'descr': '<f4', 'fortran_order': False, 'shape': (32, 32)}").bytes(),
+        );
+        bytes.extend(frame.iter().flat_map(|v| ((v / mean) as f32).to_le_bytes()));
+        fs::write(bench.path(name), bytes).unwrap();
+    };
+    for k in 0..4 {
+        array(&format!("in/dark_10ms_{k}.npy"), 0.0, false);
+        array(&format!("in/flat_10ms_{k}.npy"), 2000.0, true);
+        array(&format!("raw/dark_10ms_{k}.npy"), 0.0, false);
+        array(&format!("raw/flat_10ms_{k}.npy"), 2000.0, false);
+    }
+    let said = bench.refused("in");
+    assert!(said.contains("each was divided by its own"), "{said}");
+    bench.import("raw", &[]);
+}
+
+/// A frame as TIFF with texts and numbers in tags.
+fn tagged(
+    bench: &Bench,
+    name: &str,
+    frame: &ndarray::Array2<u16>,
+    texts: &[(Tag, &str)],
+    orientation: Option<u16>,
+) {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    let mut encoder = TiffEncoder::new(&mut bytes).unwrap();
+    let size = frame.nrows() as u32;
+    let mut image = encoder.new_image::<Gray16>(size, size).unwrap();
+    texts.iter().for_each(|(tag, text)| image.encoder().write_tag(*tag, *text).unwrap());
+    orientation.iter().for_each(|o| image.encoder().write_tag(Tag::Orientation, *o).unwrap());
+    image.write_data(frame.as_slice().unwrap()).unwrap();
+    fs::write(bench.path(name), bytes.into_inner()).unwrap();
+}
+
+/// Python's tifffile writes the text of its caller, and behind it the shape of the array, as two ImageDescriptions.
+#[test]
+fn the_first_of_two_descriptions_is_read() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(57);
+    let mut frame = |name: &str, light: f64, text: &str| {
+        let frame = camera.frame(light, 0.01);
+        let texts = [(Tag::Unknown(269), text), (Tag::ImageDescription, r#"{"shape": [32, 32]}"#)];
+        tagged(&bench, name, &frame, &texts, None);
+        let mut bytes = fs::read(bench.path(name)).unwrap();
+        rename_tag(&mut bytes, 269, 270);
+        fs::write(bench.path(name), bytes).unwrap();
+    };
+    for k in 0..2 {
+        frame(&format!("in/d{k}.tif"), 0.0, "kind=dark\nexposure=5 ms\ngain_db=6");
+        frame(&format!("in/f{k}.tif"), 2000.0, "kind=flat\nexposure=20 ms\ngain_db=6");
+        frame(&format!("colour/flat_10ms_{k}.tif"), 2000.0, r#"{"PixelFormat": "BayerRG12"}"#);
+        frame(&format!("colour/dark_10ms_{k}.tif"), 0.0, r#"{"PixelFormat": "BayerRG12"}"#);
+    }
+    let (dataset, _) = bench.import("in", &[]);
+    assert_eq!(sets(&dataset), [(Kind::Dark, 0.005, 2), (Kind::Flat, 0.02, 2)]);
+    assert_eq!(dataset.manifest().camera.gain_db, Some(6.0));
+    assert!(bench.refused("colour").contains("RGGB"));
+}
+
+/// Frames that viewers turn beside frames that they do not: refused.
+#[test]
+fn two_orientations_are_refused() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(58);
+    for k in 0..2 {
+        tagged(&bench, &format!("in/dark_10ms_{k}.tif"), &camera.frame(0.0, 0.01), &[], None);
+        tagged(&bench, &format!("in/flat_10ms_{k}.tif"), &camera.frame(2000.0, 0.01), &[], Some(4));
+        tagged(&bench, &format!("one/dark_10ms_{k}.tif"), &camera.frame(0.0, 0.01), &[], Some(1));
+        tagged(&bench, &format!("one/flat_10ms_{k}.tif"), &camera.frame(2000.0, 0.01), &[], None);
+    }
+    assert!(bench.refused("in").contains("Orientation"));
+    assert_eq!(bench.import("one", &[]).0.rows().len(), 4);
+}
