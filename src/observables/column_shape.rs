@@ -64,7 +64,7 @@ impl Statistic for ColumnShape {
         let own = (s.shot.across_lag(0) + s.read.across_lag(0)) / rows as f64 + s.column.lag(0);
         let stripes = view.stripes(false, lag, own);
         let alone = own / (((columns - lag) as f64) * view.dof).sqrt();
-        let single = in_quadrature(&[s.unsure_var, view.rough.1]) / rows as f64;
+        let single = in_quadrature(&[s.unsure_var, view.rough_lags]) / rows as f64;
         let lines: f64 = s.lines.iter().map(|l| l.0).sum();
         let error = in_quadrature(&[alone, 0.3 * view.moving, stripes.variance, lines / rows as f64, single]);
         let field = view.with_light * view.all.field.column_lags[o.index.min(super::LINE_LAGS.len() - 1)];

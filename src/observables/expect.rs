@@ -252,6 +252,9 @@ pub struct View<'a> {
     pub left: (f64, f64),
     /// What rounding may do to mean and variance beyond what is predicted, DN and DN^2.
     pub rough: (f64, f64),
+    /// Error by rounding of covariances of the means of lines, times the pixels of a line, DN^2. Lines apart
+    /// share no pixel: the error that all chunks of a level have in common is in their variances alone.
+    pub rough_lags: f64,
     /// How little few frames show of a light that changes down the rows, DN^2.
     pub ripple_error: f64,
     /// Variance that these frames share in proportion to the light of each pixel, DN^2: as much as their means
@@ -322,6 +325,7 @@ impl<'a> View<'a> {
             noise: 0.0,
             left: (1.0, 1.0),
             rough: (0.0, 0.0),
+            rough_lags: 0.0,
             ripple_error: 0.0,
             with_light: 0.0,
             lags,
@@ -337,6 +341,7 @@ impl<'a> View<'a> {
         }
         let spread = o.set.and_then(|i| all.campaign.sets.get(i)).map_or(0.0, |s| s.spread_dn);
         view.rough = rough(prediction, s, view.noise, spread);
+        view.rough_lags = view.rough.1;
         // Rounding errors are the same in all chunks of a level, and do not average out.
         let alike = o.set.and_then(|i| all.alike.get(i)).map_or(1.0, |n| n.sqrt());
         view.rough = (alike * view.rough.0, alike * view.rough.1);

@@ -66,7 +66,7 @@ impl Statistic for RowShape {
         let ripple = view.ripple_error * (0.5 * (1.0 + common * common)).sqrt();
         let stripes = view.stripes(true, lag, own);
         let alone = own / (((rows - lag) as f64) * view.dof).sqrt();
-        let single = in_quadrature(&[s.unsure_var, view.rough.1]) / columns as f64;
+        let single = in_quadrature(&[s.unsure_var, view.rough_lags]) / columns as f64;
         let error = in_quadrature(&[
             alone,
             ripple,
