@@ -24,6 +24,8 @@ pub const NO_RESPONSE: u8 = DEAD | BLIND;
 const HOT_SIGMA: f64 = 8.0;
 /// K below which, and above whose inverse, a pixel is dead.
 pub(super) const DEAD_K: f32 = 0.5;
+/// Largest K that is said as a number.
+const MAX_SAID_K: f64 = 100.0;
 /// Chance that one sound pixel of the whole frame counts as unstable.
 const UNSTABLE_CHANCE: f64 = 1e-3;
 /// Temporal variance over the usual one that an unstable pixel has at least: what matters to a user.
@@ -54,7 +56,13 @@ impl Defect {
             why.push(format!("hot: {:+.1} DN in the dark", self.dark_excess_dn));
         }
         if self.flags & DEAD != 0 {
-            why.push(format!("dead: K = {:.3}", self.k));
+            why.push(match self.k {
+                k if k > MAX_SAID_K => {
+                    format!("no response to be told: K above {MAX_SAID_K}, beside too little light")
+                }
+                k if k > 1.0 => format!("too bright: K = {k:.3}"),
+                k => format!("dead: K = {k:.3}"),
+            });
         }
         if self.flags & BLIND != 0 {
             why.push("blind: no light reaches it, or a part of it".into());

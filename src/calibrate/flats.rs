@@ -66,7 +66,11 @@ fn image(
     // Sets of one level differ in light: their scatter is an upper bound of the noise.
     let scatter = moments.variance_dn2().mean().unwrap_or(f64::NAN);
     let model = noise.map_or(f64::NAN, |(a, c)| a * level_dn.max(0.0) + c);
-    let var_dn2 = model.min(scatter).max(1.0 / 12.0);
+    let var_dn2 = model.min(scatter);
+    if var_dn2.is_nan() {
+        return Err(CalibrateError::NoiseUnknown { set: sets.first().map_or(0, |s| s.number) });
+    }
+    let var_dn2 = var_dn2.max(1.0 / 12.0);
     let near = full - REACH * var_dn2.sqrt();
     let clipped = mean.mapv(|m| m >= near.max(0.5 * full));
     Ok(Image { signal_dn, level_dn, frames: moments.frames(), var_dn2, clipped })

@@ -55,6 +55,15 @@ pub enum CalibrateError {
     /// No flats.
     #[error("the dataset has no flats")]
     NoFlats,
+    /// Nothing tells the noise of a flat, and so the error of K.
+    #[error(
+        "set {set} has one frame, and no gain is known that would tell its noise: the error of K cannot be known; take two frames or more of \
+         each level"
+    )]
+    NoiseUnknown {
+        /// Number of the first such set.
+        set: u32,
+    },
     /// Clipped flats have lost their pattern.
     #[error(
         "configuration {configuration}: {percent:.2} % of the samples are at full scale; shorten the exposure"

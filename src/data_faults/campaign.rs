@@ -79,6 +79,12 @@ impl SetView {
         median(self.settled_dn().into_iter())
     }
 
+    /// Median of the means of the frames behind the first, DN; of a single frame its own.
+    pub fn behind_first_dn(&self) -> f64 {
+        let means = self.means_dn();
+        median(means.iter().skip(usize::from(means.len() > 1)).copied())
+    }
+
     /// Mean of the last frame in use, DN.
     pub fn last_dn(&self) -> f64 {
         self.places().last().map_or(f64::NAN, |i| self.facts.means_dn[i])
@@ -299,11 +305,20 @@ impl<'a> Campaign<'a> {
 
     /// Fits the dark level without some of the darks.
     pub fn zero_without(&self, without: &[usize]) -> Option<Zero> {
+        self.zero_by(without, SetView::level_dn)
+    }
+
+    /// Fits the dark level of the frames behind the first of each set.
+    pub fn zero_behind_firsts(&self) -> Option<Zero> {
+        self.zero_by(&[], SetView::behind_first_dn)
+    }
+
+    fn zero_by(&self, without: &[usize], level_dn: impl Fn(&SetView) -> f64) -> Option<Zero> {
         let darks = self.places(|s| s.kind == Kind::Dark && !s.clipped);
         let points: Vec<(f64, f64)> = darks
             .iter()
             .filter(|i| !without.contains(i))
-            .map(|&i| (self.sets[i].exposure_s, self.sets[i].level_dn()))
+            .map(|&i| (self.sets[i].exposure_s, level_dn(&self.sets[i])))
             .collect();
         let (dn, dn_per_s) = median_line(&points)?;
         let off = points.iter().map(|(x, y)| (y - dn - dn_per_s * x).abs());
@@ -363,6 +378,16 @@ impl<'a> Campaign<'a> {
             |k: usize| self.change_at(k).filter(|c| c.0.abs() > 20.0 * scatter.of_frame_dn(&self.sets[k]));
         let shares = shares((1..self.sets.len()).filter_map(sure).collect());
         (shares.len() >= MIN_CHANGES.0).then(|| median(shares.into_iter()))
+    }
+
+    /// Sets that follow another level, by enough that their first frame would show a share of it, and the share
+    /// that it shows.
+    pub fn changes(&self, scatter: &Scatter) -> Vec<(usize, f64)> {
+        let sure = |set: usize| {
+            let (change, first) = self.change_at(set)?;
+            (change.abs() > 20.0 * scatter.of_frame_dn(&self.sets[set])).then_some((set, first / change))
+        };
+        (1..self.sets.len()).filter_map(sure).collect()
     }
 
     /// Returns true if a dark deviates from a smooth law of the exposure fitted to the other darks, or if

@@ -7,6 +7,11 @@ use std::collections::BTreeMap;
 /// Pixels that frames usually differ in, from which on two that do not are one: where each differs by chance, the
 /// chance of none is below 1e-13.
 const MIN_CHANGED_PIXELS: f64 = 30.0;
+/// Largest share of the pixels in which a copy may differ: cameras and programs write a number or the time into
+/// a corner of the frame.
+const MAX_STAMP_SHARE: f64 = 0.01;
+/// Least share of the pixels in which frames of the same level usually differ then.
+const MIN_CHANGED_SHARE: f64 = 0.4;
 /// Signal from which light alone makes frames differ, DN.
 const MIN_SIGNAL_DN: f64 = 20.0;
 
@@ -23,7 +28,8 @@ impl Check for CopiedFrames {
             }
         }
         let copies: Vec<(usize, usize)> = same.into_values().flat_map(|v| v.into_iter().skip(1)).collect();
-        if copies.is_empty() {
+        let stamped = stamped(campaign);
+        if copies.is_empty() && stamped.is_empty() {
             return Vec::new();
         }
         // How much frames of a set differ that are not the same.
@@ -54,14 +60,18 @@ impl Check for CopiedFrames {
             usual >= MIN_CHANGED_PIXELS || (view.facts.spread_dn2 > 0.0 && level - lowest > MIN_SIGNAL_DN)
         };
         let mut frames: Vec<(usize, usize)> = copies.into_iter().filter(|(s, _)| has_noise(*s)).collect();
+        let exact = frames.len();
+        frames.extend(stamped);
         frames.sort_unstable();
+        frames.dedup();
+        let word = if exact == frames.len() { ", code for code" } else { " but for a stamp in a corner" };
         if frames.is_empty() {
             return Vec::new();
         }
         let mut sets: Vec<usize> = frames.iter().map(|f| f.0).collect();
         sets.dedup();
         let text = format!(
-            "{}: {} frames are copies of others, code for code ({}{}): noise never repeats itself, and each frame counts once",
+            "{}: {} frames are copies of others{word} ({}{}): noise never repeats itself, and each frame counts once",
             campaign.named(&sets),
             frames.len(),
             campaign.file(frames[0].0, frames[0].1),
@@ -69,4 +79,34 @@ impl Check for CopiedFrames {
         );
         vec![campaign.fault_of_frames(FaultKind::CopiedFrames, &frames, text)]
     }
+}
+
+/// Frames that differ from the one before in a corner alone, where others of their level differ everywhere.
+fn stamped(campaign: &Campaign<'_>) -> Vec<(usize, usize)> {
+    let all = campaign.places(|s| !s.clipped);
+    let pixels = |set: usize| campaign.sets[set].facts.pixels;
+    // Samples that stand far off are not counted: a short stamp may change none.
+    let is_stamp = |set: usize, changed: u64| (changed as f64) < MAX_STAMP_SHARE * pixels(set);
+    // Share of the pixels that noise changes.
+    let usual = |set: usize| {
+        let changed = campaign.sets[set].facts.changed.iter().skip(1).filter(|c| !is_stamp(set, **c));
+        median(changed.map(|c| *c as f64)) / pixels(set)
+    };
+    let mut out = Vec::new();
+    for &set in &all {
+        let view = &campaign.sets[set];
+        let places: Vec<usize> = (1..view.facts.changed.len())
+            .filter(|&k| view.kept[k] && view.kept[k - 1] && is_stamp(set, view.facts.changed[k]))
+            .collect();
+        if places.is_empty() {
+            continue;
+        }
+        let darker = all.iter().filter(|s| campaign.sets[**s].level_dn() <= view.level_dn());
+        let known = median(darker.map(|s| usual(*s)).filter(|u| u.is_finite()));
+        let own = usual(set);
+        if (if own.is_finite() { own } else { known }) > MIN_CHANGED_SHARE {
+            out.extend(places.into_iter().map(|k| (set, k)));
+        }
+    }
+    out
 }

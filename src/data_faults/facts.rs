@@ -6,7 +6,7 @@ use super::old_data::{OldData, Search};
 use crate::dataset::{Dataset, Set};
 use crate::statistics::code_step::Occurring;
 use crate::statistics::outliers;
-use ndarray::{Array2, s};
+use ndarray::{Array2, ArrayView2, s};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -315,6 +315,7 @@ fn shared_by_neighbours(a: &Array2<u16>, b: &Array2<u16>) -> Option<f64> {
         .and(b.slice(part))
         .for_each(|d, &a, &b| *d = f32::from(a) - f32::from(b));
     off -= off.mean()?;
+    without_field(&mut off, a.slice(part), b.slice(part));
     let rows_of: Vec<&[f32]> = off.as_slice()?.chunks_exact(width).collect();
     // Mean product of pixels so far apart.
     let product = |down: isize, across: isize| {
@@ -342,6 +343,22 @@ fn shared_by_neighbours(a: &Array2<u16>, b: &Array2<u16>) -> Option<f64> {
     let near: f64 = near.sum();
     let own = product(0, 0) - in_row - in_column + aslant;
     (own > 0.0).then(|| 2.0 * near / own)
+}
+
+/// Takes the share of the field off the difference of two frames: a lamp that flickers leaves the shape of its
+/// field there.
+fn without_field(off: &mut Array2<f32>, a: ArrayView2<'_, u16>, b: ArrayView2<'_, u16>) {
+    let sum = ndarray::Zip::from(a).and(b).map_collect(|&a, &b| f32::from(a) + f32::from(b));
+    let Some(mean) = sum.mean() else { return };
+    let (mut product, mut square) = (0.0f64, 0.0f64);
+    ndarray::Zip::from(&*off).and(&sum).for_each(|d, s| {
+        product += f64::from(d * (s - mean));
+        square += f64::from(s - mean).powi(2);
+    });
+    if square > 0.0 {
+        let share = (product / square) as f32;
+        ndarray::Zip::from(off).and(&sum).for_each(|d, s| *d -= share * (s - mean));
+    }
 }
 
 /// Sum of the products of two rows, of which the longer is cut off. In lanes that a processor adds at once.

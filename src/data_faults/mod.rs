@@ -152,6 +152,8 @@ checks! {
     dark_settings::DarkSettings
     darks_of_flats::DarksOfFlats
     automatic::Automatic
+    exposure_limit::ExposureLimit
+    far_label::FarLabel
     setting_label::SettingLabel
     dependent_frames::DependentFrames
 }

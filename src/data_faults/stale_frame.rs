@@ -1,7 +1,7 @@
 //! The first frame of a set was exposed under the settings of the set before: all of them, or its exposure or
 //! light alone.
 
-use super::campaign::Zero;
+use super::campaign::{Scatter, Zero};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::number::six_digits;
 use crate::statistics::median::{MAD_OF_NORMAL, median};
@@ -19,10 +19,19 @@ const MIN_MATCH_SHARE: f64 = 0.03;
 /// of the labels tells.
 const MAX_LABEL_MISMATCH: f64 = 0.12;
 
+/// Relative difference from which on an old level is another one.
+const MIN_REL_APART: f64 = 0.05;
 /// Share of the sets that could show it from which on all are taken for stale.
 const MIN_STALE_SHARE: f64 = 0.7;
 /// Largest share of a level that lag or a filter carries over to the next frame.
 const MAX_CARRIED_SHARE: f64 = 0.5;
+
+/// Least share of the settings before in such a frame (a named choice): lag and filters of that size are rare.
+const MIN_SHARE_OF_BOTH: f64 = 0.1;
+/// Largest relative difference of the shares of such frames.
+const MAX_REL_OF_SHARES: f64 = 0.2;
+/// Flats below which the noise does not tell them from lag.
+const MIN_FLATS_OF_BOTH: usize = 3;
 
 /// The check.
 pub struct StaleFrame;
@@ -54,14 +63,16 @@ impl First {
         };
         let mut old_dn: Vec<(f64, bool)> = Vec::new();
         let direct = Some(&campaign.sets[set - 1]).filter(|b| !b.out);
-        let copy = direct.is_some_and(|b| b.facts.digests.last() == own.facts.digests.first());
+        // Of a set of which a first frame is out already nothing is the last frame of the set before.
+        let copy = own.kept.first() == Some(&true)
+            && direct.is_some_and(|b| b.facts.digests.last() == own.facts.digests.first());
         old_dn.extend(direct.and_then(|b| b.means_dn().last().copied()).map(|m| (m, true)));
         // Under the old exposure the light may be the new one already, or the other way round: a flat among darks
         // follows the flat before.
         for other in [direct, before(Some(own.is_lit()))].into_iter().flatten() {
             let signal = others_dn - zero.at(own.exposure_s);
             if !own.is_lit() && other.is_lit() {
-                let signal = other.level_dn() - zero.at(other.exposure_s);
+                let signal = other.behind_first_dn() - zero.at(other.exposure_s);
                 old_dn.push((zero.at(own.exposure_s) + signal * own.exposure_s / other.exposure_s, false));
             }
             if own.is_lit() {
@@ -86,9 +97,15 @@ impl First {
         Some(Self { set, old_dn, own_dn: *own_dn, others_dn, copy })
     }
 
-    /// Deviation from the nearest old level of those measured, and the scale of the two, DN.
-    fn off_dn(&self) -> f64 {
-        self.old_dn.iter().filter(|o| o.1).map(|o| (self.own_dn - o.0).abs()).fold(f64::INFINITY, f64::min)
+    /// Returns true for a level that is not that of the other frames.
+    fn is_far(&self, old_dn: f64) -> bool {
+        (old_dn - self.others_dn).abs() > MIN_REL_APART * old_dn.max(self.others_dn)
+    }
+
+    /// Deviation from the nearest old level, DN; `None` where all are near the other frames' level.
+    fn off_dn(&self) -> Option<f64> {
+        let far = self.old_dn.iter().filter(|o| self.is_far(o.0)).map(|o| (self.own_dn - o.0).abs());
+        far.min_by(f64::total_cmp)
     }
 
     fn is_stale(&self, scatter_dn: f64) -> bool {
@@ -104,68 +121,142 @@ impl First {
     }
 }
 
+/// Most frames at the begin of a set that are looked at: pipelines of cameras and drivers hold two or three.
+const MOST_STALE: usize = 3;
+/// Frames of a set that are left behind stale ones at least where several are.
+const MIN_LEFT: usize = 3;
+
+/// First frames in use of every set, by the settings of the set before.
+fn stale_firsts(campaign: &Campaign<'_>) -> Vec<usize> {
+    // Of two frames the mean is half of a stale one.
+    let Some(zero) = campaign.zero_behind_firsts() else { return Vec::new() };
+    let firsts: Vec<First> = (1..campaign.sets.len()).filter_map(|k| First::of(campaign, &zero, k)).collect();
+    let usual_scatter = campaign.scatter(&zero);
+    // Where all first frames are stale, what they do is no measure of what the lamp does: how well they meet
+    // the old levels is.
+    let level = |s: usize| (campaign.sets[s].behind_first_dn() - zero.dn).abs().max(1.0);
+    let scale = |f: &First| level(f.set).max(level(f.set - 1));
+    let meets = median(firsts.iter().filter_map(|f| Some(f.off_dn()? / scale(f)))) / MAD_OF_NORMAL;
+    let scatter = |f: &First| {
+        let of_frame = |s: usize| usual_scatter.of_frame_dn(&campaign.sets[s]);
+        let usual = of_frame(f.set).hypot(of_frame(f.set - 1));
+        let noise = |s: usize| {
+            campaign.sets[s].variance_dn2().map_or(0.0, |v| v.0 / campaign.sets[s].facts.pixels.max(1.0))
+        };
+        let least = (noise(f.set) + noise(f.set - 1)).sqrt().max(0.03);
+        usual.min((meets * scale(f)).max(least))
+    };
+    // What lag and filters carry over may be as much as what an old exposure would have made.
+    let share = campaign.carried(&usual_scatter).filter(|s| s.abs() < MAX_CARRIED_SHARE);
+    let carried = |f: &First| {
+        let change = campaign.sets[f.set - 1].level_dn() - f.others_dn;
+        let off = f.own_dn - f.others_dn;
+        share.is_some_and(|s| s.abs() > 1e-3 && (off - s * change).abs() < 0.2 * off.abs())
+    };
+    for f in &firsts {
+        tracing::debug!(
+            "set {}: first frame {:.1} DN, others {:.1} DN, old levels {:.1?}, scatter {:.2} DN, carried {}",
+            campaign.sets[f.set].number,
+            f.own_dn,
+            f.others_dn,
+            f.old_dn,
+            scatter(f),
+            carried(f)
+        );
+    }
+    let stale: Vec<&First> =
+        firsts.iter().filter(|f| f.copy || (f.is_stale(scatter(f)) && !carried(f))).collect();
+    // A copy of a frame of equal settings is a copy and no more.
+    let told = |f: &&&First| {
+        !f.copy
+            || (f
+                .old_dn
+                .first()
+                .is_some_and(|o| (o.0 - f.others_dn).abs() > MIN_SEPARATION_SIGMAS * scatter(f)))
+    };
+    let stale: Vec<&First> = stale.iter().filter(told).copied().collect();
+    let mut sets: Vec<usize> = stale.iter().map(|f| f.set).collect();
+    sets.extend(of_both(campaign, &usual_scatter));
+    sets.sort_unstable();
+    sets.dedup();
+    // Where nearly all that could show it are so, those are too that are too near the level before to show
+    // it.
+    let shows = |f: &&First| {
+        let is_apart = |old: f64| {
+            (old - f.others_dn).abs() > MIN_SEPARATION_DN.max(MIN_SEPARATION_SIGMAS * scatter(f))
+                || f.is_far(old)
+        };
+        f.old_dn.iter().any(|o| o.1 && is_apart(o.0))
+    };
+    let could = firsts.iter().filter(shows).count();
+    if sets.len() >= 3 && sets.len() as f64 > MIN_STALE_SHARE * could as f64 {
+        let near = firsts.iter().filter(|f| !shows(f) && campaign.sets[f.set].frames() > 2);
+        sets.extend(near.map(|f| f.set));
+        sets.sort_unstable();
+        sets.dedup();
+    }
+    sets
+}
+
+/// First frames that were exposed under the settings of both sets: all have the same share of the change, as lag
+/// makes it, and their noise contradicts lag.
+fn of_both(campaign: &Campaign<'_>, scatter: &Scatter) -> Vec<usize> {
+    let changes = campaign.changes(scatter);
+    let share = median(changes.iter().map(|c| c.1));
+    let agrees = |c: &&(usize, f64)| (c.1 - share).abs() < MAX_REL_OF_SHARES * share.abs();
+    let agree = changes.iter().filter(agrees).count();
+    let is_large = share.abs() > MIN_SHARE_OF_BOTH;
+    if !is_large || (agree as f64) < MIN_STALE_SHARE * changes.len() as f64 {
+        return Vec::new();
+    }
+    let darkest = campaign.places(|s| s.variance_dn2().is_some());
+    let darkest = darkest
+        .into_iter()
+        .min_by(|a, b| campaign.sets[*a].level_dn().total_cmp(&campaign.sets[*b].level_dn()));
+    let Some(darkest) = darkest else { return Vec::new() };
+    let lit = campaign.places(|s| s.is_lit() && !s.clipped && s.dependence().is_some());
+    let lacks = lit.iter().filter(|&&i| campaign.sets[i].lacks_lag(share, &campaign.sets[darkest])).count();
+    if lit.len() < MIN_FLATS_OF_BOTH || 2 * lacks <= lit.len() {
+        return Vec::new();
+    }
+    changes.into_iter().map(|c| c.0).collect()
+}
+
 impl Check for StaleFrame {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
-        let Some(zero) = campaign.zero() else { return Vec::new() };
-        let firsts: Vec<First> =
-            (1..campaign.sets.len()).filter_map(|k| First::of(campaign, &zero, k)).collect();
-        let usual_scatter = campaign.scatter(&zero);
-        // Where all first frames are stale, what they do is no measure of what the lamp does: how well they meet
-        // the old levels is.
-        let level = |s: usize| (campaign.sets[s].level_dn() - zero.dn).abs().max(1.0);
-        let scale = |f: &First| level(f.set).max(level(f.set - 1));
-        let meets = median(firsts.iter().map(|f| f.off_dn() / scale(f))) / MAD_OF_NORMAL;
-        let scatter = |f: &First| {
-            let of_frame = |s: usize| usual_scatter.of_frame_dn(&campaign.sets[s]);
-            let usual = of_frame(f.set).hypot(of_frame(f.set - 1));
-            let noise = |s: usize| {
-                campaign.sets[s].variance_dn2().map_or(0.0, |v| v.0 / campaign.sets[s].facts.pixels.max(1.0))
-            };
-            let least = (noise(f.set) + noise(f.set - 1)).sqrt().max(0.03);
-            usual.min((meets * scale(f)).max(least))
-        };
-        // What lag and filters carry over may be as much as what an old exposure would have made.
-        let share = campaign.carried(&usual_scatter).filter(|s| s.abs() < MAX_CARRIED_SHARE);
-        let carried = |f: &First| {
-            let change = campaign.sets[f.set - 1].level_dn() - f.others_dn;
-            let off = f.own_dn - f.others_dn;
-            share.is_some_and(|s| s.abs() > 1e-3 && (off - s * change).abs() < 0.2 * off.abs())
-        };
-        let stale: Vec<&First> =
-            firsts.iter().filter(|f| f.copy || (f.is_stale(scatter(f)) && !carried(f))).collect();
-        // A copy of a frame of equal settings is a copy and no more.
-        let told = |f: &&&First| {
-            !f.copy
-                || (f
-                    .old_dn
-                    .first()
-                    .is_some_and(|o| (o.0 - f.others_dn).abs() > MIN_SEPARATION_SIGMAS * scatter(f)))
-        };
-        let stale: Vec<&First> = stale.iter().filter(told).copied().collect();
-        let Some(first) = stale.first() else { return Vec::new() };
-        let mut sets: Vec<usize> = stale.iter().map(|f| f.set).collect();
-        // Where nearly all that could show it are so, those are too that are too near the level before to show
-        // it.
-        let shows = |f: &&First| {
-            f.old_dn.iter().any(|o| {
-                o.1 && (o.0 - f.others_dn).abs() > MIN_SEPARATION_DN.max(MIN_SEPARATION_SIGMAS * scatter(f))
-            })
-        };
-        let could = firsts.iter().filter(shows).count();
-        if sets.len() >= 3 && sets.len() as f64 > MIN_STALE_SHARE * could as f64 {
-            let near = firsts.iter().filter(|f| !shows(f) && campaign.sets[f.set].frames() > 2);
-            sets.extend(near.map(|f| f.set));
-            sets.sort_unstable();
-            sets.dedup();
+        let mut frames: Vec<(usize, usize)> = Vec::new();
+        for pass in 0..MOST_STALE {
+            let has_enough = |&set: &usize| pass == 0 || campaign.sets[set].frames() > MIN_LEFT;
+            let sets: Vec<usize> = stale_firsts(campaign).into_iter().filter(has_enough).collect();
+            // Behind the first frames of single sets nothing is stale.
+            let is_usual = pass == 0 || 2 * sets.len() > frames.len();
+            if sets.is_empty() || !is_usual {
+                break;
+            }
+            for set in sets {
+                if let Some(place) = campaign.sets[set].kept.iter().position(|kept| *kept) {
+                    campaign.sets[set].kept[place] = false;
+                    frames.push((set, place));
+                }
+            }
         }
+        let Some(&(first, place)) = frames.first() else { return Vec::new() };
+        let others_dn = median(campaign.sets[first].means_dn().into_iter());
+        let mut sets: Vec<usize> = frames.iter().map(|f| f.0).collect();
+        sets.sort_unstable();
+        sets.dedup();
+        let what = match frames.iter().filter(|f| f.0 == first).count() {
+            1 => "the first frame was".to_string(),
+            n => format!("the first {n} frames were"),
+        };
         let text = format!(
-            "{}: the first frame was exposed before the new settings held (set {}: {} DN, its other frames {} DN)",
+            "{}: {what} exposed before the new settings held (set {}: {} DN, its other frames {} DN)",
             campaign.named(&sets),
-            campaign.sets[first.set].number,
-            six_digits(first.own_dn),
-            six_digits(first.others_dn)
+            campaign.sets[first].number,
+            six_digits(campaign.sets[first].facts.means_dn[place]),
+            six_digits(others_dn)
         );
-        let frames: Vec<(usize, usize)> = sets.iter().map(|s| (*s, 0)).collect();
+        frames.sort_unstable();
         vec![campaign.fault_of_frames(FaultKind::StaleFrame, &frames, text)]
     }
 }

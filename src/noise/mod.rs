@@ -398,7 +398,9 @@ pub fn of_dataset(
             six_digits(flat_s)
         ));
     } else if let Some(charge_dn) =
-        charge_of_darks(&measured, &dataset).filter(|_| zero.source == ONE_EXPOSURE)
+        // A black level that moved by as much explains it.
+        charge_of_darks(&measured, &dataset)
+            .filter(|dn| zero.source == ONE_EXPOSURE && *dn > zero.moved_dn * 12f64.sqrt())
     {
         let (gain, constant) = (report.gain_dn_per_e.value, report.constant_noise_var_dn2.value);
         let without = constant - gain * charge_dn - dataset.quantisation_dn2();

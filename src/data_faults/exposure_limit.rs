@@ -1,0 +1,94 @@
+//! Exposures beyond a limit of the camera: flats of several stated exposures at one end of a sweep have one level.
+
+use super::transfer::{Transfer, above};
+use super::{Campaign, Check, DataFault, FaultKind};
+use crate::number::six_digits;
+use crate::statistics::median::median;
+
+/// Largest relative difference of the levels of one exposure: lamps drift by less within a campaign (a named
+/// choice).
+const MAX_REL_OF_ONE_LEVEL: f64 = 0.01;
+/// Least ratio of the longest stated exposure of such flats to the shortest: their levels would tell it.
+const MIN_EXPOSURE_RATIO: f64 = 1.1;
+/// Least number of other flats, and the largest relative deviation of their levels from the proportion to the
+/// exposure (named choices).
+const MIN_OTHERS: usize = 3;
+const MAX_REL_OF_OTHERS: f64 = 0.1;
+/// Least ratio of their variance to that of their level: a full well, which also ends levels, takes noise away.
+const MIN_VARIANCE_RATIO: f64 = 0.8;
+
+/// The check.
+pub struct ExposureLimit;
+
+/// End of a sweep.
+#[derive(Clone, Copy, PartialEq)]
+enum End {
+    Shortest,
+    Longest,
+}
+
+impl Check for ExposureLimit {
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
+        let Some(zero) = campaign.zero().filter(|_| campaign.is_one_bench()) else { return Vec::new() };
+        let mut flats = campaign.places(|s| s.is_lit() && !s.clipped);
+        let exposure_s = |i: usize| campaign.sets[i].exposure_s;
+        flats.sort_by(|a, b| exposure_s(*a).total_cmp(&exposure_s(*b)));
+        let light = |i: usize| campaign.sets[i].illumination;
+        if flats.iter().any(|&i| light(i) != light(flats[0])) {
+            return Vec::new();
+        }
+        let level = |i: usize| above(campaign, &zero, i);
+        let mut out = Vec::new();
+        for end in [End::Shortest, End::Longest] {
+            if end == End::Longest {
+                flats.reverse();
+            }
+            // Flats of one level from this end on.
+            let first = flats.first().map_or(f64::NAN, |&i| level(i));
+            let is_one = |i: &&usize| (level(**i) / first - 1.0).abs() < MAX_REL_OF_ONE_LEVEL;
+            let group: Vec<usize> = flats.iter().take_while(is_one).copied().collect();
+            let others = &flats[group.len()..];
+            let (Some(&a), Some(&b)) = (group.first(), group.last()) else { continue };
+            let ratio = exposure_s(a) / exposure_s(b);
+            if ratio.max(ratio.recip()) < MIN_EXPOSURE_RATIO || others.len() < MIN_OTHERS {
+                continue;
+            }
+            let per_s = median(others.iter().map(|&i| level(i) / exposure_s(i)));
+            let are_straight =
+                others.iter().all(|&i| (level(i) / exposure_s(i) / per_s - 1.0).abs() < MAX_REL_OF_OTHERS);
+            let limit_s = median(group.iter().map(|&i| level(i))) / per_s;
+            // The flat nearest to the limit may be right.
+            let is_beyond = |i: &usize| match end {
+                End::Shortest => exposure_s(*i) < limit_s / MIN_EXPOSURE_RATIO,
+                End::Longest => exposure_s(*i) > limit_s * MIN_EXPOSURE_RATIO,
+            };
+            let mut beyond: Vec<usize> = group.iter().filter(|i| is_beyond(i)).copied().collect();
+            beyond.sort_unstable();
+            if !are_straight || beyond.is_empty() {
+                continue;
+            }
+            let transfer = Transfer::of(campaign, &zero, &beyond);
+            let has_noise = |i: &usize| {
+                let off = transfer.as_ref().and_then(|t| t.off(campaign, *i, level(*i)));
+                off.is_none_or(|(off, _)| off > MIN_VARIANCE_RATIO.ln())
+            };
+            if end == End::Longest && !beyond.iter().all(has_noise) {
+                continue;
+            }
+            let stated: Vec<String> =
+                beyond.iter().map(|&i| format!("{} s", six_digits(exposure_s(i)))).collect();
+            let text = format!(
+                "{}: stated exposures of {}, and the level of all is that of {} s: the camera does not expose {}",
+                campaign.named(&beyond),
+                stated.join(", "),
+                six_digits(limit_s),
+                if end == End::Shortest { "shorter" } else { "longer" }
+            );
+            out.push((beyond, text));
+        }
+        let fault = |(sets, text): (Vec<usize>, String)| {
+            campaign.fault_of_sets(FaultKind::SettingLabel, &sets, text, true)
+        };
+        out.into_iter().map(fault).collect()
+    }
+}

@@ -1,0 +1,174 @@
+//! Slips that many sets share, or that are so far off that no law of the others tells them.
+
+use crate::data_faults::{BLACK_DN, of_flats};
+use crate::rewritten::Campaign;
+use radcam_sim::rng::{PixelRng, Stream};
+
+/// One fault of a kind is said, of these sets, with these words; nothing is missing then, and the gain lies within
+/// four standard errors of the camera's.
+fn is_named(campaign: &Campaign, kind: &str, sets: &[u32], words: &str) {
+    let said = campaign.said("diagnose");
+    let faults = said["data_faults"].as_array().unwrap();
+    assert_eq!(faults.len(), 1, "{kind} {sets:?}: {faults:?}");
+    assert_eq!(
+        (&faults[0]["kind"], &faults[0]["sets"]),
+        (&kind.into(), &serde_json::json!(sets)),
+        "{faults:?}"
+    );
+    assert!(faults[0]["text"].as_str().unwrap().contains(words), "{faults:?}");
+    assert_eq!(said["missing"], serde_json::json!([]), "{kind}");
+    let noise = campaign.said("noise");
+    for (verb, gain) in [("diagnose", &said["gain_dn_per_e"]), ("noise", &noise["gain_dn_per_e"])] {
+        let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
+        assert!((value - 0.38).abs() < 4.0 * error, "{kind} {verb}: {value} +- {error}");
+    }
+}
+
+/// A sweep of exposures by its lights: sets of flats at one light with these shares of the longest exposure.
+fn sweep(shares: &[f64], stated: &[f64], frames: usize, seed: u32) -> Campaign {
+    let mut campaign = of_flats("cmos12", shares, frames, seed);
+    let flats = campaign.sets("flat", 2);
+    let longest: f64 = campaign.rows[campaign.of(flats[0])[0]][4].parse().unwrap();
+    for (set, share) in flats.into_iter().zip(stated) {
+        for row in campaign.of(set) {
+            (campaign.rows[row][4], campaign.rows[row][5]) = ((longest * share).to_string(), "1".into());
+        }
+    }
+    campaign.save();
+    campaign
+}
+
+/// `30us` for 30 ms.
+#[test]
+fn a_label_of_another_order_is_named() {
+    let shares = [0.2, 0.35, 0.5, 0.65, 0.8, 0.95];
+    let mut stated = shares;
+    stated[2] /= 1000.0;
+    let campaign = sweep(&shares, &stated, 4, 200);
+    is_named(&campaign, "setting-label", &campaign.sets("flat", 2)[2..3], "its level belongs to");
+}
+
+/// A camera that does not expose shorter, or longer, than it can.
+#[test]
+fn exposures_beyond_a_limit_are_named() {
+    let campaign = sweep(&[0.3, 0.3, 0.3, 0.5, 0.7, 0.9], &[0.1, 0.2, 0.3, 0.5, 0.7, 0.9], 4, 201);
+    is_named(&campaign, "setting-label", &campaign.sets("flat", 2)[..2], "does not expose shorter");
+    let campaign = sweep(&[0.15, 0.3, 0.45, 0.6, 0.6, 0.6], &[0.15, 0.3, 0.45, 0.6, 0.75, 0.9], 4, 202);
+    is_named(&campaign, "setting-label", &campaign.sets("flat", 2)[4..], "does not expose longer");
+}
+
+/// Two frames of each set are of the settings before: a pipeline of the driver.
+#[test]
+fn two_stale_frames_of_each_set_are_named() {
+    let campaign = sweep(&[0.2, 0.4, 0.6, 0.8, 0.95], &[0.2, 0.4, 0.6, 0.8, 0.95], 8, 203);
+    let flats = campaign.sets("flat", 2);
+    let last: Vec<_> = flats.iter().map(|set| campaign.of(*set)[7]).map(|row| campaign.frame(row)).collect();
+    let others: Vec<_> =
+        flats.iter().map(|set| campaign.of(*set)[6]).map(|row| campaign.frame(row)).collect();
+    for (k, set) in flats.iter().enumerate().skip(1) {
+        let rows = campaign.of(*set);
+        // Frames of the set before that are nowhere else.
+        campaign.put(rows[0], &last[k - 1]);
+        campaign.put(rows[1], &others[k - 1]);
+    }
+    let mut short = campaign;
+    let gone: Vec<usize> = flats.iter().flat_map(|set| short.of(*set)[6..].to_vec()).collect();
+    short.rows = (0..short.rows.len()).filter(|r| !gone.contains(r)).map(|r| short.rows[r].clone()).collect();
+    short.save();
+    // Sets that follow one of the same level cannot show it, and lose their first frame with the others.
+    let said = short.said("diagnose");
+    let faults = said["data_faults"].as_array().unwrap();
+    assert_eq!((faults.len(), &faults[0]["kind"]), (1, &"stale-frame".into()), "{faults:?}");
+    let frames = faults[0]["frames"].to_string();
+    for set in &flats[1..] {
+        assert!(short.of(*set)[..2].iter().all(|row| frames.contains(&short.rows[*row][0])), "{faults:?}");
+    }
+    assert_eq!(said["missing"], serde_json::json!([]));
+}
+
+/// The first frame of each set was exposed half under the settings before: its noise is not that of lag.
+#[test]
+fn first_frames_of_both_settings_are_named() {
+    let campaign = sweep(&[0.2, 0.4, 0.6, 0.8, 0.95], &[0.2, 0.4, 0.6, 0.8, 0.95], 6, 204);
+    let flats = campaign.sets("flat", 2);
+    let level = |set: u32| campaign.frame(campaign.of(set)[3]).mapv(f64::from).mean().unwrap() - BLACK_DN;
+    let levels: Vec<f64> = flats.iter().map(|set| level(*set)).collect();
+    for (k, set) in flats.iter().enumerate().skip(1) {
+        let ratio = 0.5 * (levels[k - 1] + levels[k]) / levels[k];
+        campaign.scale(campaign.of(*set)[0], ratio, BLACK_DN);
+    }
+    let said = campaign.said("diagnose");
+    let faults = said["data_faults"].as_array().unwrap();
+    assert_eq!((faults.len(), &faults[0]["kind"]), (1, &"stale-frame".into()), "{faults:?}");
+    let sets = faults[0]["sets"].to_string();
+    assert!(flats[1..].iter().all(|set| sets.contains(&set.to_string())), "{sets}");
+    assert_eq!(said["missing"], serde_json::json!([]));
+}
+
+/// Every frame was saved twice, and a number was written into a corner of each.
+#[test]
+fn copies_with_a_stamp_are_named() {
+    let campaign = sweep(&[0.2, 0.4, 0.6, 0.8, 0.95], &[0.2, 0.4, 0.6, 0.8, 0.95], 6, 205);
+    let mut random = PixelRng::new(205, Stream::Effect, 0, 0, 0);
+    let all: Vec<u32> = campaign.sets("dark", 2).into_iter().chain(campaign.sets("flat", 2)).collect();
+    for set in &all {
+        let rows = campaign.of(*set);
+        for pair in rows.chunks(2) {
+            for row in pair {
+                let mut frame = campaign.frame(pair[0]);
+                frame.iter_mut().take(12).for_each(|v| *v = (4000.0 * random.uniform()) as u16);
+                campaign.put(*row, &frame);
+            }
+        }
+    }
+    is_named(&campaign, "copied-frames", &all, "but for a stamp in a corner");
+}
+
+/// Averages of four in a set in the middle and in the brightest: the second has lost the same share.
+#[test]
+fn averages_in_the_brightest_set_too_are_named() {
+    let campaign = sweep(&[0.2, 0.35, 0.5, 0.65, 0.8, 0.95], &[0.2, 0.35, 0.5, 0.65, 0.8, 0.95], 24, 206);
+    let flats = campaign.sets("flat", 2);
+    let averaged = [flats[2], flats[5]];
+    let mut gone = Vec::new();
+    for set in &flats {
+        let rows = campaign.of(*set);
+        for (k, four) in rows.chunks(4).enumerate() {
+            if averaged.contains(set) {
+                let sum = four.iter().map(|row| campaign.frame(*row).mapv(f64::from)).reduce(|a, b| a + b);
+                campaign.put(rows[k], &sum.unwrap().mapv(|v| (v / 4.0).round() as u16));
+            }
+        }
+        gone.extend_from_slice(&rows[6..]);
+    }
+    let mut campaign = campaign;
+    campaign.rows =
+        (0..campaign.rows.len()).filter(|r| !gone.contains(r)).map(|r| campaign.rows[r].clone()).collect();
+    campaign.save();
+    is_named(&campaign, "dependent-frames", &averaged, "averaged or filtered over time");
+}
+
+/// Two darks of one setting and one fixed pattern, one of them averaged: which one its noise tells.
+#[test]
+fn one_of_two_equal_darks_was_averaged() {
+    let campaign = Campaign::new("python5000", "standard", 207);
+    let darks = campaign.sets("dark", 2);
+    let (first, second) = (darks[0], darks[1]);
+    let (rows, others) = (campaign.of(first), campaign.of(second));
+    let exposure_s = campaign.rows[rows[0]][4].clone();
+    let mut campaign = campaign;
+    let frames: Vec<_> = rows.iter().map(|row| campaign.frame(*row).mapv(f64::from)).collect();
+    let n = others.len().min(rows.len());
+    for (k, row) in others.iter().enumerate() {
+        // Each is the mean of four frames of the first, and no two are of the same four.
+        let sum = (0..4)
+            .map(|i| &frames[(k + i * (1 + k / n)) % frames.len()])
+            .fold(0.0 * &frames[0], |a, b| a + b);
+        campaign.put(*row, &sum.mapv(|v| (v / 4.0).round() as u16));
+        campaign.rows[*row][4] = exposure_s.clone();
+    }
+    campaign.save();
+    let faults = campaign.said("noise")["data_faults"].clone();
+    let named = faults.as_array().unwrap().iter().find(|f| f["kind"] == "dependent-frames");
+    assert!(named.is_some_and(|f| f["sets"].to_string().contains(&second.to_string())), "{faults}");
+}
