@@ -58,7 +58,7 @@ impl Defect {
         if self.flags & DEAD != 0 {
             why.push(match self.k {
                 k if k > MAX_SAID_K => {
-                    format!("no response to be told: K above {MAX_SAID_K}, beside too little light")
+                    format!("too bright: K above {MAX_SAID_K}, its neighbours see next to no light")
                 }
                 k if k > 1.0 => format!("too bright: K = {k:.3}"),
                 k => format!("dead: K = {k:.3}"),

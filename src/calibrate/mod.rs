@@ -55,10 +55,10 @@ pub enum CalibrateError {
     /// No flats.
     #[error("the dataset has no flats")]
     NoFlats,
-    /// Nothing tells the noise of a flat, and so the error of K.
+    /// Flats of single frames without a known gain: the noise, and so the error of K, is not known.
     #[error(
-        "set {set} has one frame, and no gain is known that would tell its noise: the error of K cannot be known; take two frames or more of \
-         each level"
+        "set {set} has one frame, and the gain that would tell its noise is not known, so that the error of K is not known; take two frames or \
+         more of each level"
     )]
     NoiseUnknown {
         /// Number of the first such set.

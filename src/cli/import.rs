@@ -43,7 +43,7 @@ pub struct Arguments {
     /// Dataset of frames in HDF5 files, such as /entry/data/data; else the only one that can be
     #[arg(long, value_name = "PATH", conflicts_with = "map")]
     hdf5_dataset: Option<String>,
-    /// Leave out files that cannot be read or are of another size than most; else nothing is imported while there is one
+    /// Leave out files that cannot be read or are of another size than most; else nothing is imported
     #[arg(long, conflicts_with = "map")]
     leave_out_damaged: bool,
     /// Print where each value comes from

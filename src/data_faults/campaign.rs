@@ -20,6 +20,8 @@ const MAX_CLIPPED_SHARE: f64 = 1e-3;
 const MIN_SIGMAS_AGAINST_LAG: f64 = 3.0;
 /// Fewest changes of level that tell a share that is carried over, and that tell it from flicker.
 const MIN_CHANGES: (usize, usize) = (3, 8);
+/// Standard deviations of a frame's mean from which on a change of level tells a share (a named choice).
+const MIN_SIGMAS_OF_A_CHANGE: f64 = 20.0;
 /// Least change of level, relative to the largest: small ones tell little of a share.
 const MIN_CHANGE: f64 = 0.3;
 /// Shares of a change of level that first frames carry through lag or a filter and that matter to levels.
@@ -374,20 +376,23 @@ impl<'a> Campaign<'a> {
 
     /// Share of a change of level that first frames usually carry over; `None` with fewer than three changes.
     pub fn carried(&self, scatter: &Scatter) -> Option<f64> {
-        let sure =
-            |k: usize| self.change_at(k).filter(|c| c.0.abs() > 20.0 * scatter.of_frame_dn(&self.sets[k]));
-        let shares = shares((1..self.sets.len()).filter_map(sure).collect());
+        let changes = self.large_changes(scatter).into_iter().map(|(_, change)| change).collect();
+        let shares = shares(changes);
         (shares.len() >= MIN_CHANGES.0).then(|| median(shares.into_iter()))
     }
 
-    /// Sets that follow another level, by enough that their first frame would show a share of it, and the share
-    /// that it shows.
-    pub fn changes(&self, scatter: &Scatter) -> Vec<(usize, f64)> {
-        let sure = |set: usize| {
-            let (change, first) = self.change_at(set)?;
-            (change.abs() > 20.0 * scatter.of_frame_dn(&self.sets[set])).then_some((set, first / change))
+    /// Sets after a change of level that is large beside the scatter of frames, and the share of the change that
+    /// the first frame of each has.
+    pub fn shares_of_firsts(&self, scatter: &Scatter) -> Vec<(usize, f64)> {
+        self.large_changes(scatter).into_iter().map(|(set, (change, first))| (set, first / change)).collect()
+    }
+
+    fn large_changes(&self, scatter: &Scatter) -> Vec<(usize, (f64, f64))> {
+        let is_large = |set: usize, change: f64| {
+            change.abs() > MIN_SIGMAS_OF_A_CHANGE * scatter.of_frame_dn(&self.sets[set])
         };
-        (1..self.sets.len()).filter_map(sure).collect()
+        let of = |set: usize| Some((set, self.change_at(set)?)).filter(|(set, c)| is_large(*set, c.0));
+        (1..self.sets.len()).filter_map(of).collect()
     }
 
     /// Returns true if a dark deviates from a smooth law of the exposure fitted to the other darks, or if

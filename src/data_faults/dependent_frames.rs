@@ -56,66 +56,8 @@ fn pattern_gain(campaign: &Campaign<'_>, set: usize) -> Option<f64> {
     (correlated > MIN_PATTERN_CORRELATION).then_some(slope_of_it / usual)
 }
 
-/// Ratio of the variances of two darks of one setting and one gain below which one was averaged: rounding
-/// adds a twelfth to both.
-const MAX_RATIO_OF_EQUALS: f64 = 0.6;
-/// Variance from which on rounding does not decide the noise, DN^2: at 0.65 DN the first term of its ripple is
-/// below a thousandth (Widrow and Kollar 2008, ch. 4).
-const MIN_USUAL_VARIANCE_DN2: f64 = 0.5;
-/// Largest factor between the amplitudes of the fixed patterns of two darks of one gain.
-const MAX_PATTERN_RATIO: f64 = 1.25;
-
-/// Amplitude of the fixed pattern of one dark over that of another, noise taken off the second; `None` where no
-/// pattern shows.
-fn pattern_ratio(campaign: &Campaign<'_>, one: usize, other: usize) -> Option<f64> {
-    let of = |i: usize| pattern(&campaign.sets[i].facts.middle_dn, campaign.sets[i].facts.middle_columns);
-    let (a, b) = (of(one), of(other));
-    let noise = campaign.sets[other].variance_dn2()?.0 / campaign.sets[other].frames() as f64;
-    let square = b.iter().map(|v| v * v).sum::<f64>() - noise * b.len() as f64;
-    let product: f64 = a.iter().zip(&b).map(|(a, b)| a * b).sum();
-    (correlation(&a, &b) > MIN_PATTERN_CORRELATION && square > 0.0).then_some(product / square)
-}
-
-/// Darks with far less noise than others of the same setting and the same fixed pattern, and darks that are
-/// longer than these others and have less noise too: noise does not fall with the exposure.
-fn averaged_beside_equals(campaign: &Campaign<'_>, known: &[usize]) -> Vec<usize> {
-    let darks = campaign.places(|s| s.kind == Kind::Dark && !s.clipped && !s.is_cut_off());
-    let darks: Vec<usize> = darks.into_iter().filter(|i| !known.contains(i)).collect();
-    let is_quieter = |i: usize, d: usize| {
-        let (own, other) = (campaign.sets[i].variance_dn2(), campaign.sets[d].variance_dn2());
-        own.zip(other).is_some_and(|((own, pairs), (other, others_pairs))| {
-            let std = (2.0 / campaign.sets[i].facts.pixels * (pairs.recip() + others_pairs.recip())).sqrt();
-            own < MAX_RATIO_OF_EQUALS * other
-                && other > MIN_USUAL_VARIANCE_DN2
-                && (other / own).ln() > MIN_SIGMAS * std
-        })
-    };
-    let exposure_s = |i: usize| campaign.sets[i].exposure_s;
-    let (mut quiet, mut usual) = (Vec::new(), Vec::new());
-    for &i in &darks {
-        let equals: Vec<usize> = darks.iter().copied().filter(|&d| exposure_s(d) == exposure_s(i)).collect();
-        let louder: Vec<usize> = equals.iter().copied().filter(|&d| is_quieter(i, d)).collect();
-        let is_of_one_gain = |d: &usize| {
-            let ratio = pattern_ratio(campaign, i, *d);
-            ratio.is_some_and(|r| (MAX_PATTERN_RATIO.recip()..MAX_PATTERN_RATIO).contains(&r))
-        };
-        // One noisy dark among many is no reason to doubt the many.
-        if 2 * louder.len() >= equals.len() && louder.iter().any(is_of_one_gain) {
-            quiet.push(i);
-            usual.extend(louder);
-        }
-    }
-    let longer = |i: &usize| {
-        let is_beside = |d: &usize| exposure_s(*i) > exposure_s(*d) && is_quieter(*i, *d);
-        !quiet.contains(i) && !usual.contains(i) && usual.iter().any(is_beside)
-    };
-    let longer: Vec<usize> = darks.iter().copied().filter(longer).collect();
-    quiet.extend(longer);
-    quiet
-}
-
 /// Correlation from which on a pattern shows: ten times that of chance in 4096 pixels.
-const MIN_PATTERN_CORRELATION: f64 = 0.16;
+pub const MIN_PATTERN_CORRELATION: f64 = 0.16;
 
 /// Usual relative scatter of the variances of darks about a smooth law.
 const DARK_VARIANCE_SCATTER: f64 = 0.03;
@@ -195,7 +137,7 @@ impl Check for DependentFrames {
                     gained.push((i, off));
                 }
             }
-            // A full well takes off what it takes off; the share that other sets lost is that of their frames.
+            // A full well takes any share off; the share that another set lost is that of averaged frames.
             let is_as_others = |&(_, off, std): &(usize, f64, f64)| {
                 averaged.iter().any(|&i| {
                     let other = transfer.off(campaign, i, level(i)).filter(|_| campaign.sets[i].is_lit());
@@ -228,8 +170,6 @@ impl Check for DependentFrames {
                     .is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < 0.6 * off.abs());
                 if off > 0.0 || of_gain { gained.push((i, off)) } else { averaged.push(i) }
             }
-            let beside = averaged_beside_equals(campaign, &averaged);
-            averaged.extend(beside.iter().filter(|i| !gained.iter().any(|g| g.0 == **i)));
             // What the noise of darks does with the exposure is the sensor's.
             let smooth = |i: usize| {
                 let var = |d: usize| campaign.sets[d].variance_dn2().map_or(f64::NAN, |v| v.0.ln());
@@ -238,7 +178,7 @@ impl Check for DependentFrames {
                     && !filtered.contains(&i)
                     && !campaign.is_off_the_darks(i, var, |_| DARK_VARIANCE_SCATTER)
             };
-            averaged.retain(|i| !smooth(*i) || beside.contains(i));
+            averaged.retain(|i| !smooth(*i));
             gained.retain(|g| !smooth(g.0));
             // The noise of long darks is that of their charge: a gain is told by another dark that would have
             // it.

@@ -1,5 +1,7 @@
-//! Exposures beyond a limit of the camera: flats of several stated exposures at one end of a sweep have one level.
+//! Exposures beyond a limit of the camera: flats of several stated exposures at one end of a sweep have one
+//! level.
 
+use super::campaign::Zero;
 use super::transfer::{Transfer, above};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::number::six_digits;
@@ -67,12 +69,7 @@ impl Check for ExposureLimit {
             if !are_straight || beyond.is_empty() {
                 continue;
             }
-            let transfer = Transfer::of(campaign, &zero, &beyond);
-            let has_noise = |i: &usize| {
-                let off = transfer.as_ref().and_then(|t| t.off(campaign, *i, level(*i)));
-                off.is_none_or(|(off, _)| off > MIN_VARIANCE_RATIO.ln())
-            };
-            if end == End::Longest && !beyond.iter().all(has_noise) {
+            if end == End::Longest && !have_noise_of_level(campaign, &zero, &beyond) {
                 continue;
             }
             let stated: Vec<String> =
@@ -91,4 +88,11 @@ impl Check for ExposureLimit {
         };
         out.into_iter().map(fault).collect()
     }
+}
+
+/// Returns true if the noise of sets is known and that of their level.
+fn have_noise_of_level(campaign: &Campaign<'_>, zero: &Zero, sets: &[usize]) -> bool {
+    let Some(transfer) = Transfer::of(campaign, zero, sets) else { return false };
+    let off = |i: usize| transfer.off(campaign, i, above(campaign, zero, i));
+    sets.iter().all(|&i| off(i).is_some_and(|(off, _)| off > MIN_VARIANCE_RATIO.ln()))
 }

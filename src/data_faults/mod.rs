@@ -153,7 +153,7 @@ checks! {
     darks_of_flats::DarksOfFlats
     automatic::Automatic
     exposure_limit::ExposureLimit
-    far_label::FarLabel
     setting_label::SettingLabel
+    equal_darks::EqualDarks
     dependent_frames::DependentFrames
 }

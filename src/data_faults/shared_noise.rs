@@ -19,12 +19,6 @@ const LIT: f64 = 10.0;
 const MOST_SETS: usize = 64;
 /// Error of a median over that of a mean of normal numbers (Kenney and Keeping 1962, section 8.6).
 const OF_MEDIAN: f64 = 1.25;
-/// Signal of the dimmest flat over that of the brightest up to which the intercept of a line has the error
-/// below.
-const MAX_DIMMEST: f64 = 0.5;
-/// Error of the intercept of a line through levels from black to full scale, over that of their mean.
-const OF_INTERCEPT: f64 = 2.0;
-
 /// Pixels or frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Between {
@@ -100,12 +94,14 @@ fn of_neighbours(campaign: &Campaign<'_>, flats: &[usize]) -> Option<SharedNoise
     let std_err = OF_MEDIAN * (NEIGHBOURS_VAR / pixels).sqrt();
     let middle = median(shared.iter().map(|p| p.1));
     let at_dark = median_line(&shared)?.0;
-    let (dimmest, brightest) =
-        shared.iter().fold((f64::INFINITY, 0.0f64), |(a, b), (signal, _)| (a.min(*signal), b.max(*signal)));
-    // Flats of about one level tell no line.
-    let is_line = dimmest < MAX_DIMMEST * brightest;
-    let grows = is_line && (middle - at_dark).abs() > 2.0 * OF_INTERCEPT * std_err;
-    let (rel, std_err) = if grows { (at_dark, OF_INTERCEPT * std_err) } else { (middle, std_err) };
+    // Error of the intercept of a line over that of the mean of its points (Bevington and Robinson 2003, section
+    // 6.4): flats of about one level tell no intercept.
+    let n = shared.len() as f64;
+    let mean = shared.iter().map(|p| p.0).sum::<f64>() / n;
+    let square = shared.iter().map(|p| (p.0 - mean).powi(2)).sum::<f64>() / n;
+    let of_intercept = std_err * (1.0 + mean * mean / square).sqrt();
+    let grows = (middle - at_dark).abs() > 2.0 * of_intercept;
+    let (rel, std_err) = if grows { (at_dark, of_intercept) } else { (middle, std_err) };
     Some(SharedNoise { between: Between::Neighbours, rel, std_err })
 }
 

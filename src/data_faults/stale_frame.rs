@@ -3,7 +3,7 @@
 
 use super::campaign::{Scatter, Zero};
 use super::{Campaign, Check, DataFault, FaultKind};
-use crate::number::six_digits;
+use crate::number::{percent, six_digits};
 use crate::statistics::median::{MAD_OF_NORMAL, median};
 
 /// Standard deviations of a frame's mean by which two levels must differ to be told apart.
@@ -26,12 +26,18 @@ const MIN_STALE_SHARE: f64 = 0.7;
 /// Largest share of a level that lag or a filter carries over to the next frame.
 const MAX_CARRIED_SHARE: f64 = 0.5;
 
-/// Least share of the settings before in such a frame (a named choice): lag and filters of that size are rare.
-const MIN_SHARE_OF_BOTH: f64 = 0.1;
+/// Least share of the settings before in a frame that was exposed under both (a named choice): image lag whose
+/// electrons stay by chance, which means and noise do not tell from that, is smaller.
+const MIN_SHARE_OF_BOTH: f64 = 0.25;
 /// Largest relative difference of the shares of such frames.
 const MAX_REL_OF_SHARES: f64 = 0.2;
-/// Flats below which the noise does not tell them from lag.
+/// Least number of changes of level, and of flats, that tell such frames from others and from lag.
+const MIN_CHANGES_OF_BOTH: usize = 3;
 const MIN_FLATS_OF_BOTH: usize = 3;
+/// Largest number of stale frames of a set: pipelines of cameras and drivers hold two or three.
+const MAX_STALE_FRAMES: usize = 3;
+/// Least number of frames that are left of a set with several stale ones.
+const MIN_FRAMES_LEFT: usize = 3;
 
 /// The check.
 pub struct StaleFrame;
@@ -63,7 +69,7 @@ impl First {
         };
         let mut old_dn: Vec<(f64, bool)> = Vec::new();
         let direct = Some(&campaign.sets[set - 1]).filter(|b| !b.out);
-        // Of a set of which a first frame is out already nothing is the last frame of the set before.
+        // The frame behind a stale one is no copy of the set before.
         let copy = own.kept.first() == Some(&true)
             && direct.is_some_and(|b| b.facts.digests.last() == own.facts.digests.first());
         old_dn.extend(direct.and_then(|b| b.means_dn().last().copied()).map(|m| (m, true)));
@@ -121,19 +127,22 @@ impl First {
     }
 }
 
-/// Most frames at the begin of a set that are looked at: pipelines of cameras and drivers hold two or three.
-const MOST_STALE: usize = 3;
-/// Frames of a set that are left behind stale ones at least where several are.
-const MIN_LEFT: usize = 3;
+/// Sets whose first frame in use is stale, and the share of the settings before in it if it was exposed under
+/// both.
+#[derive(Default)]
+struct Stale {
+    sets: Vec<usize>,
+    share: Option<f64>,
+}
 
-/// First frames in use of every set, by the settings of the set before.
-fn stale_firsts(campaign: &Campaign<'_>) -> Vec<usize> {
-    // Of two frames the mean is half of a stale one.
-    let Some(zero) = campaign.zero_behind_firsts() else { return Vec::new() };
+/// Finds stale frames among the first ones in use of all sets.
+fn stale_firsts(campaign: &Campaign<'_>) -> Stale {
+    // Half of the mean of a pair may be a stale frame.
+    let Some(zero) = campaign.zero_behind_firsts() else { return Stale::default() };
     let firsts: Vec<First> = (1..campaign.sets.len()).filter_map(|k| First::of(campaign, &zero, k)).collect();
     let usual_scatter = campaign.scatter(&zero);
-    // Where all first frames are stale, what they do is no measure of what the lamp does: how well they meet
-    // the old levels is.
+    // The usual scatter of frames is too large if all first frames are stale: their distance from the old
+    // levels is taken then.
     let level = |s: usize| (campaign.sets[s].behind_first_dn() - zero.dn).abs().max(1.0);
     let scale = |f: &First| level(f.set).max(level(f.set - 1));
     let meets = median(firsts.iter().filter_map(|f| Some(f.off_dn()? / scale(f)))) / MAD_OF_NORMAL;
@@ -146,7 +155,7 @@ fn stale_firsts(campaign: &Campaign<'_>) -> Vec<usize> {
         let least = (noise(f.set) + noise(f.set - 1)).sqrt().max(0.03);
         usual.min((meets * scale(f)).max(least))
     };
-    // What lag and filters carry over may be as much as what an old exposure would have made.
+    // Lag and filters may carry over as much as an old exposure would have made.
     let share = campaign.carried(&usual_scatter).filter(|s| s.abs() < MAX_CARRIED_SHARE);
     let carried = |f: &First| {
         let change = campaign.sets[f.set - 1].level_dn() - f.others_dn;
@@ -175,12 +184,11 @@ fn stale_firsts(campaign: &Campaign<'_>) -> Vec<usize> {
                 .is_some_and(|o| (o.0 - f.others_dn).abs() > MIN_SEPARATION_SIGMAS * scatter(f)))
     };
     let stale: Vec<&First> = stale.iter().filter(told).copied().collect();
-    let mut sets: Vec<usize> = stale.iter().map(|f| f.set).collect();
-    sets.extend(of_both(campaign, &usual_scatter));
+    let both = of_both(campaign, &usual_scatter);
+    let mut sets: Vec<usize> = stale.iter().map(|f| f.set).chain(both.sets).collect();
     sets.sort_unstable();
     sets.dedup();
-    // Where nearly all that could show it are so, those are too that are too near the level before to show
-    // it.
+    // Sets too near the level before cannot show a stale frame: they have one if nearly all others do.
     let shows = |f: &&First| {
         let is_apart = |old: f64| {
             (old - f.others_dn).abs() > MIN_SEPARATION_DN.max(MIN_SEPARATION_SIGMAS * scatter(f))
@@ -195,44 +203,43 @@ fn stale_firsts(campaign: &Campaign<'_>) -> Vec<usize> {
         sets.sort_unstable();
         sets.dedup();
     }
-    sets
+    Stale { sets, share: both.share }
 }
 
-/// First frames that were exposed under the settings of both sets: all have the same share of the change, as lag
-/// makes it, and their noise contradicts lag.
-fn of_both(campaign: &Campaign<'_>, scatter: &Scatter) -> Vec<usize> {
-    let changes = campaign.changes(scatter);
-    let share = median(changes.iter().map(|c| c.1));
-    let agrees = |c: &&(usize, f64)| (c.1 - share).abs() < MAX_REL_OF_SHARES * share.abs();
-    let agree = changes.iter().filter(agrees).count();
-    let is_large = share.abs() > MIN_SHARE_OF_BOTH;
-    if !is_large || (agree as f64) < MIN_STALE_SHARE * changes.len() as f64 {
-        return Vec::new();
+/// Finds first frames that were exposed under the settings of both sets: all have the same share of the change, as
+/// lag makes it, and the noise contradicts lag that takes the same share of every charge.
+fn of_both(campaign: &Campaign<'_>, scatter: &Scatter) -> Stale {
+    let firsts = campaign.shares_of_firsts(scatter);
+    let share = median(firsts.iter().map(|f| f.1));
+    let agree = firsts.iter().filter(|f| (f.1 - share).abs() < MAX_REL_OF_SHARES * share.abs()).count();
+    let is_usual = agree >= MIN_CHANGES_OF_BOTH && agree as f64 >= MIN_STALE_SHARE * firsts.len() as f64;
+    let measured = campaign.places(|s| s.variance_dn2().is_some());
+    let level = |i: usize| campaign.sets[i].level_dn();
+    let darkest = measured.into_iter().min_by(|a, b| level(*a).total_cmp(&level(*b)));
+    let Some(darkest) = darkest.filter(|_| is_usual && share > MIN_SHARE_OF_BOTH) else {
+        return Stale::default();
+    };
+    let flats = campaign.places(|s| s.is_lit() && !s.clipped && s.dependence().is_some());
+    let lacks = flats.iter().filter(|&&i| campaign.sets[i].lacks_lag(share, &campaign.sets[darkest])).count();
+    if flats.len() < MIN_FLATS_OF_BOTH || 2 * lacks <= flats.len() {
+        return Stale::default();
     }
-    let darkest = campaign.places(|s| s.variance_dn2().is_some());
-    let darkest = darkest
-        .into_iter()
-        .min_by(|a, b| campaign.sets[*a].level_dn().total_cmp(&campaign.sets[*b].level_dn()));
-    let Some(darkest) = darkest else { return Vec::new() };
-    let lit = campaign.places(|s| s.is_lit() && !s.clipped && s.dependence().is_some());
-    let lacks = lit.iter().filter(|&&i| campaign.sets[i].lacks_lag(share, &campaign.sets[darkest])).count();
-    if lit.len() < MIN_FLATS_OF_BOTH || 2 * lacks <= lit.len() {
-        return Vec::new();
-    }
-    changes.into_iter().map(|c| c.0).collect()
+    Stale { sets: firsts.into_iter().map(|f| f.0).collect(), share: Some(share) }
 }
 
 impl Check for StaleFrame {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let mut frames: Vec<(usize, usize)> = Vec::new();
-        for pass in 0..MOST_STALE {
-            let has_enough = |&set: &usize| pass == 0 || campaign.sets[set].frames() > MIN_LEFT;
-            let sets: Vec<usize> = stale_firsts(campaign).into_iter().filter(has_enough).collect();
-            // Behind the first frames of single sets nothing is stale.
-            let is_usual = pass == 0 || 2 * sets.len() > frames.len();
-            if sets.is_empty() || !is_usual {
+        let mut share = None;
+        for pass in 0..MAX_STALE_FRAMES {
+            let found = stale_firsts(campaign);
+            let has_enough = |&set: &usize| pass == 0 || campaign.sets[set].frames() > MIN_FRAMES_LEFT;
+            let sets: Vec<usize> = found.sets.into_iter().filter(has_enough).collect();
+            // A pipeline of several frames shows in most sets.
+            if sets.is_empty() || (pass > 0 && 2 * sets.len() <= frames.len()) {
                 break;
             }
+            share = share.or(found.share);
             for set in sets {
                 if let Some(place) = campaign.sets[set].kept.iter().position(|kept| *kept) {
                     campaign.sets[set].kept[place] = false;
@@ -245,12 +252,16 @@ impl Check for StaleFrame {
         let mut sets: Vec<usize> = frames.iter().map(|f| f.0).collect();
         sets.sort_unstable();
         sets.dedup();
-        let what = match frames.iter().filter(|f| f.0 == first).count() {
-            1 => "the first frame was".to_string(),
-            n => format!("the first {n} frames were"),
+        let what = match (frames.iter().filter(|f| f.0 == first).count(), share) {
+            (_, Some(share)) => format!(
+                "the first frame has {} of the level before: it was exposed under both settings, or is image lag whose electrons stay by chance",
+                percent(share)
+            ),
+            (1, None) => "the first frame was exposed before the new settings held".to_string(),
+            (n, None) => format!("the first {n} frames were exposed before the new settings held"),
         };
         let text = format!(
-            "{}: {what} exposed before the new settings held (set {}: {} DN, its other frames {} DN)",
+            "{}: {what} (set {}: {} DN, its other frames {} DN)",
             campaign.named(&sets),
             campaign.sets[first].number,
             six_digits(campaign.sets[first].facts.means_dn[place]),

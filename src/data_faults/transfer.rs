@@ -47,7 +47,7 @@ impl Transfer {
             .iter()
             .filter_map(|&i| {
                 let (var, pairs) = campaign.sets[i].variance_dn2()?;
-                Some((above(campaign, zero, i), var, error(campaign, i, pairs)))
+                Some((above(campaign, zero, i), var, variance_error(campaign, i, pairs)))
             })
             .collect();
         let most = points.iter().map(|p| p.0).fold(1.0, f64::max);
@@ -112,7 +112,8 @@ impl Transfer {
         let (var, pairs) = campaign.sets[set].variance_dn2()?;
         let expected = self.law.at(&factors(above_dn / self.most)).max(MIN_VARIANCE_DN2);
         let own = factors(above_dn / self.most).iter().map(|f| f / expected).collect();
-        let std = self.law.std(&Point { factors: own, value: 1.0, std: error(campaign, set, pairs) });
+        let std =
+            self.law.std(&Point { factors: own, value: 1.0, std: variance_error(campaign, set, pairs) });
         Some(((var / expected).ln(), std))
     }
 }
@@ -128,6 +129,6 @@ pub fn above(campaign: &Campaign<'_>, zero: &Zero, set: usize) -> f64 {
 }
 
 /// Relative error of a variance of so many pairs: successive pairs share frames.
-fn error(campaign: &Campaign<'_>, set: usize, pairs: f64) -> f64 {
+pub fn variance_error(campaign: &Campaign<'_>, set: usize, pairs: f64) -> f64 {
     (3.0 / (campaign.sets[set].facts.pixels.max(1.0) * pairs)).sqrt().hypot(MODEL_ERROR)
 }

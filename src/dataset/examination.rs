@@ -1,4 +1,4 @@
-//! What the look at the data found, and the campaign without what is wrong.
+//! Findings of the look at the data, and the dataset without the rows that are left out.
 
 use super::{DataFault, Dataset, Set};
 use crate::data_faults::SharedNoise;

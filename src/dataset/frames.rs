@@ -12,7 +12,7 @@ impl Dataset {
     ///
     /// # Errors
     ///
-    /// Where it is one plane already, or statistics whose frames are not read again.
+    /// A dataset that is one plane already, or holds statistics whose frames are not read again.
     pub fn plane(mut self, plane: [u8; 2]) -> Result<Self, DatasetError> {
         let fault =
             |message: &str| DatasetError::Manifest { path: self.root.clone(), message: message.into() };
@@ -36,7 +36,7 @@ impl Dataset {
     ///
     /// # Errors
     ///
-    /// Where the frames are a mosaic, with its format and what to do.
+    /// A mosaic: its format and what to do.
     pub fn must_be_monochrome(&self) -> Result<(), DatasetError> {
         let camera = &self.manifest.camera;
         if !camera.is_mosaic() {
@@ -79,7 +79,7 @@ impl Dataset {
         self.kept.clear();
     }
 
-    /// The same as [`read`](Self::read) into memory that is there: many frames one after the other cost less so.
+    /// Reads one frame into a recycled buffer: many frames one after the other cost less.
     ///
     /// # Errors
     ///

@@ -14,7 +14,7 @@ impl Dataset {
     ///
     /// # Errors
     ///
-    /// Where they differ in camera, settings or unit of light, or one is given twice.
+    /// Datasets of two cameras, settings or units of light, or one that is given twice.
     pub fn join(datasets: Vec<Self>) -> Result<Self, DatasetError> {
         let mut datasets = datasets.into_iter();
         let Some(mut all) = datasets.next() else {
@@ -83,7 +83,7 @@ impl Dataset {
         Self::within(folders, root.into(), manifest, rows, root)
     }
 
-    /// The same with absolute paths, so that its rows can go together with others.
+    /// Returns the dataset with absolute paths, so that its rows can go together with others.
     pub(crate) fn absolute(mut self) -> Result<Self, DatasetError> {
         if self.folders.is_empty() {
             let root = self.root.canonicalize().map_err(DatasetError::io(&self.root))?;
@@ -130,7 +130,7 @@ impl Dataset {
         &self.folders
     }
 
-    /// Of joined datasets: which one a row is of, and whether it is the first of it.
+    /// Number of the joined dataset that a row is of, and true for its first row.
     pub fn part_of(&self, row: usize) -> (usize, bool) {
         let part = self.parts.iter().rposition(|(_, first)| *first <= row).unwrap_or(0);
         (part, self.parts.get(part).is_some_and(|(_, first)| *first == row))

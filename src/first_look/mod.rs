@@ -68,7 +68,7 @@ pub struct Look {
     /// Pixels that seem to be filled in from their neighbours, where that was looked for.
     #[serde(default)]
     filled: Option<Vec<usize>>,
-    /// Of a dark set: the code below which one in two hundred samples of its first frame lies.
+    /// Code below which one in two hundred samples of the first frame of a dark set lies.
     #[serde(default)]
     darkest: Option<u16>,
     /// How far the frames lie from each other; whether they are dark.

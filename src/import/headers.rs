@@ -49,7 +49,7 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
     }
 }
 
-/// What the tags of a TIFF directory say. `first`: a description in front of the one that decoders return.
+/// Facts of the tags of a TIFF directory. `first`: a description in front of the one that decoders return.
 fn of_directory<R: std::io::Read + std::io::Seek>(
     decoder: &mut tiff::decoder::Decoder<R>,
     first: Option<String>,

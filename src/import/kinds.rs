@@ -257,7 +257,7 @@ pub fn camera_letter(name: &str) -> Option<String> {
     const SIDES: [&str; 4] = ["left", "right", "master", "slave"];
     const CAMERA: [&str; 2] = ["camera", "cam"];
     let parts: Vec<&str> = name.split(|c: char| !c.is_alphanumeric()).collect();
-    // Of small letters only the first count: `cams` are several.
+    // The letter s of `cams` is a plural.
     let is_letter = |word: &str| {
         word.len() == 1 && word.starts_with(|c: char| c.is_ascii_uppercase() || matches!(c, 'a'..='d'))
     };

@@ -130,7 +130,7 @@ pub fn survey(
     let mut census = Census::default();
     let common = common_folder(paths);
     let twins = twins::names(paths);
-    let tables = tables::Tables::beside(paths);
+    let tables = tables::FrameTables::beside(paths);
     for (at, path) in paths.iter().enumerate() {
         let mut go_on = || step(at, paths.len());
         let digest = twins.contains(&twins::name(path));

@@ -349,7 +349,7 @@ fn labels<'a>(text: &'a str, numbers: &[Number<'a>]) -> Vec<&'a str> {
         let (signs, word) = (&rest[..rest.len() - word.len()], word);
         let word = &word[..word.find(|c: char| !c.is_alphabetic()).unwrap_or(word.len())];
         let after = &rest[signs.len() + word.len()..];
-        // Nothing but a separator parts the word from a number that it may be of as well.
+        // The word may be of the next number as well if only a separator parts them.
         let is_last = numbers.get(k + 1).is_none_or(|n| n.before != word);
         let tied = signs == "-" && after.starts_with(['_', ' ']);
         (is_label(word) && !signs.is_empty()).then_some((word, tied, is_last))

@@ -157,7 +157,7 @@ pub fn averaged_by_name(sets: &mut [Growing], found: &[Found]) {
         words.all(|other| other.as_ref() == Some(&first)).then_some(first)
     };
     let all: Vec<Option<(String, u32)>> = sets.iter().map(said).collect();
-    // Of sets of one frame each, words that differ count.
+    // Words that differ count frames if each set has one.
     let alone = sets.iter().all(|s| s.frames.len() == 1);
     if alone && all.iter().any(|word| *word != all[0]) {
         return;

@@ -123,7 +123,7 @@ pub fn unit_in(comment: &str) -> Result<Option<f64>, ()> {
     // Programs replace a micro sign that they cannot write by a question mark.
     let is_lost =
         |word: &str| matches!(word.trim_matches(['(', ')', '[', ']', '.', ',', ';']), "?s" | "\u{fffd}s");
-    // In brackets min is the minute or the least.
+    // `(min)` is the minute or the least.
     if comment.split_whitespace().any(is_lost) || comment.contains("(min)") {
         return Err(());
     }

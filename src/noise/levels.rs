@@ -61,6 +61,13 @@ pub struct Zero {
     pub moved_dn: f64,
 }
 
+impl Zero {
+    /// Range over which the zero moved, DN: that of an even distribution with this standard deviation.
+    pub fn moved_range_dn(&self) -> f64 {
+        self.moved_dn * 12f64.sqrt()
+    }
+}
+
 /// Pixels that tell nothing of the noise: hot, blind, clipped, jumping, interpolated ones, as `diagnose` has
 /// them.
 #[derive(Debug, Clone, Default)]

@@ -19,23 +19,27 @@
 mod curve;
 mod estimators;
 mod exclude;
+mod frames;
 mod levels;
 mod report;
+mod table;
 
+pub(crate) use frames::memory_in_words;
+pub use frames::of_dataset;
 pub use levels::{Measured, Point, Zero, measure, points, table_points, zero};
 pub use report::{Estimate, LevelReport, Method, NoiseReport};
+pub use table::of_table;
+use table::{TABLE_WITH_BLACK_LEVEL, TABLE_ZERO};
+pub(crate) use table::{black_level_in_words, black_level_of};
 
-use crate::agreement::{Agreement, P_LIMIT};
-use crate::data_faults::{ExamineError, examined};
-use crate::dataset::table::Table;
-use crate::dataset::{Dataset, DatasetError, Kind, LONG_DARKS};
-use crate::number::{Quantity, six_digits, with_error};
-use crate::statistics::outliers;
+use crate::agreement::P_LIMIT;
+use crate::data_faults::ExamineError;
+use crate::dataset::{DatasetError, Kind};
+use crate::number::{Quantity, six_digits};
 use estimators::{estimate_of, likelihood, paper, residual_variance, reweighted, variance_of_variance};
 use exclude::{exclude_dark_charge, exclude_outliers, exclude_past_the_peak, exclude_strays};
 use levels::{BLACK_LEVEL, NO_ZERO, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED, ONE_FRAME};
 pub(crate) use levels::{Counts, Mask, level_of, pixels_from_scatter};
-use std::sync::atomic::AtomicBool;
 
 /// Why there is no answer.
 #[derive(Debug, thiserror::Error)]
@@ -177,7 +181,7 @@ fn estimate_with(
         notes.push(format!(
             "the black level moved between the darks: their levels differ by {:.1} DN, and that of a flat may lie anywhere between. Let the \
              camera warm up, or take darks beside each set of flats",
-            zero.moved_dn * 12f64.sqrt()
+            zero.moved_range_dn()
         ));
     }
     let from_one = zero.source == ONE_EXPOSURE || zero.source == ONE_EXPOSURE_BOUNDED;
@@ -367,216 +371,10 @@ fn unresolved(e: &Estimate, quantisation_dn2: f64) -> Option<f64> {
     (std.is_finite() && dn2 <= std && most.is_finite()).then_some(most)
 }
 
-const TABLE_ZERO: &str = "table: black level removed";
-const TABLE_WITH_BLACK_LEVEL: &str = "table: where the variances meet zero";
-
-/// Section IV on a dataset of frames.
-///
-/// # Errors
-///
-/// Where no line can be fitted, which frame cannot be read, or that it was stopped.
-pub fn of_dataset(
-    dataset: &Dataset,
-    stop: &AtomicBool,
-    progress: &mut dyn FnMut(usize, usize),
-) -> Result<NoiseReport, NoiseError> {
-    dataset.must_be_monochrome()?;
-    let dataset = examined(dataset, stop)?;
-    let measured = measure(&dataset, stop, progress)?;
-    if measured.levels.is_empty() {
-        return Err(NoiseError::NoFrames);
-    }
-    let zero = zero(&measured);
-    let mut report = estimate_with(points(&measured, &zero), &zero, dataset.quantisation_dn2())?;
-    if let Some((dark_s, flat_s)) = long_darks(&measured).filter(|_| zero.source == ONE_EXPOSURE) {
-        let most = with_error(report.read_noise_e.value, report.read_noise_e.std_err);
-        (report.read_noise_e.value, report.read_noise_e.std_err) = (f64::NAN, f64::NAN);
-        report.notes.push(format!(
-            "darks of {} s only, and flats of {} s at most: the noise of so long a dark charge is in the constant noise, and the read noise \
-             is at most {most} e⁻. Take darks of the flats' exposures",
-            six_digits(dark_s),
-            six_digits(flat_s)
-        ));
-    } else if let Some(charge_dn) =
-        // A black level that moved by as much explains it.
-        charge_of_darks(&measured, &dataset)
-            .filter(|dn| zero.source == ONE_EXPOSURE && *dn > zero.moved_dn * 12f64.sqrt())
-    {
-        let (gain, constant) = (report.gain_dn_per_e.value, report.constant_noise_var_dn2.value);
-        let without = constant - gain * charge_dn - dataset.quantisation_dn2();
-        if report.read_noise_e.value.is_finite() && gain * charge_dn > CHARGE_SHARE * constant {
-            let most = with_error(report.read_noise_e.value, report.read_noise_e.std_err);
-            (report.read_noise_e.value, report.read_noise_e.std_err) = (f64::NAN, f64::NAN);
-            let about = if without > 0.0 {
-                format!(", about {:.1} e⁻", without.sqrt() / gain)
-            } else {
-                String::new()
-            };
-            report.notes.push(format!(
-                "the flats meet zero exposure {charge_dn:.1} DN below the darks, which have one exposure: so much dark charge is in them \
-                 (unless exposures are shorter than stated), and its noise is in the constant noise. The read noise is less than {most} e⁻{about}. Take darks at two exposures"
-            ));
-        }
-    }
-    let step = dataset.code_step_dn();
-    if step > 1.0 {
-        report.notes.push(format!(
-            "the codes that occur are {} DN apart: the converter's step, whose quantisation noise q^2/12 = {} DN^2 is no read noise",
-            six_digits(step),
-            six_digits(dataset.quantisation_dn2())
-        ));
-    }
-    report.notes.extend(memory_in_words(dataset.carried_share()).map(|m| {
-        format!("{m} A is too low by what they share, which its error takes in; `radcam diagnose` puts it into the model")
-    }));
-    if let Some(shared) = dataset.shared_noise() {
-        let gain = &report.gain_dn_per_e;
-        report.notes.insert(0, shared.in_words(gain.value, gain.std_err));
-        report.shared_noise_rel = Some(shared.quantity());
-    }
-    report.notes.extend(masked(&measured));
-    report.notes.extend(struck(&measured));
-    report.notes.extend(temperature(&dataset));
-    Ok(NoiseReport { data_faults: dataset.data_faults().to_vec(), ..report })
-}
-
-/// Part of the constant noise that dark charge has, from which on it is no read noise (a named choice).
-const CHARGE_SHARE: f64 = 0.1;
-/// Part of full scale up to which flats lie on a line over the exposure, and their largest scatter about it,
-/// relative (named choices).
-const ON_A_LINE: (f64, f64) = (0.7, 0.005);
-
-/// Level of the darks above that at which a line through the flats of at least three exposures meets no
-/// light, DN; `None` where it is not above that by three of its errors, or the flats are on no line.
-fn charge_of_darks(measured: &Measured, dataset: &Dataset) -> Option<f64> {
-    let light = |number: u32| {
-        let set = dataset.sets().iter().find(|s| s.number == number)?;
-        let settings = dataset.settings(set);
-        Some(settings.exposure_s * settings.illumination)
-    };
-    let highest_dn = ON_A_LINE.0 * measured.full_scale_dn;
-    let flats =
-        measured.levels.iter().filter(|(_, kind, _, l)| *kind == Kind::Flat && l.mean_dn < highest_dn);
-    let points: Vec<(f64, f64)> = flats.filter_map(|f| Some((light(f.0)?, f.3.mean_dn))).collect();
-    let mut exposures: Vec<f64> = points.iter().map(|p| p.0).collect();
-    exposures.sort_by(f64::total_cmp);
-    exposures.dedup_by(|a, b| (*a / *b - 1.0).abs() < 1e-6);
-    let line = crate::fit::line::fit(points.iter().map(|(x, y)| (*x, *y, y * y)))?;
-    let scatter = (line.chi2 / line.dof.max(1) as f64).sqrt();
-    if exposures.len() < 3 || scatter > ON_A_LINE.1 || line.slope <= 0.0 {
-        return None;
-    }
-    let darks = || measured.levels.iter().filter(|l| l.1 == Kind::Dark).map(|l| l.3.mean_dn);
-    let charge_dn = darks().sum::<f64>() / darks().count().max(1) as f64 - line.intercept;
-    (charge_dn > 3.0 * scatter * line.var_intercept.sqrt()).then_some(charge_dn)
-}
-
-/// Exposure of the darks and the longest one of the flats, s, where all darks are far longer.
-fn long_darks(measured: &Measured) -> Option<(f64, f64)> {
-    let of = |kind: Kind| measured.levels.iter().filter(move |l| l.1 == kind).map(|l| l.2);
-    let shortest = of(Kind::Dark).fold(f64::INFINITY, f64::min);
-    let longest = of(Kind::Flat).fold(0.0, f64::max);
-    (longest > 0.0 && shortest.is_finite() && shortest > LONG_DARKS * longest).then_some((shortest, longest))
-}
-
-/// Share that first frames carry from the set before, in words.
-pub(crate) fn memory_in_words(share: f64) -> Option<String> {
-    (share > 0.0).then(|| {
-        format!(
-            "the first frames of sets carry {} of a change of level from the set before (image lag, or a filter over time), so that successive \
-             frames share noise.",
-            crate::number::percent(share)
-        )
-    })
-}
-
-/// Pixels that were left out, in words.
-fn masked(measured: &Measured) -> Option<String> {
-    let level = &measured.levels.first()?.3;
-    let n = level.masked;
-    let share = crate::number::percent(n as f64 / (n + level.pixels) as f64);
-    (n > 0).then(|| {
-        format!("{n} pixels ({share}) are hot, blind, clipped, jumping or interpolated, and are left out")
-    })
-}
-
-/// Single samples that were left out, in words.
-fn struck(measured: &Measured) -> Option<String> {
-    let hit = measured.levels.iter().filter(|(.., level)| level.struck > 0).count();
-    let n: u64 = measured.levels.iter().map(|(.., level)| level.struck).sum();
-    (n > 0)
-        .then(|| format!("{}; left out: in {hit} of {} sets", outliers::in_words(n), measured.levels.len()))
-}
-
-/// Range of the sensor's temperature from which on it is said, K: dark current doubles in some 7 K (a named
-/// choice).
-const MIN_TEMPERATURE_RANGE_K: f64 = 1.0;
-
-/// Temperatures that drift, in words.
-fn temperature(dataset: &Dataset) -> Option<String> {
-    let rows = dataset.rows().iter().filter(|r| matches!(r.kind, Kind::Dark | Kind::Flat));
-    let all: Vec<f64> = rows.filter_map(|r| r.temperature_c).collect();
-    let least = all.iter().copied().fold(f64::INFINITY, f64::min);
-    let most = all.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    (most - least > MIN_TEMPERATURE_RANGE_K).then(|| {
-        format!(
-            "the sensor's temperature lies between {least:.1} and {most:.1} °C over the campaign: dark current and black level go with it. \
-             Let the camera warm up, or take darks beside each set of flats"
-        )
-    })
-}
-
-/// Section IV on a table of statistics.
-///
-/// # Errors
-///
-/// Where no line can be fitted, with the reason.
-pub fn of_table(table: &Table) -> Result<NoiseReport, NoiseError> {
-    let report = estimate(
-        table_points(table),
-        &Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO, moved_dn: 0.0 },
-    );
-    let Some(black_dn) = black_level_of(table) else { return report };
-    let zero = Zero {
-        dn: black_dn.value,
-        std_err_dn: black_dn.std_err,
-        source: TABLE_WITH_BLACK_LEVEL,
-        moved_dn: 0.0,
-    };
-    let mut points = table_points(table);
-    points.iter_mut().for_each(|p| {
-        p.mean_dn -= black_dn.value;
-        p.pairs.iter_mut().for_each(|pair| pair.0 -= black_dn.value);
-    });
-    let mut report = estimate(points, &zero)?;
-    report.notes.push(black_level_in_words(&black_dn));
-    Ok(report)
-}
-
-/// Black level that the means of a table contain, DN: the line of the variances (Healey and Kondepudy 1994,
-/// eq. 41) meets zero there, and no variance is below zero. `None` where the line leaves a constant noise, or
-/// is none.
-pub(crate) fn black_level_of(table: &Table) -> Option<Quantity> {
-    let zero = Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO, moved_dn: 0.0 };
-    let report = estimate(table_points(table), &zero).ok()?;
-    let (gain, constant) = (&report.gain_dn_per_e, &report.constant_noise_var_dn2);
-    let is_line = report.line() != Agreement::Fails && gain.value > 0.0;
-    let dn = -constant.value / gain.value;
-    (is_line && report.constant_noise_is_negative())
-        .then(|| Quantity::new(dn, constant.std_err / gain.value, "DN"))
-}
-
-/// That black level in words.
-pub(crate) fn black_level_in_words(black_dn: &Quantity) -> String {
-    format!(
-        "the variances meet zero at a mean of {black_dn}: that much black level is in the means, and is taken off. The read noise is in it \
-         too, and is not told: rows without light tell both"
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dataset::table::Table;
     use proptest::prelude::*;
     use radcam_sim::rng::{PixelRng, Stream};
 

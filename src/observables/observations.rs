@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Relative scatter of the light from setting to setting.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Setting {
-    /// As stated. It is not fitted: few settings tell little of their scatter, and what bends would seem to
+    /// Stated scatter. It is not fitted: few settings tell little of their scatter, and a bend would seem to
     /// make it less.
     Stated(f64),
     /// Scatter that is not stated is fitted, up to this.
@@ -68,7 +68,7 @@ pub struct Observations {
     pub is_table: bool,
     /// A table without exposures: the means are taken as they are, and give the light.
     pub means_given: bool,
-    /// What could not be looked at.
+    /// Statistics that could not be measured, with the reason.
     pub missing: Vec<String>,
     /// Faults of the data.
     pub data_faults: Vec<DataFault>,
@@ -96,7 +96,7 @@ pub struct Observations {
     pub field: Field,
     /// Number of chunks of frames at the level of every set; all darks share one.
     pub alike: Vec<f64>,
-    /// For every set the first of those that follow one another under the same light: the light stays as it
+    /// First of the sets that follow one another under the same light, for every set: the light stays as it
     /// is until another level is set.
     pub light_settings: Vec<usize>,
     /// Largest relative deviation of the signal over the pixels of a set.
@@ -107,13 +107,13 @@ pub struct Observations {
     pub dark_spread_dn2: Vec<f64>,
     /// Covariance of the pixels' variances between short darks, DN^4: what stays with its pixels.
     pub steady_dn4: Option<Value>,
-    /// The same of pixels two columns and two rows apart, DN^4: whether noisy pixels are parts of the sensor.
+    /// Covariance of the variances of pixels two columns and two rows apart, DN^4: noisy parts of the sensor.
     pub together_dn4: Option<[Value; 2]>,
     /// Distribution of the single pixels' noise in short darks.
     pub pixel_noise: Option<PixelNoise>,
     /// Code below which one in two hundred samples of the darks lies.
     pub darkest_dn: Option<f64>,
-    /// Whether the camera states that it has no black level: its darks are cut off at code 0 by design.
+    /// True if the camera states that it has no black level: its darks are cut off at code 0 by design.
     pub no_black_level: bool,
 }
 
@@ -167,7 +167,7 @@ impl Observations {
         })
     }
 
-    /// Whether darks, or flats of one light, have two exposures.
+    /// Returns true if darks, or flats of one light, have two exposures.
     fn exposures_differ(&self, half: Option<Half>, darks: bool) -> bool {
         let mut exposures: std::collections::BTreeMap<Option<usize>, Vec<f64>> = Default::default();
         let looked_at = |o: &&Observable| o.half != Half::Both && half.is_none_or(|h| o.half == h);
@@ -181,7 +181,7 @@ impl Observations {
         exposures.values().any(|all| all.iter().any(|e| (e / all[0] - 1.0).abs() > 1e-6))
     }
 
-    /// Whether there is any of a statistic.
+    /// Returns true if there is an observable of a statistic.
     pub fn has(&self, statistic: &dyn Statistic) -> bool {
         self.list.iter().any(|o| o.is(statistic))
     }

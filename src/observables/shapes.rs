@@ -54,7 +54,7 @@ fn cycles<'c>(chunks: impl Iterator<Item = &'c Chunk>, of: &dyn Statistic, lines
     let mut power: Vec<f64> = Vec::new();
     for c in chunks {
         let Some(own) = place.and_then(|i| c.summary.extra.get(i)) else { continue };
-        // By the noise of a line: dim sets and bright ones count by what they tell.
+        // Power over the noise of a line weighs dim and bright sets by their information.
         let noise = c.summary.var.value.max(1e-12);
         power.resize(own.len(), 0.0);
         power.iter_mut().zip(own).for_each(|(sum, v)| *sum += v / noise);

@@ -1,5 +1,6 @@
 //! Sections V to VII through the program and the library: from a pilot to surfaces that are recognised.
 
+use crate::rewritten::Campaign;
 use crate::support::{expect, refused, small};
 use radcam::bench::{BenchState, Illuminator};
 use radcam::calibrate::file::{Calibration, Description};
@@ -540,4 +541,22 @@ fn a_mosaic_is_calibrated_plane_by_plane() {
     let corrected = corrector.image(&frame(Kind::Flat, 0, exposure_s)).unwrap();
     let blue = corrected.slice(radcam::ndarray::s![1..;2, 1..;2]).mean().unwrap();
     assert!((corrected[(11, 21)] / blue - 1.0).abs() < 0.15, "{} of {blue}", corrected[(11, 21)]);
+}
+
+/// One frame of each level tells no noise, and so no error of K: `calibrate` asks for more.
+#[test]
+fn single_frames_of_unknown_gain_make_no_calibration() {
+    let mut campaign = Campaign::new("cmos12", "standard", 41);
+    let kept: Vec<usize> = ["dark", "flat"]
+        .into_iter()
+        .flat_map(|kind| campaign.sets(kind, 1))
+        .filter_map(|set| campaign.of(set).first().copied())
+        .collect();
+    campaign.rows = kept.iter().map(|row| campaign.rows[*row].clone()).collect();
+    campaign.save();
+    let out = campaign.dir.path().join("k.tiff");
+    let error =
+        refused(&["calibrate", &campaign.path(), "--estimator", "smooth", "-o", out.to_str().unwrap()]);
+    assert!(error.contains("has one frame") && error.contains("two frames or more"), "{error}");
+    assert!(!out.exists());
 }

@@ -10,11 +10,11 @@ use radcam_sim::rng::{PixelRng, Stream};
 use std::fs;
 use std::io::{Read, Write};
 use std::path::Path;
-use tiff::encoder::colortype::{Gray8, Gray16, Gray32Float, GrayI16};
+use tiff::encoder::colortype::{Gray16, Gray32Float};
 use tiff::encoder::{TiffEncoder, TiffValue};
 use tiff::tags::Tag;
 
-const SIDE: usize = 96;
+pub const SIDE: usize = 96;
 /// Darks at two exposures and flats at five, ms: electrons of a pixel.
 const SETS: [(&str, u32, f64); 7] = [
     ("dark", 1, 0.0),
@@ -29,17 +29,17 @@ const FRAMES: u32 = 6;
 
 /// A converter: bits, gain (DN/e), read noise (e), black level (DN), charge of the brightest flat over 0.9 (e).
 #[derive(Clone, Copy)]
-struct Camera {
-    bits: u8,
-    gain: f64,
-    read_noise_e: f64,
-    black_dn: f64,
-    most_e: f64,
+pub struct Camera {
+    pub bits: u8,
+    pub gain: f64,
+    pub read_noise_e: f64,
+    pub black_dn: f64,
+    pub most_e: f64,
 }
 
 impl Camera {
     /// Codes of a frame: charge with shot noise (normal), read noise, rounded.
-    fn frame(&self, number: u32, share: f64) -> Array2<u16> {
+    pub fn frame(&self, number: u32, share: f64) -> Array2<u16> {
         let full = f64::from((1u32 << self.bits) - 1);
         Array2::from_shape_fn((SIDE, SIDE), |(y, x)| {
             let mut random = PixelRng::new(5, Stream::Frame, number.into(), (y * SIDE + x) as u32, 0);
@@ -61,8 +61,11 @@ impl Camera {
     }
 }
 
-fn tiff<C: tiff::encoder::colortype::ColorType>(path: &Path, frames: &[Array2<C::Inner>], description: &str)
-where
+pub fn tiff<C: tiff::encoder::colortype::ColorType>(
+    path: &Path,
+    frames: &[Array2<C::Inner>],
+    description: &str,
+) where
     C::Inner: Clone,
     [C::Inner]: TiffValue,
 {
@@ -111,32 +114,32 @@ fn json(arguments: &[&str]) -> serde_json::Value {
     serde_json::from_str(&expect(0, arguments)).unwrap()
 }
 
-struct Folder(tempfile::TempDir);
+pub struct Folder(pub tempfile::TempDir);
 
 impl Folder {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let out = Self(tempfile::tempdir().unwrap());
         fs::create_dir(out.0.path().join("in")).unwrap();
         out
     }
 
     /// A file to be imported.
-    fn file(&self, name: &str) -> std::path::PathBuf {
+    pub fn file(&self, name: &str) -> std::path::PathBuf {
         self.0.path().join("in").join(name)
     }
 
-    fn text(&self, name: &str) -> String {
+    pub fn text(&self, name: &str) -> String {
         self.0.path().join(name).to_str().unwrap().into()
     }
 
     /// Imports the files; what was said and the dataset.
-    fn import(&self) -> (String, Dataset) {
+    pub fn import(&self) -> (String, Dataset) {
         let said = expect(0, &["import", &self.text("in"), "-o", &self.text("d"), "--yes"]);
         (said, Dataset::open(&self.0.path().join("d")).unwrap())
     }
 
     /// What `noise` finds: gain (DN/e) and read noise (e).
-    fn noise(&self) -> (f64, f64) {
+    pub fn noise(&self) -> (f64, f64) {
         let found = json(&["noise", &self.text("d"), "--json"]);
         let of = |name: &str| found[name]["value"].as_f64().unwrap();
         (of("gain_dn_per_e"), of("read_noise_e"))
@@ -334,13 +337,13 @@ fn numbers_become_codes() {
 }
 
 /// 12-bit codes of a dark and a flat frame: what every container must give back.
-fn two() -> [(&'static str, Array2<u16>); 2] {
+pub fn two() -> [(&'static str, Array2<u16>); 2] {
     let camera = Camera { bits: 12, gain: 0.5, read_noise_e: 4.0, black_dn: 100.0, most_e: 4000.0 };
     [("dark_10ms", camera.frame(0, 0.0)), ("flat_10ms", camera.frame(1, 0.5))]
 }
 
 /// Frames of the dataset, in its order.
-fn frames(dataset: &Dataset) -> Vec<Array2<u16>> {
+pub fn frames(dataset: &Dataset) -> Vec<Array2<u16>> {
     dataset.rows().iter().map(|row| dataset.read(row).unwrap()).collect()
 }
 
@@ -480,129 +483,6 @@ fn what_is_no_frame_is_refused_by_its_reason() {
         let said = refused(&["import", &folder.text("in"), "-o", &folder.text("d"), "--yes"]);
         assert!(said.contains(part) && said.contains(name), "{name}: {said}");
     }
-}
-
-#[test]
-fn tiff_of_every_kind_is_read() {
-    let [(_, dark), (_, flat)] = two();
-    for kind in ["int16", "float", "thumbnail", "mosaic", "packed", "reversed", "behind one"] {
-        let folder = Folder::new();
-        for (name, frame) in two() {
-            let path = folder.file(&format!("{name}.tif"));
-            match kind {
-                "int16" => tiff::<GrayI16>(&path, &[frame.mapv(|v| v as i16)], ""),
-                "float" => tiff::<Gray32Float>(&path, &[frame.mapv(f32::from)], ""),
-                "thumbnail" => {
-                    let mut encoder = TiffEncoder::new(fs::File::create(&path).unwrap()).unwrap();
-                    encoder
-                        .write_image::<Gray16>(SIDE as u32, SIDE as u32, frame.as_slice().unwrap())
-                        .unwrap();
-                    let mut small = encoder.new_image::<Gray8>(8, 8).unwrap();
-                    small.encoder().write_tag(Tag::NewSubfileType, 1u32).unwrap();
-                    small.write_data(&[7; 64]).unwrap();
-                }
-                _ => tiff::<Gray16>(&path, std::slice::from_ref(&frame), ""),
-            }
-            let mut bytes = fs::read(&path).unwrap();
-            match kind {
-                "mosaic" => set_tag(&mut bytes, 262, 32_803),
-                "packed" => {
-                    set_tag(&mut bytes, 258, 12);
-                    pack(&mut bytes, &frame);
-                }
-                "reversed" => {
-                    let (from, length) = (tag(&bytes, 273), SIDE * SIDE * 2);
-                    bytes[from..from + length].iter_mut().for_each(|b| *b = b.reverse_bits());
-                    // Orientation is not needed, FillOrder is.
-                    rename_tag(&mut bytes, 296, 266);
-                    set_tag(&mut bytes, 266, 2);
-                }
-                "behind one" => {
-                    tiff::<Gray16>(&path, std::slice::from_ref(&frame), "ImageJ=1.53t\nimages=3\nslices=3\n");
-                    bytes = fs::read(&path).unwrap();
-                    bytes = behind_one(bytes, &frame);
-                }
-                _ => {}
-            }
-            fs::write(&path, bytes).unwrap();
-        }
-        if kind == "mosaic" {
-            let said = refused(&["import", &folder.text("in"), "-o", &folder.text("d"), "--yes"]);
-            assert!(said.contains("--plane"), "{said}");
-            expect(0, &["import", &folder.text("in"), "-o", &folder.text("d"), "--yes", "--plane", "0,1"]);
-            let dataset = Dataset::open(&folder.0.path().join("d")).unwrap();
-            let plane = flat.slice(ndarray::s![..;2, 1..;2]).to_owned();
-            assert_eq!(frames(&dataset)[1], plane);
-            continue;
-        }
-        let (said, dataset) = folder.import();
-        let found = frames(&dataset);
-        if kind == "behind one" {
-            assert_eq!(found.len(), 6, "{said}");
-            assert_eq!((&found[0], &found[4]), (&dark, &flat.mapv(|v| v + 1)), "{kind}");
-        } else {
-            assert_eq!(found, [dark.clone(), flat.clone()], "{kind}: {said}");
-        }
-    }
-}
-
-/// Place of the value of a tag in the first directory of a little-endian TIFF.
-fn place(bytes: &[u8], tag: u16) -> usize {
-    let long = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
-    let directory = long(4);
-    let count = usize::from(u16::from_le_bytes([bytes[directory], bytes[directory + 1]]));
-    let entries = (0..count).map(|k| directory + 2 + 12 * k);
-    let found = entries.into_iter().find(|at| bytes[*at..*at + 2] == tag.to_le_bytes());
-    found.unwrap_or_else(|| panic!("no tag {tag}")) + 8
-}
-
-fn tag(bytes: &[u8], tag: u16) -> usize {
-    let at = place(bytes, tag);
-    u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize
-}
-
-fn set_tag(bytes: &mut [u8], tag: u16, value: u16) {
-    let at = place(bytes, tag);
-    bytes[at..at + 2].copy_from_slice(&value.to_le_bytes());
-}
-
-pub fn rename_tag(bytes: &mut [u8], tag: u16, to: u16) {
-    let at = place(bytes, tag) - 8;
-    bytes[at..at + 2].copy_from_slice(&to.to_le_bytes());
-}
-
-/// Twelve bits a pixel, two pixels in three bytes, in one strip at the end.
-fn pack(bytes: &mut Vec<u8>, frame: &Array2<u16>) {
-    let from = bytes.len() as u32;
-    let codes: Vec<u16> = frame.iter().copied().collect();
-    let length = codes.len() / 2 * 3;
-    for pair in codes.chunks(2) {
-        bytes.extend([(pair[0] >> 4) as u8, (pair[0] << 4 | pair[1] >> 8) as u8, pair[1] as u8]);
-    }
-    one_strip(bytes, from, length as u32);
-}
-
-/// Directs the only strip somewhere else.
-fn one_strip(bytes: &mut [u8], from: u32, length: u32) {
-    for (tag, value) in [(273, from), (279, length)] {
-        let at = place(bytes, tag);
-        // One LONG: the strips that there were are no more.
-        bytes[at - 6..at - 4].copy_from_slice(&4u16.to_le_bytes());
-        bytes[at - 4..at].copy_from_slice(&1u32.to_le_bytes());
-        bytes[at..at + 4].copy_from_slice(&value.to_le_bytes());
-    }
-    let at = place(bytes, 278);
-    bytes[at..at + 4].copy_from_slice(&(SIDE as u32).to_le_bytes()[..4]);
-}
-
-/// Three frames one behind the other, and one directory.
-fn behind_one(mut bytes: Vec<u8>, frame: &Array2<u16>) -> Vec<u8> {
-    let from = bytes.len() as u32;
-    for k in 0..3u16 {
-        bytes.extend(frame.iter().flat_map(|v| (v + k).to_le_bytes()));
-    }
-    one_strip(&mut bytes, from, (SIDE * SIDE * 2) as u32);
-    bytes
 }
 
 fn npy(descr: &str, fortran: bool, shape: &str, data: &[u8]) -> Vec<u8> {
@@ -759,32 +639,4 @@ fn tables_of_spreadsheets_are_read() {
         let gain = found["gain_dn_per_e"]["value"].as_f64().unwrap();
         assert!((gain - 0.5).abs() < 0.002, "{name}: {gain}");
     }
-}
-
-/// OME-TIFF: planes of one file are parted by their exposure and channel, and the detector is the camera.
-#[test]
-fn planes_of_ome_tiff_have_their_own_exposures() {
-    let camera = Camera { bits: 12, gain: 0.5, read_noise_e: 2.0, black_dn: 32.0, most_e: 7000.0 };
-    let folder = Folder::new();
-    let plane = |t: usize, ms: f64, unit: &str| {
-        format!(r#"<Plane TheC="0" TheT="{t}" TheZ="0" ExposureTime="{ms}"{unit} DeltaT="{t}"/>"#)
-    };
-    let planes: String = (0..8)
-        .map(|t| match t / 4 {
-            0 => plane(t, 20.0, r#" ExposureTimeUnit="ms""#),
-            // The schema's unit is the second.
-            _ => plane(t, 0.04, ""),
-        })
-        .collect();
-    let text = format!(
-        r#"<?xml version="1.0" encoding="UTF-8"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Instrument ID="Instrument:0"><Detector ID="Detector:0" Model="Zyla 4.2" Manufacturer="Andor" SerialNumber="VSC-1"/></Instrument><Image ID="Image:0"><AcquisitionDate>2024-05-01T12:00:00</AcquisitionDate><Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="{SIDE}" SizeY="{SIDE}" SizeZ="1" SizeC="1" SizeT="8"><Channel ID="Channel:0:0"/><TiffData/>{planes}</Pixels></Image></OME>"#
-    );
-    let frames: Vec<Array2<u16>> = (0..8).map(|t| camera.frame(t, if t < 4 { 0.3 } else { 0.6 })).collect();
-    tiff::<Gray16>(&folder.file("flats.ome.tif"), &frames, &text);
-    let (said, dataset) = folder.import();
-    let of = |set: &radcam::dataset::Set| (dataset.settings(set).exposure_s, set.rows.len());
-    assert_eq!(dataset.sets().iter().map(of).collect::<Vec<_>>(), [(0.02, 4), (0.04, 4)], "{said}");
-    let info = &dataset.manifest().camera;
-    assert_eq!((&*info.vendor, &*info.model, &*info.serial), ("Andor", "Zyla 4.2", "VSC-1"));
-    assert_eq!(dataset.rows()[7].timestamp_s, Some(7.0));
 }

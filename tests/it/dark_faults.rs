@@ -16,7 +16,7 @@ fn has_foreign_darks(campaign: &Campaign, words: &str) {
     let gain = &said["gain_dn_per_e"];
     let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
     assert!((value - 0.38).abs() < 4.0 * error, "{words}: {value} +- {error}");
-    // By the flats alone, above the black level that the camera states.
+    // The read noise is that of the flats alone, above the black level that the camera states.
     let (value, error) = (said["read_noise_e"]["value"].as_f64(), said["read_noise_e"]["std_err"].as_f64());
     assert!(value.is_none_or(|v| (v - 3.0).abs() < 4.0 * error.unwrap()), "{words}: {value:?} +- {error:?}");
 }

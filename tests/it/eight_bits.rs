@@ -1,5 +1,6 @@
 //! The format that most cameras are set to: 8 of 12 bits, the others cut off.
 
+use crate::rewritten::Campaign;
 use crate::support::expect;
 use radcam::dataset::image::{read_single, tiff_bytes};
 use std::path::Path;
@@ -50,4 +51,31 @@ fn eight_of_twelve_bits_are_a_linear_sensor_that_hides_its_noise() {
         let notes = said["notes"].to_string();
         assert!(notes.contains("Mono12"), "{notes}");
     }
+}
+
+/// Darks of many pairs with 0.37 codes of noise: rounding does to all their variances the same, and to the
+/// covariances of lines what chance does: the mean square of their residuals is 1 within four standard errors.
+#[test]
+fn covariances_of_lines_of_coarse_darks_have_true_errors() {
+    let mut squares: Vec<f64> = Vec::new();
+    for seed in 220..224 {
+        let folder = tempfile::tempdir().unwrap();
+        let model = folder.path().join("m.toml");
+        let mut camera = radcam_sim::sensors::load("cmos12").unwrap();
+        camera.base.gain_dn_per_e *= 0.375;
+        std::fs::write(&model, camera.to_toml().unwrap()).unwrap();
+        let campaign = Campaign::new(model.to_str().unwrap(), "emva1288", seed);
+        let darks: Vec<u64> = campaign.sets("dark", 2).into_iter().map(u64::from).collect();
+        let said = campaign.said("compare");
+        let of_lines = said["residuals"].as_array().unwrap().iter().filter(|r| {
+            let of = r["statistic"].as_str().unwrap();
+            ["covariance of row means", "covariance of column means"].contains(&of)
+                && darks.contains(&r["set"].as_u64().unwrap())
+        });
+        squares.extend(of_lines.filter_map(|r| r["z"].as_f64()).map(|z| z * z));
+    }
+    let n = squares.len() as f64;
+    let mean = squares.iter().sum::<f64>() / n;
+    println!("{n} residuals, mean square {mean:.3}");
+    assert!(n > 300.0 && (mean - 1.0).abs() < 4.0 * (2.0 / n).sqrt(), "{mean} of {n}");
 }

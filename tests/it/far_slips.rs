@@ -2,10 +2,11 @@
 
 use crate::data_faults::{BLACK_DN, of_flats};
 use crate::rewritten::Campaign;
+use crate::support::expect;
 use radcam_sim::rng::{PixelRng, Stream};
 
-/// One fault of a kind is said, of these sets, with these words; nothing is missing then, and the gain lies within
-/// four standard errors of the camera's.
+/// One fault of a kind is said, of these sets, with these words; nothing is missing then, and the gain lies
+/// within four standard errors of the camera's.
 fn is_named(campaign: &Campaign, kind: &str, sets: &[u32], words: &str) {
     let said = campaign.said("diagnose");
     let faults = said["data_faults"].as_array().unwrap();
@@ -171,4 +172,90 @@ fn one_of_two_equal_darks_was_averaged() {
     let faults = campaign.said("noise")["data_faults"].clone();
     let named = faults.as_array().unwrap().iter().find(|f| f["kind"] == "dependent-frames");
     assert!(named.is_some_and(|f| f["sets"].to_string().contains(&second.to_string())), "{faults}");
+}
+
+/// Pairs in no order of their exposures, the first frame of each exposed as the set before it: half of what is
+/// read of a pair is stale.
+#[test]
+fn stale_frames_of_pairs_in_any_order_are_named() {
+    let shares = [0.5, 0.2, 0.95, 0.35, 0.8, 0.1, 0.65, 0.3, 0.9, 0.15];
+    let campaign = sweep(&shares, &shares, 4, 208);
+    let flats = campaign.sets("flat", 4);
+    let others: Vec<_> = flats.iter().map(|set| campaign.frame(campaign.of(*set)[3])).collect();
+    let mut gone = Vec::new();
+    for (k, set) in flats.iter().enumerate() {
+        let rows = campaign.of(*set);
+        if k > 0 {
+            campaign.put(rows[0], &others[k - 1]);
+        }
+        gone.extend_from_slice(&rows[2..]);
+    }
+    let mut campaign = campaign;
+    campaign.rows =
+        (0..campaign.rows.len()).filter(|r| !gone.contains(r)).map(|r| campaign.rows[r].clone()).collect();
+    campaign.save();
+    let said = campaign.said("diagnose");
+    let faults = said["data_faults"].as_array().unwrap();
+    assert_eq!((faults.len(), &faults[0]["kind"]), (1, &"stale-frame".into()), "{faults:?}");
+    let sets = faults[0]["sets"].to_string();
+    assert!(flats[1..].iter().all(|set| sets.contains(&set.to_string())), "{sets}");
+    assert_eq!(said["missing"], serde_json::json!([]));
+}
+
+/// Image lag whose electrons stay by chance leaves the noise as frames of both settings do: up to the share that
+/// sensors have, it is no slip.
+#[test]
+fn lag_by_chance_is_no_stale_frame() {
+    for (fraction, seed) in [("0.12", 209), ("0.2", 210)] {
+        let folder = tempfile::tempdir().unwrap();
+        let model = folder.path().join("m.toml");
+        let model = model.to_str().unwrap();
+        expect(0, &["model", "new", model, "--sensor", "cmos12"]);
+        let fraction_of_all = format!("fraction={fraction}");
+        expect(0, &["model", "add", model, "image-lag", "shape=0", &fraction_of_all, "by_chance=1"]);
+        let shares = [0.2, 0.4, 0.6, 0.8, 0.95];
+        let said = of_flats(model, &shares, 6, seed).said("diagnose");
+        assert_eq!(said["data_faults"], serde_json::json!([]), "{fraction}");
+        assert_eq!(said["missing"][0]["effect"], "image-lag", "{fraction}: {}", said["missing"]);
+    }
+}
+
+/// Flats at the full well have one level at the longest exposures, and less noise than it has: the exposure is what
+/// is stated.
+#[test]
+fn flats_at_the_full_well_have_their_exposures() {
+    let shares = [0.1, 0.25, 0.4, 0.5, 0.5, 0.5];
+    let campaign = sweep(&shares, &[0.1, 0.25, 0.4, 0.5, 0.7, 0.9], 4, 211);
+    let flats = campaign.sets("flat", 4);
+    let full: Vec<_> = campaign.of(flats[3]).into_iter().map(|row| campaign.frame(row)).collect();
+    let level = full[0].mapv(f64::from).mean().unwrap();
+    for set in &flats[3..] {
+        for row in campaign.of(*set) {
+            // A third of the noise is left: that of the readout.
+            let frame = campaign.frame(row).mapv(|v| (level + 0.33 * (f64::from(v) - level)).round() as u16);
+            campaign.put(row, &frame);
+        }
+    }
+    let faults = campaign.said("diagnose")["data_faults"].clone();
+    assert!(!faults.to_string().contains("does not expose longer"), "{faults}");
+}
+
+/// Darks of one exposure between which the black level moved: how much charge is in them is not told.
+#[test]
+fn a_black_level_that_moved_is_no_dark_charge() {
+    let shares = [0.2, 0.4, 0.6, 0.8, 0.95];
+    for (moves, moved) in [([3.0, 3.0], false), ([0.0, 6.0], true)] {
+        let mut campaign = sweep(&shares, &shares, 4, 212);
+        let exposure_s = campaign.rows[campaign.of(campaign.sets("flat", 4)[4])[0]][4].clone();
+        for (set, by) in campaign.sets("dark", 4).into_iter().zip(moves) {
+            for row in campaign.of(set) {
+                campaign.put(row, &campaign.frame(row).mapv(|v| v + by as u16));
+                campaign.rows[row][4] = exposure_s.clone();
+            }
+        }
+        campaign.save();
+        campaign.forget_black_level();
+        let notes = campaign.said("noise")["notes"].to_string();
+        assert_eq!(notes.contains("so much dark charge is in them"), !moved, "{moves:?}: {notes}");
+    }
 }

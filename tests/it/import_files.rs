@@ -1,7 +1,7 @@
-//! What files hold beside one frame: tags, pages, tables beside them.
+//! Tags and pages of files, and tables beside them.
 
-use crate::containers::rename_tag;
 use crate::import_cases::{Bench, Camera, sets};
+use crate::tiff_files::rename_tag;
 use radcam::dataset::Kind;
 use std::fs;
 use tiff::encoder::TiffEncoder;
@@ -136,7 +136,8 @@ fn tagged(
     fs::write(bench.path(name), bytes.into_inner()).unwrap();
 }
 
-/// Python's tifffile writes the text of its caller, and behind it the shape of the array, as two ImageDescriptions.
+/// Python's tifffile writes the text of its caller, and behind it the shape of the array, as two
+/// ImageDescriptions.
 #[test]
 fn the_first_of_two_descriptions_is_read() {
     let bench = Bench::new();

@@ -544,6 +544,7 @@ fn every_row_of_the_table_of_files_has_its_test() {
         "import_files",
         "containers",
         "frame_headers",
+        "tiff_files",
         "hdf5",
         "mixed_frames",
     ]

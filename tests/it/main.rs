@@ -57,5 +57,6 @@ mod sensors;
 mod serve;
 mod source;
 mod support;
+mod tiff_files;
 mod workbench;
 mod wrong_inputs;
