@@ -102,6 +102,8 @@ pub struct Found {
     pub scale: Scale,
     /// Its values are no codes of 16 bits, and are rounded to some.
     pub is_rounded: bool,
+    /// Number of frames or pixels of which the values of all files may be the means.
+    pub in_a_mean: Option<u32>,
 }
 
 /// Frames that were found, and files that cannot be read.
@@ -272,6 +274,7 @@ fn frames_of(
             digest,
             scale: Scale::default(),
             is_rounded,
+            in_a_mean: None,
         });
     }
     let mut notes = source.notes().to_vec();
@@ -297,7 +300,9 @@ fn frames_of(
 fn in_codes(found: &mut [Found], census: &Census) -> Result<(), ImportError> {
     let scale = census.scale().map_err(ImportError::Files)?;
     let bits = census.highest(&scale);
+    let in_a_mean = census.in_a_mean();
     for frame in found.iter_mut() {
+        frame.in_a_mean = in_a_mean;
         frame.scale = scale;
         frame.mean_dn = scale.of(frame.mean_dn);
         frame.cells_dn = frame.cells_dn.map(|mean| scale.of(mean));

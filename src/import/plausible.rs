@@ -191,6 +191,58 @@ pub fn normalized(sets: &mut [Growing], found: &[Found]) {
     ));
 }
 
+/// Numbers of pixels of binning 2 x 2 to 4 x 4: as many values have their mean.
+const BINNED: [u32; 3] = [4, 9, 16];
+
+/// Questions values that are whole multiples of one over a number: means of so many frames are no raw frames. Those
+/// of so many pixels are, which is guessed of the numbers of binning.
+pub fn means_of_several(sets: &mut [Growing], found: &[Found]) {
+    let Some(n) = found.first().and_then(|f| f.in_a_mean) else { return };
+    let Some(first) = sets.first_mut() else { return };
+    let what = format!("all values are multiples of 1/{n}");
+    let harm = format!(
+        "means of {n} frames (ImageJ's Z projection, numpy's mean) have less noise than frames, and gain and read noise of them are wrong"
+    );
+    if BINNED.contains(&n) {
+        first.set.guessed.push(format!("frames: {what}: taken for means of {n} pixels (binning); {harm}"));
+    } else {
+        first.set.doubts.push(format!(
+            "frames: {what}: {harm}: import the frames that they were made of. Means of {n} pixels (binning) are frames"
+        ));
+    }
+}
+
+/// Share of the exposure that frames follow one another by at least, and the error of times in whole seconds, s.
+const MIN_PERIOD_SHARE: f64 = 0.5;
+const ERROR_OF_TIMES_S: f64 = 1.0;
+
+/// Questions exposures longer than the time from frame to frame: milliseconds, where no unit is stated.
+pub fn longer_than_the_period(sets: &mut [Growing], found: &[Found]) {
+    // Exposure and time from frame to frame at most.
+    let of = |s: &Growing| {
+        let exposure_s = s.set.exposure_s?;
+        let times: Option<Vec<f64>> = s.frames.iter().map(|k| found[*k].facts.time_s).collect();
+        let (least, most) =
+            times?.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), t| (a.min(*t), b.max(*t)));
+        let periods = s.frames.len() as f64 - 1.0;
+        (periods > 0.0).then(|| (exposure_s, (most - least + ERROR_OF_TIMES_S) / periods))
+    };
+    let is_longer =
+        |s: &Growing| of(s).is_some_and(|(exposure_s, period_s)| MIN_PERIOD_SHARE * exposure_s > period_s);
+    // Times of files that were written together after all exposures come with one set or two.
+    if 2 * sets.iter().filter(|s| is_longer(s)).count() < sets.len() {
+        return;
+    }
+    let Some(first) = sets.iter_mut().find(|s| is_longer(s)) else { return };
+    let Some((exposure_s, period_s)) = of(first) else { return };
+    first.set.doubts.push(format!(
+        "exposure: {} s, and by their times the frames follow one another by {} s at most: milliseconds? (Times at which files were written tell \
+         nothing of it)",
+        six_digits(exposure_s),
+        six_digits((100.0 * period_s).round() / 100.0)
+    ));
+}
+
 /// Smallest level below that of all darks, DN and relative to it, at which flats are questioned: a black
 /// level drifts by less (named choices).
 const MIN_BELOW_DARKS: (f64, f64) = (5.0, 0.05);

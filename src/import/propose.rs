@@ -107,6 +107,8 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
     plausible::shifted_codes(&mut sets, found);
     plausible::averaged_by_name(&mut sets, found);
     plausible::normalized(&mut sets, found);
+    plausible::means_of_several(&mut sets, found);
+    plausible::longer_than_the_period(&mut sets, found);
     plausible::flats_below_darks(&mut sets);
     plausible::serial_numbers(&mut sets, found);
     lit_darks(&mut sets, LIT * f64::from((1u32 << bit_depth) - 1));

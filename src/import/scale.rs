@@ -89,6 +89,11 @@ impl Scale {
 /// Distinct numbers that are kept: continuous numbers have as many as pixels.
 const MAX_DISTINCT: usize = 200_000;
 
+/// Largest number of frames, or of pixels, whose mean is looked for in fractions of a code, and least range of the
+/// values, in codes: numbers scaled to 0 to 1 are no means (named choices).
+const MAX_IN_A_MEAN: f64 = 256.0;
+const MIN_RANGE_OF_MEANS: f64 = 4.0;
+
 /// Temporal noise, in the unit of the files, from which on floating-point numbers are rounded to whole codes:
 /// quantisation is then a twelfth of the noise at most, and accounted for (q^2/12).
 const MIN_NOISE_OF_WHOLE_CODES: f64 = 1.0;
@@ -113,6 +118,20 @@ struct Numbers {
     /// Least standard deviation of half the difference of successive frames.
     noise: f64,
     before: Option<Array2<f64>>,
+}
+
+impl Numbers {
+    /// Steps of the numbers and of these codes; `None` of continuous ones.
+    fn stretch(&self, codes: &[f64]) -> Option<Stretch> {
+        if self.distinct.len() >= MAX_DISTINCT {
+            return None;
+        }
+        let numbers = self.distinct.iter().map(|b| f64::from_bits(*b));
+        let mut values: Vec<f64> = numbers.chain(codes.iter().copied()).collect();
+        values.sort_by(f64::total_cmp);
+        values.dedup();
+        if self.whole { code_step::of_whole_codes(&values) } else { code_step::of_numbers(&values) }
+    }
 }
 
 impl Census {
@@ -176,6 +195,18 @@ impl Census {
         line.code(codes.last().copied().unwrap_or(most).max(most)).clamp(0.0, 65_535.0) as u16
     }
 
+    /// Number of frames, or of pixels, of which each number may be the mean: the values are whole multiples of one
+    /// over it. `None` of whole codes and of continuous numbers.
+    pub fn in_a_mean(&self) -> Option<u32> {
+        let numbers = self.numbers.as_ref().filter(|n| !n.whole && n.most - n.least > MIN_RANGE_OF_MEANS)?;
+        let Stretch { step, zero } = numbers.stretch(&[])?;
+        let n = step.recip().round();
+        // Single precision has seven digits.
+        let is_one_over = |v: f64| (v * n - (v * n).round()).abs() < 1e-6 * n * numbers.most.abs();
+        ((2.0..=MAX_IN_A_MEAN).contains(&n) && (step * n - 1.0).abs() < 1e-4 && is_one_over(zero))
+            .then_some(n as u32)
+    }
+
     /// The scale that fits all of them.
     ///
     /// # Errors
@@ -201,14 +232,7 @@ impl Census {
         let ends = [codes.first(), codes.last()].into_iter().flatten();
         let least = ends.clone().copied().fold(numbers.least, f64::min);
         let most = ends.copied().fold(numbers.most, f64::max);
-        let mut values: Vec<f64> = numbers.distinct.iter().map(|b| f64::from_bits(*b)).chain(codes).collect();
-        values.sort_by(f64::total_cmp);
-        values.dedup();
-        let known = (numbers.distinct.len() < MAX_DISTINCT).then_some(values);
-        let found = known.and_then(|v| {
-            if numbers.whole { code_step::of_whole_codes(&v) } else { code_step::of_numbers(&v) }
-        });
-        let (step, zero) = match found {
+        let (step, zero) = match numbers.stretch(&codes) {
             Some(Stretch { step, zero }) if step >= 1.0 - 1e-6 || numbers.whole => (step, zero),
             _ if numbers.whole || numbers.noise.is_finite() && numbers.noise >= MIN_NOISE_OF_WHOLE_CODES => {
                 (1.0, 0.0)
@@ -260,6 +284,27 @@ mod tests {
         let mut census = Census::default();
         frames.iter().try_for_each(|f| census.add(&Values::Numbers(f.clone()), Path::new("a.tif")))?;
         census.scale()
+    }
+
+    #[test]
+    fn fractions_of_codes_may_be_means() {
+        let of = |of: fn(f64) -> f64| {
+            let mut census = Census::default();
+            frames(of).into_iter().for_each(|f| census.add(&Values::Numbers(f), Path::new("a.tif")).unwrap());
+            census.in_a_mean()
+        };
+        assert_eq!(of(|v| f64::from((v / 3.0) as f32)), Some(3));
+        assert_eq!(of(|v| v / 4.0), Some(4));
+        assert_eq!(of(|v| f64::from(((v + 5.0 * v.sin().round()) / 10.0) as f32)), Some(10));
+        for whole in [
+            (|v| v) as fn(f64) -> f64,
+            |v| v - 150.0,
+            |v| v - 50.5,
+            |v| f64::from((v / 4095.0) as f32),
+            |v| v + 0.3 * v.sin(),
+        ] {
+            assert_eq!(of(whole), None);
+        }
     }
 
     #[test]

@@ -241,6 +241,46 @@ fn numpy_arrays_and_times_are_read() {
     assert_eq!(rows, [(Kind::Dark, 0.0), (Kind::Dark, 0.75), (Kind::Flat, 8.25)]);
 }
 
+/// Exposures of 5 and 50 in frames that follow one another by 0.2 s are no seconds: asked. Where frames follow one
+/// another by more, they are, and times at which one set was written tell nothing.
+#[test]
+fn exposures_longer_than_the_time_between_frames_are_asked() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    for (folder, period_s, last_s) in [("short", 0.2, 0.2), ("long", 60.0, 60.0), ("written", 60.0, 0.1)] {
+        std::fs::create_dir(dir.path().join(folder)).unwrap();
+        let mut time_s: f64 = 0.0;
+        for (k, (kind, exposure)) in
+            [("'DARK'", 5), ("'DARK'", 50), ("'FLAT'", 5), ("'FLAT'", 50)].into_iter().enumerate()
+        {
+            for i in 0..4 {
+                time_s += if k == 3 { last_s } else { period_s };
+                let (hours, minutes) = ((time_s / 3600.0) as u32, (time_s / 60.0) as u32 % 60);
+                let time = format!("'2026-11-22T{hours:02}:{minutes:02}:{:05.2}'", time_s % 60.0);
+                let cards = [
+                    format!("EXPTIME = {exposure}"),
+                    format!("IMAGETYP= {kind}"),
+                    format!("DATE-OBS= {time}"),
+                ];
+                let level = if k < 2 { 100 } else { 100 + 20 * exposure };
+                let image = Array2::from_shape_fn((4, 6), |(y, x)| level + (y * 3 + x + i) as u16);
+                let cards: Vec<&str> = cards.iter().map(String::as_str).collect();
+                fits(&dir.path().join(folder).join(format!("{k}_{i}.fits")), &cards, &image);
+            }
+        }
+        let arguments = ["import", &text(folder), "-o", &text(&format!("{folder}_d")), "--yes"];
+        if folder == "short" {
+            let said = refused(&arguments);
+            assert!(
+                said.contains("the frames follow one another by") && said.contains("milliseconds"),
+                "{said}"
+            );
+        } else {
+            expect(0, &arguments);
+        }
+    }
+}
+
 /// Frames that radcam wrote say of themselves what they are: thrown together without their rows they are the same dataset.
 #[test]
 fn frames_of_radcam_say_their_settings() {

@@ -92,14 +92,14 @@ fn tables_beside_the_frames_are_read() {
     assert!(bench.refused("sets").contains("exposure_s of set 0"));
 }
 
-/// Flats that were each divided by their mean tell no gain: asked.
+/// Flats that were each divided by their mean tell no gain, and means of frames tell another: asked.
 #[test]
 fn flats_divided_by_their_means_are_asked() {
     let bench = Bench::new();
     let mut camera = Camera::new(56);
-    let mut array = |name: &str, light: f64, normalized: bool| {
+    let mut array = |name: &str, light: f64, by: Option<f64>| {
         let frame = camera.frame(light, 0.01).mapv(f64::from);
-        let mean = if normalized { frame.mean().unwrap() } else { 7.0 };
+        let mean = by.unwrap_or_else(|| frame.mean().unwrap());
         let mut bytes = b"\x93NUMPY\x01\x00\x46\x00".to_vec();
         bytes.extend(
             format!("{:<69}\n", "{'descr': '<f4', 'fortran_order': False, 'shape': (32, 32)}").bytes(),
@@ -108,14 +108,19 @@ fn flats_divided_by_their_means_are_asked() {
         fs::write(bench.path(name), bytes).unwrap();
     };
     for k in 0..4 {
-        array(&format!("in/dark_10ms_{k}.npy"), 0.0, false);
-        array(&format!("in/flat_10ms_{k}.npy"), 2000.0, true);
-        array(&format!("raw/dark_10ms_{k}.npy"), 0.0, false);
-        array(&format!("raw/flat_10ms_{k}.npy"), 2000.0, false);
+        array(&format!("in/dark_10ms_{k}.npy"), 0.0, Some(4095.0));
+        array(&format!("in/flat_10ms_{k}.npy"), 2000.0, None);
+        for (folder, by) in [("raw", 4095.0), ("means", 7.0)] {
+            array(&format!("{folder}/dark_10ms_{k}.npy"), 0.0, Some(by));
+            array(&format!("{folder}/flat_10ms_{k}.npy"), 2000.0, Some(by));
+        }
     }
     let said = bench.refused("in");
     assert!(said.contains("each was divided by its own"), "{said}");
     bench.import("raw", &[]);
+    // Sums of seven frames over seven have such values too.
+    let said = bench.refused("means");
+    assert!(said.contains("all values are multiples of 1/7: means of 7 frames"), "{said}");
 }
 
 /// A frame as TIFF with texts and numbers in tags.
