@@ -17,7 +17,7 @@ const MIN_DARKS_FOR_A_LAW: usize = 6;
 const MAX_CLIPPED_SHARE: f64 = 1e-3;
 
 /// Standard errors by which the noise of frames contradicts lag.
-const MIN_SIGMAS_AGAINST_LAG: f64 = 3.0;
+pub const MIN_SIGMAS_AGAINST_LAG: f64 = 3.0;
 /// Fewest changes of level that tell a share that is carried over, and that tell it from flicker.
 const MIN_CHANGES: (usize, usize) = (3, 8);
 /// Standard deviations of a frame's mean from which on a change of level tells a share (a named choice).
@@ -120,16 +120,20 @@ impl SetView {
         (far > 0.0).then(|| near / far)
     }
 
-    /// Returns true if the noise contradicts lag of this share from a dimmer set before. A share f of
-    /// each frame's charge that is read with the next correlates successive frames by f (1 - f) of the
-    /// charge's variance (image-lag, shape 0), and the variance of a difference is 2 sigma^2 (1 - r).
+    /// Returns true if the noise contradicts lag of this share from a dimmer set before.
     pub fn lacks_lag(&self, share: f64, dimmer: &Self) -> bool {
+        self.against_lag(share, dimmer).is_some_and(|(off, std)| off > MIN_SIGMAS_AGAINST_LAG * std)
+    }
+
+    /// Dependence of successive frames less that of lag of this share from a dimmer set before, and its standard
+    /// deviation; 0 of lag. A share f of each frame's charge that is read with the next correlates successive
+    /// frames by f (1 - f) of the charge's variance (image-lag, shape 0), and the variance of a difference is
+    /// 2 sigma^2 (1 - r).
+    pub fn against_lag(&self, share: f64, dimmer: &Self) -> Option<(f64, f64)> {
         let noise = self.variance_dn2().zip(dimmer.variance_dn2());
-        let Some((dependence, ((noise_dn2, _), (dark_dn2, _)))) = self.dependence().zip(noise) else {
-            return false;
-        };
-        let expected = share * (1.0 - share) * (1.0 - dark_dn2 / noise_dn2);
-        1.0 - dependence + MIN_SIGMAS_AGAINST_LAG * self.dependence_std() < expected
+        let (dependence, ((noise_dn2, _), (dark_dn2, _))) = self.dependence().zip(noise)?;
+        let of_lag = share * (1.0 - share) * (1.0 - dark_dn2 / noise_dn2);
+        Some((dependence - (1.0 - of_lag), self.dependence_std()))
     }
 
     /// Standard deviation of [`Self::dependence`] for independent frames: of one triple the two variances

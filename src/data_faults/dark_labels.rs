@@ -13,10 +13,15 @@ use crate::number::six_digits;
 
 /// Least ratio of the exposures.
 const MIN_RATIO: f64 = 1.5;
-/// Scatter of the darks' means by which the level falls at least, and least fall, DN.
+/// Scatter of the darks' means by which the level falls at least, and least fall, DN: a smaller one is named with
+/// that of the hot pixels (named choices).
 const FALL: (f64, f64) = (10.0, 1.0);
-/// Share of the spread of the shortest dark up to which that of the longest has fallen.
+const FALL_OF_HOT_DN: f64 = 0.1;
+/// Share of the spread of the shortest dark up to which that of the longest has fallen, without and with hot
+/// pixels that show more than an offset spread, and its standard errors.
 const MAX_SPREAD_SHARE: f64 = 0.7;
+const MAX_HOT_SHARE: f64 = 0.3;
+const MIN_SPREAD_SIGMAS: f64 = 10.0;
 
 /// Ratio of levels from which on one dark may be a part of the other (the last two bits make 4), and largest
 /// deviation of the noise from that ratio.
@@ -48,6 +53,15 @@ fn falls_as_charge(campaign: &Campaign<'_>, a: usize, b: usize) -> bool {
 fn spread_dn2(set: &SetView) -> f64 {
     let pattern = pattern_of(set);
     pattern.iter().map(|v| v * v).sum::<f64>() / pattern.len().max(1) as f64 - noise_of_mean(set)
+}
+
+/// Returns true if nearly all spread of dark a, and more of it than noise brings, is gone from dark b: its hot pixels
+/// are.
+fn falls_with_hot_pixels(a: &SetView, b: &SetView) -> bool {
+    let pixels = a.facts.middle_dn.len().max(1) as f64;
+    let noise = noise_of_mean(a).hypot(noise_of_mean(b)) * (2.0 / pixels).sqrt();
+    let (of_a, of_b) = (spread_dn2(a), spread_dn2(b));
+    of_b < MAX_HOT_SHARE * of_a && of_a - of_b > MIN_SPREAD_SIGMAS * noise
 }
 
 /// Returns true if black level and noise of dark b are those of dark a divided by one number, or b has no
@@ -87,7 +101,8 @@ impl Check for DarkLabels {
         let level = |i: usize| campaign.sets[i].level_dn();
         darks.sort_by(|a, b| exposure_s(*a).total_cmp(&exposure_s(*b)));
         let [shortest, .., longest] = *darks.as_slice() else { return Vec::new() };
-        let least = FALL.1.max(FALL.0 * campaign.dark_scatter_dn());
+        let hot = falls_with_hot_pixels(&campaign.sets[shortest], &campaign.sets[longest]);
+        let least = if hot { FALL_OF_HOT_DN } else { FALL.1 }.max(FALL.0 * campaign.dark_scatter_dn());
         let falls = level(longest) < level(shortest) - least;
         let spreads = || (spread_dn2(&campaign.sets[shortest]), spread_dn2(&campaign.sets[longest]));
         if exposure_s(longest) < MIN_RATIO * exposure_s(shortest)

@@ -137,6 +137,7 @@ macro_rules! checks {
 
 checks! {
     lit_dark_frame::LitDarkFrame
+    dim_firsts::DimFirsts
     stale_frame::StaleFrame
     copied_frames::CopiedFrames
     old_data::OldDataInFrames

@@ -66,9 +66,16 @@ fn odd_ones(campaign: &Campaign<'_>, flats: &[usize], zero_dn: f64) -> Option<(V
     }
     let first = pattern(other[other.len() / 2]);
     let how = moved_by(&first, &of_reference, noise, columns, MIN_SIGMAS);
-    // Full wells end the pattern of the brightest, whatever else is there.
-    let below = same.iter().any(|s| other.iter().any(|o| level(*o) < level(*s)))
-        && other.iter().all(|o| level(*o) < 0.9 * level(reference));
+    // Full wells end the pattern of the brightest, whatever else is there; dimmer flats of a pattern of their own
+    // are of another camera, and the bright ones that share it.
+    let (dim, bright): (Vec<usize>, Vec<usize>) =
+        other.iter().copied().partition(|o| level(*o) < 0.9 * level(reference));
+    let shares_it = |o: &usize| {
+        let noise = Noise::of_flats(noise_of_mean(&campaign.sets[*o]) / level(*o).powi(2).max(1.0));
+        dim.iter().all(|d| share(&pattern(*d), &pattern(*o), noise, columns).is_some_and(|s| s.0 > MIN_SHARE))
+    };
+    let below =
+        same.iter().any(|s| dim.iter().any(|o| level(*o) < level(*s))) && bright.iter().all(shares_it);
     let (odd, text) = match how {
         Some(how) => (
             if other.len() > same.len() { same } else { other },

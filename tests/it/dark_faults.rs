@@ -134,7 +134,13 @@ fn one_of_two_darks_is_not_called_averaged() {
 /// The names of long and short darks are exchanged: hot pixels know.
 #[test]
 fn exchanged_exposures_of_darks_are_named() {
-    let mut campaign = Campaign::new("cmos12", "standard", 64);
+    // With a charge that moves the level of all pixels, and with next to none.
+    exposures_are_exchanged(64, 30, 400);
+    exposures_are_exchanged(65, 0, 90);
+}
+
+fn exposures_are_exchanged(seed: u32, charge_dn: u16, hot_dn: u16) {
+    let mut campaign = Campaign::new("cmos12", "standard", seed);
     let darks = campaign.sets("dark", 2);
     let exposure = |c: &Campaign, set: u32| c.rows[c.of(set)[0]][4].clone();
     let by = |c: &Campaign, set: &u32| exposure(c, *set).parse::<f64>().unwrap();
@@ -142,7 +148,9 @@ fn exchanged_exposures_of_darks_are_named() {
     let shortest = *darks.iter().min_by(|a, b| by(&campaign, a).total_cmp(&by(&campaign, b))).unwrap();
     // Hours at room temperature: a campaign with charge.
     for row in campaign.of(longest) {
-        let hot = |((y, x), v): ((usize, usize), &u16)| v + 30 + 400 * u16::from((7 * y + 13 * x) % 97 == 0);
+        let hot = |((y, x), v): ((usize, usize), &u16)| {
+            v + charge_dn + hot_dn * u16::from((7 * y + 13 * x) % 97 == 0)
+        };
         let frame = campaign.frame(row);
         let codes = Array2::from_shape_vec(frame.dim(), frame.indexed_iter().map(hot).collect()).unwrap();
         campaign.put(row, &codes);

@@ -259,3 +259,51 @@ fn a_black_level_that_moved_is_no_dark_charge() {
         assert_eq!(notes.contains("so much dark charge is in them"), !moved, "{moves:?}: {notes}");
     }
 }
+
+/// A lamp that starts 5 % dim at each level, in sweeps that grow by one step and by one factor: all first frames are
+/// left out, and nothing is missing. Those of the settings before, in levels that grow by one factor, stay stale.
+#[test]
+fn lamps_that_start_dim_are_named() {
+    for (shares, by, seed) in
+        [([0.15, 0.3, 0.45, 0.6, 0.75, 0.9], 0.95, 213), ([0.05, 0.1, 0.2, 0.4, 0.8, 0.9], 0.95, 214)]
+    {
+        let campaign = sweep(&shares, &shares, 6, seed);
+        let flats = campaign.sets("flat", 2);
+        flats.iter().for_each(|set| campaign.scale(campaign.of(*set)[0], by, BLACK_DN));
+        is_named(&campaign, "odd-frame", &flats, "the lamp starts dim");
+    }
+    let shares = [0.05, 0.1, 0.2, 0.4, 0.8];
+    let campaign = sweep(&shares, &shares, 6, 215);
+    let flats = campaign.sets("flat", 2);
+    let last: Vec<_> = flats.iter().map(|set| campaign.frame(campaign.of(*set)[5])).collect();
+    flats[1..].iter().zip(&last).for_each(|(set, frame)| campaign.put(campaign.of(*set)[0], frame));
+    let faults = campaign.said("diagnose")["data_faults"].clone();
+    let faults = faults.as_array().unwrap();
+    assert!(faults.iter().all(|f| f["kind"] != "odd-frame") && !faults.is_empty(), "{faults:?}");
+}
+
+/// Two cameras of one model at every exposure: their flats have patterns of their own.
+#[test]
+fn flats_of_two_cameras_are_named() {
+    let shares = [0.2, 0.2, 0.4, 0.4, 0.6, 0.6, 0.8, 0.8];
+    let campaign = sweep(&shares, &shares, 4, 216);
+    let flats = campaign.sets("flat", 2);
+    let gain = |y: usize, x: usize, camera: u32| {
+        1.0 + 0.02 * PixelRng::new(216, Stream::Effect, u64::from(camera), y as u32, x as u32).normal()
+    };
+    for (k, set) in flats.iter().enumerate() {
+        for row in campaign.of(*set) {
+            let mut frame = campaign.frame(row);
+            frame.indexed_iter_mut().for_each(|((y, x), v)| {
+                *v = (BLACK_DN + (f64::from(*v) - BLACK_DN) * gain(y, x, k as u32 % 2)).round() as u16;
+            });
+            campaign.put(row, &frame);
+        }
+    }
+    let faults = campaign.said("noise")["data_faults"].clone();
+    let own: Vec<u32> = flats.iter().copied().step_by(2).collect();
+    let others: Vec<u32> = flats.iter().copied().skip(1).step_by(2).collect();
+    let faults = faults.as_array().unwrap();
+    assert_eq!((faults.len(), &faults[0]["kind"]), (1, &"other-settings".into()), "{faults:?}");
+    assert!([own, others].iter().any(|sets| faults[0]["sets"] == serde_json::json!(sets)), "{faults:?}");
+}
