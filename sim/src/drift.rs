@@ -81,6 +81,10 @@ macro_rules! in_time {
         fn form(&self, p: &[f64]) -> Option<&'static str> {
             Some($crate::drift::form(p))
         }
+
+        fn is_in_time(&self) -> bool {
+            true
+        }
     };
 }
 pub(crate) use in_time;

@@ -34,7 +34,7 @@ use crate::inference::{
 use crate::number::Quantity;
 use crate::number::{chance, percent};
 use crate::observables::profile::LineProfile;
-use crate::observables::{NO_PATCH, Observations, STATISTICS, Setting, Statistic};
+use crate::observables::{NO_PATCH, NO_TIMES, Observations, STATISTICS, Setting, Statistic};
 use crate::plan::Plan;
 use cut::{CUT, CutOff, with_cut};
 use entry::{describe, reasons};
@@ -213,6 +213,11 @@ pub fn diagnose(
     // The note on smear is kept where smear, or what looks like it, is named.
     if missing.iter().all(|m| !["smear", "exposure-offset", "unknown"].contains(&m.effect.as_str())) {
         notes.retain(|note| note != NO_PATCH);
+    }
+    let changes_with_time =
+        |m: &Missing| radcam_sim::effects::find(&m.effect).is_some_and(|e| e.is_in_time());
+    if !missing.iter().any(changes_with_time) {
+        notes.retain(|note| note != NO_TIMES);
     }
     let next = next_measurement(all, &parts, &missing);
     let mut alternatives = equally_good(&parts, &forms, &whole);

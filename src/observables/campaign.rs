@@ -102,7 +102,7 @@ fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<Fram
     let mut time_s = 0.0;
     let frame = |(i, (row, set)): (usize, (&FrameRow, usize))| {
         let at = row.timestamp_s.unwrap_or(time_s);
-        time_s = at + row.exposure_s;
+        time_s = at + row.exposure_s + BETWEEN_FRAMES_S;
         let (part, first) = dataset.part_of(i);
         FrameInfo { set, time_s: at, settled: first && part > 0 }
     };
@@ -538,6 +538,14 @@ pub(super) fn is_quiet(summary: &Summary) -> bool {
 /// 6.6).
 const LEAST_DARK_VAR_DN2: f64 = 0.24;
 
+/// Time from the end of an exposure to the next where frames carry no times, s: readout, saving and pauses (a named
+/// choice). Short exposures then follow one another evenly, as cameras at a fixed rate take them.
+const BETWEEN_FRAMES_S: f64 = 1.0;
+
+/// Limit of campaigns whose frames carry no times.
+pub(crate) const NO_TIMES: &str = "the frames carry no times: each is taken to follow the one before by its exposure and 1 s, and what changes \
+     with time is in this measure; record the times of frames to have it in seconds";
+
 /// Limit of campaigns without a scene.
 pub(crate) const NO_PATCH: &str =
     "no scene with a bright patch at two exposures: smear cannot be told from an exposure offset";
@@ -553,6 +561,9 @@ fn cannot_be_told(shape: (usize, usize), patch: bool, settings: &[FrameRow]) -> 
     }
     if !patch {
         missing.push(NO_PATCH.into());
+    }
+    if settings.iter().all(|s| s.timestamp_s.is_none()) {
+        missing.push(NO_TIMES.into());
     }
     if settings.iter().all(|s| s.kind != Kind::Dark) {
         missing.push("no darks: what is read noise and what is offset cannot be told".into());

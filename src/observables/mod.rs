@@ -39,7 +39,7 @@ mod shapes;
 mod table;
 mod warm_up;
 
-pub(crate) use campaign::NO_PATCH;
+pub(crate) use campaign::{NO_PATCH, NO_TIMES};
 pub use campaign::{ObserveError, of_dataset};
 pub use expect::{Expected, HEAVY_DOF, View, expectations, expectations_beside, in_quadrature, lightened};
 mod line_shape;

@@ -474,6 +474,10 @@ pub trait Effect: Sync + Send {
     fn sets_each(&self) -> bool {
         false
     }
+    /// Returns true if the effect changes with the time of day, so that its values need the times of frames.
+    fn is_in_time(&self) -> bool {
+        false
+    }
     /// Returns true if the effect bends the mean over the light, so that noise alone cannot show it.
     fn bends_means(&self) -> bool {
         false
