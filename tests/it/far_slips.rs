@@ -307,3 +307,27 @@ fn flats_of_two_cameras_are_named() {
     assert_eq!((faults.len(), &faults[0]["kind"]), (1, &"other-settings".into()), "{faults:?}");
     assert!([own, others].iter().any(|sets| faults[0]["sets"] == serde_json::json!(sets)), "{faults:?}");
 }
+
+/// What warms up with a time constant of 15 frames, which follow one another and carry no times, is a drift and no
+/// lag: light and noise grow as by the gain, and each frame takes 1 s and its exposure, of at most 0.02 s.
+#[test]
+fn a_warm_up_without_times_is_a_drift() {
+    let shares = [0.15, 0.3, 0.45, 0.6, 0.75, 0.9];
+    let mut campaign = sweep(&shares, &shares, 8, 217);
+    for (k, set) in campaign.sets("flat", 2).into_iter().enumerate() {
+        for (i, row) in campaign.of(set).into_iter().enumerate() {
+            let frames = (8 * k + i) as f64;
+            campaign.scale(row, 1.0 - 0.08 * (-frames / 15.0).exp(), BLACK_DN);
+        }
+    }
+    campaign.rows.iter_mut().for_each(|row| row[8].clear());
+    campaign.save();
+    let said = campaign.said("diagnose");
+    assert_eq!(said["data_faults"], serde_json::json!([]));
+    let missing = said["missing"].as_array().unwrap();
+    assert_eq!((missing.len(), &missing[0]["effect"]), (1, &"gain-drift".into()), "{missing:?}");
+    let tau = &missing[0]["parameters"]["tau_s"];
+    let (tau_s, error_s) = (tau["value"].as_f64().unwrap(), tau["std_err"].as_f64().unwrap());
+    assert!((15.0 - 4.0 * error_s..15.3 + 4.0 * error_s).contains(&tau_s), "{tau_s} +- {error_s}");
+    assert!(said["notes"].to_string().contains("the frames carry no times"), "{}", said["notes"]);
+}
