@@ -13,12 +13,12 @@ use crate::number::six_digits;
 
 /// Least ratio of the exposures.
 const MIN_RATIO: f64 = 1.5;
-/// Scatter of the darks' means by which the level falls at least, and least fall, DN: a smaller one is named with
-/// that of the hot pixels (named choices).
+/// Least fall of the level, in scatters of the darks' means and in DN; the second is smaller if the hot pixels fall
+/// too (named choices).
 const FALL: (f64, f64) = (10.0, 1.0);
 const FALL_OF_HOT_DN: f64 = 0.1;
-/// Share of the spread of the shortest dark up to which that of the longest has fallen, without and with hot
-/// pixels that show more than an offset spread, and its standard errors.
+/// Largest ratio of the spread of the longest dark to that of the shortest: with a large fall of the level, and with
+/// a small one; the fall of the spread in its standard errors is then at least this.
 const MAX_SPREAD_SHARE: f64 = 0.7;
 const MAX_HOT_SHARE: f64 = 0.3;
 const MIN_SPREAD_SIGMAS: f64 = 10.0;
@@ -55,8 +55,8 @@ fn spread_dn2(set: &SetView) -> f64 {
     pattern.iter().map(|v| v * v).sum::<f64>() / pattern.len().max(1) as f64 - noise_of_mean(set)
 }
 
-/// Returns true if nearly all spread of dark a, and more of it than noise brings, is gone from dark b: its hot pixels
-/// are.
+/// Returns true if dark b lacks the hot pixels of dark a: most of the spread of a is missing, by more than noise
+/// brings.
 fn falls_with_hot_pixels(a: &SetView, b: &SetView) -> bool {
     let pixels = a.facts.middle_dn.len().max(1) as f64;
     let noise = noise_of_mean(a).hypot(noise_of_mean(b)) * (2.0 / pixels).sqrt();

@@ -170,7 +170,7 @@ impl Check for DependentFrames {
                     .is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < 0.6 * off.abs());
                 if off > 0.0 || of_gain { gained.push((i, off)) } else { averaged.push(i) }
             }
-            // What the noise of darks does with the exposure is the sensor's.
+            // A smooth change of the darks' noise with the exposure is the sensor's.
             let smooth = |i: usize| {
                 let var = |d: usize| campaign.sets[d].variance_dn2().map_or(f64::NAN, |v| v.0.ln());
                 let is_dark = campaign.sets[i].kind == Kind::Dark;
@@ -192,7 +192,7 @@ impl Check for DependentFrames {
             };
             gained.retain(|g| told(g.0));
         }
-        // What all repeats of a setting have is the camera's.
+        // A deviation that all repeats of a setting have is the camera's.
         let alone = averaged.clone();
         let repeats = |i: usize, d: usize| {
             let (a, b) = (&campaign.sets[i], &campaign.sets[d]);

@@ -1,7 +1,7 @@
-//! First frames of all flats that are off by one share of their own light: a lamp that starts dim at each level.
+//! First frames of all flats that deviate by one share of their own light: a lamp that starts dim at each level.
 //!
-//! A frame that was exposed under the settings before, and lag, are off by a share of the change of level; lag
-//! after darkness, of which no frame was saved, is told by its noise.
+//! Stale frames and lag deviate by a share of the change of level instead. Lag after unsaved dark frames deviates by a
+//! share of the light too; its noise tells it (see `against_lag`).
 
 use super::campaign::MIN_SIGMAS_AGAINST_LAG;
 use super::{Campaign, Check, DataFault, FaultKind};

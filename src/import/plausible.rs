@@ -194,8 +194,8 @@ pub fn normalized(sets: &mut [Growing], found: &[Found]) {
 /// Numbers of pixels of binning 2 x 2 to 4 x 4: as many values have their mean.
 const BINNED: [u32; 3] = [4, 9, 16];
 
-/// Questions values that are whole multiples of one over a number: means of so many frames are no raw frames. Those
-/// of so many pixels are, which is guessed of the numbers of binning.
+/// Questions values that are multiples of 1/N: means of N frames are no raw frames. Means of N pixels are; they are
+/// assumed, and said, for the N of binning.
 pub fn means_of_several(sets: &mut [Growing], found: &[Found]) {
     let Some(n) = found.first().and_then(|f| f.in_a_mean) else { return };
     let Some(first) = sets.first_mut() else { return };
@@ -212,7 +212,7 @@ pub fn means_of_several(sets: &mut [Growing], found: &[Found]) {
     }
 }
 
-/// Share of the exposure that frames follow one another by at least, and the error of times in whole seconds, s.
+/// Least ratio of the time between frames to the exposure, and the error of times in whole seconds, s.
 const MIN_PERIOD_SHARE: f64 = 0.5;
 const ERROR_OF_TIMES_S: f64 = 1.0;
 

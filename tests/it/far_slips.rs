@@ -308,8 +308,8 @@ fn flats_of_two_cameras_are_named() {
     assert!([own, others].iter().any(|sets| faults[0]["sets"] == serde_json::json!(sets)), "{faults:?}");
 }
 
-/// What warms up with a time constant of 15 frames, which follow one another and carry no times, is a drift and no
-/// lag: light and noise grow as by the gain, and each frame takes 1 s and its exposure, of at most 0.02 s.
+/// An amplifier that warms up with a time constant of 15 frames, whose files carry no times, is a drift and no lag.
+/// Each frame is taken to last 1 s and its exposure, of at most 0.02 s.
 #[test]
 fn a_warm_up_without_times_is_a_drift() {
     let shares = [0.15, 0.3, 0.45, 0.6, 0.75, 0.9];

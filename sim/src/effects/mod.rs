@@ -474,7 +474,7 @@ pub trait Effect: Sync + Send {
     fn sets_each(&self) -> bool {
         false
     }
-    /// Returns true if the effect changes with the time of day, so that its values need the times of frames.
+    /// Returns true if the effect changes with time, so that its values depend on the times of frames.
     fn is_in_time(&self) -> bool {
         false
     }

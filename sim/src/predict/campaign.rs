@@ -29,11 +29,11 @@ pub struct SetInfo {
     pub spread: f64,
     /// Spatial deviation of the level, fixed pattern of the offset included, DN.
     pub spread_dn: f64,
-    /// Where the pixels' levels lie, in these deviations from the mean; their shares are [`PLACES`].
+    /// Deviations of the pixels' levels from the mean at the places whose shares are [`PLACES`].
     pub places: [f64; PLACES.len()],
 }
 
-/// What was measured, as far as a prediction needs it.
+/// Settings of a campaign that a prediction needs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Campaign {
     /// Frames in the order of time, those that are not looked at (scenes) included.
@@ -44,7 +44,7 @@ pub struct Campaign {
     pub shape: (usize, usize),
     /// Largest code, DN.
     pub full_scale_dn: f64,
-    /// Whether levels count from code 0; of tables the level without light was taken off.
+    /// True if levels count from code 0; false for tables, whose level without light was taken off.
     pub from_code_0: bool,
     /// Usual time from the end of a frame to the end of the next, s.
     pub frame_s: f64,

@@ -67,13 +67,13 @@ pub struct Prediction {
     pub light_e: Vec<f64>,
     /// Base parameters in force.
     pub base: BaseParameters,
-    /// What the weight of each bit is too large by, DN.
+    /// Errors of the weights of the bits, DN.
     pub bit_errors_dn: [f64; BITS],
     /// Distance of successive codes, DN.
     pub code_step_dn: f64,
     /// A code from which all others are whole numbers of steps away, DN.
     pub code_zero_dn: f64,
-    /// Whether firmware has handed on whole codes already.
+    /// True if firmware has rounded to whole codes already.
     pub whole: bool,
     /// Nothing lies below this level, DN above the black level.
     pub floor_dn: f64,
@@ -115,7 +115,7 @@ fn off_a_line(places: &[f64; PLACES.len()], values: &[f64]) -> f64 {
 }
 
 impl Prediction {
-    /// Whether the camera is expected to do the same to every set, whatever light each has.
+    /// Returns true if two predictions have the same camera; the light of the sets may differ.
     pub fn has_camera_of(&self, other: &Self) -> bool {
         let dark = |base: &BaseParameters| BaseParameters {
             flux_e_per_s: Vec::new(),
@@ -129,7 +129,7 @@ impl Prediction {
             && dark(&self.base) == dark(&other.base)
     }
 
-    /// Whether a set has the same light and the same statistics, its frames' means aside.
+    /// Returns true if a set has the same light and the same statistics in both; means of frames may differ.
     pub fn has_set_of(&self, other: &Self, set: usize) -> bool {
         self.light_e.get(set) == other.light_e.get(set) && self.sets.get(set) == other.sets.get(set)
     }

@@ -34,7 +34,7 @@ pub struct SetPrediction {
     pub row: LineNoise,
     /// Noise common to the pixels of a column, from column to column.
     pub column: LineNoise,
-    /// What changes slowly from row to row within a frame: variance and how.
+    /// Slow changes from row to row within a frame: variance and spectrum.
     pub ripples: Vec<(f64, Ripple)>,
     /// Variance common to the pixels of a frame.
     pub common: f64,
@@ -63,7 +63,7 @@ pub struct SetPrediction {
     pub unsure_own: f64,
     /// Model uncertainty of the variance while the level still moves, e^2, then DN^2.
     pub unsure_moving: f64,
-    /// What the mean of the pixels' fourth cumulants may be off by, DN^4.
+    /// Standard error of the mean of the pixels' fourth cumulants, DN^4.
     pub unsure_fourth: f64,
     /// Model uncertainty of the mean of the first frame of a set, DN.
     pub unsure_first: f64,
@@ -176,7 +176,7 @@ impl SetPrediction {
     pub fn mix_in_time(&mut self, less: f64, memory: &[f64]) {
         let setting = self.setting;
         self.scale(less);
-        // What all frames of a set share stays.
+        // Noise that all frames of a set share stays.
         self.setting = setting;
         (self.shot_memory, self.read_memory) = (memory.to_vec(), memory.to_vec());
     }
