@@ -304,6 +304,12 @@ impl<'a> Campaign<'a> {
             .collect()
     }
 
+    /// Set of the lowest level whose noise is measured.
+    pub fn darkest(&self) -> Option<&SetView> {
+        let measured = self.places(|s| s.variance_dn2().is_some()).into_iter().map(|i| &self.sets[i]);
+        measured.min_by(|a, b| a.level_dn().total_cmp(&b.level_dn()))
+    }
+
     /// Level of the darks over the exposure by the median slope between them; `None` without darks.
     pub fn zero(&self) -> Option<Zero> {
         self.zero_without(&[])

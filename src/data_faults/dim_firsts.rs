@@ -107,12 +107,8 @@ fn are_of_changes(firsts: &[&First]) -> bool {
 
 /// Returns true if the noise of all flats together contradicts lag of this share after darkness.
 fn lack_lag(campaign: &Campaign<'_>, firsts: &[&First], share: f64) -> bool {
-    let level = |i: usize| campaign.sets[i].level_dn();
-    let measured = campaign.places(|s| s.variance_dn2().is_some());
-    let Some(darkest) = measured.into_iter().min_by(|a, b| level(*a).total_cmp(&level(*b))) else {
-        return false;
-    };
-    let of = |f: &&First| campaign.sets[f.set].against_lag(share.abs(), &campaign.sets[darkest]);
+    let Some(darkest) = campaign.darkest() else { return false };
+    let of = |f: &&First| campaign.sets[f.set].against_lag(share.abs(), darkest);
     let (off, var) = firsts.iter().filter_map(of).fold((0.0, 0.0), |(a, b), (o, std)| (a + o, b + std * std));
     // More light in the first frame is no lag after darkness.
     share > 0.0 || off > MIN_SIGMAS_AGAINST_LAG * var.sqrt() && var > 0.0

@@ -213,14 +213,11 @@ fn of_both(campaign: &Campaign<'_>, scatter: &Scatter) -> Stale {
     let share = median(firsts.iter().map(|f| f.1));
     let agree = firsts.iter().filter(|f| (f.1 - share).abs() < MAX_REL_OF_SHARES * share.abs()).count();
     let is_usual = agree >= MIN_CHANGES_OF_BOTH && agree as f64 >= MIN_STALE_SHARE * firsts.len() as f64;
-    let measured = campaign.places(|s| s.variance_dn2().is_some());
-    let level = |i: usize| campaign.sets[i].level_dn();
-    let darkest = measured.into_iter().min_by(|a, b| level(*a).total_cmp(&level(*b)));
-    let Some(darkest) = darkest.filter(|_| is_usual && share > MIN_SHARE_OF_BOTH) else {
+    let Some(darkest) = campaign.darkest().filter(|_| is_usual && share > MIN_SHARE_OF_BOTH) else {
         return Stale::default();
     };
     let flats = campaign.places(|s| s.is_lit() && !s.clipped && s.dependence().is_some());
-    let lacks = flats.iter().filter(|&&i| campaign.sets[i].lacks_lag(share, &campaign.sets[darkest])).count();
+    let lacks = flats.iter().filter(|&&i| campaign.sets[i].lacks_lag(share, darkest)).count();
     if flats.len() < MIN_FLATS_OF_BOTH || 2 * lacks <= flats.len() {
         return Stale::default();
     }

@@ -61,7 +61,7 @@ pub struct Facts {
     pub bias_section: Option<String>,
     /// Why it is no raw frame.
     pub processed: Option<String>,
-    /// Whether the unit of the exposure stands with it.
+    /// True if the unit of the exposure stands with it.
     pub unit_stated: bool,
     /// Values with more than one reading, `key: why`. A person must settle it.
     pub doubts: Vec<String>,
@@ -128,6 +128,9 @@ impl Facts {
             }
         }
         if !self.doubts("exposure_s") {
+            if self.exposure_s.is_none() {
+                self.unit_stated = names.unit_stated;
+            }
             self.take(&names, "exposure_s", |f| &mut f.exposure_s);
         }
         if !self.doubts("kind") || names.doubts("kind") {

@@ -482,6 +482,7 @@ pub fn facts_in(folders: &[&str], own: usize, name: &str) -> Facts {
         && let Some((seconds, of)) = exposure_of
     {
         out.exposure_s = Some(seconds);
+        out.unit_stated = true;
         out.from.insert("exposure_s".into(), of);
     }
     // Further up folders hold projects.

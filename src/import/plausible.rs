@@ -216,11 +216,12 @@ pub fn means_of_several(sets: &mut [Growing], found: &[Found]) {
 const MIN_PERIOD_SHARE: f64 = 0.5;
 const ERROR_OF_TIMES_S: f64 = 1.0;
 
-/// Questions exposures longer than the time from frame to frame: milliseconds, where no unit is stated.
+/// Questions exposures without a unit that are longer than the time from frame to frame: milliseconds?
 pub fn longer_than_the_period(sets: &mut [Growing], found: &[Found]) {
     // Exposure and time from frame to frame at most.
     let of = |s: &Growing| {
-        let exposure_s = s.set.exposure_s?;
+        let exposure_s =
+            s.set.exposure_s.filter(|_| s.frames.iter().all(|k| !found[*k].facts.unit_stated))?;
         let times: Option<Vec<f64>> = s.frames.iter().map(|k| found[*k].facts.time_s).collect();
         let (least, most) =
             times?.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), t| (a.min(*t), b.max(*t)));
@@ -236,8 +237,8 @@ pub fn longer_than_the_period(sets: &mut [Growing], found: &[Found]) {
     let Some(first) = sets.iter_mut().find(|s| is_longer(s)) else { return };
     let Some((exposure_s, period_s)) = of(first) else { return };
     first.set.doubts.push(format!(
-        "exposure: {} s, and by their times the frames follow one another by {} s at most: milliseconds? (Times at which files were written tell \
-         nothing of it)",
+        "exposure: {} s, and by their times the frames follow one another by {} s at most: milliseconds? (They may be, unless the times are \
+         those at which the files were written)",
         six_digits(exposure_s),
         six_digits((100.0 * period_s).round() / 100.0)
     ));

@@ -94,6 +94,11 @@ const MAX_DISTINCT: usize = 200_000;
 const MAX_IN_A_MEAN: f64 = 256.0;
 const MIN_RANGE_OF_MEANS: f64 = 4.0;
 
+/// Share of the pixels with a fraction of their own in means of frames, and distance from a whole number that single
+/// precision leaves of a sum of eight codes of 16 bits (named choices).
+const MIN_FRACTIONAL_SHARE: f64 = 0.1;
+const MAX_OFF_WHOLE: f64 = 0.02;
+
 /// Temporal noise, in the unit of the files, from which on floating-point numbers are rounded to whole codes:
 /// quantisation is then a twelfth of the noise at most, and accounted for (q^2/12).
 const MIN_NOISE_OF_WHOLE_CODES: f64 = 1.0;
@@ -118,6 +123,22 @@ struct Numbers {
     /// Least standard deviation of half the difference of successive frames.
     noise: f64,
     before: Option<Array2<f64>>,
+    /// Largest share of the pixels of two successive frames with fractions of their own: see [`fractional_share`].
+    fractional_share: f64,
+}
+
+/// Share of the pixels whose fractions are no sum of a number for the row, one for the column and one for the pixel in
+/// all frames, as subtracted overscan and dark frames leave them: the difference of two frames, of neighbouring
+/// columns and of neighbouring rows is then a whole number.
+fn fractional_share(frame: &Array2<f64>, before: &Array2<f64>) -> f64 {
+    let off = frame - before;
+    let cells = off.windows((2, 2));
+    let is_fractional = |cell: &ndarray::ArrayView2<'_, f64>| {
+        let sum = cell[[0, 0]] - cell[[0, 1]] - cell[[1, 0]] + cell[[1, 1]];
+        (sum - sum.round()).abs() > MAX_OFF_WHOLE
+    };
+    let all = (off.nrows().max(1) - 1) * (off.ncols().max(1) - 1);
+    cells.into_iter().filter(is_fractional).count() as f64 / all.max(1) as f64
 }
 
 impl Numbers {
@@ -165,6 +186,7 @@ impl Census {
             whole: true,
             noise: f64::INFINITY,
             before: None,
+            fractional_share: 0.0,
         });
         for v in numbers {
             all.least = all.least.min(*v);
@@ -182,6 +204,9 @@ impl Census {
             if noise > 0.0 {
                 all.noise = all.noise.min(noise);
             }
+            if !all.whole {
+                all.fractional_share = all.fractional_share.max(fractional_share(numbers, before));
+            }
         }
         all.before = Some(numbers.clone());
         Ok(())
@@ -198,7 +223,10 @@ impl Census {
     /// Number of frames, or of pixels, of which each number may be the mean: the values are whole multiples of one
     /// over it. `None` of whole codes and of continuous numbers.
     pub fn in_a_mean(&self) -> Option<u32> {
-        let numbers = self.numbers.as_ref().filter(|n| !n.whole && n.most - n.least > MIN_RANGE_OF_MEANS)?;
+        let is_mean = |n: &&Numbers| {
+            !n.whole && n.most - n.least > MIN_RANGE_OF_MEANS && n.fractional_share > MIN_FRACTIONAL_SHARE
+        };
+        let numbers = self.numbers.as_ref().filter(is_mean)?;
         let Stretch { step, zero } = numbers.stretch(&[])?;
         let n = step.recip().round();
         // Single precision has seven digits.
@@ -304,6 +332,19 @@ mod tests {
             |v| v + 0.3 * v.sin(),
         ] {
             assert_eq!(of(whole), None);
+        }
+        // Overscan of 32 columns was taken off each row, and a master of ten darks off each frame.
+        for n in [32.0, 10.0] {
+            let mut census = Census::default();
+            for (k, mut frame) in frames(|v| v).into_iter().enumerate() {
+                frame.indexed_iter_mut().for_each(|((y, x), v)| {
+                    let sum = if n == 32.0 { 7 * y + 5 * k } else { 3 * y + 11 * x };
+                    *v = f64::from((*v - 20.0 - (sum % n as usize) as f64 / n) as f32);
+                });
+                census.add(&Values::Numbers(frame), Path::new("a.tif")).unwrap();
+            }
+            assert_eq!(census.in_a_mean(), None, "{n}");
+            assert!(census.scale().is_ok());
         }
     }
 

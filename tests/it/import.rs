@@ -242,13 +242,16 @@ fn numpy_arrays_and_times_are_read() {
 }
 
 /// Exposures of 5 and 50 in frames that follow one another by 0.2 s are no seconds: asked. Where frames follow one
-/// another by more, they are, and times at which one set was written tell nothing.
+/// another by more, or a unit is stated, they are, and times at which one set was written tell nothing.
 #[test]
 fn exposures_longer_than_the_time_between_frames_are_asked() {
     let dir = tempfile::tempdir().unwrap();
     let text = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
-    for (folder, period_s, last_s) in [("short", 0.2, 0.2), ("long", 60.0, 60.0), ("written", 60.0, 0.1)] {
+    for (folder, period_s, last_s) in
+        [("short", 0.2, 0.2), ("long", 60.0, 60.0), ("written", 60.0, 0.1), ("stated", 0.2, 0.2)]
+    {
         std::fs::create_dir(dir.path().join(folder)).unwrap();
+        let unit = if folder == "stated" { " / [s]" } else { "" };
         let mut time_s: f64 = 0.0;
         for (k, (kind, exposure)) in
             [("'DARK'", 5), ("'DARK'", 50), ("'FLAT'", 5), ("'FLAT'", 50)].into_iter().enumerate()
@@ -258,7 +261,7 @@ fn exposures_longer_than_the_time_between_frames_are_asked() {
                 let (hours, minutes) = ((time_s / 3600.0) as u32, (time_s / 60.0) as u32 % 60);
                 let time = format!("'2026-11-22T{hours:02}:{minutes:02}:{:05.2}'", time_s % 60.0);
                 let cards = [
-                    format!("EXPTIME = {exposure}"),
+                    format!("EXPTIME = {exposure}{unit}"),
                     format!("IMAGETYP= {kind}"),
                     format!("DATE-OBS= {time}"),
                 ];

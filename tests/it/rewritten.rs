@@ -49,6 +49,13 @@ impl Campaign {
         self.save();
     }
 
+    /// Leaves out the rows at these places.
+    pub fn leave_out(&mut self, places: &[usize]) {
+        let mut place = 0..;
+        self.rows.retain(|_| !places.contains(&place.next().unwrap()));
+        self.save();
+    }
+
     /// Takes the black level out of the manifest: that of imported files does not know it.
     pub fn forget_black_level(&self) {
         let manifest = Path::new(&self.path()).join("dataset.toml");
