@@ -82,7 +82,7 @@ macro_rules! in_time {
             Some($crate::drift::form(p))
         }
 
-        fn is_in_time(&self) -> bool {
+        fn is_in_time(&self, _: &[f64]) -> bool {
             true
         }
     };

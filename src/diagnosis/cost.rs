@@ -10,7 +10,7 @@ use crate::dataset::Kind;
 use crate::emva::lines::{FIT_RANGE, LINEAR_RANGE, MIN_RANGE, QUANTISATION_DN2};
 use crate::inference::{Effects, Fitted};
 use crate::number::finite;
-use crate::observables::{Observations, expectations, mean, variance};
+use crate::observables::{Observations, mean, nominal_expectations, variance};
 use radcam_sim::effects::{self, Effect};
 use serde::{Deserialize, Serialize};
 
@@ -142,7 +142,7 @@ impl Plain {
         let list: Vec<(&dyn Effect, &[f64])> =
             effects.iter().map(|(e, p)| (*e as &dyn Effect, p.as_slice())).collect();
         let prediction = effects::predict(&all.campaign, &fitted.base, &list);
-        let expected = expectations(all, &prediction, |_| true);
+        let expected = nominal_expectations(all, &prediction);
         Self::of(all, |i| expected[i].value)
     }
 

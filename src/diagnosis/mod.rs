@@ -40,7 +40,7 @@ use cut::{CUT, CutOff, with_cut};
 use entry::{describe, reasons};
 use part::{OtherForm, Part, equally_good, left_out, other_forms, without_one};
 use radcam_sim::effects::{Effect, Seen, Take, find, takes};
-use radcam_sim::predict::BaseParameters;
+use radcam_sim::predict::{BaseParameters, Before};
 use rayon::prelude::*;
 use search::{Candidate, NEEDED, is_something, is_told, rivals, score, search, surely_there, without};
 use sensor::sensor;
@@ -214,9 +214,7 @@ pub fn diagnose(
     if missing.iter().all(|m| !["smear", "exposure-offset", "unknown"].contains(&m.effect.as_str())) {
         notes.retain(|note| note != NO_PATCH);
     }
-    let changes_with_time =
-        |m: &Missing| radcam_sim::effects::find(&m.effect).is_some_and(|e| e.is_in_time());
-    if !missing.iter().any(changes_with_time) {
+    if !whole.effects.iter().any(|(effect, values)| effect.is_in_time(values)) {
         notes.retain(|note| note != NO_TIMES);
     }
     let next = next_measurement(all, &parts, &missing);
@@ -298,7 +296,7 @@ fn missing(
         }
     }
     for m in out.iter_mut().filter(|m| find(&m.effect).is_some_and(Effect::has_memory)) {
-        if all.frames_between {
+        if all.before_sets == Before::Level {
             m.partial = true;
             m.evidence.push(
                 "first frames carry nothing of the set before: either frames were exposed between the sets that are not in the dataset, or it \

@@ -306,6 +306,8 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
         row_cycles: std::array::from_fn(|k| all.row_cycles.get(k).copied()),
         ripple_hz: std::array::from_fn(|k| all.ripples.likely_hz.get(k).copied()),
         ripples: all.ripples.fitting,
+        flicker_hz: std::array::from_fn(|k| all.flickers.likely_hz.get(k).copied()),
+        flickers: all.flickers.fitting,
         steady_dn4: all.steady_dn4.map(|v| (v.value, v.std_err)),
         darkest_dn: all.darkest_dn.map(|code| code - base.offset_dn),
         darkest_code: all.darkest_dn,

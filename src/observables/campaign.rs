@@ -5,7 +5,7 @@ use super::read::{Chunk, Reading, read};
 use super::shapes::{column_cycles, field, peaks, row_cycles, with_peak};
 use super::{
     ChunkView, Half, HalfView, Inflation, Observable, Put, STATISTICS, ScenePair, SetOfChunk, Statistic,
-    codes, covariance, frame_scatter, mean, ripple, settling, successive, unequal, variance, warm_up,
+    before_sets, codes, covariance, mean, ripple, successive, unequal, variance, warm_up,
 };
 use crate::data_faults::{ExamineError, examined};
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
@@ -15,7 +15,7 @@ use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
 use crate::statistics::pass::Summary;
 use crate::statistics::steady::PixelNoise;
-use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, Ordinary, SetInfo};
+use radcam_sim::predict::{Before, Campaign, FrameInfo, NORMAL, Ordinary, SetInfo};
 use std::sync::atomic::AtomicBool;
 
 /// Spatial variance of the dark charge of every set, DN^2; 0 for flats.
@@ -104,7 +104,7 @@ fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<Fram
         let at = row.timestamp_s.unwrap_or(time_s);
         time_s = at + row.exposure_s + BETWEEN_FRAMES_S;
         let (part, first) = dataset.part_of(i);
-        FrameInfo { set, time_s: at, settled: first && part > 0 }
+        FrameInfo { set, time_s: at, before: if first && part > 0 { Before::Level } else { Before::Frame } }
     };
     (infos, dataset.rows().iter().zip(set_of_row).enumerate().map(frame).collect())
 }
@@ -194,16 +194,11 @@ pub fn of_dataset(
     let main_field = main_field(&settings);
     let mut list = of_chunks(&chunks, sets);
     let mut frames = frames;
-    let between = frames_between(&list, &infos, &settings);
-    if between {
-        let starts: Vec<usize> = sets.iter().map(|s| s.rows[0]).collect();
-        starts.into_iter().for_each(|first| frames[first].settled = true);
-        missing.push(
-            "successive frames of a set are correlated, and first frames carry nothing of the set before: frames were exposed between the sets \
-             that are not in the dataset"
-                .into(),
-        );
+    let before_sets = before_sets::of(&list, &infos, &settings, zero_dn);
+    if before_sets != Before::Frame {
+        sets.iter().for_each(|s| frames[s.rows[0]].before = before_sets);
     }
+    missing.extend(before_sets::note(before_sets).map(String::from));
     // The level of a scene or a clipped set matters for the frame that follows it: known beforehand, and
     // judged in neither half.
     let levels = scenes.iter().map(|s| (s.set, codes::mean_of(&s.mean_dn, &layout), s.frames));
@@ -222,7 +217,7 @@ pub fn of_dataset(
             frames: (rows[0] + from, rows[0] + to),
             measured: Value { value: level, std_err: 0.0 },
             pixels: (shape.0 * shape.1) as f64,
-            frame_var_dn2: 0.0,
+            frame_means: (0.0, 0.0),
         });
     }
     let line = lines[0].with(&lines[1]).strongest();
@@ -263,7 +258,7 @@ pub fn of_dataset(
                 frames: (0, 0),
                 measured,
                 pixels: 1.0,
-                frame_var_dn2: 0.0,
+                frame_means: (0.0, 0.0),
             };
             statistic.of_half(&view, &mut Put { all: &mut list, template });
         }
@@ -312,8 +307,9 @@ pub fn of_dataset(
         identity: Identity::default(),
         setting: setting(dataset, &settings, light_rel_std),
         light_settings: light_settings(&infos, |i| !of_their_own.contains(&i)),
-        frames_between: between,
-        ripples: ripple::of_chunks(&chunks, &settings, zero_dn),
+        before_sets,
+        ripples: ripple::of_bands(&chunks, &settings, zero_dn),
+        flickers: ripple::of_frames(&chunks, &settings, zero_dn),
         row_cycles: with_peak(row_cycles(&chunks, &settings, zero_dn), &peaks[0]),
         column_cycles: with_peak(column_cycles(&chunks), &peaks[1]),
         peaks,
@@ -383,47 +379,6 @@ fn alike(chunks: &[Chunk], settings: &[FrameRow]) -> Vec<f64> {
         _ => chunks.iter().filter(|c| c.set == i).count().max(1) as f64,
     };
     settings.iter().enumerate().map(of).collect()
-}
-
-/// Standard errors by which successive frames must be correlated, and the share of that correlation that
-/// first frames may carry at most, where frames that are not there came between the sets.
-const CORRELATED: f64 = 5.0;
-const CARRIED: f64 = 0.3;
-
-/// True where frames that are not in the dataset were exposed between its sets: what is carried from frame to
-/// frame within the sets is not carried from set to set.
-fn frames_between(list: &[Observable], sets: &[SetInfo], settings: &[FrameRow]) -> bool {
-    let mut levels: Vec<Option<f64>> = vec![None; sets.len()];
-    let of = |o: &Observable, statistic: &dyn Statistic| o.is(statistic).then_some(()).and(o.set);
-    for o in list {
-        if let Some(set) = of(o, &mean::Mean) {
-            levels[set] = Some(o.measured.value);
-        }
-    }
-    // Frames: covariance over variance, weighed by its error; sets: step of the first frame over the
-    // change of level.
-    let (mut within, mut between) = ((0.0, 0.0), (0.0, 0.0));
-    for (i, o) in list.iter().enumerate() {
-        let Some(set) = of(o, &successive::Successive).filter(|s| settings[*s].kind == Kind::Flat) else {
-            continue;
-        };
-        let same = |v: &&Observable| v.is(&variance::Variance) && v.set == Some(set) && v.frames == o.frames;
-        let near = list[..i].iter().rev().take(60).find(same);
-        let Some(var) = near.map(|v| v.measured.value).filter(|v| *v > 0.0) else { continue };
-        let weight = (var / o.measured.std_err.max(1e-12)).powi(2);
-        within = (within.0 + weight * o.measured.value / var, within.1 + weight);
-    }
-    for o in list.iter().filter(|o| o.index == 0) {
-        let Some(set) = of(o, &settling::Settling).filter(|s| *s > 0) else { continue };
-        let (Some(level), Some(before)) = (levels[set], levels[set - 1]) else { continue };
-        let change = before - level;
-        let scatter = list.iter().filter(|v| v.is(&frame_scatter::FrameScatter) && v.set == Some(set));
-        let square = median(scatter.map(|v| v.measured.value)).max(1e-6);
-        between = (between.0 + change * o.measured.value / square, between.1 + change * change / square);
-    }
-    let (share, error) = (within.0 / within.1, within.1.sqrt().recip());
-    let (carried, uncertain) = (between.0 / between.1, between.1.sqrt().recip());
-    share > CORRELATED * error && carried.abs() < CARRIED * share && uncertain < CARRIED * share
 }
 
 /// For every set the first of those that follow one another under the same light, darks in between left out.
@@ -509,7 +464,7 @@ fn of_chunks(chunks: &[Chunk], sets: &[Set]) -> Vec<Observable> {
             frames: (first, first + c.summary.frames),
             measured: Value { value: 0.0, std_err: 0.0 },
             pixels: c.summary.pixels,
-            frame_var_dn2: c.summary.frame_means.variance_dn2(),
+            frame_means: (c.summary.frame_means.mean_dn(), c.summary.frame_means.variance_dn2()),
         };
         let quiet = is_quiet(&c.summary);
         let looked_at = STATISTICS.iter().enumerate().filter(|(_, s)| !quiet || s.id() == mean::Mean.id());

@@ -200,6 +200,12 @@ impl Lags {
         }
     }
 
+    /// Multiplies the shot noise by this.
+    fn scale_shot(&mut self, by: f64) {
+        self.shot.iter_mut().flatten().for_each(|v| *v *= by);
+        self.of_rows[0].iter_mut().for_each(|v| *v *= by);
+    }
+
     /// Of what lies in lines of the spectrum: the same at the opposite lag.
     fn lines(&self, dy: i32, dx: i32) -> f64 {
         let along = if dy < 0 { -dx } else { dx };
@@ -266,17 +272,28 @@ pub struct View<'a> {
     pixel_noise: OnceCell<(f64, PixelNoise)>,
 }
 
+/// Light of a set under a lamp that flickers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Light {
+    /// What its frames show.
+    Own,
+    /// What the model says.
+    Nominal,
+}
+
 /// Facts of a whole prediction: many observables ask for each.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Whole {
+    light: Light,
     all_codes: bool,
     even_codes: bool,
     moves_samples: bool,
 }
 
 impl Whole {
-    fn of(p: &Prediction) -> Self {
+    fn of(p: &Prediction, light: Light) -> Self {
         Self {
+            light,
             all_codes: p.sets.iter().all(|s| s.codes_used > 0.999) && p.code_step_dn.fract() == 0.0,
             even_codes: p.code_step_dn <= 1.0 && p.bit_errors_dn.iter().all(|e| *e == 0.0),
             moves_samples: p.sets.iter().any(|s| s.moved != 0.0),
@@ -351,8 +368,17 @@ impl<'a> View<'a> {
         // Not what is expected of the frames' scatter but what they show: it is one number for all statistics of
         // these frames.
         if s.with_light > 0.0 {
-            let shown = (o.frame_var_dn2 - view.of_mean - moved).max(0.0);
-            view.with_light = shown * (s.with_light / s.common.max(f64::MIN_POSITIVE)).min(1.0);
+            let (mean_dn, var_dn2) = o.frame_means;
+            let shown = (var_dn2 - view.of_mean - moved).max(0.0);
+            let share = (s.with_light / s.common.max(f64::MIN_POSITIVE)).min(1.0);
+            view.with_light = shown * share;
+            // So is their light: the shot noise of few frames under a lamp that flickers is that of their own mean, as far
+            // as the lamp moves it.
+            let signal_dn = mean - prediction.base.offset_dn;
+            if whole.light == Light::Own && var_dn2 > 0.0 && signal_dn > 0.0 {
+                let by_light = s.with_light / (s.common + view.of_mean).max(f64::MIN_POSITIVE);
+                view.lags.scale_shot((1.0 + by_light * (mean_dn - mean) / signal_dn).max(0.0));
+            }
         }
         view
     }
@@ -589,6 +615,11 @@ pub fn expectations(
     expectations_beside(all, prediction, wanted, None)
 }
 
+/// Expectations of all observables under the light that the model says, whatever the frames show of a lamp that flickers.
+pub fn nominal_expectations(all: &Observations, prediction: &Prediction) -> Vec<Expected> {
+    expectations_under(Light::Nominal, all, prediction, |_| true, None)
+}
+
 /// Expectations as [`expectations`] gives them; those of frames that a known prediction describes alike are reused.
 pub fn expectations_beside(
     all: &Observations,
@@ -596,9 +627,19 @@ pub fn expectations_beside(
     wanted: impl Fn(&Observable) -> bool,
     known: Option<(&Prediction, &[Expected])>,
 ) -> Vec<Expected> {
+    expectations_under(Light::Own, all, prediction, wanted, known)
+}
+
+fn expectations_under(
+    light: Light,
+    all: &Observations,
+    prediction: &Prediction,
+    wanted: impl Fn(&Observable) -> bool,
+    known: Option<(&Prediction, &[Expected])>,
+) -> Vec<Expected> {
     let mut out = Vec::with_capacity(all.list.len());
-    let whole = Whole::of(prediction);
-    let known = known.filter(|(p, _)| Whole::of(p) == whole && p.has_camera_of(prediction));
+    let whole = Whole::of(prediction, light);
+    let known = known.filter(|(p, _)| Whole::of(p, light) == whole && p.has_camera_of(prediction));
     let same_set: Vec<bool> = match known {
         Some((p, _)) => (0..prediction.sets.len()).map(|s| p.has_set_of(prediction, s)).collect(),
         None => Vec::new(),

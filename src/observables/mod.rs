@@ -25,6 +25,7 @@
 //! model describes (`shared/practice/clean`, `radcam simulate`) their root mean square is 1. `tests/it/models.rs` compares drawn and expected
 //! values for every effect.
 
+mod before_sets;
 mod campaign;
 mod codes;
 mod expect;
@@ -41,7 +42,10 @@ mod warm_up;
 
 pub(crate) use campaign::{NO_PATCH, NO_TIMES};
 pub use campaign::{ObserveError, of_dataset};
-pub use expect::{Expected, HEAVY_DOF, View, expectations, expectations_beside, in_quadrature, lightened};
+pub use expect::{
+    Expected, HEAVY_DOF, View, expectations, expectations_beside, in_quadrature, lightened,
+    nominal_expectations,
+};
 mod line_shape;
 
 pub use field::{Field, LINE_LAGS};
@@ -106,8 +110,8 @@ pub struct Observable {
     pub measured: Value,
     /// Pixels.
     pub pixels: f64,
-    /// Variance of the means of its frames, DN^2; 0 of the whole campaign.
-    pub frame_var_dn2: f64,
+    /// Mean and variance of the means of its frames, DN and DN^2; 0 of the whole campaign.
+    pub frame_means: (f64, f64),
 }
 
 impl Observable {

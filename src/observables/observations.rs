@@ -8,7 +8,7 @@ use crate::features::LeftOn;
 use crate::statistics::code_step::Stretch;
 use crate::statistics::jackknife::Value;
 use crate::statistics::steady::PixelNoise;
-use radcam_sim::predict::Campaign;
+use radcam_sim::predict::{Before, Campaign};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Relative scatter of the light from setting to setting.
@@ -85,13 +85,15 @@ pub struct Observations {
     pub row_cycles: Vec<f64>,
     /// Ripples of a lamp by how light bands fade with the exposure.
     pub ripples: Ripples,
+    /// The same by how the scatter of whole frames fades.
+    pub flickers: Ripples,
     /// Frequencies of stripes of columns that move from frame to frame, cycles per column, the strongest
     /// first.
     pub column_cycles: Vec<f64>,
     /// Line of steps on which all codes lie that occur.
     pub stretch: Option<Stretch>,
-    /// True where frames that are not saved were exposed between the sets.
-    pub frames_between: bool,
+    /// What was exposed before the sets.
+    pub before_sets: Before,
     /// The field of the light.
     pub field: Field,
     /// Number of chunks of frames at the level of every set; all darks share one.

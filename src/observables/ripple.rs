@@ -1,5 +1,5 @@
-//! Frequency of a lamp's ripple, from how the bands of a rolling shutter fade with the exposure
-//! ([`ripple_left`]). A search for light banding starts from it.
+//! Frequency of a lamp's ripple, from how the bands of a rolling shutter, or the scatter of whole frames, fade with the
+//! exposure ([`ripple_left`]). A search for light banding, or for flicker, starts from it.
 
 use super::read::Chunk;
 use crate::dataset::{FrameRow, Kind};
@@ -7,25 +7,25 @@ use crate::statistics::median::median;
 use crate::statistics::pass::Summary;
 use radcam_sim::effects::{FittingRipple, ripple_left};
 
-/// Ripples of a lamp that fit the bands of a campaign.
+/// Ripples of a lamp that fit the bands of a campaign, or the scatter of its frames.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Ripples {
     /// Frequencies, Hz, the likeliest first; none where the exposures do not tell one.
     pub likely_hz: Vec<f64>,
-    /// Slowest and fastest ripple within three standard errors of the likeliest; `None` without bands.
+    /// Slowest and fastest ripple within three standard errors of the likeliest; `None` without flats.
     pub fitting: Option<[FittingRipple; 2]>,
 }
 
-/// Row noise of flats under one exposure.
+/// Variance that a ripple leaves in flats under one exposure.
 #[derive(Debug, Clone, Copy)]
-struct Banded {
+struct Rippled {
     exposure_s: f64,
     /// Mean above the darks, DN.
     signal_dn: f64,
-    /// Variance of the row means beyond that of pixels and darks, DN^2, and its error by their noise.
-    row_var_dn2: (f64, f64),
-    /// Number of frames.
-    frames: f64,
+    /// Variance of row or frame means beyond that of pixels and darks, DN^2, and its error by their noise.
+    var_dn2: (f64, f64),
+    /// Variance by the phases of the frames, over the square of the expected one.
+    by_phases: f64,
 }
 
 /// Steps of the search, coarse and fine, in turns within the longest exposure.
@@ -52,8 +52,8 @@ const ITERATIONS: usize = 6;
 /// choices).
 const FEWEST: (usize, f64) = (4, 0.67);
 
-/// Ripples that fit the flats of a campaign.
-pub(super) fn of_chunks(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Ripples {
+/// Ripples that fit the bands in the flats of a campaign.
+pub(super) fn of_bands(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Ripples {
     // Variance of row means beyond the noise of pixels, and its error.
     let beyond = |s: &Summary| {
         let columns = s.columns_dn.len().max(1) as f64;
@@ -62,24 +62,54 @@ pub(super) fn of_chunks(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -
         let dof = (s.frames as f64 - 1.0) * s.rows_dn.len() as f64;
         (rows_dn2 - of_pixels, of_pixels * (2.0 / dof.max(1.0)).sqrt())
     };
+    // Of n frames with independent phases the mean product of two of different frames scatters by 1 / n (n - 1).
+    let by_phases = |n: f64| 1.0 / (n * (n - 1.0)).max(1.0);
+    ripples(&rippled(chunks, settings, zero_dn, beyond, by_phases))
+}
+
+/// Ripples that fit the scatter of the frames in the flats of a campaign.
+pub(super) fn of_frames(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Ripples {
+    // Variance of frame means beyond the noise of pixels, and its error.
+    let beyond = |s: &Summary| {
+        let pixels = (s.rows_dn.len() * s.columns_dn.len()).max(1) as f64;
+        let of_pixels = s.var.value / pixels;
+        let var_dn2 = if s.frames > 1 { s.frame_means.variance_dn2() } else { 0.0 };
+        (var_dn2 - of_pixels, of_pixels * (2.0 / (s.frames as f64 - 1.0).max(1.0)).sqrt())
+    };
+    // Variance of a sample variance (Kenney and Keeping 1951, part 2, section 7.2) of a sine, whose fourth moment is 1.5
+    // times the square of its second.
+    let by_phases = |n: f64| 1.5 / n - (n - 3.0) / (n * (n - 1.0)).max(1.0);
+    ripples(&rippled(chunks, settings, zero_dn, beyond, by_phases))
+}
+
+/// Flats with a variance beyond that of darks. `beyond` is the variance beyond the noise of pixels, DN^2, and its error;
+/// `by_phases` the variance of it by the phases of so many frames, relative.
+fn rippled(
+    chunks: &[Chunk],
+    settings: &[FrameRow],
+    zero_dn: f64,
+    beyond: impl Fn(&Summary) -> (f64, f64),
+    by_phases: impl Fn(f64) -> f64,
+) -> Vec<Rippled> {
     let darks = chunks.iter().filter(|c| settings[c.set].kind == Kind::Dark);
     let of_dark = median(darks.map(|c| beyond(&c.summary).0));
     let of_dark = if of_dark.is_finite() { of_dark.max(0.0) } else { 0.0 };
-    let banded = |c: &Chunk| {
+    let of_chunk = |c: &Chunk| {
         let signal_dn = c.summary.frame_means.mean_dn() - zero_dn;
         let (value, error) = beyond(&c.summary);
-        (settings[c.set].kind == Kind::Flat && signal_dn > 0.0 && error > 0.0).then(|| Banded {
+        let is_lit = settings[c.set].kind == Kind::Flat && signal_dn > 0.0;
+        (is_lit && error > 0.0 && c.summary.frames > 1).then(|| Rippled {
             exposure_s: settings[c.set].exposure_s,
             signal_dn,
-            row_var_dn2: (value - of_dark, error.hypot(of_dark)),
-            frames: c.summary.frames as f64,
+            var_dn2: (value - of_dark, error.hypot(of_dark)),
+            by_phases: by_phases(c.summary.frames as f64),
         })
     };
-    ripples(&chunks.iter().filter_map(banded).collect::<Vec<_>>())
+    chunks.iter().filter_map(of_chunk).collect()
 }
 
 /// Ripples that fit, each with its best amplitude.
-fn ripples(all: &[Banded]) -> Ripples {
+fn ripples(all: &[Rippled]) -> Ripples {
     let exposures = || all.iter().map(|b| b.exposure_s);
     let (shortest_s, longest_s) = exposures().fold((f64::INFINITY, 0.0f64), |(a, b), t| (a.min(t), b.max(t)));
     if all.is_empty() || longest_s <= 0.0 {
@@ -131,30 +161,27 @@ struct Fitted {
     ripple: FittingRipple,
 }
 
-/// Best amplitude of a ripple of this frequency. Of n frames with independent phases the mean product of two
-/// of different frames scatters by 1 / n (n - 1).
-fn fitted(all: &[Banded], hz: f64) -> Fitted {
+/// Best amplitude of a ripple of this frequency.
+fn fitted(all: &[Rippled], hz: f64) -> Fitted {
     // Share of the signal's square that the ripple would have at amplitude 1.
-    let shape = |b: &Banded| 0.5 * (b.signal_dn * ripple_left(hz, b.exposure_s)).powi(2);
+    let shape = |b: &Rippled| 0.5 * (b.signal_dn * ripple_left(hz, b.exposure_s)).powi(2);
     let shapes: Vec<f64> = all.iter().map(shape).collect();
-    let variance = |b: &Banded, expected: f64| {
-        expected * expected / (b.frames * (b.frames - 1.0)).max(1.0) + b.row_var_dn2.1.powi(2)
-    };
+    let variance = |b: &Rippled, expected: f64| expected * expected * b.by_phases + b.var_dn2.1.powi(2);
     // Square of the amplitude.
     let mut square = 0.0;
     for iteration in 0..ITERATIONS {
         let (mut product, mut weight) = (0.0, 0.0);
         for (b, shape) in all.iter().zip(&shapes) {
-            let expected = if iteration == 0 { b.row_var_dn2.0 } else { square * shape };
+            let expected = if iteration == 0 { b.var_dn2.0 } else { square * shape };
             let v = variance(b, expected);
-            product += shape * b.row_var_dn2.0 / v;
+            product += shape * b.var_dn2.0 / v;
             weight += shape * shape / v;
         }
         square = (product / weight.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
     }
     let score = all.iter().zip(&shapes).fold(0.0, |sum, (b, shape)| {
         let v = variance(b, square * shape);
-        sum + (b.row_var_dn2.0 - square * shape).powi(2) / v + v.ln()
+        sum + (b.var_dn2.0 - square * shape).powi(2) / v + v.ln()
     });
     Fitted { score, ripple: FittingRipple { hz, rel: square.sqrt() } }
 }
@@ -165,7 +192,7 @@ mod tests {
     use radcam_sim::rng::{PixelRng, Stream};
 
     /// Three and four frames under each exposure, with phases and noise of their own.
-    fn drawn(random: &mut PixelRng, exposures_s: &[f64], hz: f64, rel: f64) -> Vec<Banded> {
+    fn drawn(random: &mut PixelRng, exposures_s: &[f64], hz: f64, rel: f64) -> Vec<Rippled> {
         let sets = exposures_s.iter().flat_map(|t| [(*t, 3), (*t, 4)]);
         sets.map(|(exposure_s, frames)| {
             let signal_dn = 3500.0 * exposure_s / exposures_s.iter().fold(0.0, |a: f64, b| a.max(*b));
@@ -176,8 +203,8 @@ mod tests {
             let apart = 1.0 - of(f64::cos).powi(2) - of(f64::sin).powi(2);
             let ripple = 0.5 * (rel * signal_dn * x.sin() / x).powi(2) * apart * n / (n - 1.0);
             let error = 0.4 * signal_dn / 96.0 * 0.09;
-            let row_var_dn2 = (ripple + error * random.normal(), error);
-            Banded { exposure_s, signal_dn, row_var_dn2, frames: n }
+            let var_dn2 = (ripple + error * random.normal(), error);
+            Rippled { exposure_s, signal_dn, var_dn2, by_phases: 1.0 / (n * (n - 1.0)) }
         })
         .collect()
     }
@@ -217,7 +244,8 @@ mod tests {
 
     #[test]
     fn one_exposure_tells_no_frequency() {
-        let set = Banded { exposure_s: 0.01, signal_dn: 1000.0, row_var_dn2: (100.0, 1.0), frames: 4.0 };
+        let set =
+            Rippled { exposure_s: 0.01, signal_dn: 1000.0, var_dn2: (100.0, 1.0), by_phases: 1.0 / 12.0 };
         let found = ripples(&[set; 8]);
         let [slowest, fastest] = found.fitting.unwrap();
         assert!(found.likely_hz.is_empty() && slowest.hz < 20.0 && fastest.hz > 2000.0, "{found:?}");

@@ -13,7 +13,7 @@ use crate::number::ranges;
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::peak::{strays, turn_off};
-use radcam_sim::predict::{Campaign, FrameInfo, NORMAL, SetInfo};
+use radcam_sim::predict::{Before, Campaign, FrameInfo, NORMAL, SetInfo};
 
 /// Rows up to the peak of the variance as sets of one pair each.
 ///
@@ -127,7 +127,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
             spread_dn: 1.0,
             places: NORMAL,
         });
-        frames.push(FrameInfo { set: place, time_s: 0.0, settled: false });
+        frames.push(FrameInfo { set: place, time_s: 0.0, before: Before::Frame });
         let turn = Half::TURNS[place % 2];
         let mut add =
             |statistic: &'static dyn Statistic, index: usize, half: Half, value: f64, std_err: f64| {
@@ -139,7 +139,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
                     frames: (place, place + 1),
                     measured: Value { value, std_err },
                     pixels: point.pixels,
-                    frame_var_dn2: 0.0,
+                    frame_means: (0.0, 0.0),
                 });
             };
         // Without exposures the mean gives the light: known to both halves.
@@ -195,10 +195,11 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         light_settings: (0..kept.len()).collect(),
         alike: vec![1.0; kept.len()],
         field: Field::default(),
-        frames_between: false,
+        before_sets: Before::Frame,
         peaks: [None, None],
         row_cycles: Vec::new(),
         ripples: Ripples::default(),
+        flickers: Ripples::default(),
         column_cycles: Vec::new(),
         stretch: None,
     })

@@ -21,6 +21,7 @@ mod eight_bits;
 mod emva;
 mod far_slips;
 mod few_darks;
+mod flicker;
 mod frame_headers;
 mod fuzz;
 #[cfg(feature = "hdf5")]

@@ -143,7 +143,7 @@ impl<'e> Chain<'e> {
 mod tests {
     use super::super::{EFFECTS, Plain, find};
     use super::*;
-    use crate::predict::{FrameInfo, NORMAL, SetInfo};
+    use crate::predict::{Before, FrameInfo, NORMAL, SetInfo};
 
     const PLAIN: Plain = Plain {
         gain_dn_per_e: 0.4,
@@ -159,7 +159,7 @@ mod tests {
 
     /// Darks and flats in turn, four frames each.
     fn campaign() -> Campaign {
-        let frame = |i: usize| FrameInfo { set: i / 4, time_s: 0.03 * i as f64, settled: false };
+        let frame = |i: usize| FrameInfo { set: i / 4, time_s: 0.03 * i as f64, before: Before::Frame };
         let set = |i: usize| SetInfo {
             exposure_s: 0.005 * (1 + i) as f64,
             light: (i % 2 == 1).then_some(i / 2),

@@ -2,6 +2,7 @@
 
 use super::temporal_filter::running_average;
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
+use crate::predict::Before;
 use crate::rng::PixelRng;
 
 /// A share of a frame's charge is handed on to the next; of that, again a share, or all of it is read; or two kinds of traps let it go in
@@ -238,6 +239,10 @@ impl Effect for ImageLag {
         vec![other]
     }
 
+    fn is_in_time(&self, p: &[f64]) -> bool {
+        p[0].round() as i32 == 2
+    }
+
     fn has_memory(&self) -> bool {
         true
     }
@@ -300,12 +305,15 @@ impl Effect for ImageLag {
         let first = c.frames.first().map_or(0.0, |f| c.sets.get(f.set).map_or(0.0, |s| s.exposure_s));
         let mut store = held.settled(past, c.frame_s.max(first));
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
-            if frame.settled {
-                let exposure_s = c.sets.get(frame.set).map_or(0.0, |s| s.exposure_s);
-                (store, last_s) = (held.settled(*m, c.frame_s.max(exposure_s)), None);
+            let exposure_s = c.sets.get(frame.set).map_or(0.0, |s| s.exposure_s);
+            let settled = |charge: f64| held.settled(charge, c.frame_s.max(exposure_s));
+            match frame.before {
+                Before::Frame => {}
+                Before::Level => (store, last_s) = (settled(*m), None),
+                Before::Dark => (store, last_s) = (settled(0.0), None),
             }
             // Charge is let go until the frame ends.
-            let end_s = frame.time_s + c.sets.get(frame.set).map_or(0.0, |s| s.exposure_s);
+            let end_s = frame.time_s + exposure_s;
             let after_s = last_s.map_or(c.frame_s, |last: f64| end_s - last);
             (*m, store) = held.pass(*m, store, after_s);
             last_s = Some(end_s);

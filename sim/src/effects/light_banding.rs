@@ -1,8 +1,8 @@
 //! Light banding: a rolling shutter under a lamp that ripples.
 
 use super::{
-    Campaign, Drawing, Effect, FittingRipple, Page, Parameter, Plain, Prediction, Seen, Stage, ripple_left,
-    takes,
+    Campaign, Drawing, Effect, MAINS_HZ, MAX_AMPLITUDE_RATIO, NO_TURN, ONE_EXPOSURE, Page, Parameter, Plain,
+    Prediction, Seen, Stage, ripple_left, spread_of, takes,
 };
 use crate::predict::Ripple;
 
@@ -19,18 +19,10 @@ const WHOLE_FRAMES: f64 = 0.368;
 
 /// No lamp's light ripples slower: twice the frequency of the slowest supply, a railway's 16.7 Hz.
 const SLOWEST_HZ: f64 = 33.0;
-/// Lamps on the mains ripple at twice its frequency.
-const MAINS_HZ: [f64; 2] = [100.0, 120.0];
 /// Step between ripple frequencies that are tried, in turns within the longest exposure, and their number. A
 /// PWM lamp turns some twenty times within it.
 const LOBE: f64 = 0.3;
 const LOBES: u32 = 70;
-/// A ripple that turns by less within the longest exposure does not fade with it: 2 in 100 of its strength.
-const NO_TURN: f64 = 0.1;
-/// Largest ratio of the amplitudes that fit at which the campaign tells the lamp's (a named choice).
-const MAX_AMPLITUDE_RATIO: f64 = 1.5;
-/// Smallest ratio of the shortest exposure to the longest at which all count as one (a named choice).
-const ONE_EXPOSURE: f64 = 0.9;
 
 impl Effect for LightBanding {
     fn id(&self) -> &'static str {
@@ -146,13 +138,10 @@ impl Effect for LightBanding {
 
     /// A third of the distance to the farther of the two ripples that fit within three standard errors.
     fn resolution(&self, parameter: usize, p: &[f64], seen: &Seen) -> f64 {
-        let Some(ripples) = seen.ripples.filter(|_| p[0] < 0.5) else { return 0.0 };
-        let of = |value: fn(&FittingRipple) -> f64, own: f64| {
-            ripples.iter().map(|r| (value(r) - own).abs() / 3.0).fold(0.0, f64::max)
-        };
+        let ripples = seen.ripples.filter(|_| p[0] < 0.5);
         match parameter {
-            1 => of(|r| r.rel, p[1]),
-            3 => of(|r| r.hz, p[3]),
+            1 => spread_of(ripples, |r| r.rel, p[1]),
+            3 => spread_of(ripples, |r| r.hz, p[3]),
             _ => 0.0,
         }
     }
@@ -237,6 +226,7 @@ impl Effect for LightBanding {
 
 #[cfg(test)]
 mod tests {
+    use super::super::FittingRipple;
     use super::*;
 
     #[test]

@@ -117,6 +117,10 @@ pub struct Seen {
     pub ripple_hz: [Option<f64>; 3],
     /// Slowest and fastest ripple that fit these bands within three standard errors.
     pub ripples: Option<[FittingRipple; 2]>,
+    /// Frequencies at which a lamp ripples whose frames scatter like this, Hz, the likeliest first.
+    pub flicker_hz: [Option<f64>; 3],
+    /// Slowest and fastest ripple that fit this scatter within three standard errors.
+    pub flickers: Option<[FittingRipple; 2]>,
     /// Codes for each one that occurs, about the levels.
     pub code_step_dn: Option<f64>,
     /// Distance of the codes that occur, where all lie on one line of steps; 1 where they do not.
@@ -140,7 +144,23 @@ pub fn ripple_left(ripple_hz: f64, exposure_s: f64) -> f64 {
     if x < 1e-9 { 1.0 } else { libm::sin(x) / x }
 }
 
-/// Lamp ripple that fits the bands of a campaign.
+/// Lamps on the mains ripple at twice its frequency.
+const MAINS_HZ: [f64; 2] = [100.0, 120.0];
+/// A ripple that turns by less within the longest exposure does not fade with it: 2 in 100 of its strength.
+const NO_TURN: f64 = 0.1;
+/// Smallest ratio of the shortest exposure to the longest at which all count as one (a named choice).
+const ONE_EXPOSURE: f64 = 0.9;
+
+/// Largest ratio of the amplitudes that fit at which the campaign tells the lamp's (a named choice).
+const MAX_AMPLITUDE_RATIO: f64 = 1.5;
+
+/// Third of the distance from a value to that of the farther of two ripples within three standard errors; 0 without
+/// these.
+fn spread_of(ripples: Option<[FittingRipple; 2]>, value: fn(&FittingRipple) -> f64, own: f64) -> f64 {
+    ripples.iter().flatten().map(|r| (value(r) - own).abs() / 3.0).fold(0.0, f64::max)
+}
+
+/// Lamp ripple that fits the bands of a campaign, or the scatter of its frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FittingRipple {
     /// Frequency, Hz.
@@ -474,8 +494,8 @@ pub trait Effect: Sync + Send {
     fn sets_each(&self) -> bool {
         false
     }
-    /// Returns true if the effect changes with time, so that its values depend on the times of frames.
-    fn is_in_time(&self) -> bool {
+    /// Returns true if the effect with these values changes with time, so that they depend on the times of frames.
+    fn is_in_time(&self, _: &[f64]) -> bool {
         false
     }
     /// Returns true if the effect bends the mean over the light, so that noise alone cannot show it.

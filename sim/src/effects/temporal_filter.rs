@@ -1,7 +1,7 @@
 //! Temporal filter: the camera averages successive frames.
 
 use crate::normal::{AROUND, PLACES as SHARES};
-use crate::predict::SetPrediction;
+use crate::predict::{Before, SetPrediction};
 use crate::quantize::Correction;
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
@@ -169,8 +169,10 @@ fn move_frames(p: &[f64], c: &Campaign, out: &mut Prediction, added: &[Added]) -
     let sets = &out.sets;
     for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
         let (Some(of_set), Some(first)) = (added.get(frame.set), firsts.get_mut(frame.set)) else { continue };
-        if frame.settled {
-            (last, set, carried) = (None, Some(frame.set), None);
+        match frame.before {
+            Before::Frame => {}
+            Before::Level => (last, set, carried) = (None, Some(frame.set), None),
+            Before::Dark => (last, set, carried) = (Some(0.0), None, None),
         }
         let before = last.unwrap_or(*m);
         let away = before - *m;
@@ -301,8 +303,10 @@ impl Effect for TemporalFilter {
             out.sets.iter_mut().for_each(|s| s.mix_in_time(less, &memory));
             let mut last = out.base.past_e.map(|past| past * out.base.gain_dn_per_e);
             for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
-                if frame.settled {
-                    last = None;
+                match frame.before {
+                    Before::Frame => {}
+                    Before::Level => last = None,
+                    Before::Dark => last = Some(0.0),
                 }
                 *m += last.map_or(0.0, |last| a * (last - *m));
                 last = Some(*m);

@@ -3,6 +3,18 @@
 use super::PLACES;
 use crate::quantize::rounded;
 
+/// What was exposed before a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Before {
+    /// The frame before it in the campaign.
+    #[default]
+    Frame,
+    /// Frames of its own level that are not in the campaign.
+    Level,
+    /// Dark frames that are not in the campaign.
+    Dark,
+}
+
 /// A frame of a campaign.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameInfo {
@@ -10,8 +22,8 @@ pub struct FrameInfo {
     pub set: usize,
     /// Start of its exposure, s from the start of the campaign.
     pub time_s: f64,
-    /// It follows frames of its own level that are not here: the first of a campaign that was joined to another.
-    pub settled: bool,
+    /// What it follows.
+    pub before: Before,
 }
 
 /// A set of frames: darks or flats of one exposure and light.

@@ -1,0 +1,44 @@
+//! Lamps on the mains, whose flicker is the stronger the shorter the exposure.
+
+use crate::rewritten::Campaign;
+use crate::support::expect;
+
+/// Mains flicker of tens of per cent in exposures of milliseconds: its size and frequency are right, no bend is
+/// found beside it, and the gain is that of the sensor, each within four standard errors.
+#[test]
+fn mains_flicker_is_a_ripple_and_no_bend() {
+    let folder = tempfile::tempdir().unwrap();
+    let (model, plan) = (folder.path().join("m.toml"), folder.path().join("plan.toml"));
+    let (model, plan) = (model.to_str().unwrap(), plan.to_str().unwrap());
+    expect(0, &["model", "new", model, "--sensor", "cmos12"]);
+    expect(0, &["model", "add", model, "illumination-flicker", "rel=0.3", "ripple_hz=100"]);
+    let set = |kind: &str, frames: usize, share: f64| {
+        let light = u8::from(kind == "flat");
+        format!(
+            "[[set]]\nkind = \"{kind}\"\nframes = {frames}\nexposure = {share}\nillumination = {light}\nconfiguration = 0\n"
+        )
+    };
+    // Of 20 ms.
+    let flats = [0.12, 0.2, 0.29, 0.4, 0.55, 0.65, 0.77, 0.85].map(|share| set("flat", 8, share)).concat();
+    let text = set("dark", 8, 0.12) + &set("dark", 8, 0.85) + &flats;
+    std::fs::write(plan, format!("format = \"radcam-plan/1\"\n{text}")).unwrap();
+    for seed in 224..228 {
+        let campaign = Campaign::new(model, plan, seed);
+        let said = campaign.said("diagnose");
+        assert_eq!(said["data_faults"], serde_json::json!([]), "{seed}");
+        let found = &said["missing"][0];
+        assert_eq!(found["effect"], "illumination-flicker", "{seed}: {found}");
+        for other in &said["missing"].as_array().unwrap()[1..] {
+            let cost = |of: &str| other["cost"][of].as_f64().unwrap().abs();
+            let most = cost("gain_rel").max(cost("read_noise_rel")).max(cost("linearity_rel"));
+            assert!(most < 0.003 && other["share"].as_f64().unwrap() < 0.01, "{seed}: {other}");
+        }
+        let near = |of: &serde_json::Value, truth: f64| {
+            let (value, error) = (of["value"].as_f64().unwrap(), of["std_err"].as_f64().unwrap());
+            assert!((value - truth).abs() < 4.0 * error, "{seed}: {value} +- {error} for {truth}");
+        };
+        near(&found["parameters"]["ripple_hz"], 100.0);
+        near(&found["parameters"]["rel"], 0.3);
+        near(&said["gain_dn_per_e"], 0.38);
+    }
+}
