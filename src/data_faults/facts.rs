@@ -3,6 +3,7 @@
 
 use super::ExamineError;
 use super::old_data::{OldData, Search};
+use super::patterns;
 use crate::dataset::{Dataset, Set};
 use crate::statistics::code_step::Occurring;
 use crate::statistics::outliers;
@@ -62,6 +63,10 @@ pub struct SetFacts {
     pub middle_dn: Vec<f32>,
     /// Columns of that.
     pub middle_columns: usize,
+    /// Variance of the noise in that mean, DN^2, without hot pixels: by the frames in turns. 0 of one frame, and in
+    /// files of earlier versions.
+    #[serde(default)]
+    pub middle_noise_dn2: f64,
 }
 
 /// Covariances of neighbours over the variance, the mean of pairs of frames.
@@ -121,7 +126,8 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     let mut sent_before: Option<Arc<Array2<u16>>> = None;
     let mut second: Option<Arc<Array2<u16>>> = None;
     let mut third: Option<Arc<Array2<u16>>> = None;
-    let mut middle = Array2::<f32>::zeros((0, 0));
+    // Sums of all frames, and of those in turns with plus and minus.
+    let (mut middle, mut in_turns) = (Array2::<f32>::zeros((0, 0)), Array2::<f32>::zeros((0, 0)));
     let mut clipped = 0usize;
     let mut occurring = Occurring::default();
     for frames in in_blocks(dataset, set, stop) {
@@ -159,9 +165,13 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
             out.second_dn2.push(to(&second).1);
             let part = middle_of(&frame);
             if middle.dim() != part.dim() {
-                middle = Array2::zeros(part.dim());
+                (middle, in_turns) = (Array2::zeros(part.dim()), Array2::zeros(part.dim()));
             }
             middle += &part;
+            match out.means_dn.len() % 2 {
+                1 => in_turns += &part,
+                _ => in_turns -= &part,
+            }
             if out.means_dn.len() == 3 {
                 third = Some(Arc::clone(&frame));
             }
@@ -179,6 +189,8 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     middle /= set.rows.len().max(1) as f32;
     out.middle_columns = middle.ncols();
     out.middle_dn = middle.into_iter().collect();
+    let in_turns: Vec<f32> = in_turns.into_iter().collect();
+    out.middle_noise_dn2 = patterns::noise_of(&out.middle_dn, &in_turns, set.rows.len(), out.middle_columns);
     Ok(out)
 }
 

@@ -20,6 +20,12 @@ const SAME: f64 = 0.25;
 const LARGE: f64 = 0.01;
 /// Least share of the flats' light that is said, and standard deviations.
 const MIN_LEAK: (f64, f64) = (0.003, 6.0);
+/// Standard deviations of a smaller leak, the part of the darks' growth with the exposure that it makes, and the largest
+/// spread of that growth over the pixels, relative. Dark current is less even, and where it is not, a gain that differs
+/// from pixel to pixel does to it what it does to light (named choices).
+const MIN_EVEN_LEAK: f64 = 4.0;
+const PART_OF_GROWTH: std::ops::Range<f64> = 0.5..1.5;
+const MAX_EVEN_SPREAD: f64 = 0.06;
 /// Share of the light by which the frames of a dark differ at most: what came before fades from frame to
 /// frame.
 const MAX_FADING: f64 = 0.3;
@@ -34,9 +40,6 @@ const AS_DIM: f64 = 1.05;
 const MIN_RANGE: f64 = 1.5;
 /// Deviation of the light from growth with the exposure, relative, up to which a cap leaks.
 const GROWS: f64 = 0.3;
-/// Relative error of the darks' noise: that of hot and noisy pixels is in its mean.
-const NOISE_ERROR: f64 = 0.3;
-
 /// The check.
 pub struct LightInDarks;
 
@@ -139,17 +142,36 @@ fn leak(campaign: &mut Campaign<'_>, darks: &[usize], flats: &[usize]) -> Vec<Da
         means.first().zip(means.last()).is_some_and(|(a, b)| a - b > FADES_DN.max(MIN_LEAK.1 * scatter_dn))
     };
     let darks = &darks.iter().copied().filter(|&i| !fades(i)).collect::<Vec<_>>()[..];
-    let growth = |sets: &[usize]| {
+    let line = |sets: &[usize]| {
         let x: Vec<f64> = sets.iter().map(|&i| campaign.sets[i].exposure_s).collect();
-        Some(combined(campaign, sets, &Line::of(campaign, sets, &x)?.slope))
+        Line::of(campaign, sets, &x)
+    };
+    // The noise of the darks is measured, with that of noisy pixels.
+    let measured = |sets: &[usize], weights: &[f64]| {
+        let own = |(&i, w): (&usize, &f64)| w * w * campaign.sets[i].facts.middle_noise_dn2;
+        sets.iter().zip(weights).map(own).sum::<f64>()
+    };
+    let level = |sets: &[usize], weights: &[f64]| {
+        sets.iter().zip(weights).map(|(&i, w)| w * campaign.sets[i].level_dn()).sum::<f64>()
     };
     let first = &campaign.sets[flats[0]];
     let (light, columns) = (first.illumination, first.facts.middle_columns);
     let lit: Vec<usize> = flats.iter().copied().filter(|&i| campaign.sets[i].illumination == light).collect();
-    let found = growth(darks).zip(growth(&lit)).and_then(|(dark, flat)| leaked(&dark, &flat, columns));
-    let Some((part, std)) = found else { return Vec::new() };
-    tracing::debug!("darks have {part:.5} +- {std:.5} of the flats' light");
-    if part < MIN_LEAK.0 || part < MIN_LEAK.1 * std || part > 1.0 {
+    let Some((of_darks, of_flats)) = line(darks).zip(line(&lit)) else { return Vec::new() };
+    let (pattern, stated) = combined(campaign, darks, &of_darks.slope);
+    let noise = match measured(darks, &of_darks.slope) {
+        by_turns if by_turns > 0.0 => Noise::by_turns(by_turns, pattern.len()),
+        _ => Noise::of_darks(stated),
+    };
+    let flat = combined(campaign, &lit, &of_flats.slope);
+    let Some((part, std, spread)) = leaked(&pattern, noise, &flat, columns) else { return Vec::new() };
+    let (growth, of_light) = (level(darks, &of_darks.slope), level(&lit, &of_flats.slope));
+    tracing::debug!(
+        "darks have {part:.5} +- {std:.5} of the flats' light, {of_light:.0} DN/s, and grow by {growth:.1} DN/s +- {spread:.1}"
+    );
+    let is_growth = PART_OF_GROWTH.contains(&(part * of_light / growth)) && spread < MAX_EVEN_SPREAD * growth;
+    let is_sure = part > MIN_LEAK.0 && part > MIN_LEAK.1 * std || is_growth && part > MIN_EVEN_LEAK * std;
+    if !is_sure || part > 1.0 {
         return Vec::new();
     }
     let text = format!(
@@ -161,20 +183,23 @@ fn leak(campaign: &mut Campaign<'_>, darks: &[usize], flats: &[usize]) -> Vec<Da
     vec![campaign.fault_of_sets(FaultKind::KindLabel, darks, text, false)]
 }
 
-/// Share of the flats' light in the darks, from the growth of both patterns with the exposure, each with its
-/// noise.
+/// Share of the flats' light in the darks with its error, from the growth of both patterns with the exposure, each with
+/// its noise; and the deviation of the dark current from pixel to pixel.
 ///
 /// The flats' growth is R + P, response and dark current (eq. 22), and that of the darks e R + P. R and P are
 /// not correlated, so that of the mean products A = (e R + P)(R + P), B = (e R + P)^2 and C = (R + P)^2 the
-/// share of the light is e = (A - B) / (C - A).
-fn leaked(dark: &(Vec<f64>, f64), flat: &(Vec<f64>, f64), columns: usize) -> Option<WithError> {
+/// share of the light is e = (A - B) / (C - A), and P^2 = (B C - A^2) / (B + C - 2 A).
+fn leaked(dark: &[f64], noise: Noise, flat: &(Vec<f64>, f64), columns: usize) -> Option<(f64, f64, f64)> {
+    let without_noise = |[a, b, c, n]: Sums| (a, b - n * noise.dn2, c - n * flat.1);
     let of = |sums: &Sums| {
-        let [a, b, c, n] = *sums;
-        let (b, c) = (b - n * dark.1, c - n * flat.1);
-        (c - a > 0.3 * c && b > 0.0).then(|| (a - b) / (c - a))
+        let (a, b, c) = without_noise(*sums);
+        (c - a > 0.3 * c).then(|| (a - b) / (c - a))
     };
-    let ((part, std), [a, _, c, n]) = by_blocks(&dark.0, &flat.0, columns, of)?;
-    Some((part, std.hypot(NOISE_ERROR * n * dark.1 / (c - a))))
+    let ((part, std), sums) = by_blocks(dark, &flat.0, columns, of)?;
+    let (a, b, c) = without_noise(sums);
+    let n = sums[3];
+    let spread = ((b * c - a * a) / (b + c - 2.0 * a) / n).max(0.0).sqrt();
+    Some((part, std.hypot(noise.rel * n * noise.dn2 / (c - a)), spread))
 }
 
 #[cfg(test)]
@@ -203,8 +228,8 @@ mod tests {
                     };
                     // The noise is known exactly here.
                     let (_, std) = by_blocks(&dark.0, &flat.0, 64, of).unwrap().0;
-                    let (part, stated) = leaked(&dark, &flat, 64).unwrap();
-                    assert!(stated >= std);
+                    let (part, stated, spread) = leaked(&dark.0, Noise::of_darks(dark.1), &flat, 64).unwrap();
+                    assert!(stated >= std && (spread - 1.0).abs() < 0.1, "{spread}");
                     (part - truth) / std
                 })
                 .collect();

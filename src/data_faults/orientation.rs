@@ -1,5 +1,7 @@
 //! Fixed pattern in the middle of the frame, without smooth shading: it shows the orientation.
 
+use crate::statistics::median::{MAD_OF_NORMAL, median};
+
 /// Side of the blocks whose means are taken off, pixels: shading is smooth within them.
 const BLOCK: usize = 8;
 
@@ -8,34 +10,51 @@ const BLOCK: usize = 8;
 pub fn pattern(image: &[f32], columns: usize) -> Vec<f64> {
     let image: Vec<f64> = image.iter().map(|v| f64::from(*v)).collect();
     let mut out = flattened(&image, columns);
-    let usual = 1.5 * crate::statistics::median::median(out.iter().map(|v| v.abs()));
+    let usual = 1.5 * median(out.iter().map(|v| v.abs()));
     out.iter_mut().for_each(|v| *v = v.clamp(-3.0 * usual, 3.0 * usual));
     out
 }
 
-/// An image of so many columns, of mean 0 in every block, and then in every row and column.
+/// Deviations of a pixel from the median of its block from which on it is hot, or dust (a named choice): what a mean
+/// has of it would be in all pixels of its block, row and column.
+const MAX_DEVIATIONS: f64 = 5.0;
+
+/// An image of so many columns, of mean 0 in every block, and then in every row and column, hot pixels left out.
 pub fn flattened(image: &[f64], columns: usize) -> Vec<f64> {
     let rows = image.len() / columns.max(1);
     let mut out = vec![0.0; rows * columns];
-    for top in (0..rows).step_by(BLOCK) {
-        for left in (0..columns).step_by(BLOCK) {
-            let (bottom, right) = ((top + BLOCK).min(rows), (left + BLOCK).min(columns));
-            let at = || (top..bottom).flat_map(move |y| (left..right).map(move |x| y * columns + x));
-            let mean = at().map(|i| image[i]).sum::<f64>() / at().count() as f64;
-            at().for_each(|i| out[i] = image[i] - mean);
-        }
+    let corners = || {
+        let of_row = move |top| (0..columns).step_by(BLOCK).map(move |left| (top, left));
+        (0..rows).step_by(BLOCK).flat_map(of_row)
+    };
+    let block = |(top, left): (usize, usize)| {
+        let (bottom, right) = ((top + BLOCK).min(rows), (left + BLOCK).min(columns));
+        (top..bottom).flat_map(move |y| (left..right).map(move |x| y * columns + x))
+    };
+    for corner in corners() {
+        let middle = median(block(corner).map(|i| image[i]));
+        block(corner).for_each(|i| out[i] = image[i] - middle);
     }
+    let usual = median(out.iter().map(|v| v.abs())) / MAD_OF_NORMAL;
+    let counts: Vec<bool> = out.iter().map(|v| usual == 0.0 || v.abs() < MAX_DEVIATIONS * usual).collect();
     // Rows and columns have noise in common, which would look like a pattern.
+    for corner in corners() {
+        centre(&mut out, &counts, || block(corner));
+    }
     for y in 0..rows {
-        let row = &mut out[y * columns..][..columns];
-        let mean = row.iter().sum::<f64>() / columns as f64;
-        row.iter_mut().for_each(|v| *v -= mean);
+        centre(&mut out, &counts, || y * columns..(y + 1) * columns);
     }
     for x in 0..columns {
-        let mean = (0..rows).map(|y| out[y * columns + x]).sum::<f64>() / rows as f64;
-        (0..rows).for_each(|y| out[y * columns + x] -= mean);
+        centre(&mut out, &counts, || (x..rows * columns).step_by(columns));
     }
     out
+}
+
+/// Takes the mean of those that count off the values at these places.
+fn centre<I: Iterator<Item = usize>>(values: &mut [f64], counts: &[bool], places: impl Fn() -> I) {
+    let (sum, n) = places().filter(|i| counts[*i]).fold((0.0, 0.0), |(sum, n), i| (sum + values[i], n + 1.0));
+    let mean = sum / f64::max(n, 1.0);
+    places().for_each(|i| values[i] -= mean);
 }
 
 /// Correlation of two patterns.

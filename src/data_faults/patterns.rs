@@ -22,8 +22,8 @@ pub type WithError = (f64, f64);
 /// Noise of a pattern as a variance, DN^2, and the relative error of that.
 #[derive(Debug, Clone, Copy)]
 pub struct Noise {
-    dn2: f64,
-    rel: f64,
+    pub dn2: f64,
+    pub rel: f64,
 }
 
 impl Noise {
@@ -31,6 +31,12 @@ impl Noise {
     /// choice).
     pub fn of_darks(dn2: f64) -> Self {
         Self { dn2, rel: 0.3 }
+    }
+
+    /// Noise that so many pixels show by their frames in turns: three times the error of normal noise, for noisy pixels
+    /// (a named choice).
+    pub fn by_turns(dn2: f64, pixels: usize) -> Self {
+        Self { dn2, rel: 3.0 * (2.0 / pixels.max(1) as f64).sqrt() }
     }
 
     /// Noise of flats: shot noise is that of all pixels (the error is a named choice).
@@ -83,6 +89,27 @@ pub fn pattern_of(set: &SetView) -> Vec<f64> {
 /// Variance of the mean of a set's frames, DN^2 (Healey and Kondepudy 1994, eq. 43: sigma_N^2 / s).
 pub fn noise_of_mean(set: &SetView) -> f64 {
     set.variance_dn2().map_or(0.0, |v| v.0) / set.frames().max(1) as f64
+}
+
+/// Variance of the noise in the mean of a set's frames, DN^2, without hot pixels; 0 of one frame. `in_turns`: sum of
+/// the frames with plus and minus in turns.
+pub fn noise_of(mean: &[f32], in_turns: &[f32], frames: usize, columns: usize) -> f64 {
+    let n = frames as f64;
+    let (plus, minus) = (frames.div_ceil(2) as f64, (frames / 2) as f64);
+    if frames < 2 {
+        return 0.0;
+    }
+    // Means of both turns, and their difference with the noise of the mean of all.
+    let difference = |(m, t): (&f32, &f32)| {
+        let (sum, t) = (n * f64::from(*m), f64::from(*t));
+        (0.5 * (sum + t) / plus - 0.5 * (sum - t) / minus) * (plus * minus).sqrt() / n
+    };
+    let noise = flattened(&mean.iter().zip(in_turns).map(difference).collect::<Vec<_>>(), columns);
+    let image = flattened(&mean.iter().map(|v| f64::from(*v)).collect::<Vec<_>>(), columns);
+    let most = MAX_DEVIATIONS * median(image.iter().map(|v| v.abs())) / MAD_OF_NORMAL;
+    let (sum, count) = (image.iter().zip(&noise).filter(|(v, _)| v.abs() < most))
+        .fold((0.0, 0.0), |(sum, count), (_, d)| (sum + d * d, count + 1.0));
+    sum / f64::max(count, 1.0)
 }
 
 /// Sums over the pixels of a block: a b, a^2, b^2, and their number.

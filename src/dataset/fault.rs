@@ -40,6 +40,14 @@ pub struct DataFault {
     pub left_out: bool,
 }
 
+impl DataFault {
+    /// Returns true if it is light that leaks into darks: these stay, and their growth with the exposure is no dark
+    /// current.
+    pub fn is_leak(&self) -> bool {
+        self.kind == FaultKind::KindLabel && !self.left_out
+    }
+}
+
 impl std::fmt::Display for DataFault {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "slip in the data: {}", self.text)

@@ -230,7 +230,11 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
     let dark = dark_noise(&points, definitions, clipped, pixels, &mut sheet);
     sensitivity(&points, definitions, &mut sheet, &k, &r, &dark, &at_saturation);
     linearity(t, most, definitions, pixels, &mut sheet);
-    dark_current(&points.darks, definitions, clipped, pixels, &mut sheet, &k);
+    if points.data_faults.iter().any(DataFault::is_leak) {
+        sheet.note("u_I_mean and u_I_var are undefined: light leaks into the darks, and is in their growth with the exposure".into());
+    } else {
+        dark_current(&points.darks, definitions, clipped, pixels, &mut sheet, &k);
+    }
     nonuniformity(&points, definitions, clipped, &k, &mut sheet);
     if let Some(left_out) = &points.left_out {
         sheet.note(left_out.clone());

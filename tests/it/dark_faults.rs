@@ -91,6 +91,49 @@ fn light_in_darks_and_shifted_flats_are_named() {
     assert!(text.contains("1 rows and 0 columns off against the other flats"), "{text}");
 }
 
+/// A cap that lets in 0.2 and 0.4 % of the flats' light: 6 and 12 DN in the longest darks. It is named with its
+/// share within four standard errors, and no verb has a dark current; without it there is none of this.
+#[test]
+fn a_small_leak_is_no_dark_current() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = folder.path().join("plan.toml");
+    for (leak, seed) in [(0.002, 228), (0.004, 229), (0.0, 230)] {
+        let set = |kind: &str, light: f64, share: f64| {
+            format!(
+                "[[set]]\nkind = \"{kind}\"\nframes = 16\nexposure = {share}\nillumination = {light}\nconfiguration = 0\n"
+            )
+        };
+        let kind = if leak > 0.0 { "flat" } else { "dark" };
+        let shares = [0.1, 0.2, 0.3, 0.45, 0.6, 0.85];
+        let darks = shares.map(|share| set(kind, leak, share)).concat();
+        let flats = shares.map(|share| set("flat", 1.0, share)).concat();
+        std::fs::write(&plan, format!("format = \"radcam-plan/1\"\n{darks}{flats}")).unwrap();
+        let mut campaign = Campaign::new("cmos12", plan.to_str().unwrap(), seed);
+        for row in 0..shares.len() * 16 {
+            (campaign.rows[row][1], campaign.rows[row][5]) = ("dark".into(), "0".into());
+        }
+        campaign.save();
+        let said = campaign.said("diagnose");
+        let faults = said["data_faults"].as_array().unwrap();
+        if leak == 0.0 {
+            assert!(faults.is_empty(), "{faults:?}");
+            continue;
+        }
+        assert_eq!((faults.len(), &faults[0]["left_out"]), (1, &false.into()), "{leak}: {faults:?}");
+        let text = faults[0]["text"].as_str().unwrap();
+        let words: Vec<&str> =
+            text.split("light leaks into the darks, ").nth(1).unwrap().split(' ').collect();
+        let (percent, error): (f64, f64) = (words[0].parse().unwrap(), words[2].parse().unwrap());
+        assert!((percent - 100.0 * leak).abs() < 4.0 * error, "{text}");
+        assert!(said["dark_current_e_per_s"].is_null(), "{}", said["dark_current_e_per_s"]);
+        let emva = campaign.said("emva").to_string();
+        assert!(
+            !emva.contains("\"u_I_mean\":{") && emva.contains("u_I_mean and u_I_var are undefined"),
+            "{emva}"
+        );
+    }
+}
+
 /// Dark-subtracted flats beside raw darks: the gain comes from the flats alone, the read noise is not
 /// determined, and darks that were left out clip nothing.
 #[test]
