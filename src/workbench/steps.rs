@@ -157,7 +157,7 @@ mod tests {
             ),
             (
                 "id = \"illumination-flicker\"\nparameters = { rel = -1.0 }",
-                "rel is -1, and must lie within 0 to 0.5;",
+                "rel is -1, and must lie within 0 to 0.71;",
             ),
             ("id = \"ghosts\"", "ghosts"),
         ] {

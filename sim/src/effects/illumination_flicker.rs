@@ -37,8 +37,8 @@ impl Effect for IlluminationFlicker {
                 meaning: "standard deviation of the light from frame to frame, relative",
                 unit: "1",
                 min: 0.0,
-                // A lamp that goes dark between the peaks of a sine.
-                max: std::f64::consts::FRAC_1_SQRT_2,
+                // A lamp that goes dark between the peaks of a sine has 1 / sqrt(2).
+                max: 0.71,
                 starts: &[0.002],
             },
             Parameter {
