@@ -63,8 +63,8 @@ pub struct SetFacts {
     pub middle_dn: Vec<f32>,
     /// Columns of that.
     pub middle_columns: usize,
-    /// Variance of the noise in that mean, DN^2, without hot pixels: by the frames in turns. 0 of one frame, and in
-    /// files of earlier versions.
+    /// Variance of the noise in that mean, DN^2, without hot pixels, by the frames in turns; 0 of one frame, and
+    /// in files of earlier versions.
     #[serde(default)]
     pub middle_noise_dn2: f64,
 }

@@ -20,9 +20,9 @@ const SAME: f64 = 0.25;
 const LARGE: f64 = 0.01;
 /// Least share of the flats' light that is said, and standard deviations.
 const MIN_LEAK: (f64, f64) = (0.003, 6.0);
-/// Standard deviations of a smaller leak, the part of the darks' growth with the exposure that it makes, and the largest
-/// spread of that growth over the pixels, relative. Dark current is less even, and where it is not, a gain that differs
-/// from pixel to pixel does to it what it does to light (named choices).
+/// Standard deviations of a smaller leak, the part of the darks' growth with the exposure that it makes, and the
+/// largest spread of that growth over the pixels, relative. Dark current is less even; where it is not, a gain
+/// that differs from pixel to pixel does to it what it does to light (named choices).
 const MIN_EVEN_LEAK: f64 = 4.0;
 const PART_OF_GROWTH: std::ops::Range<f64> = 0.5..1.5;
 const MAX_EVEN_SPREAD: f64 = 0.06;
@@ -183,8 +183,8 @@ fn leak(campaign: &mut Campaign<'_>, darks: &[usize], flats: &[usize]) -> Vec<Da
     vec![campaign.fault_of_sets(FaultKind::KindLabel, darks, text, false)]
 }
 
-/// Share of the flats' light in the darks with its error, from the growth of both patterns with the exposure, each with
-/// its noise; and the deviation of the dark current from pixel to pixel.
+/// Share of the flats' light in the darks with its error, from the growth of both patterns with the exposure, each
+/// with its noise; and the deviation of the dark current from pixel to pixel.
 ///
 /// The flats' growth is R + P, response and dark current (eq. 22), and that of the darks e R + P. R and P are
 /// not correlated, so that of the mean products A = (e R + P)(R + P), B = (e R + P)^2 and C = (R + P)^2 the

@@ -15,8 +15,8 @@ pub fn pattern(image: &[f32], columns: usize) -> Vec<f64> {
     out
 }
 
-/// Deviations of a pixel from the median of its block from which on it is hot, or dust (a named choice): what a mean
-/// has of it would be in all pixels of its block, row and column.
+/// Deviations of a pixel from the median of its block from which on it is hot, or dust (a named choice): a mean
+/// would put its part of it into all pixels of the block, the row and the column.
 const MAX_DEVIATIONS: f64 = 5.0;
 
 /// An image of so many columns, of mean 0 in every block, and then in every row and column, hot pixels left out.

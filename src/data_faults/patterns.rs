@@ -33,8 +33,8 @@ impl Noise {
         Self { dn2, rel: 0.3 }
     }
 
-    /// Noise that so many pixels show by their frames in turns: three times the error of normal noise, for noisy pixels
-    /// (a named choice).
+    /// Noise that so many pixels show by their frames in turns: three times the error of normal noise, for noisy
+    /// pixels (a named choice).
     pub fn by_turns(dn2: f64, pixels: usize) -> Self {
         Self { dn2, rel: 3.0 * (2.0 / pixels.max(1) as f64).sqrt() }
     }
@@ -91,8 +91,8 @@ pub fn noise_of_mean(set: &SetView) -> f64 {
     set.variance_dn2().map_or(0.0, |v| v.0) / set.frames().max(1) as f64
 }
 
-/// Variance of the noise in the mean of a set's frames, DN^2, without hot pixels; 0 of one frame. `in_turns`: sum of
-/// the frames with plus and minus in turns.
+/// Variance of the noise in the mean of a set's frames, DN^2, without hot pixels; 0 of one frame. `in_turns`: sum
+/// of the frames with plus and minus in turns.
 pub fn noise_of(mean: &[f32], in_turns: &[f32], frames: usize, columns: usize) -> f64 {
     let n = frames as f64;
     let (plus, minus) = (frames.div_ceil(2) as f64, (frames / 2) as f64);

@@ -41,8 +41,8 @@ pub struct DataFault {
 }
 
 impl DataFault {
-    /// Returns true if it is light that leaks into darks: these stay, and their growth with the exposure is no dark
-    /// current.
+    /// Returns true if it is light that leaks into darks: these stay, and their growth with the exposure is no
+    /// dark current.
     pub fn is_leak(&self) -> bool {
         self.kind == FaultKind::KindLabel && !self.left_out
     }

@@ -1,6 +1,5 @@
 //! The linear sensor with all effects in the model.
 
-use crate::data_faults::DataFault;
 use crate::dataset::Kind;
 use crate::inference::Fitted;
 use crate::number::{Quantity, six_digits};
@@ -101,7 +100,7 @@ pub(super) fn sensor(
         noisy_pixel_share: pixels.map(|p| p.noisy),
         read_noise_e,
         dark_current_e_per_s: of(base.dark_e_per_s, errors[3], apart(|b| b.dark_e_per_s), "e/s")
-            .filter(|_| !all.data_faults.iter().any(DataFault::is_leak)),
+            .filter(|_| !all.light_leaks_into_darks()),
     }
 }
 

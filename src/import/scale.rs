@@ -94,8 +94,8 @@ const MAX_DISTINCT: usize = 200_000;
 const MAX_IN_A_MEAN: f64 = 256.0;
 const MIN_RANGE_OF_MEANS: f64 = 4.0;
 
-/// Share of the pixels with a fraction of their own in means of frames, and distance from a whole number that single
-/// precision leaves of a sum of eight codes of 16 bits (named choices).
+/// Share of the pixels with a fraction of their own in means of frames, and distance from a whole number that
+/// single precision leaves of a sum of eight codes of 16 bits (named choices).
 const MIN_FRACTIONAL_SHARE: f64 = 0.1;
 const MAX_OFF_WHOLE: f64 = 0.02;
 
@@ -123,12 +123,12 @@ struct Numbers {
     /// Least standard deviation of half the difference of successive frames.
     noise: f64,
     before: Option<Array2<f64>>,
-    /// Largest share of the pixels of two successive frames with fractions of their own: see [`fractional_share`].
+    /// Largest share of the pixels of two successive frames with fractions of their own ([`fractional_share`]).
     fractional_share: f64,
 }
 
-/// Share of the pixels whose fractions are no sum of a number for the row, one for the column and one for the pixel in
-/// all frames, as subtracted overscan and dark frames leave them: the difference of two frames, of neighbouring
+/// Share of the pixels whose fractions are no sum of a number for the row, one for the column and one for the pixel
+/// in all frames, as subtracted overscan and dark frames leave them: the difference of two frames, of neighbouring
 /// columns and of neighbouring rows is then a whole number.
 fn fractional_share(frame: &Array2<f64>, before: &Array2<f64>) -> f64 {
     let off = frame - before;

@@ -1,20 +1,20 @@
-//! What was exposed before the sets of a campaign, where frames carry something of those before them.
+//! Exposures before the sets of a campaign that are not in the files, by what first frames carry of them.
 
 use super::{Observable, Statistic, frame_scatter, mean, settling, successive, variance};
 use crate::dataset::{FrameRow, Kind};
 use crate::statistics::median::median;
 use radcam_sim::predict::{Before, SetInfo};
 
-/// Standard errors from which on frames carry something, relative difference up to which two shares of it are one, ratio
-/// of squares from which on one explanation is far better than another, and fewest first frames that tell (named
-/// choices).
+/// Standard errors from which on frames carry something, relative difference up to which two shares of it are
+/// one, ratio of squares from which on one explanation is far better than another, and fewest first frames that
+/// tell (named choices).
 const CARRIES: f64 = 5.0;
 const MAX_REL: f64 = 0.3;
 const FAR_BETTER: f64 = 0.25;
 const MIN_FIRSTS: usize = 4;
 
-/// Correlation of successive ones of n numbers about their mean, with their variance over n added, where that of the
-/// numbers is 1 and small (the expectation of the mean product, of the mean, and of the variance that it leaves).
+/// Part of a small correlation of successive frames that n frames show about their mean, with their variance over
+/// n added (its bias to first order: Marriott and Pope 1954, Biometrika 41, 390).
 fn kept_by_few(n: f64) -> f64 {
     1.0 - 2.0 / n - 4.0 / (n * n) + 2.0 / (n * (n - 1.0))
 }
@@ -30,9 +30,9 @@ struct First {
     before_dn: f64,
 }
 
-/// What was exposed before the sets. Where successive frames of a set carry something from one to the next, and first
-/// frames nothing from the set before, frames of their own level were, that are not in the dataset. Where these lack a
-/// share of their own level, and the noise does not contradict that share, darkness was.
+/// Exposures before the sets, by their first frames. Where successive frames carry something from one to the next
+/// and first frames nothing from the set before, they follow frames of their own level that are not in the
+/// dataset. Where these lack a share of their own level, and the noise does not contradict it, they follow darkness.
 pub(super) fn of(list: &[Observable], sets: &[SetInfo], settings: &[FrameRow], zero_dn: f64) -> Before {
     let mut levels: Vec<Option<f64>> = vec![None; sets.len()];
     let set_of = |o: &Observable, statistic: &dyn Statistic| o.is(statistic).then_some(()).and(o.set);
@@ -86,7 +86,7 @@ pub(super) fn of(list: &[Observable], sets: &[SetInfo], settings: &[FrameRow], z
     }
 }
 
-/// What a reader must know of it.
+/// Note for the reader; `None` where each set follows the one before it.
 pub(super) fn note(before: Before) -> Option<&'static str> {
     match before {
         Before::Frame => None,
@@ -106,7 +106,7 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Covariances of successive ones of a few numbers of which each hands on 5 % to the next, over 400 000 runs: within
+    /// Covariance of successive numbers of which each hands on 5 % to the next, over 400 000 runs of a few: within
     /// five standard errors.
     #[test]
     fn few_frames_keep_a_part_of_their_correlation() {

@@ -275,9 +275,9 @@ pub struct View<'a> {
 /// Light of a set under a lamp that flickers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Light {
-    /// What its frames show.
+    /// Light that its frames show.
     Own,
-    /// What the model says.
+    /// Light of the model.
     Nominal,
 }
 
@@ -372,8 +372,8 @@ impl<'a> View<'a> {
             let shown = (var_dn2 - view.of_mean - moved).max(0.0);
             let share = (s.with_light / s.common.max(f64::MIN_POSITIVE)).min(1.0);
             view.with_light = shown * share;
-            // So is their light: the shot noise of few frames under a lamp that flickers is that of their own mean, as far
-            // as the lamp moves it.
+            // So is their light: the shot noise of few frames under a lamp that flickers is that of their own
+            // mean, as far as the lamp moves it.
             let signal_dn = mean - prediction.base.offset_dn;
             if whole.light == Light::Own && var_dn2 > 0.0 && signal_dn > 0.0 {
                 let by_light = s.with_light / (s.common + view.of_mean).max(f64::MIN_POSITIVE);
@@ -615,7 +615,7 @@ pub fn expectations(
     expectations_beside(all, prediction, wanted, None)
 }
 
-/// Expectations of all observables under the light that the model says, whatever the frames show of a lamp that flickers.
+/// Expectations of all observables under the light of the model, whatever frames show of a lamp that flickers.
 pub fn nominal_expectations(all: &Observations, prediction: &Prediction) -> Vec<Expected> {
     expectations_under(Light::Nominal, all, prediction, |_| true, None)
 }

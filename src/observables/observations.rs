@@ -92,7 +92,7 @@ pub struct Observations {
     pub column_cycles: Vec<f64>,
     /// Line of steps on which all codes lie that occur.
     pub stretch: Option<Stretch>,
-    /// What was exposed before the sets.
+    /// Exposures before the sets.
     pub before_sets: Before,
     /// The field of the light.
     pub field: Field,
@@ -149,6 +149,11 @@ impl Observations {
         lights.sort_unstable();
         lights.dedup();
         flats - lights.len()
+    }
+
+    /// Returns true if light leaks into the darks: their growth with the exposure is no dark current.
+    pub fn light_leaks_into_darks(&self) -> bool {
+        self.data_faults.iter().any(DataFault::is_leak)
     }
 
     /// Returns true if darks have two exposures.

@@ -1,5 +1,5 @@
-//! Frequency of a lamp's ripple, from how the bands of a rolling shutter, or the scatter of whole frames, fade with the
-//! exposure ([`ripple_left`]). A search for light banding, or for flicker, starts from it.
+//! Frequency of a lamp's ripple, from how the bands of a rolling shutter, or the scatter of whole frames, fade
+//! with the exposure ([`ripple_left`]). A search for light banding, or for flicker, starts from it.
 
 use super::read::Chunk;
 use crate::dataset::{FrameRow, Kind};
@@ -76,13 +76,13 @@ pub(super) fn of_frames(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -
         let var_dn2 = if s.frames > 1 { s.frame_means.variance_dn2() } else { 0.0 };
         (var_dn2 - of_pixels, of_pixels * (2.0 / (s.frames as f64 - 1.0).max(1.0)).sqrt())
     };
-    // Variance of a sample variance (Kenney and Keeping 1951, part 2, section 7.2) of a sine, whose fourth moment is 1.5
-    // times the square of its second.
+    // Variance of a sample variance (Kenney and Keeping 1951, part 2, p. 164) of a sine, whose fourth moment is
+    // 1.5 times the square of its second.
     let by_phases = |n: f64| 1.5 / n - (n - 3.0) / (n * (n - 1.0)).max(1.0);
     ripples(&rippled(chunks, settings, zero_dn, beyond, by_phases))
 }
 
-/// Flats with a variance beyond that of darks. `beyond` is the variance beyond the noise of pixels, DN^2, and its error;
+/// Flats with a variance beyond that of darks. `beyond`: variance beyond the noise of pixels, DN^2, and its error;
 /// `by_phases` the variance of it by the phases of so many frames, relative.
 fn rippled(
     chunks: &[Chunk],

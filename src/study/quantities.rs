@@ -88,7 +88,7 @@ pub fn all(
             Quantity::new(b.offset_dn, e[2], "DN"),
             with.clone(),
         );
-        if e[3] > 0.0 {
+        if e[3] > 0.0 && !all.light_leaks_into_darks() {
             put("dark_current_e_per_s", "dark current", Quantity::new(b.dark_e_per_s, e[3], "e/s"), with);
         }
     }

@@ -1,7 +1,7 @@
 //! Darks that are not of the flats, or that hold light or charge, in campaigns of simulated cameras.
 
 use crate::data_faults::{BLACK_DN, few_darks};
-use crate::rewritten::Campaign;
+use crate::rewritten::{Campaign, set_of_plan};
 use radcam::ndarray::{Array2, s};
 use radcam_sim::rng::{PixelRng, Stream};
 
@@ -98,15 +98,10 @@ fn a_small_leak_is_no_dark_current() {
     let folder = tempfile::tempdir().unwrap();
     let plan = folder.path().join("plan.toml");
     for (leak, seed) in [(0.002, 228), (0.004, 229), (0.0, 230)] {
-        let set = |kind: &str, light: f64, share: f64| {
-            format!(
-                "[[set]]\nkind = \"{kind}\"\nframes = 16\nexposure = {share}\nillumination = {light}\nconfiguration = 0\n"
-            )
-        };
         let kind = if leak > 0.0 { "flat" } else { "dark" };
         let shares = [0.1, 0.2, 0.3, 0.45, 0.6, 0.85];
-        let darks = shares.map(|share| set(kind, leak, share)).concat();
-        let flats = shares.map(|share| set("flat", 1.0, share)).concat();
+        let darks = shares.map(|share| set_of_plan(kind, 16, share, leak)).concat();
+        let flats = shares.map(|share| set_of_plan("flat", 16, share, 1.0)).concat();
         std::fs::write(&plan, format!("format = \"radcam-plan/1\"\n{darks}{flats}")).unwrap();
         let mut campaign = Campaign::new("cmos12", plan.to_str().unwrap(), seed);
         for row in 0..shares.len() * 16 {

@@ -1,7 +1,7 @@
 //! Slips of the hand, put into campaigns of simulated cameras by rewriting labels and files, and read by the
 //! program.
 
-use crate::rewritten::Campaign;
+use crate::rewritten::{Campaign, set_of_plan};
 use crate::support::{expect, radcam, shared};
 use radcam::ndarray::{Array2, s};
 use radcam_sim::rng::{PixelRng, Stream};
@@ -223,9 +223,7 @@ fn a_wrong_label_beside_image_lag_is_named() {
     expect(0, &["model", "new", model, "--sensor", "cmos12"]);
     expect(0, &["model", "add", model, "image-lag", "shape=0", "fraction=0.1"]);
     let set = |kind: &str, exposure: f64, frames: u32, light: u32| {
-        format!(
-            "[[set]]\nkind = \"{kind}\"\nframes = {frames}\nexposure = {exposure}\nillumination = {light}\nconfiguration = 0\n"
-        )
+        set_of_plan(kind, frames, exposure, f64::from(light))
     };
     let sets = [1.0, 0.25, 0.7, 0.1, 0.9, 0.4, 0.15, 0.8, 0.5, 0.2, 0.6, 0.3].map(|t| {
         let dark = if [0.7, 0.4, 0.5, 0.3].contains(&t) { set("dark", t, 4, 0) } else { String::new() };
@@ -326,13 +324,8 @@ pub fn few_darks(sensor: &str, lights: &[f64], seed: u32) -> Campaign {
 pub fn of_flats(sensor: &str, lights: &[f64], frames: usize, seed: u32) -> Campaign {
     let plan = tempfile::tempdir().unwrap();
     let file = plan.path().join("plan.toml");
-    let set = |kind: &str, frames: usize, exposure: f64, light: f64| {
-        format!(
-            "[[set]]\nkind = \"{kind}\"\nframes = {frames}\nexposure = {exposure}\nillumination = {light}\nconfiguration = 0\n"
-        )
-    };
-    let darks = [0.1, 1.0].map(|t| set("dark", 4, t, 0.0)).concat();
-    let flats: String = lights.iter().map(|light| set("flat", frames, 1.0, *light)).collect();
+    let darks = [0.1, 1.0].map(|t| set_of_plan("dark", 4, t, 0.0)).concat();
+    let flats: String = lights.iter().map(|light| set_of_plan("flat", frames as u32, 1.0, *light)).collect();
     std::fs::write(&file, format!("format = \"radcam-plan/1\"\n{darks}{flats}")).unwrap();
     Campaign::new(sensor, file.to_str().unwrap(), seed)
 }

@@ -1,7 +1,7 @@
 //! Slips that many sets share, or that are so far off that no law of the others tells them.
 
 use crate::data_faults::{BLACK_DN, of_flats};
-use crate::rewritten::Campaign;
+use crate::rewritten::{Campaign, set_of_plan};
 use crate::support::expect;
 use radcam_sim::rng::{PixelRng, Stream};
 
@@ -332,8 +332,8 @@ fn a_warm_up_without_times_is_a_drift() {
     assert!(said["notes"].to_string().contains("the frames carry no times"), "{}", said["notes"]);
 }
 
-/// Image lag after dark frames that nobody saved takes one share off the first frame of every flat too: it is in the
-/// noise, and no slip.
+/// Image lag after dark frames that nobody saved takes one share off the first frame of every flat too: it is in
+/// the noise, and no slip.
 #[test]
 fn lag_after_unsaved_darks_is_no_dim_lamp() {
     let folder = tempfile::tempdir().unwrap();
@@ -341,11 +341,8 @@ fn lag_after_unsaved_darks_is_no_dim_lamp() {
     let model = model.to_str().unwrap();
     expect(0, &["model", "new", model, "--sensor", "cmos12"]);
     expect(0, &["model", "add", model, "image-lag", "shape=0", "fraction=0.05", "by_chance=0"]);
-    let set = |kind: &str, frames: usize, exposure: f64| {
-        let light = u8::from(kind == "flat");
-        format!(
-            "[[set]]\nkind = \"{kind}\"\nframes = {frames}\nexposure = {exposure}\nillumination = {light}\nconfiguration = 0\n"
-        )
+    let set = |kind: &str, frames: u32, exposure: f64| {
+        set_of_plan(kind, frames, exposure, f64::from(u8::from(kind == "flat")))
     };
     let flats = [0.15, 0.3, 0.45, 0.6, 0.75, 0.9].map(|t| set("dark", 3, t) + &set("flat", 6, t)).concat();
     let text = set("dark", 4, 0.1) + &set("dark", 4, 1.0) + &flats;

@@ -1,6 +1,6 @@
 //! Lamps on the mains, whose flicker is the stronger the shorter the exposure.
 
-use crate::rewritten::Campaign;
+use crate::rewritten::{Campaign, set_of_plan};
 use crate::support::expect;
 
 /// Mains flicker of tens of per cent in exposures of milliseconds: its size and frequency are right, no bend is
@@ -12,11 +12,8 @@ fn mains_flicker_is_a_ripple_and_no_bend() {
     let (model, plan) = (model.to_str().unwrap(), plan.to_str().unwrap());
     expect(0, &["model", "new", model, "--sensor", "cmos12"]);
     expect(0, &["model", "add", model, "illumination-flicker", "rel=0.3", "ripple_hz=100"]);
-    let set = |kind: &str, frames: usize, share: f64| {
-        let light = u8::from(kind == "flat");
-        format!(
-            "[[set]]\nkind = \"{kind}\"\nframes = {frames}\nexposure = {share}\nillumination = {light}\nconfiguration = 0\n"
-        )
+    let set = |kind: &str, frames: u32, share: f64| {
+        set_of_plan(kind, frames, share, f64::from(u8::from(kind == "flat")))
     };
     // Of 20 ms.
     let flats = [0.12, 0.2, 0.29, 0.4, 0.55, 0.65, 0.77, 0.85].map(|share| set("flat", 8, share)).concat();

@@ -5,6 +5,13 @@ use radcam::dataset::image::{read_single, tiff_bytes};
 use radcam::ndarray::Array2;
 use std::path::Path;
 
+/// Set of a plan: exposure and light relative to the model's.
+pub fn set_of_plan(kind: &str, frames: u32, exposure: f64, illumination: f64) -> String {
+    format!(
+        "[[set]]\nkind = \"{kind}\"\nframes = {frames}\nexposure = {exposure}\nillumination = {illumination}\nconfiguration = 0\n"
+    )
+}
+
 /// A small campaign on disk with its rows as text fields.
 pub struct Campaign {
     /// Folder in which the campaign is `c`.

@@ -1,8 +1,8 @@
 //! Illumination flicker: the lamp is a little brighter or darker in each frame.
 
 use super::{
-    Campaign, Drawing, Effect, MAINS_HZ, MAX_AMPLITUDE_RATIO, NO_TURN, ONE_EXPOSURE, Page, Parameter, Plain,
-    Prediction, Seen, Stage, ripple_left, spread_of, takes,
+    Campaign, Drawing, Effect, MAINS_HZ, NO_TURN, ONE_EXPOSURE, Page, Parameter, Plain, Prediction, Seen,
+    Stage, other_ripple, ripple_left, spread_of, takes,
 };
 
 /// Each frame's light times 1 + rel N(0, 1), or a lamp's ripple that exposures meet at any phase.
@@ -77,8 +77,8 @@ impl Effect for IlluminationFlicker {
         p[RIPPLE_HZ] > 0.0 && p[RIPPLE_HZ] * seen.lit_s.1 < NO_TURN
     }
 
-    /// A third of the distance to the farther of the two ripples that fit within three standard errors; their amplitude
-    /// is that of a sine.
+    /// A third of the distance to the farther of the two ripples that fit within three standard errors; their
+    /// amplitude is that of a sine.
     fn resolution(&self, parameter: usize, p: &[f64], seen: &Seen) -> f64 {
         let ripples = seen.flickers.filter(|_| p[RIPPLE_HZ] > 0.0);
         match parameter {
@@ -92,19 +92,9 @@ impl Effect for IlluminationFlicker {
     }
 
     fn fits_as_well(&self, p: &[f64], seen: &Seen) -> Option<String> {
-        let [slow, fast] = seen
-            .flickers
-            .filter(|[slow, fast]| p[RIPPLE_HZ] > 0.0 && fast.rel > MAX_AMPLITUDE_RATIO * slow.rel)?;
-        Some(format!(
-            "at {:.2} ms frames scatter by {:.2} %, and these exposures do not tell the ripple behind it: {:.0} Hz with an amplitude of {:.1} % \
-             fits as well as {:.0} Hz with {:.0} %; shorter exposures, in unequal steps, tell",
-            1e3 * seen.lit_s.0,
-            100.0 * rel_at(p, seen.lit_s.0),
-            slow.hz,
-            100.0 * slow.rel,
-            fast.hz,
-            100.0 * fast.rel
-        ))
+        let others = other_ripple(seen.flickers.filter(|_| p[RIPPLE_HZ] > 0.0))?;
+        let shown = 100.0 * rel_at(p, seen.lit_s.0);
+        Some(format!("at {:.2} ms frames scatter by {shown:.2} %, and {others}", 1e3 * seen.lit_s.0))
     }
 
     fn example(&self, _: &Plain) -> Option<Vec<f64>> {
@@ -155,8 +145,8 @@ mod tests {
     use super::super::FittingRipple;
     use super::*;
 
-    /// Frames at any phase of a ripple scatter as predicted: 4000 under one exposure, within five standard errors of a
-    /// sample variance of a sine (its fourth moment is 1.5 times the square of its second).
+    /// Frames at any phase of a ripple scatter as predicted: 4000 under one exposure, within five standard errors
+    /// of a sample variance of a sine (its fourth moment is 1.5 times the square of its second).
     #[test]
     fn frames_at_any_phase_scatter_as_predicted() {
         let (rate, frames, exposure_s, p) = (1e5, 4000u32, 0.004, [0.2, 100.0]);

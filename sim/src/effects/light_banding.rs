@@ -1,8 +1,8 @@
 //! Light banding: a rolling shutter under a lamp that ripples.
 
 use super::{
-    Campaign, Drawing, Effect, MAINS_HZ, MAX_AMPLITUDE_RATIO, NO_TURN, ONE_EXPOSURE, Page, Parameter, Plain,
-    Prediction, Seen, Stage, ripple_left, spread_of, takes,
+    Campaign, Drawing, Effect, MAINS_HZ, NO_TURN, ONE_EXPOSURE, Page, Parameter, Plain, Prediction, Seen,
+    Stage, other_ripple, ripple_left, spread_of, takes,
 };
 use crate::predict::Ripple;
 
@@ -147,18 +147,9 @@ impl Effect for LightBanding {
     }
 
     fn fits_as_well(&self, p: &[f64], seen: &Seen) -> Option<String> {
-        let [slow, fast] =
-            seen.ripples.filter(|[slow, fast]| p[0] < 0.5 && fast.rel > MAX_AMPLITUDE_RATIO * slow.rel)?;
-        Some(format!(
-            "at {:.2} ms bands are {:.3} % of the signal, and these exposures do not tell the ripple behind them: {:.0} Hz with an amplitude of \
-             {:.3} % fits as well as {:.0} Hz with {:.0} %; shorter exposures, in unequal steps, tell",
-            1e3 * seen.lit_s.0,
-            100.0 * p[1] * ripple_left(p[3], seen.lit_s.0).abs(),
-            slow.hz,
-            100.0 * slow.rel,
-            fast.hz,
-            100.0 * fast.rel
-        ))
+        let others = other_ripple(seen.ripples.filter(|_| p[0] < 0.5))?;
+        let shown = 100.0 * p[1] * ripple_left(p[3], seen.lit_s.0).abs();
+        Some(format!("at {:.2} ms bands are {shown:.3} % of the signal, and {others}", 1e3 * seen.lit_s.0))
     }
 
     /// A field that changes its shape moves columns too.

@@ -150,12 +150,24 @@ const MAINS_HZ: [f64; 2] = [100.0, 120.0];
 const NO_TURN: f64 = 0.1;
 /// Smallest ratio of the shortest exposure to the longest at which all count as one (a named choice).
 const ONE_EXPOSURE: f64 = 0.9;
-
 /// Largest ratio of the amplitudes that fit at which the campaign tells the lamp's (a named choice).
 const MAX_AMPLITUDE_RATIO: f64 = 1.5;
 
-/// Third of the distance from a value to that of the farther of two ripples within three standard errors; 0 without
-/// these.
+/// Slowest and fastest ripple in words, where the exposures do not tell which is the lamp's.
+fn other_ripple(ripples: Option<[FittingRipple; 2]>) -> Option<String> {
+    let [slow, fast] = ripples.filter(|[slow, fast]| fast.rel > MAX_AMPLITUDE_RATIO * slow.rel)?;
+    Some(format!(
+        "these exposures do not tell the ripple of the lamp: {:.0} Hz with an amplitude of {:.3} % fits as well as {:.0} Hz with {:.0} %; shorter \
+         exposures, in unequal steps, tell",
+        slow.hz,
+        100.0 * slow.rel,
+        fast.hz,
+        100.0 * fast.rel
+    ))
+}
+
+/// Third of the distance from a value to that of the farther of two ripples within three standard errors; 0
+/// without these.
 fn spread_of(ripples: Option<[FittingRipple; 2]>, value: fn(&FittingRipple) -> f64, own: f64) -> f64 {
     ripples.iter().flatten().map(|r| (value(r) - own).abs() / 3.0).fold(0.0, f64::max)
 }
@@ -494,7 +506,7 @@ pub trait Effect: Sync + Send {
     fn sets_each(&self) -> bool {
         false
     }
-    /// Returns true if the effect with these values changes with time, so that they depend on the times of frames.
+    /// Returns true if the effect with these values changes with time: they depend on the times of frames.
     fn is_in_time(&self, _: &[f64]) -> bool {
         false
     }

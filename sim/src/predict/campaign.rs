@@ -3,7 +3,7 @@
 use super::PLACES;
 use crate::quantize::rounded;
 
-/// What was exposed before a frame.
+/// Exposures before a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Before {
     /// The frame before it in the campaign.
@@ -22,7 +22,7 @@ pub struct FrameInfo {
     pub set: usize,
     /// Start of its exposure, s from the start of the campaign.
     pub time_s: f64,
-    /// What it follows.
+    /// Exposures before it.
     pub before: Before,
 }
 
