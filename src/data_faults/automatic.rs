@@ -2,7 +2,9 @@
 //! well holds the level too, but wipes out the pattern of the pixels' response, which an automatic control
 //! leaves.
 
+use super::campaign::{Zero, median_line};
 use super::patterns::{Noise, combined, share};
+use super::transfer::Transfer;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
@@ -13,6 +15,14 @@ const SAME_LEVEL: f64 = 0.03;
 /// Least ratio of exposure times light over them, and their least number.
 const MIN_RATIO: f64 = 2.0;
 const MIN_FLATS: usize = 3;
+/// Two or more whose noise tells the gain that holds their level: difference of their levels, relative; least ratio
+/// of exposure times light over them; least difference from the level that the other flats make of it; deviation of
+/// the noise from that of the gain, relative to what the gain changes; least number of the other flats.
+const HELD_LEVEL: f64 = 0.005;
+const MIN_HELD_RATIO: f64 = 1.1;
+const MIN_OFF: f64 = 0.03;
+const SAME_GAIN: f64 = 0.3;
+const MIN_OTHERS: usize = 4;
 /// Difference from the whole pattern up to which it is left, and the standard errors by which it is
 /// something.
 const MAX_LOSS: f64 = 0.3;
@@ -26,6 +36,14 @@ pub struct Automatic;
 impl Check for Automatic {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let Some(zero) = campaign.zero().filter(|_| campaign.is_of_one_part()) else { return Vec::new() };
+        if let Some((held, held_dn)) = held_by_gain(campaign, &zero) {
+            let text = format!(
+                "{}: all have {} DN above black, though exposure and light are stated to differ, and their noise is that of a gain which holds the level: an automatic gain was on",
+                campaign.named(&held),
+                six_digits(held_dn)
+            );
+            return vec![campaign.fault_of_sets(FaultKind::OtherSettings, &held, text, true)];
+        }
         let above = |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s);
         let light = |i: usize| campaign.sets[i].light();
         // In each position of card and light, those at its highest level; in one of them two lights at least.
@@ -99,4 +117,40 @@ impl Check for Automatic {
         );
         vec![campaign.fault_of_sets(FaultKind::OtherSettings, &out, text, true)]
     }
+}
+
+/// Finds flats of one level whose noise is that of the stated light at a gain that holds the level: the variance
+/// falls with its square (Healey and Kondepudy 1994, eq. 35). Other flats tell what light makes of level and
+/// noise; at a full well the noise goes with the pattern, and not as the gain. Returns the flats and their level
+/// above black, DN.
+fn held_by_gain(campaign: &Campaign<'_>, zero: &Zero) -> Option<(Vec<usize>, f64)> {
+    let above = |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s);
+    let light = |i: usize| campaign.sets[i].light();
+    let lit = campaign.places(|s| s.is_lit() && !s.clipped && s.variance_dn2().is_some());
+    let is_one_field =
+        lit.windows(2).all(|w| campaign.sets[w[0]].configuration == campaign.sets[w[1]].configuration);
+    let by_light = |a: &&usize, b: &&usize| light(**a).total_cmp(&light(**b));
+    let brightest = *lit.iter().max_by(by_light).filter(|_| is_one_field)?;
+    let held_dn = above(brightest);
+    let (held, others): (Vec<usize>, Vec<usize>) =
+        lit.iter().partition(|i| (above(**i) / held_dn - 1.0).abs() < HELD_LEVEL);
+    let lights = || held.iter().map(|&i| light(i));
+    let ratio = lights().fold(0.0, f64::max) / lights().fold(f64::INFINITY, f64::min);
+    if held.len() < 2 || ratio < MIN_HELD_RATIO || others.len() < MIN_OTHERS {
+        return None;
+    }
+    let transfer = Transfer::of(campaign, zero, &held)?;
+    let points: Vec<(f64, f64)> = others.iter().map(|&i| (light(i), above(i))).collect();
+    let (dn, dn_per_light) = median_line(&points)?;
+    let is_of_gain = |&i: &usize| {
+        let expected_dn = dn + dn_per_light * light(i);
+        let off = (above(i) / expected_dn).ln();
+        let Some((noise, std)) = transfer.off(campaign, i, expected_dn) else { return false };
+        tracing::debug!("set {}: level {off:+.3}, noise {noise:+.3} +- {std:.3}", campaign.sets[i].number);
+        off < -MIN_OFF && (noise - 2.0 * off).abs() < (SAME_GAIN * -off).max(2.0 * std)
+            // A label that is wrong, or light that was held, has the noise of the level.
+            && (noise - off).abs() > (noise - 2.0 * off).abs()
+    };
+    let held: Vec<usize> = held.into_iter().filter(is_of_gain).collect();
+    (held.len() > 1).then_some((held, held_dn))
 }

@@ -28,6 +28,8 @@ pub struct Law {
     inverse: Vec<f64>,
     /// Scatter over the nominal one.
     scale: f64,
+    /// The same as the points alone tell it; infinite of few.
+    own_scale: f64,
     dof: f64,
     /// Points that were taken out.
     pub out: Vec<usize>,
@@ -35,6 +37,8 @@ pub struct Law {
 
 /// Points' worth of knowledge that the scatter is the usual one (a named choice).
 const PRIOR_DOF: f64 = 3.0;
+/// Degrees of freedom from which on the points alone tell their scatter (a named choice).
+const MIN_OWN_DOF: f64 = 3.0;
 /// Points up to which every pair of them is tried: 2000 fits.
 const MAX_POINTS_FOR_PAIRS: usize = 64;
 /// Chance of a false stray in a campaign.
@@ -135,9 +139,14 @@ impl Law {
         factor.solve(&mut coefficients);
         let inverse = factor.inverse();
         let spent = n as f64 - (0..n).map(|i| inverse[i * n + i] / priors[i].powi(2)).sum::<f64>();
-        let mut law = Self { coefficients, inverse, scale: 1.0, dof: 1.0, out: Vec::new() };
+        let mut law =
+            Self { coefficients, inverse, scale: 1.0, own_scale: f64::INFINITY, dof: 1.0, out: Vec::new() };
         let squares: f64 = used().map(|p| ((p.value - law.at(&p.factors)) / p.std).powi(2)).sum();
-        law.dof = (used().count() as f64 - spent).max(0.0) + PRIOR_DOF;
+        let own_dof = (used().count() as f64 - spent).max(0.0);
+        if own_dof >= MIN_OWN_DOF {
+            law.own_scale = (squares / own_dof).sqrt();
+        }
+        law.dof = own_dof + PRIOR_DOF;
         law.scale = ((squares + PRIOR_DOF) / law.dof).sqrt();
         Some(law)
     }
@@ -166,6 +175,11 @@ impl Law {
     /// Standard deviation of a point about the prediction that did not know it.
     pub fn std(&self, p: &Point) -> f64 {
         self.scale * (p.std.powi(2) + self.variance(&p.factors)).sqrt()
+    }
+
+    /// The same by the scatter of the points alone; infinite of few.
+    pub fn own_std(&self, p: &Point) -> f64 {
+        self.own_scale / self.scale * self.std(p)
     }
 
     /// Deviation over that, without its sign.

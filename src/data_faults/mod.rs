@@ -18,6 +18,7 @@ mod law;
 mod orientation;
 mod patterns;
 mod shared_noise;
+mod stray_level;
 mod transfer;
 
 pub use crate::dataset::{DataFault, FaultKind};
@@ -136,12 +137,14 @@ macro_rules! checks {
 }
 
 checks! {
+    stretched_contrast::StretchedContrast
     lit_dark_frame::LitDarkFrame
     dim_firsts::DimFirsts
     stale_frame::StaleFrame
     copied_frames::CopiedFrames
     old_data::OldDataInFrames
     odd_frame::OddFrame
+    frames_of_two_levels::FramesOfTwoLevels
     moving_field::MovingField
     gain_step::GainStep
     kind_label::KindLabel

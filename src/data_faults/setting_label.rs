@@ -1,8 +1,8 @@
-//! A flat whose level is not that of its stated exposure and light. Its noise tells why: a wrong label leaves the
-//! noise of its level, another black level that of the stated light, another gain scales both.
+//! A flat whose level is not that of its stated exposure and light.
 
 use super::campaign::SetView;
 use super::law::{Law, Point};
+use super::stray_level::{Reason, Stray};
 use super::transfer::Transfer;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
@@ -13,6 +13,9 @@ use crate::statistics::median::median;
 const LAMP_SCATTER: f64 = 0.002;
 /// Least deviation that is said.
 const MIN_RELATIVE_OFFSET: f64 = 0.01;
+/// Usual scatter and least deviation where all other flats lie on a straight line (named choices): a camera and a
+/// lamp as steady as that leave no other reason.
+const STEADY: (f64, f64) = (0.0003, 0.003);
 /// Sets below which no law can be told from a stray.
 pub const MIN_FLATS: usize = 5;
 /// Least factor between the stated light and that of the level at which a label is of another order (a named
@@ -28,11 +31,6 @@ const MAX_SHARE_OF_ANOTHER_ORDER: f64 = 0.25;
 const MIN_REL_SIGNAL: f64 = 0.02;
 /// Share of the sets that may be strays.
 const MAX_STRAY_SHARE: f64 = 0.2;
-/// Square of standard deviations by which another reason must fit the noise better than a wrong label does, which
-/// is the usual slip.
-const MIN_CHI2_GAIN: f64 = 6.0;
-/// Standard deviations within which it must fit it.
-const MAX_FIT_SIGMAS: f64 = 6.0;
 /// Flats up to which exchanged labels are looked for pair by pair.
 const MAX_FLATS_EXCHANGED: usize = 16;
 /// Largest scatter about the law after the exchange, relative to that as stated (a named choice).
@@ -59,9 +57,13 @@ struct Factors {
     vary: (bool, bool),
 }
 
-/// Standard deviations of the priors (named choices): exponent of the response, its change over the range, offset
+/// Standard deviations of the priors (named choices): level, exponent of the response about 1, its change, offset
 /// at the lowest light, compression at the highest (two terms), exposure offset, drift of the lamp.
 const PRIORS: [f64; 8] = [1e3, 0.15, 0.03, 0.03, 0.05, 0.05, 0.05, 0.006];
+/// The same for a straight line: its ends are free, the middle is not.
+const STRAIGHT: [f64; 8] = [1e3, 0.002, 0.001, 0.03, 0.002, 0.002, 0.05, 0.002];
+/// Place among them of the logarithm of exposure times light.
+const LN_OF_LIGHT: usize = 1;
 /// Place among them of the offset at the lowest light, and its prior where darks of one exposure leave their
 /// charge in the zero of flats of others.
 const OFFSET: (usize, f64) = (3, 1.0);
@@ -69,10 +71,15 @@ const OFFSET: (usize, f64) = (3, 1.0);
 const MIN_EXPOSURE_RATIO: f64 = 1.5;
 
 impl Factors {
+    /// Logarithm of exposure times light over that of the middle: what a level in proportion to it has.
+    fn ln_of(&self, light: f64) -> f64 {
+        light.ln() - self.middle
+    }
+
     /// `when`: from -0.5 at the first set to 0.5 at the last.
     fn of(&self, exposure_s: f64, light: f64, when: f64) -> Vec<f64> {
         let x = exposure_s * light;
-        let u = x.ln() - self.middle;
+        let u = self.ln_of(x);
         let offset = if self.vary == (true, true) { self.shortest_s / exposure_s } else { 0.0 };
         let top = x / self.most;
         vec![1.0, u, u * u, self.least / x, top, top * top, offset, when]
@@ -129,7 +136,7 @@ impl Check for SettingLabel {
             let scatter = usual_scatter.of_frame_dn(set) / (set.frames() as f64).sqrt();
             Point {
                 factors: factors.of(set.exposure_s, set.illumination, when(i)),
-                value: above(i).ln(),
+                value: above(i).ln() - factors.ln_of(set.exposure_s * set.illumination),
                 std: LAMP_SCATTER.hypot(scatter.hypot(zero.scatter_dn).hypot(coarse(set)) / above(i)),
             }
         };
@@ -161,88 +168,86 @@ impl Check for SettingLabel {
                 campaign.sets[i].number
             );
         }
-        let strays: Vec<usize> = law.out.iter().map(|k| lit[*k]).chain(far.iter().copied()).collect();
-        let transfer = Transfer::of(campaign, &zero, &strays);
-        let mut found: Vec<(usize, FaultKind, String)> = Vec::new();
-        for &i in &strays {
-            let stated = point(i);
-            let off = stated.value - law.at(&stated.factors);
-            if off.exp_m1().abs() < MIN_RELATIVE_OFFSET {
-                continue;
-            }
-            let expected = above(i) * (-off).exp();
-            let noise = transfer.as_ref().and_then(|t| t.off(campaign, i, above(i)).map(|o| (t, o)));
-            // A label of another order says nothing of the place in the range.
-            let is_stated_brightest = !far.contains(&i) && light(i) >= most * (1.0 - 1e-9);
-            let brightest = is_stated_brightest || above(i) >= 0.95 * extreme(&above).1;
-            if brightest && off < 0.0 && noise.as_ref().is_none_or(|(_, o)| o.0.abs() > MAX_NOISE_OFFSET) {
-                continue;
-            }
-            let set = &campaign.sets[i];
-            let name = format!("set {} ({})", set.number, campaign.file(i, 0));
-            let level = format!(
-                "{} DN above black, {:+.1} % from the {} DN of its setting",
-                six_digits(above(i)),
-                100.0 * off.exp_m1(),
-                six_digits(expected)
-            );
-            let other = noise.and_then(|(t, own)| {
-                let stated = t.off(campaign, i, expected)?;
-                let z = |o: f64, std: f64| (o / std).abs();
-                let (label, black) = (z(own.0, own.1), z(stated.0, stated.1));
-                // Noise of another gain grows with its square.
-                let gain = z(stated.0 - 2.0 * off, stated.1);
-                let better = |z: f64| z < MAX_FIT_SIGMAS && label * label - z * z > MIN_CHI2_GAIN;
-                if better(black) && black <= gain {
-                    Some(format!(
-                        "black level {} DN {} than in the other sets: {level}, and the noise is that of the stated light",
-                        six_digits((above(i) - expected).abs()),
-                        if off > 0.0 { "higher" } else { "lower" }
-                    ))
-                } else if better(gain) {
-                    Some(format!(
-                        "another gain, {} times that of the other sets: {level}, and the noise grew with it",
-                        six_digits(off.exp())
-                    ))
-                } else {
-                    None
+        let judged = |law: &Law, strays: &[usize], least: f64| {
+            let transfer = Transfer::of(campaign, &zero, strays);
+            let mut found: Vec<(usize, FaultKind, String)> = Vec::new();
+            for &i in strays {
+                let stated = point(i);
+                let off = stated.value - law.at(&stated.factors);
+                let stray = Stray { set: i, above_dn: above(i), off };
+                if off.exp_m1().abs() < least {
+                    continue;
                 }
-            });
-            if let Some(text) = other {
-                found.push((i, FaultKind::OtherSettings, format!("{name}: {text}")));
-                continue;
-            }
-            let belongs = belongs(&law, &factors, (set.exposure_s, set.illumination, when(i)), stated.value);
-            let text = match factors.vary {
-                _ if !belongs.is_finite() => {
-                    format!("{} DN above black, as no exposure and light make it", six_digits(above(i)))
+                let noise = transfer.as_ref().and_then(|t| t.off(campaign, i, above(i)));
+                // A label of another order says nothing of the place in the range.
+                let is_stated_brightest = !far.contains(&i) && light(i) >= most * (1.0 - 1e-9);
+                let brightest = is_stated_brightest || above(i) >= 0.95 * extreme(&above).1;
+                if brightest && off < 0.0 && noise.is_none_or(|o| o.0.abs() > MAX_NOISE_OFFSET) {
+                    continue;
                 }
-                _ if campaign.light_is_in_photons() => format!(
-                    "stated {} photons, its level belongs to {}",
-                    six_digits(light(i)),
-                    six_digits(light(i) * belongs)
-                ),
-                (true, _) => format!(
-                    "stated exposure {} s, its level belongs to {} s{}",
-                    six_digits(set.exposure_s),
-                    six_digits(set.exposure_s * belongs),
-                    if factors.vary.1 {
-                        format!(
-                            ", or to light {} for {}",
-                            six_digits(set.illumination * belongs),
-                            six_digits(set.illumination)
-                        )
-                    } else {
-                        String::new()
+                let set = &campaign.sets[i];
+                let name = format!("set {} ({})", set.number, campaign.file(i, 0));
+                let or_black_level = match stray.reason(campaign, &zero, transfer.as_ref()) {
+                    Reason::Other(text) => {
+                        found.push((i, FaultKind::OtherSettings, format!("{name}: {text}")));
+                        continue;
                     }
-                ),
-                _ => format!(
-                    "stated light {}, its level belongs to {}",
-                    six_digits(set.illumination),
-                    six_digits(set.illumination * belongs)
-                ),
-            };
-            found.push((i, FaultKind::SettingLabel, format!("{name}: {text}")));
+                    Reason::Label(or) => or.map_or_else(String::new, |level| {
+                        format!(", or it has a {level} (its noise does not tell)")
+                    }),
+                };
+                if off.exp_m1().abs() < MIN_RELATIVE_OFFSET {
+                    let text = format!(
+                        "{name}: {} DN above black, {} {} the {} DN that the line of the other flats makes of its setting: its light or its black level was another",
+                        six_digits(above(i)),
+                        percent(off.exp_m1().abs()),
+                        if off > 0.0 { "above" } else { "below" },
+                        six_digits(stray.expected_dn())
+                    );
+                    found.push((i, FaultKind::UnequalLight, text));
+                    continue;
+                }
+                let setting = (set.exposure_s, set.illumination, when(i));
+                let belongs = belongs(law, &factors, setting, above(i).ln());
+                let text = match factors.vary {
+                    _ if !belongs.is_finite() => {
+                        format!("{} DN above black, as no exposure and light make it", six_digits(above(i)))
+                    }
+                    _ if campaign.light_is_in_photons() => format!(
+                        "stated {} photons, its level belongs to {}",
+                        six_digits(light(i)),
+                        six_digits(light(i) * belongs)
+                    ),
+                    (true, _) => format!(
+                        "stated exposure {} s, its level belongs to {} s{}",
+                        six_digits(set.exposure_s),
+                        six_digits(set.exposure_s * belongs),
+                        if factors.vary.1 {
+                            format!(
+                                ", or to light {} for {}",
+                                six_digits(set.illumination * belongs),
+                                six_digits(set.illumination)
+                            )
+                        } else {
+                            String::new()
+                        }
+                    ),
+                    _ => format!(
+                        "stated light {}, its level belongs to {}",
+                        six_digits(set.illumination),
+                        six_digits(set.illumination * belongs)
+                    ),
+                };
+                found.push((i, FaultKind::SettingLabel, format!("{name}: {text}{or_black_level}")));
+            }
+            found
+        };
+        let strays: Vec<usize> = law.out.iter().map(|k| lit[*k]).chain(far.iter().copied()).collect();
+        let mut found = judged(&law, &strays, MIN_RELATIVE_OFFSET);
+        if found.is_empty() && far.is_empty() {
+            let charge_is_unknown = priors[OFFSET.0] > PRIORS[OFFSET.0];
+            let one = steady_but_one(&points, charge_is_unknown, &|k| light(lit[k]));
+            found = one.map_or(Vec::new(), |(law, k)| judged(&law, &[lit[k]], STEADY.1));
         }
         let mut unequal = Vec::new();
         for sets in campaign.repeats() {
@@ -294,6 +299,33 @@ fn of_another_order(
     (Vec::new(), lit.to_vec())
 }
 
+/// Finds the one point off a straight line that all others lie on, among those that have others on both sides.
+fn steady_but_one(
+    points: &[Point],
+    charge_is_unknown: bool,
+    light: &dyn Fn(usize) -> f64,
+) -> Option<(Law, usize)> {
+    let mut priors = STRAIGHT;
+    if charge_is_unknown {
+        priors[OFFSET.0] = OFFSET.1;
+    }
+    let of = |p: &Point| Point {
+        std: (p.std.powi(2) - LAMP_SCATTER.powi(2) + STEADY.0.powi(2)).sqrt(),
+        ..p.clone()
+    };
+    let points: Vec<Point> = points.iter().map(of).collect();
+    let law = Law::fit(&points, &priors, 1).filter(|_| points.len() > MIN_FLATS)?;
+    for p in &points {
+        let (off, std) = (p.value - law.at(&p.factors), law.std(p));
+        tracing::debug!("ln of the level's ratio to a straight line {off:+.5}, standard deviation {std:.5}");
+    }
+    let &[one] = law.out.as_slice() else { return None };
+    let beside =
+        |is_beyond: &dyn Fn(f64) -> bool| (0..points.len()).any(|k| is_beyond(light(k) / light(one)));
+    let is_inside = beside(&|ratio| ratio > 1.0 + 1e-9) && beside(&|ratio| ratio < 1.0 - 1e-9);
+    is_inside.then_some((law, one))
+}
+
 /// Finds two points with exchanged labels: exchanged back, all points follow one law, and as stated they
 /// do not, nor without single strays. Among many points the law itself takes out both.
 fn exchanged(points: &[Point], priors: &[f64], law: &Law) -> Option<(usize, usize)> {
@@ -304,6 +336,9 @@ fn exchanged(points: &[Point], priors: &[f64], law: &Law) -> Option<(usize, usiz
     let exchange = |i: usize, j: usize| {
         let mut right = points.to_vec();
         (right[i].factors, right[j].factors) = (points[j].factors.clone(), points[i].factors.clone());
+        let apart = points[i].factors[LN_OF_LIGHT] - points[j].factors[LN_OF_LIGHT];
+        right[i].value += apart;
+        right[j].value -= apart;
         Law::fit(&right, priors, 0).map(|law| (law, i, j))
     };
     let pairs = (0..points.len()).flat_map(|i| (0..i).map(move |j| (i, j)));
@@ -323,12 +358,12 @@ fn coarse(set: &SetView) -> f64 {
     if set.facts.step_dn > 1.5 || noise < 0.3 { set.facts.step_dn / 12f64.sqrt() } else { 0.0 }
 }
 
-/// Factor on exposure or light at which the law has a value.
+/// Factor on exposure or light at which the law has this logarithm of the level.
 fn belongs(law: &Law, factors: &Factors, (exposure_s, light, when): (f64, f64, f64), value: f64) -> f64 {
     let at = |u: f64| {
         let (e, l) =
             if factors.vary.0 { (exposure_s * u.exp(), light) } else { (exposure_s, light * u.exp()) };
-        law.at(&factors.of(e, l, when))
+        law.at(&factors.of(e, l, when)) + factors.ln_of(e * l)
     };
     let mut u = value - at(0.0);
     for _ in 0..20 {
@@ -355,7 +390,7 @@ mod tests {
         let mut all: Vec<Point> = (0..n)
             .map(|k| Point {
                 factors: factors.of(1.0, light(k), k as f64 / n as f64 - 0.5),
-                value: (1000.0 * light(k) * (1.0 - bend * light(k))).ln()
+                value: (1000.0 * light(k) * (1.0 - bend * light(k))).ln() - factors.ln_of(light(k))
                     + offset * light(0) / light(k)
                     + scatter * random.normal(),
                 std: LAMP_SCATTER,
@@ -364,7 +399,9 @@ mod tests {
         let a = (random.uniform() * n as f64) as usize;
         let b = (a + 1 + (random.uniform() * (n - 1) as f64) as usize) % n;
         if exchange {
+            let apart = all[a].factors[LN_OF_LIGHT] - all[b].factors[LN_OF_LIGHT];
             (all[a].factors, all[b].factors) = (all[b].factors.clone(), all[a].factors.clone());
+            (all[a].value, all[b].value) = (all[a].value + apart, all[b].value - apart);
         }
         (all, (a.max(b), a.min(b)))
     }

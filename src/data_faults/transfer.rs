@@ -109,12 +109,22 @@ impl Transfer {
 
     /// Logarithm of the ratio of a set's variance to that expected at a level, and its standard error.
     pub fn off(&self, campaign: &Campaign<'_>, set: usize, above_dn: f64) -> Option<(f64, f64)> {
+        let (off, point, _) = self.ratio(campaign, set, above_dn)?;
+        Some((off, self.law.std(&point)))
+    }
+
+    /// The same with its error by the scatter of the other sets about the curve, whatever is usual.
+    pub fn off_by_scatter(&self, campaign: &Campaign<'_>, set: usize, above_dn: f64) -> Option<(f64, f64)> {
+        let (off, point, of_pixels) = self.ratio(campaign, set, above_dn)?;
+        Some((off, self.law.own_std(&point).max(of_pixels)))
+    }
+
+    fn ratio(&self, campaign: &Campaign<'_>, set: usize, above_dn: f64) -> Option<(f64, Point, f64)> {
         let (var, pairs) = campaign.sets[set].variance_dn2()?;
         let expected = self.law.at(&factors(above_dn / self.most)).max(MIN_VARIANCE_DN2);
         let own = factors(above_dn / self.most).iter().map(|f| f / expected).collect();
-        let std =
-            self.law.std(&Point { factors: own, value: 1.0, std: variance_error(campaign, set, pairs) });
-        Some(((var / expected).ln(), std))
+        let point = Point { factors: own, value: 1.0, std: variance_error(campaign, set, pairs) };
+        Some(((var / expected).ln(), point, pixel_error(campaign, set, pairs)))
     }
 }
 
@@ -130,5 +140,9 @@ pub fn above(campaign: &Campaign<'_>, zero: &Zero, set: usize) -> f64 {
 
 /// Relative error of a variance of so many pairs: successive pairs share frames.
 pub fn variance_error(campaign: &Campaign<'_>, set: usize, pairs: f64) -> f64 {
-    (3.0 / (campaign.sets[set].facts.pixels.max(1.0) * pairs)).sqrt().hypot(MODEL_ERROR)
+    pixel_error(campaign, set, pairs).hypot(MODEL_ERROR)
+}
+
+fn pixel_error(campaign: &Campaign<'_>, set: usize, pairs: f64) -> f64 {
+    (3.0 / (campaign.sets[set].facts.pixels.max(1.0) * pairs)).sqrt()
 }

@@ -7,7 +7,7 @@ use radcam_sim::rng::{PixelRng, Stream};
 
 /// One fault of a kind is said, of these sets, with these words; nothing is missing then, and the gain lies
 /// within four standard errors of the camera's.
-fn is_named(campaign: &Campaign, kind: &str, sets: &[u32], words: &str) {
+pub fn is_named(campaign: &Campaign, kind: &str, sets: &[u32], words: &str) {
     let said = campaign.said("diagnose");
     let faults = said["data_faults"].as_array().unwrap();
     assert_eq!(faults.len(), 1, "{kind} {sets:?}: {faults:?}");
@@ -26,7 +26,7 @@ fn is_named(campaign: &Campaign, kind: &str, sets: &[u32], words: &str) {
 }
 
 /// A sweep of exposures by its lights: sets of flats at one light with these shares of the longest exposure.
-fn sweep(shares: &[f64], stated: &[f64], frames: usize, seed: u32) -> Campaign {
+pub fn sweep(shares: &[f64], stated: &[f64], frames: usize, seed: u32) -> Campaign {
     let mut campaign = of_flats("cmos12", shares, frames, seed);
     let flats = campaign.sets("flat", 2);
     let longest: f64 = campaign.rows[campaign.of(flats[0])[0]][4].parse().unwrap();

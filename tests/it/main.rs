@@ -43,6 +43,7 @@ mod models;
 mod monitor;
 mod mosaics;
 #[cfg(feature = "aravis")]
+mod near_slips;
 mod network;
 mod noise;
 #[cfg(feature = "aravis")]

@@ -1,0 +1,137 @@
+//! Frames of one set with two levels: the light or the exposure was changed in the middle, or a strobe missed
+//! some of them. Those of the level of the setting stay.
+
+use super::{Campaign, Check, DataFault, FaultKind};
+use crate::number::{percent, six_digits};
+use crate::statistics::median::median;
+
+/// Least distance of the levels: over the signal, in standard deviations of a frame's mean, and in DN.
+const MIN_DISTANCE: (f64, f64, f64) = (0.01, 20.0, 3.0);
+/// Largest range of the frames of one level over the distance: flicker and settling have no levels.
+const MAX_RANGE: f64 = 0.1;
+/// Ratio of the distances from the level of the setting up to which the nearer level is that of the setting.
+const NEARER: f64 = 0.3;
+/// Share of the sets up to which these are slips: more are what the lamp or the camera does.
+const MAX_SHARE_OF_SETS: f64 = 0.25;
+/// Share of the signal of the setting up to which frames had no light.
+const UNLIT: f64 = 0.01;
+
+/// The check.
+pub struct FramesOfTwoLevels;
+
+/// Frames of one set, parted by their level.
+struct Parted {
+    set: usize,
+    /// Places of the frames and their level, DN: of the lower level and of the higher one.
+    parts: [(Vec<usize>, f64); 2],
+}
+
+impl Check for FramesOfTwoLevels {
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
+        let Some(zero) = campaign.zero() else { return Vec::new() };
+        let scatter = campaign.scatter(&zero);
+        let sets = campaign.places(|s| s.is_lit() && !s.clipped && s.frames() >= 4);
+        let parted = |&set: &usize| {
+            let view = &campaign.sets[set];
+            let signal_dn = view.level_dn() - zero.at(view.exposure_s);
+            let (relative, sigmas, dn) = MIN_DISTANCE;
+            let least_dn = dn.max(relative * signal_dn).max(sigmas * scatter.of_frame_dn(view));
+            parts_of(&view.means_dn(), &view.kept, least_dn).map(|parts| Parted { set, parts })
+        };
+        let found: Vec<Parted> = sets.iter().filter_map(parted).collect();
+        if found.len() as f64 > (MAX_SHARE_OF_SETS * sets.len() as f64).max(1.0) {
+            return Vec::new();
+        }
+        // What one exposure times light brings, by the other flats.
+        let response = median(sets.iter().filter(|s| found.iter().all(|f| f.set != **s)).map(|&s| {
+            let view = &campaign.sets[s];
+            (view.level_dn() - zero.at(view.exposure_s)) / view.light()
+        }));
+        found.into_iter().filter_map(|parted| fault(campaign, zero.at(0.0), response, &parted)).collect()
+    }
+}
+
+fn fault(campaign: &mut Campaign<'_>, zero_dn: f64, response: f64, parted: &Parted) -> Option<DataFault> {
+    let set = parted.set;
+    let expected_dn = zero_dn + response * campaign.sets[set].light();
+    let off = |k: usize| (parted.parts[k].1 - expected_dn).abs();
+    let nearer = usize::from(off(1) < off(0));
+    let ((_, level_dn), (others, other_dn)) = (&parted.parts[nearer], &parted.parts[1 - nearer]);
+    let name = campaign.named(&[set]);
+    if off(nearer) < NEARER * off(1 - nearer) {
+        let number = others.len();
+        let what = if (other_dn - zero_dn) < UNLIT * (expected_dn - zero_dn) {
+            "as without light".to_owned()
+        } else {
+            let factor = (other_dn - zero_dn) / (level_dn - zero_dn);
+            format!(
+                "{} {}",
+                percent((factor - 1.0).abs()),
+                if factor > 1.0 { "more light" } else { "less light" }
+            )
+        };
+        let text = format!(
+            "{name}: {number} of its frames, the first of them {}, have {} DN, {what}; the others have the {} DN of its setting",
+            campaign.file(set, others[0]),
+            six_digits(*other_dn),
+            six_digits(*level_dn),
+        );
+        let frames: Vec<(usize, usize)> = others.iter().map(|place| (set, *place)).collect();
+        return Some(campaign.fault_of_frames(FaultKind::OddFrame, &frames, text));
+    }
+    expected_dn.is_finite().then(|| {
+        let [(_, low), (_, high)] = &parted.parts;
+        let text = format!(
+            "{name}: some of its frames have {} DN and some {} DN, and neither is the {} DN of its setting",
+            six_digits(*low),
+            six_digits(*high),
+            six_digits(expected_dn)
+        );
+        campaign.fault_of_sets(FaultKind::OddFrame, &[set], text, true)
+    })
+}
+
+/// Parts frames where their means lie furthest apart; `None` where they have one level, or one of them alone
+/// stands out.
+fn parts_of(means_dn: &[f64], kept: &[bool], least_dn: f64) -> Option<[(Vec<usize>, f64); 2]> {
+    let places = kept.iter().enumerate().filter(|(_, kept)| **kept).map(|(place, _)| place);
+    let mut all: Vec<(f64, usize)> = means_dn.iter().copied().zip(places).collect();
+    all.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let gap = |k: &usize| all[*k].0 - all[*k - 1].0;
+    let at = (1..all.len()).max_by(|a, b| gap(a).total_cmp(&gap(b)))?;
+    let range = |part: &[(f64, usize)]| part[part.len() - 1].0 - part[0].0;
+    let distance = gap(&at);
+    let (low, high) = all.split_at(at);
+    let apart = distance > least_dn && range(low).max(range(high)) < MAX_RANGE * distance;
+    let part = |part: &[(f64, usize)]| {
+        let mut places: Vec<usize> = part.iter().map(|(_, place)| *place).collect();
+        places.sort_unstable();
+        (places, median(part.iter().map(|(mean, _)| *mean)))
+    };
+    (apart && low.len() > 1 && high.len() > 1).then(|| [part(low), part(high)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    /// Two levels are parted, in blocks or in turns; one frame off, steps that grow, and noise are not.
+    #[test]
+    fn two_levels_are_parted() {
+        let parts = |means: &[f64]| parts_of(means, &vec![true; means.len()], 10.0).map(|p| p.map(|p| p.0));
+        assert_eq!(parts(&[100.0, 300.0, 101.0, 301.0]), Some([vec![0, 2], vec![1, 3]]));
+        assert_eq!(parts(&[300.0, 301.0, 300.5, 299.0, 200.0, 201.0]), Some([vec![4, 5], vec![0, 1, 2, 3]]));
+        assert_eq!(parts(&[300.0, 301.0, 300.5, 200.0]), None);
+        assert_eq!(parts(&[100.0, 120.0, 140.0, 160.0, 180.0]), None);
+        assert_eq!(
+            parts_of(&[1.0, 2.0, 30.0, 31.0], &[true, false, true, true, true], 10.0).unwrap()[1].0,
+            [3, 4]
+        );
+        for seed in 0..2000 {
+            let mean = |k: usize| 50.0 * PixelRng::new(3, Stream::Frame, k as u64, seed, 0).normal();
+            let means: Vec<f64> = (0..8).map(mean).collect();
+            assert_eq!(parts(&means), None, "{means:?}");
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! Slips of one set that are small, or that half of its frames have.
+
+use crate::data_faults::BLACK_DN;
+use crate::far_slips::{is_named, sweep};
+use crate::import_cases::{Bench, Camera};
+use crate::support::radcam;
+
+const SHARES: [f64; 8] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.75, 0.9];
+
+/// A black level off by a few codes, where all other flats lie on a line: 60 of 700 codes are told by the noise,
+/// 20 of 1600 are a label or a black level, 8 of 1600 are less than a label is off.
+#[test]
+fn a_level_off_by_little_is_named() {
+    for (place, dn, kind, words) in [
+        (1, 60, "other-settings", "black level 59.9"),
+        (4, 20, "setting-label", "or it has a black level"),
+        (4, 8, "unequal-light", "its light or its black level was another"),
+    ] {
+        let campaign = sweep(&SHARES, &SHARES, 5, 231);
+        let set = campaign.sets("flat", 2)[place];
+        for row in campaign.of(set) {
+            campaign.put(row, &campaign.frame(row).mapv(|v| v + dn));
+        }
+        is_named(&campaign, kind, &[set], words);
+    }
+}
+
+/// Codes of ten bits among those of twelve.
+#[test]
+fn fewer_bits_of_one_set_are_named() {
+    let campaign = sweep(&SHARES, &SHARES, 4, 232);
+    let set = campaign.sets("flat", 2)[5];
+    for row in campaign.of(set) {
+        campaign.put(row, &campaign.frame(row).mapv(|v| v / 4));
+    }
+    is_named(&campaign, "other-settings", &[set], "2 bits less than the other sets");
+}
+
+/// The gain falls so that the brightest two have the level of the third.
+#[test]
+fn an_automatic_gain_in_the_last_sets_is_named() {
+    let campaign = sweep(&SHARES, &SHARES, 4, 233);
+    let flats = campaign.sets("flat", 2)[6..].to_vec();
+    for (set, share) in flats.iter().zip(&SHARES[6..]) {
+        for row in campaign.of(*set) {
+            campaign.scale(row, 0.66 / share, BLACK_DN);
+        }
+    }
+    is_named(&campaign, "other-settings", &flats, "an automatic gain was on");
+}
+
+/// Half of the frames have other light: those of the setting stay. Where neither half has that of the setting
+/// the set is left out, and a level of each second frame in many sets is what the lamp does.
+#[test]
+fn frames_of_two_levels_are_parted() {
+    let other = |factors: [f64; 2], sets: &[usize], seed: u32| {
+        let campaign = sweep(&SHARES, &SHARES, 6, seed);
+        let flats = campaign.sets("flat", 2);
+        let changed: Vec<u32> = sets.iter().map(|k| flats[*k]).collect();
+        for (k, row) in changed.iter().flat_map(|set| campaign.of(*set)).enumerate() {
+            campaign.scale(row, factors[k % 2], BLACK_DN);
+        }
+        (campaign, changed)
+    };
+    let (campaign, set) = other([1.0, 0.7], &[4], 234);
+    is_named(&campaign, "odd-frame", &set, "30 % less light; the others have the");
+    let frames = campaign.said("noise")["data_faults"][0]["frames"].as_array().unwrap().len();
+    assert_eq!(frames, 3);
+    let (campaign, set) = other([1.15, 0.85], &[4], 235);
+    is_named(&campaign, "odd-frame", &set, "neither is the");
+    let (campaign, _) = other([1.0, 0.97], &[1, 2, 3, 4, 5], 236);
+    let said = campaign.said("noise");
+    assert!(!said["data_faults"].to_string().contains("of its frames"), "{said}");
+}
+
+/// An export with automatic contrast writes each set in steps of its own: no verb computes with them.
+#[test]
+fn contrast_stretched_for_each_set_is_refused() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(91);
+    let sets = [("dark_5ms", 0.0, 0.005), ("dark_50ms", 0.0, 0.05)].into_iter();
+    let flats = [("flat_5ms", 500.0, 0.005), ("flat_15ms", 1500.0, 0.015), ("flat_50ms", 5000.0, 0.05)];
+    for (name, light_e, exposure_s) in sets.chain(flats) {
+        let frames: Vec<_> = (0..4).map(|_| camera.frame(light_e, exposure_s)).collect();
+        let all = || frames.iter().flatten().copied();
+        let (low, high) = (f64::from(all().min().unwrap()), f64::from(all().max().unwrap()));
+        for (i, frame) in frames.iter().enumerate() {
+            let stretched = frame.mapv(|v| ((f64::from(v) - low) / (high - low) * 65535.0).round() as u16);
+            bench.tiff(&format!("auto/{name}_{i}.tif"), &stretched);
+        }
+    }
+    let dataset = bench.import("auto", &["--pattern", "mono"]).0;
+    let path = dataset.root().to_str().unwrap().to_owned();
+    for verb in ["noise", "diagnose", "emva"] {
+        let output = radcam(&[verb, &path]);
+        let said = String::from_utf8_lossy(&output.stderr).replace('\n', " ");
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains("each was stretched by itself"), "{said}");
+    }
+}
