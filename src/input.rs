@@ -64,6 +64,26 @@ pub fn table(path: &Path) -> Result<String> {
     text(path, MAX_TABLE_BYTES)
 }
 
+/// Reads a text that any program wrote, up to [`MAX_SETTINGS_BYTES`]: UTF-8, UTF-16 with its mark, or else Latin 1.
+///
+/// # Errors
+///
+/// As [`bytes`], and where the file is larger.
+pub fn plain_text(path: &Path) -> Result<String> {
+    let wide = |bytes: &[u8], unit: fn([u8; 2]) -> u16| {
+        let units: Vec<u16> = bytes.chunks_exact(2).map(|pair| unit([pair[0], pair[1]])).collect();
+        String::from_utf16_lossy(&units)
+    };
+    Ok(match String::from_utf8(whole(path, MAX_SETTINGS_BYTES)?) {
+        Ok(text) => text,
+        Err(error) => match error.into_bytes().as_slice() {
+            [0xff, 0xfe, rest @ ..] => wide(rest, u16::from_le_bytes),
+            [0xfe, 0xff, rest @ ..] => wide(rest, u16::from_be_bytes),
+            bytes => bytes.iter().map(|byte| char::from(*byte)).collect(),
+        },
+    })
+}
+
 /// The first bytes of a regular file, as many as there are up to `most`.
 ///
 /// # Errors

@@ -36,6 +36,7 @@ pub fn kind(word: &str) -> Option<Kind> {
         "skyflat",
         "domeflat",
         "twiflat",
+        "hell",
         "hellbild",
         "hellbilder",
     ]) {

@@ -20,6 +20,7 @@ mod scale;
 mod sections;
 mod settings;
 mod sidecar;
+mod slice_labels;
 mod source;
 mod stacks;
 mod stamps;
@@ -154,6 +155,9 @@ pub fn survey(
             Err(ImportError::File { message, .. }) => out.damaged.push((path.clone(), message)),
             Err(other) => return Err(other),
         }
+    }
+    if out.frames.iter().any(|f| f.facts.exposure_s.is_none()) {
+        out.notes.extend(tables.unused());
     }
     out.notes.extend(twins::count_once(&mut out.frames)?);
     out.notes.extend(without_objects(&mut out.frames));

@@ -123,11 +123,17 @@ impl Number<'_> {
     }
 }
 
-/// The unit of time behind a separator: `5_secs`, `10 ms`.
-fn unit_behind(rest: &str) -> &str {
+/// The unit of time behind a number and a separator: `5_secs`, `10 ms`, `0.05 s`.
+fn unit_behind<'a>(number: &str, rest: &'a str) -> &'a str {
     let Some(word) = rest.strip_prefix(['_', ' ', '-']) else { return "" };
-    let word = &word[..word.find(|c: char| !c.is_alphabetic()).unwrap_or(word.len())];
-    // One letter may begin anything.
+    let (word, behind) = word.split_at(word.find(|c: char| !c.is_alphabetic()).unwrap_or(word.len()));
+    // One letter may begin anything; behind a decimal point, with a separator behind it, it is the second.
+    if word == "s"
+        && number.contains(['.', ','])
+        && !behind.starts_with(|c: char| c.is_alphanumeric() || c == '=')
+    {
+        return word;
+    }
     if word.len() > 1 && !word.eq_ignore_ascii_case("min") && seconds(word).is_some() { word } else { "" }
 }
 
@@ -178,7 +184,7 @@ pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
         // A unit ends a word: the s of `2s0` is none.
         let ends = !letters[unit.len()..].starts_with(|c: char| c.is_ascii_digit());
         let unit = match unit {
-            "" => unit_behind(rest),
+            "" => unit_behind(text, rest),
             _ if ends => unit,
             _ => "",
         };
@@ -628,6 +634,10 @@ mod tests {
             ("10ms", "x1f06db.tif", Some(0.01), Some(6.0), None),
             ("10ms", "aa1f06db.tif", Some(0.01), None, None),
             ("", "dark_.5s_1.tif", Some(0.5), None, Some(Kind::Dark)),
+            ("", "dark 0,005 s nr 3.tif", Some(0.005), None, Some(Kind::Dark)),
+            ("", "flat_0.25_s_1.tif", Some(0.25), None, Some(Kind::Flat)),
+            ("", "flat_1.5_s2.tif", None, None, Some(Kind::Flat)),
+            ("", "flat 10 s01.tif", None, None, Some(Kind::Flat)),
             ("", "dark.0001.10ms.tif", Some(0.01), None, Some(Kind::Dark)),
             ("", "0001.10ms.tif", None, None, None),
             ("", "dark_0010.50ms_1.tif", Some(0.0105), None, Some(Kind::Dark)),

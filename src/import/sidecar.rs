@@ -46,12 +46,12 @@ pub(super) fn prefixes(stem: &str) -> impl Iterator<Item = &str> {
     [stem.len()].into_iter().chain(cuts).take(MAX_PREFIXES).map(|at| &stem[..at])
 }
 
-/// Facts of a sidecar file; none if it is too large or not UTF-8.
+/// Facts of a sidecar file; none if it is too large.
 fn read(path: &Path) -> Facts {
     if path.metadata().map_or(true, |m| m.len() > MAX_BYTES) {
         return Facts::default();
     }
-    let Ok(text) = crate::input::settings(path) else { return Facts::default() };
+    let Ok(text) = crate::input::plain_text(path) else { return Facts::default() };
     let mut facts = of_description(text.trim_start_matches('\u{feff}'));
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     facts.from.values_mut().for_each(|from| *from = format!("{name}: {from}"));

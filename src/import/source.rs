@@ -1,6 +1,6 @@
 //! Frames of one file, whatever holds them.
 
-use super::{Facts, headers, npy, ome, stacks};
+use super::{Facts, headers, npy, ome, slice_labels, stacks};
 use crate::dataset::image::{self, Images, NUMPY, Values};
 use ndarray::Axis;
 use std::collections::BTreeMap;
@@ -65,6 +65,9 @@ impl Source {
         let mut told = ome::planes(path, &pages);
         if told.is_empty() && !image::begins_as_fits(&start) {
             told = headers::of_pages(path, &pages);
+        }
+        if told.is_empty() && !image::begins_as_fits(&start) {
+            told = slice_labels::facts(path, &pages);
         }
         let out = Self { told, ..of(Kind::Images(images), pages) };
         out.refuse_colours()?;

@@ -181,7 +181,15 @@ fn lettered(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
     let rest = &text[last.end..];
     let letters = rest.find(|c: char| !c.is_alphabetic()).unwrap_or(rest.len());
     let ends = matches!(&*rest[..letters].to_lowercase(), "s" | "sec" | "m" | "min" | "h");
-    (count > 1 && ends).then_some((count, last.end + letters))
+    let end = last.end + letters;
+    // Thousandths of the second: `14h00m09s747ms`.
+    if let Some(parts) = runs.get(count).filter(|r| starts(&word, &["h", "hr"]) && r.start == end)
+        && ends
+        && text[parts.end..].to_lowercase().starts_with("ms")
+    {
+        return Some((count + 1, parts.end + 2));
+    }
+    (count > 1 && ends).then_some((count, end))
 }
 
 /// Three pairs of digits that may be a time of day: `Capture 21_00_03`. Counters look like that as well.
@@ -364,6 +372,7 @@ mod tests {
                 "10ms_0f8fad5b-d9cb-469f-a165-70867728950e.tif",
             ),
             ("dark_21h00m03s_10ms.tif", "dark_21h00m09s_10ms.tif"),
+            ("flat_5ms_14h00m09s747ms.tif", "flat_5ms_14h00m10s830ms.tif"),
             ("20240501210003123.tif", "20240501210004001.tif"),
             ("20240501T210003.123456_flat_10ms.tif", "20240501T210004.000001_flat_10ms.tif"),
             ("img_1714597203123_10ms.tif", "img_1714597203456_10ms.tif"),

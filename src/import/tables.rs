@@ -3,6 +3,7 @@
 use super::Facts;
 use super::words::{self, Said, Writer};
 use crate::dataset::delimiter;
+use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
@@ -34,13 +35,21 @@ const NAMES: [&str; 18] = [
     "archivo",
 ];
 
+/// Columns that name the first frame of a row and the last one.
+const FIRST: [&str; 7] = ["first", "firstfile", "from", "start", "von", "erste", "erstes"];
+const LAST: [&str; 7] = ["last", "lastfile", "to", "end", "bis", "letzte", "letztes"];
+/// Largest number of frames of a row.
+const MAX_FRAMES_OF_A_ROW: u64 = 10_000;
+
 /// Tables by the folder in which they lie.
 pub struct FrameTables(BTreeMap<PathBuf, Vec<FrameTable>>);
 
 /// Rows of a table by the name that each begins with.
 struct FrameTable {
-    name: String,
+    path: PathBuf,
     rows: HashMap<String, Vec<Said>>,
+    /// True once a row named a frame.
+    is_used: Cell<bool>,
 }
 
 impl FrameTables {
@@ -63,12 +72,29 @@ impl FrameTables {
             [name].into_iter().chain(prefixes).chain([text(folder.file_name())]).collect();
         let tables = [Some(folder), folder.parent()].into_iter().flatten();
         let tables = tables.filter_map(|folder| self.0.get(folder)).flatten();
-        let row =
-            |t: &FrameTable| Some((t.name.clone(), keys.iter().find_map(|key| t.rows.get(key))?.clone()));
+        let row = |t: &FrameTable| {
+            let said = keys.iter().find_map(|key| t.rows.get(key))?.clone();
+            t.is_used.set(true);
+            Some((text(t.path.file_name()), said))
+        };
         let Some((table, said)) = tables.into_iter().find_map(row) else { return Facts::default() };
         let mut facts = words::facts(said, Writer::Lines);
         facts.from.values_mut().for_each(|from| *from = format!("{table}: {from}"));
         facts
+    }
+
+    /// Tables of which no row named a frame, in words.
+    pub fn unused(&self) -> Vec<String> {
+        let unused = self.0.values().flatten().filter(|t| !t.is_used.get());
+        let words = |t: &FrameTable| {
+            let names: Vec<String> = t.rows.keys().min().into_iter().cloned().collect();
+            let such = names.first().map_or(String::new(), |name| format!(" (it has \"{name}\")"));
+            format!(
+                "{}: no row names a frame or a folder{such}; a table whose first row names its columns (file,exposure_ms,kind) is read",
+                t.path.display()
+            )
+        };
+        unused.map(words).collect()
     }
 }
 
@@ -89,8 +115,8 @@ fn tables_in(folder: &Path) -> Vec<FrameTable> {
 
 /// Reads a table with a header; `None` of a file that is none.
 fn table(path: &Path) -> Option<FrameTable> {
-    let rows = rows_of(&crate::input::settings(path).ok()?)?;
-    Some(FrameTable { name: path.file_name()?.to_string_lossy().into_owned(), rows })
+    let rows = rows_of(&crate::input::plain_text(path).ok()?)?;
+    Some(FrameTable { path: path.to_path_buf(), rows, is_used: Cell::new(false) })
 }
 
 /// Parses rows by the name that each begins with. Rows of one name that differ are asked later, as headers are.
@@ -104,20 +130,54 @@ fn rows_of(text: &str) -> Option<HashMap<String, Vec<Said>>> {
         .from_reader(text.as_bytes());
     let header = reader.headers().ok()?.clone();
     let plain: Vec<String> = header.iter().map(words::plain).collect();
-    let key = NAMES.iter().find_map(|name| plain.iter().position(|p| p == name)).unwrap_or(0);
+    let column = |names: &[&str]| names.iter().find_map(|name| plain.iter().position(|p| p == name));
+    let range = column(&FIRST).zip(column(&LAST));
+    let key = column(&NAMES).or(range.map(|r| r.0)).unwrap_or(0);
     let mut rows: HashMap<String, Vec<Said>> = HashMap::new();
     for record in reader.records().filter_map(Result::ok) {
-        let Some(name) = record.get(key).and_then(|cell| cell.rsplit(['/', '\\']).next()) else { continue };
-        let said = header.iter().zip(record.iter()).enumerate().filter(|(k, _)| *k != key);
-        rows.entry(name.into()).or_default().extend(said.map(|(_, (column, cell))| Said::new(column, cell)));
+        let cell = |k: usize| record.get(k).and_then(|cell| cell.rsplit(['/', '\\']).next());
+        let Some(name) = cell(key) else { continue };
+        let is_name = |k: usize| k == key || range.is_some_and(|r| k == r.0 || k == r.1);
+        let said = header.iter().zip(record.iter()).enumerate().filter(|(k, _)| !is_name(*k));
+        let said: Vec<Said> = said.map(|(_, (column, cell))| Said::new(column, cell)).collect();
+        let all = range.and_then(|r| between(cell(r.0)?, cell(r.1)?)).unwrap_or_else(|| vec![name.into()]);
+        for name in all {
+            rows.entry(name).or_default().extend(said.iter().cloned());
+        }
     }
     Some(rows)
+}
+
+/// Names from the first to the last, which differ in the number at their end: `img_0001`, `img_0004`.
+fn between(first: &str, last: &str) -> Option<Vec<String>> {
+    let parts = |name: &str| {
+        let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_string();
+        let digits = stem.len() - stem.trim_end_matches(|c: char| c.is_ascii_digit()).len();
+        let number: u64 = stem[stem.len() - digits..].parse().ok()?;
+        Some((stem[..stem.len() - digits].to_string(), number, digits))
+    };
+    let ((prefix, from, digits), (other, to, _)) = parts(first).zip(parts(last))?;
+    let few = prefix == other && from <= to && to - from < MAX_FRAMES_OF_A_ROW;
+    few.then(|| (from..=to).map(|n| format!("{prefix}{n:0digits$}")).collect())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    #[test]
+    fn rows_of_several_frames_name_each() {
+        let rows = rows_of("first,last,exposure_ms\nimg_0009.tif,img_0011.tif,5\na,b,7\n").unwrap();
+        for name in ["img_0009", "img_0010", "img_0011"] {
+            assert_eq!(rows[name], [Said::new("exposure_ms", "5")]);
+        }
+        assert_eq!((rows.len(), &rows["a"][0]), (4, &Said::new("exposure_ms", "7")));
+        assert_eq!(
+            (between("img_5", "img_4"), between("a1", "b2"), between("a1", "a99999")),
+            (None, None, None)
+        );
+    }
 
     proptest! {
         #[test]

@@ -187,6 +187,9 @@ const KINDS: &[&str] = &[
     "obstype",
     "picttype",
     "kind",
+    "art",
+    "bildart",
+    "bildtyp",
 ];
 
 pub(super) fn plain(key: &str) -> String {
@@ -210,7 +213,7 @@ pub fn facts(mut said: Vec<Said>, writer: Writer) -> Facts {
         let from = key.as_str();
         let mut note = |key: &str| out.from.insert(key.into(), from.into());
         match word.as_str() {
-            "gaindb" => {
+            "gaindb" | "verstärkungdb" => {
                 out.gain_db = number.or(out.gain_db);
                 note("gain_db");
             }

@@ -106,6 +106,15 @@ def claims(path):
         file.create_dataset("data", (1 << 13, 1 << 13, 1 << 14), "u2", chunks=(1, 64, 64))
 
 
-for make in [nxtomo, exchange, plain, two, single, broken_off, elsewhere, claims]:
+def levels(path):
+    """Frames in two axes, levels by repeats, with one exposure for each level."""
+    with h5py.File(path, "w", libver="latest") as file:
+        for name, light in [("dark", 0), ("flat", 1400)]:
+            data = frames(6, 12, 16, light).reshape(2, 3, 12, 16)
+            stack = file.create_dataset(name, data=data, chunks=(1, 3, 12, 16), compression="gzip")
+            stack.attrs["exposure_ms"] = [5, 20]
+
+
+for make in [nxtomo, exchange, plain, two, single, broken_off, elsewhere, claims, levels]:
     end = "nxs" if make is nxtomo else "h5"
     make(os.path.join(HERE, f"{make.__name__}.{end}"))

@@ -90,6 +90,14 @@ fn a_plain_stack_is_described_by_its_attributes() {
     assert!((mean - 740.0).abs() < 10.0, "{mean}");
 }
 
+/// Levels by repeats: an attribute has one exposure for each level.
+#[test]
+fn exposures_of_an_outer_axis_are_read() {
+    let (map, dataset) = Folder::new().import("levels.h5", &[]);
+    let (dark, flat) = (Kind::Dark, Kind::Flat);
+    assert_eq!(sets(&dataset), [(dark, 5.0, 3), (dark, 20.0, 3), (flat, 5.0, 3), (flat, 20.0, 3)], "{map}");
+}
+
 /// A file of one frame is read wherever single images are; a stack is refused there.
 #[test]
 fn a_single_frame_is_an_image() {

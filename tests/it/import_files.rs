@@ -92,6 +92,72 @@ fn tables_beside_the_frames_are_read() {
     assert!(bench.refused("sets").contains("exposure_s of set 0"));
 }
 
+/// A table that German Excel saved in Windows' letters, one whose rows name the first and the last frame, and one
+/// that names other frames, which is said.
+#[test]
+fn tables_of_spreadsheets_are_read() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(57);
+    let right = [(Kind::Dark, 0.005, 2), (Kind::Flat, 0.0125, 2), (Kind::Flat, 0.02, 2)];
+    let all = [("Dunkel", 5.0, 0.0), ("Hell", 12.5, 1250.0), ("Hell", 20.0, 2000.0)];
+    let mut german = "Datei;Art;Belichtungszeit [ms];Verst\u{e4}rkung [dB]\r\n".to_string();
+    let mut ranges = "first,last,exposure_ms,type\n".to_string();
+    for (set, (kind, ms, light)) in all.into_iter().enumerate() {
+        for k in 1..=2 {
+            let (name, frame) = (format!("img_{:04}", 2 * set + k), camera.frame(light, ms / 1e3));
+            ["german", "ranges", "other"].iter().for_each(|f| bench.tiff(&format!("{f}/{name}.tif"), &frame));
+            german += &format!("{name}.tif;{kind};{};0,0\r\n", ms.to_string().replace('.', ","));
+        }
+        let english = if light > 0.0 { "flat" } else { "dark" };
+        ranges += &format!("img_{:04}.tif,img_{:04}.tif,{ms},{english}\n", 2 * set + 1, 2 * set + 2);
+    }
+    let windows: Vec<u8> = german.chars().map(|c| u8::try_from(u32::from(c)).unwrap()).collect();
+    fs::write(bench.path("german/Protokoll.csv"), windows).unwrap();
+    fs::write(bench.path("ranges/log.csv"), ranges).unwrap();
+    for folder in ["german", "ranges"] {
+        assert_eq!(sets(&bench.import(folder, &[]).0), right, "{folder}");
+    }
+    fs::write(bench.path("other/log.csv"), "file,exposure_ms\nscan_1.tif,5\n").unwrap();
+    let said = bench.refused("other");
+    assert!(said.contains("no row names a frame or a folder (it has \"scan_1.tif\")"), "{said}");
+}
+
+/// ImageJ's stack of named files keeps their names.
+#[test]
+fn labels_of_slices_are_read() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(58);
+    let all = [("dark_5ms", 0.0, 0.005), ("flat_5ms", 500.0, 0.005), ("flat_10ms", 1000.0, 0.01)];
+    let (mut pages, mut labels) = (Vec::new(), Vec::new());
+    for (name, light_e, exposure_s) in all {
+        for k in 0..2 {
+            pages.push(camera.frame(light_e, exposure_s));
+            labels.push(format!("{name}_{k}.tif\nBITPIX = 16"));
+        }
+    }
+    let units: Vec<Vec<u8>> =
+        labels.iter().map(|l| l.encode_utf16().flat_map(u16::to_le_bytes).collect()).collect();
+    let header = [b"JIJIlbal".to_vec(), (labels.len() as u32).to_le_bytes().to_vec()].concat();
+    let sizes: Vec<u32> =
+        std::iter::once(header.len()).chain(units.iter().map(Vec::len)).map(|n| n as u32).collect();
+    let kept = [header, units.concat()].concat();
+    let mut file = std::io::Cursor::new(Vec::new());
+    let mut encoder = TiffEncoder::new(&mut file).unwrap();
+    for (k, page) in pages.iter().enumerate() {
+        let mut image = encoder.new_image::<Gray16>(page.ncols() as u32, page.nrows() as u32).unwrap();
+        if k == 0 {
+            image.encoder().write_tag(Tag::Unknown(50_838), &sizes[..]).unwrap();
+            image.encoder().write_tag(Tag::Unknown(50_839), &kept[..]).unwrap();
+        }
+        image.write_data(page.as_slice().unwrap()).unwrap();
+    }
+    fs::write(bench.path("in/Stack.tif"), file.into_inner()).unwrap();
+    let (dataset, said) = bench.import("in", &["--explain"]);
+    let right = [(Kind::Dark, 0.005, 2), (Kind::Flat, 0.005, 2), (Kind::Flat, 0.01, 2)];
+    assert_eq!(sets(&dataset), right);
+    assert!(said.contains("the label of the slice"), "{said}");
+}
+
 /// Flats that were each divided by their mean tell no gain, and means of frames tell another: asked.
 #[test]
 fn flats_divided_by_their_means_are_asked() {

@@ -320,6 +320,22 @@ fn attribute_text(attribute: &Attribute) -> Option<String> {
     number.or_else(|| attribute.read_string().ok()).map(|t| t.trim_matches('\0').trim().to_string())
 }
 
+/// True of a name whose values count frame by frame: exposures and temperatures.
+fn is_of_frames(name: &str) -> bool {
+    let lower = name.to_lowercase();
+    ["time", "expos", "temp"].iter().any(|part| lower.contains(part))
+}
+
+/// Numbers of an attribute.
+#[allow(clippy::unnecessary_cast)] // one of the types is f64
+fn attribute_numbers(attribute: &Attribute) -> Option<Vec<f64>> {
+    of_type!(
+        &attribute.datatype,
+        T => attribute.read_1d::<T>().ok().map(|values| values.into_iter().map(|v| v as f64).collect()),
+        else None
+    )
+}
+
 /// Text of an attribute of this name.
 fn text_of(attributes: &[Attribute], name: &str) -> String {
     attributes.iter().find(|a| a.name == name).and_then(attribute_text).unwrap_or_default()
@@ -519,12 +535,14 @@ impl Tree {
             )));
         }
         let mut stack = Stack { paths, first, frames, ..Stack::default() };
-        self.describe(&dataset, &mut stack)?;
+        let outer = leading.first().filter(|_| leading.len() > 1).map_or(frames, |n| *n as usize);
+        self.describe(&dataset, outer, &mut stack)?;
         Ok(Part { dataset, axis, bytes_each: each, stack })
     }
 
-    /// Image keys, and the values of the dataset, of the groups above it, and of detectors.
-    fn describe(&self, dataset: &Dataset, stack: &mut Stack) -> Result<(), ImageError> {
+    /// Image keys, and the values of the dataset, of the groups above it, and of detectors: one for all frames, one
+    /// for each, or one for each place on the outer axis.
+    fn describe(&self, dataset: &Dataset, outer: usize, stack: &mut Stack) -> Result<(), ImageError> {
         let paths = stack.paths.clone();
         let above = |node: &Node| paths.iter().any(|p| p.starts_with(&format!("{}/", node.path)));
         let beside = |node: &Node| paths.iter().any(|p| parent(p) == node.path);
@@ -559,17 +577,20 @@ impl Tree {
                     let text = || value.read_string().ok();
                     let Some(text) = number.map(|n| n.to_string()).or_else(text) else { continue };
                     stack.said.push((name.clone(), format!("{} {}", text.trim(), unit_of(&value))));
-                } else if count == stack.frames as u64 {
-                    // Exposures and temperatures are the values of frames that count.
-                    let lower = name.to_lowercase();
-                    if !["time", "expos", "temp"].iter().any(|part| lower.contains(part)) {
-                        continue;
-                    }
-                    let Some(values) = numbers(&value) else { continue };
+                } else if is_of_frames(name)
+                    && let Some(each) = stack.each(numbers(&value).unwrap_or_default(), outer)
+                {
                     let unit = unit_of(&value);
-                    let texts = values.into_iter().map(|v| format!("{v} {unit}")).collect();
+                    let texts = each.into_iter().map(|v| format!("{v} {unit}")).collect();
                     stack.of_frames.push((name.clone(), texts));
                 }
+            }
+        }
+        for attribute in attributes.iter().filter(|a| is_of_frames(&a.name)) {
+            let values = attribute_numbers(attribute).unwrap_or_default();
+            if let Some(each) = stack.each(values, outer).filter(|each| each.len() > 1) {
+                let texts = each.iter().map(f64::to_string).collect();
+                stack.of_frames.push((attribute.name.clone(), texts));
             }
         }
         let said = attributes.iter().filter_map(|a| Some((a.name.clone(), attribute_text(a)?)));

@@ -100,6 +100,16 @@ pub(crate) struct Stack {
 }
 
 impl Stack {
+    /// Values of each frame, from one for each or one for each of the places on an outer axis; `None` of other
+    /// numbers of values.
+    #[cfg(feature = "hdf5")]
+    fn each(&self, values: Vec<f64>, outer: usize) -> Option<Vec<f64>> {
+        let n = values.len();
+        let repeated = self.frames / n.max(1);
+        let fits = n > 0 && (n == self.frames || n == outer && n * repeated == self.frames);
+        fits.then(|| values.into_iter().flat_map(|v| std::iter::repeat_n(v, repeated)).collect())
+    }
+
     /// First name of the dataset.
     pub(crate) fn path(&self) -> &str {
         self.paths.first().map_or("", String::as_str)
