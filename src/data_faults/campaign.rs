@@ -54,6 +54,9 @@ pub struct SetView {
     part: usize,
     /// Part of the level before that the first frame carries, by the share that is usual in the campaign, DN.
     carried_dn: f64,
+    /// What the other frames may carry then, DN: the share of the share, as a filter over time leaves; of the
+    /// first set, which follows nobody knows what, what its first frame differs by.
+    pub carried_error_dn: f64,
 }
 
 impl SetView {
@@ -254,6 +257,7 @@ impl<'a> Campaign<'a> {
                 clipped: facts.clipped - always > MAX_CLIPPED_SHARE,
                 part: dataset.part_of(set.rows[0]).0,
                 carried_dn: 0.0,
+                carried_error_dn: 0.0,
                 facts,
             }
         };
@@ -265,7 +269,11 @@ impl<'a> Campaign<'a> {
         for k in 1..all.sets.len() {
             if let Some((change, _)) = all.change_at(k) {
                 all.sets[k].carried_dn = all.carried_share * change;
+                all.sets[k].carried_error_dn = all.carried_share.powi(2) * change.abs();
             }
+        }
+        if let Some(first) = all.sets.first_mut().filter(|s| all.carried_share > 0.0 && s.frames() > 1) {
+            first.carried_error_dn = (first.facts.means_dn[0] - first.behind_first_dn()).abs();
         }
         all
     }
@@ -624,6 +632,7 @@ mod tests {
             clipped: false,
             part: 0,
             carried_dn: 0.0,
+            carried_error_dn: 0.0,
         };
         [view(1.0), view(0.0)]
     }

@@ -155,6 +155,7 @@ checks! {
     dark_labels::DarkLabels
     dark_settings::DarkSettings
     darks_of_flats::DarksOfFlats
+    averaged_flats::AveragedFlats
     automatic::Automatic
     exposure_limit::ExposureLimit
     setting_label::SettingLabel

@@ -134,6 +134,7 @@ impl Check for SettingLabel {
         let point = |i: usize| {
             let set = &campaign.sets[i];
             let scatter = usual_scatter.of_frame_dn(set) / (set.frames() as f64).sqrt();
+            let scatter = scatter.hypot(set.carried_error_dn);
             Point {
                 factors: factors.of(set.exposure_s, set.illumination, when(i)),
                 value: above(i).ln() - factors.ln_of(set.exposure_s * set.illumination),
@@ -179,9 +180,14 @@ impl Check for SettingLabel {
                     continue;
                 }
                 let noise = transfer.as_ref().and_then(|t| t.off(campaign, i, above(i)));
-                // A label of another order says nothing of the place in the range.
-                let is_stated_brightest = !far.contains(&i) && light(i) >= most * (1.0 - 1e-9);
-                let brightest = is_stated_brightest || above(i) >= 0.95 * extreme(&above).1;
+                // A label of another order says nothing of the place in the range. Where all brighter flats are off
+                // as well, the camera may be full from here on.
+                let is_first_of_bent = || {
+                    let mut brighter = lit.iter().filter(|k| light(**k) > light(i) * (1.0 + 1e-9));
+                    brighter.all(|k| strays.contains(k) && point(*k).value < law.at(&point(*k).factors))
+                };
+                let brightest =
+                    (!far.contains(&i) && is_first_of_bent()) || above(i) >= 0.95 * extreme(&above).1;
                 if brightest && off < 0.0 && noise.is_none_or(|o| o.0.abs() > MAX_NOISE_OFFSET) {
                     continue;
                 }

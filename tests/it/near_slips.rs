@@ -98,3 +98,26 @@ fn contrast_stretched_for_each_set_is_refused() {
         assert!(said.contains("each was stretched by itself"), "{said}");
     }
 }
+
+/// Flats that were averaged over eight frames, and darks that were not: no gain is told.
+#[test]
+fn averaged_flats_beside_single_darks_are_refused() {
+    let shares = [0.01, 0.03, 0.06, 0.1, 0.2, 0.4, 0.6, 0.9];
+    let campaign = sweep(&shares, &shares, 4, 237);
+    assert_eq!(campaign.said("noise")["data_faults"], serde_json::json!([]));
+    for set in campaign.sets("flat", 2) {
+        let rows = campaign.of(set);
+        let frames: Vec<_> = rows.iter().map(|row| campaign.frame(*row).mapv(f64::from)).collect();
+        let mean = frames.iter().fold(frames[0].clone() * 0.0, |sum, f| sum + f) / frames.len() as f64;
+        for (row, frame) in rows.into_iter().zip(&frames) {
+            let averaged = &mean + (frame - &mean) / 8f64.sqrt();
+            campaign.put(row, &averaged.mapv(|v| v.round() as u16));
+        }
+    }
+    for verb in ["noise", "emva"] {
+        let output = radcam(&[verb, &campaign.path()]);
+        let said = String::from_utf8_lossy(&output.stderr).replace('\n', " ");
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains("all flats were averaged before they were saved"), "{said}");
+    }
+}
