@@ -90,6 +90,14 @@ impl SetView {
         median(means.iter().skip(usize::from(means.len() > 1)).copied())
     }
 
+    /// Standard deviation of the means of the frames behind the first, by their steps, DN; 0 of fewer than three.
+    pub fn own_scatter_dn(&self) -> f64 {
+        let means = self.means_dn();
+        let steps: Vec<f64> = means.windows(2).skip(1).map(|w| (w[1] - w[0]).powi(2)).collect();
+        let mean_square = steps.iter().sum::<f64>() / (2.0 * steps.len() as f64);
+        if steps.len() > 1 { mean_square.sqrt() } else { 0.0 }
+    }
+
     /// Mean of the last frame in use, DN.
     pub fn last_dn(&self) -> f64 {
         self.places().last().map_or(f64::NAN, |i| self.facts.means_dn[i])

@@ -4,7 +4,7 @@
 //! A black-level clamp or a drift may lower the level of long darks; the dark charge of single pixels grows
 //! with the exposure whatever the level does, and so does its noise.
 
-use super::campaign::SetView;
+use super::campaign::{SetView, median_line};
 use super::patterns::{noise_of_mean, pattern_of};
 use super::transfer::{MODEL_ERROR, Transfer};
 use super::{Campaign, Check, DataFault, FaultKind};
@@ -30,6 +30,11 @@ const SCALED: (f64, f64) = (3.0, 1.5);
 /// Largest ratio between the fall of the variance and that of the noise of a charge, and least fall in its
 /// errors (named choices).
 const AS_CHARGE: (f64, f64) = (1.5, 5.0);
+
+/// Least number of darks of which one pair is told, and largest share of what stands furthest off a line that is
+/// left when it is exchanged back (named choices).
+const MIN_DARKS_OF_A_PAIR: usize = 4;
+const MAX_SCATTER_EXCHANGED: f64 = 0.3;
 
 /// The check.
 pub struct DarkLabels;
@@ -91,6 +96,51 @@ fn scaled(campaign: &mut Campaign<'_>, darks: &[usize]) -> Option<DataFault> {
     Some(campaign.fault_of_sets(FaultKind::OtherSettings, &wrong, text, true))
 }
 
+/// Two darks among others whose exposures are exchanged: by their hot pixels, and because the level of all grows
+/// with the exposure when they are exchanged back, and as stated does not.
+fn one_pair(campaign: &mut Campaign<'_>, darks: &[usize]) -> Option<DataFault> {
+    let scatter_dn = campaign.dark_scatter_dn();
+    let stated: Vec<(f64, f64)> =
+        darks.iter().map(|&i| (campaign.sets[i].exposure_s, campaign.sets[i].level_dn())).collect();
+    let furthest = |points: &[(f64, f64)]| {
+        let (dn, dn_per_s) = median_line(points)?;
+        let off = points.iter().map(|(exposure_s, level_dn)| (level_dn - dn - dn_per_s * exposure_s).abs());
+        Some((off.fold(0.0, f64::max), dn_per_s))
+    };
+    let pairs = (0..darks.len()).flat_map(|b| (0..b).map(move |a| (a, b)));
+    let exchange = |(a, b): (usize, usize)| {
+        let (short, long) = (&campaign.sets[darks[a]], &campaign.sets[darks[b]]);
+        let is_told = long.exposure_s >= MIN_RATIO * short.exposure_s && falls_with_hot_pixels(short, long);
+        let mut right = stated.clone();
+        (right[a].0, right[b].0) = (stated[b].0, stated[a].0);
+        let (off_dn, dn_per_s) = furthest(&right).filter(|_| is_told)?;
+        (dn_per_s > 0.0).then_some((off_dn, (darks[a], darks[b])))
+    };
+    let (off_dn, pair) = pairs.filter_map(exchange).min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let as_stated_dn = furthest(&stated)?.0;
+    let is_one = darks.len() >= MIN_DARKS_OF_A_PAIR
+        && as_stated_dn > FALL_OF_HOT_DN.max(FALL.0 * scatter_dn)
+        && off_dn < MAX_SCATTER_EXCHANGED * as_stated_dn;
+    is_one.then(|| {
+        let sets = [pair.0.min(pair.1), pair.0.max(pair.1)];
+        exchanged(campaign, &sets, pair)
+    })
+}
+
+/// The fault of darks whose exposures are exchanged; `example`: one stated short and one stated long.
+fn exchanged(campaign: &mut Campaign<'_>, sets: &[usize], example: (usize, usize)) -> DataFault {
+    let stated = |i: usize| {
+        let set = &campaign.sets[i];
+        (six_digits(set.exposure_s), six_digits(set.level_dn()))
+    };
+    let ((short_s, short_dn), (long_s, long_dn)) = (stated(example.0), stated(example.1));
+    let text = format!(
+        "{}: the exposures of these darks are exchanged: those of {short_s} s have {short_dn} DN and the noise and hot pixels of more charge than those of {long_s} s with {long_dn} DN",
+        campaign.named(sets)
+    );
+    campaign.fault_of_sets(FaultKind::SettingLabel, sets, text, true)
+}
+
 impl Check for DarkLabels {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let mut darks = campaign.places(|s| s.kind == Kind::Dark && s.has_pattern());
@@ -110,7 +160,7 @@ impl Check for DarkLabels {
             || is_scaled(&campaign.sets[shortest], &campaign.sets[longest])
             || (spreads().1 > MAX_SPREAD_SHARE * spreads().0 && !falls_as_charge(campaign, shortest, longest))
         {
-            return Vec::new();
+            return one_pair(campaign, &darks).into_iter().collect();
         }
         // The order by level is that by exposure where labels are right.
         let mut by_level = darks.clone();
@@ -125,15 +175,6 @@ impl Check for DarkLabels {
             return Vec::new();
         }
         wrong.sort_unstable();
-        let text = format!(
-            "{}: the exposures of these darks are exchanged: those of {} s have {} DN and the noise and hot pixels of more charge than those of {} s \
-             with {} DN",
-            campaign.named(&wrong),
-            six_digits(exposure_s(shortest)),
-            six_digits(level(shortest)),
-            six_digits(exposure_s(longest)),
-            six_digits(level(longest))
-        );
-        vec![campaign.fault_of_sets(FaultKind::SettingLabel, &wrong, text, true)]
+        vec![exchanged(campaign, &wrong, (shortest, longest))]
     }
 }

@@ -133,7 +133,9 @@ impl Check for SettingLabel {
         let usual_scatter = campaign.scatter(&zero);
         let point = |i: usize| {
             let set = &campaign.sets[i];
-            let scatter = usual_scatter.of_frame_dn(set) / (set.frames() as f64).sqrt();
+            // The ripple of a lamp moves the means of short exposures, and not those of others.
+            let of_frame = usual_scatter.of_frame_dn(set).max(set.own_scatter_dn());
+            let scatter = of_frame / (set.frames() as f64).sqrt();
             let scatter = scatter.hypot(set.carried_error_dn);
             Point {
                 factors: factors.of(set.exposure_s, set.illumination, when(i)),

@@ -206,6 +206,46 @@ fn exposures_are_exchanged(seed: u32, charge_dn: u16, hot_dn: u16) {
     assert!(sets.contains(&shortest.into()) && sets.contains(&longest.into()), "{faults:?}");
 }
 
+/// Two of five darks exchanged, neither the shortest: the level as stated grows with no exposure, and the hot pixels
+/// know which two. As stated right, nothing is said.
+#[test]
+fn one_exchanged_pair_among_darks_is_named() {
+    let plan = tempfile::tempdir().unwrap();
+    let file = plan.path().join("plan.toml");
+    let times = [0.1, 0.3, 0.5, 0.8, 1.0];
+    let darks = times.map(|t| set_of_plan("dark", 4, t, 0.0)).concat();
+    let flats = [0.2, 0.4, 0.5, 0.6, 0.8].map(|light| set_of_plan("flat", 4, 1.0, light)).concat();
+    std::fs::write(&file, format!("format = \"radcam-plan/1\"\n{darks}{flats}")).unwrap();
+    for (is_exchanged, seed) in [(true, 238), (false, 239)] {
+        let mut campaign = Campaign::new("cmos12", file.to_str().unwrap(), seed);
+        let sets = campaign.sets("dark", 2);
+        for (set, time) in sets.iter().zip(times) {
+            for row in campaign.of(*set) {
+                let mut codes = campaign.frame(row);
+                for ((y, x), code) in codes.indexed_iter_mut() {
+                    *code += (90.0 * time * f64::from((7 * y + 13 * x) % 97 == 0)).round() as u16;
+                }
+                campaign.put(row, &codes);
+            }
+        }
+        let of = |c: &Campaign, set: u32| c.rows[c.of(set)[0]][4].clone();
+        let (short_s, long_s) = (of(&campaign, sets[1]), of(&campaign, sets[3]));
+        if is_exchanged {
+            for (set, exposure_s) in [(sets[1], long_s), (sets[3], short_s)] {
+                campaign.of(set).into_iter().for_each(|row| campaign.rows[row][4] = exposure_s.clone());
+            }
+            campaign.save();
+        }
+        let faults = campaign.said("noise")["data_faults"].clone();
+        let wanted = if is_exchanged { 1 } else { 0 };
+        assert_eq!(faults.as_array().unwrap().len(), wanted, "{faults}");
+        if is_exchanged {
+            assert_eq!(faults[0]["sets"], serde_json::json!([sets[1], sets[3]]), "{faults}");
+            assert!(faults[0]["text"].as_str().unwrap().contains("are exchanged"), "{faults}");
+        }
+    }
+}
+
 /// Darks from short to far longer than the flats, whose hot pixels are full and whose pattern is that of the
 /// dark charge: nothing is wrong with them.
 #[test]
