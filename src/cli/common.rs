@@ -201,13 +201,28 @@ pub fn wrapped(text: &str, indent: usize) -> String {
     item(&" ".repeat(indent), text, indent)
 }
 
-/// Text broken into lines behind a mark: `  note: ` before the first line, so many spaces before the others.
+/// Text broken into lines behind a mark: `  note: ` before the first line, so many spaces before the others. A value
+/// stays on one line with its error and unit.
 pub fn item(head: &str, text: &str, indent: usize) -> String {
+    /// Signs and units that do not begin a line.
+    const BELONG: [&str; 12] = ["±", "%", "DN", "DN²", "DN/e⁻", "DN/s", "e⁻", "e⁻/s", "s", "1/s", "Hz", "px"];
     let columns = |text: &str| text.chars().count();
     let last_line = head.rsplit('\n').next().unwrap_or(head);
     let (mut out, mut at, mut begins) = (head.to_string(), columns(last_line), true);
-    for word in text.split_whitespace() {
-        if !begins && at + 1 + columns(word) > width() {
+    let belongs = |before: &str, word: &str| {
+        let word = word.trim_end_matches(|c: char| ",;:.)".contains(c));
+        before == "±"
+            || (BELONG.contains(&word) && before.ends_with(|c: char| c.is_ascii_digit() || c == '±'))
+    };
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let mut from = 0;
+    while from < words.len() {
+        let mut to = from + 1;
+        while to < words.len() && belongs(words[to - 1], words[to]) {
+            to += 1;
+        }
+        let part = words[from..to].join(" ");
+        if !begins && at + 1 + columns(&part) > width() {
             out.push('\n');
             out.push_str(&" ".repeat(indent));
             (at, begins) = (indent, true);
@@ -216,8 +231,9 @@ pub fn item(head: &str, text: &str, indent: usize) -> String {
             out.push(' ');
             at += 1;
         }
-        out.push_str(word);
-        (at, begins) = (at + columns(word), false);
+        out.push_str(&part);
+        (at, begins) = (at + columns(&part), false);
+        from = to;
     }
     out
 }

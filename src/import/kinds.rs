@@ -240,12 +240,23 @@ fn words(text: &str) -> Vec<(&str, bool)> {
 pub fn gain_step(name: &str) -> Option<&'static str> {
     let lower: Vec<(String, bool)> =
         words(name).iter().map(|(word, number)| (word.to_lowercase(), *number)).collect();
-    let steps = [("low", "low"), ("lo", "low"), ("high", "high"), ("hi", "high"), ("medium", "medium")];
+    let steps = [
+        ("low", "low"),
+        ("lo", "low"),
+        ("niedrig", "low"),
+        ("niedrige", "low"),
+        ("high", "high"),
+        ("hi", "high"),
+        ("hoch", "high"),
+        ("hohe", "high"),
+        ("medium", "medium"),
+    ];
+    let is_gain = |word: &str| matches!(word, "gain" | "verstärkung" | "verstaerkung");
     let of = |(short, step): (&str, &'static str)| {
         let together = format!("{short}gain");
         let pair = |a: &(String, bool), b: &(String, bool)| {
             // The number of gain100_low is the gain.
-            (a.0 == short && b.0 == "gain") || (a.0 == "gain" && !a.1 && b.0 == short)
+            (a.0 == short && is_gain(&b.0)) || (is_gain(&a.0) && !a.1 && b.0 == short)
         };
         let apart = lower.windows(2).any(|w| pair(&w[0], &w[1]));
         (apart || lower.iter().any(|w| w.0 == together)).then_some(step)
@@ -495,7 +506,13 @@ mod tests {
         for name in ["cams_1", "camera_flat", "campaign_a", "cam1_flat", "camera_s_1", "a_cam"] {
             assert_eq!(camera_letter(name), None, "{name}");
         }
-        for (name, step) in [("lowgain_flat", "low"), ("flat_high_gain_3", "high"), ("FlatLowGain", "low")] {
+        for (name, step) in [
+            ("lowgain_flat", "low"),
+            ("flat_high_gain_3", "high"),
+            ("FlatLowGain", "low"),
+            ("Verstärkung hoch", "high"),
+            ("niedrige Verstärkung", "low"),
+        ] {
             assert_eq!(gain_step(name), Some(step), "{name}");
         }
         for name in ["low_light_gain5", "highlight_gain", "gain100_low"] {
