@@ -90,7 +90,7 @@ impl SetView {
         median(means.iter().skip(usize::from(means.len() > 1)).copied())
     }
 
-    /// Standard deviation of the means of the frames behind the first, by their steps, DN; 0 of fewer than three.
+    /// Standard deviation of the means of the frames behind the first, by their steps, DN; 0 of fewer than four frames.
     pub fn own_scatter_dn(&self) -> f64 {
         let means = self.means_dn();
         let steps: Vec<f64> = means.windows(2).skip(1).map(|w| (w[1] - w[0]).powi(2)).collect();

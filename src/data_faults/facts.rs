@@ -51,6 +51,9 @@ pub struct SetFacts {
     /// codes do.
     #[serde(default)]
     pub code_step_dn: f64,
+    /// The same as the first frame alone shows it; 0 in files of earlier versions.
+    #[serde(default)]
+    pub frame_step_dn: f64,
     /// Pixels of single samples that stand far off the same pixel in other frames, and are in none of these
     /// numbers but the digests, the pixels that differ, and the share at full scale.
     #[serde(default)]
@@ -136,6 +139,9 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
         for [sent, frame] in frames {
             out.pixels = frame.len() as f64;
             occurring.add(sent.as_slice().unwrap_or(&[]));
+            if out.means_dn.is_empty() {
+                out.frame_step_dn = step_of(&occurring);
+            }
             let codes = frame.as_slice().unwrap_or(&[]);
             if out.means_dn.is_empty() {
                 out.spread_dn2 = spread(codes);
@@ -183,8 +189,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
         out.ends_dn2 = difference(codes[0], codes[1], last.ncols()).1;
     }
     out.old_data = old_data.finish();
-    let stretch = occurring.stretch().map(|s| s.step);
-    out.code_step_dn = stretch.unwrap_or(if occurring.has_neighbours() { 1.0 } else { 0.0 });
+    out.code_step_dn = step_of(&occurring);
     out.clipped = clipped as f64 / (out.pixels * set.rows.len() as f64).max(1.0);
     middle /= set.rows.len().max(1) as f32;
     out.middle_columns = middle.ncols();
@@ -192,6 +197,12 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     let in_turns: Vec<f32> = in_turns.into_iter().collect();
     out.middle_noise_dn2 = patterns::noise_of(&out.middle_dn, &in_turns, set.rows.len(), out.middle_columns);
     Ok(out)
+}
+
+/// Step of the codes that occur: 1 where neighbours do, 0 where too few codes do.
+fn step_of(occurring: &Occurring) -> f64 {
+    let stretch = occurring.stretch().map(|s| s.step);
+    stretch.unwrap_or(if occurring.has_neighbours() { 1.0 } else { 0.0 })
 }
 
 /// A frame that others hold too.

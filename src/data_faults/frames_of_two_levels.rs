@@ -1,6 +1,7 @@
 //! Frames of one set with two levels: the light or the exposure was changed in the middle, or a strobe missed
 //! some of them. Those of the level of the setting stay.
 
+use super::campaign::Zero;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::number::{percent, six_digits};
 use crate::statistics::median::median;
@@ -47,12 +48,13 @@ impl Check for FramesOfTwoLevels {
             let view = &campaign.sets[s];
             (view.level_dn() - zero.at(view.exposure_s)) / view.light()
         }));
-        found.into_iter().filter_map(|parted| fault(campaign, zero.at(0.0), response, &parted)).collect()
+        found.into_iter().filter_map(|parted| fault(campaign, &zero, response, &parted)).collect()
     }
 }
 
-fn fault(campaign: &mut Campaign<'_>, zero_dn: f64, response: f64, parted: &Parted) -> Option<DataFault> {
+fn fault(campaign: &mut Campaign<'_>, zero: &Zero, response: f64, parted: &Parted) -> Option<DataFault> {
     let set = parted.set;
+    let zero_dn = zero.at(campaign.sets[set].exposure_s);
     let expected_dn = zero_dn + response * campaign.sets[set].light();
     let off = |k: usize| (parted.parts[k].1 - expected_dn).abs();
     let nearer = usize::from(off(1) < off(0));

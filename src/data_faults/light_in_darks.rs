@@ -26,6 +26,8 @@ const MIN_LEAK: (f64, f64) = (0.003, 6.0);
 const MIN_EVEN_LEAK: f64 = 4.0;
 const PART_OF_GROWTH: std::ops::Range<f64> = 0.5..1.5;
 const MAX_EVEN_SPREAD: f64 = 0.06;
+/// Standard deviations by which the light of a leak may exceed what the darks grow by.
+const POSSIBLE_SIGMAS: f64 = 2.0;
 /// Share of the light by which the frames of a dark differ at most: what came before fades from frame to
 /// frame.
 const MAX_FADING: f64 = 0.3;
@@ -171,7 +173,9 @@ fn leak(campaign: &mut Campaign<'_>, darks: &[usize], flats: &[usize]) -> Vec<Da
     );
     let is_growth = PART_OF_GROWTH.contains(&(part * of_light / growth)) && spread < MAX_EVEN_SPREAD * growth;
     let is_sure = part > MIN_LEAK.0 && part > MIN_LEAK.1 * std || is_growth && part > MIN_EVEN_LEAK * std;
-    if !is_sure || part > 1.0 {
+    // More light than the darks grow by is none: other flats have other gains, or darks have other exposures.
+    let is_possible = part < 1.0 && (part - POSSIBLE_SIGMAS * std) * of_light < growth;
+    if !is_sure || !is_possible {
         return Vec::new();
     }
     let text = format!(

@@ -206,6 +206,36 @@ fn exposures_are_exchanged(seed: u32, charge_dn: u16, hot_dn: u16) {
     assert!(sets.contains(&shortest.into()) && sets.contains(&longest.into()), "{faults:?}");
 }
 
+/// A digital gain of 1.5 in the longer flats makes their pattern grow by more than that of the darks: more light
+/// than these have is no leak.
+#[test]
+fn a_gain_of_the_longer_flats_is_no_leak() {
+    let plan = tempfile::tempdir().unwrap();
+    let file = plan.path().join("plan.toml");
+    let times = [0.15, 0.3, 0.45, 0.6];
+    let of = |kind: &str, light: f64| times.map(|t| set_of_plan(kind, 4, t, light)).concat();
+    std::fs::write(&file, format!("format = \"radcam-plan/1\"\n{}{}", of("dark", 0.0), of("flat", 1.0)))
+        .unwrap();
+    let campaign = Campaign::new("cmos12", file.to_str().unwrap(), 240);
+    for kind in ["dark", "flat"] {
+        for (set, time) in campaign.sets(kind, 2).iter().zip(times) {
+            for row in campaign.of(*set) {
+                let mut codes = campaign.frame(row);
+                for ((y, x), code) in codes.indexed_iter_mut() {
+                    let uneven = PixelRng::new(5, Stream::Effect, 0, y as u32, x as u32).uniform();
+                    *code += (60.0 * time * uneven).round() as u16;
+                }
+                campaign.put(row, &codes);
+                if kind == "flat" && time > 0.4 {
+                    campaign.scale(row, 1.5, BLACK_DN);
+                }
+            }
+        }
+    }
+    let faults = campaign.said("noise")["data_faults"].to_string();
+    assert!(!faults.contains("leaks"), "{faults}");
+}
+
 /// Two of five darks exchanged, neither the shortest: the level as stated grows with no exposure, and the hot pixels
 /// know which two. As stated right, nothing is said.
 #[test]

@@ -73,18 +73,23 @@ fn frames_of_two_levels_are_parted() {
     assert!(!said["data_faults"].to_string().contains("of its frames"), "{said}");
 }
 
-/// An export with automatic contrast writes each set in steps of its own: no verb computes with them.
+/// An export with automatic contrast writes each set, or each frame, in steps of its own: no verb computes with
+/// them.
 #[test]
 fn contrast_stretched_for_each_set_is_refused() {
+    [false, true].into_iter().for_each(stretched);
+}
+
+fn stretched(each_frame: bool) {
     let bench = Bench::new();
     let mut camera = Camera::new(91);
     let sets = [("dark_5ms", 0.0, 0.005), ("dark_50ms", 0.0, 0.05)].into_iter();
     let flats = [("flat_5ms", 500.0, 0.005), ("flat_15ms", 1500.0, 0.015), ("flat_50ms", 5000.0, 0.05)];
     for (name, light_e, exposure_s) in sets.chain(flats) {
         let frames: Vec<_> = (0..4).map(|_| camera.frame(light_e, exposure_s)).collect();
-        let all = || frames.iter().flatten().copied();
-        let (low, high) = (f64::from(all().min().unwrap()), f64::from(all().max().unwrap()));
         for (i, frame) in frames.iter().enumerate() {
+            let all = || frames.iter().filter(|f| !each_frame || *f == frame).flatten().copied();
+            let (low, high) = (f64::from(all().min().unwrap()), f64::from(all().max().unwrap()));
             let stretched = frame.mapv(|v| ((f64::from(v) - low) / (high - low) * 65535.0).round() as u16);
             bench.tiff(&format!("auto/{name}_{i}.tif"), &stretched);
         }
@@ -95,7 +100,7 @@ fn contrast_stretched_for_each_set_is_refused() {
         let output = radcam(&[verb, &path]);
         let said = String::from_utf8_lossy(&output.stderr).replace('\n', " ");
         assert_eq!(output.status.code(), Some(2), "{said}");
-        assert!(said.contains("each was stretched by itself"), "{said}");
+        assert!(said.contains("was stretched by itself"), "{said}");
     }
 }
 
