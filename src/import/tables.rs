@@ -38,8 +38,8 @@ const NAMES: [&str; 18] = [
 /// Columns that name the first frame of a row and the last one.
 const FIRST: [&str; 7] = ["first", "firstfile", "from", "start", "von", "erste", "erstes"];
 const LAST: [&str; 7] = ["last", "lastfile", "to", "end", "bis", "letzte", "letztes"];
-/// Largest number of frames of a row.
-const MAX_FRAMES_OF_A_ROW: u64 = 10_000;
+/// Largest number of frames that the rows of a table name by their first and last one.
+const MAX_FRAMES: usize = 100_000;
 
 /// Tables by the folder in which they lie.
 pub struct FrameTables(BTreeMap<PathBuf, Vec<FrameTable>>);
@@ -131,8 +131,9 @@ fn rows_of(text: &str) -> Option<HashMap<String, Vec<Said>>> {
     let header = reader.headers().ok()?.clone();
     let plain: Vec<String> = header.iter().map(words::plain).collect();
     let column = |names: &[&str]| names.iter().find_map(|name| plain.iter().position(|p| p == name));
-    let range = column(&FIRST).zip(column(&LAST));
-    let key = column(&NAMES).or(range.map(|r| r.0)).unwrap_or(0);
+    let named = column(&NAMES);
+    let range = column(&FIRST).zip(column(&LAST)).filter(|_| named.is_none());
+    let key = named.or(range.map(|r| r.0)).unwrap_or(0);
     let mut rows: HashMap<String, Vec<Said>> = HashMap::new();
     for record in reader.records().filter_map(Result::ok) {
         let cell = |k: usize| record.get(k).and_then(|cell| cell.rsplit(['/', '\\']).next());
@@ -140,7 +141,9 @@ fn rows_of(text: &str) -> Option<HashMap<String, Vec<Said>>> {
         let is_name = |k: usize| k == key || range.is_some_and(|r| k == r.0 || k == r.1);
         let said = header.iter().zip(record.iter()).enumerate().filter(|(k, _)| !is_name(*k));
         let said: Vec<Said> = said.map(|(_, (column, cell))| Said::new(column, cell)).collect();
-        let all = range.and_then(|r| between(cell(r.0)?, cell(r.1)?)).unwrap_or_else(|| vec![name.into()]);
+        let left = MAX_FRAMES.saturating_sub(rows.len());
+        let all =
+            range.and_then(|r| between(cell(r.0)?, cell(r.1)?, left)).unwrap_or_else(|| vec![name.into()]);
         for name in all {
             rows.entry(name).or_default().extend(said.iter().cloned());
         }
@@ -148,8 +151,9 @@ fn rows_of(text: &str) -> Option<HashMap<String, Vec<Said>>> {
     Some(rows)
 }
 
-/// Names from the first to the last, which differ in the number at their end: `img_0001`, `img_0004`.
-fn between(first: &str, last: &str) -> Option<Vec<String>> {
+/// Names from the first to the last, which differ in the number at their end: `img_0001`, `img_0004`; `None` of more
+/// than so many.
+fn between(first: &str, last: &str, most: usize) -> Option<Vec<String>> {
     let parts = |name: &str| {
         let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_string();
         let digits = stem.len() - stem.trim_end_matches(|c: char| c.is_ascii_digit()).len();
@@ -157,7 +161,7 @@ fn between(first: &str, last: &str) -> Option<Vec<String>> {
         Some((stem[..stem.len() - digits].to_string(), number, digits))
     };
     let ((prefix, from, digits), (other, to, _)) = parts(first).zip(parts(last))?;
-    let few = prefix == other && from <= to && to - from < MAX_FRAMES_OF_A_ROW;
+    let few = prefix == other && from <= to && to - from < most as u64;
     few.then(|| (from..=to).map(|n| format!("{prefix}{n:0digits$}")).collect())
 }
 
@@ -173,10 +177,11 @@ mod tests {
             assert_eq!(rows[name], [Said::new("exposure_ms", "5")]);
         }
         assert_eq!((rows.len(), &rows["a"][0]), (4, &Said::new("exposure_ms", "7")));
-        assert_eq!(
-            (between("img_5", "img_4"), between("a1", "b2"), between("a1", "a99999")),
-            (None, None, None)
-        );
+        for (first, last) in [("img_5", "img_4"), ("a1", "b2"), ("a1", "a99999")] {
+            assert_eq!(between(first, last, 1000), None, "{first} {last}");
+        }
+        // Times of a frame that is named are no frames.
+        assert_eq!(rows_of("file,start,end\nx.tif,1.5,9\n").unwrap().len(), 1);
     }
 
     proptest! {
