@@ -33,6 +33,7 @@ pub fn html(s: &Study, kinds: &BTreeMap<u32, Kind>) -> String {
         p.sub { (title(s)) }
         h1 { (s.heading) }
         p.verdict { (j.sentence) }
+        @for slip in &j.slips { p.bad { (slip.to_string()) } }
         (cards(s))
         p.hint.note { "Figures: point at a curve for its values, drag to zoom, double-click to zoom out; CSV has the numbers." }
         nav.rooms aria-label="Sections" {

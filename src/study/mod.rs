@@ -40,6 +40,8 @@ pub struct Judgement {
     pub fitted: Option<Fitted>,
     /// The measurement that would tell candidates apart.
     pub next_measurement: Option<String>,
+    /// Slips in the data.
+    pub slips: Vec<DataFault>,
     /// What could not be looked at, and what is left over.
     pub notes: Vec<String>,
     /// Whether effects were looked for.
@@ -60,7 +62,8 @@ impl Judgement {
             comparisons: vec![comparison.clone()],
             fitted: Some(fitted.clone()),
             next_measurement: None,
-            notes: with_faults(&comparison.data_faults, &comparison.not_looked_at),
+            slips: comparison.data_faults.clone(),
+            notes: comparison.not_looked_at.clone(),
             searched: false,
         }
     }
@@ -75,7 +78,8 @@ impl Judgement {
             comparisons: d.comparisons.clone(),
             fitted: d.fitted.clone(),
             next_measurement: d.next_measurement.clone(),
-            notes: with_faults(&d.data_faults, &d.notes),
+            slips: d.data_faults.clone(),
+            notes: d.notes.clone(),
             searched: true,
         }
     }
@@ -89,11 +93,6 @@ impl Judgement {
             _ => "The model does not describe the camera".into(),
         }
     }
-}
-
-/// Joins faults of the data and notes.
-fn with_faults(faults: &[DataFault], notes: &[String]) -> Vec<String> {
-    faults.iter().map(ToString::to_string).chain(notes.iter().cloned()).collect()
 }
 
 /// A comparison in a sentence.
@@ -147,6 +146,7 @@ pub struct Numbers<'a> {
     ladder: &'a [Rung],
     next_measurement: Option<&'a str>,
     provenance: &'a Provenance,
+    data_faults: &'a [DataFault],
     notes: &'a [String],
 }
 
@@ -212,6 +212,7 @@ impl Study {
             ladder: &j.ladder,
             next_measurement: j.next_measurement.as_deref(),
             provenance: &self.provenance,
+            data_faults: &j.slips,
             notes: &j.notes,
         }
     }

@@ -1,5 +1,6 @@
 //! The report as a page: its numbers are those of the JSON, it fetches nothing, and its hash is that of sha256sum.
 
+use crate::far_slips::sweep;
 use crate::support::{expect, shared};
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -74,6 +75,23 @@ fn a_clean_camera_is_called_that() {
     {
         assert!(page.contains(&format!("download=\"{id}.csv\"")), "{id}");
     }
+}
+
+/// What was left out stands below the verdict, and in the JSON.
+#[test]
+fn slips_stand_below_the_verdict() {
+    let shares = [0.1, 0.25, 0.4, 0.55, 0.7, 0.85];
+    let mut stated = shares;
+    stated[3] = 0.5;
+    let campaign = sweep(&shares, &stated, 4, 241);
+    let path = campaign.dir.path().join("report.html");
+    let said = expect(0, &["report", &campaign.path(), "-o", path.to_str().unwrap(), "--json"]);
+    let json: serde_json::Value = serde_json::from_str(&said).unwrap();
+    assert_eq!(json["data_faults"][0]["kind"], "setting-label", "{json}");
+    let page = std::fs::read_to_string(&path).unwrap();
+    let head = between(&page, "<h1>", "<nav");
+    assert!(head.contains("slip in the data: set 5") && head.contains("its level belongs to"), "{head}");
+    assert_eq!(page.matches("slip in the data").count(), 1);
 }
 
 /// A comparison's page has the same rooms, and says that nothing was looked for; a table has no images.
