@@ -42,8 +42,8 @@ mod mixed_frames;
 mod models;
 mod monitor;
 mod mosaics;
-#[cfg(feature = "aravis")]
 mod near_slips;
+#[cfg(feature = "aravis")]
 mod network;
 mod noise;
 #[cfg(feature = "aravis")]
