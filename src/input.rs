@@ -64,7 +64,8 @@ pub fn table(path: &Path) -> Result<String> {
     text(path, MAX_TABLE_BYTES)
 }
 
-/// Reads a text that any program wrote, up to [`MAX_SETTINGS_BYTES`]: UTF-8, UTF-16 with its mark, or else Latin 1.
+/// Reads a text that any program wrote, up to [`MAX_SETTINGS_BYTES`]: UTF-8, UTF-16 with its mark, or else
+/// Latin 1.
 ///
 /// # Errors
 ///

@@ -201,41 +201,44 @@ pub fn wrapped(text: &str, indent: usize) -> String {
     item(&" ".repeat(indent), text, indent)
 }
 
-/// Text broken into lines behind a mark: `  note: ` before the first line, so many spaces before the others. A value
-/// stays on one line with its error and unit.
+/// Text broken into lines behind a mark: `  note: ` before the first line, so many spaces before the others.
 pub fn item(head: &str, text: &str, indent: usize) -> String {
+    let last_line = head.rsplit('\n').next().unwrap_or(head);
+    let first = width().saturating_sub(last_line.chars().count());
+    let lines = lines_of(text, first, width().saturating_sub(indent));
+    format!("{head}{}", lines.join(&format!("\n{}", " ".repeat(indent))))
+}
+
+/// Lines of a text, the first and the others of so many columns at most. A value stays on one line with its error
+/// and unit.
+pub fn lines_of(text: &str, first: usize, others: usize) -> Vec<String> {
     /// Signs and units that do not begin a line.
     const BELONG: [&str; 12] = ["±", "%", "DN", "DN²", "DN/e⁻", "DN/s", "e⁻", "e⁻/s", "s", "1/s", "Hz", "px"];
-    let columns = |text: &str| text.chars().count();
-    let last_line = head.rsplit('\n').next().unwrap_or(head);
-    let (mut out, mut at, mut begins) = (head.to_string(), columns(last_line), true);
     let belongs = |before: &str, word: &str| {
         let word = word.trim_end_matches(|c: char| ",;:.)".contains(c));
-        before == "±"
-            || (BELONG.contains(&word) && before.ends_with(|c: char| c.is_ascii_digit() || c == '±'))
+        before == "±" || (BELONG.contains(&word) && before.ends_with(|c: char| c.is_ascii_digit()))
     };
-    let words: Vec<&str> = text.split_whitespace().collect();
-    let mut from = 0;
-    while from < words.len() {
-        let mut to = from + 1;
-        while to < words.len() && belongs(words[to - 1], words[to]) {
-            to += 1;
+    let mut parts: Vec<String> = Vec::new();
+    let mut before = "";
+    for word in text.split_whitespace() {
+        match parts.last_mut().filter(|_| belongs(before, word)) {
+            Some(part) => *part += &format!(" {word}"),
+            None => parts.push(word.into()),
         }
-        let part = words[from..to].join(" ");
-        if !begins && at + 1 + columns(&part) > width() {
-            out.push('\n');
-            out.push_str(&" ".repeat(indent));
-            (at, begins) = (indent, true);
-        }
-        if !begins {
-            out.push(' ');
-            at += 1;
-        }
-        out.push_str(&part);
-        (at, begins) = (at + columns(&part), false);
-        from = to;
+        before = word;
     }
-    out
+    let mut lines: Vec<String> = vec![String::new()];
+    for part in parts {
+        let most = if lines.len() == 1 { first } else { others };
+        match lines.last_mut() {
+            Some(line) if line.is_empty() => *line = part,
+            Some(line) if line.chars().count() + 1 + part.chars().count() <= most => {
+                *line += &format!(" {part}")
+            }
+            _ => lines.push(part),
+        }
+    }
+    lines
 }
 
 /// A path or another word as a shell takes it.
@@ -295,4 +298,24 @@ pub fn after_faults<T, E: Into<anyhow::Error>>(result: Result<T, E>, faults: &[D
             anyhow::anyhow!("{:#}; before that: {}", e.into(), texts.join("; "))
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// No value is parted from its error and unit, and every line keeps to its columns.
+    #[test]
+    fn values_stay_with_their_units() {
+        let text = "gain 0.5010 ± 0.0016 DN/e⁻, 28 % more signal, in 3 s (of 12 DN).";
+        for columns in 22..60 {
+            let lines = lines_of(text, columns - 4, columns);
+            assert_eq!(lines.join(" "), text);
+            assert!(lines.iter().all(|line| line.chars().count() <= columns), "{lines:?}");
+            for value in ["0.5010 ± 0.0016 DN/e⁻,", "28 %", "3 s", "12 DN)."] {
+                assert!(lines.iter().any(|line| line.contains(value)), "{lines:?}");
+            }
+        }
+        assert_eq!(lines_of("", 10, 10), [""]);
+    }
 }

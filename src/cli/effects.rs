@@ -1,7 +1,7 @@
 //! `radcam effects`
 
 use super::Outcome;
-use super::common::no_effect;
+use super::common::{lines_of, no_effect};
 use crate::model::page;
 use crate::number::pretty;
 use anyhow::{Result, bail};
@@ -26,7 +26,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         println!("{:<30} signature", "effect");
         for e in all() {
             let width = 100;
-            let mut lines = wrap(e.page().signature, width - 31).into_iter();
+            let mut lines = lines_of(e.page().signature, width - 31, width - 31).into_iter();
             println!("{:<30} {}", e.id(), lines.next().unwrap_or_default());
             lines.for_each(|line| println!("{:31}{line}", ""));
         }
@@ -63,9 +63,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         ("source", of.source),
     ] {
         // The forms of an equation each on lines of their own.
-        let forms = text.split("; ").map(|form| wrap(form, 80));
+        let forms = text.split("; ").map(|form| lines_of(form, 80, 80));
         let parts: Vec<Vec<String>> =
-            if title == "equation" { forms.collect() } else { vec![wrap(text, 80)] };
+            if title == "equation" { forms.collect() } else { vec![lines_of(text, 80, 80)] };
         let mut lines = parts.into_iter().flatten();
         println!("  {title:<14} {}", lines.next().unwrap_or_default());
         lines.for_each(|line| println!("  {:14} {line}", ""));
@@ -78,7 +78,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
                 format!(" ({} to {}{}{})", p.min, p.max, if unit == "1" { "" } else { " " }, pretty(unit))
             }
         };
-        let mut lines = wrap(&format!("{}{range}", p.meaning), 68).into_iter();
+        let mut lines = lines_of(&format!("{}{range}", p.meaning), 68, 68).into_iter();
         println!("    {:<24} {}", p.name, lines.next().unwrap_or_default());
         lines.for_each(|line| println!("    {:24} {line}", ""));
     }
@@ -115,21 +115,4 @@ fn of_base_model(word: &str) -> Option<String> {
     let lower = word.to_lowercase();
     let found = of.iter().find(|(words, _)| words.contains(&lower.as_str()))?;
     Some(format!("{word} is part of the base model, which every camera has, and no effect: {}.", found.1))
-}
-
-fn wrap(text: &str, width: usize) -> Vec<String> {
-    let mut lines = vec![String::new()];
-    for word in text.split_whitespace() {
-        let last = lines.last_mut().map_or(0, |l| l.chars().count());
-        if last > 0 && last + 1 + word.chars().count() > width {
-            lines.push(String::new());
-        }
-        if let Some(line) = lines.last_mut() {
-            if !line.is_empty() {
-                line.push(' ');
-            }
-            line.push_str(word);
-        }
-    }
-    lines
 }

@@ -15,14 +15,15 @@ const SAME_LEVEL: f64 = 0.03;
 /// Least ratio of exposure times light over them, and their least number.
 const MIN_RATIO: f64 = 2.0;
 const MIN_FLATS: usize = 3;
-/// Two or more whose noise tells the gain that holds their level: difference of their levels, relative; least ratio
-/// of exposure times light over them; least difference from the level that the other flats make of it; deviation of
-/// the noise from that of the gain, relative to what the gain changes; least number of the other flats.
+/// Difference of the levels, relative, of two flats or more whose noise tells the gain that holds them; least
+/// ratio of their exposure times light (named choices).
 const HELD_LEVEL: f64 = 0.005;
 const MIN_HELD_RATIO: f64 = 1.1;
+/// Least difference from the level that the other flats make of their setting, relative, and their least number.
 const MIN_OFF: f64 = 0.03;
-const SAME_GAIN: f64 = 0.3;
 const MIN_OTHERS: usize = 4;
+/// Deviation of their noise from that of the gain, relative to the change that the gain makes (a named choice).
+const SAME_GAIN: f64 = 0.3;
 /// Difference from the whole pattern up to which it is left, and the standard errors by which it is
 /// something.
 const MAX_LOSS: f64 = 0.3;

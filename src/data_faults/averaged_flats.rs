@@ -4,7 +4,7 @@
 //! The mean of n frames has 1/n of their variance, and their rounding on top: flats and darks then lie on two
 //! photon-transfer lines (Healey and Kondepudy 1994, eqs. 35 and 43).
 
-use super::campaign::SetView;
+use super::set_view::SetView;
 use super::transfer::{MIN_VARIANCE_DN2, Transfer, above};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;

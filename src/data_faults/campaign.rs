@@ -2,7 +2,7 @@
 
 use super::facts::SetFacts;
 use super::law::{Law, Point};
-use super::patterns::MIN_PIXELS;
+use super::set_view::SetView;
 use super::{DataFault, FaultKind};
 use crate::dataset::{Dataset, FrameRow, Kind, PassedOver};
 use crate::statistics::median::{MAD_OF_NORMAL, median};
@@ -16,8 +16,6 @@ const MIN_DARKS_FOR_A_LAW: usize = 6;
 /// what it would be.
 const MAX_CLIPPED_SHARE: f64 = 1e-3;
 
-/// Standard errors by which the noise of frames contradicts lag.
-pub const MIN_SIGMAS_AGAINST_LAG: f64 = 3.0;
 /// Fewest changes of level that tell a share that is carried over, and that tell it from flicker.
 const MIN_CHANGES: (usize, usize) = (3, 8);
 /// Standard deviations of a frame's mean from which on a change of level tells a share (a named choice).
@@ -28,175 +26,6 @@ const MIN_CHANGE: f64 = 0.3;
 const CARRIED_SHARES: std::ops::Range<f64> = 0.003..0.5;
 /// Scatter of these shares, relative, up to which they are one: a lamp or a slip has none in common.
 const MAX_SHARE_SCATTER: f64 = 0.3;
-
-/// Set with the statistics of its frames.
-#[derive(Debug, Clone)]
-pub struct SetView {
-    /// Number of the set.
-    pub number: u32,
-    /// Dark, flat or other.
-    pub kind: Kind,
-    /// Stated exposure, s.
-    pub exposure_s: f64,
-    /// Stated light.
-    pub illumination: f64,
-    /// Position of card and light.
-    pub configuration: u32,
-    /// Statistics of its frames.
-    pub facts: SetFacts,
-    /// Flags of the frames in use, in the order of time.
-    pub kept: Vec<bool>,
-    /// True if the whole set is left out.
-    pub out: bool,
-    /// True if full scale cuts the level off.
-    pub clipped: bool,
-    /// Number of its dataset among joined ones.
-    part: usize,
-    /// Part of the level before that the first frame carries, by the share that is usual in the campaign, DN.
-    carried_dn: f64,
-    /// What the other frames may carry then, DN: the share of the share, as a filter over time leaves; of the
-    /// first set, which follows nobody knows what, what its first frame differs by.
-    pub carried_error_dn: f64,
-}
-
-impl SetView {
-    fn places(&self) -> impl Iterator<Item = usize> + '_ {
-        self.kept.iter().enumerate().filter(|(_, kept)| **kept).map(|(i, _)| i)
-    }
-
-    /// Number of frames in use.
-    pub fn frames(&self) -> usize {
-        self.kept.iter().filter(|k| **k).count()
-    }
-
-    /// Means of the frames in use, DN.
-    pub fn means_dn(&self) -> Vec<f64> {
-        self.places().map(|i| self.facts.means_dn[i]).collect()
-    }
-
-    /// Means of the frames in use, DN, without what the first carries of the set before.
-    fn settled_dn(&self) -> Vec<f64> {
-        self.places().map(|i| self.facts.means_dn[i] - if i == 0 { self.carried_dn } else { 0.0 }).collect()
-    }
-
-    /// Median of the frames' means, DN, without what the first carries of the set before.
-    pub fn level_dn(&self) -> f64 {
-        median(self.settled_dn().into_iter())
-    }
-
-    /// Median of the means of the frames behind the first, DN; of a single frame its own.
-    pub fn behind_first_dn(&self) -> f64 {
-        let means = self.means_dn();
-        median(means.iter().skip(usize::from(means.len() > 1)).copied())
-    }
-
-    /// Standard deviation of the means of the frames behind the first, by their steps, DN; 0 of fewer than four frames.
-    pub fn own_scatter_dn(&self) -> f64 {
-        let means = self.means_dn();
-        let steps: Vec<f64> = means.windows(2).skip(1).map(|w| (w[1] - w[0]).powi(2)).collect();
-        let mean_square = steps.iter().sum::<f64>() / (2.0 * steps.len() as f64);
-        if steps.len() > 1 { mean_square.sqrt() } else { 0.0 }
-    }
-
-    /// Mean of the last frame in use, DN.
-    pub fn last_dn(&self) -> f64 {
-        self.places().last().map_or(f64::NAN, |i| self.facts.means_dn[i])
-    }
-
-    /// Number of first frames skipped because of lag; 0 for short sets.
-    fn settling(&self) -> usize {
-        usize::from(self.kept.len() > 3)
-    }
-
-    /// Temporal variance, DN^2, and the number of pairs of successive frames that it is of; `None` without a
-    /// pair.
-    pub fn variance_dn2(&self) -> Option<(f64, f64)> {
-        let pair = |i: &usize| *i > self.settling() && self.kept[*i] && self.kept[i - 1];
-        let all: Vec<f64> = (0..self.kept.len()).filter(pair).map(|i| self.facts.successive_dn2[i]).collect();
-        let n = all.len() as f64;
-        (n > 0.0).then(|| (all.iter().sum::<f64>() / n, n))
-    }
-
-    /// Variance of successive frames over that of frames two apart: 1 for independent ones. `None` with fewer
-    /// than three frames.
-    pub fn dependence(&self) -> Option<f64> {
-        let third =
-            |i: &usize| *i > 1 + self.settling() && self.kept[*i] && self.kept[i - 1] && self.kept[i - 2];
-        let all: Vec<usize> = (0..self.kept.len()).filter(third).collect();
-        let near: f64 = all
-            .iter()
-            .map(|i| 0.5 * (self.facts.successive_dn2[*i] + self.facts.successive_dn2[i - 1]))
-            .sum();
-        let far: f64 = all.iter().map(|i| self.facts.second_dn2[*i]).sum();
-        (far > 0.0).then(|| near / far)
-    }
-
-    /// Returns true if the noise contradicts lag of this share from a dimmer set before.
-    pub fn lacks_lag(&self, share: f64, dimmer: &Self) -> bool {
-        self.against_lag(share, dimmer).is_some_and(|(off, std)| off > MIN_SIGMAS_AGAINST_LAG * std)
-    }
-
-    /// Dependence of successive frames less that of lag of this share from a dimmer set before, and its standard
-    /// deviation; 0 of lag. A share f of each frame's charge that is read with the next correlates successive
-    /// frames by f (1 - f) of the charge's variance (image-lag, shape 0), and the variance of a difference is
-    /// 2 sigma^2 (1 - r).
-    pub fn against_lag(&self, share: f64, dimmer: &Self) -> Option<(f64, f64)> {
-        let noise = self.variance_dn2().zip(dimmer.variance_dn2());
-        let (dependence, ((noise_dn2, _), (dark_dn2, _))) = self.dependence().zip(noise)?;
-        let of_lag = share * (1.0 - share) * (1.0 - dark_dn2 / noise_dn2);
-        Some((dependence - (1.0 - of_lag), self.dependence_std()))
-    }
-
-    /// Standard deviation of [`Self::dependence`] for independent frames: of one triple the two variances
-    /// differ by 3/2 of their expectation for each pixel, and triples that overlap tell as much as
-    /// others.
-    fn dependence_std(&self) -> f64 {
-        let triples = self.frames().saturating_sub(self.settling() + 2) as f64;
-        1.5 / (self.facts.pixels * triples).max(1.0).sqrt()
-    }
-
-    /// Returns true if frames differ by more the longer the time between them: the level of lines or parts
-    /// wanders. After a filter over time with the correlation r the variance of the difference is 2 sigma^2
-    /// (1 - r^k) for frames k apart: beyond that of successive frames, far ones have at most 1 / (1 - r)
-    /// times what frames two apart have, twice as much for r up to a half.
-    pub fn wanders(&self) -> bool {
-        const MAX_OF_A_FILTER: f64 = 2.5;
-        let Some(((near, _), dependence)) = self.variance_dn2().zip(self.dependence()) else { return false };
-        let second = near / dependence;
-        self.kept.iter().all(|kept| *kept)
-            && self.facts.ends_dn2 - near > MAX_OF_A_FILTER * (second - near).max(0.0)
-    }
-
-    /// Returns true if code 0 cuts the noise off.
-    pub fn is_cut_off(&self) -> bool {
-        self.variance_dn2().is_some_and(|(var, _)| self.level_dn() < 4.0 * var.sqrt() + 0.5)
-    }
-
-    /// Returns true if the frame means agree; false while the level drifts or settles.
-    pub fn is_of_one_level(&self, zero: &Zero) -> bool {
-        let means = self.means_dn();
-        let most = means.iter().fold(f64::NEG_INFINITY, |a, b| a.max(*b));
-        let least = means.iter().fold(f64::INFINITY, |a, b| a.min(*b));
-        most - least < (20.0 * zero.scatter_dn).max(0.05 * (self.level_dn() - zero.dn).abs())
-    }
-
-    /// Stated exposure times light.
-    pub fn light(&self) -> f64 {
-        self.exposure_s * self.illumination
-    }
-
-    /// Returns true if level, noise and fixed pattern are known. The pattern is that of all frames: none may
-    /// be left out.
-    pub fn has_pattern(&self) -> bool {
-        let whole = self.kept.iter().all(|kept| *kept);
-        whole && !self.clipped && self.variance_dn2().is_some() && self.facts.middle_dn.len() >= MIN_PIXELS
-    }
-
-    /// Returns true for a flat whose label states light.
-    pub fn is_lit(&self) -> bool {
-        self.kind == Kind::Flat && self.illumination > 0.0
-    }
-}
 
 /// A line of the darks' level over the exposure.
 #[derive(Debug, Clone, Copy)]
@@ -611,63 +440,6 @@ pub(super) fn median_line(points: &[(f64, f64)]) -> Option<(f64, f64)> {
 mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
-
-    /// Flats of unit noise over some pixels, of which each frame hands this share on to the next; and a dark
-    /// without noise.
-    fn sets(frames: usize, pixels: usize, share: f64, seed: u32) -> [SetView; 2] {
-        let drawn = |f: usize, p: usize| PixelRng::new(7, Stream::Effect, f as u64, seed, p as u32).normal();
-        let value = |f: usize, p: usize| (1.0 - share) * drawn(f + 1, p) + share * drawn(f, p);
-        let apart = |f: usize, by: usize| -> f64 {
-            let Some(before) = f.checked_sub(by) else { return 0.0 };
-            let square = (0..pixels).map(|p| 0.5 * (value(f, p) - value(before, p)).powi(2));
-            square.sum::<f64>() / pixels as f64
-        };
-        let view = |noise: f64| SetView {
-            number: 0,
-            kind: Kind::Flat,
-            exposure_s: 1.0,
-            illumination: 1.0,
-            configuration: 0,
-            facts: SetFacts {
-                pixels: pixels as f64,
-                means_dn: vec![100.0; frames],
-                successive_dn2: (0..frames).map(|f| noise * apart(f, 1)).collect(),
-                second_dn2: (0..frames).map(|f| noise * apart(f, 2)).collect(),
-                ..SetFacts::default()
-            },
-            kept: vec![true; frames],
-            out: false,
-            clipped: false,
-            part: 0,
-            carried_dn: 0.0,
-            carried_error_dn: 0.0,
-        };
-        [view(1.0), view(0.0)]
-    }
-
-    /// The variance of successive differences over that of differences two frames apart is 1 for
-    /// independent frames, and scatters as stated, within four standard errors over 200 sets of 4 to 20
-    /// frames. Lag of 5 % is not contradicted in 99 of 100 sets, and its absence is seen.
-    #[test]
-    fn noise_contradicts_lag() {
-        for frames in [4, 6, 12, 20] {
-            let (mut square, n) = (0.0, 200);
-            for seed in 0..n {
-                let [flat, _] = sets(frames, 200, 0.0, seed);
-                square += ((flat.dependence().unwrap() - 1.0) / flat.dependence_std()).powi(2);
-            }
-            let rms = (square / f64::from(n)).sqrt();
-            println!("{frames} frames: rms {rms:.3}");
-            assert!((0.8..1.0 + 4.0 / (2.0 * f64::from(n)).sqrt()).contains(&rms), "{frames} frames: {rms}");
-        }
-        let lacks = |share: f64| {
-            let all = (0..100).map(|seed| sets(12, 2000, share, 1000 + seed));
-            all.filter(|[flat, dark]| flat.lacks_lag(0.05, dark)).count()
-        };
-        let (with, without) = (lacks(0.05), lacks(0.0));
-        println!("contradicted: {with} with lag, {without} without");
-        assert!(with <= 1 && without >= 50, "{with} with lag, {without} without");
-    }
 
     /// Flicker of any size is no share that is carried: at most 1 in 1000 of 20,000 campaigns of 8 to 30
     /// changes. A lag of 1 % under flicker of 0.1 % is found in all.

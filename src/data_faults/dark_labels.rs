@@ -4,12 +4,14 @@
 //! A black-level clamp or a drift may lower the level of long darks; the dark charge of single pixels grows
 //! with the exposure whatever the level does, and so does its noise.
 
-use super::campaign::{SetView, median_line};
+use super::campaign::median_line;
 use super::patterns::{noise_of_mean, pattern_of};
+use super::set_view::SetView;
 use super::transfer::{MODEL_ERROR, Transfer};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
+use std::ops::RangeInclusive;
 
 /// Least ratio of the exposures.
 const MIN_RATIO: f64 = 1.5;
@@ -31,9 +33,9 @@ const SCALED: (f64, f64) = (3.0, 1.5);
 /// errors (named choices).
 const AS_CHARGE: (f64, f64) = (1.5, 5.0);
 
-/// Least number of darks of which one pair is told, and largest share of what stands furthest off a line that is
-/// left when it is exchanged back (named choices).
-const MIN_DARKS_OF_A_PAIR: usize = 4;
+/// Numbers of darks of which one pair is told, pair by pair, and largest share of the deviation from a line
+/// that is left when it is exchanged back (named choices).
+const DARKS_OF_A_PAIR: RangeInclusive<usize> = 4..=32;
 const MAX_SCATTER_EXCHANGED: f64 = 0.3;
 
 /// The check.
@@ -99,35 +101,37 @@ fn scaled(campaign: &mut Campaign<'_>, darks: &[usize]) -> Option<DataFault> {
 /// Two darks among others whose exposures are exchanged: by their hot pixels, and because the level of all grows
 /// with the exposure when they are exchanged back, and as stated does not.
 fn one_pair(campaign: &mut Campaign<'_>, darks: &[usize]) -> Option<DataFault> {
-    let scatter_dn = campaign.dark_scatter_dn();
     let stated: Vec<(f64, f64)> =
         darks.iter().map(|&i| (campaign.sets[i].exposure_s, campaign.sets[i].level_dn())).collect();
-    let furthest = |points: &[(f64, f64)]| {
-        let (dn, dn_per_s) = median_line(points)?;
-        let off = points.iter().map(|(exposure_s, level_dn)| (level_dn - dn - dn_per_s * exposure_s).abs());
-        Some((off.fold(0.0, f64::max), dn_per_s))
+    let least_dn = FALL_OF_HOT_DN.max(FALL.0 * campaign.dark_scatter_dn());
+    let (as_stated_dn, _) = furthest_off(&stated)?;
+    if !DARKS_OF_A_PAIR.contains(&darks.len()) || as_stated_dn <= least_dn {
+        return None;
+    }
+    let is_told = |(a, b): &(usize, usize)| {
+        let (short, long) = (&campaign.sets[darks[*a]], &campaign.sets[darks[*b]]);
+        long.exposure_s >= MIN_RATIO * short.exposure_s && falls_with_hot_pixels(short, long)
     };
-    let pairs = (0..darks.len()).flat_map(|b| (0..b).map(move |a| (a, b)));
     let exchange = |(a, b): (usize, usize)| {
-        let (short, long) = (&campaign.sets[darks[a]], &campaign.sets[darks[b]]);
-        let is_told = long.exposure_s >= MIN_RATIO * short.exposure_s && falls_with_hot_pixels(short, long);
         let mut right = stated.clone();
         (right[a].0, right[b].0) = (stated[b].0, stated[a].0);
-        let (off_dn, dn_per_s) = furthest(&right).filter(|_| is_told)?;
+        let (off_dn, dn_per_s) = furthest_off(&right)?;
         (dn_per_s > 0.0).then_some((off_dn, (darks[a], darks[b])))
     };
+    let pairs = (0..darks.len()).flat_map(|b| (0..b).map(move |a| (a, b))).filter(is_told);
     let (off_dn, pair) = pairs.filter_map(exchange).min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let as_stated_dn = furthest(&stated)?.0;
-    let is_one = darks.len() >= MIN_DARKS_OF_A_PAIR
-        && as_stated_dn > FALL_OF_HOT_DN.max(FALL.0 * scatter_dn)
-        && off_dn < MAX_SCATTER_EXCHANGED * as_stated_dn;
-    is_one.then(|| {
-        let sets = [pair.0.min(pair.1), pair.0.max(pair.1)];
-        exchanged(campaign, &sets, pair)
-    })
+    (off_dn < MAX_SCATTER_EXCHANGED * as_stated_dn)
+        .then(|| exchanged(campaign, &[pair.0.min(pair.1), pair.0.max(pair.1)], pair))
 }
 
-/// The fault of darks whose exposures are exchanged; `example`: one stated short and one stated long.
+/// Largest deviation of levels from the line over the exposure, DN, and its slope, DN/s.
+fn furthest_off(points: &[(f64, f64)]) -> Option<(f64, f64)> {
+    let (dn, dn_per_s) = median_line(points)?;
+    let off = points.iter().map(|(exposure_s, level_dn)| (level_dn - dn - dn_per_s * exposure_s).abs());
+    Some((off.fold(0.0, f64::max), dn_per_s))
+}
+
+/// Fault of darks whose exposures are exchanged; `example`: one stated short and one stated long.
 fn exchanged(campaign: &mut Campaign<'_>, sets: &[usize], example: (usize, usize)) -> DataFault {
     let stated = |i: usize| {
         let set = &campaign.sets[i];

@@ -4,8 +4,8 @@
 //! gain that the flats show, is what the level has beyond the black level (the charge is Poisson: Healey and
 //! Kondepudy 1994, eq. 6). A black-level clamp takes a part of that, or all, in all darks alike.
 
-use super::campaign::SetView;
 use super::law::{Law, Point};
+use super::set_view::SetView;
 use super::transfer::Transfer;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;

@@ -8,9 +8,10 @@
 //! level differs, the level and the noise of the flats both meet the darks elsewhere; an exposure longer than
 //! stated moves the level alone.
 
-use super::campaign::{SetView, Zero};
+use super::campaign::Zero;
 use super::law::{Law, Point};
 use super::patterns::{Line, Noise, combined, moved_by, noise_of_mean, share};
+use super::set_view::SetView;
 use super::transfer::{MIN_VARIANCE_DN2, MODEL_ERROR, Transfer};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;

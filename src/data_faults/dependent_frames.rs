@@ -1,8 +1,8 @@
 //! Frames of few sets that were averaged or filtered over time before they were saved: less noise than their
 //! level has elsewhere, or successive frames alike.
 
-use super::campaign::SetView;
 use super::orientation::{correlation, pattern};
+use super::set_view::SetView;
 use super::transfer::{self, Transfer, above};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;

@@ -3,7 +3,7 @@
 //! Stale frames and lag deviate by a share of the change of level instead. Lag after unsaved dark frames deviates by a
 //! share of the light too; its noise tells it (see `against_lag`).
 
-use super::campaign::MIN_SIGMAS_AGAINST_LAG;
+use super::set_view::MIN_SIGMAS_AGAINST_LAG;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::number::{percent, six_digits};
 use crate::statistics::median::median;

@@ -51,7 +51,7 @@ pub struct SetFacts {
     /// codes do.
     #[serde(default)]
     pub code_step_dn: f64,
-    /// The same as the first frame alone shows it; 0 in files of earlier versions.
+    /// Step of the converter, DN, as the first frame alone shows it; 0 in files of earlier versions.
     #[serde(default)]
     pub frame_step_dn: f64,
     /// Pixels of single samples that stand far off the same pixel in other frames, and are in none of these

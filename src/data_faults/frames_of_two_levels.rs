@@ -43,58 +43,83 @@ impl Check for FramesOfTwoLevels {
         if found.len() as f64 > (MAX_SHARE_OF_SETS * sets.len() as f64).max(1.0) {
             return Vec::new();
         }
-        // What one exposure times light brings, by the other flats.
-        let response = median(sets.iter().filter(|s| found.iter().all(|f| f.set != **s)).map(|&s| {
-            let view = &campaign.sets[s];
-            (view.level_dn() - zero.at(view.exposure_s)) / view.light()
-        }));
-        found.into_iter().filter_map(|parted| fault(campaign, &zero, response, &parted)).collect()
+        let is_parted = |set: &usize| found.iter().any(|f| f.set == *set);
+        let others: Vec<(f64, f64)> = sets
+            .iter()
+            .filter(|set| !is_parted(set))
+            .map(|&set| {
+                let view = &campaign.sets[set];
+                (view.light(), view.level_dn() - zero.at(view.exposure_s))
+            })
+            .collect();
+        found.into_iter().filter_map(|parted| fault(campaign, &zero, &others, &parted)).collect()
     }
 }
 
-fn fault(campaign: &mut Campaign<'_>, zero: &Zero, response: f64, parted: &Parted) -> Option<DataFault> {
+/// Signal at a light, DN, between those of the flats (light, signal in DN) next to it on both sides, in
+/// proportion to a power of the light; beyond them in proportion to the light. `None` without flats.
+fn signal_at(light: f64, flats: &[(f64, f64)]) -> Option<f64> {
+    let by_light = |a: &&(f64, f64), b: &&(f64, f64)| a.0.total_cmp(&b.0);
+    let below = flats.iter().filter(|f| f.0 <= light && f.1 > 0.0).max_by(by_light);
+    let above = flats.iter().filter(|f| f.0 >= light && f.1 > 0.0).min_by(by_light);
+    let proportion = |f: &(f64, f64)| f.1 * light / f.0;
+    match (below, above) {
+        (Some(a), Some(b)) if b.0 > a.0 => {
+            let power = (b.1 / a.1).ln() / (b.0 / a.0).ln();
+            Some(a.1 * (light / a.0).powf(power))
+        }
+        (Some(one), _) | (None, Some(one)) => Some(proportion(one)),
+        (None, None) => None,
+    }
+}
+
+/// Fault of frames of two levels; `None` where no other flat tells which level is that of the setting.
+fn fault(
+    campaign: &mut Campaign<'_>,
+    zero: &Zero,
+    others: &[(f64, f64)],
+    parted: &Parted,
+) -> Option<DataFault> {
     let set = parted.set;
     let zero_dn = zero.at(campaign.sets[set].exposure_s);
-    let expected_dn = zero_dn + response * campaign.sets[set].light();
+    let expected_dn = zero_dn + signal_at(campaign.sets[set].light(), others)?;
     let off = |k: usize| (parted.parts[k].1 - expected_dn).abs();
     let nearer = usize::from(off(1) < off(0));
-    let ((_, level_dn), (others, other_dn)) = (&parted.parts[nearer], &parted.parts[1 - nearer]);
+    let ((_, level_dn), (wrong, wrong_dn)) = (&parted.parts[nearer], &parted.parts[1 - nearer]);
     let name = campaign.named(&[set]);
     if off(nearer) < NEARER * off(1 - nearer) {
-        let number = others.len();
-        let what = if (other_dn - zero_dn) < UNLIT * (expected_dn - zero_dn) {
+        let number = wrong.len();
+        let what = if (wrong_dn - zero_dn) < UNLIT * (expected_dn - zero_dn) {
             "as without light".to_owned()
         } else {
-            let factor = (other_dn - zero_dn) / (level_dn - zero_dn);
+            let factor = (wrong_dn - zero_dn) / (level_dn - zero_dn);
             format!(
                 "{} {}",
                 percent((factor - 1.0).abs()),
-                if factor > 1.0 { "more light" } else { "less light" }
+                if factor > 1.0 { "more signal" } else { "less signal" }
             )
         };
         let text = format!(
             "{name}: {number} of its frames, the first of them {}, have {} DN, {what}; the others have the {} DN of its setting",
-            campaign.file(set, others[0]),
-            six_digits(*other_dn),
+            campaign.file(set, wrong[0]),
+            six_digits(*wrong_dn),
             six_digits(*level_dn),
         );
-        let frames: Vec<(usize, usize)> = others.iter().map(|place| (set, *place)).collect();
+        let frames: Vec<(usize, usize)> = wrong.iter().map(|place| (set, *place)).collect();
         return Some(campaign.fault_of_frames(FaultKind::OddFrame, &frames, text));
     }
-    expected_dn.is_finite().then(|| {
-        let [(_, low), (_, high)] = &parted.parts;
-        let text = format!(
-            "{name}: some of its frames have {} DN and some {} DN, and neither is the {} DN of its setting",
-            six_digits(*low),
-            six_digits(*high),
-            six_digits(expected_dn)
-        );
-        campaign.fault_of_sets(FaultKind::OddFrame, &[set], text, true)
-    })
+    let [(_, low), (_, high)] = &parted.parts;
+    let text = format!(
+        "{name}: some of its frames have {} DN and some {} DN, and neither is the {} DN of its setting",
+        six_digits(*low),
+        six_digits(*high),
+        six_digits(expected_dn)
+    );
+    Some(campaign.fault_of_sets(FaultKind::OddFrame, &[set], text, true))
 }
 
-/// Parts frames where their means lie furthest apart; `None` where they have one level, or one of them alone
-/// stands out.
+/// Places and levels of the frames on both sides of the widest gap between their means; `None` where they
+/// have one level, or one of them alone stands out.
 fn parts_of(means_dn: &[f64], kept: &[bool], least_dn: f64) -> Option<[(Vec<usize>, f64); 2]> {
     let places = kept.iter().enumerate().filter(|(_, kept)| **kept).map(|(place, _)| place);
     let mut all: Vec<(f64, usize)> = means_dn.iter().copied().zip(places).collect();
@@ -117,6 +142,17 @@ fn parts_of(means_dn: &[f64], kept: &[bool], least_dn: f64) -> Option<[(Vec<usiz
 mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
+
+    /// The signal of a gamma of 0.6 is that of the law between its neighbours, and beyond them of the proportion.
+    #[test]
+    fn levels_lie_between_their_neighbours() {
+        let of = |light: f64| 1000.0 * light.powf(0.6);
+        let flats = [0.8, 0.1, 0.4].map(|light| (light, of(light)));
+        assert!((signal_at(0.2, &flats).unwrap() / of(0.2) - 1.0).abs() < 1e-9);
+        assert!((signal_at(0.4, &flats).unwrap() / of(0.4) - 1.0).abs() < 1e-9);
+        assert!((signal_at(1.6, &flats).unwrap() / of(0.8) - 2.0).abs() < 1e-9);
+        assert_eq!(signal_at(0.4, &[]), None);
+    }
 
     /// Two levels are parted, in blocks or in turns; one frame off, steps that grow, and noise are not.
     #[test]

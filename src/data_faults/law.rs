@@ -28,7 +28,7 @@ pub struct Law {
     inverse: Vec<f64>,
     /// Scatter over the nominal one.
     scale: f64,
-    /// The same as the points alone tell it; infinite of few.
+    /// Scatter over the nominal one by the points alone; infinite of few.
     own_scale: f64,
     dof: f64,
     /// Points that were taken out.
@@ -177,7 +177,7 @@ impl Law {
         self.scale * (p.std.powi(2) + self.variance(&p.factors)).sqrt()
     }
 
-    /// The same by the scatter of the points alone; infinite of few.
+    /// Standard deviation of that by the scatter of the points alone; infinite of few.
     pub fn own_std(&self, p: &Point) -> f64 {
         self.own_scale / self.scale * self.std(p)
     }

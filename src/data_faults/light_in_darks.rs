@@ -187,8 +187,8 @@ fn leak(campaign: &mut Campaign<'_>, darks: &[usize], flats: &[usize]) -> Vec<Da
     vec![campaign.fault_of_sets(FaultKind::KindLabel, darks, text, false)]
 }
 
-/// Share of the flats' light in the darks with its error, from the growth of both patterns with the exposure, each
-/// with its noise; and the deviation of the dark current from pixel to pixel.
+/// Share of the flats' light in the darks with its error, from the growth of both patterns with the exposure,
+/// each with its noise; and the deviation of the dark current from pixel to pixel.
 ///
 /// The flats' growth is R + P, response and dark current (eq. 22), and that of the darks e R + P. R and P are
 /// not correlated, so that of the mean products A = (e R + P)(R + P), B = (e R + P)^2 and C = (R + P)^2 the

@@ -17,6 +17,7 @@ mod facts;
 mod law;
 mod orientation;
 mod patterns;
+mod set_view;
 mod shared_noise;
 mod stray_level;
 mod transfer;

@@ -1,8 +1,8 @@
 //! Fixed patterns of sets against each other: weighted images, and how much of one pattern is in another.
 
 use super::Campaign;
-use super::campaign::SetView;
 use super::orientation::{TURNS, flattened};
+use super::set_view::SetView;
 use crate::statistics::median::{MAD_OF_NORMAL, median};
 
 /// Pixels below which no pattern tells (a named choice: a correlation of 0.03 is chance there).

@@ -2,8 +2,9 @@
 //! or about the mean of the frames, lacks it, and the gain comes out too low.
 
 use super::Campaign;
-use super::campaign::{SetView, median_line};
+use super::campaign::median_line;
 use super::facts::NEIGHBOURS_VAR;
+use super::set_view::SetView;
 use crate::number::{Quantity, with_unit};
 use crate::statistics::median::median;
 

@@ -10,26 +10,26 @@ use crate::number::six_digits;
 /// Square of standard deviations by which another reason must fit the noise better than a wrong label does, which
 /// is the usual slip; and standard deviations within which it must fit it.
 const BY_USUAL_ERROR: (f64, f64) = (6.0, 6.0);
-/// The same by the scatter of the other sets about their curve alone.
+/// Limits of these by the scatter of the other sets about their curve alone (named choices).
 const BY_OWN_SCATTER: (f64, f64) = (12.0, 3.0);
 /// Standard deviations of the usual error by which the noise excludes another black level.
 const MIN_SIGMAS_AGAINST: f64 = 2.5;
 /// Bits that a set may have less than the others.
 const FEWER_BITS: std::ops::RangeInclusive<u32> = 1..=8;
-/// Largest deviation from the level of fewer bits, relative to what the setting makes, and in codes: cut off, they
+/// Largest deviation from the level of fewer bits, relative to that of the setting, and in codes: cut off, these
 /// lose up to one.
 const SAME_LEVEL: (f64, f64) = (0.01, 1.0);
 /// Largest deviation from the variance of fewer bits, relative (a named choice).
 const SAME_NOISE: f64 = 0.3;
 
-/// A set off the level of its setting.
+/// Set off the level of its setting.
 #[derive(Debug, Clone, Copy)]
 pub struct Stray {
-    /// Its place.
+    /// Place of the set.
     pub set: usize,
-    /// Its level above black, DN.
+    /// Level above black, DN.
     pub above_dn: f64,
-    /// Logarithm of its ratio to that of the setting.
+    /// Logarithm of the ratio of that to the level of the setting.
     pub off: f64,
 }
 
@@ -47,7 +47,7 @@ impl Stray {
         self.above_dn * (-self.off).exp()
     }
 
-    /// What the noise speaks for.
+    /// Reason for which the noise speaks.
     pub fn reason(&self, campaign: &Campaign<'_>, zero: &Zero, transfer: Option<&Transfer>) -> Reason {
         let Some(transfer) = transfer else { return Reason::Label(None) };
         let level = format!(

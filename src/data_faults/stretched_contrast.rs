@@ -1,5 +1,5 @@
-//! Codes stretched to the whole range for each set or frame by itself, as "Enhance contrast" and "auto" of an export do:
-//! the distance of the codes differs from set to set, and levels and noise have no common unit.
+//! Codes stretched to the whole range for each set or frame by itself, as "Enhance contrast" and "auto" of an
+//! export do: the distance of the codes differs from set to set, and levels and noise have no common unit.
 
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
@@ -16,7 +16,7 @@ pub struct StretchedContrast;
 impl Check for StretchedContrast {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let all = campaign.places(|s| matches!(s.kind, Kind::Dark | Kind::Flat));
-        // Where each frame was stretched, a set shows no step and its first frame does.
+        // A set of frames that were each stretched shows no step, and its first frame does.
         let step = |i: usize| campaign.sets[i].facts.code_step_dn.max(campaign.sets[i].facts.frame_step_dn);
         // A converter whose steps grow with the level reaches full scale in the brightest sets only.
         let is_full = |i: &usize| step(*i) > 1.0 && campaign.sets[*i].facts.clipped > 0.0;

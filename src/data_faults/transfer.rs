@@ -113,7 +113,7 @@ impl Transfer {
         Some((off, self.law.std(&point)))
     }
 
-    /// The same with its error by the scatter of the other sets about the curve, whatever is usual.
+    /// Logarithm of that ratio with its error by the scatter of the other sets about the curve alone.
     pub fn off_by_scatter(&self, campaign: &Campaign<'_>, set: usize, above_dn: f64) -> Option<(f64, f64)> {
         let (off, point, of_pixels) = self.ratio(campaign, set, above_dn)?;
         Some((off, self.law.own_std(&point).max(of_pixels)))

@@ -127,9 +127,9 @@ struct Numbers {
     fractional_share: f64,
 }
 
-/// Share of the pixels whose fractions are no sum of a number for the row, one for the column and one for the pixel
-/// in all frames, as subtracted overscan and dark frames leave them: the difference of two frames, of neighbouring
-/// columns and of neighbouring rows is then a whole number.
+/// Share of the pixels whose fractions are no sum of a number for the row, one for the column and one for the
+/// pixel in all frames, as subtracted overscan and dark frames leave them: the difference of two frames, of
+/// neighbouring columns and of neighbouring rows is then a whole number.
 fn fractional_share(frame: &Array2<f64>, before: &Array2<f64>) -> f64 {
     let off = frame - before;
     let cells = off.windows((2, 2));

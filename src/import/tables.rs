@@ -151,8 +151,8 @@ fn rows_of(text: &str) -> Option<HashMap<String, Vec<Said>>> {
     Some(rows)
 }
 
-/// Names from the first to the last, which differ in the number at their end: `img_0001`, `img_0004`; `None` of more
-/// than so many.
+/// Names from the first to the last, which differ in the number at their end: `img_0001`, `img_0004`; `None` of
+/// more than so many.
 fn between(first: &str, last: &str, most: usize) -> Option<Vec<String>> {
     let parts = |name: &str| {
         let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_string();

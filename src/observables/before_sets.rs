@@ -30,9 +30,10 @@ struct First {
     before_dn: f64,
 }
 
-/// Exposures before the sets, by their first frames. Where successive frames carry something from one to the next
-/// and first frames nothing from the set before, they follow frames of their own level that are not in the
-/// dataset. Where these lack a share of their own level, and the noise does not contradict it, they follow darkness.
+/// Exposures before the sets, by their first frames. Where successive frames carry something from one to the
+/// next and first frames nothing from the set before, they follow frames of their own level that are not in
+/// the dataset. Where these lack a share of their own level, and the noise does not contradict it, they
+/// follow darkness.
 pub(super) fn of(list: &[Observable], sets: &[SetInfo], settings: &[FrameRow], zero_dn: f64) -> Before {
     let mut levels: Vec<Option<f64>> = vec![None; sets.len()];
     let set_of = |o: &Observable, statistic: &dyn Statistic| o.is(statistic).then_some(()).and(o.set);
@@ -106,8 +107,8 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Covariance of successive numbers of which each hands on 5 % to the next, over 400 000 runs of a few: within
-    /// five standard errors.
+    /// Covariance of successive numbers of which each hands on 5 % to the next, over 400 000 runs of a few:
+    /// within five standard errors.
     #[test]
     fn few_frames_keep_a_part_of_their_correlation() {
         const RUNS: u32 = 400_000;

@@ -82,8 +82,8 @@ pub(super) fn of_frames(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -
     ripples(&rippled(chunks, settings, zero_dn, beyond, by_phases))
 }
 
-/// Flats with a variance beyond that of darks. `beyond`: variance beyond the noise of pixels, DN^2, and its error;
-/// `by_phases` the variance of it by the phases of so many frames, relative.
+/// Flats with a variance beyond that of darks. `beyond`: variance beyond the noise of pixels, DN^2, and its
+/// error; `by_phases` the variance of it by the phases of so many frames, relative.
 fn rippled(
     chunks: &[Chunk],
     settings: &[FrameRow],

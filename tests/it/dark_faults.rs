@@ -236,8 +236,8 @@ fn a_gain_of_the_longer_flats_is_no_leak() {
     assert!(!faults.contains("leaks"), "{faults}");
 }
 
-/// Two of five darks exchanged, neither the shortest: the level as stated grows with no exposure, and the hot pixels
-/// know which two. As stated right, nothing is said.
+/// Two of five darks exchanged, neither the shortest: the level as stated grows with no exposure, and the hot
+/// pixels know which two. As stated right, nothing is said.
 #[test]
 fn one_exchanged_pair_among_darks_is_named() {
     let plan = tempfile::tempdir().unwrap();

@@ -63,7 +63,7 @@ fn frames_of_two_levels_are_parted() {
         (campaign, changed)
     };
     let (campaign, set) = other([1.0, 0.7], &[4], 234);
-    is_named(&campaign, "odd-frame", &set, "30 % less light; the others have the");
+    is_named(&campaign, "odd-frame", &set, "30 % less signal; the others have the");
     let frames = campaign.said("noise")["data_faults"][0]["frames"].as_array().unwrap().len();
     assert_eq!(frames, 3);
     let (campaign, set) = other([1.15, 0.85], &[4], 235);

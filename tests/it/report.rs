@@ -77,7 +77,7 @@ fn a_clean_camera_is_called_that() {
     }
 }
 
-/// What was left out stands below the verdict, and in the JSON.
+/// Slips stand below the verdict, and in the JSON.
 #[test]
 fn slips_stand_below_the_verdict() {
     let shares = [0.1, 0.25, 0.4, 0.55, 0.7, 0.85];

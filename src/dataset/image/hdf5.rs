@@ -540,8 +540,8 @@ impl Tree {
         Ok(Part { dataset, axis, bytes_each: each, stack })
     }
 
-    /// Image keys, and the values of the dataset, of the groups above it, and of detectors: one for all frames, one
-    /// for each, or one for each place on the outer axis.
+    /// Image keys, and the values of the dataset, of the groups above it, and of detectors: one for all frames,
+    /// one for each, or one for each place on the outer axis.
     fn describe(&self, dataset: &Dataset, outer: usize, stack: &mut Stack) -> Result<(), ImageError> {
         let paths = stack.paths.clone();
         let above = |node: &Node| paths.iter().any(|p| p.starts_with(&format!("{}/", node.path)));
