@@ -93,7 +93,7 @@ const LAMPS: [&str; 16] = [
     "beam",
 ];
 /// Words that say that no light fell.
-const NO_LIGHT: [&str; 11] = [
+const NO_LIGHT: [&str; 14] = [
     "capped",
     "lenscap",
     "covered",
@@ -105,6 +105,9 @@ const NO_LIGHT: [&str; 11] = [
     "lightoff",
     "lightsoff",
     "shuttered",
+    "abgedeckt",
+    "verschlossen",
+    "abgedunkelt",
 ];
 
 /// Returns true where words say that no light fell: `LED off`, `capped`, `no light`.
@@ -112,7 +115,11 @@ fn is_unlit(words: &[String]) -> bool {
     let pair = |first: &str, second: &str| match second {
         "off" => LAMPS.contains(&first),
         "light" | "illumination" => matches!(first, "no" | "without"),
+        "licht" => first == "ohne",
         "on" => first == "cap",
+        "zu" | "drauf" | "geschlossen" => {
+            matches!(first, "kappe" | "deckel" | "objektivdeckel" | "verschluss" | "shutter")
+        }
         _ => false,
     };
     words.iter().any(|w| NO_LIGHT.contains(&&**w)) || words.windows(2).any(|w| pair(&w[0], &w[1]))

@@ -9,6 +9,7 @@ mod facts;
 mod headers;
 mod kinds;
 mod listing;
+mod lists;
 mod map;
 pub mod names;
 mod npy;

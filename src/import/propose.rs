@@ -9,6 +9,9 @@ use crate::number::six_digits;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+/// Levels that differ by less count as one, DN (a named choice).
+const SAME_LEVEL_DN: f64 = 1.0;
+
 /// A set while it grows.
 pub(super) struct Growing {
     /// The set as the map has it.
@@ -310,7 +313,9 @@ fn several_levels(sets: &[Growing], found: &[Found], lowest: f64) -> Option<Stri
         // The signal of the dimmest frames is not known where there is no darker one.
         let is_lowest = means.first().is_some_and(|m| *m <= 0.0);
         let signal = if is_lowest { median + lowest } else { median };
-        let apart = means.iter().filter(|m| (*m - median).abs() > SAME_LIGHT * signal).count();
+        // Next to the darks a share of the signal is nothing.
+        let same = (SAME_LIGHT * signal).max(SAME_LEVEL_DN);
+        let apart = means.iter().filter(|m| (*m - median).abs() > same).count();
         // A single frame of another level is a slip, which is looked for later.
         let dn = |m: Option<&f64>| m.copied().unwrap_or(0.0) + lowest;
         (set.set.kind == Kind::Flat && apart > 1).then(|| (dn(means.first()), dn(means.last())))

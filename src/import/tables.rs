@@ -1,7 +1,7 @@
-//! Tables beside the frames that list their settings: `exposures.csv`, the log of a script.
+//! Tables beside the frames that list their settings: `exposures.csv`, the log of a script, `notes.txt`.
 
-use super::Facts;
 use super::words::{self, Said, Writer};
+use super::{Facts, lists};
 use crate::dataset::delimiter;
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -9,10 +9,10 @@ use std::path::{Path, PathBuf};
 
 /// Largest table, bytes: some 40 000 rows.
 const MAX_BYTES: u64 = 4 * 1024 * 1024;
-/// Largest number of tables of a folder that are read, in the order of their names.
+/// Largest number of tables of a folder that are read, in the order of their names, plain texts last.
 const MAX_TABLES: usize = 20;
 /// Extensions of tables.
-const EXTENSIONS: [&str; 2] = ["csv", "tsv"];
+const EXTENSIONS: [&str; 3] = ["csv", "tsv", "txt"];
 /// Columns that name the frame, its set or its folder, the best first; else the first column does.
 const NAMES: [&str; 18] = [
     "file",
@@ -44,10 +44,26 @@ const MAX_FRAMES: usize = 100_000;
 /// Tables by the folder in which they lie.
 pub struct FrameTables(BTreeMap<PathBuf, Vec<FrameTable>>);
 
+/// Row of a table: cells under the names of their columns, or free text.
+#[derive(Debug, Clone)]
+enum Row {
+    Cells(Vec<Said>),
+    Text(String),
+}
+
+impl Row {
+    fn facts(self) -> Facts {
+        match self {
+            Self::Cells(said) => words::facts(said, Writer::Lines),
+            Self::Text(said) => lists::facts(&said),
+        }
+    }
+}
+
 /// Rows of a table by the name that each begins with.
 struct FrameTable {
     path: PathBuf,
-    rows: HashMap<String, Vec<Said>>,
+    rows: HashMap<String, Row>,
     /// True once a row named a frame.
     is_used: Cell<bool>,
 }
@@ -73,19 +89,27 @@ impl FrameTables {
         let tables = [Some(folder), folder.parent()].into_iter().flatten();
         let tables = tables.filter_map(|folder| self.0.get(folder)).flatten();
         let row = |t: &FrameTable| {
-            let said = keys.iter().find_map(|key| t.rows.get(key))?.clone();
+            let row = keys.iter().find_map(|key| t.rows.get(key))?.clone();
             t.is_used.set(true);
-            Some((text(t.path.file_name()), said))
+            Some((text(t.path.file_name()), row))
         };
-        let Some((table, said)) = tables.into_iter().find_map(row) else { return Facts::default() };
-        let mut facts = words::facts(said, Writer::Lines);
+        let Some((table, row)) = tables.into_iter().find_map(row) else { return Facts::default() };
+        let mut facts = row.facts();
         facts.from.values_mut().for_each(|from| *from = format!("{table}: {from}"));
         facts
     }
 
     /// Tables of which no row named a frame, in words.
     pub fn unused(&self) -> Vec<String> {
-        let unused = self.0.values().flatten().filter(|t| !t.is_used.get());
+        let is_table = |t: &FrameTable| {
+            let text = |row: (&String, &Row)| match row.1 {
+                Row::Text(said) => Some((row.0.clone(), said.clone())),
+                Row::Cells(_) => None,
+            };
+            let texts: HashMap<String, String> = t.rows.iter().filter_map(text).collect();
+            texts.is_empty() || lists::is_list(&texts)
+        };
+        let unused = self.0.values().flatten().filter(|t| !t.is_used.get() && is_table(t));
         let words = |t: &FrameTable| {
             let names: Vec<String> = t.rows.keys().min().into_iter().cloned().collect();
             let such = names.first().map_or(String::new(), |name| format!(" (it has \"{name}\")"));
@@ -108,15 +132,38 @@ fn tables_in(folder: &Path) -> Vec<FrameTable> {
             && path.metadata().is_ok_and(|m| m.is_file() && m.len() <= MAX_BYTES)
     };
     let mut paths: Vec<PathBuf> = entries.filter(is_table).collect();
-    paths.sort();
+    // A camera's program may write a text for each frame: what is a table comes first.
+    paths.sort_by_cached_key(|path| (is_text(path), path.clone()));
     paths.truncate(MAX_TABLES);
     paths.iter().filter_map(|path| table(path)).collect()
 }
 
-/// Reads a table with a header; `None` of a file that is none.
+/// Returns true for plain text, which need not be a table.
+fn is_text(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("txt"))
+}
+
+/// Reads a table with a header, or a list in plain text; `None` of a file that is neither.
 fn table(path: &Path) -> Option<FrameTable> {
-    let rows = rows_of(&crate::input::plain_text(path).ok()?)?;
+    let text = crate::input::plain_text(path).ok()?;
+    let cells = |rows: HashMap<String, Vec<Said>>| -> HashMap<String, Row> {
+        rows.into_iter().map(|(name, said)| (name, Row::Cells(said))).collect()
+    };
+    let rows = if !is_text(path) || names_frames(&text) {
+        cells(rows_of(&text)?)
+    } else {
+        let lists = lists::rows_of(&text);
+        lists.into_iter().map(|(name, said)| (name, Row::Text(said))).collect()
+    };
     Some(FrameTable { path: path.to_path_buf(), rows, is_used: Cell::new(false) })
+}
+
+/// Returns true if the first line has several columns, one of which names frames or folders.
+fn names_frames(text: &str) -> bool {
+    let first = text.trim_start_matches('\u{feff}').lines().find(|l| !l.starts_with('#')).unwrap_or_default();
+    let columns: Vec<String> =
+        first.split(char::from(delimiter(first))).map(|c| words::plain(c.trim_matches('"'))).collect();
+    columns.len() > 1 && columns.iter().any(|c| NAMES.contains(&&**c) || FIRST.contains(&&**c))
 }
 
 /// Parses rows by the name that each begins with. Rows of one name that differ are asked later, as headers are.

@@ -122,6 +122,32 @@ fn tables_of_spreadsheets_are_read() {
     assert!(said.contains("no row names a frame or a folder (it has \"scan_1.tif\")"), "{said}");
 }
 
+/// Notes of a person: a line for each folder. A list that names none of them is said.
+#[test]
+fn lists_in_plain_text_are_read() {
+    let bench = Bench::new();
+    let mut camera = Camera::new(59);
+    let all = [(5.0, 0.0, " (Kappe zu)"), (5.0, 500.0, ""), (10.0, 1000.0, ""), (20.0, 2000.0, "")];
+    let mut lines = ["read", "other"].map(|_| "Kamera: DMK 33UX252, Gain 0 dB\n\n".to_string());
+    for (run, (ms, light, words)) in all.into_iter().enumerate() {
+        for k in 0..2 {
+            let frame = camera.frame(light, ms / 1e3);
+            ["read", "other"]
+                .iter()
+                .for_each(|f| bench.tiff(&format!("{f}/Messung0{run}/bild{k}.tif"), &frame));
+        }
+        lines[0] += &format!("Messung0{run}: {ms} ms{words}\n");
+        lines[1] += &format!("Run {run}: {ms} ms{words}\n");
+    }
+    fs::write(bench.path("read/Belichtungen.txt"), &lines[0]).unwrap();
+    fs::write(bench.path("other/Belichtungen.txt"), &lines[1]).unwrap();
+    let right =
+        [(Kind::Dark, 0.005, 2), (Kind::Flat, 0.005, 2), (Kind::Flat, 0.01, 2), (Kind::Flat, 0.02, 2)];
+    assert_eq!(sets(&bench.import("read", &[]).0), right);
+    let said = bench.refused("other");
+    assert!(said.contains("Belichtungen.txt") && said.contains("no row names a frame or a folder"), "{said}");
+}
+
 /// ImageJ's stack of named files keeps their names.
 #[test]
 fn labels_of_slices_are_read() {

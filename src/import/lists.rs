@@ -1,0 +1,71 @@
+//! Lists in plain text beside the frames: a line begins with the name of a frame or of its folder, and says the
+//! settings as a name would (`Messung01: 5 ms (Kappe zu)`).
+
+use super::Facts;
+use super::names;
+use std::collections::HashMap;
+
+/// Largest number of characters of a line that is read.
+const MAX_LINE: usize = 300;
+/// Signs behind the name that a line begins with, the most telling first; else the first space is.
+const SIGNS: [char; 5] = [':', '=', '\t', ';', ','];
+/// Least number of lines with exposures that make a list of a text (a named choice).
+const MIN_LINES: usize = 3;
+
+/// Texts by the names that their lines begin with; those of one name in one text.
+pub fn rows_of(text: &str) -> HashMap<String, String> {
+    let mut rows: HashMap<String, String> = HashMap::new();
+    for line in text.trim_start_matches('\u{feff}').lines().filter(|l| l.len() <= MAX_LINE) {
+        let parts = SIGNS.iter().find_map(|sign| line.split_once(*sign));
+        let Some((name, said)) = parts.or_else(|| line.trim().split_once(' ')) else { continue };
+        let name = name.rsplit(['/', '\\']).next().unwrap_or_default().trim_matches(['"', ' ']);
+        if name.is_empty() || said.trim().is_empty() {
+            continue;
+        }
+        let all = rows.entry(name.to_string()).or_default();
+        all.push(' ');
+        all.push_str(said.trim());
+    }
+    rows
+}
+
+/// Facts that a line states.
+pub fn facts(said: &str) -> Facts {
+    let mut facts = names::facts("", said.trim());
+    facts.from.values_mut().for_each(|from| *from = format!("\"{}\"", said.trim()));
+    facts
+}
+
+/// Returns true if so many lines state an exposure that the text is a list of them.
+pub fn is_list(rows: &HashMap<String, String>) -> bool {
+    rows.values().filter(|said| facts(said).exposure_s.is_some()).take(MIN_LINES).count() == MIN_LINES
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::Kind;
+    use proptest::prelude::*;
+
+    #[test]
+    fn lines_say_exposure_and_kind_of_what_they_name() {
+        let rows = rows_of(
+            "Camera: DMK 33UX252, Gain 0 dB\n\nMessung01: 5 ms (Kappe zu)\nMessung02:50 ms\r\na/b/img_3.tif\t0,5 s\nx 20 ms flat\n",
+        );
+        let of = |name: &str| facts(&rows[name]);
+        assert_eq!((of("Messung01").exposure_s, of("Messung01").kind), (Some(0.005), Some(Kind::Dark)));
+        assert_eq!((of("Messung02").exposure_s, of("Messung02").kind), (Some(0.05), None));
+        assert_eq!(of("img_3.tif").exposure_s, Some(0.5));
+        assert_eq!((of("x").exposure_s, of("x").kind), (Some(0.02), Some(Kind::Flat)));
+        assert!(is_list(&rows) && !is_list(&rows_of("Exposure=5 ms\nPeriod=10 ms\nGain=3\n")));
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_makes_it_panic(text in "\\PC{0,20}([:=,;\t\n\"/]\\PC{0,10}){0,12}") {
+            for said in rows_of(&text).values() {
+                let _ = facts(said);
+            }
+        }
+    }
+}
