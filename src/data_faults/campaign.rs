@@ -1,6 +1,6 @@
 //! Campaign as the checks see it: levels and noise of the sets, without those left out so far.
 
-use super::facts::SetFacts;
+use super::facts::{SetFacts, code_step};
 use super::law::{Law, Point};
 use super::set_view::SetView;
 use super::{DataFault, FaultKind};
@@ -10,6 +10,10 @@ use std::collections::BTreeMap;
 
 /// Rounding to whole codes alone moves the mean of a quiet frame by some hundredths, DN.
 const MIN_MEAN_SCATTER_DN: f64 = 0.02;
+/// Steps of the converter from which on rounding is coarse, DN (a named choice).
+const MIN_COARSE_STEP_DN: f64 = 1.5;
+/// Temporal variance below which rounding hides noise, in squared steps (EMVA 1288 release 4, appendix C.4).
+const HIDDEN_VAR_OF_STEP: f64 = 0.24;
 /// Minimum number of darks that determines the growth of level and noise with the exposure.
 const MIN_DARKS_FOR_A_LAW: usize = 6;
 /// Share of clipped samples, beyond those of pixels that always are, from which the level of a set is not
@@ -71,6 +75,8 @@ pub struct Campaign<'a> {
     pub sets: Vec<SetView>,
     /// Full scale, DN.
     pub full_scale_dn: f64,
+    /// Step of the converter that the sets agree on, DN.
+    pub(super) code_step_dn: f64,
     /// Share of a change of level that first frames usually carry; 0 where none is seen.
     pub carried_share: f64,
     /// True if the black level was subtracted from the flats, and not from the darks.
@@ -81,6 +87,7 @@ impl<'a> Campaign<'a> {
     pub(super) fn new(dataset: &'a Dataset, facts: Vec<SetFacts>) -> Self {
         // Pixels that are always at full scale clip no level.
         let always = facts.iter().filter(|f| !f.means_dn.is_empty()).map(|f| f.clipped).fold(1.0, f64::min);
+        let code_step_dn = code_step(&facts);
         let view = |(set, facts): (&crate::dataset::Set, SetFacts)| {
             let row: &FrameRow = dataset.settings(set);
             SetView {
@@ -100,8 +107,14 @@ impl<'a> Campaign<'a> {
         };
         let sets = dataset.sets().iter().zip(facts).map(view).collect();
         let full_scale_dn = f64::from(dataset.manifest().camera.full_scale_dn());
-        let mut all =
-            Self { dataset, sets, full_scale_dn, carried_share: 0.0, flats_are_dark_subtracted: false };
+        let mut all = Self {
+            dataset,
+            sets,
+            full_scale_dn,
+            code_step_dn,
+            carried_share: 0.0,
+            flats_are_dark_subtracted: false,
+        };
         all.carried_share = all.usual_share().unwrap_or(0.0);
         for k in 1..all.sets.len() {
             if let Some((change, _)) = all.change_at(k) {
@@ -258,7 +271,12 @@ impl<'a> Campaign<'a> {
         value: impl Fn(usize) -> f64,
         std: impl Fn(usize) -> f64,
     ) -> bool {
-        let darks = self.places(|s| s.kind == Kind::Dark && !s.clipped && s.variance_dn2().is_some());
+        // The logarithm of no noise is no number: rounding hides it.
+        if !value(set).is_finite() {
+            return false;
+        }
+        let mut darks = self.places(|s| s.kind == Kind::Dark && !s.clipped && s.variance_dn2().is_some());
+        darks.retain(|&i| value(i).is_finite());
         let longest = darks.iter().map(|&i| self.sets[i].exposure_s).fold(0.0, f64::max);
         let point = |&i: &usize| {
             let t = self.sets[i].exposure_s / longest;
@@ -317,6 +335,14 @@ impl<'a> Campaign<'a> {
             out.entry(self.sets[i].configuration).or_default().push(i);
         }
         out
+    }
+
+    /// Returns true if codes of a coarse converter hide the noise of a set: variance and fixed pattern are those
+    /// of rounding (EMVA 1288 release 4, appendix C.4, in steps of the converter).
+    pub fn is_rounded(&self, set: &SetView) -> bool {
+        let step = self.code_step_dn;
+        step > MIN_COARSE_STEP_DN
+            && set.variance_dn2().is_some_and(|v| v.0 < HIDDEN_VAR_OF_STEP * step.powi(2))
     }
 
     /// Returns true if the patterns of all these sets have one size.

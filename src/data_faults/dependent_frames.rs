@@ -21,6 +21,8 @@ const MIN_DEPENDENCE: f64 = 0.12;
 const MIN_SIGMAS: f64 = 10.0;
 /// Standard deviations within which two sets lost the same share of their variance.
 const SAME_LOSS_SIGMAS: f64 = 3.0;
+/// Standard errors of the flats' line by which one of two darks has less noise than that leaves.
+const SIGMAS_OF_FLATS: f64 = 3.0;
 /// Share of the sets up to which it is a slip: more are what the camera does.
 const MAX_SHARE_OF_SETS: f64 = 0.34;
 
@@ -68,7 +70,7 @@ pub struct DependentFrames;
 impl Check for DependentFrames {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let Some(zero) = campaign.zero() else { return Vec::new() };
-        let usable = |s: &SetView| !s.clipped && !s.is_cut_off();
+        let usable = |s: &SetView| !s.clipped && !s.is_cut_off() && !campaign.is_rounded(s);
         let all = campaign.places(|s| matches!(s.kind, Kind::Dark | Kind::Flat) && usable(s));
         let level = |i: usize| above(campaign, &zero, i);
         // Frames alike.
@@ -203,8 +205,19 @@ impl Check for DependentFrames {
             filtered.contains(&i) || others.peek().is_none() || others.any(|d| !alone.contains(d))
         });
         averaged.sort_unstable();
-        // Two darks do not tell which of them is of the flats' gain.
-        let few_darks = campaign.places(|s| s.kind == Kind::Dark).len() < MIN_DARKS_FOR_A_GAIN;
+        // Two darks do not tell which of them is of the flats' gain: the flats by themselves do.
+        let darks = campaign.places(|s| s.kind == Kind::Dark);
+        let few_darks = darks.len() < MIN_DARKS_FOR_A_GAIN;
+        let of_flats = Transfer::of(campaign, &zero, &darks).filter(|_| few_darks);
+        let flats_have_more = |i: usize| {
+            let left = of_flats.as_ref().map(|t| t.expected_dn2(level(i)));
+            left.zip(campaign.sets[i].variance_dn2()).is_some_and(|((left_dn2, std_dn2), own)| {
+                own.0 < MAX_AVERAGED_RATIO * (left_dn2 - SIGMAS_OF_FLATS * std_dn2)
+            })
+        };
+        averaged.retain(|&i| {
+            !few_darks || campaign.sets[i].is_lit() || filtered.contains(&i) || flats_have_more(i)
+        });
         let mut out = Vec::new();
         if !averaged.is_empty() && averaged.len() as f64 <= (MAX_SHARE_OF_SETS * all.len() as f64).max(1.0) {
             let i = averaged[0];

@@ -189,8 +189,9 @@ impl Law {
 
     /// Returns true if the deviation is beyond chance among so many points.
     pub fn is_stray(&self, p: &Point, points: usize) -> bool {
-        let Ok(student) = StudentsT::new(0.0, 1.0, self.dof) else { return false };
-        2.0 * student.sf(self.t(p)) * (points.max(1) as f64) < FALSE_STRAY_PROBABILITY
+        let (Ok(student), t) = (StudentsT::new(0.0, 1.0, self.dof), self.t(p)) else { return false };
+        // Its tail panics at what is no number.
+        !t.is_nan() && 2.0 * student.sf(t) * (points.max(1) as f64) < FALSE_STRAY_PROBABILITY
     }
 }
 
@@ -218,6 +219,16 @@ mod tests {
             !Law::fit(&points, &PRIORS, 3).unwrap().out.is_empty()
         });
         assert!(false_ones.count() <= 3);
+    }
+
+    /// Points that are no numbers make no stray, and no panic.
+    #[test]
+    fn what_is_no_number_is_no_stray() {
+        for value in [f64::NAN, f64::NEG_INFINITY] {
+            let mut points = points(1, 8);
+            points[3].value = value;
+            assert!(Law::fit(&points, &PRIORS, 3).is_none_or(|law| law.out.is_empty()));
+        }
     }
 
     /// One or two points off by 5 %, wherever they are, twenty times their scatter of 0.4 % with the error of the

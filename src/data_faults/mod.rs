@@ -77,7 +77,7 @@ pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, Examine
         return Ok(dataset.clone());
     }
     let facts = facts_of(dataset, stop)?;
-    let (code_step_dn, struck) = (facts::code_step(&facts), StruckSamples::of(&facts));
+    let struck = StruckSamples::of(&facts);
     let mut campaign = Campaign::new(dataset, facts);
     let mut faults = Vec::new();
     for check in CHECKS {
@@ -86,7 +86,7 @@ pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, Examine
     let passed_over = campaign.passed_over(&faults);
     let shared_noise = SharedNoise::of(&campaign);
     let examination = Examination {
-        code_step_dn,
+        code_step_dn: campaign.code_step_dn,
         struck,
         carried_share: campaign.carried_share,
         shared_noise,

@@ -19,7 +19,11 @@ impl Check for OtherPattern {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let Some(zero) = campaign.zero().filter(|_| campaign.is_of_one_part()) else { return Vec::new() };
         let mut out = Vec::new();
-        for flats in campaign.flats_by_field().into_values().filter(|flats| flats.len() >= MIN_FLATS) {
+        for mut flats in campaign.flats_by_field().into_values() {
+            flats.retain(|&i| !campaign.is_rounded(&campaign.sets[i]));
+            if flats.len() < MIN_FLATS {
+                continue;
+            }
             if let Some((sets, how)) = odd_ones(campaign, &flats, zero.dn) {
                 let text = format!("{}: {how}", campaign.named(&sets));
                 out.push(campaign.fault_of_sets(FaultKind::OtherSettings, &sets, text, true));

@@ -143,7 +143,8 @@ impl Check for SettingLabel {
             Point {
                 factors: factors.of(set.exposure_s, set.illumination, when(i)),
                 value: above(i).ln() - factors.ln_of(set.exposure_s * set.illumination),
-                std: LAMP_SCATTER.hypot(scatter.hypot(zero.scatter_dn).hypot(coarse(set)) / above(i)),
+                std: LAMP_SCATTER
+                    .hypot(scatter.hypot(zero.scatter_dn).hypot(coarse(campaign, set)) / above(i)),
             }
         };
         let points: Vec<Point> = lit.iter().map(|&i| point(i)).collect();
@@ -365,7 +366,10 @@ fn exchanged(points: &[Point], priors: &[f64], law: &Law) -> Option<(usize, usiz
 }
 
 /// Error of a level of codes that stand so far apart that noise does not fill the gaps, DN.
-fn coarse(set: &SetView) -> f64 {
+fn coarse(campaign: &Campaign<'_>, set: &SetView) -> f64 {
+    if campaign.is_rounded(set) {
+        return campaign.code_step_dn / 12f64.sqrt();
+    }
     let noise = set.variance_dn2().map_or(0.0, |v| v.0.sqrt());
     if set.facts.step_dn > 1.5 || noise < 0.3 { set.facts.step_dn / 12f64.sqrt() } else { 0.0 }
 }

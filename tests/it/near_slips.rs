@@ -3,7 +3,8 @@
 use crate::data_faults::BLACK_DN;
 use crate::far_slips::{is_named, sweep};
 use crate::import_cases::{Bench, Camera};
-use crate::support::radcam;
+use crate::rewritten::Campaign;
+use crate::support::{expect, radcam, small_sensor};
 
 const SHARES: [f64; 8] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.75, 0.9];
 
@@ -124,5 +125,23 @@ fn averaged_flats_beside_single_darks_are_refused() {
         let said = String::from_utf8_lossy(&output.stderr).replace('\n', " ");
         assert_eq!(output.status.code(), Some(2), "{said}");
         assert!(said.contains("all flats were averaged before they were saved"), "{said}");
+    }
+}
+
+/// Codes eight apart that hide the noise of the darks, and of dim flats: rounding is no slip, and ends no verb.
+#[test]
+fn noise_that_rounding_hides_is_no_slip() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = small_sensor(folder.path(), "cmos12", 160, 128);
+    let text =
+        std::fs::read_to_string(&model).unwrap().replace("gain_dn_per_e = 0.38", "gain_dn_per_e = 0.038");
+    assert!(text.contains("gain_dn_per_e = 0.038"), "{text}");
+    std::fs::write(&model, text).unwrap();
+    let model = model.to_str().unwrap();
+    expect(0, &["model", "add", model, "coarse-quantization", "step_dn=8"]);
+    for seed in [2, 4] {
+        let said = Campaign::new(model, "standard", seed).said("diagnose");
+        assert_eq!(said["data_faults"], serde_json::json!([]), "{seed}");
+        assert_eq!(said["missing"][0]["effect"], "coarse-quantization", "{seed}: {}", said["missing"]);
     }
 }
