@@ -145,7 +145,11 @@ pub fn survey(
                     true => Facts::default(),
                     false => sidecar::facts(path).or(tables.facts(path)),
                 };
-                let names = beside.or(named(path, &common));
+                let listed = match source.tells_all() {
+                    true => Facts::default(),
+                    false => tables.listed(path),
+                };
+                let names = beside.or(named(path, &common)).or(listed);
                 frames_of(path, &source, names, digest, &mut census, &mut go_on)
             });
         match frames {

@@ -78,8 +78,18 @@ impl FrameTables {
         Self(found.filter(|(_, tables)| !tables.is_empty()).collect())
     }
 
-    /// Facts of the row that names an image, its name up to a sign, or its folder; none where no table does.
+    /// Facts of the row of a table that names an image, its name up to a sign, or its folder; none where no table
+    /// does.
     pub fn facts(&self, image: &Path) -> Facts {
+        self.facts_of(image, |row| matches!(row, Row::Cells(_)))
+    }
+
+    /// The same of the line of a plain text, which counts less than names: any text may begin with a name.
+    pub fn listed(&self, image: &Path) -> Facts {
+        self.facts_of(image, |row| matches!(row, Row::Text(_)))
+    }
+
+    fn facts_of(&self, image: &Path, is_asked: impl Fn(&Row) -> bool) -> Facts {
         let folder = image.parent().unwrap_or(Path::new(""));
         let text = |name: Option<&std::ffi::OsStr>| name.unwrap_or_default().to_string_lossy().into_owned();
         let (name, stem) = (text(image.file_name()), text(image.file_stem()));
@@ -89,7 +99,7 @@ impl FrameTables {
         let tables = [Some(folder), folder.parent()].into_iter().flatten();
         let tables = tables.filter_map(|folder| self.0.get(folder)).flatten();
         let row = |t: &FrameTable| {
-            let row = keys.iter().find_map(|key| t.rows.get(key))?.clone();
+            let row = keys.iter().find_map(|key| t.rows.get(key)).filter(|row| is_asked(row))?.clone();
             t.is_used.set(true);
             Some((text(t.path.file_name()), row))
         };

@@ -139,10 +139,14 @@ fn lists_in_plain_text_are_read() {
         lines[0] += &format!("Messung0{run}: {ms} ms{words}\n");
         lines[1] += &format!("Run {run}: {ms} ms{words}\n");
     }
+    // What names say counts more than prose.
+    let frame = camera.frame(3000.0, 0.03);
+    (0..2).for_each(|k| bench.tiff(&format!("read/flat_30ms/bild{k}.tif"), &frame));
+    lines[0] += "flat_30ms: begun with 5 ms, then 30 ms\n";
     fs::write(bench.path("read/Belichtungen.txt"), &lines[0]).unwrap();
     fs::write(bench.path("other/Belichtungen.txt"), &lines[1]).unwrap();
-    let right =
-        [(Kind::Dark, 0.005, 2), (Kind::Flat, 0.005, 2), (Kind::Flat, 0.01, 2), (Kind::Flat, 0.02, 2)];
+    let flats = [0.005, 0.01, 0.02, 0.03].map(|exposure_s| (Kind::Flat, exposure_s, 2));
+    let right: Vec<_> = [(Kind::Dark, 0.005, 2)].into_iter().chain(flats).collect();
     assert_eq!(sets(&bench.import("read", &[]).0), right);
     let said = bench.refused("other");
     assert!(said.contains("Belichtungen.txt") && said.contains("no row names a frame or a folder"), "{said}");
