@@ -5,17 +5,21 @@ use super::law::{Law, Point};
 use super::set_view::SetView;
 use super::{DataFault, FaultKind};
 use crate::dataset::{Dataset, FrameRow, Kind, PassedOver};
+use crate::emva::lines::SMALLEST_DARK_DN2;
 use crate::statistics::median::{MAD_OF_NORMAL, median};
 use std::collections::BTreeMap;
 
 /// Rounding to whole codes alone moves the mean of a quiet frame by some hundredths, DN.
 const MIN_MEAN_SCATTER_DN: f64 = 0.02;
-/// Steps of the converter from which on rounding is coarse, DN (a named choice).
+/// Least step of a coarse converter, DN (a named choice).
 const MIN_COARSE_STEP_DN: f64 = 1.5;
-/// Temporal variance below which rounding hides noise, in squared steps (EMVA 1288 release 4, appendix C.4).
-const HIDDEN_VAR_OF_STEP: f64 = 0.24;
 /// Minimum number of darks that determines the growth of level and noise with the exposure.
 const MIN_DARKS_FOR_A_LAW: usize = 6;
+/// Ratio up to which a smooth law is steeper beyond an end of its range than within it; a square of the exposure
+/// has twice the slope there (a named choice).
+const MAX_STEEPER_END: f64 = 3.0;
+/// Standard deviations that the values there are known to.
+const END_SIGMAS: f64 = 3.0;
 /// Share of clipped samples, beyond those of pixels that always are, from which the level of a set is not
 /// what it would be.
 const MAX_CLIPPED_SHARE: f64 = 1e-3;
@@ -271,7 +275,7 @@ impl<'a> Campaign<'a> {
         value: impl Fn(usize) -> f64,
         std: impl Fn(usize) -> f64,
     ) -> bool {
-        // The logarithm of no noise is no number: rounding hides it.
+        // The logarithm of a variance of 0 is not finite: rounding hides the noise.
         if !value(set).is_finite() {
             return false;
         }
@@ -287,13 +291,24 @@ impl<'a> Campaign<'a> {
         else {
             return true;
         };
-        // An end of the range that goes on as the others do says nothing.
+        // An end of the range that goes on about as steeply as the others grow says nothing.
         let others = || points.iter().enumerate().filter(|(k, _)| *k != own).map(|(_, p)| p);
+        let range = |of: fn(&Point) -> f64| {
+            let all = || others().map(of);
+            (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max))
+        };
+        let (times, values) = (range(|p| p.factors[1]), range(|p| p.value));
         let (t, y) = (points[own].factors[1], points[own].value);
-        let shortest = others().all(|p| p.factors[1] > 1.1 * t && p.value > y);
-        let longest = others().all(|p| p.factors[1] < 0.9 * t && p.value < y);
-        if shortest || longest {
-            return false;
+        let is_shortest = t < times.0 / 1.1 && y < values.0;
+        let is_longest = t > times.1 / 0.9 && y > values.1;
+        if is_shortest || is_longest {
+            let gap = if is_longest { t - times.1 } else { times.0 - t };
+            let step = if is_longest { y - values.1 } else { values.0 - y };
+            let growth = values.1 - values.0 + 2.0 * END_SIGMAS * points[own].std;
+            let steeper = MAX_STEEPER_END * (t / times.1).max(1.0);
+            if step < END_SIGMAS * points[own].std + steeper * growth * gap / (times.1 - times.0) {
+                return false;
+            }
         }
         let law = Law::fit(&points, &[1e4, 1e4, 1e4], (darks.len() / 4).clamp(1, 3));
         law.is_none_or(|law| law.out.contains(&own))
@@ -342,7 +357,7 @@ impl<'a> Campaign<'a> {
     pub fn is_rounded(&self, set: &SetView) -> bool {
         let step = self.code_step_dn;
         step > MIN_COARSE_STEP_DN
-            && set.variance_dn2().is_some_and(|v| v.0 < HIDDEN_VAR_OF_STEP * step.powi(2))
+            && set.variance_dn2().is_some_and(|v| v.0 < SMALLEST_DARK_DN2 * step.powi(2))
     }
 
     /// Returns true if the patterns of all these sets have one size.

@@ -21,7 +21,8 @@ const MIN_DEPENDENCE: f64 = 0.12;
 const MIN_SIGMAS: f64 = 10.0;
 /// Standard deviations within which two sets lost the same share of their variance.
 const SAME_LOSS_SIGMAS: f64 = 3.0;
-/// Standard errors of the flats' line by which one of two darks has less noise than that leaves.
+/// Standard errors of the flats' line by which the shorter of two darks has less noise than that leaves (a named
+/// choice).
 const SIGMAS_OF_FLATS: f64 = 3.0;
 /// Share of the sets up to which it is a slip: more are what the camera does.
 const MAX_SHARE_OF_SETS: f64 = 0.34;
@@ -205,9 +206,13 @@ impl Check for DependentFrames {
             filtered.contains(&i) || others.peek().is_none() || others.any(|d| !alone.contains(d))
         });
         averaged.sort_unstable();
-        // Two darks do not tell which of them is of the flats' gain: the flats by themselves do.
+        // Two darks do not tell which of them is of the flats' gain.
         let darks = campaign.places(|s| s.kind == Kind::Dark);
         let few_darks = darks.len() < MIN_DARKS_FOR_A_GAIN;
+        // A dark of less exposure than the other has less noise by itself; only the flats then tell that it has too
+        // little.
+        let is_shorter =
+            |i: usize| darks.iter().any(|&d| campaign.sets[d].exposure_s > campaign.sets[i].exposure_s);
         let of_flats = Transfer::of(campaign, &zero, &darks).filter(|_| few_darks);
         let flats_have_more = |i: usize| {
             let left = of_flats.as_ref().map(|t| t.expected_dn2(level(i)));
@@ -216,7 +221,8 @@ impl Check for DependentFrames {
             })
         };
         averaged.retain(|&i| {
-            !few_darks || campaign.sets[i].is_lit() || filtered.contains(&i) || flats_have_more(i)
+            let is_known = !few_darks || campaign.sets[i].is_lit() || filtered.contains(&i);
+            is_known || !is_shorter(i) || flats_have_more(i)
         });
         let mut out = Vec::new();
         if !averaged.is_empty() && averaged.len() as f64 <= (MAX_SHARE_OF_SETS * all.len() as f64).max(1.0) {

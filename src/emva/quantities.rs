@@ -2,8 +2,8 @@
 
 use super::general::{General, general};
 use super::lines::{
-    QUANTISATION_DN2, UNDERFLOW, dark_lines, distinct, fitted_points, linear_range, noise_std, of_variance,
-    signal_std, transfer_lines, underflow, with_flats,
+    QUANTISATION_DN2, SMALLEST_DARK_DN2, UNDERFLOW, dark_lines, distinct, fitted_points, linear_range,
+    noise_std, of_variance, signal_std, transfer_lines, underflow, with_flats,
 };
 use super::points::{Dark, Points, Temporal};
 use super::saturation::{self, Saturation};
@@ -80,8 +80,6 @@ pub struct Evaluation {
     pub notes: Vec<String>,
 }
 
-/// Below this temporal variance of the darks, DN^2, quantisation hides the noise (appendix C.4).
-const SMALLEST_DARK_DN2: f64 = 0.24;
 /// What the standard puts in place of the dark noise then, DN, and the limit of the noise without quantisation, DN (eq. 54).
 const HIDDEN_DARK_DN: f64 = 0.49;
 const HIDDEN_NOISE_DN: f64 = 0.40;

@@ -12,8 +12,9 @@ const SIGNS: [char; 5] = [':', '=', '\t', ';', ','];
 /// Least number of lines with exposures that make a list of a text (a named choice).
 const MIN_LINES: usize = 3;
 
-/// Texts by the names that their lines begin with; those of one name in one text.
-pub fn rows_of(text: &str) -> HashMap<String, String> {
+/// Texts by the names that their lines begin with, those of one name in one text; `None` of a text that lists no
+/// exposures, as most prose does not.
+pub fn rows_of(text: &str) -> Option<HashMap<String, String>> {
     let mut rows: HashMap<String, String> = HashMap::new();
     for line in text.trim_start_matches('\u{feff}').lines().filter(|l| l.len() <= MAX_LINE) {
         let parts = SIGNS.iter().find_map(|sign| line.split_once(*sign));
@@ -26,7 +27,8 @@ pub fn rows_of(text: &str) -> HashMap<String, String> {
         all.push(' ');
         all.push_str(said.trim());
     }
-    rows
+    let with_exposure = rows.values().filter(|said| facts(said).exposure_s.is_some());
+    (with_exposure.take(MIN_LINES).count() == MIN_LINES).then_some(rows)
 }
 
 /// Facts that a line states.
@@ -34,11 +36,6 @@ pub fn facts(said: &str) -> Facts {
     let mut facts = names::facts("", said.trim());
     facts.from.values_mut().for_each(|from| *from = format!("\"{}\"", said.trim()));
     facts
-}
-
-/// Returns true if so many lines state an exposure that the text is a list of them.
-pub fn is_list(rows: &HashMap<String, String>) -> bool {
-    rows.values().filter(|said| facts(said).exposure_s.is_some()).take(MIN_LINES).count() == MIN_LINES
 }
 
 #[cfg(test)]
@@ -51,21 +48,20 @@ mod tests {
     fn lines_say_exposure_and_kind_of_what_they_name() {
         let rows = rows_of(
             "Camera: DMK 33UX252, Gain 0 dB\n\nMessung01: 5 ms (Kappe zu)\nMessung02:50 ms\r\na/b/img_3.tif\t0,5 s\nx 20 ms flat\n",
-        );
+        )
+        .unwrap();
         let of = |name: &str| facts(&rows[name]);
         assert_eq!((of("Messung01").exposure_s, of("Messung01").kind), (Some(0.005), Some(Kind::Dark)));
         assert_eq!((of("Messung02").exposure_s, of("Messung02").kind), (Some(0.05), None));
         assert_eq!(of("img_3.tif").exposure_s, Some(0.5));
         assert_eq!((of("x").exposure_s, of("x").kind), (Some(0.02), Some(Kind::Flat)));
-        assert!(is_list(&rows) && !is_list(&rows_of("Exposure=5 ms\nPeriod=10 ms\nGain=3\n")));
+        assert_eq!(rows_of("Exposure=5 ms\nPeriod=10 ms\nGain=3\nflat: of the blue lamp\n"), None);
     }
 
     proptest! {
         #[test]
         fn no_text_makes_it_panic(text in "\\PC{0,20}([:=,;\t\n\"/]\\PC{0,10}){0,12}") {
-            for said in rows_of(&text).values() {
-                let _ = facts(said);
-            }
+            let _ = rows_of(&text);
         }
     }
 }

@@ -141,15 +141,11 @@ pub fn survey(
         let frames = Source::open(path, options)
             .map_err(|message| ImportError::File { path: path.clone(), message })
             .and_then(|source| {
-                let beside = match source.tells_all() {
-                    true => Facts::default(),
-                    false => sidecar::facts(path).or(tables.facts(path)),
-                };
-                let listed = match source.tells_all() {
-                    true => Facts::default(),
-                    false => tables.listed(path),
-                };
-                let names = beside.or(named(path, &common)).or(listed);
+                let mut names = named(path, &common);
+                if !source.tells_all() {
+                    let beside = sidecar::facts(path).or(tables.facts(path));
+                    names = beside.or(names).or(tables.listed(path));
+                }
                 frames_of(path, &source, names, digest, &mut census, &mut go_on)
             });
         match frames {

@@ -44,26 +44,33 @@ const MAX_FRAMES: usize = 100_000;
 /// Tables by the folder in which they lie.
 pub struct FrameTables(BTreeMap<PathBuf, Vec<FrameTable>>);
 
-/// Row of a table: cells under the names of their columns, or free text.
-#[derive(Debug, Clone)]
-enum Row {
-    Cells(Vec<Said>),
-    Text(String),
+/// Rows by the name that each begins with: cells under the names of their columns, or lines of plain text.
+enum Rows {
+    Cells(HashMap<String, Vec<Said>>),
+    Lines(HashMap<String, String>),
 }
 
-impl Row {
-    fn facts(self) -> Facts {
+impl Rows {
+    fn facts(&self, name: &str) -> Option<Facts> {
         match self {
-            Self::Cells(said) => words::facts(said, Writer::Lines),
-            Self::Text(said) => lists::facts(&said),
+            Self::Cells(rows) => rows.get(name).map(|said| words::facts(said.clone(), Writer::Lines)),
+            Self::Lines(rows) => rows.get(name).map(|said| lists::facts(said)),
+        }
+    }
+
+    /// First of the names in the order of the alphabet.
+    fn example(&self) -> Option<&String> {
+        match self {
+            Self::Cells(rows) => rows.keys().min(),
+            Self::Lines(rows) => rows.keys().min(),
         }
     }
 }
 
-/// Rows of a table by the name that each begins with.
+/// Table or list beside the frames.
 struct FrameTable {
     path: PathBuf,
-    rows: HashMap<String, Row>,
+    rows: Rows,
     /// True once a row named a frame.
     is_used: Cell<bool>,
 }
@@ -81,15 +88,16 @@ impl FrameTables {
     /// Facts of the row of a table that names an image, its name up to a sign, or its folder; none where no table
     /// does.
     pub fn facts(&self, image: &Path) -> Facts {
-        self.facts_of(image, |row| matches!(row, Row::Cells(_)))
+        self.facts_of(image, |rows| matches!(rows, Rows::Cells(_)))
     }
 
-    /// The same of the line of a plain text, which counts less than names: any text may begin with a name.
+    /// Facts of the line of a plain text that names an image in the same way. Names count more: any prose may begin
+    /// with a folder's name.
     pub fn listed(&self, image: &Path) -> Facts {
-        self.facts_of(image, |row| matches!(row, Row::Text(_)))
+        self.facts_of(image, |rows| matches!(rows, Rows::Lines(_)))
     }
 
-    fn facts_of(&self, image: &Path, is_asked: impl Fn(&Row) -> bool) -> Facts {
+    fn facts_of(&self, image: &Path, is_asked: impl Fn(&Rows) -> bool) -> Facts {
         let folder = image.parent().unwrap_or(Path::new(""));
         let text = |name: Option<&std::ffi::OsStr>| name.unwrap_or_default().to_string_lossy().into_owned();
         let (name, stem) = (text(image.file_name()), text(image.file_stem()));
@@ -97,32 +105,23 @@ impl FrameTables {
         let keys: Vec<String> =
             [name].into_iter().chain(prefixes).chain([text(folder.file_name())]).collect();
         let tables = [Some(folder), folder.parent()].into_iter().flatten();
-        let tables = tables.filter_map(|folder| self.0.get(folder)).flatten();
-        let row = |t: &FrameTable| {
-            let row = keys.iter().find_map(|key| t.rows.get(key)).filter(|row| is_asked(row))?.clone();
-            t.is_used.set(true);
-            Some((text(t.path.file_name()), row))
-        };
-        let Some((table, row)) = tables.into_iter().find_map(row) else { return Facts::default() };
-        let mut facts = row.facts();
-        facts.from.values_mut().for_each(|from| *from = format!("{table}: {from}"));
-        facts
+        let tables = tables.filter_map(|folder| self.0.get(folder)).flatten().filter(|t| is_asked(&t.rows));
+        for table in tables {
+            if let Some(mut facts) = keys.iter().find_map(|key| table.rows.facts(key)) {
+                table.is_used.set(true);
+                let name = text(table.path.file_name());
+                facts.from.values_mut().for_each(|from| *from = format!("{name}: {from}"));
+                return facts;
+            }
+        }
+        Facts::default()
     }
 
     /// Tables of which no row named a frame, in words.
     pub fn unused(&self) -> Vec<String> {
-        let is_table = |t: &FrameTable| {
-            let text = |row: (&String, &Row)| match row.1 {
-                Row::Text(said) => Some((row.0.clone(), said.clone())),
-                Row::Cells(_) => None,
-            };
-            let texts: HashMap<String, String> = t.rows.iter().filter_map(text).collect();
-            texts.is_empty() || lists::is_list(&texts)
-        };
-        let unused = self.0.values().flatten().filter(|t| !t.is_used.get() && is_table(t));
+        let unused = self.0.values().flatten().filter(|t| !t.is_used.get());
         let words = |t: &FrameTable| {
-            let names: Vec<String> = t.rows.keys().min().into_iter().cloned().collect();
-            let such = names.first().map_or(String::new(), |name| format!(" (it has \"{name}\")"));
+            let such = t.rows.example().map_or(String::new(), |name| format!(" (it has \"{name}\")"));
             format!(
                 "{}: no row names a frame or a folder{such}; a table whose first row names its columns (file,exposure_ms,kind) is read",
                 t.path.display()
@@ -156,14 +155,9 @@ fn is_text(path: &Path) -> bool {
 /// Reads a table with a header, or a list in plain text; `None` of a file that is neither.
 fn table(path: &Path) -> Option<FrameTable> {
     let text = crate::input::plain_text(path).ok()?;
-    let cells = |rows: HashMap<String, Vec<Said>>| -> HashMap<String, Row> {
-        rows.into_iter().map(|(name, said)| (name, Row::Cells(said))).collect()
-    };
-    let rows = if !is_text(path) || names_frames(&text) {
-        cells(rows_of(&text)?)
-    } else {
-        let lists = lists::rows_of(&text);
-        lists.into_iter().map(|(name, said)| (name, Row::Text(said))).collect()
+    let rows = match is_text(path) && !names_frames(&text) {
+        true => Rows::Lines(lists::rows_of(&text)?),
+        false => Rows::Cells(rows_of(&text)?),
     };
     Some(FrameTable { path: path.to_path_buf(), rows, is_used: Cell::new(false) })
 }

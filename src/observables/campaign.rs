@@ -9,6 +9,7 @@ use super::{
 };
 use crate::data_faults::{ExamineError, examined};
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
+use crate::emva::lines::SMALLEST_DARK_DN2;
 use crate::number::ranges;
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
@@ -272,9 +273,9 @@ pub fn of_dataset(
             .extend(warm_up::in_words(means, zero_dn).map(|text| format!("set {}: {text}", sets[i].number)));
     }
     let darks = chunks.iter().filter(|c| kinds[c.set] == Kind::Dark).map(|c| c.summary.var.value);
-    if let Some(var) = darks.min_by(f64::total_cmp).filter(|v| *v < LEAST_DARK_VAR_DN2) {
+    if let Some(var) = darks.min_by(f64::total_cmp).filter(|v| *v < SMALLEST_DARK_DN2) {
         missing.push(format!(
-            "darks have a temporal variance of {var:.2} DN^2, and EMVA 1288 (release 4, eq. 54) takes less than {LEAST_DARK_VAR_DN2} DN^2 for \
+            "darks have a temporal variance of {var:.2} DN^2, and EMVA 1288 (release 4, eq. 54) takes less than {SMALLEST_DARK_DN2} DN^2 for \
              rounding: read noise is not well known; more bits (Mono12 for Mono8) or more gain tell it"
         ));
     }
@@ -488,10 +489,6 @@ const QUIET_DN2: f64 = 0.06;
 pub(super) fn is_quiet(summary: &Summary) -> bool {
     summary.var.value < QUIET_DN2
 }
-
-/// Temporal variance of darks below which EMVA 1288 does not take it for measured, DN^2 (release 4, section
-/// 6.6).
-const LEAST_DARK_VAR_DN2: f64 = 0.24;
 
 /// Time from the end of an exposure to the next where frames carry no times, s: readout, saving and pauses (a named
 /// choice). Short exposures then follow one another evenly, as cameras at a fixed rate take them.

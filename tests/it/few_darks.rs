@@ -1,7 +1,7 @@
 //! Campaigns with one warm dark, with none, or with nothing else: what they tell is said, and what they do
 //! not tell is not made up. Of cameras that the program simulates; sets are taken away by their labels.
 
-use crate::rewritten::Campaign;
+use crate::rewritten::{Campaign, set_of_plan};
 use crate::support::small_sensor;
 use serde_json::Value;
 
@@ -102,4 +102,27 @@ fn frames_that_drift_are_not_called_filtered() {
     let said = campaign(&[], effect, 37).said("diagnose");
     assert!(!said["data_faults"].to_string().contains("filtered"), "{}", said["data_faults"]);
     assert_eq!(said["missing"][0]["effect"], "offset-drift", "{said:#}");
+}
+
+/// Two darks beside bright flats, whose line leaves any noise of darks: the shorter one has a third of the noise of
+/// the longer, and neither is accused.
+#[test]
+fn the_shorter_of_two_darks_may_have_less_noise() {
+    let dir = tempfile::tempdir().unwrap();
+    let plan = dir.path().join("plan.toml");
+    let set = |kind: &str, share: f64| set_of_plan(kind, 6, share, f64::from(u8::from(kind == "flat")));
+    let flats = [0.5, 0.6, 0.7, 0.8, 0.9].map(|share| set("flat", share)).concat();
+    let text = set("dark", 0.3) + &set("dark", 0.9) + &flats;
+    std::fs::write(&plan, format!("format = \"radcam-plan/1\"\n{text}")).unwrap();
+    for seed in [242, 243] {
+        let campaign = Campaign::new("cmos12", plan.to_str().unwrap(), seed);
+        let rows = campaign.of(campaign.sets("dark", 2)[1]);
+        let frames: Vec<_> = rows.iter().map(|row| campaign.frame(*row).mapv(f64::from)).collect();
+        let mean = frames.iter().fold(frames[0].clone() * 0.0, |sum, f| sum + f) / frames.len() as f64;
+        for (row, frame) in rows.into_iter().zip(&frames) {
+            let other = &mean + (frame - &mean) * 3.0;
+            campaign.put(row, &other.mapv(|v| v.round() as u16));
+        }
+        assert_eq!(campaign.said("noise")["data_faults"].to_string(), "[]", "{seed}");
+    }
 }

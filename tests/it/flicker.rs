@@ -19,7 +19,7 @@ fn mains_flicker_is_a_ripple_and_no_bend() {
     let flats = [0.12, 0.2, 0.29, 0.4, 0.55, 0.65, 0.77, 0.85].map(|share| set("flat", 8, share)).concat();
     let text = set("dark", 8, 0.12) + &set("dark", 8, 0.85) + &flats;
     std::fs::write(plan, format!("format = \"radcam-plan/1\"\n{text}")).unwrap();
-    for seed in 224..226 {
+    for seed in 224..228 {
         let campaign = Campaign::new(model, plan, seed);
         let said = campaign.said("diagnose");
         assert_eq!(said["data_faults"], serde_json::json!([]), "{seed}");

@@ -2,6 +2,7 @@
 
 use crate::support::{calibration, expect, program, radcam, refused, small_sensor};
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -193,11 +194,16 @@ fn passwords_are_not_shown() {
     let run = |arguments: &[String]| -> Output { command(arguments).output().unwrap() };
     // A monitor waits a minute for its database, unless it is stopped.
     let interrupted = |arguments: &[String]| -> Output {
-        let child = command(arguments).spawn().unwrap();
-        std::thread::sleep(Duration::from_secs(2));
+        let mut child = command(arguments).spawn().unwrap();
+        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+        let mut said: Vec<String> = Vec::new();
+        while !said.last().is_some_and(|line| line.contains("waiting for the history")) {
+            said.push(lines.next().unwrap_or_else(|| panic!("{said:?}")));
+        }
         let kill = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
         assert!(kill.success());
-        child.wait_with_output().unwrap()
+        said.extend(lines);
+        Output { stderr: said.join("\n").into_bytes(), ..child.wait_with_output().unwrap() }
     };
     let quiet_with = |code: i32, output: &Output, part: &str| {
         let said =

@@ -139,7 +139,7 @@ fn lists_in_plain_text_are_read() {
         lines[0] += &format!("Messung0{run}: {ms} ms{words}\n");
         lines[1] += &format!("Run {run}: {ms} ms{words}\n");
     }
-    // What names say counts more than prose.
+    // Names count more than prose.
     let frame = camera.frame(3000.0, 0.03);
     (0..2).for_each(|k| bench.tiff(&format!("read/flat_30ms/bild{k}.tif"), &frame));
     lines[0] += "flat_30ms: begun with 5 ms, then 30 ms\n";

@@ -153,6 +153,13 @@ fn time_stamps_in_names_part_no_sets() {
     }
     bench.tiff("ramp/dark_10ms_0.tif", &camera.frame(0.0, 0.01));
     assert!(bench.import("ramp", &[]).1.contains("frames of one set have several levels"));
+    // The cap was left on: levels next to the darks are one.
+    for k in 0..4 {
+        bench.tiff(&format!("capped/dark_10ms_{k}.tif"), &camera.frame(0.0, 0.01));
+        bench.tiff(&format!("capped/flat_10ms_{k}.tif"), &camera.frame(0.0, 0.01));
+        bench.tiff(&format!("capped/flat_20ms_{k}.tif"), &camera.frame(2000.0, 0.02));
+    }
+    assert!(!bench.import("capped", &[]).1.contains("several levels"));
 }
 
 /// The kind stands in any folder above, and flat darks are darks.

@@ -49,6 +49,7 @@ mod noise;
 #[cfg(feature = "aravis")]
 mod outages;
 mod outside;
+mod predictions;
 mod program;
 mod real;
 mod reduction;
