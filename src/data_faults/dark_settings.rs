@@ -71,8 +71,12 @@ impl Check for DarkSettings {
                 let ratio = campaign.sets[**d].exposure_s / campaign.sets[i].exposure_s;
                 **d != i && (0.5..2.0).contains(&ratio)
             };
-            let usual = median(darks.iter().filter(alike).map(|&d| var(d).0.sqrt()));
-            let ratio = var(i).0.sqrt() / usual;
+            // Charge grows with the exposure, and its noise with it.
+            let least = darks.iter().filter(|d| **d != i).map(|&d| var(d).0).fold(f64::INFINITY, f64::min);
+            let of_charge =
+                |&d: &usize| (var(d).0 - least) * campaign.sets[i].exposure_s / campaign.sets[d].exposure_s;
+            let usual = least + median(darks.iter().filter(alike).map(of_charge));
+            let ratio = (var(i).0 / usual).sqrt();
             let of_gain = ratio.is_finite() && !(MAX_NOISE_RATIO.recip()..MAX_NOISE_RATIO).contains(&ratio);
             let what = if of_gain {
                 format!("another gain, {} times that of the other darks by its noise: its", six_digits(ratio))

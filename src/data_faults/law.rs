@@ -187,10 +187,18 @@ impl Law {
         ((p.value - self.at(&p.factors)) / self.std(p)).abs()
     }
 
+    /// Difference of two points that it does not know, less that of the law, and its standard deviation.
+    pub fn difference(&self, a: &Point, b: &Point) -> (f64, f64) {
+        let factors: Vec<f64> = a.factors.iter().zip(&b.factors).map(|(a, b)| a - b).collect();
+        let off = a.value - b.value - self.at(&factors);
+        let variance = a.std.powi(2) + b.std.powi(2) + self.variance(&factors);
+        (off, self.scale * variance.sqrt())
+    }
+
     /// Returns true if the deviation is beyond chance among so many points.
     pub fn is_stray(&self, p: &Point, points: usize) -> bool {
         let (Ok(student), t) = (StudentsT::new(0.0, 1.0, self.dof), self.t(p)) else { return false };
-        // Its tail panics at what is no number.
+        // statrs panics at the tail of NaN.
         !t.is_nan() && 2.0 * student.sf(t) * (points.max(1) as f64) < FALSE_STRAY_PROBABILITY
     }
 }
@@ -221,9 +229,9 @@ mod tests {
         assert!(false_ones.count() <= 3);
     }
 
-    /// Points that are no numbers make no stray, and no panic.
+    /// NaN and infinite values make no stray, and no panic.
     #[test]
-    fn what_is_no_number_is_no_stray() {
+    fn nan_is_no_stray() {
         for value in [f64::NAN, f64::NEG_INFINITY] {
             let mut points = points(1, 8);
             points[3].value = value;

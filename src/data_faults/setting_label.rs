@@ -238,20 +238,27 @@ impl Check for SettingLabel {
         let mut unequal = Vec::new();
         for sets in campaign.repeats() {
             let known: Vec<usize> = (0..lit.len()).filter(|k| sets.contains(&lit[*k])).collect();
-            let off = |k: &usize| points[*k].value - law.at(&points[*k].factors);
-            let most = known.iter().map(off).fold(f64::NEG_INFINITY, f64::max);
-            let least = known.iter().map(off).fold(f64::INFINITY, f64::min);
-            let usual = known.iter().map(|k| law.std(&points[*k])).fold(0.0, f64::max);
-            if known.len() == sets.len()
-                && most - least > REPEATS.1.max(REPEATS.0 * usual)
-                && found.iter().all(|f| !sets.contains(&f.0))
-            {
+            if known.len() != sets.len() || found.iter().any(|f| sets.contains(&f.0)) {
+                continue;
+            }
+            // What repeats differ by is no scatter of the other flats.
+            let others: Vec<Point> =
+                (0..lit.len()).filter(|k| !known.contains(k)).map(|k| points[k].clone()).collect();
+            let few = if others.len() < MIN_FLATS { 0 } else { few.min(others.len() / MIN_FLATS) };
+            let of_others = Law::fit(&others, &priors, few).filter(|_| others.len() >= MIN_OTHERS);
+            let law = of_others.as_ref().unwrap_or(&law);
+            let pairs = known.iter().flat_map(|a| known.iter().map(move |b| (*a, *b)));
+            let differences = pairs.map(|(a, b)| law.difference(&points[a], &points[b]));
+            let Some((most, std)) = differences.max_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
+            if most > REPEATS.1.max(REPEATS.0 * std) {
                 let text = format!(
                     "{}: stated exposure and light are the same, and the light differs by {}",
                     campaign.named(&sets),
-                    percent(most - least)
+                    percent(most)
                 );
-                unequal.push(campaign.fault_of_sets(FaultKind::UnequalLight, &sets, text, false));
+                // The others tell the light of such a setting; all of a few flats are needed.
+                let left_out = of_others.is_some() && sets.len() == 2 && others.len() >= MIN_FLATS;
+                unequal.push(campaign.fault_of_sets(FaultKind::UnequalLight, &sets, text, left_out));
             }
         }
         found
@@ -449,7 +456,7 @@ mod tests {
             });
             (found.map(|(_, k)| k), stray)
         };
-        let bend = |seed: u32| if seed % 2 == 0 { 0.0 } else { 0.15 * f64::from(seed % 16) / 15.0 };
+        let bend = |seed: u32| if seed.is_multiple_of(2) { 0.0 } else { 0.15 * f64::from(seed % 16) / 15.0 };
         let is_false = |scatter: f64| (0..500).filter(|s| of(*s, scatter, bend(*s), 0.0).0.is_some()).count();
         let false_ones: usize =
             [STEADY.0, 0.001, LAMP_SCATTER, 5.0 * LAMP_SCATTER].map(is_false).iter().sum();

@@ -8,6 +8,10 @@ use crate::statistics::median::median;
 const MIN_SIGMAS: f64 = 8.0;
 /// Least difference in light, over the signal: lamps that are left alone stay within it (a named choice).
 const MIN_RELATIVE_DIFFERENCE: f64 = 0.005;
+/// The same for each of several pairs that differ alike; chance brings one of 16000 that far.
+const MIN_SIGMAS_OF_EACH: f64 = 4.0;
+/// Standard deviations within which such pairs differ alike.
+const ALIKE_SIGMAS: f64 = 3.0;
 /// Share of the sets up to which unequal pairs are slips: more are what the lamp does.
 const MAX_SHARE_OF_PAIRS: f64 = 0.5;
 
@@ -34,11 +38,14 @@ impl Check for UnequalLight {
             let less = plain + carried;
             if less.abs() < plain.abs() { less } else { plain }
         };
-        let far = |i: usize| {
-            let of_pair = 2f64.sqrt() * scatter.of_frame_dn(&campaign.sets[i]);
-            apart(i).abs() > (MIN_SIGMAS * of_pair).max(MIN_RELATIVE_DIFFERENCE * signal(i))
-        };
-        let unequal: Vec<usize> = pairs.iter().copied().filter(|&i| far(i)).collect();
+        let sigma = |i: usize| 2f64.sqrt() * scatter.of_frame_dn(&campaign.sets[i]);
+        let is_large = |i: usize| apart(i).abs() > MIN_RELATIVE_DIFFERENCE * signal(i);
+        let far = |i: usize| is_large(i) && apart(i).abs() > MIN_SIGMAS * sigma(i);
+        let mut unequal: Vec<usize> = pairs.iter().copied().filter(|&i| far(i)).collect();
+        if unequal.is_empty() {
+            unequal = equally_apart(&pairs, |i| apart(i) / signal(i), |i| sigma(i) / signal(i));
+            unequal.retain(|&i| is_large(i));
+        }
         if !unequal.is_empty()
             && unequal.len() as f64 <= (MAX_SHARE_OF_PAIRS * pairs.len() as f64).max(1.0)
             && pairs.len() > 2
@@ -86,4 +93,16 @@ impl Check for UnequalLight {
         };
         found.into_iter().map(fault).collect()
     }
+}
+
+/// Pairs that differ by the same share in the same direction, where a single one is too little to be said.
+fn equally_apart(pairs: &[usize], apart: impl Fn(usize) -> f64, sigma: impl Fn(usize) -> f64) -> Vec<usize> {
+    let is_apart = |i: &usize| apart(*i).abs() > MIN_SIGMAS_OF_EACH * sigma(*i);
+    let found: Vec<usize> = pairs.iter().copied().filter(is_apart).collect();
+    let weight = |i: usize| sigma(i).powi(-2);
+    let all: f64 = found.iter().map(|&i| weight(i)).sum();
+    let mean = found.iter().map(|&i| weight(i) * apart(i)).sum::<f64>() / all;
+    let are_alike = found.iter().all(|&i| (apart(i) - mean).abs() < ALIKE_SIGMAS * sigma(i));
+    let is_said = found.len() > 1 && are_alike && mean.abs() > MIN_SIGMAS / all.sqrt();
+    if is_said { found } else { Vec::new() }
 }

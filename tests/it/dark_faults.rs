@@ -1,6 +1,7 @@
 //! Darks that are not of the flats, or that hold light or charge, in campaigns of simulated cameras.
 
 use crate::data_faults::{BLACK_DN, few_darks};
+use crate::far_slips::is_named;
 use crate::rewritten::{Campaign, set_of_plan};
 use radcam::ndarray::{Array2, s};
 use radcam_sim::rng::{PixelRng, Stream};
@@ -365,4 +366,18 @@ fn charge_in_the_only_dark_is_no_read_noise() {
     let said = campaign.said("noise");
     assert!(said["read_noise_e"]["value"].is_null(), "{said}");
     assert!(said["notes"].to_string().contains("so much dark charge is in them"), "{}", said["notes"]);
+}
+
+/// The longest of many darks at 7 DN more, where the darks before it grow by 0.6 DN with each exposure, has another
+/// black level, and no other gain: its noise is that of its charge.
+#[test]
+fn the_longest_dark_goes_on_as_the_others_do() {
+    let campaign = Campaign::new("cmos12", "emva1288", 244);
+    let exposure_s = |set: &u32| campaign.rows[campaign.of(*set)[0]][4].parse::<f64>().unwrap();
+    let darks = campaign.sets("dark", 2);
+    let longest = darks.into_iter().max_by(|a, b| exposure_s(a).total_cmp(&exposure_s(b))).unwrap();
+    for row in campaign.of(longest) {
+        campaign.put(row, &campaign.frame(row).mapv(|v| v + 7));
+    }
+    is_named(&campaign, "other-settings", &[longest], "another black level: its level is 6.9");
 }
