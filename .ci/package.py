@@ -10,7 +10,7 @@ read = listed.read_text().split(": ", 1)[1]
 read = {pathlib.Path(p.replace("\\ ", " ")) for p in re.split(r"(?<!\\) ", read.strip())}
 others = ["--exclude", "row-gain-noise", "--exclude", "radcam-python"]
 subprocess.run(["cargo", "package", "--workspace", *others, "--quiet", "--no-verify", *sys.argv[2:]], cwd=root, check=True)
-# What build scripts wrote lies beside the program.
+# Files that build scripts wrote lie beside the program.
 missing = {p for p in read if root in p.parents and listed.parent not in p.parents}
 counts = {}
 for package, folder in [("radcam-sim", "sim"), ("radcam-aravis", "bindings/aravis"), ("radcam", ".")]:

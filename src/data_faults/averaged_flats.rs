@@ -8,9 +8,9 @@ use super::set_view::SetView;
 use super::transfer::{MIN_VARIANCE_DN2, Transfer, above};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
-use crate::emva::lines::QUANTISATION_DN2;
 use crate::number::six_digits;
 use crate::statistics::median::median;
+use crate::statistics::quantisation::QUANTISATION_DN2;
 
 /// Least number of darks and of flats.
 const MIN_SETS: (usize, usize) = (2, 5);

@@ -5,8 +5,8 @@ use super::law::{Law, Point};
 use super::set_view::SetView;
 use super::{DataFault, FaultKind};
 use crate::dataset::{Dataset, FrameRow, Kind, PassedOver};
-use crate::emva::lines::SMALLEST_DARK_DN2;
 use crate::statistics::median::{MAD_OF_NORMAL, median};
+use crate::statistics::quantisation::SMALLEST_DARK_DN2;
 use std::collections::BTreeMap;
 
 /// Rounding to whole codes alone moves the mean of a quiet frame by some hundredths, DN.
@@ -15,11 +15,11 @@ const MIN_MEAN_SCATTER_DN: f64 = 0.02;
 const MIN_COARSE_STEP_DN: f64 = 1.5;
 /// Minimum number of darks that determines the growth of level and noise with the exposure.
 const MIN_DARKS_FOR_A_LAW: usize = 6;
-/// Ratio up to which a smooth law is steeper beyond an end of its range than within it; a square of the exposure
-/// has twice the slope there (a named choice).
+/// Largest ratio of the slope of a smooth law beyond the end of its range to that within; a square of the exposure has
+/// twice the slope there (a named choice).
 const MAX_STEEPER_END: f64 = 3.0;
-/// Standard deviations that the values there are known to.
-const END_SIGMAS: f64 = 3.0;
+/// Standard deviations within which the values there lie (a named choice).
+const MAX_SIGMAS_OF_VALUES: f64 = 3.0;
 /// Share of clipped samples, beyond those of pixels that always are, from which the level of a set is not
 /// what it would be.
 const MAX_CLIPPED_SHARE: f64 = 1e-3;
@@ -291,22 +291,22 @@ impl<'a> Campaign<'a> {
         else {
             return true;
         };
-        // An end of the range that goes on about as steeply as the others grow says nothing.
+        // An end of the range that goes on as the others do says nothing: bias frames may have a level of their own, and
+        // the longest dark goes on about as steeply as the others grow.
         let others = || points.iter().enumerate().filter(|(k, _)| *k != own).map(|(_, p)| p);
-        let range = |of: fn(&Point) -> f64| {
-            let all = || others().map(of);
-            (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max))
-        };
-        let (times, values) = (range(|p| p.factors[1]), range(|p| p.value));
         let (t, y) = (points[own].factors[1], points[own].value);
-        let is_shortest = t < times.0 / 1.1 && y < values.0;
-        let is_longest = t > times.1 / 0.9 && y > values.1;
-        if is_shortest || is_longest {
-            let gap = if is_longest { t - times.1 } else { times.0 - t };
-            let step = if is_longest { y - values.1 } else { values.0 - y };
-            let growth = values.1 - values.0 + 2.0 * END_SIGMAS * points[own].std;
-            let steeper = MAX_STEEPER_END * (t / times.1).max(1.0);
-            if step < END_SIGMAS * points[own].std + steeper * growth * gap / (times.1 - times.0) {
+        if others().all(|p| p.factors[1] > 1.1 * t && p.value > y) {
+            return false;
+        }
+        if others().all(|p| p.factors[1] < 0.9 * t && p.value < y) {
+            let range = |of: fn(&Point) -> f64| {
+                let all = || others().map(of);
+                (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max))
+            };
+            let (times, values) = (range(|p| p.factors[1]), range(|p| p.value));
+            let error = MAX_SIGMAS_OF_VALUES * points[own].std;
+            let slope = (values.1 - values.0 + 2.0 * error) / (times.1 - times.0);
+            if y - values.1 < error + MAX_STEEPER_END * slope * (t - times.1) {
                 return false;
             }
         }

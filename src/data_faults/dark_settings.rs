@@ -67,15 +67,16 @@ impl Check for DarkSettings {
             if !campaign.is_off_the_darks(i, |d| campaign.sets[d].level_dn(), std) {
                 continue;
             }
-            let alike = |d: &&usize| {
-                let ratio = campaign.sets[**d].exposure_s / campaign.sets[i].exposure_s;
-                **d != i && (0.5..2.0).contains(&ratio)
+            let alike = |d: &usize| {
+                let ratio = campaign.sets[*d].exposure_s / campaign.sets[i].exposure_s;
+                (0.5..2.0).contains(&ratio)
             };
             // Charge grows with the exposure, and its noise with it.
-            let least = darks.iter().filter(|d| **d != i).map(|&d| var(d).0).fold(f64::INFINITY, f64::min);
+            let sound = || (0..darks.len()).filter(|d| !law.out.contains(d)).map(|d| darks[d]);
+            let least = sound().map(|d| var(d).0).fold(f64::INFINITY, f64::min);
             let of_charge =
-                |&d: &usize| (var(d).0 - least) * campaign.sets[i].exposure_s / campaign.sets[d].exposure_s;
-            let usual = least + median(darks.iter().filter(alike).map(of_charge));
+                |d: usize| (var(d).0 - least) * campaign.sets[i].exposure_s / campaign.sets[d].exposure_s;
+            let usual = least + median(sound().filter(alike).map(of_charge));
             let ratio = (var(i).0 / usual).sqrt();
             let of_gain = ratio.is_finite() && !(MAX_NOISE_RATIO.recip()..MAX_NOISE_RATIO).contains(&ratio);
             let what = if of_gain {

@@ -187,8 +187,8 @@ impl Law {
         ((p.value - self.at(&p.factors)) / self.std(p)).abs()
     }
 
-    /// Difference of two points that it does not know, less that of the law, and its standard deviation.
-    pub fn difference(&self, a: &Point, b: &Point) -> (f64, f64) {
+    /// Returns the difference of two points that were not fitted, less that of the law, and its standard deviation.
+    pub fn difference_of(&self, a: &Point, b: &Point) -> (f64, f64) {
         let factors: Vec<f64> = a.factors.iter().zip(&b.factors).map(|(a, b)| a - b).collect();
         let off = a.value - b.value - self.at(&factors);
         let variance = a.std.powi(2) + b.std.powi(2) + self.variance(&factors);

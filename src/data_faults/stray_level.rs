@@ -4,8 +4,8 @@
 
 use super::campaign::{Campaign, Zero};
 use super::transfer::Transfer;
-use crate::emva::lines::QUANTISATION_DN2;
 use crate::number::six_digits;
+use crate::statistics::quantisation::QUANTISATION_DN2;
 
 /// Square of standard deviations by which another reason must fit the noise better than a wrong label does, which
 /// is the usual slip; and standard deviations within which it must fit it.

@@ -7,10 +7,11 @@
 //! signal from a line over the light (eq. 59 to 63).
 
 use crate::dataset::Kind;
-use crate::emva::lines::{FIT_RANGE, LINEAR_RANGE, MIN_RANGE, QUANTISATION_DN2};
+use crate::emva::lines::{FIT_RANGE, LINEAR_RANGE, MIN_RANGE};
 use crate::inference::{Effects, Fitted};
 use crate::number::finite;
 use crate::observables::{Observations, mean, nominal_expectations, variance};
+use crate::statistics::quantisation::QUANTISATION_DN2;
 use radcam_sim::effects::{self, Effect};
 use serde::{Deserialize, Serialize};
 

@@ -2,13 +2,14 @@
 //! (release candidate of 2021-03-15).
 
 use super::Definitions;
-use super::lines::{QUANTISATION_DN2, dark_lines, of_variance, signal_std};
+use super::lines::{dark_lines, of_variance, signal_std};
 use super::points::{Points, Temporal};
 use super::saturation::Saturation;
 use super::spatial::{filtered, variances};
 use super::spline::Spline;
 use super::value::Inputs;
 use crate::number::Quantity;
+use crate::statistics::quantisation::QUANTISATION_DN2;
 use radcam_sim::rng::{PixelRng, Stream};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

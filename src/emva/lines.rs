@@ -5,10 +5,6 @@ use super::{Definitions, EmvaError};
 use crate::fit::line::goodness;
 use crate::number::six_digits;
 
-/// Variance of quantisation, DN^2 (section 2.4; q^2 / 12, eq. 27 of Healey and Kondepudy).
-pub(crate) const QUANTISATION_DN2: f64 = 1.0 / 12.0;
-/// Temporal variance of darks below which quantisation hides the noise, DN^2 (appendix C.4).
-pub(crate) const SMALLEST_DARK_DN2: f64 = 0.24;
 /// Share of dark samples at 0 DN from which they count as clipped (section 6.5: less than about 0.5 %).
 pub(super) const UNDERFLOW: f64 = 0.005;
 /// Part of saturation up to which gain and responsivity are fitted (section 6.6).

@@ -2,8 +2,8 @@
 
 use super::general::{General, general};
 use super::lines::{
-    QUANTISATION_DN2, SMALLEST_DARK_DN2, UNDERFLOW, dark_lines, distinct, fitted_points, linear_range,
-    noise_std, of_variance, signal_std, transfer_lines, underflow, with_flats,
+    UNDERFLOW, dark_lines, distinct, fitted_points, linear_range, noise_std, of_variance, signal_std,
+    transfer_lines, underflow, with_flats,
 };
 use super::points::{Dark, Points, Temporal};
 use super::saturation::{self, Saturation};
@@ -17,6 +17,7 @@ use crate::dataset::table::{Level, Table};
 use crate::noise;
 use crate::number::Quantity;
 use crate::statistics::outliers;
+use crate::statistics::quantisation::{QUANTISATION_DN2, SMALLEST_DARK_DN2};
 use radcam_sim::rng::{PixelRng, Stream};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -9,8 +9,10 @@ use std::collections::HashMap;
 const MAX_LINE: usize = 300;
 /// Signs behind the name that a line begins with, the most telling first; else the first space is.
 const SIGNS: [char; 5] = [':', '=', '\t', ';', ','];
-/// Least number of lines with exposures that make a list of a text (a named choice).
+/// Least number of lines with exposures that make a list of a text with other lines too (a named choice).
 const MIN_LINES: usize = 3;
+/// Largest text of lines that begin with one name.
+const MAX_TEXT: usize = 4 * MAX_LINE;
 
 /// Texts by the names that their lines begin with, those of one name in one text; `None` of a text that lists no
 /// exposures, as most prose does not.
@@ -24,11 +26,15 @@ pub fn rows_of(text: &str) -> Option<HashMap<String, String>> {
             continue;
         }
         let all = rows.entry(name.to_string()).or_default();
+        if all.len() + said.len() > MAX_TEXT {
+            continue;
+        }
         all.push(' ');
         all.push_str(said.trim());
     }
-    let with_exposure = rows.values().filter(|said| facts(said).exposure_s.is_some());
-    (with_exposure.take(MIN_LINES).count() == MIN_LINES).then_some(rows)
+    let has_exposure = |said: &&String| said.contains(char::is_numeric) && facts(said).exposure_s.is_some();
+    let known = rows.values().filter(has_exposure).take(MIN_LINES).count();
+    (known == MIN_LINES || known > 0 && known == rows.len()).then_some(rows)
 }
 
 /// Facts that a line states.
@@ -55,6 +61,7 @@ mod tests {
         assert_eq!((of("Messung02").exposure_s, of("Messung02").kind), (Some(0.05), None));
         assert_eq!(of("img_3.tif").exposure_s, Some(0.5));
         assert_eq!((of("x").exposure_s, of("x").kind), (Some(0.02), Some(Kind::Flat)));
+        assert_eq!(rows_of("dark: 10 ms\nflat: 10 ms\n").map(|rows| rows.len()), Some(2));
         assert_eq!(rows_of("Exposure=5 ms\nPeriod=10 ms\nGain=3\nflat: of the blue lamp\n"), None);
     }
 

@@ -9,12 +9,12 @@ use super::{
 };
 use crate::data_faults::{ExamineError, examined};
 use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
-use crate::emva::lines::SMALLEST_DARK_DN2;
 use crate::number::ranges;
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
 use crate::statistics::pass::Summary;
+use crate::statistics::quantisation::SMALLEST_DARK_DN2;
 use crate::statistics::steady::PixelNoise;
 use radcam_sim::predict::{Before, Campaign, FrameInfo, NORMAL, Ordinary, SetInfo};
 use std::sync::atomic::AtomicBool;

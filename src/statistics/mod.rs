@@ -19,6 +19,7 @@ pub mod peak;
 pub mod powers;
 pub mod profiles;
 pub mod quadratic;
+pub(crate) mod quantisation;
 pub mod spectrum;
 pub mod steady;
 pub mod step;

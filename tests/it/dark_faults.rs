@@ -371,7 +371,7 @@ fn charge_in_the_only_dark_is_no_read_noise() {
 /// The longest of many darks at 7 DN more, where the darks before it grow by 0.6 DN with each exposure, has another
 /// black level, and no other gain: its noise is that of its charge.
 #[test]
-fn the_longest_dark_goes_on_as_the_others_do() {
+fn a_longest_dark_of_another_black_level_is_named() {
     let campaign = Campaign::new("cmos12", "emva1288", 244);
     let exposure_s = |set: &u32| campaign.rows[campaign.of(*set)[0]][4].parse::<f64>().unwrap();
     let darks = campaign.sets("dark", 2);

@@ -1,5 +1,4 @@
-//! What is drawn and what is predicted are two pieces of code: statistics of drawn campaigns against those that the
-//! model expects.
+//! Statistics of drawn campaigns against those that the model expects: drawing and predicting are two pieces of code.
 
 use crate::effects::{asked_for, campaign, observe, scaled, unit, with};
 use radcam::inference::{Comparison, compare, fit, start};
