@@ -15,11 +15,11 @@ const MIN_MEAN_SCATTER_DN: f64 = 0.02;
 const MIN_COARSE_STEP_DN: f64 = 1.5;
 /// Minimum number of darks that determines the growth of level and noise with the exposure.
 const MIN_DARKS_FOR_A_LAW: usize = 6;
-/// Largest ratio of the slope of a smooth law beyond the end of its range to that within; a square of the exposure has
-/// twice the slope there (a named choice).
-const MAX_STEEPER_END: f64 = 3.0;
-/// Standard deviations within which the values there lie (a named choice).
-const MAX_SIGMAS_OF_VALUES: f64 = 3.0;
+/// Maximum slope of a smooth law beyond the longest exposure, over its mean slope before; a square of the
+/// exposure has twice that slope (a named choice).
+const MAX_SLOPE_RATIO_AT_END: f64 = 3.0;
+/// Maximum error of a dark's value, in its standard deviations (a named choice).
+const MAX_ERROR_SIGMAS: f64 = 3.0;
 /// Share of clipped samples, beyond those of pixels that always are, from which the level of a set is not
 /// what it would be.
 const MAX_CLIPPED_SHARE: f64 = 1e-3;
@@ -291,8 +291,8 @@ impl<'a> Campaign<'a> {
         else {
             return true;
         };
-        // An end of the range that goes on as the others do says nothing: bias frames may have a level of their own, and
-        // the longest dark goes on about as steeply as the others grow.
+        // The ends of the range are extrapolated: bias frames may have a level of their own, and the longest dark
+        // may lie as much higher as the slope of the others allows.
         let others = || points.iter().enumerate().filter(|(k, _)| *k != own).map(|(_, p)| p);
         let (t, y) = (points[own].factors[1], points[own].value);
         if others().all(|p| p.factors[1] > 1.1 * t && p.value > y) {
@@ -304,9 +304,9 @@ impl<'a> Campaign<'a> {
                 (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max))
             };
             let (times, values) = (range(|p| p.factors[1]), range(|p| p.value));
-            let error = MAX_SIGMAS_OF_VALUES * points[own].std;
+            let error = MAX_ERROR_SIGMAS * points[own].std;
             let slope = (values.1 - values.0 + 2.0 * error) / (times.1 - times.0);
-            if y - values.1 < error + MAX_STEEPER_END * slope * (t - times.1) {
+            if y - values.1 < error + MAX_SLOPE_RATIO_AT_END * slope * (t - times.1) {
                 return false;
             }
         }

@@ -209,8 +209,7 @@ impl Check for DependentFrames {
         // Two darks do not tell which of them is of the flats' gain.
         let darks = campaign.places(|s| s.kind == Kind::Dark);
         let few_darks = darks.len() < MIN_DARKS_FOR_A_GAIN;
-        // A dark of less exposure than the other has less noise by itself; only the flats then tell that it has too
-        // little.
+        // The shorter dark has less noise by itself; only the flats tell that it has too little.
         let is_shorter =
             |i: usize| darks.iter().any(|&d| campaign.sets[d].exposure_s > campaign.sets[i].exposure_s);
         let of_flats = Transfer::of(campaign, &zero, &darks).filter(|_| few_darks);

@@ -70,8 +70,8 @@ const LN_OF_LIGHT: usize = 1;
 /// Place among them of the offset at the lowest light, and its prior where darks of one exposure leave their
 /// charge in the zero of flats of others.
 const OFFSET: (usize, f64) = (3, 1.0);
-/// Place among them of the drift of the lamp, and its prior where repeats are held against the other flats: lamps fall
-/// by some percents while they warm up (a named choice).
+/// Place among them of the drift of the lamp, and its prior for the comparison of repeats with the other flats:
+/// lamps drift by some percents while they warm up (a named choice).
 const DRIFT: (usize, f64) = (7, 0.02);
 /// Ratio from which on exposures differ.
 const MIN_EXPOSURE_RATIO: f64 = 1.5;
@@ -245,7 +245,8 @@ impl Check for SettingLabel {
             if known.len() != sets.len() || found.iter().any(|f| sets.contains(&f.0)) {
                 continue;
             }
-            // The difference of repeats is no scatter of the other flats, and these do not tell a drift from a bend.
+            // Without the repeats, whose difference would count as scatter, a sweep in order does not tell a
+            // drift from a bend.
             let others: Vec<Point> =
                 (0..lit.len()).filter(|k| !known.contains(k)).map(|k| points[k].clone()).collect();
             let few = if others.len() < MIN_FLATS { 0 } else { few.min(others.len() / MIN_FLATS) };

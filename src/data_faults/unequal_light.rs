@@ -8,15 +8,17 @@ use crate::statistics::median::median;
 const MIN_SIGMAS: f64 = 8.0;
 /// Least difference in light, over the signal: lamps that are left alone stay within it (a named choice).
 const MIN_RELATIVE_DIFFERENCE: f64 = 0.005;
-/// Least deviation of each of several pairs that differ alike, in standard deviations, least number of them, and least
-/// ratio to all other pairs (named choices): three of 20000 campaigns of 18 pairs under a lamp of normal flicker have
-/// them by chance.
+/// Minimum deviation of each of several pairs that differ alike, in standard deviations (a named choice, as the
+/// next four: by chance at most three of 20000 campaigns of 18 pairs under a lamp of normal flicker meet them
+/// all).
 const MIN_SIGMAS_OF_EACH: f64 = 4.0;
+/// Minimum number of such pairs.
 const MIN_PAIRS_ALIKE: usize = 3;
-const MIN_GAP: f64 = 1.5;
-/// Largest deviation of one of them from their mean, in standard deviations (a named choice).
-const MAX_SIGMAS_ALIKE: f64 = 2.0;
-/// Largest mean of the other pairs, in its standard deviations (a named choice).
+/// Minimum ratio of their deviations to the largest of the other pairs.
+const MIN_RATIO_TO_OTHERS: f64 = 1.5;
+/// Maximum deviation of each from their mean, in standard deviations.
+const MAX_SIGMAS_FROM_MEAN: f64 = 2.0;
+/// Maximum mean of the other pairs, in its standard deviations.
 const MAX_SIGMAS_OF_OTHERS: f64 = 4.0;
 /// Share of the sets up to which unequal pairs are slips: more are what the lamp does.
 const MAX_SHARE_OF_PAIRS: f64 = 0.5;
@@ -101,8 +103,9 @@ impl Check for UnequalLight {
     }
 }
 
-/// Finds pairs that differ by the same share in the same direction, where a single one is too little to be said: `apart`
-/// are relative differences of the light, `sigma` their standard deviations but for a factor, which the others tell.
+/// Finds pairs whose light differs by the same share in the same direction, each by too little to be said alone.
+/// `apart`: relative difference of a pair; `sigma`: its standard deviation up to a factor that the other pairs
+/// tell.
 fn find_equally_apart(
     pairs: &[usize],
     apart: impl Fn(usize) -> f64,
@@ -117,14 +120,14 @@ fn find_equally_apart(
             let (found, rest) = order.split_at(k);
             let scale = (rest.iter().map(|&i| z(i).powi(2)).sum::<f64>() / rest.len() as f64).sqrt();
             let largest_of_rest = rest.iter().map(|&i| z(i).abs()).fold(0.0, f64::max);
-            let least = (MIN_SIGMAS_OF_EACH * scale).max(MIN_GAP * largest_of_rest);
+            let least = (MIN_SIGMAS_OF_EACH * scale).max(MIN_RATIO_TO_OTHERS * largest_of_rest);
             let weight = |i: usize| (scale * sigma(i)).powi(-2);
             let weigh = |sets: &[usize]| {
                 let all: f64 = sets.iter().map(|&i| weight(i)).sum();
                 (sets.iter().map(|&i| weight(i) * apart(i)).sum::<f64>() / all, all.sqrt().recip())
             };
             let ((mean, std), (mean_of_rest, std_of_rest)) = (weigh(found), weigh(rest));
-            let is_alike = |i: &usize| (apart(*i) - mean).abs() < MAX_SIGMAS_ALIKE * scale * sigma(*i);
+            let is_alike = |i: &usize| (apart(*i) - mean).abs() < MAX_SIGMAS_FROM_MEAN * scale * sigma(*i);
             let are_apart = found.iter().all(|&i| sign * z(i) > least) && found.iter().all(is_alike);
             let is_large = mean.abs() > MIN_RELATIVE_DIFFERENCE.max(MIN_SIGMAS * std);
             // A lamp that warms up, and lag, go on in the other pairs.
@@ -142,8 +145,8 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Of 2000 campaigns of 18 pairs under a lamp that flickers by 0.2 % two at most are accused, and one in 100 where
-    /// single frames are far off; four pairs that lack seven standard deviations are found in four of five.
+    /// False alarms in 2000 campaigns of 18 pairs under 0.2 % flicker: two at most, and one in 100 where single
+    /// frames are far off. Four pairs that lack seven standard deviations are found in four of five.
     #[test]
     fn pairs_that_differ_alike_are_found() {
         let of = |seed: u64, kind: u64, off: f64| {
@@ -169,7 +172,7 @@ mod tests {
         assert!(right > 400 && found.len() - right < 15, "{right} of {}", found.len());
     }
 
-    /// A lamp that warms up by 5 % over 8 frames of 100, which flickers by 0.1 %: the first pairs differ more than all
+    /// Lamp that warms up by 5 % over 8 of 100 frames and flickers by 0.1 %: the first pairs differ more than all
     /// others, and are no slip.
     #[test]
     fn a_lamp_that_warms_up_is_no_slip() {

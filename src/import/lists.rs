@@ -9,9 +9,9 @@ use std::collections::HashMap;
 const MAX_LINE: usize = 300;
 /// Signs behind the name that a line begins with, the most telling first; else the first space is.
 const SIGNS: [char; 5] = [':', '=', '\t', ';', ','];
-/// Least number of lines with exposures that make a list of a text with other lines too (a named choice).
+/// Minimum number of exposures in a list that has other lines too (a named choice).
 const MIN_LINES: usize = 3;
-/// Largest text of lines that begin with one name.
+/// Maximum number of characters that lines of one name have together.
 const MAX_TEXT: usize = 4 * MAX_LINE;
 
 /// Texts by the names that their lines begin with, those of one name in one text; `None` of a text that lists no

@@ -91,8 +91,8 @@ impl FrameTables {
         self.facts_of(image, |rows| matches!(rows, Rows::Cells(_)))
     }
 
-    /// Facts of the line of a plain text that names an image in the same way. Names count more: any prose may begin
-    /// with a folder's name.
+    /// Facts of the line of a plain text that names an image in the same way. They count less than names: any
+    /// prose may begin with a folder's name.
     pub fn listed(&self, image: &Path) -> Facts {
         self.facts_of(image, |rows| matches!(rows, Rows::Lines(_)))
     }

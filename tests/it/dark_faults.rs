@@ -368,8 +368,8 @@ fn charge_in_the_only_dark_is_no_read_noise() {
     assert!(said["notes"].to_string().contains("so much dark charge is in them"), "{}", said["notes"]);
 }
 
-/// The longest of many darks at 7 DN more, where the darks before it grow by 0.6 DN with each exposure, has another
-/// black level, and no other gain: its noise is that of its charge.
+/// Longest of many darks, 7 DN higher where the darks before it grow by 0.6 DN each: another black level is
+/// named, and no other gain, since its noise is that of its charge.
 #[test]
 fn a_longest_dark_of_another_black_level_is_named() {
     let campaign = Campaign::new("cmos12", "emva1288", 244);

@@ -104,8 +104,8 @@ fn frames_that_drift_are_not_called_filtered() {
     assert_eq!(said["missing"][0]["effect"], "offset-drift", "{said:#}");
 }
 
-/// Two darks beside bright flats, whose line leaves any noise of darks: the shorter one has a third of the noise of
-/// the longer, and neither is accused.
+/// Two darks beside bright flats, which do not tell the noise of darks: the shorter dark has a third of the
+/// longer one's noise, and neither is accused.
 #[test]
 fn the_shorter_of_two_darks_may_have_less_noise() {
     let dir = tempfile::tempdir().unwrap();

@@ -154,13 +154,14 @@ fn lit_by(campaign: &Campaign, row: usize, factor: f64) {
     campaign.put(row, &campaign.frame(row).mapv(|v| if v == 4095 { v } else { other(v) }));
 }
 
+/// Draws a standard normal number.
 fn drawn(seed: u32, k: usize) -> f64 {
     PixelRng::new(seed.into(), Stream::Effect, k as u64, 0, 0).normal()
 }
 
-/// Two sets of one setting, one after the other, whose light differs by 3 % under a lamp whose settings scatter by
-/// 0.1 %, are left out, or the one that is off the line of the others is. A lamp that falls by 3 % from the first to the
-/// last set, the levels of which come in order and the first again at the end, is no slip.
+/// Two successive sets of one setting differ by 3 % in light, under a lamp whose settings scatter by 0.1 %: both
+/// are left out, or the one off the line of the others. No slip is a lamp that falls by 3 % over a sweep in
+/// order, with the first setting again at its end.
 #[test]
 fn repeats_of_unequal_light_are_named() {
     let dir = tempfile::tempdir().unwrap();
@@ -195,8 +196,8 @@ fn repeats_of_unequal_light_are_named() {
     }
 }
 
-/// Four of the pairs whose first frame has 1.6 % less light, under a lamp that flickers by 0.2 %: each is too little
-/// to be told by itself.
+/// Four pairs with 1.6 % less light in the first frame, under 0.2 % flicker: named together, since each is too
+/// little to be told alone.
 #[test]
 fn pairs_that_differ_alike_are_named() {
     for (seed, less) in [(249, 0.984), (250, 1.0)] {

@@ -1,12 +1,11 @@
-//! Statistics of drawn campaigns against those that the model expects: drawing and predicting are two pieces of code.
+//! Statistics of drawn campaigns compared with predicted ones: drawing and predicting are two pieces of code.
 
 use crate::effects::{asked_for, campaign, observe, scaled, unit, with};
 use radcam::inference::{Comparison, compare, fit, start};
 use radcam_sim::Model;
 use radcam_sim::effects::{EFFECTS, Effect, example, find};
 
-/// Draws a camera with these effects and compares the model that has them, fitted, with it; statistics that deviate,
-/// if any do.
+/// Draws a campaign with these effects and fits the model that has them; returns the statistics that deviate.
 fn deviation(seed: u64, effects: &[(&str, f64)]) -> Option<String> {
     let model = unit(seed);
     let values = |(id, strength): &(&str, f64)| {
@@ -16,7 +15,7 @@ fn deviation(seed: u64, effects: &[(&str, f64)]) -> Option<String> {
     deviations_from(model.clone(), &held?)
 }
 
-/// As [`deviation`], for values.
+/// Does the same for given parameter values.
 fn deviations_from(model: Model, held: &[(&'static dyn Effect, Vec<f64>)]) -> Option<String> {
     let effects: Vec<_> = held.iter().map(|(e, values)| (e.id(), values)).collect();
     let one = |more: u64| {

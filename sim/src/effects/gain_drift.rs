@@ -14,8 +14,8 @@ impl Effect for GainDrift {
         "gain-drift"
     }
 
-    /// Lamps fall by percents while they warm up, and gains change by some 1e-4 for a kelvin: where both would do, a
-    /// lamp is three times as common (a named choice): 2 ln 3.
+    /// Returns 2 ln 3: prior odds of 3 for a drift of the lamp (a named choice). Lamps drift by percents while
+    /// they warm up, amplifiers by some 1e-4 per kelvin.
     fn rarer(&self) -> f64 {
         2.2
     }
