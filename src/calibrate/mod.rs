@@ -15,6 +15,7 @@ mod worth;
 use crate::data_faults::{DataFault, ExamineError, examined};
 use crate::dataset::{CameraInfo, Dataset, DatasetError, Kind, Set};
 use crate::noise::{Method, NoiseReport};
+use crate::number::six_digits;
 use crate::statistics::lit::Lit;
 use crate::statistics::moments::Moments;
 use crate::statistics::outliers;
@@ -73,6 +74,16 @@ pub enum CalibrateError {
         configuration: u32,
         /// Clipped share.
         percent: f64,
+    },
+    /// Darks that do not belong to the flats.
+    #[error(
+        "the photon transfer's line leaves {} DN² for the constant noise, and no noise is below 0: darks and flats are of other settings, or \
+         the levels lie on no line; `radcam noise` shows them",
+        six_digits(*.dn2)
+    )]
+    NegativeNoise {
+        /// Constant noise, DN^2.
+        dn2: f64,
     },
     /// K would add more than it takes off.
     #[error(
@@ -214,6 +225,10 @@ pub fn of_dataset(
     if configurations.len() < 3 && estimator != Estimator::Smooth {
         return Err(PatternError::TooFew(configurations.len()).into());
     }
+    let constant = noise.map(|n| &n.constant_noise_var_dn2).filter(|c| c.value.is_finite());
+    if let Some(c) = constant.filter(|c| c.value < -MIN_SIGMAS_BELOW_0 * c.std_err) {
+        return Err(CalibrateError::NegativeNoise { dn2: c.value });
+    }
 
     let means = dark_means(dataset)?;
     let dark = DarkReference::fit(&means, exposure_s)?;
@@ -243,7 +258,7 @@ pub fn of_dataset(
     let camera = &dataset.manifest().camera;
     let description = Description {
         gain_dn_per_e: gain,
-        constant_noise_var_dn2: noise.map(|n| n.constant_noise_var_dn2.value).filter(|c| c.is_finite()),
+        constant_noise_var_dn2: constant.map(|c| c.value.max(0.0)),
         offset_dn: noise.map(|n| n.offset_dn.value).filter(|o| o.is_finite()),
         noise_covariance: noise.and_then(|n| {
             let line = n.estimators.iter().find(|e| e.method == Method::Reweighted)?;
@@ -263,6 +278,8 @@ pub fn of_dataset(
 
 /// Rounds in which pixels that the surfaces show to be dead are taken out of them.
 const ROUNDS: usize = 3;
+/// Standard errors below 0 from which on the constant noise is no chance (a named choice).
+const MIN_SIGMAS_BELOW_0: f64 = 3.0;
 
 /// Least share of the pixels with light that is left without the rim of the image circle.
 const MIN_SHARE_WITHOUT_RIM: f64 = 0.7;

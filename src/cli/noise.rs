@@ -62,7 +62,9 @@ fn print(title: &str, r: &NoiseReport) {
     }
     if let Some(shared) = &r.shared_noise_rel {
         let size = with_unit(100.0 * shared.value, 100.0 * shared.std_err, "%");
-        println!("  {:<16} {size} of the variance: A is off by as much, see the first note", "shared noise");
+        let of_pixels = shared.value.abs() < 1.0;
+        let what = if of_pixels { "A is off by as much, see the first note" } else { "see the first note" };
+        println!("  {:<16} {size} of the variance: {what}", "shared noise");
     }
     println!(
         "  {:<16} {} DN ({})",

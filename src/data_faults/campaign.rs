@@ -71,6 +71,14 @@ impl Scatter {
     }
 }
 
+/// Variance of differences of successive frames over that of frames two apart, from which on down frames depend on one
+/// another; fewest sets that say so (named choices).
+const MAX_DEPENDENCE: f64 = 0.95;
+const MIN_DEPENDENT_SETS: usize = 4;
+/// Largest weight of the frames before: a mean of the last frames looks like 1, and that of two has 4 times the noise,
+/// that of three 9 times (this weight makes 6).
+const MAX_WEIGHT: f64 = 0.5;
+
 /// All sets.
 #[derive(Debug)]
 pub struct Campaign<'a> {
@@ -106,6 +114,7 @@ impl<'a> Campaign<'a> {
                 part: dataset.part_of(set.rows[0]).0,
                 carried_dn: 0.0,
                 carried_error_dn: 0.0,
+                mean_noise_factor: 1.0,
                 facts,
             }
         };
@@ -119,6 +128,7 @@ impl<'a> Campaign<'a> {
             carried_share: 0.0,
             flats_are_dark_subtracted: false,
         };
+        all.count_dependent_frames();
         all.carried_share = all.usual_share().unwrap_or(0.0);
         for k in 1..all.sets.len() {
             if let Some((change, _)) = all.change_at(k) {
@@ -130,6 +140,26 @@ impl<'a> Campaign<'a> {
             first.carried_error_dn = (first.facts.means_dn[0] - first.behind_first_dn()).abs();
         }
         all
+    }
+
+    /// Noise of the sets' means where a filter over time makes the frames of most alike: the means of such frames have
+    /// more than independent ones of as much variance.
+    fn count_dependent_frames(&mut self) {
+        let known: Vec<f64> =
+            self.sets.iter().filter(|s| !s.wanders()).filter_map(SetView::dependence).collect();
+        let dependence = median(known.iter().copied());
+        if known.len() < MIN_DEPENDENT_SETS || dependence.is_nan() || dependence > MAX_DEPENDENCE {
+            return;
+        }
+        // Of an autoregression with weight a the variance of differences one apart is 1 / (1 + a) of that two apart,
+        // that of the mean of n frames (1 + a) / (1 - a) of 1 / n, and that of frames in turns the reciprocal (Box and
+        // Jenkins 1976, 3.2.3; the latter is the spectrum at its ends).
+        let weight = (dependence.recip() - 1.0).min(MAX_WEIGHT);
+        let of_mean = (1.0 + weight) / (1.0 - weight);
+        for set in &mut self.sets {
+            set.mean_noise_factor = of_mean / (1.0 - weight);
+            set.facts.middle_noise_dn2 *= of_mean.powi(2);
+        }
     }
 
     /// Change of the level from the set before to this one, DN, and what its first frame has of it.
@@ -152,6 +182,11 @@ impl<'a> Campaign<'a> {
     /// Pixels of a row.
     pub fn columns(&self) -> usize {
         self.dataset.manifest().camera.width.max(1)
+    }
+
+    /// Bits of a code.
+    pub fn bit_depth(&self) -> u32 {
+        self.dataset.manifest().camera.bit_depth.into()
     }
 
     /// File of a frame.

@@ -2,6 +2,7 @@
 //! pattern.
 
 use super::ExamineError;
+use super::lost_parts::Zeros;
 use super::old_data::{OldData, Search};
 use super::patterns;
 use crate::dataset::{Dataset, Set};
@@ -61,6 +62,9 @@ pub struct SetFacts {
     /// Parts of frames that hold the data of a frame before.
     #[serde(default)]
     pub old_data: Vec<OldData>,
+    /// Samples of each frame that are exactly 0; none in files of earlier versions.
+    #[serde(default)]
+    pub zeros: Vec<Zeros>,
     /// Mean over the frames of the middle of the frame, DN, row by row: at most [`MIDDLE`] x [`MIDDLE`]
     /// pixels.
     pub middle_dn: Vec<f32>,
@@ -110,7 +114,31 @@ impl SetFacts {
         (n == 0 || n == frames && middle)
             && counts.iter().all(|c| *c == n)
             && self.cells_dn.len() == n
+            && (self.zeros.is_empty() || self.zeros.len() == n)
             && self.cells_dn.iter().all(|c| c.len() == cells)
+    }
+}
+
+/// Middles of frames.
+#[derive(Default)]
+struct Middle {
+    frames: usize,
+    sum: Array2<f32>,
+    /// Their sum with plus and minus in turns.
+    in_turns: Array2<f32>,
+}
+
+impl Middle {
+    fn add(&mut self, part: &Array2<f32>) {
+        if self.sum.dim() != part.dim() {
+            (self.sum, self.in_turns) = (Array2::zeros(part.dim()), Array2::zeros(part.dim()));
+        }
+        self.frames += 1;
+        self.sum += part;
+        match self.frames % 2 {
+            1 => self.in_turns += part,
+            _ => self.in_turns -= part,
+        }
     }
 }
 
@@ -129,8 +157,8 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     let mut sent_before: Option<Arc<Array2<u16>>> = None;
     let mut second: Option<Arc<Array2<u16>>> = None;
     let mut third: Option<Arc<Array2<u16>>> = None;
-    // Sums of all frames, and of those in turns with plus and minus.
-    let (mut middle, mut in_turns) = (Array2::<f32>::zeros((0, 0)), Array2::<f32>::zeros((0, 0)));
+    // Of all frames, and of those that have all their parts.
+    let (mut middle_of_all, mut middle_of_whole) = (Middle::default(), Middle::default());
     let mut clipped = 0usize;
     let mut occurring = Occurring::default();
     for frames in in_blocks(dataset, set, stop) {
@@ -152,6 +180,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
             let shared = Arc::clone(&sent);
             let sent = sent.as_slice().unwrap_or(&[]);
             out.digests.push(digest(sent));
+            out.zeros.push(Zeros::of(sent));
             clipped += sent.iter().filter(|v| **v >= full).count();
             old_data.add(sent, sent_before.as_ref().and_then(|b| b.as_slice()), full);
             sent_before = Some(shared);
@@ -169,14 +198,9 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
             out.changed.push(changed);
             out.successive_dn2.push(successive);
             out.second_dn2.push(to(&second).1);
-            let part = middle_of(&frame);
-            if middle.dim() != part.dim() {
-                (middle, in_turns) = (Array2::zeros(part.dim()), Array2::zeros(part.dim()));
-            }
-            middle += &part;
-            match out.means_dn.len() % 2 {
-                1 => in_turns += &part,
-                _ => in_turns -= &part,
+            middle_of_all.add(&middle_of(&frame));
+            if out.zeros.last().is_some_and(|zeros| zeros.are_single()) {
+                middle_of_whole.add(&middle_of(&frame));
             }
             if out.means_dn.len() == 3 {
                 third = Some(Arc::clone(&frame));
@@ -191,11 +215,11 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     out.old_data = old_data.finish();
     out.code_step_dn = step_of(&occurring);
     out.clipped = clipped as f64 / (out.pixels * set.rows.len() as f64).max(1.0);
-    middle /= set.rows.len().max(1) as f32;
-    out.middle_columns = middle.ncols();
-    out.middle_dn = middle.into_iter().collect();
-    let in_turns: Vec<f32> = in_turns.into_iter().collect();
-    out.middle_noise_dn2 = patterns::noise_of(&out.middle_dn, &in_turns, set.rows.len(), out.middle_columns);
+    let middle = if middle_of_whole.frames > 0 { middle_of_whole } else { middle_of_all };
+    out.middle_columns = middle.sum.ncols();
+    out.middle_dn = middle.sum.iter().map(|v| v / middle.frames.max(1) as f32).collect();
+    let in_turns: Vec<f32> = middle.in_turns.into_iter().collect();
+    out.middle_noise_dn2 = patterns::noise_of(&out.middle_dn, &in_turns, middle.frames, out.middle_columns);
     Ok(out)
 }
 

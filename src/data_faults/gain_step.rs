@@ -109,12 +109,22 @@ struct Step {
 impl Step {
     /// A cut of the flats in two; `None` where level and noise do not say one gain.
     fn of(first: &[Point], second: &[Point], dark_dn2: f64) -> Option<Self> {
-        let (one, two) = (Part::of(first, dark_dn2)?, Part::of(second, dark_dn2)?);
         let ratio = |a: &Line, b: &Line| {
             let rel = |line: &Line| line.var_slope.sqrt() / line.slope;
             ((b.slope / a.slope).ln(), rel(a).hypot(rel(b)))
         };
-        let (level, noise) = (ratio(&one.response, &two.response), ratio(&one.noise, &two.noise));
+        let parts = |dark_one_dn2: f64, dark_two_dn2: f64| {
+            Part::of(first, dark_one_dn2).zip(Part::of(second, dark_two_dn2))
+        };
+        let plain = parts(dark_dn2, dark_dn2)?;
+        let level = ratio(&plain.0.response, &plain.1.response);
+        // The darks have the gain of either part; the constant noise of the other changes with its square.
+        let square = (2.0 * level.0).exp();
+        let ways = [Some(plain), parts(dark_dn2 / square, dark_dn2), parts(dark_dn2, dark_dn2 * square)];
+        let noise_of = |(one, two): &(Part, Part)| ratio(&one.noise, &two.noise);
+        let off = |way: &(Part, Part)| (noise_of(way).0 - level.0).abs();
+        let best = ways.into_iter().flatten().min_by(|a, b| off(a).total_cmp(&off(b)))?;
+        let (noise, (one, two)) = (noise_of(&best), best);
         let std = level.1.hypot(noise.1);
         let difference = (level.0 - noise.0).abs();
         let agree =
@@ -140,7 +150,7 @@ impl Step {
 
 impl Check for GainStep {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
-        let Some(zero) = campaign.zero().filter(|_| campaign.is_one_bench()) else { return Vec::new() };
+        let Some(zero) = campaign.zero().filter(|_| campaign.is_of_one_part()) else { return Vec::new() };
         let darks = campaign.places(|s| s.kind == Kind::Dark && !s.clipped);
         let dark_dn2 = median(darks.iter().filter_map(|&i| campaign.sets[i].variance_dn2().map(|v| v.0)));
         if !dark_dn2.is_finite() {
@@ -168,7 +178,8 @@ impl Check for GainStep {
         }
         let mut by_light = in_time.clone();
         by_light.sort_by(|a, b| a.light.total_cmp(&b.light));
-        let Some(whole) = Part::of(&in_time, dark_dn2) else { return Vec::new() };
+        // Noise that falls with the level has no line.
+        let whole_chi2 = Part::of(&in_time, dark_dn2).map_or(f64::INFINITY, |whole| whole.chi2());
         let cuts = [by_light, in_time].into_iter().flat_map(|points| {
             (MIN_OF_PART..=points.len() - MIN_OF_PART)
                 .filter_map(|at| Step::of(&points[..at], &points[at..], dark_dn2))
@@ -180,9 +191,9 @@ impl Check for GainStep {
             "gain {:?} in a part of the flats: chi-square {:.0} for {:.0}",
             step.ratio,
             step.chi2,
-            whole.chi2()
+            whole_chi2
         );
-        if whole.chi2() - step.chi2 < MIN_CHI2_GAIN * (step.chi2 / n).max(1.0)
+        if whole_chi2 - step.chi2 < MIN_CHI2_GAIN * (step.chi2 / n).max(1.0)
             || step.chi2 > MAX_CHI2_OF_ONE * n
         {
             return Vec::new();

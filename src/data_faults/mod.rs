@@ -139,6 +139,7 @@ macro_rules! checks {
 
 checks! {
     stretched_contrast::StretchedContrast
+    lost_parts::LostParts
     lit_dark_frame::LitDarkFrame
     dim_firsts::DimFirsts
     stale_frame::StaleFrame
@@ -147,7 +148,9 @@ checks! {
     odd_frame::OddFrame
     frames_of_two_levels::FramesOfTwoLevels
     moving_field::MovingField
+    fewer_bits::FewerBits
     gain_step::GainStep
+    repeats_of_two_gains::RepeatsOfTwoGains
     kind_label::KindLabel
     light_in_darks::LightInDarks
     unequal_light::UnequalLight

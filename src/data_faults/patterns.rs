@@ -88,7 +88,7 @@ pub fn pattern_of(set: &SetView) -> Vec<f64> {
 
 /// Variance of the mean of a set's frames, DN^2 (Healey and Kondepudy 1994, eq. 43: sigma_N^2 / s).
 pub fn noise_of_mean(set: &SetView) -> f64 {
-    set.variance_dn2().map_or(0.0, |v| v.0) / set.frames().max(1) as f64
+    set.mean_noise_factor * set.variance_dn2().map_or(0.0, |v| v.0) / set.frames().max(1) as f64
 }
 
 /// Variance of the noise in the mean of a set's frames, DN^2, without hot pixels; 0 of one frame. `in_turns`: sum

@@ -37,6 +37,8 @@ pub struct SetView {
     /// Error of the level by what the other frames carry then, DN: the share of the share, as a filter over time
     /// leaves; of the first set, which follows something unknown, the difference of its first frame.
     pub carried_error_dn: f64,
+    /// Variance of the noise of its mean over that of as many independent frames.
+    pub mean_noise_factor: f64,
 }
 
 impl SetView {
@@ -213,6 +215,7 @@ mod tests {
             part: 0,
             carried_dn: 0.0,
             carried_error_dn: 0.0,
+            mean_noise_factor: 1.0,
         };
         [view(1.0), view(0.0)]
     }

@@ -5,7 +5,7 @@ use super::Campaign;
 use super::campaign::median_line;
 use super::facts::NEIGHBOURS_VAR;
 use super::set_view::SetView;
-use crate::number::{Quantity, with_unit};
+use crate::number::{Quantity, six_digits, with_unit};
 use crate::statistics::median::median;
 
 /// Share of the noise from which on it is said: by as much the gain is too low (a named choice, above the
@@ -16,6 +16,10 @@ const SIGMAS: f64 = 6.0;
 /// Variance of a flat over that of the quietest set from which on the noise of reading is a tenth of it at
 /// most (a named choice): what neighbours share of that may be more or less.
 const LIT: f64 = 10.0;
+/// Covariances of neighbours over the variance that the noise of single pixels can have: the noise of a sum is no
+/// variance below 0, and a strong smoothing, a mean of 5 x 5
+/// pixels, has 13 among the neighbours that are counted.
+const OF_PIXELS: std::ops::RangeInclusive<f64> = -1.0..=18.0;
 /// Most sets that are looked at: every pair of them is compared.
 const MOST_SETS: usize = 64;
 /// Error of a median over that of a mean of normal numbers (Kenney and Keeping 1962, section 8.6).
@@ -74,6 +78,13 @@ impl SharedNoise {
                 "",
             ),
         };
+        if self.between == Between::Neighbours && !OF_PIXELS.contains(&self.rel) {
+            return format!(
+                "frames differ by far more than the noise of single pixels (neighbours share {} times as much): bands of the lamp, light that changes \
+                 from frame to frame, lost or filled-in parts. `radcam diagnose` fits what does it",
+                six_digits((10.0 * self.rel).round() / 10.0)
+            );
+        }
         let own = gain * (1.0 + self.rel);
         format!(
             "{what}, and the system gain is {at_least}{} {}: {at_least}{}. `radcam diagnose` fits what does it",

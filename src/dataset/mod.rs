@@ -3,6 +3,7 @@
 //! [`Dataset::open`] also reads the descriptor file of an EMVA 1288 test. A table of statistics, which has no
 //! frames, is [`table::Table`].
 
+mod electron_multiplication;
 mod emva;
 mod examination;
 mod fault;
@@ -16,6 +17,7 @@ pub mod table;
 pub mod tag;
 mod write;
 
+pub(crate) use electron_multiplication::ElectronMultiplication;
 pub use emva::{DESCRIPTOR, write_descriptor};
 use examination::UNEXAMINED;
 pub(crate) use examination::{Examination, PassedOver, StruckSamples};

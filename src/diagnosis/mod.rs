@@ -39,7 +39,7 @@ use crate::plan::Plan;
 use cut::{CUT, CutOff, with_cut};
 use entry::{describe, reasons};
 use part::{OtherForm, Part, equally_good, left_out, other_forms, without_one};
-use radcam_sim::effects::{Effect, Seen, Take, find, takes};
+use radcam_sim::effects::{Seen, Take, takes};
 use radcam_sim::predict::{BaseParameters, Before};
 use rayon::prelude::*;
 use search::{Candidate, NEEDED, is_something, is_told, rivals, score, search, surely_there, without};
@@ -295,7 +295,11 @@ fn missing(
             entry.evidence.push(doubt);
         }
     }
-    for m in out.iter_mut().filter(|m| find(&m.effect).is_some_and(Effect::has_memory)) {
+    let goes_on = |id: &str| {
+        let found = whole.effects.iter().find(|(e, _)| e.id() == id);
+        found.is_some_and(|(e, values)| e.has_memory() && e.forgets_after(values).is_none())
+    };
+    for m in out.iter_mut().filter(|m| goes_on(&m.effect)) {
         if all.before_sets == Before::Level {
             m.partial = true;
             m.evidence.push(

@@ -3,7 +3,7 @@
 use super::EmvaError;
 use crate::data_faults::{DataFault, FaultKind, SharedNoise, examined};
 use crate::dataset::image::Buffer;
-use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
+use crate::dataset::{Dataset, DatasetError, ElectronMultiplication, FrameRow, Kind, Set};
 use crate::light::Light;
 use crate::statistics::lit::Lit;
 use crate::statistics::moments::Moments;
@@ -116,6 +116,8 @@ pub struct Points {
     pub carried_share: f64,
     /// Noise that neighbours or successive frames share.
     pub(crate) shared_noise: Option<SharedNoise>,
+    /// Multiplication of electrons.
+    pub(crate) multiplied: Option<ElectronMultiplication>,
     /// Faults of the data.
     pub data_faults: Vec<DataFault>,
 }
@@ -552,6 +554,7 @@ pub fn of_dataset(
         struck: dataset.struck(),
         carried_share: dataset.carried_share(),
         shared_noise: dataset.shared_noise(),
+        multiplied: ElectronMultiplication::of(&dataset.manifest().camera),
         data_faults: dataset.data_faults().to_vec(),
     })
 }

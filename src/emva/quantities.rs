@@ -224,6 +224,7 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
         ));
     }
 
+    sheet.notes.extend(points.multiplied.map(|multiplied| multiplied.with_gain(k.value, k.std_err())));
     sheet.notes.extend(points.shared_noise.map(|shared| shared.in_words(k.value, k.std_err())));
 
     let dark = dark_noise(&points, definitions, clipped, pixels, &mut sheet);

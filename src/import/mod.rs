@@ -164,11 +164,28 @@ pub fn survey(
     out.notes.extend(without_objects(&mut out.frames));
     out.damaged.extend(one_size(&mut out.frames)?);
     in_codes(&mut out.frames, &census)?;
+    without_shared_stamps(&mut out.frames);
     // The order of time is what matters; where it is not known for all, that of the names.
     if out.frames.iter().all(|f| f.facts.time_s.is_some()) {
         out.frames.sort_by(|a, b| a.facts.time_s.unwrap_or(0.0).total_cmp(&b.facts.time_s.unwrap_or(0.0)));
     }
     Ok(out)
+}
+
+/// Takes times of names away where they are not those of all frames, or most frames share one with another: names of a
+/// session, or of frames that follow one another faster than the stamps.
+fn without_shared_stamps(frames: &mut [Found]) {
+    let is_of_name = |f: &Found| f.facts.from.get("time_s").is_some_and(|from| from == names::NAME);
+    let mut times: Vec<u64> =
+        frames.iter().filter(|f| is_of_name(f)).filter_map(|f| f.facts.time_s).map(f64::to_bits).collect();
+    times.sort_unstable();
+    times.dedup();
+    if !frames.iter().all(is_of_name) || 2 * times.len() <= frames.len() {
+        for frame in frames.iter_mut().filter(|f| is_of_name(f)) {
+            frame.facts.time_s = None;
+            frame.facts.from.remove("time_s");
+        }
+    }
 }
 
 /// Leaves out frames of objects where darks and flats are stated beside them.
@@ -255,7 +272,8 @@ fn frames_of(
         header.time_s = header.time_s.filter(|_| pages.len() == 1);
         let mut facts = match source.told(page) {
             Some(own) => {
-                let facts = own.clone().or(header.beside(own)).or(names.clone());
+                let of_name = Facts { time_s: names.time_s.filter(|_| pages.len() == 1), ..names.clone() };
+                let facts = own.clone().or(header.beside(own)).or(of_name);
                 Facts { mosaic: facts.mosaic.clone().or(of_file.mosaic.clone()), ..facts }
             }
             None => Facts { time_s: of_file.time_s.filter(|_| pages.len() == 1), ..of_file.clone() },

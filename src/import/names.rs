@@ -36,6 +36,8 @@ pub(super) struct Number<'a> {
 /// Words in front of a number that is a setting.
 const GAIN: &[&str] = &["gain", "gainraw"];
 const ISO: &[&str] = &["iso"];
+/// Least number behind `EM` that is a multiplication of electrons: lower ones count.
+const MIN_EM_GAIN: f64 = 10.0;
 /// Letter in front of a gain: `g120`.
 const GAIN_LETTER: &[&str] = &["g"];
 /// Words for one of several cameras: `cam1`.
@@ -89,6 +91,12 @@ impl Number<'_> {
         is(self.before, BLACK) && !self.is_padded()
     }
 
+    /// A multiplication of electrons: `EM300`, `emgain200`.
+    fn is_em_gain(&self) -> bool {
+        let is_large = self.value().is_some_and(|v| v >= MIN_EM_GAIN);
+        is(self.before, &["emgain"]) || self.before == "EM" && !self.apart && !self.is_padded() && is_large
+    }
+
     /// Not a setting: it may count.
     pub fn is_free(&self) -> bool {
         let setting = [GAIN, ISO, BIN, EXPOSURE, TEMPERATURE, CONFIGURATION]
@@ -97,6 +105,7 @@ impl Number<'_> {
             || self.is_black_level()
             || (is(self.before, CAMERA) && !self.apart)
             || (is(self.before, SERIAL) && self.unit.is_empty())
+            || self.is_em_gain()
             || (is(self.before, GAIN_LETTER) && !self.apart && !self.is_padded() && self.unit.is_empty())
             || (is(self.before, LIGHT) && self.pointed());
         let means_something = setting && !self.is_counter();
@@ -425,6 +434,9 @@ fn exposures(text: &str) -> Exposures {
     out
 }
 
+/// Source of what a file's own name tells.
+pub const NAME: &str = "the file's name";
+
 /// Facts of a path: of its last folder's name and of its own, which counts more.
 pub fn facts(folder: &str, name: &str) -> Facts {
     facts_in(&[folder], 1, name)
@@ -438,7 +450,7 @@ pub fn facts_in(folders: &[&str], own: usize, name: &str) -> Facts {
     let hidden = |f: &str| f.starts_with('.') || f.is_empty();
     let folders = folders.iter().enumerate().filter(|(_, f)| !hidden(f));
     let folders: Vec<(&str, bool)> = folders.map(|(k, f)| (*f, k < own.max(1) || kinds::alone(f))).collect();
-    let texts: Vec<(String, &str, bool)> = std::iter::once(("the file's name".to_string(), name, true))
+    let texts: Vec<(String, &str, bool)> = std::iter::once((NAME.to_string(), name, true))
         .chain(folders.iter().map(|(f, counts)| (format!("the folder {f}"), *f, *counts)))
         .collect();
     let mut out = Facts::default();
@@ -491,6 +503,10 @@ pub fn facts_in(folders: &[&str], own: usize, name: &str) -> Facts {
         out.unit_stated = true;
         out.from.insert("exposure_s".into(), of);
     }
+    out.time_s = stamps::time_s(name);
+    if out.time_s.is_some() {
+        out.from.insert("time_s".into(), NAME.into());
+    }
     // Further up folders hold projects.
     for (place, (of, text, _)) in texts.iter().enumerate().take(3) {
         if let Some(why) = kinds::processed(text) {
@@ -541,6 +557,8 @@ fn settings(text: &str, of: &str, strong: bool, out: &mut Facts) {
             setting("GainRaw");
         } else if is(word, ISO) {
             setting("ISO");
+        } else if number.is_em_gain() {
+            setting("EMGAIN");
         } else if is(word, CAMERA) && !number.apart && number.unit.is_empty() && value.fract() == 0.0 {
             setting("camera");
         } else if is(word, SERIAL) && number.unit.is_empty() && value.fract() == 0.0 {

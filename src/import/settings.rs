@@ -1,7 +1,7 @@
 //! Settings that all frames of a dataset share: what headers tell of two of them is refused, what only some tell
 //! is said.
 
-use super::{Found, ImportError, few};
+use super::{Found, ImportError, few, names};
 use crate::features::same_value;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -28,7 +28,7 @@ pub fn raw_frames(found: &[Found]) -> Result<(), ImportError> {
 fn word(frame: &Found, name: &str) -> String {
     let from = frame.facts.from.get(name).map_or(name, String::as_str);
     let keyword = from.split(' ').next().unwrap_or(from);
-    let of_header = !keyword.is_empty() && from != "the file's name" && !from.starts_with("the folder");
+    let of_header = !keyword.is_empty() && from != names::NAME && !from.starts_with("the folder");
     match (of_header, name) {
         (true, _) => keyword.to_string(),
         (_, "GainRaw") => "gain".into(),

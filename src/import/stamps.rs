@@ -1,5 +1,6 @@
 //! Numbers of names that count frames or tell the time: they part no sets.
 
+use super::headers;
 use super::names::numbers;
 use crate::number::seconds;
 use std::ops::Range;
@@ -86,6 +87,23 @@ pub fn stamps(text: &str) -> Vec<Range<usize>> {
         k += taken;
     }
     out
+}
+
+/// Seconds since 1970 of the first date with a time to the second, as [`headers::time_s`] has it; digits behind the
+/// seconds are their fraction.
+///
+/// [`headers::time_s`]: super::headers::time_s
+pub fn time_s(text: &str) -> Option<f64> {
+    /// Digits of a date with its time.
+    const WHOLE: usize = 14;
+    let digits_of =
+        |stamp: Range<usize>| -> String { text[stamp].chars().filter(char::is_ascii_digit).collect() };
+    let digits = stamps(text).into_iter().map(digits_of).find(|digits| digits.len() >= WHOLE)?;
+    let part = |range: Range<usize>| &digits[range];
+    let date = format!("{}-{}-{}", part(0..4), part(4..6), part(6..8));
+    let time = format!("{}:{}:{}", part(8..10), part(10..12), part(12..14));
+    let fraction: f64 = format!("0.{}", part(WHOLE..digits.len())).parse().unwrap_or(0.0);
+    Some(headers::time_s(&format!("{date}T{time}"))? + fraction)
 }
 
 /// A date at the first run: how many runs it has, and where it ends.
@@ -334,6 +352,24 @@ pub fn is_stamp(name: &str, place: &Range<usize>) -> bool {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    #[test]
+    fn stamps_tell_the_time() {
+        let noon = headers::time_s("2024-05-01T12:00:00").unwrap();
+        for (name, after_s) in [
+            ("acA1920-155um__22123456__20240501_120003123_0000.tiff", Some(3.123)),
+            ("2024-05-01_12-00-03_flat.fits", Some(3.0)),
+            ("flat_20240501120003.tif", Some(3.0)),
+            ("2024-05-01T12:00:03.500.fits", Some(3.5)),
+            // Minutes alone, a date alone, a counter.
+            ("flat_20240501_1200.tif", None),
+            ("flat_20240501_0001.tif", None),
+            ("flat_00000012.tif", None),
+        ] {
+            let said = time_s(name).map(|t| (1000.0 * (t - noon)).round() / 1000.0);
+            assert_eq!(said, after_s, "{name}");
+        }
+    }
 
     #[test]
     fn time_stamps_and_counters_part_no_sets() {

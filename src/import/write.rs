@@ -87,7 +87,8 @@ fn fill(
                 illumination: set.illumination.unwrap_or(f64::from(u8::from(set.kind != Kind::Dark))),
                 configuration: set.configuration,
                 temperature_c: set.temperature_c,
-                timestamp_s: set.times_s.as_ref().map(|t| t[index] - start),
+                // Seconds since 1970 are known to a quarter of a microsecond.
+                timestamp_s: set.times_s.as_ref().map(|t| (1e6 * (t[index] - start)).round() / 1e6),
             };
             rows.serialize(&row).map_err(|e| ImportError::Map(e.to_string()))?;
         }

@@ -301,6 +301,7 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
         neighbours: all.has(&covariance::Covariance),
         dark_noise_dn: base.read_noise_e * base.gain_dn_per_e,
         dark_e_per_s: if all.tells_dark_current(None) { base.dark_e_per_s } else { 0.0 },
+        successive: all.successive,
         line_cycles_per_px: all.campaign.line_cycles_per_px,
         column_cycles: all.column_cycles.first().copied(),
         row_cycles: std::array::from_fn(|k| all.row_cycles.get(k).copied()),

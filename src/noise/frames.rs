@@ -3,7 +3,7 @@
 use super::levels::{Measured, ONE_EXPOSURE, measure, points, zero};
 use super::{NoiseError, NoiseReport, estimate_with};
 use crate::data_faults::examined;
-use crate::dataset::{Dataset, Kind, LONG_DARKS};
+use crate::dataset::{Dataset, ElectronMultiplication, Kind, LONG_DARKS};
 use crate::number::{six_digits, with_error};
 use crate::statistics::outliers;
 use std::sync::atomic::AtomicBool;
@@ -67,6 +67,10 @@ pub fn of_dataset(
     report.notes.extend(memory_in_words(dataset.carried_share()).map(|m| {
         format!("{m} A is too low by what they share, which its error takes in; `radcam diagnose` puts it into the model")
     }));
+    if let Some(multiplied) = ElectronMultiplication::of(&dataset.manifest().camera) {
+        let gain = &report.gain_dn_per_e;
+        report.notes.insert(0, multiplied.with_gain(gain.value, gain.std_err));
+    }
     if let Some(shared) = dataset.shared_noise() {
         let gain = &report.gain_dn_per_e;
         report.notes.insert(0, shared.in_words(gain.value, gain.std_err));

@@ -4,6 +4,7 @@ use super::{Observable, Statistic, frame_scatter, mean, settling, successive, va
 use crate::dataset::{FrameRow, Kind};
 use crate::statistics::median::median;
 use radcam_sim::predict::{Before, SetInfo};
+use std::collections::BTreeMap;
 
 /// Standard errors from which on frames carry something, relative difference up to which two shares of it are
 /// one, ratio of squares from which on one explanation is far better than another, and fewest first frames that
@@ -12,11 +13,41 @@ const CARRIES: f64 = 5.0;
 const MAX_REL: f64 = 0.3;
 const FAR_BETTER: f64 = 0.25;
 const MIN_FIRSTS: usize = 4;
+/// Largest number of frames that people discard at each setting before they save any (a named choice).
+const MOST_DISCARDED: u8 = 3;
+/// Largest share by which they are counted: a mean of the last two frames shows a half, and forgets.
+const MAX_SHARE: f64 = 0.45;
 
 /// Part of a small correlation of successive frames that n frames show about their mean, with their variance over
 /// n added (its bias to first order: Marriott and Pope 1954, Biometrika 41, 390).
 fn kept_by_few(n: f64) -> f64 {
     1.0 - 2.0 / n - 4.0 / (n * n) + 2.0 / (n * (n - 1.0))
+}
+
+/// Covariance of successive frames over their variance, as n frames show both about their mean, where each has this
+/// share of the one before, of which again a share (an autoregression of the first order: Box and Jenkins 1976,
+/// 3.2.3).
+fn shown_of(share: f64, n: usize) -> f64 {
+    let of = n as f64;
+    let beside = |count: usize| share * (1.0 - share.powi(count as i32)) / (1.0 - share);
+    let rows: Vec<f64> = (0..n).map(|i| (1.0 + beside(i) + beside(n - 1 - i)) / of).collect();
+    let whole = rows.iter().sum::<f64>() / of;
+    let product = rows.windows(2).map(|r| share - r[0] - r[1] + whole).sum::<f64>() / (of - 1.0);
+    let left = of * (1.0 - whole) / (of - 1.0);
+    product / left + 1.0 / of
+}
+
+/// Share that shows like that; a small one by its slope at 0.
+fn share_of(shown: f64, n: usize) -> f64 {
+    let (mut low, mut high) = (0.0, 0.99);
+    if n < 3 || shown <= 0.0 {
+        return shown / kept_by_few(n as f64);
+    }
+    for _ in 0..30 {
+        let middle = 0.5 * (low + high);
+        if shown_of(middle, n) < shown { low = middle } else { high = middle }
+    }
+    0.5 * (low + high)
 }
 
 /// First frame of a set.
@@ -33,8 +64,14 @@ struct First {
 /// Exposures before the sets, by their first frames. Where successive frames carry something from one to the
 /// next and first frames nothing from the set before, they follow frames of their own level that are not in
 /// the dataset. Where these lack a share of their own level, and the noise does not contradict it, they
-/// follow darkness.
-pub(super) fn of(list: &[Observable], sets: &[SetInfo], settings: &[FrameRow], zero_dn: f64) -> Before {
+/// follow darkness; where they have a power of that share, a few frames of their own level were discarded. With it
+/// the correlation of successive frames, where it is something.
+pub(super) fn of(
+    list: &[Observable],
+    sets: &[SetInfo],
+    settings: &[FrameRow],
+    zero_dn: f64,
+) -> (Before, Option<f64>) {
     let mut levels: Vec<Option<f64>> = vec![None; sets.len()];
     let set_of = |o: &Observable, statistic: &dyn Statistic| o.is(statistic).then_some(()).and(o.set);
     for o in list {
@@ -42,8 +79,8 @@ pub(super) fn of(list: &[Observable], sets: &[SetInfo], settings: &[FrameRow], z
             levels[set] = Some(o.measured.value);
         }
     }
-    // Covariance over variance, weighed by its error.
-    let mut within = (0.0, 0.0);
+    // Covariance over variance, weighed by its error, for each number of frames.
+    let mut within: BTreeMap<usize, (f64, f64)> = BTreeMap::new();
     for (i, o) in list.iter().enumerate() {
         let Some(set) = set_of(o, &successive::Successive).filter(|s| settings[*s].kind == Kind::Flat) else {
             continue;
@@ -51,11 +88,16 @@ pub(super) fn of(list: &[Observable], sets: &[SetInfo], settings: &[FrameRow], z
         let same = |v: &&Observable| v.is(&variance::Variance) && v.set == Some(set) && v.frames == o.frames;
         let near = list[..i].iter().rev().take(60).find(same);
         let Some(var) = near.map(|v| v.measured.value).filter(|v| *v > 0.0) else { continue };
-        let var = var * kept_by_few((o.frames.1 - o.frames.0) as f64);
         let weight = (var / o.measured.std_err.max(1e-12)).powi(2);
-        within = (within.0 + weight * o.measured.value / var, within.1 + weight);
+        let sums = within.entry(o.frames.1 - o.frames.0).or_default();
+        *sums = (sums.0 + weight * o.measured.value / var, sums.1 + weight);
     }
-    let (share, error) = (within.0 / within.1, within.1.sqrt().recip());
+    let (mut sum, mut weights) = (0.0, 0.0);
+    for (n, (product, weight)) in within {
+        let weight_of_share = weight * kept_by_few(n as f64).powi(2);
+        (sum, weights) = (sum + weight_of_share * share_of(product / weight, n), weights + weight_of_share);
+    }
+    let (share, error) = (sum / weights, weights.sqrt().recip());
     let first = |o: &Observable| {
         let set = set_of(o, &settling::Settling).filter(|s| *s > 0 && o.index == 0)?;
         let scatter = list.iter().filter(|v| v.is(&frame_scatter::FrameScatter) && v.set == Some(set));
@@ -77,35 +119,72 @@ pub(super) fn of(list: &[Observable], sets: &[SetInfo], settings: &[FrameRow], z
     let (of_set, uncertain, rest) = carried(&|f| f.before_dn - f.level_dn);
     let (of_dark, uncertain_dark, rest_dark) = carried(&|f| zero_dn - f.level_dn);
     let lacks_light = firsts.len() >= MIN_FIRSTS && of_dark > CARRIES * uncertain_dark;
-    let is_lag = within.1 == 0.0 || (share - of_dark).abs() < (3.0 * error).max(MAX_REL * of_dark);
-    if share > CARRIES * error && of_set.abs().max(uncertain) < MAX_REL * share {
+    let is_lag = weights == 0.0 || (share - of_dark).abs() < (3.0 * error).max(MAX_REL * of_dark);
+    tracing::debug!(
+        "successive frames share {share:.5} +- {error:.5}, first frames have {of_set:.6} +- {uncertain:.6} of the set before and {of_dark:.6} +- {uncertain_dark:.6} of darkness"
+    );
+    // A share of a share after each frame of its own level: what is left says how many there were.
+    let discarded = || {
+        let off = |n: u8| (of_set.ln() - f64::from(n + 1) * share.ln()).abs();
+        let sure = |n: u8| MAX_REL.max(3.0 * f64::from(n + 1) * error / share);
+        (0..=MOST_DISCARDED).find(|n| off(*n) < sure(*n)).filter(|n| *n > 0).map(Before::Discarded)
+    };
+    let before = if let Some(found) =
+        (share > CARRIES * error && share < MAX_SHARE && of_set > CARRIES * uncertain)
+            .then(discarded)
+            .flatten()
+    {
+        found
+    } else if share > CARRIES * error && of_set.abs().max(uncertain) < MAX_REL * share {
         Before::Level
     } else if lacks_light && is_lag && rest_dark < FAR_BETTER * rest {
         Before::Dark
     } else {
         Before::Frame
-    }
+    };
+    (before, Some(share).filter(|s| *s > CARRIES * error))
 }
 
 /// Note for the reader; `None` where each set follows the one before it.
-pub(super) fn note(before: Before) -> Option<&'static str> {
-    match before {
-        Before::Frame => None,
-        Before::Level => Some(
+pub(super) fn note(before: Before) -> Option<String> {
+    let note = match before {
+        Before::Frame => return None,
+        Before::Discarded(n) => {
+            return Some(format!(
+                "first frames carry of the set before what {n} {} of their own level leave{}: taken as exposed between the sets and not saved",
+                if n == 1 { "frame" } else { "frames" },
+                if n == 1 { "s" } else { "" },
+            ));
+        }
+        Before::Level => {
             "successive frames of a set are correlated, and first frames carry nothing of the set before: frames were exposed between the sets \
-             that are not in the dataset",
-        ),
-        Before::Dark => Some(
+             that are not in the dataset"
+        }
+        Before::Dark => {
             "first frames lack the same share of their own level in all sets: taken as what darkness before each set leaves (darks that are not \
-             in the dataset, or a pause)",
-        ),
-    }
+             in the dataset, or a pause)"
+        }
+    };
+    Some(note.into())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
+
+    /// The exact form has the slope of the one to first order, and its inverse gives the share back.
+    #[test]
+    fn few_frames_show_a_share_as_stated() {
+        for n in [3usize, 4, 6, 8, 16] {
+            let slope = shown_of(1e-4, n) / 1e-4;
+            assert!((slope - kept_by_few(n as f64)).abs() < 2e-3, "{n}: {slope}");
+            for share in [0.02, 0.1, 0.3, 0.6, 0.9] {
+                let back = share_of(shown_of(share, n), n);
+                assert!((back - share).abs() < 1e-6, "{n}: {back} for {share}");
+            }
+        }
+    }
 
     /// Covariance of successive numbers of which each hands on 5 % to the next, over 400 000 runs of a few:
     /// within five standard errors.

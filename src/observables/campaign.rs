@@ -8,7 +8,7 @@ use super::{
     before_sets, codes, covariance, mean, ripple, successive, unequal, variance, warm_up,
 };
 use crate::data_faults::{ExamineError, examined};
-use crate::dataset::{Dataset, DatasetError, FrameRow, Kind, Set};
+use crate::dataset::{Dataset, DatasetError, ElectronMultiplication, FrameRow, Kind, Set};
 use crate::number::ranges;
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
@@ -195,11 +195,11 @@ pub fn of_dataset(
     let main_field = main_field(&settings);
     let mut list = of_chunks(&chunks, sets);
     let mut frames = frames;
-    let before_sets = before_sets::of(&list, &infos, &settings, zero_dn);
+    let (before_sets, successive) = before_sets::of(&list, &infos, &settings, zero_dn);
     if before_sets != Before::Frame {
         sets.iter().for_each(|s| frames[s.rows[0]].before = before_sets);
     }
-    missing.extend(before_sets::note(before_sets).map(String::from));
+    missing.extend(before_sets::note(before_sets));
     // The level of a scene or a clipped set matters for the frame that follows it: known beforehand, and
     // judged in neither half.
     let levels = scenes.iter().map(|s| (s.set, codes::mean_of(&s.mean_dn, &layout), s.frames));
@@ -265,6 +265,8 @@ pub fn of_dataset(
         }
         filled[half.place()] = of_codes.filled;
     }
+    missing
+        .extend(ElectronMultiplication::of(&dataset.manifest().camera).map(ElectronMultiplication::in_words));
     missing.extend(cannot_be_told(shape, pairs.iter().any(Option::is_some), &settings));
     let kinds: Vec<Kind> = settings.iter().map(|s| s.kind).collect();
     let frame_means_dn = frame_means(&chunks, sets.len());
@@ -309,6 +311,7 @@ pub fn of_dataset(
         setting: setting(dataset, &settings, light_rel_std),
         light_settings: light_settings(&infos, |i| !of_their_own.contains(&i)),
         before_sets,
+        successive,
         ripples: ripple::of_bands(&chunks, &settings, zero_dn),
         flickers: ripple::of_frames(&chunks, &settings, zero_dn),
         row_cycles: with_peak(row_cycles(&chunks, &settings, zero_dn), &peaks[0]),

@@ -99,16 +99,18 @@ impl Statistic for Kurtosis {
         let noisiest = view.noisiest();
         let single = if noisiest > 1.5 { (noisiest * RARE).powi(2) / dof / RARE.sqrt() } else { 0.0 };
         let unlike = (96.0 * four + 72.0 * two.powi(3) - 144.0 * two * three - 24.0).max(0.0);
+        let in_time = 3.0 * view.unlike_in_time();
         let rest = 6.0 * (view.rough.1.hypot(view.moving) / variance);
         Expected::plain(
             o,
-            3.0 * dof / (dof + 2.0) + own / square,
+            3.0 * dof / (dof + 2.0) + own / square + in_time,
             in_quadrature(&[
                 ((24.0 * alike.max(1.0) + unlike) / dof).sqrt(),
                 single,
                 3.0 * (s.unsure + 0.5 * dark + 0.3 * uneven + 0.01 * s.unequal.abs()) / square,
                 (s.unsure_fourth + 0.3 * poisson + 0.3 * s.fourth.abs() + 1.5 * sine) / square,
                 0.01,
+                0.1 * in_time,
                 rest,
             ]),
         )

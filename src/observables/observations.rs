@@ -94,6 +94,8 @@ pub struct Observations {
     pub stretch: Option<Stretch>,
     /// Exposures before the sets.
     pub before_sets: Before,
+    /// Correlation of the noise of successive frames in flats; `None` where it is nothing within its errors.
+    pub successive: Option<f64>,
     /// The field of the light.
     pub field: Field,
     /// Number of chunks of frames at the level of every set; all darks share one.

@@ -196,6 +196,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         alike: vec![1.0; kept.len()],
         field: Field::default(),
         before_sets: Before::Frame,
+        successive: None,
         peaks: [None, None],
         row_cycles: Vec::new(),
         ripples: Ripples::default(),

@@ -75,10 +75,11 @@ impl Statistic for Unequal {
             .sines(rows)
             .map(|(v, one)| of_sine(v / variance, view.n, one))
             .fold((0.0, 0.0f64), |(value, error), (v, e)| (value + v, error.hypot(e)));
+        let in_time = view.spread_in_time() / allowed;
         let few = in_quadrature(&[scatter_of_unlike.sqrt(), tail(view.noisiest(), view.dof, o.pixels)]);
         Expected::plain(
             o,
-            (s.unequal + charge + fourth / allowed) / square - alike + of_sines,
+            (s.unequal + charge + fourth / allowed) / square - alike + of_sines + in_time,
             in_quadrature(&[
                 o.measured.std_err,
                 few,
@@ -91,6 +92,8 @@ impl Statistic for Unequal {
                 sines_scatter,
                 // Bands of a wander are few.
                 0.3 * alike,
+                // What rounding leaves of what frames have in common is not followed.
+                0.1 * in_time,
             ]),
         )
         .with_tails(few)

@@ -560,3 +560,20 @@ fn single_frames_of_unknown_gain_make_no_calibration() {
     assert!(error.contains("has one frame") && error.contains("two frames or more"), "{error}");
     assert!(!out.exists());
 }
+
+/// A line that leaves less than no noise is refused by that, and not by the reader of the file.
+#[test]
+fn constant_noise_below_zero_makes_no_calibration() {
+    let campaign = Campaign::new("cmos12", "standard", 42);
+    let dataset = Dataset::open(Path::new(&campaign.path())).unwrap();
+    let stop = std::sync::atomic::AtomicBool::new(false);
+    let mut noise = radcam::noise::of_dataset(&dataset, &stop, &mut |_, _| {}).unwrap();
+    noise.constant_noise_var_dn2.value = -10.0 * noise.constant_noise_var_dn2.std_err;
+    let made = radcam::calibrate::of_dataset(&dataset, Estimator::Smooth, Some(&noise), "");
+    let error = made.err().unwrap().to_string();
+    assert!(error.contains("no noise is below 0"), "{error}");
+    // Within its errors it is 0.
+    noise.constant_noise_var_dn2.value = -noise.constant_noise_var_dn2.std_err;
+    let made = radcam::calibrate::of_dataset(&dataset, Estimator::Smooth, Some(&noise), "").unwrap();
+    assert_eq!(made.calibration.description.constant_noise_var_dn2, Some(0.0));
+}

@@ -364,3 +364,120 @@ fn lag_after_unsaved_darks_is_no_dim_lamp() {
     }
     assert!(said["notes"].to_string().contains("darkness before each set"), "{}", said["notes"]);
 }
+
+/// The first frame or two of each set were discarded, as people do: what a filter over time leaves of the set before
+/// is a power of its weight then, and no smaller weight.
+#[test]
+fn a_filter_behind_discarded_frames_keeps_its_weight() {
+    for (discarded, seed) in [(1usize, 254), (2, 255)] {
+        let folder = tempfile::tempdir().unwrap();
+        let (model, plan) = (folder.path().join("m.toml"), folder.path().join("plan.toml"));
+        let model = model.to_str().unwrap();
+        expect(0, &["model", "new", model, "--sensor", "cmos12"]);
+        expect(0, &["model", "add", model, "temporal-filter", "alpha=0.2", "kept=0", "frames=2"]);
+        let frames = 6 + discarded as u32;
+        let flats =
+            [0.15, 0.3, 0.45, 0.6, 0.75, 0.9].map(|light| set_of_plan("flat", frames, 1.0, light)).concat();
+        let darks = [0.1, 1.0].map(|t| set_of_plan("dark", frames, t, 0.0)).concat();
+        std::fs::write(&plan, format!("format = \"radcam-plan/1\"\n{darks}{flats}")).unwrap();
+        let mut campaign = Campaign::new(model, plan.to_str().unwrap(), seed);
+        let sets = [campaign.sets("dark", 2), campaign.sets("flat", 2)].concat();
+        let unsaved: Vec<usize> =
+            sets.iter().flat_map(|set| campaign.of(*set)[..discarded].to_vec()).collect();
+        campaign.leave_out(&unsaved);
+        let said = campaign.said("diagnose");
+        assert_eq!(said["data_faults"], serde_json::json!([]));
+        let filter = &said["missing"][0];
+        assert_eq!(
+            (filter["effect"].as_str(), said["missing"].as_array().unwrap().len()),
+            (Some("temporal-filter"), 1),
+            "{}",
+            said["missing"]
+        );
+        for (value, truth) in [(&filter["parameters"]["alpha"], 0.2), (&said["gain_dn_per_e"], 0.38)] {
+            let (value, error) = (value["value"].as_f64().unwrap(), value["std_err"].as_f64().unwrap());
+            assert!(
+                (value - truth).abs() < 4.0 * error && error < 0.02 * truth,
+                "{value} +- {error} for {truth}"
+            );
+        }
+        assert!(
+            said["notes"].to_string().contains("exposed between the sets and not saved"),
+            "{}",
+            said["notes"]
+        );
+    }
+}
+
+/// Flats of three configurations for a calibration.
+fn of_configurations(seed: u32) -> Campaign {
+    let plan = tempfile::tempdir().unwrap();
+    let file = plan.path().join("plan.toml");
+    let flat = |light: f64, k: u32| {
+        set_of_plan("flat", 4, 1.0, light).replace("configuration = 0", &format!("configuration = {k}"))
+    };
+    let flats: String = (0..3).flat_map(|k| [flat(0.15, k), flat(0.4, k)]).collect();
+    let darks = [0.1, 1.0].map(|t| set_of_plan("dark", 4, t, 0.0)).concat();
+    std::fs::write(&file, format!("format = \"radcam-plan/1\"\n{darks}{flats}")).unwrap();
+    Campaign::new("cmos12", file.to_str().unwrap(), seed)
+}
+
+/// A digital gain in one configuration of a calibration, about the black level and with it; an automatic gain in all.
+#[test]
+fn another_gain_in_configurations_is_named() {
+    for (above, seed) in [(BLACK_DN, 256), (0.0, 257)] {
+        let campaign = of_configurations(seed);
+        let flats = campaign.sets("flat", 2);
+        for row in flats[4..].iter().flat_map(|set| campaign.of(*set)) {
+            let gained = |v: u16| (above + 1.4 * (f64::from(v) - above)).round().min(4095.0) as u16;
+            campaign.put(row, &campaign.frame(row).mapv(gained));
+        }
+        is_named(
+            &campaign,
+            "other-settings",
+            &flats[4..],
+            "another gain than the flats of the same settings",
+        );
+    }
+    let campaign = of_configurations(258);
+    let flats = campaign.sets("flat", 2);
+    let bright = [flats[1], flats[3], flats[5]];
+    for row in bright.iter().flat_map(|set| campaign.of(*set)) {
+        campaign.scale(row, 0.4, BLACK_DN);
+    }
+    is_named(&campaign, "other-settings", &bright, "another gain than the other flats");
+}
+
+/// The brighter half of a sweep in 8 of 12 bits: as smaller codes, and as codes 16 apart.
+#[test]
+fn fewer_bits_of_many_sets_are_named() {
+    let shares = [0.1, 0.2, 0.3, 0.4, 0.55, 0.65, 0.75, 0.9];
+    for (times, words, seed) in [(1, "codes are 1/16 of those", 259), (16, "codes are 16 DN apart", 260)] {
+        let campaign = sweep(&shares, &shares, 4, seed);
+        let flats = campaign.sets("flat", 2);
+        for row in flats[4..].iter().flat_map(|set| campaign.of(*set)) {
+            // Blind pixels, dusty and shaded ones, as every sensor has.
+            let mut frame = campaign.frame(row);
+            for (k, v) in frame.iter_mut().take(160).enumerate() {
+                *v = BLACK_DN as u16 + 4 * k as u16;
+            }
+            campaign.put(row, &frame.mapv(|v| v / 16 * times));
+        }
+        is_named(&campaign, "other-settings", &flats[4..], words);
+    }
+}
+
+/// Frames of which packets were lost on the way: rows of code 0 in one of twelve.
+#[test]
+fn lost_packets_are_named() {
+    let campaign = sweep(&[0.2, 0.4, 0.6, 0.8, 0.95], &[0.2, 0.4, 0.6, 0.8, 0.95], 6, 261);
+    let all: Vec<u32> = campaign.sets("dark", 2).into_iter().chain(campaign.sets("flat", 2)).collect();
+    for set in all.iter().step_by(2) {
+        let row = campaign.of(*set)[3];
+        let mut frame = campaign.frame(row);
+        frame.iter_mut().skip(4000).take(700).for_each(|v| *v = 0);
+        campaign.put(row, &frame);
+    }
+    let hit: Vec<u32> = all.into_iter().step_by(2).collect();
+    is_named(&campaign, "odd-frame", &hit, "700 samples that are exactly 0");
+}

@@ -1,7 +1,7 @@
 //! Names of files and folders as programs and people write them: kind, settings, time stamps, copies, leftovers.
 
 use crate::import_cases::{Bench, Camera, sets};
-use crate::support::{expect, program};
+use crate::support::{expect, program, radcam};
 use radcam::dataset::{Dataset, Kind};
 use std::fs;
 
@@ -191,7 +191,14 @@ fn kinds_of_folders_and_flat_darks() {
     ];
     for (name, of) in ways {
         campaign(&bench, name, 2, of);
-        assert_eq!(sets(&bench.import(name, &[]).0), right(2), "{name}");
+        let dataset = bench.import(name, &[]).0;
+        assert_eq!(sets(&dataset), right(2), "{name}");
+        // A frame every three seconds, by names with a date and the time to the second.
+        if ["nina", "nina folders", "pylon"].contains(&name) {
+            let times: Vec<f64> =
+                dataset.rows().iter().filter_map(|r| r.timestamp_s).map(f64::round).collect();
+            assert_eq!(times, (0..10).map(|n| 3.0 * f64::from(n)).collect::<Vec<_>>(), "{name}");
+        }
     }
     // One folder alone, files named one by one, and paths from within the folder.
     let (dataset, said) = bench.import("two up/flat", &[]);
@@ -570,4 +577,15 @@ fn every_row_of_the_table_of_files_has_its_test() {
         count += 1;
     }
     assert!(count > 25);
+}
+
+/// Electrons that are multiplied, by names: `noise` says twice the gain for what it is.
+#[test]
+fn electron_multiplication_in_names_is_said() {
+    let bench = Bench::new();
+    campaign(&bench, "em", 4, &|k, ms, i, _| format!("{k}_EM300_{ms}ms_{i:03}.tif"));
+    let (dataset, _) = bench.import("em", &[]);
+    let said = radcam(&["noise", dataset.root().to_str().unwrap()]);
+    let said = String::from_utf8_lossy(&said.stdout).split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(said.contains("EM gain 300") && said.contains("the system gain is"), "{said}");
 }

@@ -247,6 +247,10 @@ impl Effect for ImageLag {
         true
     }
 
+    fn forgets_after(&self, p: &[f64]) -> Option<usize> {
+        (p[0].round() as i32 == 0).then_some(1)
+    }
+
     /// Two kinds of traps are one kind if one of them holds nothing, releases its charge before the frame
     /// ends, or keeps it for longer than the campaign (light that is lost).
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
@@ -311,6 +315,11 @@ impl Effect for ImageLag {
                 Before::Frame => {}
                 Before::Level => (store, last_s) = (settled(*m), None),
                 Before::Dark => (store, last_s) = (settled(0.0), None),
+                Before::Discarded(n) => {
+                    for _ in 0..n {
+                        store = held.pass(*m, store, c.frame_s.max(exposure_s)).1;
+                    }
+                }
             }
             // Charge is let go until the frame ends.
             let end_s = frame.time_s + exposure_s;

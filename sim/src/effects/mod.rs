@@ -107,6 +107,8 @@ pub struct Seen {
     pub dark_noise_dn: f64,
     /// Growth of the darks' mean with the exposure, e/s; 0 where the campaign does not tell it.
     pub dark_e_per_s: f64,
+    /// Correlation of the noise of successive frames in flats; `None` where it is nothing within its errors.
+    pub successive: Option<f64>,
     /// The strongest line in the spectrum of the noise in read-out order, cycles per pixel.
     pub line_cycles_per_px: Option<f64>,
     /// The strongest frequency of stripes of columns that move from frame to frame, cycles per column.
@@ -470,6 +472,10 @@ pub trait Effect: Sync + Send {
     /// Whether frames depend on those before them: what was exposed before the first is then not known.
     fn has_memory(&self) -> bool {
         false
+    }
+    /// Number of frames after which nothing is left of a level; `None`: a part of a part always stays.
+    fn forgets_after(&self, _p: &[f64]) -> Option<usize> {
+        None
     }
     /// Value of a parameter to draw with where a model gives none; `None`: it must be given.
     fn usual(&self, _parameter: usize) -> Option<f64> {

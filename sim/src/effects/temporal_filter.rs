@@ -4,10 +4,29 @@ use crate::normal::{AROUND, PLACES as SHARES};
 use crate::predict::{Before, SetPrediction};
 use crate::quantize::Correction;
 
+use std::collections::VecDeque;
+
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
-/// A running average with weight 1 - alpha for the new frame.
+/// A running average with weight 1 - alpha for the new frame, or the mean of the last few frames.
 pub struct TemporalFilter;
+
+/// Names of the frames that a mean of the last ones keeps, the newest first.
+const FRAMES: [&str; 7] = [
+    "temporal-filter 1",
+    "temporal-filter 2",
+    "temporal-filter 3",
+    "temporal-filter 4",
+    "temporal-filter 5",
+    "temporal-filter 6",
+    "temporal-filter 7",
+];
+/// Largest number of frames of such a mean.
+const MOST_FRAMES: usize = FRAMES.len() + 1;
+/// Choice of `kept` for it.
+const MEAN_OF_LAST: f64 = 3.0;
+/// Least correlation of successive frames at which it is tried: a mean of two has 1/2, and few frames show less (a named choice).
+const LEAST_CORRELATION: f64 = 0.3;
 
 /// The least weight of the frames before. A named choice: cameras have it in 256ths or tenths, and one that reduces noise has much more; what is left
 /// of a level in less than that is charge.
@@ -26,7 +45,49 @@ fn fine(p: &[f64]) -> bool {
 
 /// Whether the filter sees more than whole codes too.
 fn sees_more(p: &[f64]) -> bool {
-    p[1] >= 1.5
+    p[1] >= 1.5 && frames_of_mean(p).is_none()
+}
+
+/// Number of frames that are averaged with equal weights; `None` of a running average.
+fn frames_of_mean(p: &[f64]) -> Option<usize> {
+    (p[1] >= MEAN_OF_LAST - 0.5).then(|| (p[2].round() as usize).clamp(2, MOST_FRAMES))
+}
+
+/// What a mean of the last n frames makes of independent noise: its variance, relative, and the correlations over 1, 2, ... frames (a moving
+/// average: Box and Jenkins 1976, 3.3).
+fn moving_average(n: usize) -> (f64, Vec<f64>) {
+    let n = n as f64;
+    (n.recip(), (1..=8).map(|k| (1.0 - f64::from(k) / n).max(0.0)).collect())
+}
+
+/// Takes in a mean of the last n frames, rounded to whole codes.
+fn average_last(n: usize, c: &Campaign, out: &mut Prediction) {
+    let (less, memory) = moving_average(n);
+    for s in &mut out.sets {
+        s.mix_in_time(less, &memory);
+        // Means of whole codes lie 1/n of a code apart before they are rounded.
+        s.read.add_white((1.0 - less * less) / 12.0);
+    }
+    let mut last: VecDeque<f64> = VecDeque::new();
+    let past = out.base.past_e.map(|past| past * out.base.gain_dn_per_e);
+    for (k, (m, frame)) in out.frame_signal.iter_mut().zip(&c.frames).enumerate() {
+        let filled = |level: f64| std::iter::repeat_n(level, n - 1).collect();
+        match frame.before {
+            _ if k == 0 => last = filled(past.unwrap_or(*m)),
+            Before::Frame => {}
+            Before::Level => last = filled(*m),
+            Before::Dark => last = filled(0.0),
+            Before::Discarded(count) => (0..count).for_each(|_| {
+                last.push_front(*m);
+                last.truncate(n - 1);
+            }),
+        }
+        let own = *m;
+        *m = (own + last.iter().sum::<f64>()) / n as f64;
+        last.push_front(own);
+        last.truncate(n - 1);
+    }
+    out.whole = true;
 }
 
 /// A change of level between two frames, DN.
@@ -173,6 +234,17 @@ fn move_frames(p: &[f64], c: &Campaign, out: &mut Prediction, added: &[Added]) -
             Before::Frame => {}
             Before::Level => (last, set, carried) = (None, Some(frame.set), None),
             Before::Dark => (last, set, carried) = (Some(0.0), None, None),
+            Before::Discarded(n) => {
+                let left = |after: u8| libm::pow(a, f64::from(after));
+                let (from, before) = (set.unwrap_or(frame.set), last.unwrap_or(*m));
+                carried = (!fine(p)).then(|| Carried {
+                    across: left(n.saturating_sub(1)) * across(c, from, before, frame.set, *m),
+                    before: libm::pow(left(n.saturating_sub(1)), 2.0)
+                        * (added[from].noise + sets[from].pixels()),
+                    places: &c.sets[if before > *m { from } else { frame.set }].places,
+                });
+                (last, set) = (Some(*m + left(n) * (before - *m)), Some(frame.set));
+            }
         }
         let before = last.unwrap_or(*m);
         let away = before - *m;
@@ -248,25 +320,58 @@ impl Effect for TemporalFilter {
             // Whole codes, parts of a code, parts of a code of samples with more bits than the codes that are sent.
             Parameter {
                 name: "kept",
-                meaning: "0: the mean is kept in whole codes, 1: in parts of a code, 2: of samples with more bits than are sent",
+                meaning: "0: the mean is kept in whole codes, 1: in parts of a code, 2: of samples with more bits than are sent; 3: the mean of the \
+                          last frames, in equal parts",
                 unit: "choice",
                 min: 0.0,
-                max: 2.0,
+                max: MEAN_OF_LAST,
                 starts: &[0.0, 1.0, 2.0],
+            },
+            Parameter {
+                name: "frames",
+                meaning: "number of frames of the mean, the new one among them (kept = 3)",
+                unit: "1",
+                min: 2.0,
+                max: MOST_FRAMES as f64,
+                starts: &[2.0],
             },
         ]
     }
 
-    fn starts(&self, _: &Seen) -> Vec<Vec<f64>> {
-        [0.0, 1.0, 2.0].map(|kept| vec![0.05, kept]).to_vec()
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        let running = [0.0, 1.0, 2.0].map(|kept| vec![0.05, kept, 2.0]).into_iter();
+        let correlated = seen.successive.is_some_and(|c| c > LEAST_CORRELATION);
+        let most = if correlated { MOST_FRAMES } else { 0 };
+        let last = (2..=most).map(|n| vec![0.05, MEAN_OF_LAST, n as f64]);
+        running.chain(last).collect()
+    }
+
+    fn is_whole(&self, parameter: usize) -> bool {
+        parameter == 2
+    }
+
+    fn uses(&self, p: &[f64], parameter: usize) -> bool {
+        match parameter {
+            0 => frames_of_mean(p).is_none(),
+            2 => frames_of_mean(p).is_some(),
+            _ => true,
+        }
+    }
+
+    /// Default of models written before the parameter existed.
+    fn usual(&self, parameter: usize) -> Option<f64> {
+        (parameter == 2).then_some(2.0)
     }
 
     /// Less than that is the charge that a pixel keeps.
     fn is_another(&self, p: &[f64], _: &Seen) -> bool {
-        p[0] < LEAST
+        frames_of_mean(p).is_none() && p[0] < LEAST
     }
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {
+        if frames_of_mean(p).is_some() {
+            return Some("the mean of the last frames, in equal parts");
+        }
         Some(match (fine(p), sees_more(p)) {
             (_, true) => "before codes are rounded",
             (true, _) => "the mean is kept in parts of a code",
@@ -278,14 +383,18 @@ impl Effect for TemporalFilter {
         true
     }
 
+    fn forgets_after(&self, p: &[f64]) -> Option<usize> {
+        frames_of_mean(p).map(|n| n - 1)
+    }
+
     fn example(&self, _: &Plain) -> Option<Vec<f64>> {
-        Some(vec![0.03, 0.0])
+        Some(vec![0.03, 0.0, 2.0])
     }
 
     fn page(&self) -> Page {
         Page {
             what: "Firmware noise reduction mixes each frame with the ones before.",
-            equation: "y_t = (1 - alpha) v_t + alpha y_(t-1), rounded to whole codes before it is kept, after, or v is not rounded yet; variance times (1 - alpha) / (1 + alpha), correlation alpha^k over k frames",
+            equation: "y_t = (1 - alpha) v_t + alpha y_(t-1), rounded to whole codes before it is kept, after, or v is not rounded yet; variance times (1 - alpha) / (1 + alpha), correlation alpha^k over k frames; kept = 3: y_t is the mean of v_t and the n - 1 frames before, variance over n, correlation 1 - k / n",
             signature: "successive frames correlated, darks too; variance down in darks and flats; first frames after a change carry the \
                         old level",
             look_alikes: "image lag carries charge only: read noise of darks is uncorrelated in time",
@@ -298,6 +407,9 @@ impl Effect for TemporalFilter {
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let a = p[0];
+        if let Some(n) = frames_of_mean(p) {
+            return average_last(n, c, out);
+        }
         if sees_more(p) {
             let (less, memory) = running_average(a);
             out.sets.iter_mut().for_each(|s| s.mix_in_time(less, &memory));
@@ -307,6 +419,9 @@ impl Effect for TemporalFilter {
                     Before::Frame => {}
                     Before::Level => last = None,
                     Before::Dark => last = Some(0.0),
+                    Before::Discarded(n) => {
+                        last = last.map(|last| *m + libm::pow(a, f64::from(n)) * (last - *m));
+                    }
                 }
                 *m += last.map_or(0.0, |last| a * (last - *m));
                 last = Some(*m);
@@ -324,6 +439,18 @@ impl Effect for TemporalFilter {
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
+        if let Some(n) = frames_of_mean(p) {
+            let mut kept = d.image.clone();
+            let mut sum = d.image.clone();
+            for name in &FRAMES[..n - 1] {
+                // Before the first frame there was the same.
+                let before = d.memory.insert(name, kept).filter(|m| m.dim() == d.image.dim());
+                kept = before.unwrap_or_else(|| d.image.clone());
+                sum += &kept;
+            }
+            d.image = sum.mapv(|v| libm::floor(v / n as f64 + 0.5));
+            return;
+        }
         if let Some(last) = d.memory.get(self.id()).filter(|m| m.dim() == d.image.dim()) {
             d.image = &d.image * (1.0 - p[0]) + last * p[0];
         }

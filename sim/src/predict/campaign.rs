@@ -13,6 +13,8 @@ pub enum Before {
     Level,
     /// Dark frames that are not in the campaign.
     Dark,
+    /// The frame before it in the campaign, and then so many frames of its own level that are not in it.
+    Discarded(u8),
 }
 
 /// A frame of a campaign.
