@@ -15,6 +15,8 @@ const MIN_FLATS: usize = 5;
 const MIN_OF_PART: usize = 2;
 /// Usual relative scatter of a set's level: what lamps that nobody touches have (a named choice).
 const LEVEL_SCATTER: f64 = 0.003;
+/// The same where card and light were moved.
+const SCATTER_OF_POSITIONS: f64 = 0.03;
 /// Least change of the gain that is said.
 const MIN_GAIN_RATIO: f64 = 1.08;
 /// Square of standard deviations that two gains must explain beyond one.
@@ -156,6 +158,7 @@ impl Check for GainStep {
         if !dark_dn2.is_finite() {
             return Vec::new();
         }
+        let scatter = if campaign.is_one_bench() { LEVEL_SCATTER } else { SCATTER_OF_POSITIONS };
         let point = |i: usize| {
             let set = &campaign.sets[i];
             let (variance_dn2, pairs) = set.variance_dn2()?;
@@ -166,7 +169,7 @@ impl Check for GainStep {
                 set: i,
                 light: set.light(),
                 level_dn,
-                level_std: (LEVEL_SCATTER * level_dn).hypot(3.0 * zero.scatter_dn),
+                level_std: (scatter * level_dn).hypot(3.0 * zero.scatter_dn),
                 variance_dn2,
                 variance_std: rel * variance_dn2,
             })

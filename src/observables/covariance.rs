@@ -55,6 +55,7 @@ impl Statistic for Covariance {
             view.lag(dy, dx) + 0.5 * view.moving,
             in_quadrature(&[
                 o.measured.std_err,
+                view.alike_in_time(o.pixels),
                 unsure,
                 view.lines(dy, dx),
                 0.3 * view.moving,

@@ -606,6 +606,11 @@ impl<'a> View<'a> {
         2.0 * squares / (trace * trace).max(1e-12) - 2.0 / (of - 1.0)
     }
 
+    /// Error of a mean square of so many pixels beyond that of independent frames, DN^2; of a mean product of neighbours it is at most that.
+    pub fn alike_in_time(&self, pixels: f64) -> f64 {
+        self.noise * (self.spread_in_time().max(0.0) / pixels).sqrt()
+    }
+
     /// Mean square over the square of the mean, less 1, of the variances of each frame's deviation from the mean of those before it, scaled to
     /// the variance of a frame: 0 where frames are independent.
     pub fn unlike_in_time(&self) -> f64 {

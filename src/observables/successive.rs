@@ -59,6 +59,7 @@ impl Statistic for Successive {
             value,
             in_quadrature(&[
                 o.measured.std_err,
+                view.alike_in_time(o.pixels),
                 0.5 * view.rough.1,
                 s.unsure_var,
                 MOVING * view.unsure_moving(),

@@ -46,6 +46,7 @@ impl Statistic for Variance {
                 // Pixels with more noise than others scatter more (their mean square over the square of their
                 // mean).
                 view.noise * (2.0 * view.unequal_spread() / (o.pixels * view.dof)).sqrt(),
+                view.alike_in_time(o.pixels),
                 view.rough.1,
                 unsure,
                 view.unsure_moving(),
