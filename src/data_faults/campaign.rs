@@ -71,12 +71,12 @@ impl Scatter {
     }
 }
 
-/// Variance of differences of successive frames over that of frames two apart, from which on down frames depend on one
-/// another; fewest sets that say so (named choices).
+/// Variance of differences of successive frames over that of frames two apart, from which on down frames depend
+/// on one another; fewest sets that say so (named choices).
 const MAX_DEPENDENCE: f64 = 0.95;
 const MIN_DEPENDENT_SETS: usize = 4;
-/// Largest weight of the frames before: a mean of the last frames looks like 1, and that of two has 4 times the noise,
-/// that of three 9 times (this weight makes 6).
+/// Largest weight of the frames before: a mean of the last frames looks like 1, and that of two has 4 times the
+/// noise, that of three 9 times (this weight makes 6).
 const MAX_WEIGHT: f64 = 0.5;
 
 /// All sets.
@@ -142,8 +142,8 @@ impl<'a> Campaign<'a> {
         all
     }
 
-    /// Noise of the sets' means where a filter over time makes the frames of most alike: the means of such frames have
-    /// more than independent ones of as much variance.
+    /// Noise of the sets' means where a filter over time makes the frames of most alike: the means of such frames
+    /// have more than independent ones of as much variance.
     fn count_dependent_frames(&mut self) {
         let known: Vec<f64> =
             self.sets.iter().filter(|s| !s.wanders()).filter_map(SetView::dependence).collect();
@@ -151,9 +151,9 @@ impl<'a> Campaign<'a> {
         if known.len() < MIN_DEPENDENT_SETS || dependence.is_nan() || dependence > MAX_DEPENDENCE {
             return;
         }
-        // Of an autoregression with weight a the variance of differences one apart is 1 / (1 + a) of that two apart,
-        // that of the mean of n frames (1 + a) / (1 - a) of 1 / n, and that of frames in turns the reciprocal (Box and
-        // Jenkins 1976, 3.2.3; the latter is the spectrum at its ends).
+        // Of an autoregression with weight a the variance of differences one apart is 1 / (1 + a) of that two
+        // apart, that of the mean of n frames (1 + a) / (1 - a) of 1 / n, and that of frames in turns the
+        // reciprocal (Box and Jenkins 1976, 3.2.3; the latter is the spectrum at its ends).
         let weight = (dependence.recip() - 1.0).min(MAX_WEIGHT);
         let of_mean = (1.0 + weight) / (1.0 - weight);
         for set in &mut self.sets {

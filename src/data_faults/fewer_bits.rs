@@ -19,7 +19,8 @@ const MAX_DEVIATION: f64 = 0.05;
 const MIN_FULL: f64 = 0.9;
 /// Least number of flats with all bits.
 const MIN_WHOLE: usize = 2;
-/// Share of the deviation of its noise from that of a wrong label which a set of fewer bits may have (a named choice).
+/// Share of the deviation of its noise from that of a wrong label which a set of fewer bits may have (a named
+/// choice).
 const MAX_NOISE_SHARE: f64 = 0.5;
 /// Least share of the pixels at levels where others have all codes: so many do not pass for pixels that a camera
 /// filled in, which the distance of the codes does not count.
@@ -107,9 +108,9 @@ fn shifted_down(campaign: &Campaign<'_>) -> Option<(Vec<usize>, u32)> {
     (of_noise.peek().is_some() && of_noise.all(is_rounded)).then_some((sets, bits))
 }
 
-/// Finds the flats whose codes lie 4 DN or more apart where other sets have all codes, and that distance. A converter
-/// whose steps grow with the level does so at every level that a pixel has: of a bright flat at those of its blind,
-/// dusty and shaded ones too.
+/// Finds the flats whose codes lie 4 DN or more apart where other sets have all codes, and that distance. A
+/// converter whose steps grow with the level does so at every level that a pixel has: of a bright flat at those
+/// of its blind, dusty and shaded ones too.
 fn further_apart(campaign: &Campaign<'_>) -> Option<(Vec<usize>, f64)> {
     let step = |i: usize| campaign.sets[i].facts.code_step_dn;
     let sets = campaign.places(|s| matches!(s.kind, Kind::Dark | Kind::Flat) && !s.clipped);

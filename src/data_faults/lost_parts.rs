@@ -1,5 +1,6 @@
-//! Frames of which a part never arrived: a long run of samples that are exactly 0, where the rest of the frame and the
-//! other frames have a black level. Links without resends leave such parts (GigE Vision packets that were lost).
+//! Frames of which a part never arrived: a long run of samples that are exactly 0, where the rest of the frame
+//! and the other frames have a black level. Links without resends leave such parts (GigE Vision packets that were
+//! lost).
 
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
@@ -8,12 +9,13 @@ use serde::{Deserialize, Serialize};
 
 /// Least number of samples in a row, in read-out order (a named choice: a tenth of the smallest packet).
 const MIN_RUN: usize = 64;
-/// Share of the frames from which on it is what the sensor has: rows without pixels, darks at the end of the range.
+/// Share of the frames from which on it is what the sensor has: rows without pixels, darks at the end of the
+/// range.
 const MAX_SHARE: f64 = 0.5;
 /// Share of the samples elsewhere that may be 0: more are darks at the end of the range.
 const MAX_ZEROS: f64 = 0.01;
-/// Largest share of a frame that is lost, and least mean of the rest, DN: frames of darks at the end of the range have
-/// nearly all of their samples in such runs, and little in the others (named choices).
+/// Largest share of a frame that is lost, and least mean of the rest, DN: frames of darks at the end of the range
+/// have nearly all of their samples in such runs, and little in the others (named choices).
 const MAX_LOST: f64 = 0.5;
 const MIN_REST_DN: f64 = 4.0;
 

@@ -1,9 +1,9 @@
-//! Another gain in one position of card and light: its flats repeat the settings of the others, and their noise is
-//! that of another gain.
+//! Another gain in one position of card and light: its flats repeat the settings of the others, and their noise
+//! is that of another gain.
 //!
-//! The noise of a flat grows with the square of a gain on the codes, in any light (Healey and Kondepudy 1994, eq. 35:
-//! sigma_N^2 = A^2 (I + E_DC) + sigma_C^2), and its level with the gain, or, where the black level was in the codes,
-//! by as much of that on top. Of other light the noise is that of its level.
+//! The noise of a flat grows with the square of a gain on the codes, in any light (Healey and Kondepudy 1994, eq.
+//! 35: sigma_N^2 = A^2 (I + E_DC) + sigma_C^2), and its level with the gain, or, where the black level was in the
+//! codes, by as much of that on top. Of other light the noise is that of its level.
 
 use super::transfer::{above, variance_error};
 use super::{Campaign, Check, DataFault, FaultKind};

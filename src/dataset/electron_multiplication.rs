@@ -1,5 +1,5 @@
-//! Cameras that multiply electrons before they read them: the multiplication is random, and its noise is more than
-//! that of photons.
+//! Cameras that multiply electrons before they read them: the multiplication is random, and its noise is more
+//! than that of photons.
 
 use super::CameraInfo;
 use crate::number::{six_digits, with_unit};

@@ -172,8 +172,8 @@ pub fn survey(
     Ok(out)
 }
 
-/// Takes times of names away where they are not those of all frames, or most frames share one with another: names of a
-/// session, or of frames that follow one another faster than the stamps.
+/// Takes times of names away where they are not those of all frames, or most frames share one with another: names
+/// of a session, or of frames that follow one another faster than the stamps.
 fn without_shared_stamps(frames: &mut [Found]) {
     let is_of_name = |f: &Found| f.facts.from.get("time_s").is_some_and(|from| from == names::NAME);
     let mut times: Vec<u64> =

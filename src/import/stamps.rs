@@ -89,8 +89,8 @@ pub fn stamps(text: &str) -> Vec<Range<usize>> {
     out
 }
 
-/// Seconds since 1970 of the first date with a time to the second, as [`headers::time_s`] has it; digits behind the
-/// seconds are their fraction.
+/// Seconds since 1970 of the first date with a time to the second, as [`headers::time_s`] has it; digits behind
+/// the seconds are their fraction.
 ///
 /// [`headers::time_s`]: super::headers::time_s
 pub fn time_s(text: &str) -> Option<f64> {

@@ -24,9 +24,9 @@ fn kept_by_few(n: f64) -> f64 {
     1.0 - 2.0 / n - 4.0 / (n * n) + 2.0 / (n * (n - 1.0))
 }
 
-/// Covariance of successive frames over their variance, as n frames show both about their mean, where each has this
-/// share of the one before, of which again a share (an autoregression of the first order: Box and Jenkins 1976,
-/// 3.2.3).
+/// Covariance of successive frames over their variance, as n frames show both about their mean, where each has
+/// this share of the one before, of which again a share (an autoregression of the first order: Box and Jenkins
+/// 1976, 3.2.3).
 fn shown_of(share: f64, n: usize) -> f64 {
     let of = n as f64;
     let beside = |count: usize| share * (1.0 - share.powi(count as i32)) / (1.0 - share);
@@ -64,8 +64,8 @@ struct First {
 /// Exposures before the sets, by their first frames. Where successive frames carry something from one to the
 /// next and first frames nothing from the set before, they follow frames of their own level that are not in
 /// the dataset. Where these lack a share of their own level, and the noise does not contradict it, they
-/// follow darkness; where they have a power of that share, a few frames of their own level were discarded. With it
-/// the correlation of successive frames, where it is something.
+/// follow darkness; where they have a power of that share, a few frames of their own level were discarded. With
+/// it the correlation of successive frames, where it is something.
 pub(super) fn of(
     list: &[Observable],
     sets: &[SetInfo],

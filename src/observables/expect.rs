@@ -574,7 +574,8 @@ impl<'a> View<'a> {
         each / (n - 1) as f64
     }
 
-    /// Correlation of the pixels' noise between two frames, by their distance; `None` where frames are independent.
+    /// Correlation of the pixels' noise between two frames, by their distance; `None` where frames are
+    /// independent.
     fn between_frames(&self) -> Option<impl Fn(usize) -> f64> {
         let s = self.set().filter(|s| !s.shot_memory.is_empty() || !s.read_memory.is_empty())?;
         let (shot, read) = self.pixels();
@@ -585,8 +586,9 @@ impl<'a> View<'a> {
         Some(move |apart: usize| if apart == 0 { 1.0 } else { of(&all, apart - 1) })
     }
 
-    /// Relative variance of the sample variance of a pixel beyond that of independent frames, 2 / (n - 1): 2 tr A^2 / (tr A)^2 with A the
-    /// correlations about the mean of the frames (moments of a quadratic form of normal numbers: Mathai and Provost 1992, section 3.2b).
+    /// Relative variance of the sample variance of a pixel beyond that of independent frames, 2 / (n - 1): 2 tr
+    /// A^2 / (tr A)^2 with A the correlations about the mean of the frames (moments of a quadratic form of normal
+    /// numbers: Mathai and Provost 1992, section 3.2b).
     pub fn spread_in_time(&self) -> f64 {
         let Some(rho) = self.between_frames() else { return 0.0 };
         let n = self.frames.len().max(2);
@@ -606,13 +608,14 @@ impl<'a> View<'a> {
         2.0 * squares / (trace * trace).max(1e-12) - 2.0 / (of - 1.0)
     }
 
-    /// Error of a mean square of so many pixels beyond that of independent frames, DN^2; of a mean product of neighbours it is at most that.
+    /// Error of a mean square of so many pixels beyond that of independent frames, DN^2; of a mean product of
+    /// neighbours it is at most that.
     pub fn alike_in_time(&self, pixels: f64) -> f64 {
         self.noise * (self.spread_in_time().max(0.0) / pixels).sqrt()
     }
 
-    /// Mean square over the square of the mean, less 1, of the variances of each frame's deviation from the mean of those before it, scaled to
-    /// the variance of a frame: 0 where frames are independent.
+    /// Mean square over the square of the mean, less 1, of the variances of each frame's deviation from the mean
+    /// of those before it, scaled to the variance of a frame: 0 where frames are independent.
     pub fn unlike_in_time(&self) -> f64 {
         let Some(rho) = self.between_frames() else { return 0.0 };
         // Correlations of a frame to those before it, and of these among one another.

@@ -139,8 +139,8 @@ fn pixels_that_jump_are_told_from_noisy_ones() {
     assert!(d.consistent, "{:#?}", d.missing);
 }
 
-/// Mean of the last two frames, as firmware averages: the gain is that of single frames. A running average of as much
-/// memory means another gain by tens of per cent.
+/// Mean of the last two frames, as firmware averages: the gain is that of single frames. A running average of as
+/// much memory means another gain by tens of per cent.
 #[test]
 fn a_mean_of_the_last_frames_is_named() {
     let model = unit(332);

@@ -365,8 +365,8 @@ fn lag_after_unsaved_darks_is_no_dim_lamp() {
     assert!(said["notes"].to_string().contains("darkness before each set"), "{}", said["notes"]);
 }
 
-/// The first frame or two of each set were discarded, as people do: what a filter over time leaves of the set before
-/// is a power of its weight then, and no smaller weight.
+/// The first frame or two of each set were discarded, as people do: what a filter over time leaves of the set
+/// before is a power of its weight then, and no smaller weight.
 #[test]
 fn a_filter_behind_discarded_frames_keeps_its_weight() {
     for (discarded, seed) in [(1usize, 254), (2, 255)] {
@@ -438,7 +438,8 @@ fn has_another_gain(campaign: &Campaign, sets: &[u32], words: &str) {
     assert!((value - 0.38).abs() < 4.0 * error, "{value} +- {error}");
 }
 
-/// A digital gain in one configuration of a calibration, about the black level and with it; an automatic gain in all.
+/// A digital gain in one configuration of a calibration, about the black level and with it; an automatic gain in
+/// all.
 #[test]
 fn another_gain_in_configurations_is_named() {
     for (above, seed) in [(BLACK_DN, 256), (0.0, 257)] {

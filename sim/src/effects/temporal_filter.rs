@@ -25,7 +25,8 @@ const FRAMES: [&str; 7] = [
 const MOST_FRAMES: usize = FRAMES.len() + 1;
 /// Choice of `kept` for it.
 const MEAN_OF_LAST: f64 = 3.0;
-/// Least correlation of successive frames at which it is tried: a mean of two has 1/2, and few frames show less (a named choice).
+/// Least correlation of successive frames at which it is tried: a mean of two has 1/2, and few frames show less
+/// (a named choice).
 const LEAST_CORRELATION: f64 = 0.3;
 
 /// The least weight of the frames before. A named choice: cameras have it in 256ths or tenths, and one that reduces noise has much more; what is left
@@ -53,8 +54,8 @@ fn frames_of_mean(p: &[f64]) -> Option<usize> {
     (p[1] >= MEAN_OF_LAST - 0.5).then(|| (p[2].round() as usize).clamp(2, MOST_FRAMES))
 }
 
-/// What a mean of the last n frames makes of independent noise: its variance, relative, and the correlations over 1, 2, ... frames (a moving
-/// average: Box and Jenkins 1976, 3.3).
+/// What a mean of the last n frames makes of independent noise: its variance, relative, and the correlations over
+/// 1, 2, ... frames (a moving average: Box and Jenkins 1976, 3.3).
 fn moving_average(n: usize) -> (f64, Vec<f64>) {
     let n = n as f64;
     (n.recip(), (1..=8).map(|k| (1.0 - f64::from(k) / n).max(0.0)).collect())
