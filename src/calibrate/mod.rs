@@ -225,14 +225,13 @@ pub fn of_dataset(
     if configurations.len() < 3 && estimator != Estimator::Smooth {
         return Err(PatternError::TooFew(configurations.len()).into());
     }
+    let means = dark_means(dataset)?;
+    let dark = DarkReference::fit(&means, exposure_s)?;
+    let level = dark.at(exposure_s)?;
     let constant = noise.map(|n| &n.constant_noise_var_dn2).filter(|c| c.value.is_finite());
     if let Some(c) = constant.filter(|c| c.value < -MIN_SIGMAS_BELOW_0 * c.std_err) {
         return Err(CalibrateError::NegativeNoise { dn2: c.value });
     }
-
-    let means = dark_means(dataset)?;
-    let dark = DarkReference::fit(&means, exposure_s)?;
-    let level = dark.at(exposure_s)?;
     let line = noise.map(|n| (n.gain_dn_per_e.value, n.constant_noise_var_dn2.value));
     let line = line.filter(|(a, c)| a.is_finite() && c.is_finite());
     let flats = match estimator {

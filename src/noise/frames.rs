@@ -1,6 +1,6 @@
 //! Section IV on the frames of a dataset, and what its darks and pixels say beside the line.
 
-use super::levels::{Measured, ONE_EXPOSURE, measure, points, zero};
+use super::levels::{Measured, ONE_EXPOSURE, TAKEN_OFF, measure, points, zero};
 use super::{NoiseError, NoiseReport, estimate_with};
 use crate::data_faults::examined;
 use crate::dataset::{Dataset, ElectronMultiplication, Kind, LONG_DARKS};
@@ -75,6 +75,15 @@ pub fn of_dataset(
         let gain = &report.gain_dn_per_e;
         report.notes.insert(0, shared.in_words(gain.value, gain.std_err));
         report.shared_noise_rel = Some(shared.quantity());
+    }
+    let is_taken_off =
+        |because: &Option<String>| because.as_ref().is_some_and(|text| text.ends_with(TAKEN_OFF));
+    if report.levels.iter().any(|l| is_taken_off(&l.excluded_because)) {
+        report.notes.push(
+            "the camera takes the level of the dark charge off, and its noise stays: so much as the darks show for each exposure is taken off the \
+             variance of the levels"
+                .into(),
+        );
     }
     report.notes.extend(masked(&measured));
     report.notes.extend(struck(&measured));

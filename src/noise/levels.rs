@@ -495,7 +495,8 @@ impl Light {
 }
 
 /// Leaves out darks whose variance grows with the exposure and whose level does not: the camera takes the
-/// dark charge off the level, and its shot noise stays. Their place on the line is not known.
+/// dark charge off the level, and its shot noise stays. Their place on the line is not known. Flats of as long
+/// exposures have that noise too: as the darks show it, it is taken off.
 fn exclude_clamped_darks(measured: &Measured, points: &mut [Point]) {
     let of = |kind: Kind| {
         let all = measured.levels.iter().enumerate().filter(move |(_, l)| l.1 == kind);
@@ -519,12 +520,31 @@ fn exclude_clamped_darks(measured: &Measured, points: &mut [Point]) {
     };
     let found: Vec<usize> =
         of(Kind::Dark).filter(|d| usable(&d.0) && d.1 > shortest_s && clamped(d.0)).map(|d| d.0).collect();
+    // Noise without a level over the exposure: a line.
+    let charge = |(i, exposure_s): (usize, f64)| {
+        let p = &points[i];
+        let square = 2.0 / ((p.frames - 1.0) * (p.pixels - 1.0)) * p.var_dn2.powi(2);
+        (exposure_s, p.var_dn2 - gain * own(i).max(0.0), square)
+    };
+    let line = fit(of(Kind::Dark).filter(|d| usable(&d.0)).map(charge));
+    let line =
+        line.filter(|l| found.len() >= MIN_CLAMPED && l.chi2 < MAX_CHI2_OF_CHARGE * l.dof.max(1) as f64);
     for i in found {
         points[i].excluded = Some(format!(
-            "a black-level clamp: {:+.1} DN of level for {:+.1} DN^2 of noise beyond the shortest dark's",
+            "a black-level clamp: {:+.1} DN of level for {:+.1} DN^2 of noise beyond the shortest dark's{}",
             own_of(points, i, first),
-            points[i].var_dn2 - base
+            points[i].var_dn2 - base,
+            if line.is_some() { TAKEN_OFF } else { "" }
         ));
+    }
+    let Some(line) = line else { return };
+    for (point, (_, _, exposure_s, _)) in points.iter_mut().zip(&measured.levels) {
+        let taken_dn2 = line.slope * exposure_s;
+        if point.excluded.is_none() && taken_dn2 < point.var_dn2 {
+            point.var_dn2 -= taken_dn2;
+            point.pairs.iter_mut().for_each(|pair| pair.1 -= taken_dn2);
+            point.var_unsure_dn2 = point.var_unsure_dn2.hypot(line.var_slope.sqrt() * exposure_s);
+        }
     }
 }
 
@@ -532,6 +552,12 @@ fn own_of(points: &[Point], i: usize, first: usize) -> f64 {
     points[i].mean_dn - points[first].mean_dn
 }
 
+/// Words for a dark whose noise is taken off the flats.
+pub(super) const TAKEN_OFF: &str = ", which is taken off flats of its exposure";
+/// Fewest such darks that tell the growth of their noise, and largest chi-square of a line for each degree of
+/// freedom: pixels differ in noise, which the error of a variance does not know (named choices).
+const MIN_CLAMPED: usize = 2;
+const MAX_CHI2_OF_CHARGE: f64 = 20.0;
 /// Least excess of a dark's variance, over that of the shortest, for a clamp (a named choice: what matters to
 /// a user).
 const MIN_CLAMPED_EXCESS: f64 = 0.1;

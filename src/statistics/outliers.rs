@@ -229,15 +229,7 @@ pub fn struck<F: Borrow<Array2<u16>>>(block: &[F]) -> Vec<Struck> {
     // The largest of n normal numbers lies some 1.3 to 1.5 deviations above the mean of the others, for 3 to 8 of
     // them, and hardly scatters by its median over the pixels; of two it lies 0.95 above the other.
     let step = (pixels / 4096).max(1);
-    // Pixels at full scale have no noise, and others of the same frame have.
-    let full = most.iter().copied().max().unwrap_or(u16::MAX);
-    let ranges = || {
-        (0..pixels)
-            .step_by(step)
-            .map(|i| (least[i] < full, f64::from(f32::from(most[i]) - others(i, most[i]))))
-    };
-    let of_others = median(ranges().filter(|r| r.0).map(|r| r.1));
-    let usual = if of_others.is_finite() { of_others } else { median(ranges().map(|r| r.1)) };
+    let usual = median((0..pixels).step_by(step).map(|i| f64::from(f32::from(most[i]) - others(i, most[i]))));
     let level = median((0..pixels).step_by(step).map(|i| f64::from(others(i, most[i])))) as f32;
     // Frames of narrow noise on coarse codes differ by whole steps, of three frames by several.
     let ranges = (0..pixels).map(|i| most[i] - least[i]);
