@@ -151,7 +151,7 @@ impl<'a> Campaign<'a> {
         if known.len() < MIN_DEPENDENT_SETS || dependence.is_nan() || dependence > MAX_DEPENDENCE {
             return;
         }
-        // Of an autoregression with weight a the variance of differences one apart is 1 / (1 + a) of that two
+        // Autoregression with weight a: the variance of differences one apart is 1 / (1 + a) of that two
         // apart, that of the mean of n frames (1 + a) / (1 - a) of 1 / n, and that of frames in turns the
         // reciprocal (Box and Jenkins 1976, 3.2.3; the latter is the spectrum at its ends).
         let weight = (dependence.recip() - 1.0).min(MAX_WEIGHT);

@@ -157,7 +157,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     let mut sent_before: Option<Arc<Array2<u16>>> = None;
     let mut second: Option<Arc<Array2<u16>>> = None;
     let mut third: Option<Arc<Array2<u16>>> = None;
-    // Of all frames, and of those that have all their parts.
+    // Sums over all frames, and over frames without lost parts.
     let (mut middle_of_all, mut middle_of_whole) = (Middle::default(), Middle::default());
     let mut clipped = 0usize;
     let mut occurring = Occurring::default();

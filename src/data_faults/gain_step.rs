@@ -15,7 +15,7 @@ const MIN_FLATS: usize = 5;
 const MIN_OF_PART: usize = 2;
 /// Usual relative scatter of a set's level: what lamps that nobody touches have (a named choice).
 const LEVEL_SCATTER: f64 = 0.003;
-/// The same where card and light were moved.
+/// Usual relative scatter of a set's level between positions of card and light (a named choice).
 const SCATTER_OF_POSITIONS: f64 = 0.03;
 /// Least change of the gain that is said.
 const MIN_GAIN_RATIO: f64 = 1.08;

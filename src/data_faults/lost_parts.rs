@@ -22,9 +22,9 @@ const MIN_REST_DN: f64 = 4.0;
 /// Samples of a frame that are exactly 0.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Zeros {
-    /// In long runs.
+    /// Samples in long runs.
     in_runs: u32,
-    /// Elsewhere.
+    /// Samples elsewhere.
     single: u32,
 }
 

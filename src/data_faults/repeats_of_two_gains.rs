@@ -37,7 +37,7 @@ impl Check for RepeatsOfTwoGains {
             let s = &campaign.sets[i];
             of_setting.entry((s.exposure_s.to_bits(), s.illumination.to_bits())).or_default().push(i);
         }
-        // For each position the gains that its flats say, or nothing for one that says none.
+        // Changes of the gain by position of card and light; `None` for a flat without one.
         let mut gains: BTreeMap<u32, Vec<Option<(f64, f64)>>> = BTreeMap::new();
         for repeats in of_setting.into_values() {
             for &i in &repeats {

@@ -17,7 +17,8 @@ pub(crate) struct ElectronMultiplication {
 }
 
 impl ElectronMultiplication {
-    /// That of a camera; `None` where nothing states one, or another amplifier was in use.
+    /// Reads the multiplication that the camera's features state; `None` without one, or with a conventional
+    /// amplifier.
     pub fn of(camera: &CameraInfo) -> Option<Self> {
         let text = |name: &str| {
             let value = camera.features.get(name)?;
@@ -33,7 +34,7 @@ impl ElectronMultiplication {
         2.0 * (self.gain - 1.0) * self.gain.powf(-(STAGES + 1.0) / STAGES) + self.gain.recip()
     }
 
-    /// What it does to gains and read noises.
+    /// Describes the error of gains and read noises.
     pub fn in_words(self) -> String {
         let times = six_digits((100.0 * self.excess()).round() / 100.0);
         format!(
@@ -44,7 +45,8 @@ impl ElectronMultiplication {
         )
     }
 
-    /// The same with the gain of a photon transfer and its standard error, DN/e.
+    /// Describes that error with the system gain, from the gain of the photon transfer and its standard error,
+    /// DN/e.
     pub fn with_gain(self, gain: f64, std_err: f64) -> String {
         let excess = self.excess();
         let own = with_unit(gain / excess, std_err / excess, "DN/e");

@@ -2,6 +2,7 @@
 
 use super::{Observable, Statistic, frame_scatter, mean, settling, successive, variance};
 use crate::dataset::{FrameRow, Kind};
+use crate::statistics::correlated_frames::CorrelatedFrames;
 use crate::statistics::median::median;
 use radcam_sim::predict::{Before, SetInfo};
 use std::collections::BTreeMap;
@@ -28,13 +29,8 @@ fn kept_by_few(n: f64) -> f64 {
 /// this share of the one before, of which again a share (an autoregression of the first order: Box and Jenkins
 /// 1976, 3.2.3).
 fn shown_of(share: f64, n: usize) -> f64 {
-    let of = n as f64;
-    let beside = |count: usize| share * (1.0 - share.powi(count as i32)) / (1.0 - share);
-    let rows: Vec<f64> = (0..n).map(|i| (1.0 + beside(i) + beside(n - 1 - i)) / of).collect();
-    let whole = rows.iter().sum::<f64>() / of;
-    let product = rows.windows(2).map(|r| share - r[0] - r[1] + whole).sum::<f64>() / (of - 1.0);
-    let left = of * (1.0 - whole) / (of - 1.0);
-    product / left + 1.0 / of
+    let frames = CorrelatedFrames::new(n, |apart| share.powi(apart as i32));
+    frames.product() / frames.left() + 1.0 / n as f64
 }
 
 /// Share that shows like that; a small one by its slope at 0.

@@ -2,6 +2,7 @@
 
 use super::line_peak::Axis;
 use super::{Observable, Observations};
+use crate::statistics::correlated_frames::CorrelatedFrames;
 use crate::statistics::steady::PixelNoise;
 use radcam_sim::predict::{LAGS, Prediction, Ripple, SetPrediction, TwoLevels};
 use std::cell::OnceCell;
@@ -562,50 +563,23 @@ impl<'a> View<'a> {
 
     /// Mean product of successive residuals over the variance, for noise with these correlations.
     pub fn product(&self, memory: &[f64]) -> f64 {
-        let n = self.frames.len().max(2);
-        if memory.iter().all(|r| *r == 0.0) {
-            return -1.0 / n as f64;
-        }
-        let rho = |k: usize| if k == 0 { 1.0 } else { memory.get(k - 1).copied().unwrap_or(0.0) };
-        let all = |f: usize| (0..n).map(|g| rho(f.abs_diff(g))).sum::<f64>() / n as f64;
-        let of: Vec<f64> = (0..n).map(all).collect();
-        let whole = of.iter().sum::<f64>() / n as f64;
-        let each: f64 = (0..n - 1).map(|f| rho(1) - of[f] - of[f + 1] + whole).sum();
-        each / (n - 1) as f64
+        let rho = |apart: usize| memory.get(apart - 1).copied().unwrap_or(0.0);
+        CorrelatedFrames::new(self.frames.len(), rho).product()
     }
 
-    /// Correlation of the pixels' noise between two frames, by their distance; `None` where frames are
-    /// independent.
-    fn between_frames(&self) -> Option<impl Fn(usize) -> f64> {
+    /// Correlations of the pixels' noise in these frames; `None` for independent frames.
+    fn correlated(&self) -> Option<CorrelatedFrames> {
         let s = self.set().filter(|s| !s.shot_memory.is_empty() || !s.read_memory.is_empty())?;
         let (shot, read) = self.pixels();
-        let of = |memory: &[f64], k: usize| memory.get(k).copied().unwrap_or(0.0);
-        let all: Vec<f64> = (0..s.shot_memory.len().max(s.read_memory.len()))
-            .map(|k| (shot * of(&s.shot_memory, k) + read * of(&s.read_memory, k)) / self.noise.max(1e-9))
-            .collect();
-        Some(move |apart: usize| if apart == 0 { 1.0 } else { of(&all, apart - 1) })
+        let of = |memory: &[f64], apart: usize| memory.get(apart - 1).copied().unwrap_or(0.0);
+        let rho =
+            |k: usize| (shot * of(&s.shot_memory, k) + read * of(&s.read_memory, k)) / self.noise.max(1e-9);
+        Some(CorrelatedFrames::new(self.frames.len(), rho))
     }
 
-    /// Relative variance of the sample variance of a pixel beyond that of independent frames, 2 / (n - 1): 2 tr
-    /// A^2 / (tr A)^2 with A the correlations about the mean of the frames (moments of a quadratic form of normal
-    /// numbers: Mathai and Provost 1992, section 3.2b).
+    /// Relative variance of the sample variance of a pixel beyond that of independent frames.
     pub fn spread_in_time(&self) -> f64 {
-        let Some(rho) = self.between_frames() else { return 0.0 };
-        let n = self.frames.len().max(2);
-        let of = n as f64;
-        // Sums of the first correlations: a row of the matrix has two of them and 1.
-        let add = |sum: &mut f64, r: f64| {
-            *sum += r;
-            Some(*sum)
-        };
-        let sums: Vec<f64> = std::iter::once(0.0).chain((1..n).map(&rho)).scan(0.0, add).collect();
-        let rows: Vec<f64> = (0..n).map(|i| (1.0 + sums[i] + sums[n - 1 - i]) / of).collect();
-        let whole = rows.iter().sum::<f64>() / of;
-        let squares: f64 = (1..n).map(|k| 2.0 * (n - k) as f64 * rho(k).powi(2)).sum();
-        let of_rows: f64 = rows.iter().map(|r| r * r).sum();
-        let squares = of + squares - 2.0 * of * of_rows + of * of * whole * whole;
-        let trace = of - of * whole;
-        2.0 * squares / (trace * trace).max(1e-12) - 2.0 / (of - 1.0)
+        self.correlated().map_or(0.0, |frames| frames.spread())
     }
 
     /// Error of a mean square of so many pixels beyond that of independent frames, DN^2; of a mean product of
@@ -614,22 +588,10 @@ impl<'a> View<'a> {
         self.noise * (self.spread_in_time().max(0.0) / pixels).sqrt()
     }
 
-    /// Mean square over the square of the mean, less 1, of the variances of each frame's deviation from the mean
-    /// of those before it, scaled to the variance of a frame: 0 where frames are independent.
+    /// Relative spread of the variances of the deviations from the mean of earlier frames; 0 for independent
+    /// frames.
     pub fn unlike_in_time(&self) -> f64 {
-        let Some(rho) = self.between_frames() else { return 0.0 };
-        // Correlations of a frame to those before it, and of these among one another.
-        let (mut to, mut among) = (0.0, 1.0);
-        let of_frame = |k: usize| {
-            let before = (k - 1) as f64;
-            to += rho(k - 1);
-            let own = before / k as f64 * (1.0 - 2.0 * to / before + among / (before * before));
-            among += 1.0 + 2.0 * to;
-            own
-        };
-        let all: Vec<f64> = (2..=self.frames.len().max(2)).map(of_frame).collect();
-        let mean = |power: i32| all.iter().map(|v| v.powi(power)).sum::<f64>() / all.len() as f64;
-        mean(2) / mean(1).powi(2).max(1e-12) - 1.0
+        self.correlated().map_or(0.0, |frames| frames.unlike())
     }
 
     /// Width of a code under the converter that is predicted.

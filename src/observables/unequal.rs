@@ -92,7 +92,7 @@ impl Statistic for Unequal {
                 sines_scatter,
                 // Bands of a wander are few.
                 0.3 * alike,
-                // What rounding leaves of what frames have in common is not followed.
+                // Rounding changes the correlation of frames; that is not predicted.
                 0.1 * in_time,
             ]),
         )

@@ -3,6 +3,7 @@
 //! [`pass::Pass`] runs all statistics of a set's noise in one pass; [`moments::Moments`] keeps mean and variance of every pixel.
 
 pub mod code_step;
+pub(crate) mod correlated_frames;
 pub mod covariance;
 pub mod frame_means;
 pub mod jackknife;

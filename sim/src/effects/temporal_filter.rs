@@ -21,13 +21,13 @@ const FRAMES: [&str; 7] = [
     "temporal-filter 6",
     "temporal-filter 7",
 ];
-/// Largest number of frames of such a mean.
+/// Maximum number of frames of that mean.
 const MOST_FRAMES: usize = FRAMES.len() + 1;
-/// Largest number of frames whose noise is followed behind a change of level, and part of the noise that is not known
-/// of more (a named choice: in the standard plan a mean of four moves the gain by 7 %).
+/// Largest mean whose noise behind a change of level is predicted, frames, and relative error of the noise of
+/// larger ones (a named choice: in the standard plan a mean of four moves the gain by 7 %).
 const FOLLOWED: usize = 3;
 const UNSURE_NOISE: f64 = 0.3;
-/// Choice of `kept` for it.
+/// Value of `kept` for the mean of the last frames.
 const MEAN_OF_LAST: f64 = 3.0;
 /// Least correlation of successive frames at which it is tried: a mean of two has 1/2, and few frames show less
 /// (a named choice).
@@ -58,8 +58,8 @@ fn frames_of_mean(p: &[f64]) -> Option<usize> {
     (p[1] >= MEAN_OF_LAST - 0.5).then(|| (p[2].round() as usize).clamp(2, MOST_FRAMES))
 }
 
-/// What a mean of the last n frames makes of independent noise: its variance, relative, and the correlations over
-/// 1, 2, ... frames (a moving average: Box and Jenkins 1976, 3.3).
+/// Relative variance of the mean of the last n frames of independent noise, and its correlations over 1, 2, ...
+/// frames (a moving average: Box and Jenkins 1976, 3.3).
 fn moving_average(n: usize) -> (f64, Vec<f64>) {
     let n = n as f64;
     (n.recip(), (1..=8).map(|k| (1.0 - f64::from(k) / n).max(0.0)).collect())
@@ -69,8 +69,8 @@ fn moving_average(n: usize) -> (f64, Vec<f64>) {
 fn average_last(n: usize, c: &Campaign, out: &mut Prediction) {
     let (less, memory) = moving_average(n);
     for s in &mut out.sets {
-        // Statistics of noise leave out two frames behind a change of level; later ones have noise of the level before
-        // too, which is not followed.
+        // Statistics of noise leave out two frames behind a change of level. Later frames of larger means still
+        // have noise of the level before, which is not predicted.
         let unsure = if n > FOLLOWED { UNSURE_NOISE * less * s.pixels() } else { 0.0 };
         s.unsure_var = libm::hypot(s.unsure_var, unsure);
         s.mix_in_time(less, &memory);
@@ -452,7 +452,7 @@ impl Effect for TemporalFilter {
             let mut kept = d.image.clone();
             let mut sum = d.image.clone();
             for name in &FRAMES[..n - 1] {
-                // Before the first frame there was the same.
+                // The buffer starts with the first frame.
                 let before = d.memory.insert(name, kept).filter(|m| m.dim() == d.image.dim());
                 kept = before.unwrap_or_else(|| d.image.clone());
                 sum += &kept;
