@@ -14,7 +14,8 @@ pub(super) fn planes(images: &[Array2<f32>]) -> [Vec<Array2<f32>>; 4] {
 
 /// One pattern of the patterns of the planes, in that order, and which pixels get light: K has mean 1 in each.
 pub(super) fn joined(patterns: &[(FixedPattern, Lit)], shape: (usize, usize)) -> (FixedPattern, Lit) {
-    let mut light = Lit { lit: Array2::from_elem(shape, false), blind: Array2::from_elem(shape, false) };
+    let mut light =
+        Lit { lit: Array2::from_elem(shape, false), blind: Array2::from_elem(shape, false), level_dn: 0.0 };
     let mut out = FixedPattern {
         k: Array2::ones(shape),
         std_err: Array2::zeros(shape),

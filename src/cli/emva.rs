@@ -141,7 +141,7 @@ fn print(arguments: &Arguments, e: &Evaluation) {
         }
     }
     if let Some(n) = &e.noise {
-        println!("\nThe same levels by `radcam noise`");
+        println!("\nAll frames by `radcam noise`");
         println!("  {:<20} {:<26} which the standard calls K", "system gain A", n.gain.to_string());
         println!("  {:<20} {}", "read noise", n.read_noise);
         println!(

@@ -48,8 +48,8 @@ impl Check for CopiedFrames {
             if own.is_finite() {
                 return own >= MIN_CHANGED_PIXELS;
             }
-            // At full scale nothing is left to differ.
-            if view.clipped {
+            // At full scale nothing is left to differ, be it below the largest code.
+            if view.clipped || has_one_code(&view.facts.middle_dn) {
                 return false;
             }
             // All are the same: sets of less light tell.
@@ -79,6 +79,12 @@ impl Check for CopiedFrames {
         );
         vec![campaign.fault_of_frames(FaultKind::CopiedFrames, &frames, text)]
     }
+}
+
+/// Whether most pixels have one code: saturated, whatever else is there.
+fn has_one_code(middle_dn: &[f32]) -> bool {
+    let middle = median(middle_dn.iter().map(|v| f64::from(*v)));
+    median(middle_dn.iter().map(|v| (f64::from(*v) - middle).abs())) == 0.0
 }
 
 /// Frames that differ from the one before in a corner alone, where others of their level differ everywhere.

@@ -16,6 +16,7 @@ use super::transfer::{MIN_VARIANCE_DN2, MODEL_ERROR, Transfer};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::{six_digits, with_error};
+use crate::statistics::median::median;
 use std::collections::BTreeMap;
 
 /// Standard deviations from 1 of the pattern in the flats from which on darks are other ones.
@@ -24,6 +25,8 @@ const MIN_SIGMAS: f64 = 8.0;
 const MAX_ABSENT: f64 = 0.2;
 /// Least ratio of two gains that is said (cameras step in 1 dB or more: 1.12), and a margin.
 const MIN_GAIN_RATIO: f64 = 1.25;
+/// Share of the noise that neighbours have in common from which on the flats were filtered (a named choice).
+const MAX_SHARED: f64 = 0.1;
 /// Least ratio of the levels of the flats by which their lines lead to zero signal.
 const MIN_RANGE: f64 = 2.5;
 /// Part of the range that a straight response may bend.
@@ -167,6 +170,11 @@ fn of_pattern(
     zero: &Zero,
     response: &Response,
 ) -> Option<String> {
+    // Flats that were smoothed or sharpened have the darks' pattern so too.
+    let shared = flats.values().flatten().map(|&i| campaign.sets[i].facts.neighbours.share.abs());
+    if median(shared) > MAX_SHARED {
+        return None;
+    }
     let columns = campaign.sets[darks[0]].facts.middle_columns;
     let above =
         |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s) - response.black_dn.0;

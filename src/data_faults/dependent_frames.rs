@@ -2,6 +2,7 @@
 //! level has elsewhere, or successive frames alike.
 
 use super::orientation::{correlation, pattern};
+use super::patterns;
 use super::set_view::SetView;
 use super::transfer::{self, Transfer, above};
 use super::{Campaign, Check, DataFault, FaultKind};
@@ -24,6 +25,8 @@ const SAME_LOSS_SIGMAS: f64 = 3.0;
 /// Standard errors of the flats' line by which the shorter of two darks has less noise than that leaves (a named
 /// choice).
 const SIGMAS_OF_FLATS: f64 = 3.0;
+/// Least ratio of the variances of two fixed patterns of which one has that of a charge too (a named choice).
+const MIN_RATIO_OF_PATTERNS: f64 = 1.3;
 /// Share of the sets up to which it is a slip: more are what the camera does.
 const MAX_SHARE_OF_SETS: f64 = 0.34;
 
@@ -212,16 +215,45 @@ impl Check for DependentFrames {
         // The shorter dark has less noise by itself; only the flats tell that it has too little.
         let is_shorter =
             |i: usize| darks.iter().any(|&d| campaign.sets[d].exposure_s > campaign.sets[i].exposure_s);
-        let of_flats = Transfer::of(campaign, &zero, &darks).filter(|_| few_darks);
+        let of_flats = Transfer::of(campaign, &zero, &darks);
         let flats_have_more = |i: usize| {
             let left = of_flats.as_ref().map(|t| t.expected_dn2(level(i)));
             left.zip(campaign.sets[i].variance_dn2()).is_some_and(|((left_dn2, std_dn2), own)| {
                 own.0 < MAX_AVERAGED_RATIO * (left_dn2 - SIGMAS_OF_FLATS * std_dn2)
             })
         };
+        // Flats of longer exposures have the noise of a dark charge whose level the camera takes off, as a dark of
+        // their exposure has it.
+        let lit = campaign.places(|s| s.is_lit());
+        let exposure_s = |i: usize| campaign.sets[i].exposure_s;
+        let shortest_s = lit.iter().map(|&f| exposure_s(f)).fold(f64::INFINITY, f64::min);
+        let has_the_flats_noise = |d: usize| {
+            let left = of_flats.as_ref().map(|t| t.expected_dn2(level(d)));
+            left.zip(campaign.sets[d].variance_dn2()).is_some_and(|((left_dn2, std_dn2), own)| {
+                (own.0 - left_dn2).abs()
+                    < (SIGMAS_OF_FLATS * std_dn2).max((1.0 - MAX_AVERAGED_RATIO) * left_dn2)
+            })
+        };
+        // Charge has a pattern of its own, and averages keep that of single frames.
+        let has_more_pattern = |d: usize, i: usize| {
+            let square = |i: usize| {
+                let pattern = patterns::pattern_of(&campaign.sets[i]);
+                let mean = pattern.iter().map(|v| v * v).sum::<f64>() / pattern.len().max(1) as f64;
+                mean - patterns::noise_of_mean(&campaign.sets[i])
+            };
+            square(d) > MIN_RATIO_OF_PATTERNS * square(i)
+        };
+        let is_of_less_charge = |i: usize| {
+            let has_its_charge = |d: usize| {
+                2.0 * exposure_s(d) > shortest_s && has_the_flats_noise(d) && has_more_pattern(d, i)
+            };
+            2.0 * exposure_s(i) < shortest_s && darks.iter().any(|&d| d != i && has_its_charge(d))
+        };
         averaged.retain(|&i| {
-            let is_known = !few_darks || campaign.sets[i].is_lit() || filtered.contains(&i);
-            is_known || !is_shorter(i) || flats_have_more(i)
+            if campaign.sets[i].is_lit() || filtered.contains(&i) {
+                return true;
+            }
+            !is_of_less_charge(i) && (!few_darks || !is_shorter(i) || flats_have_more(i))
         });
         let mut out = Vec::new();
         if !averaged.is_empty() && averaged.len() as f64 <= (MAX_SHARE_OF_SETS * all.len() as f64).max(1.0) {

@@ -44,6 +44,10 @@ pub struct SetFacts {
     pub neighbours: Neighbours,
     /// Share of the samples at full scale.
     pub clipped: f64,
+    /// Temporal variance in the cells of [`cells_dn`](Self::cells_dn), DN^2; none of one frame, and in files of
+    /// earlier versions.
+    #[serde(default)]
+    pub cells_dn2: Vec<f64>,
     /// Variance over the pixels of the first frame, DN^2.
     pub spread_dn2: f64,
     /// Distance of the codes that occur in the first frame, DN: 1 unless the camera counts in coarser steps.
@@ -81,6 +85,9 @@ pub struct SetFacts {
 pub struct Neighbours {
     /// Their sum.
     pub share: f64,
+    /// Sum of those of the four next ones; 0 in files of earlier versions.
+    #[serde(default)]
+    pub of_next: f64,
     /// Pixels of all pairs; 0 of one frame or small ones, and in files of earlier versions.
     pub pixels: f64,
 }
@@ -92,9 +99,10 @@ impl Neighbours {
         if self.pixels + 0.5 * own > ENOUGH as f64 {
             return;
         }
-        if let Some(share) = shared_by_neighbours(a, b) {
+        if let Some((share, of_next)) = shared_by_neighbours(a, b) {
             self.pixels += own;
             self.share += own / self.pixels * (share - self.share);
+            self.of_next += own / self.pixels * (of_next - self.of_next);
         }
     }
 }
@@ -161,6 +169,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     let (mut middle_of_all, mut middle_of_whole) = (Middle::default(), Middle::default());
     let mut clipped = 0usize;
     let mut occurring = Occurring::default();
+    let mut cells = CellVariances::default();
     for frames in in_blocks(dataset, set, stop) {
         let (frames, struck) = frames?;
         out.struck_pixels.extend(struck.into_iter().map(|pixel| pixel as u32));
@@ -188,6 +197,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
             let pairs = out.digests.len() % 2 == 0 && (out.digests.len() > 2 || set.rows.len() < 4);
             if let Some(before) = before.as_ref().filter(|_| pairs) {
                 out.neighbours.add(before, &frame);
+                cells.add(before, &frame);
             }
             let to = |other: &Option<Arc<Array2<u16>>>| {
                 other
@@ -212,6 +222,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
         let codes = [third, last].map(|f| f.as_slice().unwrap_or(&[]));
         out.ends_dn2 = difference(codes[0], codes[1], last.ncols()).1;
     }
+    out.cells_dn2 = cells.finish();
     out.old_data = old_data.finish();
     out.code_step_dn = step_of(&occurring);
     out.clipped = clipped as f64 / (out.pixels * set.rows.len() as f64).max(1.0);
@@ -221,6 +232,30 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     let in_turns: Vec<f32> = middle.in_turns.into_iter().collect();
     out.middle_noise_dn2 = patterns::noise_of(&out.middle_dn, &in_turns, middle.frames, out.middle_columns);
     Ok(out)
+}
+
+/// Variances in the cells of frames, by pairs of them.
+#[derive(Default)]
+struct CellVariances {
+    pairs: usize,
+    sums_dn2: Vec<f64>,
+}
+
+impl CellVariances {
+    /// Takes in the next pair, until the pixels are enough.
+    fn add(&mut self, a: &Array2<u16>, b: &Array2<u16>) {
+        if self.pairs * a.len() >= ENOUGH {
+            return;
+        }
+        let own = outliers::cell_variances(a, b);
+        self.pairs += 1;
+        self.sums_dn2.resize(own.len(), 0.0);
+        self.sums_dn2.iter_mut().zip(own).for_each(|(sum, v)| *sum += v);
+    }
+
+    fn finish(self) -> Vec<f64> {
+        self.sums_dn2.into_iter().map(|sum| sum / self.pairs.max(1) as f64).collect()
+    }
 }
 
 /// Step of the codes that occur: 1 where neighbours do, 0 where too few codes do.
@@ -346,9 +381,13 @@ const ENOUGH: usize = SIDE * SIDE;
 /// eight times the mean of 16.
 pub(super) const NEIGHBOURS_VAR: f64 = 4.0 * (2.0 * (2.0 + 4.0 / 8.0) + 8.0 + 64.0 / 16.0);
 
+/// The same of the next pixels alone: twice are summed one along each axis, less the mean of eight.
+pub(super) const NEXT_VAR: f64 = 4.0 * 2.0 * (1.0 + 1.0 / 8.0);
+
 /// Sum of the covariances of the difference of two frames with itself up to [`NEAR`] pixels away, over its
-/// variance. Of each direction what pixels [`FAR`] away share is taken off.
-fn shared_by_neighbours(a: &Array2<u16>, b: &Array2<u16>) -> Option<f64> {
+/// variance, and of those one pixel along a row or a column away. Of each direction what pixels [`FAR`] away share is
+/// taken off.
+fn shared_by_neighbours(a: &Array2<u16>, b: &Array2<u16>) -> Option<(f64, f64)> {
     let (rows, columns) = a.dim();
     let (height, width) = (rows.min(SIDE), columns.min(SIDE));
     if height.min(width) < 2 * FAR.end().unsigned_abs() || a.dim() != b.dim() {
@@ -389,7 +428,8 @@ fn shared_by_neighbours(a: &Array2<u16>, b: &Array2<u16>) -> Option<f64> {
     });
     let near: f64 = near.sum();
     let own = product(0, 0) - in_row - in_column + aslant;
-    (own > 0.0).then(|| 2.0 * near / own)
+    let next = product(0, 1) - in_row + product(1, 0) - in_column;
+    (own > 0.0).then(|| (2.0 * near / own, 2.0 * next / own))
 }
 
 /// Takes the field off the difference of two frames by its regression on their sum: a lamp that flickers leaves
@@ -445,7 +485,7 @@ mod tests {
     use radcam_sim::rng::{PixelRng, Stream};
 
     /// White noise shares nothing within four errors over 300 pairs, and the square is what is stated within
-    /// four errors. Kernels whose sum is 1 have the variance that their squares sum to, and share the rest:
+    /// four errors, also of the next pixels alone. Kernels whose sum is 1 have the variance that their squares sum to, and share the rest:
     /// the mean of two by two 3, that of three by three 8, a sharpening by 0.2 of four neighbours -0.706, all
     /// within four errors of their pairs.
     #[test]
@@ -462,13 +502,15 @@ mod tests {
             };
             shared_by_neighbours(&frame(), &frame()).unwrap()
         };
-        let expected = NEIGHBOURS_VAR / (rows * columns) as f64;
-        let white: Vec<f64> = (0..300).map(|_| shared(&[(1, 1, 1.0)])).collect();
-        let n = white.len() as f64;
-        let mean = white.iter().sum::<f64>() / n;
-        let square = white.iter().map(|s| s * s).sum::<f64>() / n;
-        assert!(mean.abs() < 4.0 * (expected / n).sqrt(), "{mean}");
-        assert!((square / expected - 1.0).abs() < 4.0 * (2.0 / n).sqrt(), "{square} for {expected}");
+        let (white, of_next): (Vec<f64>, Vec<f64>) = (0..300).map(|_| shared(&[(1, 1, 1.0)])).unzip();
+        for (white, variance) in [(white, NEIGHBOURS_VAR), (of_next, NEXT_VAR)] {
+            let expected = variance / (rows * columns) as f64;
+            let n = white.len() as f64;
+            let mean = white.iter().sum::<f64>() / n;
+            let square = white.iter().map(|s| s * s).sum::<f64>() / n;
+            assert!(mean.abs() < 4.0 * (expected / n).sqrt(), "{mean}");
+            assert!((square / expected - 1.0).abs() < 4.0 * (2.0 / n).sqrt(), "{square} for {expected}");
+        }
         let box_of = |side: usize| -> Vec<(usize, usize, f64)> {
             let each = 1.0 / (side * side) as f64;
             (0..side).flat_map(|i| (0..side).map(move |j| (i, j, each))).collect()
@@ -476,7 +518,7 @@ mod tests {
         let sharp = [(1, 1, 1.8), (0, 1, -0.2), (1, 0, -0.2), (1, 2, -0.2), (2, 1, -0.2)];
         for kernel in [box_of(2), box_of(3), sharp.to_vec()] {
             let truth = 1.0 / kernel.iter().map(|k| k.2 * k.2).sum::<f64>() - 1.0;
-            let all: Vec<f64> = (0..40).map(|_| shared(&kernel)).collect();
+            let all: Vec<f64> = (0..40).map(|_| shared(&kernel).0).collect();
             let mean = all.iter().sum::<f64>() / 40.0;
             let std = (all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / 39.0 / 40.0).sqrt();
             assert!((mean - truth).abs() < 4.0 * std + 0.01 * truth.abs(), "{mean} +- {std} for {truth}");
@@ -497,7 +539,8 @@ mod tests {
                 (100.0 + signal + 0.4 * signal.sqrt() * random.normal()).round() as u16
             })
         };
-        let shares: Vec<f64> = (0..300).map(|_| shared_by_neighbours(&frame(), &frame()).unwrap()).collect();
+        let shares: Vec<f64> =
+            (0..300).map(|_| shared_by_neighbours(&frame(), &frame()).unwrap().0).collect();
         let n = shares.len() as f64;
         let mean = shares.iter().sum::<f64>() / n;
         let square = shares.iter().map(|s| s * s).sum::<f64>() / n;

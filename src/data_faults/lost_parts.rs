@@ -29,6 +29,11 @@ pub struct Zeros {
 }
 
 impl Zeros {
+    /// Number of the samples that stand in no long run.
+    pub fn single(&self) -> f64 {
+        f64::from(self.single)
+    }
+
     /// Counts them in read-out order.
     pub fn of(codes: &[u16]) -> Self {
         let mut out = Self::default();

@@ -144,6 +144,7 @@ checks! {
     dim_firsts::DimFirsts
     stale_frame::StaleFrame
     copied_frames::CopiedFrames
+    mean_among_frames::MeanAmongFrames
     old_data::OldDataInFrames
     odd_frame::OddFrame
     frames_of_two_levels::FramesOfTwoLevels
@@ -156,6 +157,7 @@ checks! {
     unequal_light::UnequalLight
     other_orientation::OtherOrientation
     other_pattern::OtherPattern
+    subtracted_darks::SubtractedDarks
     dark_labels::DarkLabels
     dark_settings::DarkSettings
     darks_of_flats::DarksOfFlats
@@ -165,4 +167,5 @@ checks! {
     setting_label::SettingLabel
     equal_darks::EqualDarks
     dependent_frames::DependentFrames
+    shading_corrected::ShadingCorrected
 }

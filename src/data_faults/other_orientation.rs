@@ -13,6 +13,9 @@ const MAX_STRAIGHT_RATIO: f64 = 0.6;
 /// Least that the mirrored pattern is there, over what the patterns of the other sets are.
 const MIN_RATIO_TO_OTHERS: f64 = 0.3;
 
+/// Standard deviations of chance by which the darks' pattern tells which flats are turned (a named choice).
+const MIN_SIGMAS_OF_DARKS: f64 = 5.0;
+
 /// The check.
 pub struct OtherOrientation;
 
@@ -53,6 +56,9 @@ impl Check for OtherOrientation {
                     turned.push((i, name));
                 }
             }
+            if kind == Kind::Flat {
+                as_the_darks(campaign, &sets, &own, &mut turned);
+            }
         }
         let mut out = Vec::new();
         for (name, _) in TURNS {
@@ -68,5 +74,48 @@ impl Check for OtherOrientation {
             }
         }
         out
+    }
+}
+
+/// Makes the other flats those that are turned where the darks say so, whose pattern flats have too: bright flats
+/// that are turned outweigh more dim ones. Without a word of the darks the fewer are turned.
+fn as_the_darks(
+    campaign: &Campaign<'_>,
+    flats: &[usize],
+    own: &[Vec<f64>],
+    turned: &mut Vec<(usize, &'static str)>,
+) {
+    let Some(&(_, name)) = turned.first().filter(|first| turned.iter().all(|t| t.1 == first.1)) else {
+        return;
+    };
+    let Some((_, turn)) = TURNS.iter().find(|t| t.0 == name) else { return };
+    let columns = campaign.sets[flats[0]].facts.middle_columns;
+    let is_turned = |i: usize| turned.iter().any(|t| t.0 == i);
+    let rest: Vec<usize> = flats.iter().copied().filter(|i| !is_turned(*i)).collect();
+    let mut darks = vec![0.0; own[0].len()];
+    for dark in campaign.places(|s| s.kind == Kind::Dark && !s.clipped) {
+        let pattern = pattern(&campaign.sets[dark].facts.middle_dn, columns);
+        if pattern.len() == darks.len() {
+            darks.iter_mut().zip(pattern).for_each(|(sum, v)| *sum += v);
+        }
+    }
+    // By how much more the darks' pattern is in these flats as it is than turned.
+    let straight = |of: &dyn Fn(usize) -> bool| {
+        let one = |p: &Vec<f64>| correlation(p, &darks) - correlation(&turn(p, columns), &darks);
+        let all = flats.iter().zip(own).filter(|(i, _)| of(**i)).map(|(_, p)| one(p));
+        all.fold(0.0, |sum: f64, v| if v.is_finite() { sum + v } else { sum })
+    };
+    let chance = (2.0 * flats.len() as f64 / darks.len() as f64).sqrt();
+    let by_darks = straight(&is_turned) - straight(&|i| !is_turned(i));
+    tracing::debug!(
+        "the darks' pattern in flats that are turned, less that in the others: {by_darks:.3} +- {chance:.3}"
+    );
+    let others_are = if by_darks.abs() > MIN_SIGMAS_OF_DARKS * chance {
+        by_darks > 0.0
+    } else {
+        turned.len() > rest.len()
+    };
+    if others_are {
+        *turned = rest.into_iter().map(|i| (i, name)).collect();
     }
 }

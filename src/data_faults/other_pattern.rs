@@ -9,6 +9,10 @@ const MIN_SHARE: f64 = 0.6;
 const MIN_SIGMAS: f64 = 8.0;
 /// Standard error from which on a flat does not tell.
 const MAX_STD_ERR: f64 = 0.1;
+/// Standard deviations within which parts are those of another black level, and the least error of a part (named
+/// choices).
+const MIN_SIGMAS_OF_ZERO: f64 = 4.0;
+const MIN_STD_ERR: f64 = 0.02;
 /// Flats of one position of card and light below which none is another.
 const MIN_FLATS: usize = 4;
 
@@ -47,7 +51,7 @@ fn odd_ones(campaign: &Campaign<'_>, flats: &[usize], zero_dn: f64) -> Option<(V
     let reference = *flats.iter().max_by(|a, b| level(**a).total_cmp(&level(**b)))?;
     let of_reference = pattern(reference);
     let noise = Noise::of_flats(noise_of_mean(&campaign.sets[reference]) / level(reference).powi(2).max(1.0));
-    let (mut same, mut other) = (Vec::new(), Vec::new());
+    let (mut same, mut other, mut parts) = (Vec::new(), Vec::new(), Vec::new());
     for &i in flats {
         let own = pattern(i);
         let Some((part, std)) = share(&own, &of_reference, noise, columns).filter(|s| s.1 < MAX_STD_ERR)
@@ -59,13 +63,14 @@ fn odd_ones(campaign: &Campaign<'_>, flats: &[usize], zero_dn: f64) -> Option<(V
             campaign.sets[i].number,
             campaign.sets[reference].number
         );
+        parts.push((level(i), part, std));
         if part > MIN_SHARE {
             same.push(i);
         } else if 1.0 - part > MIN_SIGMAS * std {
             other.push(i);
         }
     }
-    if other.is_empty() {
+    if other.is_empty() || is_of_another_zero(&parts, level(reference)) {
         return None;
     }
     let first = pattern(other[other.len() / 2]);
@@ -93,4 +98,33 @@ fn odd_ones(campaign: &Campaign<'_>, flats: &[usize], zero_dn: f64) -> Option<(V
         None => return None,
     };
     Some((odd, text))
+}
+
+/// Whether a black level other than the darks' makes the parts: what a flat has of the pattern then falls
+/// towards dim ones as the share of light in its level does. Parts are (level in DN, part of the pattern of the
+/// reference, standard error).
+fn is_of_another_zero(parts: &[(f64, f64, f64)], reference_dn: f64) -> bool {
+    let expected = |level_dn: f64, zero_dn: f64| (1.0 - zero_dn / level_dn) / (1.0 - zero_dn / reference_dn);
+    // That of the dimmest flat.
+    let Some(&(level_dn, part, _)) = parts.iter().min_by(|a, b| a.0.total_cmp(&b.0)) else { return false };
+    let zero_dn = (1.0 - part) / (1.0 / level_dn - part / reference_dn);
+    let others = || parts.iter().filter(|p| p.0 > level_dn && p.0 < reference_dn);
+    let told = others().any(|p| (1.0 - expected(p.0, zero_dn)).abs() > MIN_SIGMAS_OF_ZERO * p.2);
+    told && others().all(|p| (p.1 - expected(p.0, zero_dn)).abs() < MIN_SIGMAS_OF_ZERO * p.2.max(MIN_STD_ERR))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_of_another_zero;
+
+    /// A black level 180 DN higher in the flats; and two dim flats that were filtered.
+    #[test]
+    fn another_zero_is_no_other_pattern() {
+        let levels = [240.0, 290.0, 380.0, 600.0, 840.0, 1800.0];
+        let of_zero = |dn: f64| (dn, (1.0 - 180.0 / dn) / (1.0 - 180.0 / 1800.0), 0.02);
+        assert!(is_of_another_zero(&levels.map(of_zero), 1800.0));
+        let filtered = |dn: f64| (dn, if dn < 300.0 { 0.4 } else { 1.0 }, 0.02);
+        assert!(!is_of_another_zero(&levels.map(filtered), 1800.0));
+        assert!(!is_of_another_zero(&levels.map(|dn| (dn, 1.0, 0.02)), 1800.0));
+    }
 }

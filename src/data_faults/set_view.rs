@@ -2,12 +2,17 @@
 
 use super::campaign::Zero;
 use super::facts::SetFacts;
+use super::lost_parts::Zeros;
 use super::patterns::MIN_PIXELS;
 use crate::dataset::Kind;
 use crate::statistics::median::median;
 
 /// Standard errors by which the noise of frames contradicts lag.
 pub const MIN_SIGMAS_AGAINST_LAG: f64 = 3.0;
+
+/// Share of the samples at code 0 from which on pixels of little charge are cut off (a named choice, above the share
+/// of dead pixels).
+const MAX_ZEROS: f64 = 0.005;
 
 /// Set with the statistics of its frames.
 #[derive(Debug, Clone)]
@@ -150,9 +155,12 @@ impl SetView {
             && self.facts.ends_dn2 - near > MAX_OF_A_FILTER * (second - near).max(0.0)
     }
 
-    /// Returns true if code 0 cuts the noise off.
+    /// Returns true if code 0 cuts off the noise, or the pixels of least charge.
     pub fn is_cut_off(&self) -> bool {
-        self.variance_dn2().is_some_and(|(var, _)| self.level_dn() < 4.0 * var.sqrt() + 0.5)
+        let zeros: f64 = self.facts.zeros.iter().map(Zeros::single).sum();
+        let samples = self.facts.pixels * self.facts.zeros.len() as f64;
+        zeros > MAX_ZEROS * samples
+            || self.variance_dn2().is_some_and(|(var, _)| self.level_dn() < 4.0 * var.sqrt() + 0.5)
     }
 
     /// Returns true if the frame means agree; false while the level drifts or settles.

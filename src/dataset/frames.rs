@@ -3,10 +3,52 @@
 use super::{Dataset, DatasetError, FrameRow, Set, image, planes_in_words, split_page};
 use crate::input::echo;
 use ndarray::Array2;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError};
 
+/// Rectangle of pixels of a frame.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Region {
+    /// Its rows.
+    pub rows: Range<usize>,
+    /// Its columns.
+    pub columns: Range<usize>,
+}
+
+impl Region {
+    /// Number of its pixels.
+    pub fn pixels(&self) -> usize {
+        self.rows.len() * self.columns.len()
+    }
+}
+
+/// Region that is kept of frames of (rows, columns).
+#[derive(Debug, Clone)]
+pub(super) struct Cut {
+    region: Region,
+    whole: (usize, usize),
+}
+
 impl Dataset {
+    /// The campaign with these pixels of each frame only; `None` of a part already.
+    pub(crate) fn cut_to(&self, region: Region) -> Option<Self> {
+        if self.cut.is_some() || region.pixels() == 0 {
+            return None;
+        }
+        let mut part = self.clone();
+        let camera = &mut part.manifest.camera;
+        let whole = (camera.height, camera.width);
+        (camera.height, camera.width) = (region.rows.len(), region.columns.len());
+        part.cut = Some(Cut { region: region.clone(), whole });
+        part.kept = Arc::default();
+        // Sets that were passed over are read with the others.
+        if let Some((all, passed_over)) = self.passed_over.as_deref() {
+            part.passed_over = Some(Arc::new((all.cut_to(region)?, passed_over.clone())));
+        }
+        Some(part)
+    }
+
     /// One colour of a mosaic, as a campaign of half the size: the pixel at this row and column, 0 or 1, of every
     /// 2 x 2 cell.
     ///
@@ -121,13 +163,17 @@ impl Dataset {
         if let Some(plane) = self.manifest.plane {
             buffer.keep_plane(plane);
         }
-        if buffer.shape() != (camera.height, camera.width) {
+        let shape = self.cut.as_ref().map_or((camera.height, camera.width), |cut| cut.whole);
+        if buffer.shape() != shape {
             let (h, w) = buffer.shape();
             let of = self.manifest.plane.map_or(String::new(), |[y, x]| format!("has a plane {y},{x} that "));
             return Err(fault(format!(
                 "{of}is {w} x {h} px, and dataset.toml says {} x {} px",
-                camera.width, camera.height
+                shape.1, shape.0
             )));
+        }
+        if let Some(Cut { region, .. }) = &self.cut {
+            buffer.crop(&region.rows, &region.columns);
         }
         let full_scale = camera.full_scale_dn();
         if buffer.dn().iter().fold(0, |a, &b| a | b) > full_scale {

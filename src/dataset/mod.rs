@@ -30,6 +30,7 @@ pub use write::{Folder, Writer, write_whole};
 
 use crate::input::{self, echo};
 use crate::reduction::{self, Reduced};
+pub(crate) use frames::Region;
 use rows::{check_row, parse_rows, plain_name, same_settings, split_page};
 use serde::{Deserialize, Serialize};
 use std::collections::{HashMap, HashSet};
@@ -187,6 +188,8 @@ pub struct Dataset {
     examination: Examination,
     /// Sets that the examination left out, and that were exposed nonetheless.
     passed_over: Option<Arc<(Dataset, Vec<PassedOver>)>>,
+    /// Part of the frames that is kept; `None`: all of them.
+    cut: Option<frames::Cut>,
 }
 
 impl Dataset {
@@ -291,6 +294,7 @@ impl Dataset {
             kept: Arc::default(),
             examination: UNEXAMINED,
             passed_over: None,
+            cut: None,
         })
     }
 

@@ -172,13 +172,19 @@ pub fn diagnose(
     // Codes end at 0: where noise reaches below, it is cut off for certain, and the search goes on from
     // there.
     let cut_off = CutOff::of(all, &cut);
-    let (model, start) = match &cut_off {
+    let (mut model, start) = match &cut_off {
         Some(open) => (open.model.clone(), with_cut(all, &open.model)),
         None => (cut.clone(), cut),
     };
-    let first = compare(all, &model);
+    let mut first = compare(all, &model);
     progress(&format!("error {:.2}", first.error));
-    let found = search(all, &start, first.error > FAR, progress);
+    let mut found = search(all, &start, first.error > FAR, progress);
+    // A fit that ended in a shallow minimum is no evidence for what led out of it.
+    if let Some(deeper) = deeper(all, &model, &found.fitted).filter(|_| cut_off.is_none()) {
+        tracing::debug!("objective {:.1} without effects, was {:.1}", deeper.objective, model.objective);
+        (first, model) = (compare(all, &deeper), deeper);
+        found = search(all, &model, first.error > FAR, progress);
+    }
     // Evidence speaks for what was given up as for what holds.
     let mut given_up: Vec<Fitted> = found.given_up.into_iter().collect();
     let (mut parts, mut whole, mut last) =
@@ -245,6 +251,14 @@ pub fn diagnose(
         fitted: Some(whole),
         comparisons: vec![first, last],
     }
+}
+
+/// Fits the given model from where a search ended, if that is the larger part of what was gained.
+fn deeper(all: &Observations, model: &Fitted, found: &Fitted) -> Option<Fitted> {
+    let has_more = found.effects.len() > model.effects.len();
+    let again = has_more.then(|| fit(all, &found.base, &model.effects))?;
+    let gained = model.objective - found.objective;
+    (model.objective - again.objective > NEEDED.max(0.5 * gained)).then_some(again)
 }
 
 /// What was left on in the camera and acts like an effect; of `unknown` everything.

@@ -5,7 +5,7 @@ use super::search::{Candidate, NEEDED, score, without};
 use super::share::MATTERS;
 use super::{HOLDS, TIE, unknown};
 use crate::dataset::Kind;
-use crate::inference::{Comparison, Fitted, Residual, compare, fit, residuals_of};
+use crate::inference::{Comparison, Fitted, Residual, compare, fit, fit_near, residuals_of};
 use crate::number::six_digits;
 use crate::observables::Observations;
 use radcam_sim::effects::Effect;
@@ -76,7 +76,14 @@ impl Part {
 pub(super) fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Vec<Part> {
     let given = model.effects.len();
     let part = |i: usize| {
-        let rest = if whole.effects.len() == given + 1 { model.clone() } else { without(all, whole, i) };
+        let rest = if whole.effects.len() == given + 1 {
+            model.clone()
+        } else {
+            // From where the whole ended and from the start: a shallow minimum of the rest is no evidence.
+            let near = without(all, whole, i);
+            let afresh = fit_near(all, model, &near.effects);
+            if afresh.objective < near.objective { afresh } else { near }
+        };
         let effect = whole.effects[i].0;
         let evidence = score(all, &rest) - score(all, whole);
         let without = residuals_of(all, &rest);

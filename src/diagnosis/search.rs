@@ -576,7 +576,46 @@ fn search_without(
         let (here, fresh) = rayon::join(|| from(&l.fitted.base), || from(&guess));
         if score(all, &fresh) < score(all, &here) { fresh } else { here }
     });
-    Found { fitted: best.unwrap_or_else(|| model.clone()), first, given_up: None }
+    let fitted = best.map(|found| with_best_forms(all, found, given, not, memo));
+    Found { fitted: fitted.unwrap_or_else(|| model.clone()), first, given_up: None }
+}
+
+/// The model with another form of an effect where that explains more: an effect that was found beside a stand-in
+/// for a part of it, which is gone again, has the form that was left to it.
+fn with_best_forms(
+    all: &Observations,
+    mut model: Fitted,
+    given: usize,
+    not: &[Banned],
+    memo: &Memo,
+) -> Fitted {
+    if model.effects.len() < given + 2 {
+        return model;
+    }
+    for at in given..model.effects.len() {
+        let effect = model.effects[at].0;
+        if forms(effect) < 2 {
+            continue;
+        }
+        let rest = without(all, &model, at);
+        let others = effects::all().into_iter().filter(|e| e.id() != effect.id()).map(|e| (e.id(), None));
+        let not: Vec<Banned> = others.chain(not.iter().cloned()).collect();
+        let against = score(all, &rest) - score(all, &model);
+        let look = Look { all, now: &rest, guess: None, most: 1, not: &not, against, memo };
+        let Some(other) = look.candidates().into_iter().next() else { continue };
+        if other.evidence > against + NEEDED {
+            tracing::debug!(
+                "{} in another form: evidence {:.1}, was {against:.1}",
+                effect.id(),
+                other.evidence
+            );
+            model = other.fitted;
+            // What was added last stands at the place of the form before.
+            model.effects[at..].rotate_right(1);
+            model = fit(all, &model.base, &model.effects);
+        }
+    }
+    model
 }
 
 /// A line with the best of these candidates, and one with the second where that is near; each with what

@@ -1,10 +1,11 @@
 //! What the frames say: means and variances of pairs, and the stacks of the spatial part.
 
-use super::EmvaError;
+use super::{EmvaError, GainByNoise};
 use crate::data_faults::{DataFault, FaultKind, SharedNoise, examined};
 use crate::dataset::image::Buffer;
 use crate::dataset::{Dataset, DatasetError, ElectronMultiplication, FrameRow, Kind, Set};
 use crate::light::Light;
+use crate::noise::{self, NoiseError};
 use crate::statistics::lit::Lit;
 use crate::statistics::moments::Moments;
 use crate::statistics::peak::turn_off;
@@ -118,6 +119,8 @@ pub struct Points {
     pub(crate) shared_noise: Option<SharedNoise>,
     /// Multiplication of electrons.
     pub(crate) multiplied: Option<ElectronMultiplication>,
+    /// The gain that `radcam noise` gives.
+    pub noise: Option<GainByNoise>,
     /// Faults of the data.
     pub data_faults: Vec<DataFault>,
 }
@@ -540,7 +543,13 @@ pub fn of_dataset(
             (Some(stacks), Some(bright))
         }
     };
+    let noise = match noise::of_dataset(dataset, stop, &mut |_, _| {}) {
+        Ok(report) => Some(GainByNoise::from(&report)),
+        Err(NoiseError::Interrupted) => return Err(EmvaError::Interrupted),
+        Err(_) => None,
+    };
     Ok(Points {
+        noise,
         temporal,
         darks: darks.collect(),
         spatial,

@@ -13,8 +13,7 @@ use super::value::{Inputs, Value};
 use super::{Definitions, EmvaError};
 use crate::agreement::Agreement;
 use crate::data_faults::DataFault;
-use crate::dataset::table::{Level, Table};
-use crate::noise;
+use crate::noise::NoiseReport;
 use crate::number::Quantity;
 use crate::statistics::outliers;
 use crate::statistics::quantisation::{QUANTISATION_DN2, SMALLEST_DARK_DN2};
@@ -26,6 +25,10 @@ use std::collections::BTreeMap;
 /// full scale in 10,000 pixels doubles the variance of a pair.
 const MIN_STRUCK_SHARE: f64 = 1e-4;
 
+/// Least relative difference of two gains that is said, and in standard errors (named choices).
+const MIN_OFF: f64 = 0.01;
+const MIN_SIGMA: f64 = 4.0;
+
 /// A quantity that is only bounded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -36,7 +39,7 @@ pub enum Limit {
     AtLeast,
 }
 
-/// The gain by Section IV of Healey and Kondepudy, from the same levels, and whether they lie on a line.
+/// The gain that `radcam noise` gives: Section IV of Healey and Kondepudy on all frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct GainByNoise {
@@ -56,6 +59,35 @@ pub struct GainByNoise {
     pub line: Agreement,
 }
 
+impl From<&NoiseReport> for GainByNoise {
+    fn from(report: &NoiseReport) -> Self {
+        Self {
+            line: report.agreement(),
+            gain: report.gain_dn_per_e.clone(),
+            read_noise: report.read_noise_e.clone(),
+            chi2: report.chi2,
+            dof: report.dof,
+            q: report.q,
+        }
+    }
+}
+
+impl GainByNoise {
+    /// Says by how much K is another one, where that is more than chance and matters.
+    fn against(&self, k: &Value) -> Option<String> {
+        let off = k.value / self.gain.value - 1.0;
+        let std_err = (k.std_err() / k.value).hypot(self.gain.std_err / self.gain.value);
+        (self.line == Agreement::Holds && off.abs() > MIN_OFF.max(MIN_SIGMA * std_err)).then(|| {
+            format!(
+                "K is {} % {} than the gain of `radcam noise`, whose line describes the variance of all frames: two frames at each exposure are \
+                 more or less alike than others of their set, as under a lamp that flickers with the frames",
+                crate::number::with_error(100.0 * off.abs(), 100.0 * std_err),
+                if off > 0.0 { "larger" } else { "smaller" }
+            )
+        })
+    }
+}
+
 /// The evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -72,7 +104,7 @@ pub struct Evaluation {
     pub reference_tool: BTreeMap<String, Option<f64>>,
     /// The general model of release 4.0, which assumes neither a linear camera nor raw data.
     pub general: Option<General>,
-    /// The gain by `noise`.
+    /// The gain by `noise`; absent where it gives none, and from the reference tool's definitions.
     pub noise: Option<GainByNoise>,
     /// Faults of the data.
     #[serde(default)]
@@ -239,7 +271,8 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
     if let Some(left_out) = &points.left_out {
         sheet.note(left_out.clone());
     }
-    let by_noise = (!as_tool).then(|| gain_by_noise(&points)).flatten();
+    let by_noise = points.noise.clone().filter(|_| !as_tool);
+    sheet.notes.extend(by_noise.as_ref().and_then(|noise| noise.against(&k)));
     if release4 {
         local_gains(&used, k.value, pixels, &mut sheet);
     }
@@ -601,36 +634,4 @@ fn local_gains(used: &[Temporal], k: f64, pixels: f64, sheet: &mut Sheet) {
             "K_deviation: the local slope of the photon transfer curve differs from K by {deviation:.1} % on average, more than 3 %; {why}"
         ));
     }
-}
-
-/// Section IV on the same levels, the black level taken from the darks.
-fn gain_by_noise(points: &Points) -> Option<GainByNoise> {
-    let pixels = (points.shape.0 * points.shape.1) as f64;
-    let zero_dn = dark_lines(&points.darks, pixels)
-        .map_or_else(|| points.darks.first().map_or(f64::NAN, |d| d.pair.mean_dn), |[means, _]| means.offset);
-    let level = |mean_dn: f64, var_dn2: f64| Level {
-        mean_dn: mean_dn - zero_dn,
-        var_dn2,
-        pixels: Some(pixels),
-        exposure_s: None,
-        illumination: None,
-        cov_01: None,
-        cov_10: None,
-        cov_11: None,
-        lamp: None,
-        monitor: None,
-    };
-    let uncut = |p: &super::Pair| p.zero_share < 1e-4 && p.full_share < 1e-4;
-    let pairs = points.temporal.iter().map(|p| p.flat).chain(points.darks.iter().map(|d| d.pair));
-    let levels = pairs.filter(uncut).map(|p| level(p.mean_dn, p.var_dn2)).collect();
-    // Where the levels do not lie on a line `noise` leaves some of them out, by more than pairs tell.
-    let report = noise::of_table(&Table { levels }).ok().filter(noise::NoiseReport::consistent)?;
-    Some(GainByNoise {
-        line: report.agreement(),
-        gain: report.gain_dn_per_e,
-        read_noise: report.read_noise_e,
-        chi2: report.chi2,
-        dof: report.dof,
-        q: report.q,
-    })
 }

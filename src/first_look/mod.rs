@@ -2,6 +2,7 @@
 //! darks, and how frames usually scatter.
 
 pub mod filled;
+mod lit_part;
 
 use crate::data_faults::ExamineError;
 use crate::dataset::{Dataset, Kind};
@@ -15,6 +16,8 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+pub(crate) use lit_part::lit_part;
 
 /// Frames of a set that the first look reads.
 pub(crate) const FIRST: usize = 8;
@@ -283,7 +286,9 @@ fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64, usi
     if let Some(used) = used.as_slice_mut() {
         looks.iter().flat_map(|l| &l.clipped).for_each(|&i| used[i] = false);
     }
-    let darks: Vec<&Array2<f32>> = looks.iter().filter_map(|l| l.dark.as_ref()).collect();
+    // Of a dark at full scale most pixels have one code, and those that are sound lie off it.
+    let is_told = |l: &&Look| !l.saturated || looks.iter().all(|l| l.saturated || l.dark.is_none());
+    let darks: Vec<&Array2<f32>> = looks.iter().filter(is_told).filter_map(|l| l.dark.as_ref()).collect();
     let level = |d: &Array2<f32>| f64::from(d.mean().unwrap_or(0.0));
     let shortest = darks.iter().min_by(|a, b| level(a).total_cmp(&level(b)));
     let mut highest = shortest.map(|d| (*d).clone());

@@ -1,8 +1,8 @@
 //! Frames of one file, whatever holds them.
 
 use super::{Facts, headers, npy, ome, slice_labels, stacks};
-use crate::dataset::image::{self, Images, NUMPY, Values};
-use ndarray::Axis;
+use crate::dataset::image::{self, Images, NUMPY, Stack, Values};
+use ndarray::{Array2, Axis};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -58,6 +58,9 @@ impl Source {
         let images = images.map_err(|e| e.to_string())?;
         let (pages, found) = (images.frames(), images.stacks());
         if !found.is_empty() {
+            if options.frames_axis.is_none() {
+                found.iter().try_for_each(|stack| frames_come_first(&images, stack))?;
+            }
             let stacks::Told { facts, notes } = stacks::told(&found)?;
             let pages = facts.keys().copied().collect();
             return Ok(Self { told: facts, notes, ..of(Kind::Images(images), pages) });
@@ -160,4 +163,27 @@ impl Source {
             means[0], means[1], means[2]
         ))
     }
+}
+
+/// Frames of a stack that are looked at for the axis that counts them.
+const LOOKED_AT: usize = 32;
+
+/// Refuses a stack of an HDF5 file whose first axis may not be that of the frames; values for each frame say that it
+/// is.
+fn frames_come_first(images: &Images, stack: &Stack) -> Result<(), String> {
+    if !stack.keys.is_empty() || !stack.of_frames.is_empty() || stack.frames < 2 {
+        return Ok(());
+    }
+    let of_page = |page: usize| -> Result<Array2<f64>, String> {
+        Ok(match images.values(page).map_err(|e| e.to_string())? {
+            Values::Codes(codes) => codes.mapv(f64::from),
+            Values::Numbers(numbers) => numbers,
+        })
+    };
+    let pages = stack.first..stack.first + stack.frames.min(LOOKED_AT);
+    let frames: Vec<Array2<f64>> = pages.map(of_page).collect::<Result<_, _>>()?;
+    let views: Vec<_> = frames.iter().map(|frame| frame.view()).collect();
+    let array = ndarray::stack(Axis(0), &views).map_err(|e| e.to_string())?;
+    npy::frames_come_first(&array)
+        .map_err(|why| format!("{} {why}", stack.paths.first().map_or("", |p| p.as_str())))
 }

@@ -4,6 +4,7 @@ use super::levels::{Measured, ONE_EXPOSURE, TAKEN_OFF, measure, points, zero};
 use super::{NoiseError, NoiseReport, estimate_with};
 use crate::data_faults::examined;
 use crate::dataset::{Dataset, ElectronMultiplication, Kind, LONG_DARKS};
+use crate::first_look::lit_part;
 use crate::number::{six_digits, with_error};
 use crate::statistics::outliers;
 use std::sync::atomic::AtomicBool;
@@ -20,6 +21,10 @@ pub fn of_dataset(
 ) -> Result<NoiseReport, NoiseError> {
     dataset.must_be_monochrome()?;
     let dataset = examined(dataset, stop)?;
+    let (dataset, cut) = match lit_part(&dataset)? {
+        Some((part, words)) => (part, Some(words)),
+        None => (dataset, None),
+    };
     let measured = measure(&dataset, stop, progress)?;
     if measured.levels.is_empty() {
         return Err(NoiseError::NoFrames);
@@ -54,8 +59,13 @@ pub fn of_dataset(
                 "the flats meet zero exposure {charge_dn:.1} DN below the darks, which have one exposure: so much dark charge is in them \
                  (unless exposures are shorter than stated), and its noise is in the constant noise. The read noise is less than {most} e⁻{about}. Take darks at two exposures"
             ));
+        } else {
+            // Little charge: how much of the noise is its own is not known better.
+            let by_charge = report.read_noise_e.value - without.max(0.0).sqrt() / gain;
+            report.read_noise_e.std_err = report.read_noise_e.std_err.hypot(by_charge);
         }
     }
+    report.notes.extend(cut);
     let step = dataset.code_step_dn();
     if step > 1.0 {
         report.notes.push(format!(

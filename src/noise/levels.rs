@@ -170,6 +170,10 @@ const COARSE: f64 = 0.25;
 
 /// Share of clipped samples from which a level's variance is off by more than its error.
 const CLIPPED: f64 = 1e-4;
+/// The same of darks at code 0, which their read noise alone reaches: of normal noise that is cut off three standard
+/// deviations below its mean, one sample in 740, the variance is 0.25 % too small (the integral of (z^2 - 9) over the
+/// tail).
+const CLIPPED_AT_BLACK: f64 = 1.35e-3;
 
 /// Why a single frame takes no part.
 pub(super) const ONE_FRAME: &str = "one frame: a variance needs two";
@@ -184,7 +188,7 @@ fn clipped_because(level: &Level) -> Option<String> {
         Some(format!("{} of the samples are at full scale", percent(share)))
     } else if level.stuck > 0.5 {
         Some("most pixels are clipped in every frame".into())
-    } else if level.black > CLIPPED {
+    } else if level.black > CLIPPED_AT_BLACK {
         Some(format!("{} of the samples are clipped at black", percent(level.black)))
     } else if level.frames < 2 {
         Some(ONE_FRAME.into())
@@ -527,8 +531,7 @@ fn exclude_clamped_darks(measured: &Measured, points: &mut [Point]) {
         (exposure_s, p.var_dn2 - gain * own(i).max(0.0), square)
     };
     let line = fit(of(Kind::Dark).filter(|d| usable(&d.0)).map(charge));
-    let line =
-        line.filter(|l| found.len() >= MIN_CLAMPED && l.chi2 < MAX_CHI2_OF_CHARGE * l.dof.max(1) as f64);
+    let line = line.filter(|l| !found.is_empty() && l.chi2 < MAX_CHI2_OF_CHARGE * l.dof.max(1) as f64);
     for i in found {
         points[i].excluded = Some(format!(
             "a black-level clamp: {:+.1} DN of level for {:+.1} DN^2 of noise beyond the shortest dark's{}",
@@ -554,9 +557,8 @@ fn own_of(points: &[Point], i: usize, first: usize) -> f64 {
 
 /// Words for a dark whose noise is taken off the flats.
 pub(super) const TAKEN_OFF: &str = ", which is taken off flats of its exposure";
-/// Fewest such darks that tell the growth of their noise, and largest chi-square of a line for each degree of
-/// freedom: pixels differ in noise, which the error of a variance does not know (named choices).
-const MIN_CLAMPED: usize = 2;
+/// Largest chi-square of a line for each degree of freedom: pixels differ in noise, which the error of a variance
+/// does not know (a named choice).
 const MAX_CHI2_OF_CHARGE: f64 = 20.0;
 /// Least excess of a dark's variance, over that of the shortest, for a clamp (a named choice: what matters to
 /// a user).

@@ -148,6 +148,10 @@ pub struct NoiseReport {
     pub notes: Vec<String>,
 }
 
+/// Share of the noise that pixels or frames have in common from which on the gain is no result (a named choice: most
+/// sensors have some crosstalk).
+const MAX_SHARED: f64 = 0.05;
+
 impl NoiseReport {
     /// Agreement of the levels with a line of nonnegative constant noise. Without degrees of freedom it holds.
     pub fn agreement(&self) -> Agreement {
@@ -169,7 +173,7 @@ impl NoiseReport {
     /// flats are brighter than darks.
     pub fn consistent(&self) -> bool {
         self.agreement() != Agreement::Fails
-            && self.shared_noise_rel.is_none()
+            && self.shared_noise_rel.as_ref().is_none_or(|shared| shared.value.abs() < MAX_SHARED)
             && self.gain_dn_per_e.value > 0.0
             && !self.levels.iter().any(LevelReport::is_below_the_darks)
     }

@@ -9,6 +9,7 @@ use super::{
 };
 use crate::data_faults::{ExamineError, examined};
 use crate::dataset::{Dataset, DatasetError, ElectronMultiplication, FrameRow, Kind, Set};
+use crate::first_look::lit_part;
 use crate::number::ranges;
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
@@ -122,6 +123,8 @@ pub fn of_dataset(
 ) -> Result<Observations, ObserveError> {
     dataset.must_be_monochrome()?;
     let dataset = &examined(dataset, stop)?;
+    let cut = lit_part(dataset)?;
+    let dataset = cut.as_ref().map_or(dataset, |(part, _)| part);
     let camera = &dataset.manifest().camera;
     let shape = (camera.height, camera.width);
     let Reading {
@@ -157,6 +160,7 @@ pub fn of_dataset(
     }
     let (mut infos, frames) = campaign(dataset, &settings);
     let mut missing = left_out;
+    missing.extend(cut.as_ref().map(|(_, words)| words.clone()));
     if !saturated.is_empty() {
         let mut numbers: Vec<usize> = saturated.iter().map(|s| sets[s.set].number as usize).collect();
         numbers.sort_unstable();
@@ -203,7 +207,9 @@ pub fn of_dataset(
     // The level of a scene or a clipped set matters for the frame that follows it: known beforehand, and
     // judged in neither half.
     let levels = scenes.iter().map(|s| (s.set, codes::mean_of(&s.mean_dn, &layout), s.frames));
-    let levels = levels.chain(saturated.iter().map(|s| (s.set, s.level_dn, s.frames)));
+    // Dark charge has no light of its own that would make the level what it is.
+    let flats = saturated.iter().filter(|s| settings[s.set].kind != Kind::Dark);
+    let levels = levels.chain(flats.map(|s| (s.set, s.level_dn, s.frames)));
     let last = |i: &usize| {
         let frames = sets[*i].rows.len();
         (*i, passed(*i).map_or(zero_dn, |p| p.last_dn), (frames - 1, frames))

@@ -529,11 +529,13 @@ impl<'a> View<'a> {
     pub fn line_variance(&self, o: &Observable, rows: bool) -> Expected {
         let Some(s) = self.set() else { return Expected::plain(o, 0.0, 1.0) };
         let shape = self.all.campaign.shape;
-        let (axis, width, count) = if rows { (1, shape.1, shape.0) } else { (0, shape.0, shape.1) };
+        let (axis, count) = if rows { (1, shape.0) } else { (0, shape.1) };
+        // Pixels of a line that count.
+        let width = o.pixels / count as f64;
         let own = if rows { self.lags.row[0] + self.lags.ripple[0] } else { self.lags.column[0] };
         let of_lines = self.stripes(rows, 0, 0.0).variance;
         let (shot, read) = if rows { self.of_rows(0) } else { (s.shot.along(axis), s.read.along(axis)) };
-        let pixels = (shot * self.left.0 + read * self.left.1) / width as f64;
+        let pixels = (shot * self.left.0 + read * self.left.1) / width;
         // Of noise across the lines each holds the mean, which the frame's mean takes with it.
         let across = if rows {
             s.column.of_mean() / shape.1 as f64
@@ -545,9 +547,9 @@ impl<'a> View<'a> {
         let dof = self.dof * (count as f64 - 1.0);
         let ripple = if rows { self.ripple_error } else { 0.0 };
         // Lines of unequal pixels scatter unequally.
-        let unequal = 1.0 + self.unequal_spread() / width as f64;
+        let unequal = 1.0 + self.unequal_spread() / width;
         let own = value.abs().max(1e-9) * (2.0 * unequal / dof).sqrt();
-        let single = in_quadrature(&[self.rough.1, s.unsure_var, s.unsure_own]) / width as f64;
+        let single = in_quadrature(&[self.rough.1, s.unsure_var, s.unsure_own]) / width;
         Expected::plain(
             o,
             value,

@@ -45,7 +45,9 @@ impl Statistic for RowTails {
         let (rows, columns) = view.all.campaign.shape;
         let (shot, read) = view.of_rows(0);
         let (ripple, white) = (s.ripple(0.0), (shot + read) / columns as f64 + s.row.lag(0));
-        let all = (ripple + white).max(1e-12);
+        // Lines of interference are sines down the rows.
+        let stripes = view.stripes(true, 0, 0.0).variance;
+        let all = (ripple + white + stripes).max(1e-12);
         // A slow wander gives fewer independent rows.
         let length = |r: &Ripple| match r {
             Ripple::Wander(next) => (1.0 + next) / (1.0 - next),
@@ -54,8 +56,8 @@ impl Statistic for RowTails {
         let longest = s.ripples.iter().map(|(_, r)| length(r)).fold(1.0, f64::max);
         let n = rows as f64 * view.dof / (1.0 + ripple / all * (longest - 1.0));
         // Of a sine it is 1.5, and of the difference of two 2.25: of a frame from the mean of those before it somewhere between.
-        let sine =
-            s.ripples.iter().map(|(v, r)| if let Ripple::Sine(_) = r { *v } else { 0.0 }).sum::<f64>() / all;
+        let of_light = s.ripples.iter().map(|(v, r)| if let Ripple::Sine(_) = r { *v } else { 0.0 });
+        let sine = (of_light.sum::<f64>() + stripes) / all;
         // Rows of unequal pixels scatter unequally.
         let noisy = s.unequal.max(0.0) / (view.noise * view.noise).max(1e-12);
         let unequal = 3.0 * noisy / columns as f64;

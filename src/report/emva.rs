@@ -178,7 +178,7 @@ pub fn html(head: &Head<'_>, points: &Points, e: &Evaluation, plots: &[Plot]) ->
                 }
                 @if let Some(n) = &e.noise {
                     p {
-                        "By " code { "radcam noise" } ", from the same levels: gain " (n.gain.to_string()) ", read noise " (n.read_noise.to_string())
+                        "By " code { "radcam noise" } ", from all frames: gain " (n.gain.to_string()) ", read noise " (n.read_noise.to_string())
                         "; χ² = " (format!("{:.1}", n.chi2)) " for " (n.dof) " degrees of freedom, Q = " (format!("{:.3}", n.q)) ": "
                         (n.line.of_a_line()) "."
                     }

@@ -24,13 +24,21 @@ pub struct Lit {
     pub lit: Array2<bool>,
     /// True for pixels that get none, as most around them.
     pub blind: Array2<bool>,
+    /// Level of the light, DN.
+    pub level_dn: f32,
 }
 
 impl Lit {
     /// Of flats of one size, dark reference taken off, DN.
     pub fn of(images: &[Array2<f32>]) -> Self {
+        Self::above(images, MIN_LIGHT)
+    }
+
+    /// The same for another share of the light's level.
+    pub fn above(images: &[Array2<f32>], min_light: f32) -> Self {
         let Some(first) = images.first() else {
-            return Self { lit: Array2::default((0, 0)), blind: Array2::default((0, 0)) };
+            let none = || Array2::default((0, 0));
+            return Self { lit: none(), blind: none(), level_dn: 0.0 };
         };
         let mut sum = first.clone();
         images[1..].iter().for_each(|image| sum += image);
@@ -46,13 +54,13 @@ impl Lit {
         let place = (BRIGHTER_BLOCKS * blocks.len() as f64) as usize;
         let brightest = blocks.first().copied().unwrap_or(0.0);
         let level = blocks.get(place).copied().unwrap_or(brightest).max(MIN_LEVEL * brightest);
-        let lit = sum.mapv(|v| v > (MIN_LIGHT * level).max(0.0));
+        let lit = sum.mapv(|v| v > (min_light * level).max(0.0));
         let near = |at: usize, n: usize| at.saturating_sub(AROUND)..(at + AROUND + 1).min(n);
         let blind = Array2::from_shape_fn(sum.dim(), |(y, x)| {
             let around = lit.slice(s![near(y, rows), near(x, columns)]);
             !lit[(y, x)] && 2 * around.iter().filter(|lit| !**lit).count() >= around.len()
         });
-        Self { lit, blind }
+        Self { lit, blind, level_dn: level }
     }
 
     /// Counts the rim of what is blind to it: pixels beside blind ones that answer by more than so many

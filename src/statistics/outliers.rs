@@ -18,6 +18,12 @@ const STRUCK: f32 = 8.0;
 const BESIDE: f32 = 4.0;
 /// The same over the noise of the pixel's own other frames, which five of them tell to a third.
 const OF_OWN: f32 = 4.0;
+/// Share of the pixels at the largest code from which on the noise is that of the largest ranges, and the factor that
+/// these may have lost there (named choices): of a pixel at full scale on average half of the noise is cut off.
+const MANY_AT_TOP: f64 = 0.2;
+const CUT_RANGES: f32 = 2.0;
+/// Range of two to eight normal numbers that one in twenty exceeds, in standard deviations (Harter 1960).
+const FAR_RANGE: [f32; 7] = [2.77, 3.31, 3.63, 3.86, 4.03, 4.17, 4.29];
 /// Frames that are compared with each other.
 pub const BLOCK: usize = 8;
 /// Frames from which on they are compared.
@@ -115,6 +121,28 @@ pub fn cell_means(frame: &Array2<u16>) -> Vec<f64> {
     };
     let all: Vec<f64> = sums.iter().enumerate().filter_map(of).collect();
     all
+}
+
+/// Half the variance of the difference of two frames in each cell of [`cell_means`], DN^2.
+pub fn cell_variances(a: &Array2<u16>, b: &Array2<u16>) -> Vec<f64> {
+    let (rows, columns) = a.dim();
+    let (height, width) = (rows.div_ceil(CELLS).max(1), columns.div_ceil(CELLS).max(1));
+    let mut sums = vec![(0i64, 0i64, 0i64); CELLS * CELLS];
+    for (y, (a, b)) in a.outer_iter().zip(b.outer_iter()).enumerate() {
+        let at = y / height * CELLS;
+        let (a, b) = (a.as_slice().unwrap_or(&[]), b.as_slice().unwrap_or(&[]));
+        for ((a, b), sum) in a.chunks(width).zip(b.chunks(width)).zip(&mut sums[at..at + CELLS]) {
+            for (a, b) in a.iter().zip(b) {
+                let d = i64::from(*a) - i64::from(*b);
+                *sum = (sum.0 + 1, sum.1 + d, sum.2 + d * d);
+            }
+        }
+    }
+    let variance = |&(n, sum, square): &(i64, i64, i64)| {
+        let (n, sum) = (n as f64, sum as f64);
+        0.5 * (square as f64 - sum * sum / n) / (n - 1.0)
+    };
+    sums.iter().filter(|s| s.0 > 1).map(variance).collect()
 }
 
 /// What frames of a campaign usually have.
@@ -228,14 +256,26 @@ pub fn struck<F: Borrow<Array2<u16>>>(block: &[F]) -> Vec<Struck> {
     let others = |i: usize, extreme: u16| (sum[i] - u32::from(extreme)) as f32 / (n - 1) as f32;
     // The largest of n normal numbers lies some 1.3 to 1.5 deviations above the mean of the others, for 3 to 8 of
     // them, and hardly scatters by its median over the pixels; of two it lies 0.95 above the other.
-    let step = (pixels / 4096).max(1);
-    let usual = median((0..pixels).step_by(step).map(|i| f64::from(f32::from(most[i]) - others(i, most[i]))));
-    let level = median((0..pixels).step_by(step).map(|i| f64::from(others(i, most[i])))) as f32;
+    let sample = || (0..pixels).step_by((pixels / 4096).max(1));
+    let usual = median(sample().map(|i| f64::from(f32::from(most[i]) - others(i, most[i])))) as f32;
+    let level = median(sample().map(|i| f64::from(others(i, most[i])))) as f32;
+    let usual = usual / if n < 3 { 0.95 } else { 1.4 };
+    // Samples at the largest code, full scale as a rule, have no noise to tell; pixels that reach it have a part.
+    let top = most.iter().copied().max().unwrap_or(0);
+    let at_top = sample().filter(|i| most[*i] == top).count() as f64;
+    let usual = if at_top > MANY_AT_TOP * sample().count() as f64 {
+        let mut ranges: Vec<u16> = sample().map(|i| most[i] - least[i]).filter(|range| *range > 0).collect();
+        ranges.sort_unstable();
+        let far = ranges.get(19 * ranges.len() / 20).map_or(0.0, |range| f32::from(*range));
+        usual.max(CUT_RANGES * far / FAR_RANGE[n.clamp(2, 8) - 2])
+    } else {
+        usual
+    };
     // Frames of narrow noise on coarse codes differ by whole steps, of three frames by several.
     let ranges = (0..pixels).map(|i| most[i] - least[i]);
     let step_dn = f32::from(ranges.filter(|range| *range > 0).min().unwrap_or(1));
     let floor = step_dn * if n < 4 { 2.0 } else { 0.5 };
-    let noise = (usual as f32 / if n < 3 { 0.95 } else { 1.4 }).max(floor);
+    let noise = usual.max(floor);
     // Hot pixels have more shot noise: of the square root of their charge, which lies below their level in DN.
     let limit = |level_dn: f32| {
         let more = (level_dn - level).max(0.0);
@@ -402,6 +442,18 @@ mod tests {
             })
         };
         (0..8).map(frame).collect()
+    }
+
+    /// Frames of which more than half of the samples are at full scale: the noise of the others is no ray.
+    #[test]
+    fn noise_beside_full_scale_is_no_ray() {
+        for full in [1000.0, 1020.0, 1030.0, 1045.0, 1065.0] {
+            for seed in 0..10 {
+                let mut cut = block(seed);
+                cut.iter_mut().for_each(|frame| frame.mapv_inplace(|v| v.min(full as u16)));
+                assert!(take_struck(&mut cut).is_empty(), "seed {seed}, full scale {full}");
+            }
+        }
     }
 
     #[test]

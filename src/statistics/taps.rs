@@ -2,6 +2,7 @@
 //! odd lines and even ones; in proportion to the signal and constant. Errors come from what all other lines show.
 
 use super::jackknife::Value;
+use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 /// Lines on each side of a step that are averaged.
 const REACH: usize = 4;
@@ -45,9 +46,20 @@ pub fn middle(profiles: &[(f64, &[f64])]) -> Option<[Value; 2]> {
         let square = others.iter().map(|o| of(o).powi(2)).sum::<f64>() / others.len() as f64;
         // Dust and edges of shading are rare and large: one may lie in the middle, and is no step.
         let largest = others.iter().map(|o| of(o).abs()).fold(0.0, f64::max);
-        square.sqrt().max(largest / FARTHEST).max(1e-9)
+        square.sqrt().max(largest / FARTHEST).max(1e-9) * of_few(lines)
     };
     Some([Value { value: here.0, std_err: rms(&|o| o.0) }, Value { value: here.1, std_err: rms(&|o| o.1) }])
+}
+
+/// Chance at which an error that few places tell has the coverage of a normal one (a named choice).
+const COVERED: f64 = 0.01;
+
+/// Factor of an error that so few places tell: steps beyond 2.6 of the errors then come as seldom by chance as of
+/// normal numbers, one in a hundred. Places share no lines that lie two reaches apart or more (Student 1908).
+fn of_few(lines: usize) -> f64 {
+    let places = lines.saturating_sub(4 * REACH) as f64 / (2 * REACH) as f64;
+    let of_places = StudentsT::new(0.0, 1.0, places.max(1.0)).map(|t| t.inverse_cdf(0.5 * COVERED));
+    of_places.map_or(1.0, |t| t / Normal::standard().inverse_cdf(0.5 * COVERED))
 }
 
 /// What odd lines have more than even ones, relative and in DN, as [`middle`].
@@ -104,9 +116,29 @@ mod tests {
                 assert!((found.value - truth).abs() < 5.5 * found.std_err, "{found:?} {truth}");
             }
         }
-        // 300 squares of unit mean: a deviation of 0.08, and errors that are estimates themselves.
-        for s in squares {
-            assert!((s / f64::from(trials) - 1.0).abs() < 0.4, "{squares:?}");
+        // 300 squares of unit mean: a deviation of 0.08, and errors that are estimates themselves, for which the
+        // middle's are larger by a quarter.
+        for (k, s) in squares.iter().enumerate() {
+            let expected = if k < 2 { of_few(128).powi(-2) } else { 1.0 };
+            assert!((s / f64::from(trials) - expected).abs() < 0.35, "{squares:?}");
         }
+    }
+
+    /// A hundred lines without a step, 4000 times: no more steps beyond 2.6 standard errors than chance has, and
+    /// three standard deviations of their number (1 in 100: 40 +- 6.3).
+    #[test]
+    fn few_lines_make_no_steps() {
+        let mut random = PixelRng::new(13, Stream::Effect, 0, 0, 0);
+        let far = (0..4000).filter(|_| {
+            let pattern: Vec<f64> = (0..100).map(|_| 0.002 * random.normal()).collect();
+            let profiles: Vec<(f64, Vec<f64>)> = [300.0, 1000.0, 2500.0]
+                .map(|signal| (signal, pattern.iter().map(|k| signal * (1.0 + k)).collect()))
+                .to_vec();
+            let view: Vec<(f64, &[f64])> = profiles.iter().map(|(s, p)| (*s, p.as_slice())).collect();
+            let [step, _] = middle(&view).unwrap();
+            step.value.abs() > 2.576 * step.std_err
+        });
+        let far = far.count();
+        assert!(far <= 59, "{far} of 4000");
     }
 }

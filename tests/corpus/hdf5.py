@@ -115,6 +115,13 @@ def levels(path):
             stack.attrs["exposure_ms"] = [5, 20]
 
 
-for make in [nxtomo, exchange, plain, two, single, broken_off, elsewhere, claims, levels]:
+def last_axis(path):
+    """Frames along the last axis, as MATLAB writes them: rows, columns, frames. Pixels differ in charge."""
+    with h5py.File(path, "w") as file:
+        charge = 1400 + random.normal(0, 200, (24, 32))
+        file.create_dataset("flat_20ms", data=np.moveaxis(frames(8, 24, 32, charge), 0, -1), compression="gzip")
+
+
+for make in [nxtomo, exchange, plain, two, single, broken_off, elsewhere, claims, levels, last_axis]:
     end = "nxs" if make is nxtomo else "h5"
     make(os.path.join(HERE, f"{make.__name__}.{end}"))

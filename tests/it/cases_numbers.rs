@@ -256,8 +256,8 @@ fn configurations(dataset: &str) {
 /// Light at a row and a column.
 type Shape<'a> = &'a dyn Fn(usize, usize) -> f64;
 
-/// Case 19: an image circle smaller than the sensor, and optically black columns. They are blind, and K of the
-/// rest has its 1 %.
+/// Case 19: an image circle smaller than the sensor, optically black columns, and a black border. They are blind, K of
+/// the rest has its 1 %, and statistics of whole rows and columns are those of the lit part: nothing is missing.
 #[test]
 fn pixels_without_light_are_blind_and_the_rest_is_measured() {
     let circle = |y: usize, x: usize| {
@@ -265,7 +265,8 @@ fn pixels_without_light_are_blind_and_the_rest_is_measured() {
         ((62.0 - off) / 4.0).clamp(0.0, 1.0)
     };
     let black = |_: usize, x: usize| if x < 4 { 0.0 } else { 1.0 };
-    let shapes: [(Shape<'_>, f64); 2] = [(&circle, 0.355), (&black, 4.0 / 128.0)];
+    let border = |y: usize, x: usize| if x < 6 || x >= 120 || y < 8 { 0.0 } else { 1.0 };
+    let shapes: [(Shape<'_>, f64); 3] = [(&circle, 0.355), (&black, 4.0 / 128.0), (&border, 0.165)];
     for (shape, blind) in shapes {
         let bench = Bench::new();
         let mut camera = Camera::new(19, shape);
@@ -273,6 +274,10 @@ fn pixels_without_light_are_blind_and_the_rest_is_measured() {
         [10, 20, 30, 40].iter().for_each(|ms| bench.flat(&mut camera, 8, *ms, 150.0));
         bench.import();
         within(&bench.json("noise"), "gain_dn_per_e", GAIN, 0.005);
+        let said = bench.json("diagnose");
+        assert_eq!(said["missing"], serde_json::json!([]), "{}", said["verdict"]);
+        assert!(said["notes"].to_string().contains("little or no light reaches"), "{}", said["notes"]);
+        within(&said, "gain_dn_per_e", GAIN, 0.01);
         let (cal, corrected) = bench.calibrated(&mut camera, "smooth");
         let share = cal.defects.iter().filter(|f| **f & BLIND != 0).count() as f64 / cal.defects.len() as f64;
         assert!((share - blind).abs() < 0.02, "{share} blind");

@@ -150,3 +150,16 @@ fn a_mean_of_the_last_frames_is_named() {
     assert_eq!(said, [3.0, 2.0], "{filter:#?}");
     assert!(d.missing[1..].iter().all(|m| m.share < 1e-6), "{:#?}", d.missing);
 }
+
+/// Ripple of a supply where all columns of a row are converted at once: the same in a row, a sine down them, of another
+/// phase in each frame. Before, it was row noise and something unknown.
+#[test]
+fn stripes_of_rows_in_the_dark_are_interference() {
+    let model = unit(334);
+    let d = verdict(with(model.clone(), "periodic-interference", &[0.3, 0.137, 0.0, 2.0]), None);
+    let stripes = first(&d, "periodic-interference", &model);
+    assert_eq!(stripes.parameters["shape"].value, 2.0, "{stripes:#?}");
+    is_near(stripes, "amplitude_dn", 0.3);
+    is_near(stripes, "cycles_per_px", 0.137);
+    assert!(d.missing[1..].iter().all(|m| m.share < 0.01), "{:#?}", d.missing);
+}

@@ -1,6 +1,6 @@
 //! EMVA 1288: the numbers of the reference tool, with errors that hold.
 
-use crate::support::{camera, expect, refused, shared};
+use crate::support::{camera, expect, radcam, refused, shared};
 use radcam::capture::Capture;
 use radcam::dataset::Dataset;
 use radcam::emva::{Definitions, EmvaError, Evaluation, Limit, evaluate, of_dataset};
@@ -445,6 +445,12 @@ fn return_their_datasheets(step: usize) {
         let at = root.to_str().unwrap();
         expect(0, &["simulate", sensor, "--plan", "emva1288", "--region", "0,0,160,120", "-o", at]);
         let e: Evaluation = serde_json::from_str(&expect(0, &["emva", at, "--json"])).unwrap();
+        // The gain beside K is the one that `noise` gives.
+        let noise: serde_json::Value =
+            serde_json::from_slice(&radcam(&["noise", at, "--json"]).stdout).unwrap();
+        let beside = e.noise.as_ref().unwrap();
+        assert_eq!(serde_json::json!(beside.gain), noise["gain_dn_per_e"], "{sensor}");
+        assert_eq!(serde_json::json!(beside.read_noise), noise["read_noise_e"], "{sensor}");
         for field in published.split_whitespace().filter(|f| f.contains('=')) {
             let (name, value) = field.split_once('=').unwrap();
             let value: f64 = value.parse().unwrap();

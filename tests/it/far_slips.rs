@@ -493,3 +493,87 @@ fn lost_packets_are_named() {
     let hit: Vec<u32> = all.into_iter().step_by(2).collect();
     is_named(&campaign, "odd-frame", &hit, "700 samples that are exactly 0");
 }
+
+/// A camera that makes its corners brighter by a digital gain: the noise at one level grows with it.
+#[test]
+fn shading_that_the_camera_corrects_is_said() {
+    let shares = [0.05, 0.1, 0.2, 0.3, 0.4, 0.5];
+    let campaign = sweep(&shares, &shares, 4, 269);
+    for row in 0..campaign.rows.len() {
+        let frame = campaign.frame(row);
+        let (rows, columns) = frame.dim();
+        let gain = |y: usize, x: usize| {
+            let off = (y as f64 / rows as f64 - 0.5).hypot(x as f64 / columns as f64 - 0.5);
+            0.85 + 0.9 * off * off
+        };
+        let corrected = radcam::ndarray::Array2::from_shape_fn(frame.dim(), |(y, x)| {
+            (BLACK_DN + gain(y, x) * (f64::from(frame[(y, x)]) - BLACK_DN)).round().min(4095.0) as u16
+        });
+        campaign.put(row, &corrected);
+    }
+    for verb in ["noise", "diagnose"] {
+        let said = campaign.said(verb);
+        let faults = said["data_faults"].as_array().unwrap();
+        assert_eq!(faults.len(), 1, "{faults:?}");
+        assert_eq!((&faults[0]["kind"], &faults[0]["left_out"]), (&"other-settings".into(), &false.into()));
+        assert!(faults[0]["text"].as_str().unwrap().contains("a shading correction"), "{faults:?}");
+    }
+}
+
+/// The mean of a set saved as its last file.
+#[test]
+fn a_mean_among_the_frames_is_named() {
+    for frames in [4, 6] {
+        let shares = [0.2, 0.4, 0.6, 0.8, 0.95];
+        let campaign = sweep(&shares, &shares, frames, 270);
+        let flats = campaign.sets("flat", 2);
+        for set in &flats {
+            let rows = campaign.of(*set);
+            let (last, others) = rows.split_last().unwrap();
+            let mut sum = campaign.frame(others[0]).mapv(f64::from);
+            others[1..].iter().for_each(|row| sum += &campaign.frame(*row).mapv(f64::from));
+            campaign.put(*last, &sum.mapv(|v| (v / others.len() as f64).round() as u16));
+        }
+        is_named(&campaign, "dependent-frames", &flats, "is a mean of the others");
+    }
+}
+
+/// The two brightest of five flats are turned: they outweigh the others, and are the fewer.
+#[test]
+fn bright_flats_that_are_turned_are_named() {
+    let shares = [0.2, 0.3, 0.4, 0.85, 0.95];
+    let campaign = sweep(&shares, &shares, 6, 271);
+    let flats = campaign.sets("flat", 2);
+    for row in flats[3..].iter().flat_map(|set| campaign.of(*set)) {
+        let frame = campaign.frame(row);
+        campaign.put(row, &frame.slice(radcam::ndarray::s![..;-1, ..;-1]).to_owned());
+    }
+    is_named(&campaign, "other-settings", &flats[3..], "turned by 180 degrees");
+}
+
+/// Darks of a hot sensor at full scale in most pixels: what is left of them decides nothing. Before, a bend of 16 % was
+/// named.
+#[test]
+fn a_dark_at_full_scale_decides_nothing() {
+    let shares = [0.2, 0.4, 0.6, 0.8, 0.95];
+    let mut campaign = sweep(&shares, &shares, 4, 272);
+    let dark = campaign.sets("dark", 2)[1];
+    let rows = campaign.of(dark);
+    let long = (campaign.rows[rows[0]][4].parse::<f64>().unwrap() * 16.0).to_string();
+    let mut random = PixelRng::new(272, Stream::Effect, 0, 0, 0);
+    let hot: Vec<f64> = (0..160 * 128).map(|_| 4500.0 + 1500.0 * random.normal()).collect();
+    for &row in &rows {
+        let mut frame = campaign.frame(row);
+        for (v, hot) in frame.iter_mut().zip(&hot) {
+            *v = (hot + 20.0 * random.normal()).round().clamp(0.0, 4095.0) as u16;
+        }
+        campaign.put(row, &frame);
+        campaign.rows[row][4].clone_from(&long);
+    }
+    campaign.save();
+    let said = campaign.said("diagnose");
+    assert_eq!(said["missing"], serde_json::json!([]), "{}", said["verdict"]);
+    let gain = &said["gain_dn_per_e"];
+    let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
+    assert!((value - 0.38).abs() < 4.0 * error, "{gain}");
+}

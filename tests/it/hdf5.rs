@@ -155,6 +155,20 @@ fn frames_lie_along_another_axis() {
     let options = ReadOptions { frames_axis: Some(2), hdf5_dataset: Some("/scan/camera_1".into()) };
     let said = survey(&[file("two.h5")], &options, |_, _| true).unwrap();
     assert_eq!((said.frames.len(), said.frames[0].shape), (16, (3, 12)));
+    // Pixels that repeat along the last axis are asked for.
+    let of = |axis: Option<usize>| {
+        let options = ReadOptions { frames_axis: axis, hdf5_dataset: None };
+        survey(&[file("last_axis.h5")], &options, |_, _| true)
+    };
+    let asked = of(None).unwrap();
+    let why = &asked.damaged[0].1;
+    assert!(
+        asked.frames.is_empty()
+            && why.contains("/flat_20ms has the shape")
+            && why.contains("--frames-axis 2"),
+        "{why}"
+    );
+    assert_eq!(of(Some(2)).unwrap().frames.len(), 8);
 }
 
 proptest! {

@@ -1,5 +1,6 @@
 //! Section IV against simulated truth over many seeds, and against data of others.
 
+use crate::far_slips::sweep;
 use crate::rewritten::{Campaign, set_of_plan};
 use crate::support::{expect, shared, small};
 use radcam::dataset::Dataset;
@@ -7,6 +8,7 @@ use radcam::ndarray::Array2;
 use radcam::noise::{self, Measured, Method, NoiseReport};
 use radcam::statistics::level::LevelAccumulator;
 use radcam::{dataset::Kind, fit::line::goodness};
+use radcam_sim::rng::{PixelRng, Stream};
 use radcam_sim::{Conditions, Sensor};
 use serde_json::Value;
 use std::sync::atomic::AtomicBool;
@@ -334,4 +336,61 @@ fn the_noise_of_clamped_charge_is_no_gain() {
             said["notes"]
         );
     }
+}
+
+/// The same beside flats of one exposure: a shorter dark has less noise, and is no average. Before, it was left out,
+/// and the read noise was that of the charge.
+#[test]
+fn a_short_dark_of_clamped_charge_is_no_average() {
+    let folder = tempfile::tempdir().unwrap();
+    let (model, plan) = (folder.path().join("m.toml"), folder.path().join("plan.toml"));
+    let model = model.to_str().unwrap();
+    expect(0, &["model", "new", model, "--sensor", "cmos12"]);
+    expect(0, &["model", "add", model, "black-level-clamp", "dark_e_per_s=3000"]);
+    let darks = [1.0, 0.1, 1.0].map(|t| set_of_plan("dark", 4, t, 0.0)).concat();
+    let flats =
+        [0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9].map(|light| set_of_plan("flat", 4, 1.0, light)).concat();
+    std::fs::write(&plan, format!("format = \"radcam-plan/1\"\n{darks}{flats}")).unwrap();
+    for seed in 266..268 {
+        let campaign = Campaign::new(model, plan.to_str().unwrap(), seed);
+        // Pixels differ in dark charge: the pattern of long exposures.
+        let mut random = PixelRng::new(u64::from(seed), Stream::Effect, 0, 0, 0);
+        let charge: Vec<f64> = (0..160 * 128).map(|_| 4.0 * random.normal()).collect();
+        let longest = campaign.rows.iter().map(|r| r[4].parse::<f64>().unwrap()).fold(0.0, f64::max);
+        for row in 0..campaign.rows.len() {
+            let share = campaign.rows[row][4].parse::<f64>().unwrap() / longest;
+            let mut frame = campaign.frame(row);
+            for (v, charge) in frame.iter_mut().zip(&charge) {
+                *v = (f64::from(*v) + share * charge).round() as u16;
+            }
+            campaign.put(row, &frame);
+        }
+        let said = campaign.said("diagnose");
+        assert_eq!(said["data_faults"], serde_json::json!([]));
+        assert_eq!(said["missing"][0]["effect"], "black-level-clamp", "{}", said["verdict"]);
+    }
+}
+
+/// Two frames a set of pixels that share 3 % of their charge with each of four neighbours: what the next pixels share
+/// is said, with the gain, where what all neighbours share is not told.
+#[test]
+fn noise_that_few_frames_share_is_said() {
+    let campaign = sweep(&[0.3, 0.5, 0.7, 0.95], &[0.3, 0.5, 0.7, 0.95], 2, 268);
+    for row in campaign.sets("flat", 2).into_iter().flat_map(|set| campaign.of(set)) {
+        let frame = campaign.frame(row).mapv(f64::from);
+        let (rows, columns) = frame.dim();
+        let at = |y: usize, x: usize| frame[(y.min(rows - 1), x.min(columns - 1))];
+        let shared = radcam::ndarray::Array2::from_shape_fn((rows, columns), |(y, x)| {
+            let near = at(y + 1, x) + at(y.saturating_sub(1), x) + at(y, x + 1) + at(y, x.saturating_sub(1));
+            (0.88 * at(y, x) + 0.03 * near).round() as u16
+        });
+        campaign.put(row, &shared);
+    }
+    let said = campaign.said("noise");
+    let shared = &said["shared_noise_rel"];
+    let (value, error) = (shared["value"].as_f64().unwrap(), shared["std_err"].as_f64().unwrap());
+    // The variance of the kernel is 0.88^2 + 4 0.03^2, its sum 1; its next pixels share 4 (2 0.88 0.03) of that.
+    let own = 0.88f64.powi(2) + 4.0 * 0.03f64.powi(2);
+    assert!((own + 4.0 * 2.0 * 0.88 * 0.03 - own * (1.0 + value)).abs() < 4.0 * error + 0.01, "{shared}");
+    assert!(said["notes"].to_string().contains("neighbouring pixels share noise"), "{}", said["notes"]);
 }

@@ -20,7 +20,8 @@ import numpy as np, tifffile
 
 W, H, TOP = 160, 120, 4095
 KINDS = ("dark-gain dark-black dark-other-camera dark-long dark-swapped dim-flats-as-dark subtracted eight-bit turned digital-gain "
-         "auto-exposure auto-gain stretch stamp dust leak warm-up jpeg unit-mix exposure-step binned denoised clean").split()
+         "auto-exposure auto-gain stretch stamp dust leak warm-up jpeg unit-mix exposure-step binned denoised clean "
+         "dark-bits shading-corrected subtracted-long nominal darks-smoothed led").split()
 LAYOUTS = "sweep sweep3 light emva calib calib".split()
 
 
@@ -230,6 +231,34 @@ def spoil(kind, seed, layout, sets, cam, r, tmax):
             if v == "median": s["post"].append(median3)
             else: s["average"] = 4
         return "later flats filtered, " + ("3x3 median" if v == "median" else "each the mean of 4 frames")
+    if kind == "dark-bits":
+        bits = pick(2, 4, 2, 1, 2, 3)
+        for s in darks: s["post"].append(lambda f: f >> bits)
+        return f"darks of {12 - bits} bits beside flats of 12"
+    if kind == "shading-corrected":
+        gain = 1 / cam.shade
+        for s in (flats if pick(0, 1) else sets):
+            s["post"].append(lambda f: np.clip(np.rint((f - cam.black) * gain + cam.black), 0, TOP).astype(np.uint16))
+        return "the camera corrects shading: frames above the black level times a smooth map"
+    if kind == "subtracted-long":
+        # Noise reduction of cameras: a dark of the same exposure, taken at once, is taken off, and the black level added again.
+        limit = tmax * pick(0.3, 0.6)
+        for s in sets:
+            s["own_dark"] = s["t"] > limit
+        return f"from {limit:g} s on a dark of the same exposure is taken off each frame"
+    if kind == "nominal":
+        for s in sets:
+            s["t_say"] = s["t"]
+            s["t"] = 2.0 ** (-np.round(-np.log2(s["t"]) * 3) / 3)
+        return "exposures are nominal: the shutter works in thirds of a stop"
+    if kind == "darks-smoothed":
+        for s in darks: s["post"].append(median3)
+        return "darks are smoothed, 3x3 median"
+    if kind == "led":
+        y, x = np.mgrid[0:H, 0:W]
+        spot = np.exp(-((x - 0.8 * W) ** 2 + (y - 0.2 * H) ** 2) / 200.0)
+        for s in darks: s["led"] = spot
+        return "a LED of the camera blinks and lights a corner of every third dark"
     return "none"
 
 
@@ -243,6 +272,7 @@ def expose(s, i, cams, rate, r):
         field /= field.mean()
     e = light * s["t"] * field * s.get("dust", 1.0)
     if "leak" in s: e = s["leak"] * rate * s["t"]
+    if "led" in s and i % 3 == 1: e = 0.02 * s["led"] * rate * s["t"]
     e = e * (1 + cam.prnu) + cam.dark * s["t"]
     q = r.poisson(e) + r.normal(0, cam.read) + cam.dsnu
     return np.clip(np.rint(q * cam.K * s["gain"] + cam.black + s["black"]), 0, TOP).astype(np.uint16)
@@ -253,6 +283,9 @@ def frame(s, i, cams, rate, r):
         f = np.rint(np.mean([expose(s, i, cams, rate, r) for _ in range(s["average"])], axis=0)).astype(np.uint16)
     else:
         f = expose(s, i, cams, rate, r)
+    if s.get("own_dark"):
+        own = expose(dict(s, kind="dark"), i, cams, rate, r)
+        f = np.clip(f.astype(int) - own + round(cams["a"].black), 0, TOP).astype(np.uint16)
     for p in s["post"]: f = p(f)
     return np.ascontiguousarray(f)
 

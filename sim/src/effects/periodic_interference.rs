@@ -2,12 +2,38 @@
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
-/// A sine in read-out order, with a new phase in every frame; it goes on while the rows are blanked.
+/// A sine with a new phase in every frame: in read-out order, where it goes on while the rows are blanked, in step with
+/// the rows, or by row.
 pub struct PeriodicInterference;
 
-/// Cycles from one row to the next.
-fn cycles_per_row(p: &[f64], columns: usize) -> f64 {
-    if p[3] >= 0.5 { 0.0 } else { p[1] * columns as f64 + p[2] }
+/// Ways in which a disturbance meets the read-out.
+#[derive(Clone, Copy, PartialEq)]
+enum Shape {
+    /// Pixels are read one after the other.
+    InReadOutOrder,
+    /// In step with the rows: stripes of columns.
+    InStep,
+    /// All columns of a row are converted at once: stripes of rows.
+    ByRow,
+}
+
+impl Shape {
+    fn of(p: &[f64]) -> Self {
+        match p[3] {
+            shape if shape < 0.5 => Self::InReadOutOrder,
+            shape if shape < 1.5 => Self::InStep,
+            _ => Self::ByRow,
+        }
+    }
+}
+
+/// Cycles from one pixel to the next in its row, and from one row to the next.
+fn cycles(p: &[f64], columns: usize) -> (f64, f64) {
+    match Shape::of(p) {
+        Shape::InReadOutOrder => (p[1], p[1] * columns as f64 + p[2]),
+        Shape::InStep => (p[1], 0.0),
+        Shape::ByRow => (0.0, p[1]),
+    }
 }
 
 /// Distance from half a cycle a pixel, in cycles a row, within which a line may lie at it (a named choice).
@@ -38,7 +64,7 @@ impl Effect for PeriodicInterference {
             },
             Parameter {
                 name: "cycles_per_px",
-                meaning: "its frequency in read-out order",
+                meaning: "its frequency in read-out order; shape 2: from row to row",
                 unit: "1/px",
                 min: 0.0,
                 max: 0.5,
@@ -54,25 +80,30 @@ impl Effect for PeriodicInterference {
             },
             Parameter {
                 name: "shape",
-                meaning: "0: in read-out order, 1: in step with the rows",
+                meaning: "0: in read-out order, 1: in step with the rows, 2: by row, where all columns are converted at once",
                 unit: "choice",
                 min: 0.0,
-                max: 1.0,
-                starts: &[0.0, 1.0],
+                max: 2.0,
+                starts: &[0.0, 1.0, 2.0],
             },
         ]
     }
 
     fn uses(&self, p: &[f64], parameter: usize) -> bool {
-        parameter != 2 || p[3] < 0.5
+        parameter != 2 || Shape::of(p) == Shape::InReadOutOrder
     }
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {
-        (p[3] >= 0.5).then_some("in step with the rows: stripes of columns")
+        match Shape::of(p) {
+            Shape::InReadOutOrder => None,
+            Shape::InStep => Some("in step with the rows: stripes of columns"),
+            Shape::ByRow => Some("all columns at once: stripes of rows"),
+        }
     }
 
     /// Starts at the strongest line, which is one tooth of a comb where rows are blanked, on either side of it with
-    /// the phase that puts the tooth there, and at the strongest stripes of columns. No line, no stripes: no start.
+    /// the phase that puts the tooth there, and at the strongest stripes of columns and of rows. No line, no stripes:
+    /// no start.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let columns = seen.columns.max(2.0);
         let start = |cycles_per_px: f64, blanking: f64, shape: f64| {
@@ -85,10 +116,13 @@ impl Effect for PeriodicInterference {
         let tooth =
             |f: f64| [0.0, -0.25, 0.25, -0.45, 0.45].map(|away| start(f + away / columns, -away, 0.0));
         let in_step = |f: f64| start(f, 0.0, 1.0);
+        let by_row = |f: f64| start(f, 0.0, 2.0);
         // Row means do not tell the sign of the phase step from row to row.
         let mirrored = |f: f64| f + (1.0 - 2.0 * (f * columns).fract()) / columns;
         let line = line.flat_map(|f| [f, mirrored(f)]);
-        line.flat_map(tooth).chain(half).chain(seen.column_cycles.map(in_step)).collect()
+        let stripes = seen.column_cycles.map(in_step).into_iter();
+        let of_rows = seen.row_cycles.into_iter().flatten().take(1).map(by_row);
+        line.flat_map(tooth).chain(half).chain(stripes).chain(of_rows).collect()
     }
 
     /// A camera whose rows follow one another at once.
@@ -104,9 +138,9 @@ impl Effect for PeriodicInterference {
         Page {
             what: "A clock or a switching supply couples into the video signal while the frame is read.",
             equation: "v + a sin(2 pi (f n + b y) + phase), n the pixel's place in read-out order, y its row, b the cycles while a row is blanked; \
-                       in step with the rows v + a sin(2 pi f x + phase), x the column; variance + a^2 / 2",
+                       in step with the rows v + a sin(2 pi f x + phase), x the column; by row v + a sin(2 pi f y + phase); variance + a^2 / 2",
             signature: "a line in the noise's spectrum in read-out order; stripes whose place changes from frame to frame",
-            look_alikes: "row noise is white from row to row; a fixed phase would be fixed pattern",
+            look_alikes: "row noise is white from row to row; light bands vanish in the dark; a fixed phase would be fixed pattern",
             remedy: "shielding, a synchronised supply; a notch filter in read-out order",
             measure: "a run of darks and their spectrum in read-out order",
             sets: takes::DARKS,
@@ -115,8 +149,8 @@ impl Effect for PeriodicInterference {
     }
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
-        let across = std::f64::consts::TAU * p[1];
-        let down = std::f64::consts::TAU * cycles_per_row(p, c.shape.1);
+        let (across, down) = cycles(p, c.shape.1);
+        let (across, down) = (std::f64::consts::TAU * across, std::f64::consts::TAU * down);
         for s in &mut out.sets {
             s.lines.push((0.5 * p[0] * p[0], across, down));
             // The fourth cumulant of a sine of random phase is -3/2 of the square of its variance.
@@ -128,9 +162,9 @@ impl Effect for PeriodicInterference {
         let turn = std::f64::consts::TAU;
         let phase = turn * d.random(self.id(), d.frame, 0).uniform();
         let columns = d.image.ncols();
-        let down = cycles_per_row(p, columns);
+        let (across, down) = cycles(p, columns);
         for (n, v) in d.image.iter_mut().enumerate() {
-            let cycles = p[1] * (n % columns) as f64 + down * (n / columns) as f64;
+            let cycles = across * (n % columns) as f64 + down * (n / columns) as f64;
             *v += p[0] * libm::sin(turn * cycles + phase);
         }
     }

@@ -1,0 +1,78 @@
+//! The mean of a set's frames saved among them, as its first or last file: it has less noise than they have, and is
+//! made of their noise.
+
+use super::set_view::SetView;
+use super::{Campaign, Check, DataFault, FaultKind};
+use crate::dataset::Kind;
+use crate::number::six_digits;
+use crate::statistics::median::median;
+
+/// Variance of the difference between a frame and the mean of m that it is in, over that of the difference of two
+/// frames: (1 - 1/m) / 2; more for a median, and for the mean of others. Above it and below 1 (a named choice).
+const MAX_RATIO: f64 = 0.7;
+/// Frames of a set from which on the others tell their own noise.
+const MIN_FRAMES: usize = 4;
+/// Least signal-to-rounding of the noise, DN^2: rounding adds its own to the mean.
+const MIN_VARIANCE_DN2: f64 = 0.5;
+/// Least share of the sets in which it is so.
+const MIN_SETS: f64 = 0.5;
+
+/// The check.
+pub struct MeanAmongFrames;
+
+/// Place of the frame in its set.
+#[derive(Clone, Copy)]
+enum End {
+    First,
+    Last,
+}
+
+impl Check for MeanAmongFrames {
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
+        let told = |s: &SetView| {
+            let is_whole = s.kept.iter().all(|kept| *kept);
+            matches!(s.kind, Kind::Dark | Kind::Flat) && !s.clipped && is_whole && s.frames() >= MIN_FRAMES
+        };
+        let sets = campaign.places(told);
+        for end in [End::Last, End::First] {
+            let ratios = sets.iter().filter_map(|&i| Some((i, ratio(&campaign.sets[i], end)?)));
+            let found: Vec<(usize, f64)> = ratios.filter(|(_, ratio)| *ratio < MAX_RATIO).collect();
+            if found.is_empty() || (found.len() as f64) < MIN_SETS * sets.len() as f64 {
+                continue;
+            }
+            let place = |i: usize| match end {
+                End::First => 0,
+                End::Last => campaign.sets[i].frames() - 1,
+            };
+            let frames: Vec<(usize, usize)> = found.iter().map(|&(i, _)| (i, place(i))).collect();
+            let own: Vec<usize> = found.iter().map(|f| f.0).collect();
+            let usual = median(found.iter().map(|f| f.1));
+            let text = format!(
+                "{}: the {} frame ({}) is a mean of the others, saved among them: it differs from them by {} of the variance that they differ by",
+                campaign.named(&own),
+                match end {
+                    End::First => "first",
+                    End::Last => "last",
+                },
+                campaign.file(frames[0].0, frames[0].1),
+                six_digits((100.0 * usual).round() / 100.0)
+            );
+            return vec![campaign.fault_of_frames(FaultKind::DependentFrames, &frames, text)];
+        }
+        Vec::new()
+    }
+}
+
+/// Variance of the differences to the frame at an end over that of the others', the larger of that to the next frame
+/// and that to the second next; `None` where rounding hides it.
+fn ratio(set: &SetView, end: End) -> Option<f64> {
+    let (near, far) = (&set.facts.successive_dn2, &set.facts.second_dn2);
+    let n = near.len();
+    // First frames may carry the set before.
+    let (own_near, own_far, others) = match end {
+        End::First => (near[1], far[2], &near[2..]),
+        End::Last => (near[n - 1], far[n - 1], &near[2..n - 1]),
+    };
+    let usual = others.iter().sum::<f64>() / others.len() as f64;
+    (usual > MIN_VARIANCE_DN2).then(|| own_near.max(own_far) / usual)
+}

@@ -1,0 +1,92 @@
+//! Shading that the camera corrects: a digital gain that differs by place makes the flats even, and multiplies the
+//! noise of each place with the same factor. At one level the variance is then another one in the corners, which no
+//! raw frame has (variance and mean of all pixels lie on one line: Healey and Kondepudy 1994, eq. 35).
+
+use super::set_view::SetView;
+use super::{Campaign, Check, DataFault, FaultKind};
+use crate::number::six_digits;
+use crate::statistics::median::{MAD_OF_NORMAL, median};
+
+/// Variance of a flat over that of the quietest set from which on light makes its noise.
+const LIT: f64 = 4.0;
+/// Least number of flats that tell.
+const MIN_FLATS: usize = 3;
+/// Least ratio of the largest to the smallest variance at one level (a named choice: parts of a sensor that are read
+/// through amplifiers of their own differ by a few per cent), and its least significance.
+const MIN_RATIO: f64 = 1.12;
+const MIN_SIGMAS: f64 = 8.0;
+
+/// One in so many cells at either end of the range does not count.
+const OUTER: usize = 12;
+
+/// The check.
+pub struct ShadingCorrected;
+
+impl Check for ShadingCorrected {
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
+        let Some((least, most)) = range(campaign) else { return Vec::new() };
+        let flats = campaign.places(|s| s.is_lit());
+        let text = format!(
+            "{}: at one level the noise differs by place, its variance from {} to {} of the mean: a shading correction or another gain by place is on \
+             in the camera. System gain and read noise are means over the field; switch it off",
+            campaign.named(&flats),
+            six_digits((100.0 * least).round() / 100.0),
+            six_digits((100.0 * most).round() / 100.0)
+        );
+        vec![campaign.fault_of_sets(FaultKind::OtherSettings, &flats, text, false)]
+    }
+}
+
+/// Least and largest variance of a cell over that of its level elsewhere, where they differ beyond doubt.
+fn range(campaign: &Campaign<'_>) -> Option<(f64, f64)> {
+    let zero = campaign.zero().filter(|_| campaign.is_of_one_part())?;
+    let variance = |i: usize| campaign.sets[i].variance_dn2().map_or(f64::NAN, |v| v.0);
+    let level = |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s);
+    let quiet = campaign.places(|s| !s.clipped).into_iter().map(variance).fold(f64::INFINITY, f64::min);
+    let is_whole = |s: &SetView| s.kept.iter().all(|kept| *kept) && !s.facts.cells_dn2.is_empty();
+    let mut flats = campaign.places(|s| s.is_lit() && !s.clipped && !s.is_cut_off() && is_whole(s));
+    flats.retain(|&i| variance(i) > LIT * quiet.max(f64::MIN_POSITIVE) && level(i) > 0.0);
+    if flats.len() < MIN_FLATS || !campaign.are_of_one_size(flats.iter()) {
+        return None;
+    }
+    flats.sort_by(|a, b| level(*a).total_cmp(&level(*b)));
+    // The variance of a level over it, between the flats; that of the nearest beyond them.
+    let curve: Vec<(f64, f64)> = flats.iter().map(|&i| (level(i), variance(i) / level(i))).collect();
+    let expected = |level_dn: f64| {
+        let above = curve.partition_point(|p| p.0 < level_dn);
+        let slope = match (above.checked_sub(1).and_then(|k| curve.get(k)), curve.get(above)) {
+            (Some(a), Some(b)) => a.1 + (b.1 - a.1) * (level_dn - a.0) / (b.0 - a.0),
+            (Some(p), None) | (None, Some(p)) => p.1,
+            (None, None) => f64::NAN,
+        };
+        slope * level_dn
+    };
+    let cells = campaign.sets[flats[0]].facts.cells_dn2.len();
+    let of_cell = |cell: usize| -> Vec<f64> {
+        let ratio = |&i: &usize| {
+            let facts = &campaign.sets[i].facts;
+            let means = facts.cells_dn.iter().filter_map(|c| c.get(cell));
+            let mean_dn = means.sum::<f64>() / facts.cells_dn.len().max(1) as f64;
+            let own = facts.cells_dn2.get(cell)? / expected(mean_dn - zero.at(campaign.sets[i].exposure_s));
+            own.is_finite().then_some(own)
+        };
+        flats.iter().filter_map(ratio).collect()
+    };
+    let ratios: Vec<(f64, f64)> = (0..cells)
+        .map(of_cell)
+        .filter(|all| all.len() >= MIN_FLATS)
+        .map(|all| {
+            let middle = median(all.iter().copied());
+            let scatter = median(all.iter().map(|r| (r - middle).abs())) / MAD_OF_NORMAL;
+            (middle, 1.25 * scatter / (all.len() as f64).sqrt())
+        })
+        .collect();
+    let std = median(ratios.iter().map(|r| r.1));
+    // Dust and defect pixels stand in single cells.
+    let mut sorted: Vec<f64> = ratios.iter().map(|r| r.0).collect();
+    sorted.sort_by(f64::total_cmp);
+    let outer = sorted.len() / OUTER;
+    let (least, most) = (*sorted.get(outer)?, *sorted.get(sorted.len().checked_sub(1 + outer)?)?);
+    tracing::debug!("variance of cells {least:.3} to {most:.3} of what their level has, +- {std:.3}");
+    (most > MIN_RATIO * least && most - least > MIN_SIGMAS * std).then_some((least, most))
+}

@@ -1,0 +1,154 @@
+//! The part of the frames that gets light, where others get none: optically black and overscan columns and rows,
+//! what lies outside of the image circle of a lens. Statistics of whole rows and columns need lines of equal pixels.
+
+use crate::data_faults::ExamineError;
+use crate::dataset::{Dataset, FrameRow, Kind, Region, Set};
+use crate::statistics::lit::Lit;
+use ndarray::Array2;
+
+/// Share of the light's level below which a pixel of a lit part has none to speak of (a named choice: lenses leave
+/// more in the corners of the part that they are made for).
+const MIN_LIGHT: f32 = 0.3;
+/// Level of the light from which on the noise of single pixels is far below a third of it, DN (a named choice).
+const MIN_LEVEL_DN: f32 = 64.0;
+/// Pixels that tell whether there are dark ones at all.
+const SAMPLE: usize = 40_000;
+/// Share of the samples of a flat at full scale up to which it tells the light.
+const MAX_FULL: f64 = 0.01;
+/// Least share of the lit pixels that a rectangle holds: the square in a circle has 2/pi = 0.64 of it (a named
+/// choice).
+const MIN_KEPT: f64 = 0.6;
+/// Share of the pixels without light from which on these are left out by place: single ones are defect pixels.
+const MIN_BLIND: f64 = 0.005;
+/// Frames of a set whose mean is looked at.
+const FRAMES: usize = 2;
+
+/// The dataset cut to the part that gets light, and words for it; `None` where all pixels get light, where too
+/// little tells, and for statistics whose frames are not read again.
+///
+/// # Errors
+///
+/// Which frame cannot be read.
+pub(crate) fn lit_part(dataset: &Dataset) -> Result<Option<(Dataset, String)>, ExamineError> {
+    if dataset.reduced().is_some() {
+        return Ok(None);
+    }
+    let full = dataset.manifest().camera.full_scale_dn();
+    let light = |row: &FrameRow| row.exposure_s * row.illumination;
+    let mut flats: Vec<&Set> =
+        dataset.sets().iter().filter(|s| dataset.settings(s).kind == Kind::Flat).collect();
+    flats.sort_by(|a, b| light(dataset.settings(b)).total_cmp(&light(dataset.settings(a))));
+    let darks = dataset.sets().iter().filter(|s| dataset.settings(s).kind == Kind::Dark);
+    let Some(dark) = darks.max_by_key(|s| s.rows.len().min(FRAMES)) else { return Ok(None) };
+    let mean = |set: &Set| -> Result<Array2<f32>, ExamineError> {
+        let rows = &set.rows[..set.rows.len().min(FRAMES)];
+        let mut sum = Array2::zeros((0, 0));
+        for row in rows {
+            let frame = dataset.frame(&dataset.rows()[*row])?;
+            let frame = frame.mapv(f32::from);
+            if sum.is_empty() { sum = frame } else { sum += &frame }
+        }
+        Ok(sum / rows.len().max(1) as f32)
+    };
+    let is_full = |image: &Array2<f32>| {
+        let count = image.iter().filter(|v| **v >= f32::from(full)).count();
+        count as f64 > MAX_FULL * image.len() as f64
+    };
+    let mut brightest = None;
+    for set in flats {
+        let image = mean(set)?;
+        if !is_full(&image) {
+            brightest = Some(image);
+            break;
+        }
+    }
+    let Some(flat) = brightest else { return Ok(None) };
+    let signal = flat - mean(dark)?;
+    if !has_dark_part(&signal) {
+        return Ok(None);
+    }
+    let found = Lit::above(&[signal.clone()], MIN_LIGHT);
+    let (blind, of) = (found.blind_pixels(), found.blind.len());
+    if (blind as f64) < MIN_BLIND * of as f64 || found.level_dn < MIN_LEVEL_DN {
+        return Ok(None);
+    }
+    let region = match found.frame() {
+        Some([rows, columns]) => Region { rows, columns },
+        None => {
+            let region = largest_without(&found.blind);
+            if (region.pixels() as f64) < MIN_KEPT * found.lit_pixels() as f64 {
+                return Ok(None);
+            }
+            region
+        }
+    };
+    let words = format!(
+        "little or no light reaches {blind} of {of} pixels (optically black, overscan, or outside of the image circle): rows {} to {} and columns \
+         {} to {} are looked at",
+        region.rows.start,
+        region.rows.end.saturating_sub(1),
+        region.columns.start,
+        region.columns.end.saturating_sub(1)
+    );
+    Ok(dataset.cut_to(region).map(|part| (part, words)))
+}
+
+/// Whether a sample of the pixels has enough dark ones for a closer look.
+fn has_dark_part(signal: &Array2<f32>) -> bool {
+    let mut sample: Vec<f32> = signal.iter().copied().step_by((signal.len() / SAMPLE).max(1)).collect();
+    if sample.is_empty() {
+        return false;
+    }
+    let bright = 9 * sample.len() / 10;
+    let level = *sample.select_nth_unstable_by(bright, f32::total_cmp).1;
+    let dark = sample.iter().filter(|v| **v < MIN_LIGHT * level).count();
+    dark as f64 > MIN_BLIND * sample.len() as f64
+}
+
+/// The largest rectangle without blind pixels: of every row the widest below the heights that the rows above
+/// leave.
+fn largest_without(blind: &Array2<bool>) -> Region {
+    let (rows, columns) = blind.dim();
+    let mut best = Region { rows: 0..0, columns: 0..0 };
+    // Rows without a blind pixel above each column, this one included.
+    let mut heights = vec![0usize; columns];
+    for y in 0..rows {
+        for (x, height) in heights.iter_mut().enumerate() {
+            *height = if blind[(y, x)] { 0 } else { *height + 1 };
+        }
+        // First columns and heights of the rectangles that are open, of growing height.
+        let mut open: Vec<(usize, usize)> = Vec::new();
+        for x in 0..=columns {
+            let height = heights.get(x).copied().unwrap_or(0);
+            let mut from = x;
+            while let Some(&(first, own)) = open.last().filter(|(_, own)| *own > height) {
+                if own * (x - first) > best.pixels() {
+                    best = Region { rows: y + 1 - own..y + 1, columns: first..x };
+                }
+                from = first;
+                open.pop();
+            }
+            open.push((from, height));
+        }
+    }
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_largest_rectangle_lies_in_the_circle() {
+        let off = |y: usize, x: usize| (y as f64 - 49.5).hypot(x as f64 - 59.5);
+        let circle = Array2::from_shape_fn((100, 120), |(y, x)| off(y, x) > 45.0);
+        let found = largest_without(&circle);
+        // The square in a circle has 2 r^2; rows and columns are whole.
+        let square = 2.0 * 45.0f64.powi(2);
+        assert!((found.pixels() as f64 / square - 1.0).abs() < 0.03, "{found:?}");
+        let inside = circle.slice(ndarray::s![found.rows, found.columns]);
+        assert!(inside.iter().all(|blind| !blind));
+        let border = Array2::from_shape_fn((40, 50), |(y, x)| y < 3 || x >= 46);
+        assert_eq!(largest_without(&border), Region { rows: 3..40, columns: 0..46 });
+    }
+}
