@@ -67,7 +67,7 @@ pub(crate) fn lit_part(dataset: &Dataset) -> Result<Option<(Dataset, String)>, E
     if !has_dark_part(&signal) {
         return Ok(None);
     }
-    let found = Lit::above(&[signal.clone()], MIN_LIGHT);
+    let found = Lit::above(std::slice::from_ref(&signal), MIN_LIGHT);
     let (blind, of) = (found.blind_pixels(), found.blind.len());
     if (blind as f64) < MIN_BLIND * of as f64 || found.level_dn < MIN_LEVEL_DN {
         return Ok(None);

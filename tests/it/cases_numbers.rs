@@ -265,7 +265,7 @@ fn pixels_without_light_are_blind_and_the_rest_is_measured() {
         ((62.0 - off) / 4.0).clamp(0.0, 1.0)
     };
     let black = |_: usize, x: usize| if x < 4 { 0.0 } else { 1.0 };
-    let border = |y: usize, x: usize| if x < 6 || x >= 120 || y < 8 { 0.0 } else { 1.0 };
+    let border = |y: usize, x: usize| if !(6..120).contains(&x) || y < 8 { 0.0 } else { 1.0 };
     let shapes: [(Shape<'_>, f64); 3] = [(&circle, 0.355), (&black, 4.0 / 128.0), (&border, 0.165)];
     for (shape, blind) in shapes {
         let bench = Bench::new();
