@@ -115,10 +115,14 @@ impl<'a> Campaign<'a> {
                 carried_dn: 0.0,
                 carried_error_dn: 0.0,
                 mean_noise_factor: 1.0,
+                zeros_always: 0.0,
                 facts,
             }
         };
-        let sets = dataset.sets().iter().zip(facts).map(view).collect();
+        let mut sets: Vec<SetView> = dataset.sets().iter().zip(facts).map(view).collect();
+        let measured = sets.iter().filter(|s| !s.facts.zeros.is_empty());
+        let zeros_always = measured.map(SetView::zeros).fold(f64::INFINITY, f64::min);
+        sets.iter_mut().for_each(|s| s.zeros_always = zeros_always);
         let full_scale_dn = f64::from(dataset.manifest().camera.full_scale_dn());
         let mut all = Self {
             dataset,

@@ -81,7 +81,7 @@ impl Check for CopiedFrames {
     }
 }
 
-/// Whether most pixels have one code: saturated, whatever else is there.
+/// Returns true if most pixels have one code: saturated, whatever else is there.
 fn has_one_code(middle_dn: &[f32]) -> bool {
     let middle = median(middle_dn.iter().map(|v| f64::from(*v)));
     median(middle_dn.iter().map(|v| (f64::from(*v) - middle).abs())) == 0.0

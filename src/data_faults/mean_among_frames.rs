@@ -14,6 +14,9 @@ const MAX_RATIO: f64 = 0.7;
 const MIN_FRAMES: usize = 4;
 /// Least signal-to-rounding of the noise, DN^2: rounding adds its own to the mean.
 const MIN_VARIANCE_DN2: f64 = 0.5;
+/// Largest deviation of its level, of the signal and in DN: a mean has the level of its frames (named choices).
+const MAX_OFF: f64 = 0.01;
+const MAX_OFF_DN: f64 = 0.5;
 /// Least share of the sets in which it is so.
 const MIN_SETS: f64 = 0.5;
 
@@ -34,8 +37,21 @@ impl Check for MeanAmongFrames {
             matches!(s.kind, Kind::Dark | Kind::Flat) && !s.clipped && is_whole && s.frames() >= MIN_FRAMES
         };
         let sets = campaign.places(told);
+        let zero = campaign.zero();
         for end in [End::Last, End::First] {
-            let ratios = sets.iter().filter_map(|&i| Some((i, ratio(&campaign.sets[i], end)?)));
+            let has_their_level = |i: &&usize| {
+                let set = &campaign.sets[**i];
+                let means = &set.facts.means_dn;
+                let (own, others) = match end {
+                    End::First => (means[0], &means[1..]),
+                    End::Last => (means[means.len() - 1], &means[..means.len() - 1]),
+                };
+                let usual = median(others.iter().copied());
+                let signal = usual - zero.as_ref().map_or(0.0, |z| z.at(set.exposure_s));
+                (own - usual).abs() < MAX_OFF_DN.max(MAX_OFF * signal)
+            };
+            let ratios = sets.iter().filter(has_their_level);
+            let ratios = ratios.filter_map(|&i| Some((i, ratio(&campaign.sets[i], end)?)));
             let found: Vec<(usize, f64)> = ratios.filter(|(_, ratio)| *ratio < MAX_RATIO).collect();
             if found.is_empty() || (found.len() as f64) < MIN_SETS * sets.len() as f64 {
                 continue;

@@ -105,16 +105,24 @@ fn as_the_darks(
         let all = flats.iter().zip(own).filter(|(i, _)| of(**i)).map(|(_, p)| one(p));
         all.fold(0.0, |sum: f64, v| if v.is_finite() { sum + v } else { sum })
     };
-    let chance = (2.0 * flats.len() as f64 / darks.len() as f64).sqrt();
+    // The flats share a pattern of their own, whose chance correlation with the darks' all of them have.
+    let chance = flats.len() as f64 * (2.0 / darks.len() as f64).sqrt();
     let by_darks = straight(&is_turned) - straight(&|i| !is_turned(i));
     tracing::debug!(
         "the darks' pattern in flats that are turned, less that in the others: {by_darks:.3} +- {chance:.3}"
     );
-    let others_are = if by_darks.abs() > MIN_SIGMAS_OF_DARKS * chance {
-        by_darks > 0.0
-    } else {
-        turned.len() > rest.len()
-    };
+    let pattern_of = |i: usize| flats.iter().position(|f| *f == i).map(|k| &own[k]);
+    // Those that are to be the turned ones have one pattern as it is.
+    let are_alike = rest.iter().filter_map(|i| pattern_of(*i)).collect::<Vec<_>>().windows(2).all(|pair| {
+        let as_it_is = correlation(pair[0], pair[1]);
+        as_it_is > correlation(&turn(pair[0], columns), pair[1]).abs() / MAX_STRAIGHT_RATIO
+    });
+    let others_are = are_alike
+        && if by_darks.abs() > MIN_SIGMAS_OF_DARKS * chance {
+            by_darks > 0.0
+        } else {
+            turned.len() > rest.len()
+        };
     if others_are {
         *turned = rest.into_iter().map(|i| (i, name)).collect();
     }

@@ -100,12 +100,12 @@ fn odd_ones(campaign: &Campaign<'_>, flats: &[usize], zero_dn: f64) -> Option<(V
     Some((odd, text))
 }
 
-/// Whether a black level other than the darks' makes the parts: what a flat has of the pattern then falls
+/// Returns true if a black level other than the darks' makes the parts: what a flat has of the pattern then falls
 /// towards dim ones as the share of light in its level does. Parts are (level in DN, part of the pattern of the
 /// reference, standard error).
 fn is_of_another_zero(parts: &[(f64, f64, f64)], reference_dn: f64) -> bool {
     let expected = |level_dn: f64, zero_dn: f64| (1.0 - zero_dn / level_dn) / (1.0 - zero_dn / reference_dn);
-    // That of the dimmest flat.
+    // The dimmest flat tells it.
     let Some(&(level_dn, part, _)) = parts.iter().min_by(|a, b| a.0.total_cmp(&b.0)) else { return false };
     let zero_dn = (1.0 - part) / (1.0 / level_dn - part / reference_dn);
     let others = || parts.iter().filter(|p| p.0 > level_dn && p.0 < reference_dn);

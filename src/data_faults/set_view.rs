@@ -10,8 +10,8 @@ use crate::statistics::median::median;
 /// Standard errors by which the noise of frames contradicts lag.
 pub const MIN_SIGMAS_AGAINST_LAG: f64 = 3.0;
 
-/// Share of the samples at code 0 from which on pixels of little charge are cut off (a named choice, above the share
-/// of dead pixels).
+/// Share of the samples at code 0, beyond those of pixels that always are, from which on pixels of little charge are
+/// cut off (a named choice).
 const MAX_ZEROS: f64 = 0.005;
 
 /// Set with the statistics of its frames.
@@ -44,6 +44,8 @@ pub struct SetView {
     pub carried_error_dn: f64,
     /// Variance of the noise of its mean over that of as many independent frames.
     pub mean_noise_factor: f64,
+    /// Share of the samples at code 0 that all sets have: dead pixels and columns, masks.
+    pub(super) zeros_always: f64,
 }
 
 impl SetView {
@@ -155,11 +157,16 @@ impl SetView {
             && self.facts.ends_dn2 - near > MAX_OF_A_FILTER * (second - near).max(0.0)
     }
 
-    /// Returns true if code 0 cuts off the noise, or the pixels of least charge.
-    pub fn is_cut_off(&self) -> bool {
+    /// Share of the samples at code 0 in no long run; 0 where it is not known.
+    pub(super) fn zeros(&self) -> f64 {
         let zeros: f64 = self.facts.zeros.iter().map(Zeros::single).sum();
         let samples = self.facts.pixels * self.facts.zeros.len() as f64;
-        zeros > MAX_ZEROS * samples
+        if samples > 0.0 { zeros / samples } else { 0.0 }
+    }
+
+    /// Returns true if code 0 cuts off the noise, or the pixels of least charge.
+    pub fn is_cut_off(&self) -> bool {
+        self.zeros() - self.zeros_always > MAX_ZEROS
             || self.variance_dn2().is_some_and(|(var, _)| self.level_dn() < 4.0 * var.sqrt() + 0.5)
     }
 
@@ -224,6 +231,7 @@ mod tests {
             carried_dn: 0.0,
             carried_error_dn: 0.0,
             mean_noise_factor: 1.0,
+            zeros_always: 0.0,
         };
         [view(1.0), view(0.0)]
     }

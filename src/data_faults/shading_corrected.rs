@@ -16,6 +16,10 @@ const MIN_FLATS: usize = 3;
 const MIN_RATIO: f64 = 1.12;
 const MIN_SIGMAS: f64 = 8.0;
 
+/// Level of a cell that tells, of that of its frame.
+const MIN_LEVEL: f64 = 0.3;
+/// Largest deviation of the cells' middle ratio from 1 (a named choice).
+const MAX_OFF: f64 = 0.1;
 /// One in so many cells at either end of the range does not count.
 const OUTER: usize = 12;
 
@@ -50,16 +54,12 @@ fn range(campaign: &Campaign<'_>) -> Option<(f64, f64)> {
         return None;
     }
     flats.sort_by(|a, b| level(*a).total_cmp(&level(*b)));
-    // The variance of a level over it, between the flats; that of the nearest beyond them.
+    // The variance of a level over it, between the flats.
     let curve: Vec<(f64, f64)> = flats.iter().map(|&i| (level(i), variance(i) / level(i))).collect();
     let expected = |level_dn: f64| {
         let above = curve.partition_point(|p| p.0 < level_dn);
-        let slope = match (above.checked_sub(1).and_then(|k| curve.get(k)), curve.get(above)) {
-            (Some(a), Some(b)) => a.1 + (b.1 - a.1) * (level_dn - a.0) / (b.0 - a.0),
-            (Some(p), None) | (None, Some(p)) => p.1,
-            (None, None) => f64::NAN,
-        };
-        slope * level_dn
+        let (a, b) = (curve.get(above.checked_sub(1)?)?, curve.get(above)?);
+        Some((a.1 + (b.1 - a.1) * (level_dn - a.0) / (b.0 - a.0)) * level_dn)
     };
     let cells = campaign.sets[flats[0]].facts.cells_dn2.len();
     let of_cell = |cell: usize| -> Vec<f64> {
@@ -67,8 +67,10 @@ fn range(campaign: &Campaign<'_>) -> Option<(f64, f64)> {
             let facts = &campaign.sets[i].facts;
             let means = facts.cells_dn.iter().filter_map(|c| c.get(cell));
             let mean_dn = means.sum::<f64>() / facts.cells_dn.len().max(1) as f64;
-            let own = facts.cells_dn2.get(cell)? / expected(mean_dn - zero.at(campaign.sets[i].exposure_s));
-            own.is_finite().then_some(own)
+            let level_dn = mean_dn - zero.at(campaign.sets[i].exposure_s);
+            let own = facts.cells_dn2.get(cell)? / expected(level_dn)?;
+            // Noise that light does not make decides where little light is.
+            (level_dn > MIN_LEVEL * level(i) && own > 0.0).then_some(own)
         };
         flats.iter().filter_map(ratio).collect()
     };
@@ -81,6 +83,12 @@ fn range(campaign: &Campaign<'_>) -> Option<(f64, f64)> {
             (middle, 1.25 * scatter / (all.len() as f64).sqrt())
         })
         .collect();
+    // Light that falls on a part of the field only leaves few cells, and bands of light are in the noise of cells
+    // alone: both quantities are the same where the middle is.
+    let middle = median(ratios.iter().map(|r| r.0));
+    if 2 * ratios.len() < cells || (middle - 1.0).abs() > MAX_OFF {
+        return None;
+    }
     let std = median(ratios.iter().map(|r| r.1));
     // Dust and defect pixels stand in single cells.
     let mut sorted: Vec<f64> = ratios.iter().map(|r| r.0).collect();

@@ -9,8 +9,9 @@ use crate::number::{Quantity, six_digits, with_unit};
 use crate::statistics::median::median;
 
 /// Share of the noise from which on it is said: by as much the gain is too low (a named choice: twice the per cent
-/// that EMVA 1288 asks for).
+/// that EMVA 1288 asks for); of frames, where a lamp that settles and a little lag look alike.
 const LEAST: f64 = 0.02;
+const LEAST_OF_FRAMES: f64 = 0.05;
 /// Least significance, standard deviations.
 const SIGMAS: f64 = 5.0;
 /// Variance of a flat over that of the quietest set from which on the noise of reading is a tenth of it at
@@ -58,7 +59,10 @@ impl SharedNoise {
         let of_reading = quiet / median(flats.iter().filter_map(|i| variance(*i)));
         let every = flats.len().div_ceil(MOST_SETS).max(1);
         let flats: Vec<usize> = flats.into_iter().step_by(every).collect();
-        let is_told = |s: &Self| s.rel.abs() > LEAST.max(SIGMAS * s.std_err);
+        let is_told = |s: &Self| {
+            let least = if s.between == Between::Frames { LEAST_OF_FRAMES } else { LEAST };
+            s.rel.abs() > least.max(SIGMAS * s.std_err)
+        };
         let less_certain = |s: Self| Self { std_err: s.std_err.hypot(0.5 * of_reading * s.rel), ..s };
         // Few frames tell what the next pixels share, and not all that neighbours do.
         let of_all = of_neighbours(campaign, &flats, |n| n.share, NEIGHBOURS_VAR).filter(is_told);

@@ -10,9 +10,9 @@ use std::sync::{Arc, PoisonError};
 /// Rectangle of pixels of a frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Region {
-    /// Its rows.
+    /// Range of rows.
     pub rows: Range<usize>,
-    /// Its columns.
+    /// Range of columns.
     pub columns: Range<usize>,
 }
 

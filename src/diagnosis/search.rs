@@ -609,10 +609,13 @@ fn with_best_forms(
                 effect.id(),
                 other.evidence
             );
-            model = other.fitted;
-            // What was added last stands at the place of the form before.
-            model.effects[at..].rotate_right(1);
-            model = fit(all, &model.base, &model.effects);
+            let mut effects = other.fitted.effects;
+            // It was added last, and stands at the place of the form before.
+            effects[at..].rotate_right(1);
+            let again = fit(all, &other.fitted.base, &effects);
+            if score(all, &again) < score(all, &model) {
+                model = again;
+            }
         }
     }
     model

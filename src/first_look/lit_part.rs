@@ -2,9 +2,10 @@
 //! what lies outside of the image circle of a lens. Statistics of whole rows and columns need lines of equal pixels.
 
 use crate::data_faults::ExamineError;
-use crate::dataset::{Dataset, FrameRow, Kind, Region, Set};
+use crate::dataset::{Dataset, Kind, Region, Set};
 use crate::statistics::lit::Lit;
 use ndarray::Array2;
+use std::collections::BTreeMap;
 
 /// Share of the light's level below which a pixel of a lit part has none to speak of (a named choice: lenses leave
 /// more in the corners of the part that they are made for).
@@ -20,6 +21,8 @@ const MAX_FULL: f64 = 0.01;
 const MIN_KEPT: f64 = 0.6;
 /// Share of the pixels without light from which on these are left out by place: single ones are defect pixels.
 const MIN_BLIND: f64 = 0.005;
+/// Least side of a part that is looked at, pixels.
+const MIN_SIDE: usize = 16;
 /// Frames of a set whose mean is looked at.
 const FRAMES: usize = 2;
 
@@ -34,18 +37,13 @@ pub(crate) fn lit_part(dataset: &Dataset) -> Result<Option<(Dataset, String)>, E
         return Ok(None);
     }
     let full = dataset.manifest().camera.full_scale_dn();
-    let light = |row: &FrameRow| row.exposure_s * row.illumination;
-    let mut flats: Vec<&Set> =
-        dataset.sets().iter().filter(|s| dataset.settings(s).kind == Kind::Flat).collect();
-    flats.sort_by(|a, b| light(dataset.settings(b)).total_cmp(&light(dataset.settings(a))));
-    let darks = dataset.sets().iter().filter(|s| dataset.settings(s).kind == Kind::Dark);
-    let Some(dark) = darks.max_by_key(|s| s.rows.len().min(FRAMES)) else { return Ok(None) };
+    let of_kind = |kind: Kind| dataset.sets().iter().filter(move |s| dataset.settings(s).kind == kind);
+    let light = |set: &Set| dataset.settings(set).exposure_s * dataset.settings(set).illumination;
     let mean = |set: &Set| -> Result<Array2<f32>, ExamineError> {
         let rows = &set.rows[..set.rows.len().min(FRAMES)];
         let mut sum = Array2::zeros((0, 0));
         for row in rows {
-            let frame = dataset.frame(&dataset.rows()[*row])?;
-            let frame = frame.mapv(f32::from);
+            let frame = dataset.frame(&dataset.rows()[*row])?.mapv(f32::from);
             if sum.is_empty() { sum = frame } else { sum += &frame }
         }
         Ok(sum / rows.len().max(1) as f32)
@@ -54,20 +52,32 @@ pub(crate) fn lit_part(dataset: &Dataset) -> Result<Option<(Dataset, String)>, E
         let count = image.iter().filter(|v| **v >= f32::from(full)).count();
         count as f64 > MAX_FULL * image.len() as f64
     };
-    let mut brightest = None;
+    let mut flats: Vec<&Set> = of_kind(Kind::Flat).collect();
+    flats.sort_by(|a, b| light(b).total_cmp(&light(a)));
+    // Each position of card and light has its field: what none of them leaves in the dark is lit.
+    let mut all: BTreeMap<u32, Option<Lit>> = BTreeMap::new();
     for set in flats {
-        let image = mean(set)?;
-        if !is_full(&image) {
-            brightest = Some(image);
-            break;
+        let settings = dataset.settings(set);
+        if all.contains_key(&settings.configuration) {
+            continue;
         }
+        let flat = mean(set)?;
+        if is_full(&flat) {
+            continue;
+        }
+        let apart = |dark: &Set| (dataset.settings(dark).exposure_s / settings.exposure_s).ln().abs();
+        let Some(dark) = of_kind(Kind::Dark).min_by(|a, b| apart(a).total_cmp(&apart(b))) else {
+            return Ok(None);
+        };
+        let dark = mean(dark)?;
+        let signal = flat - &dark;
+        let closer_look = !is_full(&dark) && has_dark_part(&signal);
+        all.insert(settings.configuration, closer_look.then(|| Lit::above(&[signal], MIN_LIGHT)));
     }
-    let Some(flat) = brightest else { return Ok(None) };
-    let signal = flat - mean(dark)?;
-    if !has_dark_part(&signal) {
+    // A field that lights all of the sensor leaves no pixel in the dark.
+    let Some(found) = all.into_values().collect::<Option<Vec<Lit>>>().and_then(in_all) else {
         return Ok(None);
-    }
-    let found = Lit::above(std::slice::from_ref(&signal), MIN_LIGHT);
+    };
     let (blind, of) = (found.blind_pixels(), found.blind.len());
     if (blind as f64) < MIN_BLIND * of as f64 || found.level_dn < MIN_LEVEL_DN {
         return Ok(None);
@@ -82,9 +92,13 @@ pub(crate) fn lit_part(dataset: &Dataset) -> Result<Option<(Dataset, String)>, E
             region
         }
     };
+    if region.rows.len().min(region.columns.len()) < MIN_SIDE {
+        return Ok(None);
+    }
     let words = format!(
-        "little or no light reaches {blind} of {of} pixels (optically black, overscan, or outside of the image circle): rows {} to {} and columns \
-         {} to {} are looked at",
+        "less than {:.0} % of the light reaches {blind} of {of} pixels (optically black, overscan, outside of the image circle): rows {} to {} and \
+         columns {} to {} are looked at",
+        100.0 * MIN_LIGHT,
         region.rows.start,
         region.rows.end.saturating_sub(1),
         region.columns.start,
@@ -93,7 +107,17 @@ pub(crate) fn lit_part(dataset: &Dataset) -> Result<Option<(Dataset, String)>, E
     Ok(dataset.cut_to(region).map(|part| (part, words)))
 }
 
-/// Whether a sample of the pixels has enough dark ones for a closer look.
+/// Pixels that are dark in every field, and those that are lit in one.
+fn in_all(fields: Vec<Lit>) -> Option<Lit> {
+    fields.into_iter().reduce(|mut all, own| {
+        all.blind.zip_mut_with(&own.blind, |blind, own| *blind &= own);
+        all.lit.zip_mut_with(&own.lit, |lit, own| *lit |= own);
+        all.level_dn = all.level_dn.min(own.level_dn);
+        all
+    })
+}
+
+/// Looks at a sample of the pixels: true where enough are dark for a closer look.
 fn has_dark_part(signal: &Array2<f32>) -> bool {
     let mut sample: Vec<f32> = signal.iter().copied().step_by((signal.len() / SAMPLE).max(1)).collect();
     if sample.is_empty() {

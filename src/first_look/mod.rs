@@ -286,7 +286,7 @@ fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64, usi
     if let Some(used) = used.as_slice_mut() {
         looks.iter().flat_map(|l| &l.clipped).for_each(|&i| used[i] = false);
     }
-    // Of a dark at full scale most pixels have one code, and those that are sound lie off it.
+    // Most pixels of a dark at full scale have one code, and those that are sound lie off it.
     let is_told = |l: &&Look| !l.saturated || looks.iter().all(|l| l.saturated || l.dark.is_none());
     let darks: Vec<&Array2<f32>> = looks.iter().filter(is_told).filter_map(|l| l.dark.as_ref()).collect();
     let level = |d: &Array2<f32>| f64::from(d.mean().unwrap_or(0.0));

@@ -123,7 +123,7 @@ fn stack(bytes: &[u8], axis: Option<usize>) -> Result<Stack, String> {
         Some(1) => array = array.permuted_axes([1, 0, 2]),
         Some(2) => array = array.permuted_axes([2, 0, 1]),
         Some(_) => {}
-        None => frames_come_first(&array)?,
+        None => frames_come_first(&array, array.dim())?,
     }
     Ok(array.as_standard_layout().into_owned())
 }
@@ -147,22 +147,20 @@ fn number(b: &[u8], header: &Header) -> f64 {
     }
 }
 
-/// Refuses a stack whose first axis may not be that of the frames.
-pub fn frames_come_first(array: &Array3<f64>) -> Result<(), String> {
-    let (frames, rows, columns) = array.dim();
+/// Refuses a stack of a shape (frames, rows, columns) whose first axis may not be that of the frames, by a part of it.
+pub fn frames_come_first(array: &Array3<f64>, shape: (usize, usize, usize)) -> Result<(), String> {
+    let (frames, rows, columns) = shape;
     let other = other_axis(array);
     if columns <= NARROWEST && columns < rows && columns < frames && other.is_none() {
         return Err(format!(
-            "has the shape {:?}: {frames} frames of {columns} columns, or {columns} frames as the last axis counts them; say which: --frames-axis 2 \
-             (or 0)",
-            array.dim()
+            "has the shape {shape:?}: {frames} frames of {columns} columns, or {columns} frames as the last axis counts them; say which: \
+             --frames-axis 2 (or 0)"
         ));
     }
     match other {
         Some(other) => Err(format!(
-            "has the shape {:?}, and its pixels repeat along axis {other}, not along axis 0 as in a stack (frames, rows, columns); say which axis \
-             counts the frames: --frames-axis {other} (or 0)",
-            array.dim()
+            "has the shape {shape:?}, and its pixels repeat along axis {other}, not along axis 0 as in a stack (frames, rows, columns); say which axis \
+             counts the frames: --frames-axis {other} (or 0)"
         )),
         None => Ok(()),
     }

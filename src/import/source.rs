@@ -2,7 +2,7 @@
 
 use super::{Facts, headers, npy, ome, slice_labels, stacks};
 use crate::dataset::image::{self, Images, NUMPY, Stack, Values};
-use ndarray::{Array2, Axis};
+use ndarray::{Array3, Axis};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -165,8 +165,9 @@ impl Source {
     }
 }
 
-/// Frames of a stack that are looked at for the axis that counts them.
-const LOOKED_AT: usize = 32;
+/// Frames of a stack, and rows and columns of these, that are looked at for the axis that counts them.
+const LOOKED_AT: usize = 16;
+const CORNER: usize = 256;
 
 /// Refuses a stack of an HDF5 file whose first axis may not be that of the frames; values for each frame say that it
 /// is.
@@ -174,16 +175,24 @@ fn frames_come_first(images: &Images, stack: &Stack) -> Result<(), String> {
     if !stack.keys.is_empty() || !stack.of_frames.is_empty() || stack.frames < 2 {
         return Ok(());
     }
-    let of_page = |page: usize| -> Result<Array2<f64>, String> {
-        Ok(match images.values(page).map_err(|e| e.to_string())? {
+    let mut array = Array3::zeros((0, 0, 0));
+    let mut shape = (stack.frames, 0, 0);
+    for page in stack.first..stack.first + stack.frames.min(LOOKED_AT) {
+        let values = images.values(page).map_err(|e| e.to_string())?;
+        let size = match &values {
+            Values::Codes(codes) => codes.dim(),
+            Values::Numbers(numbers) => numbers.dim(),
+        };
+        (shape.1, shape.2) = size;
+        let corner = match values.region(0..size.0.min(CORNER), 0..size.1.min(CORNER)) {
             Values::Codes(codes) => codes.mapv(f64::from),
             Values::Numbers(numbers) => numbers,
-        })
-    };
-    let pages = stack.first..stack.first + stack.frames.min(LOOKED_AT);
-    let frames: Vec<Array2<f64>> = pages.map(of_page).collect::<Result<_, _>>()?;
-    let views: Vec<_> = frames.iter().map(|frame| frame.view()).collect();
-    let array = ndarray::stack(Axis(0), &views).map_err(|e| e.to_string())?;
-    npy::frames_come_first(&array)
+        };
+        if array.is_empty() {
+            array = Array3::zeros((0, corner.nrows(), corner.ncols()));
+        }
+        array.push(Axis(0), corner.view()).map_err(|e| e.to_string())?;
+    }
+    npy::frames_come_first(&array, shape)
         .map_err(|why| format!("{} {why}", stack.paths.first().map_or("", |p| p.as_str())))
 }

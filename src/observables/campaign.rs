@@ -320,6 +320,10 @@ pub fn of_dataset(
         successive,
         ripples: ripple::of_bands(&chunks, &settings, zero_dn),
         flickers: ripple::of_frames(&chunks, &settings, zero_dn),
+        lines: {
+            let of = |pixels: &[f32]| pixels.iter().filter(|n| **n > 0.0).count();
+            (of(&layout.row_pixels), of(&layout.column_pixels))
+        },
         row_cycles: with_peak(row_cycles(&chunks, &settings, zero_dn), &peaks[0]),
         column_cycles: with_peak(column_cycles(&chunks), &peaks[1]),
         peaks,

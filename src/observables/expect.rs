@@ -529,9 +529,9 @@ impl<'a> View<'a> {
     pub fn line_variance(&self, o: &Observable, rows: bool) -> Expected {
         let Some(s) = self.set() else { return Expected::plain(o, 0.0, 1.0) };
         let shape = self.all.campaign.shape;
-        let (axis, count) = if rows { (1, shape.0) } else { (0, shape.1) };
-        // Pixels of a line that count.
-        let width = o.pixels / count as f64;
+        let (axis, count) = if rows { (1, self.all.lines.0) } else { (0, self.all.lines.1) };
+        // Pixels that count of a line that has some.
+        let width = o.pixels / count.max(1) as f64;
         let own = if rows { self.lags.row[0] + self.lags.ripple[0] } else { self.lags.column[0] };
         let of_lines = self.stripes(rows, 0, 0.0).variance;
         let (shot, read) = if rows { self.of_rows(0) } else { (s.shot.along(axis), s.read.along(axis)) };

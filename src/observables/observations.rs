@@ -81,6 +81,8 @@ pub struct Observations {
     pub setting: Option<Setting>,
     /// Strongest peaks of the spectra of row means and of column means, where noise alone has none like it.
     pub peaks: [Option<line_peak::Peak>; 2],
+    /// Rows and columns that have pixels that count.
+    pub lines: (usize, usize),
     /// Frequencies at which row means of flats ripple, cycles per row, the strongest first.
     pub row_cycles: Vec<f64>,
     /// Ripples of a lamp by how light bands fade with the exposure.

@@ -198,6 +198,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         before_sets: Before::Frame,
         successive: None,
         peaks: [None, None],
+        lines: (0, 0),
         row_cycles: Vec::new(),
         ripples: Ripples::default(),
         flickers: Ripples::default(),

@@ -5,6 +5,7 @@ use super::median::{MAD_OF_NORMAL, median};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 use std::borrow::Borrow;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Cells along each side of a frame whose means are looked at.
@@ -123,26 +124,33 @@ pub fn cell_means(frame: &Array2<u16>) -> Vec<f64> {
     all
 }
 
-/// Half the variance of the difference of two frames in each cell of [`cell_means`], DN^2.
+/// Half the variance of the difference of two frames in each cell of [`cell_means`], DN^2, the means of the cell's
+/// rows and columns taken off.
 pub fn cell_variances(a: &Array2<u16>, b: &Array2<u16>) -> Vec<f64> {
     let (rows, columns) = a.dim();
     let (height, width) = (rows.div_ceil(CELLS).max(1), columns.div_ceil(CELLS).max(1));
-    let mut sums = vec![(0i64, 0i64, 0i64); CELLS * CELLS];
-    for (y, (a, b)) in a.outer_iter().zip(b.outer_iter()).enumerate() {
-        let at = y / height * CELLS;
-        let (a, b) = (a.as_slice().unwrap_or(&[]), b.as_slice().unwrap_or(&[]));
-        for ((a, b), sum) in a.chunks(width).zip(b.chunks(width)).zip(&mut sums[at..at + CELLS]) {
-            for (a, b) in a.iter().zip(b) {
-                let d = i64::from(*a) - i64::from(*b);
-                *sum = (sum.0 + 1, sum.1 + d, sum.2 + d * d);
+    let starts = |n: usize, size: usize| (0..n).step_by(size).map(move |from| from..(from + size).min(n));
+    let cells = starts(rows, height).flat_map(|ys| starts(columns, width).map(move |xs| (ys.clone(), xs)));
+    let variance = |(ys, xs): (Range<usize>, Range<usize>)| {
+        let mut of_columns = vec![0i64; xs.len()];
+        let (mut sum, mut square, mut of_rows) = (0i64, 0i64, 0.0);
+        for y in ys.clone() {
+            let mut row = 0i64;
+            for (x, column) in xs.clone().zip(&mut of_columns) {
+                let d = i64::from(a[(y, x)]) - i64::from(b[(y, x)]);
+                row += d;
+                *column += d;
+                square += d * d;
             }
+            sum += row;
+            of_rows += (row as f64).powi(2);
         }
-    }
-    let variance = |&(n, sum, square): &(i64, i64, i64)| {
-        let (n, sum) = (n as f64, sum as f64);
-        0.5 * (square as f64 - sum * sum / n) / (n - 1.0)
+        let (rows, columns) = (ys.len() as f64, xs.len() as f64);
+        let of_columns: f64 = of_columns.iter().map(|c| (*c as f64).powi(2)).sum();
+        let shared = of_rows / columns + of_columns / rows - (sum as f64).powi(2) / (rows * columns);
+        0.5 * (square as f64 - shared) / ((rows - 1.0) * (columns - 1.0))
     };
-    sums.iter().filter(|s| s.0 > 1).map(variance).collect()
+    cells.filter(|(ys, xs)| ys.len() > 1 && xs.len() > 1).map(variance).collect()
 }
 
 /// What frames of a campaign usually have.
