@@ -375,7 +375,7 @@ const NEAR: isize = 2;
 const FAR: std::ops::RangeInclusive<isize> = 6..=13;
 /// Side of the middle of a frame that tells it, and pixels that are enough: 2 % of the variance in a set.
 const SIDE: usize = 512;
-const ENOUGH: usize = SIDE * SIDE;
+pub(super) const ENOUGH: usize = SIDE * SIDE;
 /// Variance of that sum for white noise, times the pixels: a correlation has 1 / n (Box and Jenkins 1976,
 /// 2.1.6), and twice are summed two along each axis, less twice the mean of eight, and eight others, less
 /// eight times the mean of 16.

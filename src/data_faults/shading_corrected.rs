@@ -2,6 +2,7 @@
 //! noise of each place with the same factor. At one level the variance is then another one in the corners, which no
 //! raw frame has (variance and mean of all pixels lie on one line: Healey and Kondepudy 1994, eq. 35).
 
+use super::facts::ENOUGH;
 use super::set_view::SetView;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::number::six_digits;
@@ -32,7 +33,7 @@ impl Check for ShadingCorrected {
         let flats = campaign.places(|s| s.is_lit());
         let text = format!(
             "{}: at one level the noise differs by place, its variance from {} to {} of the mean: a shading correction or another gain by place is on \
-             in the camera. System gain and read noise are means over the field; switch it off",
+             in the camera, and system gain and read noise are means over the field. Switch it off for measurements",
             campaign.named(&flats),
             six_digits((100.0 * least).round() / 100.0),
             six_digits((100.0 * most).round() / 100.0)
@@ -74,13 +75,21 @@ fn range(campaign: &Campaign<'_>) -> Option<(f64, f64)> {
         };
         flats.iter().filter_map(ratio).collect()
     };
+    // A variance of so many pixels, by pairs of frames, and the median of those of the flats.
+    let square = |&i: &usize| {
+        let set = &campaign.sets[i];
+        let pairs = (set.frames() / 2).max(1) as f64;
+        let samples = (set.facts.pixels * pairs).min(ENOUGH as f64 + set.facts.pixels) / cells as f64;
+        2.0 / samples.max(1.0)
+    };
+    let of_noise = flats.iter().map(square).sum::<f64>() / flats.len() as f64;
     let ratios: Vec<(f64, f64)> = (0..cells)
         .map(of_cell)
         .filter(|all| all.len() >= MIN_FLATS)
         .map(|all| {
             let middle = median(all.iter().copied());
             let scatter = median(all.iter().map(|r| (r - middle).abs())) / MAD_OF_NORMAL;
-            (middle, 1.25 * scatter / (all.len() as f64).sqrt())
+            (middle, 1.25 * scatter.max(of_noise.sqrt()) / (all.len() as f64).sqrt())
         })
         .collect();
     // Light that falls on a part of the field only leaves few cells, and bands of light are in the noise of cells
