@@ -222,8 +222,8 @@ impl Check for DependentFrames {
                 own.0 < MAX_AVERAGED_RATIO * (left_dn2 - SIGMAS_OF_FLATS * std_dn2)
             })
         };
-        // Flats of longer exposures have the noise of a dark charge whose level the camera takes off, as a dark of
-        // their exposure has it.
+        // Flats of longer exposures have the noise of a dark charge whose level the camera takes off, as a dark
+        // of their exposure has it.
         let lit = campaign.places(|s| s.is_lit());
         let exposure_s = |i: usize| campaign.sets[i].exposure_s;
         let shortest_s = lit.iter().map(|&f| exposure_s(f)).fold(f64::INFINITY, f64::min);

@@ -381,12 +381,13 @@ pub(super) const ENOUGH: usize = SIDE * SIDE;
 /// eight times the mean of 16.
 pub(super) const NEIGHBOURS_VAR: f64 = 4.0 * (2.0 * (2.0 + 4.0 / 8.0) + 8.0 + 64.0 / 16.0);
 
-/// The same of the next pixels alone: twice are summed one along each axis, less the mean of eight.
+/// Variance of the sum over the next pixels alone, times the pixels: twice are summed one along each axis, less
+/// the mean of eight.
 pub(super) const NEXT_VAR: f64 = 4.0 * 2.0 * (1.0 + 1.0 / 8.0);
 
 /// Sum of the covariances of the difference of two frames with itself up to [`NEAR`] pixels away, over its
-/// variance, and of those one pixel along a row or a column away. Of each direction what pixels [`FAR`] away share is
-/// taken off.
+/// variance, and of those one pixel along a row or a column away. Of each direction what pixels [`FAR`] away
+/// share is taken off.
 fn shared_by_neighbours(a: &Array2<u16>, b: &Array2<u16>) -> Option<(f64, f64)> {
     let (rows, columns) = a.dim();
     let (height, width) = (rows.min(SIDE), columns.min(SIDE));
@@ -485,7 +486,8 @@ mod tests {
     use radcam_sim::rng::{PixelRng, Stream};
 
     /// White noise shares nothing within four errors over 300 pairs, and the square is what is stated within
-    /// four errors, also of the next pixels alone. Kernels whose sum is 1 have the variance that their squares sum to, and share the rest:
+    /// four errors, also of the next pixels alone. Kernels whose sum is 1 have the variance that their squares
+    /// sum to, and share the rest:
     /// the mean of two by two 3, that of three by three 8, a sharpening by 0.2 of four neighbours -0.706, all
     /// within four errors of their pairs.
     #[test]

@@ -1,5 +1,5 @@
-//! The mean of a set's frames saved among them, as its first or last file: it has less noise than they have, and is
-//! made of their noise.
+//! The mean of a set's frames saved among them, as its first or last file: it has less noise than they have, and
+//! is made of their noise.
 
 use super::set_view::SetView;
 use super::{Campaign, Check, DataFault, FaultKind};
@@ -79,8 +79,8 @@ impl Check for MeanAmongFrames {
     }
 }
 
-/// Variance of the differences to the frame at an end over that of the others', the larger of that to the next frame
-/// and that to the second next; `None` where rounding hides it.
+/// Variance of the differences to the frame at an end over that of the others', the larger of that to the next
+/// frame and that to the second next; `None` where rounding hides it.
 fn ratio(set: &SetView, end: End) -> Option<f64> {
     let (near, far) = (&set.facts.successive_dn2, &set.facts.second_dn2);
     let n = near.len();

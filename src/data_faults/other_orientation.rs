@@ -112,7 +112,7 @@ fn as_the_darks(
         "the darks' pattern in flats that are turned, less that in the others: {by_darks:.3} +- {chance:.3}"
     );
     let pattern_of = |i: usize| flats.iter().position(|f| *f == i).map(|k| &own[k]);
-    // Those that are to be the turned ones have one pattern as it is.
+    // Flats that would be the turned ones have one pattern as it is.
     let are_alike = rest.iter().filter_map(|i| pattern_of(*i)).collect::<Vec<_>>().windows(2).all(|pair| {
         let as_it_is = correlation(pair[0], pair[1]);
         as_it_is > correlation(&turn(pair[0], columns), pair[1]).abs() / MAX_STRAIGHT_RATIO

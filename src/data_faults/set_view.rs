@@ -10,8 +10,8 @@ use crate::statistics::median::median;
 /// Standard errors by which the noise of frames contradicts lag.
 pub const MIN_SIGMAS_AGAINST_LAG: f64 = 3.0;
 
-/// Share of the samples at code 0, beyond those of pixels that always are, from which on pixels of little charge are
-/// cut off (a named choice).
+/// Share of the samples at code 0, beyond those of pixels that always are, from which on pixels of little charge
+/// are cut off (a named choice).
 const MAX_ZEROS: f64 = 0.005;
 
 /// Set with the statistics of its frames.

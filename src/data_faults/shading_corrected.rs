@@ -1,6 +1,6 @@
-//! Shading that the camera corrects: a digital gain that differs by place makes the flats even, and multiplies the
-//! noise of each place with the same factor. At one level the variance is then another one in the corners, which no
-//! raw frame has (variance and mean of all pixels lie on one line: Healey and Kondepudy 1994, eq. 35).
+//! Shading that the camera corrects: a digital gain that differs by place makes the flats even, and multiplies
+//! the noise of each place with the same factor. At one level the variance is then another one in the corners,
+//! which no raw frame has (variance and mean of all pixels lie on one line: Healey and Kondepudy 1994, eq. 35).
 
 use super::facts::ENOUGH;
 use super::set_view::SetView;
@@ -12,8 +12,8 @@ use crate::statistics::median::{MAD_OF_NORMAL, median};
 const LIT: f64 = 4.0;
 /// Least number of flats that tell.
 const MIN_FLATS: usize = 3;
-/// Least ratio of the largest to the smallest variance at one level (a named choice: parts of a sensor that are read
-/// through amplifiers of their own differ by a few per cent), and its least significance.
+/// Least ratio of the largest to the smallest variance at one level (a named choice: parts of a sensor that are
+/// read through amplifiers of their own differ by a few per cent), and its least significance.
 const MIN_RATIO: f64 = 1.12;
 const MIN_SIGMAS: f64 = 8.0;
 

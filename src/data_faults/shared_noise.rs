@@ -8,15 +8,15 @@ use super::set_view::SetView;
 use crate::number::{Quantity, six_digits, with_unit};
 use crate::statistics::median::median;
 
-/// Share of the noise from which on it is said: by as much the gain is too low (a named choice: twice the per cent
-/// that EMVA 1288 asks for); of frames, where a lamp that settles and a little lag look alike.
+/// Share of the noise from which on it is said: by as much the gain is too low (a named choice: twice the per
+/// cent that EMVA 1288 asks for); of frames, where a lamp that settles and a little lag look alike.
 const LEAST: f64 = 0.02;
 const LEAST_OF_FRAMES: f64 = 0.05;
 /// Least significance, standard deviations.
 const SIGMAS: f64 = 5.0;
 /// Variance of a flat over that of the quietest set from which on the noise of reading is a tenth of it at
-/// most (a named choice): what neighbours share of that may be more or less. Where no flat has as much, those that
-/// have the second, and the share is less certain by what the noise of reading may have of it.
+/// most (a named choice): what neighbours share of that may be more or less. Where no flat has as much, those
+/// that have the second, and the share is less certain by what the noise of reading may have of it.
 const LIT: [f64; 2] = [10.0, 3.0];
 /// Covariances of neighbours over the variance that the noise of single pixels can have: the noise of a sum is no
 /// variance below 0, and a strong smoothing, a mean of 5 x 5
@@ -65,10 +65,11 @@ impl SharedNoise {
         };
         let less_certain = |s: Self| Self { std_err: s.std_err.hypot(0.5 * of_reading * s.rel), ..s };
         // Few frames tell what the next pixels share, and not all that neighbours do.
-        let of_all = of_neighbours(campaign, &flats, |n| n.share, NEIGHBOURS_VAR).filter(is_told);
-        let of_next = || of_neighbours(campaign, &flats, |n| n.of_next, NEXT_VAR).filter(is_told);
-        let all = [of_all.or_else(of_next), of_frames(campaign, &flats).filter(is_told)];
-        all.into_iter().flatten().map(less_certain).max_by(|a, b| a.rel.abs().total_cmp(&b.rel.abs()))
+        let told = |found: Option<Self>| found.map(less_certain).filter(is_told);
+        let of_all = told(of_neighbours(campaign, &flats, |n| n.share, NEIGHBOURS_VAR));
+        let of_next = || told(of_neighbours(campaign, &flats, |n| n.of_next, NEXT_VAR));
+        let all = [of_all.or_else(of_next), told(of_frames(campaign, &flats))];
+        all.into_iter().flatten().max_by(|a, b| a.rel.abs().total_cmp(&b.rel.abs()))
     }
 
     /// Its share of the variance that is measured.

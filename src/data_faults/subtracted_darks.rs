@@ -9,8 +9,8 @@ use crate::number::six_digits;
 /// Variance of a difference of two darks over that of one, and the relative deviation from it (a named choice).
 const OF_TWO: f64 = 2.0;
 const MAX_DEVIATION: f64 = 0.2;
-/// Share of the shorter darks' pattern, two standard errors included, up to which a longer one has lost it (a named
-/// choice).
+/// Share of the shorter darks' pattern, two standard errors included, up to which a longer one has lost it (a
+/// named choice).
 const MAX_SHARE: f64 = 0.6;
 /// Least number of flats that stay.
 const MIN_FLATS: usize = 3;

@@ -7,9 +7,9 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError};
 
-/// Rectangle of pixels of a frame.
+/// Part of a frame, rows and columns counted from 0.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Region {
+pub struct Region {
     /// Range of rows.
     pub rows: Range<usize>,
     /// Range of columns.
@@ -18,7 +18,7 @@ pub(crate) struct Region {
 
 impl Region {
     /// Number of its pixels.
-    pub fn pixels(&self) -> usize {
+    pub(crate) fn pixels(&self) -> usize {
         self.rows.len() * self.columns.len()
     }
 }

@@ -22,6 +22,7 @@ pub use emva::{DESCRIPTOR, write_descriptor};
 use examination::UNEXAMINED;
 pub(crate) use examination::{Examination, PassedOver, StruckSamples};
 pub use fault::{DataFault, FaultKind};
+pub use frames::Region;
 pub use manifest::{BenchInfo, CameraInfo, FORMAT, ImportInfo, Manifest};
 pub(crate) use rows::{Lines, MAX_EXPOSURE_S, csv_words};
 pub(crate) use table::delimiter;
@@ -30,7 +31,6 @@ pub use write::{Folder, Writer, write_whole};
 
 use crate::input::{self, echo};
 use crate::reduction::{self, Reduced};
-pub(crate) use frames::Region;
 use rows::{check_row, parse_rows, plain_name, same_settings, split_page};
 use serde::{Deserialize, Serialize};
 use std::collections::{HashMap, HashSet};

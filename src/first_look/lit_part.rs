@@ -1,5 +1,6 @@
 //! The part of the frames that gets light, where others get none: optically black and overscan columns and rows,
-//! what lies outside of the image circle of a lens. Statistics of whole rows and columns need lines of equal pixels.
+//! what lies outside of the image circle of a lens. Statistics of whole rows and columns need lines of equal
+//! pixels.
 
 use crate::data_faults::ExamineError;
 use crate::dataset::{Dataset, Kind, Region, Set};
@@ -7,8 +8,8 @@ use crate::statistics::lit::Lit;
 use ndarray::Array2;
 use std::collections::BTreeMap;
 
-/// Share of the light's level below which a pixel of a lit part has none to speak of (a named choice: lenses leave
-/// more in the corners of the part that they are made for).
+/// Share of the light's level below which a pixel of a lit part has none to speak of (a named choice: lenses
+/// leave more in the corners of the part that they are made for).
 const MIN_LIGHT: f32 = 0.3;
 /// Level of the light from which on the noise of single pixels is far below a third of it, DN (a named choice).
 const MIN_LEVEL_DN: f32 = 64.0;

@@ -31,13 +31,14 @@ mod values;
 mod words;
 mod write;
 
+pub use crate::dataset::Region;
 pub use camera::{PATTERNS, pixel_format};
 pub use facts::Facts;
 pub use listing::{Listing, list};
 pub use map::{MAP_FORMAT, Map, MapSet};
 pub use propose::propose;
 pub use scale::Scale;
-pub use sections::{Region, region_of};
+pub use sections::region_of;
 pub use source::ReadOptions;
 pub use write::{must_be_free, write};
 

@@ -147,7 +147,8 @@ fn number(b: &[u8], header: &Header) -> f64 {
     }
 }
 
-/// Refuses a stack of a shape (frames, rows, columns) whose first axis may not be that of the frames, by a part of it.
+/// Refuses a stack of a shape (frames, rows, columns) whose first axis may not be that of the frames, by a part
+/// of it.
 pub fn frames_come_first(array: &Array3<f64>, shape: (usize, usize, usize)) -> Result<(), String> {
     let (frames, rows, columns) = shape;
     let other = other_axis(array);

@@ -311,7 +311,8 @@ pub fn darks_on_the_line(sets: &mut [Growing]) {
 
 /// Questions files that keep fewer bits than the others: 8 bits of 12 are another gain.
 pub fn fewer_bits(sets: &mut [Growing], found: &[Found]) {
-    // Floating-point numbers have as many bits as their writer likes, and negative whole ones no more than others.
+    // Floating-point numbers have as many bits as their writer likes, and negative whole ones no more than
+    // others.
     let bits = |f: &Found| if f.is_rounded && f.stored_bits > 16 { 32 } else { f.stored_bits.min(32) };
     let most = found.iter().map(bits).max().unwrap_or(0);
     for set in sets.iter_mut() {

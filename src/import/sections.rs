@@ -1,17 +1,9 @@
 //! Overscan that FITS headers state: TRIMSEC, DATASEC and BIASSEC, sections as IRAF writes them.
 
 use super::Facts;
+use crate::dataset::Region;
 use ndarray::{ArrayBase, ArrayView2, Data, Ix2, s};
 use std::ops::Range;
-
-/// Part of a frame that light reaches.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Region {
-    /// Rows.
-    pub rows: Range<usize>,
-    /// Columns.
-    pub columns: Range<usize>,
-}
 
 impl Region {
     /// The part of a frame.

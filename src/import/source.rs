@@ -169,8 +169,8 @@ impl Source {
 const LOOKED_AT: usize = 16;
 const CORNER: usize = 256;
 
-/// Refuses a stack of an HDF5 file whose first axis may not be that of the frames; values for each frame say that it
-/// is.
+/// Refuses a stack of an HDF5 file whose first axis may not be that of the frames; values for each frame say that
+/// it is.
 fn frames_come_first(images: &Images, stack: &Stack) -> Result<(), String> {
     if !stack.keys.is_empty() || !stack.of_frames.is_empty() || stack.frames < 2 {
         return Ok(());

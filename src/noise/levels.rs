@@ -170,9 +170,9 @@ const COARSE: f64 = 0.25;
 
 /// Share of clipped samples from which a level's variance is off by more than its error.
 const CLIPPED: f64 = 1e-4;
-/// The same of darks and dim flats at code 0, which their read noise alone reaches: of normal noise that is cut off three standard
-/// deviations below its mean, one sample in 740, the variance is 0.25 % too small (the integral of (z^2 - 9) over the
-/// tail).
+/// Share of samples at code 0 from which on the variance of a dark or dim flat is off by more than its error:
+/// normal noise that is cut off three standard deviations below its mean, one sample in 740, has 0.25 % less
+/// (the integral of (z^2 - 9) over the tail).
 const CLIPPED_AT_BLACK: f64 = 1.35e-3;
 
 /// Why a single frame takes no part.

@@ -148,8 +148,8 @@ pub struct NoiseReport {
     pub notes: Vec<String>,
 }
 
-/// Share of the noise that pixels or frames have in common from which on the gain is no result (a named choice: most
-/// sensors have some crosstalk).
+/// Share of the noise that pixels or frames have in common from which on the gain is no result (a named choice:
+/// most sensors have some crosstalk).
 const MAX_SHARED: f64 = 0.05;
 
 impl NoiseReport {

@@ -1,7 +1,7 @@
 //! Sample variance of a pixel over a few frames whose noise is correlated in time.
 //!
-//! With R the correlation matrix of n frames, A = C R C is the same about their mean (C = 1 - 1/n). All sums need time
-//! linear in n, since R depends on the distance of two frames only.
+//! With R the correlation matrix of n frames, A = C R C is the same about their mean (C = 1 - 1/n). All sums need
+//! time linear in n, since R depends on the distance of two frames only.
 
 /// Correlations of a pixel's noise in n successive frames.
 pub struct CorrelatedFrames {
@@ -40,8 +40,8 @@ impl CorrelatedFrames {
         each.sum::<f64>() / (self.n() - 1.0)
     }
 
-    /// Relative variance of the sample variance beyond that of independent frames, 2 / (n - 1): 2 tr A^2 / (tr A)^2
-    /// (quadratic form of normal numbers: Mathai and Provost 1992, section 3.2b).
+    /// Relative variance of the sample variance beyond that of independent frames, 2 / (n - 1): 2 tr A^2 / (tr
+    /// A)^2 (quadratic form of normal numbers: Mathai and Provost 1992, section 3.2b).
     pub fn spread(&self) -> f64 {
         let n = self.n();
         let square = |r: &f64| r * r;
@@ -53,8 +53,8 @@ impl CorrelatedFrames {
         2.0 * squares / (trace * trace).max(1e-12) - 2.0 / (n - 1.0)
     }
 
-    /// Mean square over the square of the mean, less 1, of the variances of the deviations of each frame from the mean
-    /// of the frames before it, scaled to one frame; 0 for independent frames.
+    /// Mean square over the square of the mean, less 1, of the variances of the deviations of each frame from the
+    /// mean of the frames before it, scaled to one frame; 0 for independent frames.
     pub fn unlike(&self) -> f64 {
         // Correlations of a frame to those before it, and among these.
         let (mut to, mut among) = (0.0, 1.0);
@@ -76,9 +76,9 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// 40 000 draws each of a running average of weight 0.4 and of a mean of the last two frames: mean and relative
-    /// variance of the sample variance, and mean product of successive residuals, within five standard errors of ten
-    /// parts of the draws.
+    /// 40 000 draws each of a running average of weight 0.4 and of a mean of the last two frames: mean and
+    /// relative variance of the sample variance, and mean product of successive residuals, within five standard
+    /// errors of ten parts of the draws.
     #[test]
     fn sample_variances_scatter_as_stated() {
         const PARTS: usize = 10;

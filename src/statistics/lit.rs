@@ -34,7 +34,7 @@ impl Lit {
         Self::above(images, MIN_LIGHT)
     }
 
-    /// The same for another share of the light's level.
+    /// Finds them by another share of the light's level.
     pub fn above(images: &[Array2<f32>], min_light: f32) -> Self {
         let Some(first) = images.first() else {
             let none = || Array2::default((0, 0));

@@ -19,8 +19,9 @@ const STRUCK: f32 = 8.0;
 const BESIDE: f32 = 4.0;
 /// The same over the noise of the pixel's own other frames, which five of them tell to a third.
 const OF_OWN: f32 = 4.0;
-/// Share of the pixels at the largest code from which on the noise is that of the largest ranges, and the factor that
-/// these may have lost there (named choices): of a pixel at full scale on average half of the noise is cut off.
+/// Share of the pixels at the largest code from which on the noise is that of the largest ranges, and the factor
+/// that these may have lost there (named choices): of a pixel at full scale on average half of the noise is cut
+/// off.
 const MANY_AT_TOP: f64 = 0.2;
 const CUT_RANGES: f32 = 2.0;
 /// Range of two to eight normal numbers that one in twenty exceeds, in standard deviations (Harter 1960).
@@ -124,8 +125,8 @@ pub fn cell_means(frame: &Array2<u16>) -> Vec<f64> {
     all
 }
 
-/// Half the variance of the difference of two frames in each cell of [`cell_means`], DN^2, the means of the cell's
-/// rows and columns taken off.
+/// Half the variance of the difference of two frames in each cell of [`cell_means`], DN^2, the means of the
+/// cell's rows and columns taken off.
 pub fn cell_variances(a: &Array2<u16>, b: &Array2<u16>) -> Vec<f64> {
     let (rows, columns) = a.dim();
     let (height, width) = (rows.div_ceil(CELLS).max(1), columns.div_ceil(CELLS).max(1));

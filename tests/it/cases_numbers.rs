@@ -256,8 +256,9 @@ fn configurations(dataset: &str) {
 /// Light at a row and a column.
 type Shape<'a> = &'a dyn Fn(usize, usize) -> f64;
 
-/// Case 19: an image circle smaller than the sensor, optically black columns, and a black border. They are blind, K of
-/// the rest has its 1 %, and statistics of whole rows and columns are those of the lit part: nothing is missing.
+/// Case 19: an image circle smaller than the sensor, optically black columns, and a black border. They are blind,
+/// K of the rest has its 1 %, and statistics of whole rows and columns are those of the lit part: nothing is
+/// missing.
 #[test]
 fn pixels_without_light_are_blind_and_the_rest_is_measured() {
     let circle = |y: usize, x: usize| {

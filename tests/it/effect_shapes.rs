@@ -151,8 +151,8 @@ fn a_mean_of_the_last_frames_is_named() {
     assert!(d.missing[1..].iter().all(|m| m.share < 1e-6), "{:#?}", d.missing);
 }
 
-/// Ripple of a supply where all columns of a row are converted at once: the same in a row, a sine down them, of another
-/// phase in each frame. Before, it was row noise and something unknown.
+/// Ripple of a supply where all columns of a row are converted at once: the same in a row, a sine down them, of
+/// another phase in each frame. Before, it was row noise and something unknown.
 #[test]
 fn stripes_of_rows_in_the_dark_are_interference() {
     let model = unit(334);

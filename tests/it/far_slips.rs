@@ -551,8 +551,8 @@ fn bright_flats_that_are_turned_are_named() {
     is_named(&campaign, "other-settings", &flats[3..], "turned by 180 degrees");
 }
 
-/// Darks of a hot sensor at full scale in most pixels: what is left of them decides nothing. Before, a bend of 16 % was
-/// named.
+/// Darks of a hot sensor at full scale in most pixels: what is left of them decides nothing. Before, a bend of 16
+/// % was named.
 #[test]
 fn a_dark_at_full_scale_decides_nothing() {
     let shares = [0.2, 0.4, 0.6, 0.8, 0.95];

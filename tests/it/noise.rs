@@ -338,8 +338,8 @@ fn the_noise_of_clamped_charge_is_no_gain() {
     }
 }
 
-/// The same beside flats of one exposure: a shorter dark has less noise, and is no average. Before, it was left out,
-/// and the read noise was that of the charge.
+/// Dark charge whose level the camera takes off, beside flats of one exposure: a shorter dark has less noise, and
+/// is no average. Before, it was left out, and the read noise was that of the charge.
 #[test]
 fn a_short_dark_of_clamped_charge_is_no_average() {
     let folder = tempfile::tempdir().unwrap();
@@ -371,8 +371,8 @@ fn a_short_dark_of_clamped_charge_is_no_average() {
     }
 }
 
-/// Two frames a set of pixels that share 3 % of their charge with each of four neighbours: what the next pixels share
-/// is said, with the gain, where what all neighbours share is not told.
+/// Two frames a set of pixels that share 3 % of their charge with each of four neighbours: what the next pixels
+/// share is said, with the gain, where what all neighbours share is not told.
 #[test]
 fn noise_that_few_frames_share_is_said() {
     let campaign = sweep(&[0.3, 0.5, 0.7, 0.95], &[0.3, 0.5, 0.7, 0.95], 2, 268);

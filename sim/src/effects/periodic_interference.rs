@@ -2,8 +2,8 @@
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
-/// A sine with a new phase in every frame: in read-out order, where it goes on while the rows are blanked, in step with
-/// the rows, or by row.
+/// A sine with a new phase in every frame: in read-out order, where it goes on while the rows are blanked, in
+/// step with the rows, or by row.
 pub struct PeriodicInterference;
 
 /// Ways in which a disturbance meets the read-out.
@@ -102,8 +102,8 @@ impl Effect for PeriodicInterference {
     }
 
     /// Starts at the strongest line, which is one tooth of a comb where rows are blanked, on either side of it with
-    /// the phase that puts the tooth there, and at the strongest stripes of columns and of rows. No line, no stripes:
-    /// no start.
+    /// the phase that puts the tooth there, and at the strongest stripes of columns and of rows. No line, no
+    /// stripes: no start.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let columns = seen.columns.max(2.0);
         let start = |cycles_per_px: f64, blanking: f64, shape: f64| {
