@@ -14,6 +14,14 @@ pub(crate) const SHAPE: Parameter = Parameter {
     starts: &[0.0, 1.0],
 };
 
+/// Choice of light: daylight fades by the same share each second.
+pub(crate) const SHAPE_OF_LIGHT: Parameter = Parameter {
+    meaning: "0: a straight line in time, 1: it settles, 2: it fades or grows by the same share each second",
+    max: 2.0,
+    starts: &[0.0, 1.0, 2.0],
+    ..SHAPE
+};
+
 /// Time constant of the second.
 pub(crate) const TAU: Parameter = Parameter {
     name: "tau_s",
@@ -29,21 +37,29 @@ pub(crate) const fn relative_rate(meaning: &'static str) -> Parameter {
     Parameter { name: "rel_per_s", meaning, unit: "1/s", min: -0.05, max: 0.05, starts: &[1e-4, -1e-4] }
 }
 
-/// Excess of light or gain at the start.
-pub(crate) const fn relative_excess(meaning: &'static str) -> Parameter {
-    Parameter { name: "rel", meaning, unit: "1", min: -0.5, max: 0.5, starts: &[0.01] }
+/// Excess of light or gain at the start, up to so much.
+pub(crate) const fn relative_excess(meaning: &'static str, max: f64) -> Parameter {
+    Parameter { name: "rel", meaning, unit: "1", min: -max, max, starts: &[0.01] }
 }
 
 /// Time constants that a search starts from, in durations of the campaign.
 const PARTS: [f64; 2] = [0.1, 0.4];
 
 fn settles(p: &[f64]) -> bool {
-    p[0] >= 0.5
+    p[0].round() as i32 == 1
+}
+
+fn fades(p: &[f64]) -> bool {
+    p[0].round() as i32 == 2
 }
 
 /// Change at a time.
 pub(crate) fn change(p: &[f64], time_s: f64) -> f64 {
-    if settles(p) { p[2] * libm::exp(-time_s / p[3].max(1e-9)) } else { p[1] * time_s }
+    match p {
+        _ if settles(p) => p[2] * libm::exp(-time_s / p[3].max(1e-9)),
+        _ if fades(p) => libm::expm1(p[1] * time_s),
+        _ => p[1] * time_s,
+    }
 }
 
 /// Use of a parameter by a shape.
@@ -53,7 +69,11 @@ pub(crate) fn uses(p: &[f64], parameter: usize) -> bool {
 
 /// The shape in words.
 pub(crate) fn form(p: &[f64]) -> &'static str {
-    if settles(p) { "it settles" } else { "straight in time" }
+    match p {
+        _ if settles(p) => "it settles",
+        _ if fades(p) => "by the same share each second",
+        _ => "straight in time",
+    }
 }
 
 /// Starts with these changes per second, and with this excess.

@@ -17,6 +17,7 @@ use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::{six_digits, with_error};
 use crate::statistics::median::median;
+use crate::statistics::quantisation::QUANTISATION_DN2;
 use std::collections::BTreeMap;
 
 /// Standard deviations from 1 of the pattern in the flats from which on darks are other ones.
@@ -40,6 +41,8 @@ const MAX_LONGER: f64 = 20.0;
 /// Least change of level within a dark set that shows light carried over from earlier frames, relative to the
 /// brightest flat's signal (a named choice: no black level moves by as much).
 const MIN_CARRIED_REL: f64 = 0.02;
+/// Most darks of which every pair is tried.
+const MAX_DARKS_FOR_PAIRS: usize = 8;
 /// Ratio of the darks' exposures from which on they tell the growth of the pattern.
 const MIN_EXPOSURE_RATIO: f64 = 1.5;
 /// Usual bend of a response at the highest level, of the range, scatter of a lamp, and least error of a
@@ -47,9 +50,11 @@ const MIN_EXPOSURE_RATIO: f64 = 1.5;
 const USUAL_BEND: f64 = 0.2;
 const LAMP_SCATTER: f64 = 0.002;
 const MIN_STD_DN: f64 = 0.02;
-/// Standard deviations of the noise by which the black level of the darks is not that of the flats, and
-/// within which it is the one that the level tells.
-const BLACK: (f64, f64) = (6.0, 3.0);
+/// Standard deviations of the noise by which the black level of the darks is not that of the flats, within
+/// which it is the one that the level tells, and the least difference of their squares (named choices: the level
+/// says so too).
+const BLACK: (f64, f64) = (4.0, 3.0);
+const MIN_DIFFERENCE_OF_SQUARES: f64 = 9.0;
 /// Largest error of the flats' level at zero light, relative to that of the darks, that tells
 /// dark-subtracted flats and lost bits from a coincidence (a named choice).
 const MAX_REL_ERROR_AT_ZERO: f64 = 0.12;
@@ -60,6 +65,9 @@ const MIN_REL_TOLERANCE: f64 = 0.01;
 const MIN_SIGMAS_OF_LOST_BITS: f64 = 4.0;
 /// Largest number of lost bits that is looked for.
 const MAX_LOST_BITS: u32 = 8;
+/// Least ratio of the noise of the darks to that of the flats at zero light by which they are of another gain (a
+/// named choice).
+const MIN_VARIANCE_RATIO: f64 = 1.6;
 /// Least difference of the black levels that is said, DN.
 const MIN_BLACK_DN: f64 = 2.0;
 
@@ -84,6 +92,9 @@ impl Check for DarksOfFlats {
             most - least > MIN_CARRIED_REL * (brightest - least)
         };
         let darks = campaign.places(|s| s.kind == Kind::Dark && usable(s) && !is_long(s));
+        // Darks whose noise rounding hides have a level.
+        let has_level = |s: &SetView| s.has_pattern() && !s.is_cut_off() && !is_long(s);
+        let with_level = campaign.places(|s| s.kind == Kind::Dark && has_level(s));
         let mut flats = campaign.flats_by_field();
         flats.values_mut().for_each(|sets| sets.retain(|&i| usable(&campaign.sets[i])));
         // One level has no line.
@@ -91,13 +102,14 @@ impl Check for DarksOfFlats {
         let of_one_size = campaign.are_of_one_size(darks.iter().chain(flats.values().flatten()));
         // Carried light has the flats' pattern, and darks after dim flats carry some as well.
         let carried = darks.iter().any(|&i| carries(&campaign.sets[i]));
-        if darks.is_empty() || flats.is_empty() || !of_one_size || carried {
+        if with_level.is_empty() || flats.is_empty() || !of_one_size || carried {
             return Vec::new();
         }
         let Some(response) = Response::of(campaign, &flats, &zero) else { return Vec::new() };
-        let verdict = of_pattern(campaign, &darks, &flats, &zero, &response)
-            .map(Verdict::new)
-            .or_else(|| of_black_level(campaign, &darks, &zero, &response));
+        let pattern =
+            if darks.is_empty() { None } else { of_pattern(campaign, &darks, &flats, &zero, &response) };
+        let verdict =
+            pattern.map(Verdict::new).or_else(|| of_black_level(campaign, &with_level, &zero, &response));
         let Some(Verdict { text, flats_are_dark_subtracted }) = verdict else { return Vec::new() };
         campaign.flats_are_dark_subtracted = flats_are_dark_subtracted;
         let all = campaign.places(|s| s.kind == Kind::Dark);
@@ -199,13 +211,29 @@ fn of_pattern(
     of_flats.iter_mut().for_each(|w| *w /= total);
     // Exposure whose dark charge the value at zero signal has.
     let exposure_s: f64 = sets.iter().zip(&of_flats).map(|(&i, w)| w * campaign.sets[i].exposure_s).sum();
-    let of_darks = at_exposure(campaign, darks, exposure_s)?;
     let (offsets, _) = combined(campaign, &sets, &of_flats);
-    let (pattern, noise_dn2) = combined(campaign, darks, &of_darks);
-    let noise = Noise::of_darks(noise_dn2);
-    let (part, std) = share(&offsets, &pattern, noise, columns)?;
-    tracing::debug!("darks' pattern in the flats: {part:.3} +- {std:.3}");
+    let part_of = |darks: &[usize]| {
+        let of_darks = at_exposure(campaign, darks, exposure_s)?;
+        let (pattern, noise_dn2) = combined(campaign, darks, &of_darks);
+        let noise = Noise::of_darks(noise_dn2);
+        let (part, std) = share(&offsets, &pattern, noise, columns)?;
+        tracing::debug!("darks' pattern in the flats: {part:.3} +- {std:.3}");
+        Some((part, std, pattern, noise))
+    };
+    let (part, std, pattern, noise) = part_of(darks)?;
     if (part - 1.0).abs() < MIN_SIGMAS * std {
+        return None;
+    }
+    // One dark of another charge (a warm sensor, a wrong label), or two, turn the line of all: what is of all darks
+    // is told without any of them too.
+    let is_told_without = |odd: &[usize]| {
+        let others: Vec<usize> = darks.iter().copied().filter(|d| !odd.contains(d)).collect();
+        let off = |(part, std): (f64, f64)| (part - 1.0).abs() >= MIN_SIGMAS * std;
+        others.len() < 2 || part_of(&others).is_none_or(|(part, std, ..)| off((part, std)))
+    };
+    let mut pairs = darks.iter().enumerate().flat_map(|(k, a)| darks[..k].iter().map(move |b| [*a, *b]));
+    let by_singles = darks.iter().all(|d| is_told_without(&[*d]));
+    if !by_singles || darks.len() <= MAX_DARKS_FOR_PAIRS && !pairs.all(|odd| is_told_without(&odd)) {
         return None;
     }
     let frames = "the fixed pattern of these darks";
@@ -254,7 +282,7 @@ fn of_black_level(
         return None;
     }
     let all_darks = campaign.places(|s| s.kind == Kind::Dark);
-    let transfer = Transfer::of(campaign, zero, &all_darks)?;
+    let transfer = Transfer::by_pixels(campaign, zero, &all_darks)?;
     // Noise of the shortest dark against that of the flats, at its level and where they have no light.
     let shortest = *darks
         .iter()
@@ -262,9 +290,10 @@ fn of_black_level(
     let (var_dn2, pairs) = campaign.sets[shortest].variance_dn2()?;
     let own = var_dn2 * (3.0 / (campaign.sets[shortest].facts.pixels * pairs)).sqrt().hypot(MODEL_ERROR);
     // Deviation of the darks' noise, times a factor, from that of the flats at a level, standard deviations.
+    // Rounding comes after a gain.
     let off = |above_dn: f64, factor: f64| {
         let (expected, std) = transfer.expected_dn2(above_dn);
-        (factor * var_dn2 - expected) / std.hypot(factor * own)
+        (factor * (var_dn2 - QUANTISATION_DN2) + QUANTISATION_DN2 - expected) / std.hypot(factor * own)
     };
     let (at_dark, at_black) = (off(0.0, 1.0), off(black_dn, 1.0));
     tracing::debug!(
@@ -272,7 +301,7 @@ fn of_black_level(
     );
     let zero_dn = zero.at(campaign.sets[shortest].exposure_s);
     let of_flats_dn = zero_dn + black_dn;
-    let is_known = std < MAX_REL_ERROR_AT_ZERO * zero_dn;
+    let is_known = std < MAX_REL_ERROR_AT_ZERO * zero_dn.max(of_flats_dn);
     let tolerance_dn = (2.0 * std).max(MIN_REL_TOLERANCE * zero_dn);
     if is_known && at_black.abs() < BLACK.1 && of_flats_dn.abs() < tolerance_dn {
         return Some(Verdict {
@@ -289,20 +318,41 @@ fn of_black_level(
         let factor = f64::from(1u32 << bits);
         let is_multiple = (of_flats_dn - factor * zero_dn).abs() < tolerance_dn.max(factor);
         let noise_agrees = off(black_dn, factor * factor).abs() < BLACK.1;
-        is_known && is_multiple && noise_agrees && at_black.abs() > MIN_SIGMAS_OF_LOST_BITS
+        is_known && is_multiple && noise_agrees
     });
-    if let Some(bits) = lost_bits {
-        let factor = 1u32 << bits;
+    let lost = lost_bits.map(|bits| 1u32 << bits);
+    if let Some(factor) = lost.filter(|_| at_black.abs() > MIN_SIGMAS_OF_LOST_BITS) {
         return Some(Verdict::new(format!(
             "level and noise are those of the flats at zero light divided by {factor}: the darks lost their last bits"
         )));
     }
-    let is_black = at_dark.abs() > BLACK.0 && at_black.abs() < BLACK.1;
+    let is_black = at_dark.abs() > BLACK.0
+        && at_black.abs() < BLACK.1
+        && at_dark.powi(2) - at_black.powi(2) > MIN_DIFFERENCE_OF_SQUARES;
+    let (left_dn2, _) = transfer.expected_dn2(black_dn);
+    let ratio = var_dn2 / left_dn2.max(QUANTISATION_DN2);
+    let is_other = at_dark.abs() > BLACK.0
+        && at_black.abs() > BLACK.1
+        && !(MIN_VARIANCE_RATIO.recip()..MIN_VARIANCE_RATIO).contains(&ratio);
+    if is_other {
+        return Some(Verdict::new(format!(
+            "of another gain, bit depth or camera than the flats: these have {:.0} ± {std:.0} DN and a variance of {} DN² at zero light, and the \
+             darks {zero_dn:.0} DN and {} DN²",
+            of_flats_dn.round() + 0.0,
+            six_digits((100.0 * left_dn2).round() / 100.0),
+            six_digits((100.0 * var_dn2).round() / 100.0)
+        )));
+    }
     is_black.then(|| {
         Verdict::new(format!(
-            "another black level than the flats, {} DN {}: level and noise of the flats both say so",
+            "another black level than the flats, {} DN {}: level and noise of the flats both say so{}",
             six_digits(black_dn.abs()),
-            if black_dn > 0.0 { "lower" } else { "higher" }
+            if black_dn > 0.0 { "lower" } else { "higher" },
+            lost.map_or(String::new(), |factor| {
+                format!(
+                    "; or they lost their last bits: their level is that of the flats divided by {factor}"
+                )
+            })
         ))
     })
 }

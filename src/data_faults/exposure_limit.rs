@@ -4,6 +4,7 @@
 use super::campaign::Zero;
 use super::transfer::{Transfer, above};
 use super::{Campaign, Check, DataFault, FaultKind};
+use crate::dataset::Kind;
 use crate::number::six_digits;
 use crate::statistics::median::median;
 
@@ -72,6 +73,11 @@ impl Check for ExposureLimit {
             if end == End::Longest && !have_noise_of_level(campaign, &zero, &beyond) {
                 continue;
             }
+            // Darks of such exposures are no longer (or shorter) either, and nothing tells it but the limit.
+            let mut darks = campaign.places(|s| s.kind == Kind::Dark);
+            let all = darks.len();
+            darks.retain(|i| is_beyond(i));
+            darks.truncate(if darks.len() < all { darks.len() } else { 0 });
             let stated: Vec<String> =
                 beyond.iter().map(|&i| format!("{} s", six_digits(exposure_s(i)))).collect();
             let text = format!(
@@ -81,6 +87,15 @@ impl Check for ExposureLimit {
                 six_digits(limit_s),
                 if end == End::Shortest { "shorter" } else { "longer" }
             );
+            let text = match darks.as_slice() {
+                [] => text,
+                darks => format!(
+                    "{text}; the exposure of {}, darks, is as little what it says",
+                    campaign.named(darks)
+                ),
+            };
+            beyond.extend(darks);
+            beyond.sort_unstable();
             out.push((beyond, text));
         }
         let fault = |(sets, text): (Vec<usize>, String)| {

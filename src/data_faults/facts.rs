@@ -2,11 +2,13 @@
 //! pattern.
 
 use super::ExamineError;
+use super::hot_charge::{HotCharge, HotPixels};
 use super::lost_parts::Zeros;
 use super::old_data::{OldData, Search};
 use super::patterns;
-use crate::dataset::{Dataset, Set};
+use crate::dataset::{Dataset, Kind, Set};
 use crate::statistics::code_step::Occurring;
+use crate::statistics::median::median;
 use crate::statistics::outliers;
 use ndarray::{Array2, ArrayView2, s};
 use serde::{Deserialize, Serialize};
@@ -78,6 +80,9 @@ pub struct SetFacts {
     /// in files of earlier versions.
     #[serde(default)]
     pub middle_noise_dn2: f64,
+    /// Gain by the hot pixels of a dark; `None` of flats, where none tell it, and in files of earlier versions.
+    #[serde(default)]
+    pub hot_charge: Option<HotCharge>,
 }
 
 /// Covariances of neighbours over the variance, the mean of pairs of frames.
@@ -170,6 +175,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     let mut clipped = 0usize;
     let mut occurring = Occurring::default();
     let mut cells = CellVariances::default();
+    let mut hot = (dataset.settings(set).kind == Kind::Dark).then(HotPixels::default);
     for frames in in_blocks(dataset, set, stop) {
         let (frames, struck) = frames?;
         out.struck_pixels.extend(struck.into_iter().map(|pixel| pixel as u32));
@@ -183,6 +189,9 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
             if out.means_dn.is_empty() {
                 out.spread_dn2 = spread(codes);
                 out.step_dn = step(codes, full);
+            }
+            if let Some(hot) = &mut hot {
+                hot.add(codes, full);
             }
             out.means_dn.push(codes.iter().map(|v| u64::from(*v)).sum::<u64>() as f64 / out.pixels.max(1.0));
             out.cells_dn.push(outliers::cell_means(&frame));
@@ -222,6 +231,8 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
         let codes = [third, last].map(|f| f.as_slice().unwrap_or(&[]));
         out.ends_dn2 = difference(codes[0], codes[1], last.ncols()).1;
     }
+    let successive = out.successive_dn2.iter().skip(1);
+    out.hot_charge = hot.and_then(|hot| hot.finish(median(successive.copied())));
     out.cells_dn2 = cells.finish();
     out.old_data = old_data.finish();
     out.code_step_dn = step_of(&occurring);

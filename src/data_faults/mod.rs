@@ -14,6 +14,7 @@
 
 mod campaign;
 mod facts;
+mod hot_charge;
 mod law;
 mod orientation;
 mod patterns;
@@ -158,10 +159,11 @@ checks! {
     other_orientation::OtherOrientation
     other_pattern::OtherPattern
     subtracted_darks::SubtractedDarks
+    stray_dark_charge::StrayDarkCharge
     dark_labels::DarkLabels
     dark_settings::DarkSettings
     darks_of_flats::DarksOfFlats
-    averaged_flats::AveragedFlats
+    averages_of_one_kind::AveragesOfOneKind
     automatic::Automatic
     exposure_limit::ExposureLimit
     setting_label::SettingLabel

@@ -120,7 +120,12 @@ fn of_neighbours(
     variance: f64,
 ) -> Option<SharedNoise> {
     let zero = campaign.zero();
-    let known = || flats.iter().map(|&i| &campaign.sets[i]).filter(|set| set.facts.neighbours.pixels > 0.0);
+    // Pairs behind the first two frames of sets of four and more, and of frames that are left.
+    let of_kept = |set: &&SetView| {
+        let firsts = if set.kept.len() < 4 { 0 } else { 2 };
+        set.facts.neighbours.pixels > 0.0 && set.kept[firsts..].iter().all(|kept| *kept)
+    };
+    let known = || flats.iter().map(|&i| &campaign.sets[i]).filter(of_kept);
     let signal_dn = |set: &SetView| set.level_dn() - zero.as_ref().map_or(0.0, |z| z.at(set.exposure_s));
     let shared: Vec<(f64, f64)> = known().map(|set| (signal_dn(set), share(&set.facts.neighbours))).collect();
     let pixels: f64 = known().map(|set| set.facts.neighbours.pixels).sum();

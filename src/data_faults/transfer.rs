@@ -21,6 +21,7 @@ const MAX_BEND: f64 = 0.15;
 pub struct Transfer {
     law: Law,
     most: f64,
+    model_error: f64,
     /// Sets that were taken out of it as strays.
     pub strays: Vec<usize>,
     /// Sets that have so little noise that rounding decides it, at levels that have much.
@@ -30,6 +31,21 @@ pub struct Transfer {
 impl Transfer {
     /// Fits the curve to all sets except some.
     pub fn of(campaign: &Campaign<'_>, zero: &Zero, without: &[usize]) -> Option<Self> {
+        Self::with_model_error(campaign, zero, without, MODEL_ERROR)
+    }
+
+    /// Fits the curve as [`Self::of`] does, with the errors of independent pixels alone, and the scatter of the
+    /// sets where that is larger: what lies beyond the range is told more closely.
+    pub fn by_pixels(campaign: &Campaign<'_>, zero: &Zero, without: &[usize]) -> Option<Self> {
+        Self::with_model_error(campaign, zero, without, 0.0)
+    }
+
+    fn with_model_error(
+        campaign: &Campaign<'_>,
+        zero: &Zero,
+        without: &[usize],
+        model_error: f64,
+    ) -> Option<Self> {
         let usable = |i: &usize| {
             let s = &campaign.sets[*i];
             !without.contains(i)
@@ -47,7 +63,7 @@ impl Transfer {
             .iter()
             .filter_map(|&i| {
                 let (var, pairs) = campaign.sets[i].variance_dn2()?;
-                Some((above(campaign, zero, i), var, variance_error(campaign, i, pairs)))
+                Some((above(campaign, zero, i), var, pixel_error(campaign, i, pairs).hypot(model_error)))
             })
             .collect();
         let most = points.iter().map(|p| p.0).fold(1.0, f64::max);
@@ -91,7 +107,7 @@ impl Transfer {
                 })
         };
         let quiet = campaign.places(|s| s.is_lit()).into_iter().filter(is_quiet).collect();
-        Some(Self { law, most, strays, quiet })
+        Some(Self { law, most, model_error, strays, quiet })
     }
 
     /// Slope at the lowest levels: the system gain, DN/e.
@@ -123,7 +139,8 @@ impl Transfer {
         let (var, pairs) = campaign.sets[set].variance_dn2()?;
         let expected = self.law.at(&factors(above_dn / self.most)).max(MIN_VARIANCE_DN2);
         let own = factors(above_dn / self.most).iter().map(|f| f / expected).collect();
-        let point = Point { factors: own, value: 1.0, std: variance_error(campaign, set, pairs) };
+        let std = pixel_error(campaign, set, pairs).hypot(self.model_error);
+        let point = Point { factors: own, value: 1.0, std };
         Some(((var / expected).ln(), point, pixel_error(campaign, set, pairs)))
     }
 }
@@ -143,6 +160,7 @@ pub fn variance_error(campaign: &Campaign<'_>, set: usize, pairs: f64) -> f64 {
     pixel_error(campaign, set, pairs).hypot(MODEL_ERROR)
 }
 
-fn pixel_error(campaign: &Campaign<'_>, set: usize, pairs: f64) -> f64 {
+/// Relative error of a variance by independent pixels alone.
+pub fn pixel_error(campaign: &Campaign<'_>, set: usize, pairs: f64) -> f64 {
     (3.0 / (campaign.sets[set].facts.pixels.max(1.0) * pairs)).sqrt()
 }

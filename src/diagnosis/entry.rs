@@ -29,6 +29,7 @@ pub(super) fn describe(
         tied_with: None,
         evidence: Vec::new(),
         doubt: None,
+        by_the_darks_alone: false,
     }
 }
 

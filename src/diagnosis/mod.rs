@@ -34,7 +34,7 @@ use crate::inference::{
 use crate::number::Quantity;
 use crate::number::{chance, percent};
 use crate::observables::profile::LineProfile;
-use crate::observables::{NO_PATCH, NO_TIMES, Observations, STATISTICS, Setting, Statistic};
+use crate::observables::{NO_PATCH, NO_TIMES, Observations, STATISTICS, Setting, Statistic, mean};
 use crate::plan::Plan;
 use cut::{CUT, CutOff, with_cut};
 use entry::{describe, reasons};
@@ -101,6 +101,9 @@ pub struct Missing {
     /// Of `unknown`: why the nearest name is not right, where the campaign contradicts it.
     #[serde(skip)]
     pub doubt: Option<String>,
+    /// True of a bend below the dimmest flat: darks of another black level or gain than the flats look the same.
+    #[serde(skip)]
+    pub by_the_darks_alone: bool,
 }
 
 /// A rung.
@@ -210,7 +213,9 @@ pub fn diagnose(
     let remainder = remainder(all, &whole, [&first, &last], parts.is_empty());
     let forms = other_forms(all, &parts, &whole);
     let mut missing = missing(all, &parts, &whole, &forms, [&first, &last], &ladder, remainder.as_ref());
+    let dimmest_dn = dimmest_signal_dn(all, &whole);
     for m in &mut missing {
+        m.by_the_darks_alone = m.parameters.get("knee_dn").is_some_and(|knee| knee.value < dimmest_dn);
         m.evidence.extend(suspects(&m.effect, &all.left_on));
         if let Some(cut_off) = cut_off.as_ref().filter(|_| m.effect == CUT) {
             m.evidence.insert(0, cut_off.to_string());
@@ -251,6 +256,13 @@ pub fn diagnose(
         fitted: Some(whole),
         comparisons: vec![first, last],
     }
+}
+
+/// Signal of the dimmest flat, DN; infinite without flats.
+fn dimmest_signal_dn(all: &Observations, whole: &Fitted) -> f64 {
+    let is_lit = |set: usize| all.campaign.sets[set].light.is_some();
+    let lit = all.of(&mean::Mean).filter(|o| o.set.is_some_and(is_lit));
+    lit.map(|o| o.measured.value - whole.base.offset_dn).fold(f64::INFINITY, f64::min)
 }
 
 /// Fits the given model from where a search ended, if that is the larger part of what was gained.
@@ -660,6 +672,7 @@ fn unknown(parts: &[Part], doubt: Option<String>, first: &Comparison, last: &Com
         tied_with: None,
         evidence,
         doubt,
+        by_the_darks_alone: false,
     }
 }
 
@@ -699,6 +712,7 @@ mod tests {
             tied_with: None,
             evidence: Vec::new(),
             doubt: None,
+            by_the_darks_alone: false,
         };
         let order = |mut list: Vec<Missing>| -> Vec<String> {
             costliest_first(&mut list);

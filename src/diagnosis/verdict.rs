@@ -177,6 +177,9 @@ fn sentences(
         None => (p.remedy, None),
     });
     let remedy = match (first, or) {
+        _ if top.by_the_darks_alone => {
+            "; take darks and flats at the same settings, and a flat below that level".into()
+        }
         ("", _) => String::new(),
         (first, []) => format!("; remedy: {first}"),
         (_, _) => "; measure which it is before you correct anything".into(),
@@ -188,7 +191,9 @@ fn sentences(
     } else {
         String::new()
     };
-    let tie = if or.is_empty() {
+    let tie = if top.by_the_darks_alone {
+        ", or its darks have another black level or gain than the flats (no flat lies below that level, and this campaign cannot tell which)".into()
+    } else if or.is_empty() {
         String::new()
     } else {
         format!(" or {} (this campaign cannot tell which)", or.join(" or "))

@@ -1,7 +1,7 @@
 //! The lines of the standard, with the errors of their slopes: photon transfer, response, dark current, linearity.
 
 use super::points::{Dark, Temporal};
-use super::{Definitions, EmvaError};
+use super::{Definitions, EmvaError, saturation};
 use crate::fit::line::goodness;
 use crate::number::six_digits;
 
@@ -141,14 +141,28 @@ pub(super) fn fitted_points(
         t.iter().filter(below).copied().collect()
     };
     let needed = if definitions == Definitions::Release4 { 3 } else { 1 };
+    // Where nothing saturates, saturation lies beyond the brightest: all levels are below it, by how much is not known.
+    let is_beyond = t.iter().all(|p| p.signal_dn() <= most && p.flat.full_share < saturation::SHARE);
+    let within = if definitions == Definitions::Release4 && is_beyond && within.len() < needed {
+        t.iter().filter(|p| !(clipped && p.flat.zero_share > UNDERFLOW)).copied().collect()
+    } else {
+        within
+    };
     if within.len() < needed {
-        return Err(EmvaError::Missing(format!(
-            "{} of the {} exposures lie below 70 % of saturation (a signal of {} DN), and the gain needs {needed} or more; take shorter \
-             exposures or less light",
-            within.len(),
-            t.len(),
-            six_digits(limit)
-        )));
+        return Err(EmvaError::Missing(if is_beyond {
+            format!(
+                "there are {} exposures with flats and darks, and the gain needs {needed} or more",
+                within.len()
+            )
+        } else {
+            format!(
+                "{} of the {} exposures lie below 70 % of saturation (a signal of {} DN), and the gain needs {needed} or more; take \
+                 shorter exposures or less light",
+                within.len(),
+                t.len(),
+                six_digits(limit)
+            )
+        }));
     }
     let (low, high) = within
         .iter()

@@ -2,8 +2,8 @@
 
 use super::general::{General, general};
 use super::lines::{
-    UNDERFLOW, dark_lines, distinct, fitted_points, linear_range, noise_std, of_variance, signal_std,
-    transfer_lines, underflow, with_flats,
+    FIT_RANGE, UNDERFLOW, dark_lines, distinct, fitted_points, linear_range, noise_std, of_variance,
+    signal_std, transfer_lines, underflow, with_flats,
 };
 use super::points::{Dark, Points, Temporal};
 use super::saturation::{self, Saturation};
@@ -239,6 +239,12 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
     };
 
     let used = fitted_points(t, most, definitions, clipped)?;
+    if release4 && used.iter().any(|p| p.signal_dn() > FIT_RANGE * most) {
+        sheet.note(format!(
+            "K and R are fitted to all {} levels: fewer than three lie below 70 % of the brightest, and none saturates",
+            used.len()
+        ));
+    }
     let [k, r] = transfer_lines(&used, pixels, definitions, clipped);
     let k = sheet.inputs.value(k.slope, k.slope_std());
     let r = sheet.inputs.value(r.slope, r.slope_std()).scaled_by(calibration.0, -calibration.1);

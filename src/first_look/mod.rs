@@ -79,6 +79,11 @@ pub struct Look {
 }
 
 impl Look {
+    /// Temporal variance of the first two frames, DN^2.
+    pub(crate) fn var_dn2(&self) -> Option<f64> {
+        self.pair.map(|pair| pair.1)
+    }
+
     /// Whether it can be of frames of (rows, columns).
     pub fn fits(&self, shape: (usize, usize)) -> bool {
         let low = self.low.iter().map(|(i, _)| i);
@@ -124,9 +129,9 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ExamineError> 
     let near = (f64::from(full) - if reach.is_finite() { reach } else { 0.0 }).max(0.5 * f64::from(full));
     let near = (near * block.len() as f64) as f32;
     let over: Vec<bool> = sum.iter().map(|s| *s >= near && !block.is_empty()).collect();
-    // A set that is clipped as a whole says nothing of single pixels, and takes no memory.
-    out.saturated = over.iter().filter(|o| **o).count() * 50 >= sum.len().max(1);
-    if !out.saturated {
+    let number = over.iter().filter(|o| **o).count();
+    out.saturated = is_saturated(number, sum.len());
+    if number as f64 <= MAX_LISTED * sum.len() as f64 {
         out.clipped = over.iter().enumerate().filter(|(_, o)| **o).map(|(i, _)| i).collect();
     }
     out.darkest = block.first().filter(|f| kind == Kind::Dark && !f.is_empty()).map(|frame| {
@@ -157,6 +162,34 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ExamineError> 
         out.jumping = jumping(dark, &block, var);
     }
     Ok(out)
+}
+
+/// Share of the pixels up to which those at full scale are listed (a named choice): beyond, a set says nothing of
+/// single pixels, and a list takes memory.
+const MAX_LISTED: f64 = 0.05;
+
+/// Returns true if so many pixels at full scale make a saturated set of all.
+fn is_saturated(clipped: usize, pixels: usize) -> bool {
+    clipped * 50 >= pixels.max(1)
+}
+
+/// Takes pixels that are at full scale in the darks too, columns that are stuck there, for defects: they saturate
+/// no set. Saturated sets then list none.
+fn without_stuck(looks: &mut [Look], pixels: usize) {
+    let measured = || looks.iter().filter(|l| l.apart.is_some());
+    // A dark whose pixels are not listed tells nothing of single ones.
+    let is_dark = |l: &&Look| l.dark.is_some() && !(l.saturated && l.clipped.is_empty());
+    let mut darks = measured().filter(is_dark);
+    let mut stuck = darks.next().map(|l| l.clipped.clone()).unwrap_or_default();
+    for dark in darks {
+        stuck.retain(|pixel| dark.clipped.binary_search(pixel).is_ok());
+    }
+    for look in looks.iter_mut().filter(|l| l.saturated && !l.clipped.is_empty()) {
+        look.saturated = is_saturated(look.clipped.len().saturating_sub(stuck.len()), pixels);
+        if look.saturated {
+            look.clipped = Vec::new();
+        }
+    }
 }
 
 /// Largest distance of the converter's top code from full scale, of full scale: steps of codes, a black level
@@ -335,7 +368,34 @@ fn first_look(
         looks.extend(group.par_iter().map(of_set).collect::<Result<Vec<_>, _>>()?);
         progress(looks.len());
     }
+    let camera = &dataset.manifest().camera;
+    without_stuck(&mut looks, camera.height * camera.width);
     Ok(looks)
+}
+
+/// Temporal variance of a dark over that of the quietest up to which the shot noise of its charge is small beside
+/// the read noise, and up to which it counts where frames are few; the frames beyond one each that are to tell single
+/// pixels (named choices).
+const LITTLE_CHARGE: [f64; 2] = [1.3, 3.0];
+const FRAMES_OF_PIXELS: usize = 6;
+
+/// Variance up to which darks have little charge, DN^2, or as much as frames enough have.
+fn quiet_dark_dn2(dataset: &Dataset, looks: &[Look]) -> f64 {
+    let dark = |(set, look): (&crate::dataset::Set, &Look)| {
+        let (_, var_dn2) = look.pair.filter(|_| look.dark.is_some() && !look.saturated)?;
+        Some((var_dn2, set.rows.len().saturating_sub(1)))
+    };
+    let mut darks: Vec<(f64, usize)> =
+        dataset.sets().iter().zip(looks).filter_map(dark).filter(|d| d.0.is_finite()).collect();
+    darks.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let Some(quietest) = darks.first() else { return f64::INFINITY };
+    let mut frames = 0;
+    let enough = darks.iter().find(|(_, more)| {
+        frames += more;
+        frames >= FRAMES_OF_PIXELS
+    });
+    let [little, most] = LITTLE_CHARGE.map(|ratio| ratio * quietest.0);
+    enough.map_or(most, |e| e.0.clamp(little, most))
 }
 
 /// What the first look at a campaign says: what every piece is read with.
@@ -345,6 +405,8 @@ pub(crate) struct Seen {
     pub(crate) usual: outliers::Usual,
     /// Longest exposure of flats, s.
     pub(crate) longest_lit_s: f64,
+    /// Largest temporal variance of the first frames of darks that tell the read noise of single pixels, DN^2.
+    pub(crate) quiet_dark_dn2: f64,
     pub(crate) looks: Vec<Look>,
     /// Pixels that the camera fills in from their neighbours.
     pub(crate) filled: usize,
@@ -376,6 +438,7 @@ impl Seen {
             layout,
             zero_dn,
             longest_lit_s,
+            quiet_dark_dn2: quiet_dark_dn2(dataset, &looks),
             looks,
             filled,
             darkest_dn,
@@ -392,7 +455,7 @@ impl Seen {
         [layout.shape.0, layout.shape.1].iter().for_each(|n| all.update((*n as u64).to_le_bytes()));
         layout.mask.iter().for_each(|m| all.update([u8::from(*m > 0.0)]));
         layout.zero.iter().flatten().for_each(|z| all.update(z.to_le_bytes()));
-        let numbers = [layout.gain, self.zero_dn, self.longest_lit_s];
+        let numbers = [layout.gain, self.zero_dn, self.longest_lit_s, self.quiet_dark_dn2];
         numbers.iter().for_each(|n| all.update(n.to_le_bytes()));
         self.usual.numbers().iter().for_each(|n| all.update(n.to_le_bytes()));
         all.finalize().iter().map(|b| format!("{b:02x}")).collect()

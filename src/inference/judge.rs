@@ -13,7 +13,9 @@ use super::system::System;
 use super::white::White;
 use crate::agreement::{Agreement, P_LIMIT};
 use crate::data_faults::DataFault;
-use crate::observables::{Expected, Half, Observable, Observations, Statistic, lightened, mean, settling};
+use crate::observables::{
+    Expected, Half, Observable, Observations, Statistic, lightened, mean, settling, variance,
+};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use std::borrow::Cow;
@@ -186,12 +188,18 @@ struct Unseen<'a> {
     scatter: Vec<f64>,
     /// Sets whose level the fit leaves open.
     open: Vec<bool>,
+    /// Sets whose noise the fit leaves open.
+    open_noise: Vec<bool>,
 }
 
 /// Minimum error of an open level, as a part of a code and of the signal (named choices). The noise of a
 /// digitised signal follows the place between two codes, so linear error propagation fails that far off (Widrow
 /// and Kollar 2008, ch. 4).
 const OPEN: (f64, f64) = (0.25, 0.05);
+
+/// Minimum error of an open variance, as a part of it (a named choice): every other statistic of the set scatters
+/// by the noise, and a half of the frames without flats tells no gain.
+const OPEN_NOISE: f64 = 0.25;
 
 impl<'a> Unseen<'a> {
     fn new(all: &'a Observations, fitted: &'a Fitted, half: Half) -> Self {
@@ -211,17 +219,30 @@ impl<'a> Unseen<'a> {
         }
         let told = settings_told(all, fitted, half);
         let lights = lights_seen(all, half);
-        let open = vec![false; settings.len()];
+        let (open, open_noise) = (vec![false; settings.len()], vec![false; settings.len()]);
         let mut means = vec![None; settings.len()];
         for (r, o) in layout.rows.iter().enumerate().filter(|(_, o)| o.is(&mean::Mean)) {
             o.set.into_iter().for_each(|set| means[set] = Some(r));
         }
-        let mut out = Self { all, fitted, layout, state, slopes, light, lights, means, told, scatter, open };
+        let mut out = Self {
+            all,
+            fitted,
+            layout,
+            state,
+            slopes,
+            light,
+            lights,
+            means,
+            told,
+            scatter,
+            open,
+            open_noise,
+        };
         out.find_open();
         out
     }
 
-    /// Finds the sets whose level the fit leaves open: a long dark, say, that only the other half has.
+    /// Finds the sets whose level or noise the fit leaves open: a long dark, say, that only the other half has.
     fn find_open(&mut self) {
         let step = self.fitted.predict(self.all).code_step_dn;
         for (r, (o, e)) in self.layout.rows.iter().zip(&self.state.expected).enumerate() {
@@ -232,11 +253,23 @@ impl<'a> Unseen<'a> {
             let error_dn = self.judged(r, o, e).map_or(0.0, of_fit) * e.std_err;
             self.open[set] |= error_dn > OPEN.0 * step && error_dn > OPEN.1 * signal_dn;
         }
+        let is_open = |r: usize, o: &Observable, e: &Expected| {
+            let own = self.judged(r, o, e).filter(|own| own.wider.is_finite())?;
+            let error_dn2 = (own.wider * own.wider - 1.0).max(0.0).sqrt() * e.std_err;
+            (error_dn2 > OPEN_NOISE * o.measured.value.abs()).then_some(o.set?)
+        };
+        let rows = self.layout.rows.iter().zip(&self.state.expected).enumerate();
+        let variances = rows.filter(|(_, (o, _))| o.is(&variance::Variance));
+        let open: Vec<usize> = variances.filter_map(|(r, (o, e))| is_open(r, o, e)).collect();
+        open.into_iter().for_each(|set| self.open_noise[set] = true);
     }
 
     /// Standardised residual of a row; `None` for means that alone tell the light of their level, and for sets
-    /// whose level is open.
+    /// whose level, or noise, is open.
     fn judged(&self, r: usize, o: &Observable, e: &Expected) -> Option<Own> {
+        if o.set.is_some_and(|s| self.open_noise[s]) && !o.is(&mean::Mean) {
+            return None;
+        }
         let level = o.set.and_then(|s| self.all.campaign.sets[s].light);
         let sees_light = o.statistic.sees_light();
         let factor = level.and_then(|l| self.fitted.free.light_of_level.get(l).copied().flatten());

@@ -10,6 +10,9 @@ use crate::statistics::peak::{strays, turn_off};
 /// Adjacent levels on one side of the line from which on they are a curve, and no outliers.
 const CURVE: usize = 3;
 
+/// Standard errors from which on a level stands off the line of the others (a named choice).
+const OFF_SIGMAS: f64 = 6.0;
+
 /// Share of the highest level that the variance's peak has at least where wells fill: beyond it the mean
 /// hardly rises (EMVA 1288 release 4, 6.5; a named choice).
 const LEAST_PEAK: f64 = 0.5;
@@ -79,7 +82,7 @@ pub(super) fn exclude_outliers(points: &mut [Point]) -> Option<String> {
         sizes.sort_by(f64::total_cmp);
         let median = sizes[sizes.len() / 2];
         let Some(worst) = (0..z.len()).max_by(|&a, &b| z[a].abs().total_cmp(&z[b].abs())) else { break };
-        if z[worst].abs() < 6.0 || z[worst].abs() < 5.0 * median {
+        if z[worst].abs() < OFF_SIGMAS || z[worst].abs() < 5.0 * median {
             break;
         }
         found.push((used[worst], z[worst]));
@@ -92,7 +95,7 @@ pub(super) fn exclude_outliers(points: &mut [Point]) -> Option<String> {
     let side = |i: usize| found.iter().find(|f| f.0 == i).map(|f| f.1 > 0.0);
     let is_curve =
         order.chunk_by(|&a, &b| side(a) == side(b)).any(|run| run.len() >= CURVE && side(run[0]).is_some());
-    if is_curve {
+    if is_curve || are_the_darks_off(points, &found) {
         found.iter().for_each(|f| points[f.0].excluded = None);
         return None;
     }
@@ -100,6 +103,28 @@ pub(super) fn exclude_outliers(points: &mut [Point]) -> Option<String> {
     (!numbers.is_empty()).then(|| {
         let (sets, stand) = if numbers.len() == 1 { ("set", "stands") } else { ("sets", "stand") };
         format!("{sets} {} {stand} off the line of the others: not used", numbers.join(", "))
+    })
+}
+
+/// Returns true if the dimmest flat is among the levels that stand off, and lies on a line with the other flats: it
+/// is the darks that are off, in black level, gain or noise.
+fn are_the_darks_off(points: &[Point], found: &[(usize, f64)]) -> bool {
+    let is_found = |i: usize| found.iter().any(|f| f.0 == i);
+    let flats = || {
+        let known = points.iter().enumerate().filter(|(i, p)| p.excluded.is_none() || is_found(*i));
+        known.filter(|(_, p)| p.kind == Kind::Flat)
+    };
+    let dimmest = flats().min_by(|a, b| a.1.mean_dn.total_cmp(&b.1.mean_dn)).map(|(i, _)| i);
+    if !dimmest.is_some_and(is_found) || flats().count() <= CURVE {
+        return false;
+    }
+    let mut alone: Vec<Point> = flats().map(|(_, p)| p.clone()).collect();
+    alone.iter_mut().for_each(|p| p.excluded = None);
+    reweighted(&alone).is_some_and(|line| {
+        alone.iter().all(|p| {
+            let variance = residual_variance(p, line.slope, line.intercept);
+            (p.var_dn2 - line.at(p.mean_dn)).abs() < OFF_SIGMAS * variance.sqrt()
+        })
     })
 }
 

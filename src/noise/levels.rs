@@ -2,7 +2,7 @@
 
 use super::NoiseError;
 use crate::dataset::table::Table;
-use crate::dataset::{Dataset, Kind, Set};
+use crate::dataset::{DataFault, Dataset, Kind, Set};
 use crate::first_look::Seen;
 use crate::fit::line::{fit, goodness};
 use crate::number::finite;
@@ -116,6 +116,8 @@ pub struct Measured {
     pub saturated: Vec<u32>,
     /// Share of a change of level that first frames carry from the set before.
     pub carried_share: f64,
+    /// True where light is in the darks.
+    pub darks_are_lit: bool,
 }
 
 /// Reads every dark and flat. `progress` is told (sets done, sets).
@@ -154,6 +156,7 @@ pub fn measure(
         code_step_dn: dataset.code_step_dn(),
         saturated: mask.saturated,
         carried_share: dataset.carried_share(),
+        darks_are_lit: dataset.data_faults().iter().any(DataFault::is_leak),
     })
 }
 
@@ -260,6 +263,19 @@ pub fn zero(measured: &Measured) -> Zero {
     };
     let points = || darks.iter().map(|(_, _, exposure_s, l)| (*exposure_s, l.mean_dn, variance(l)));
     if let Some(line) = fit(points()) {
+        let shortest = points().min_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((_, shortest_dn, variance)) = shortest.filter(|_| measured.darks_are_lit && line.dof == 0)
+        {
+            // Light that is in one of two darks alone makes another line: the zero lies between the shorter dark and
+            // that line, anywhere.
+            let range = shortest_dn - line.intercept;
+            return Zero {
+                dn: shortest_dn - 0.5 * range,
+                std_err_dn: (range / 12f64.sqrt()).hypot(variance.sqrt()),
+                source: "between the shorter dark and the line of two darks of which one is lit",
+                moved_dn: 0.0,
+            };
+        }
         // Means that scatter more than their frames do (temperature) widen the error.
         let inflation = if line.dof > 0 { (line.chi2 / line.dof as f64).max(1.0) } else { 1.0 };
         let moved_dn = moved(points().map(|(t, mean, variance)| (mean - line.at(t), variance)), line.dof);

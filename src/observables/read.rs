@@ -221,6 +221,7 @@ struct Reader<'a, 'b> {
     clean: bool,
     /// Longest exposure of flats, s.
     longest_lit_s: f64,
+    quiet_dark_dn2: f64,
     /// The first look at each set.
     looks: &'b [Look],
 }
@@ -237,6 +238,7 @@ impl<'a, 'b> Reader<'a, 'b> {
             zero_dn: seen.zero_dn,
             clean: dataset.struck_are_rays(),
             longest_lit_s: seen.longest_lit_s,
+            quiet_dark_dn2: seen.quiet_dark_dn2,
             looks: &seen.looks,
         }
     }
@@ -418,6 +420,10 @@ impl<'a, 'b> Reader<'a, 'b> {
 
     /// Longer darks have shot noise of dark charge, which stays with its pixels too.
     fn is_short_dark(&self, set: usize) -> bool {
+        let noise_dn2 = self.looks.get(set).and_then(Look::var_dn2);
+        if noise_dn2.is_some_and(|var| var > self.quiet_dark_dn2) {
+            return false;
+        }
         let set = self.dataset.settings(&self.dataset.sets()[set]);
         set.kind == Kind::Dark && set.exposure_s <= self.longest_lit_s
     }

@@ -267,6 +267,16 @@ impl PixelNoise {
     }
 }
 
+/// Variance of the noisiest of n pixels over the mean, where its sample variance of 2 / a degrees of freedom is v times
+/// the mean. Few frames make one of many seem larger, by two and a half deviations of chi-square; a pixel far beyond
+/// what chance makes of the largest of n alike is as noisy as it looks, less that (Wilson and Hilferty 1931).
+fn of_largest(v: f64, a: f64, n: f64) -> f64 {
+    let quantile = |z: f64| (1.0 - a / 9.0 + z * (a / 9.0).sqrt()).powi(3);
+    // A normal number that one of n passes (Cramer 1946, 28.6, to first order).
+    let most = (2.0 * n.max(2.0).ln()).sqrt();
+    (v / quantile(2.5)).max(v - quantile(most))
+}
+
 /// Quantiles of a standard normal number at one and three quarters.
 const QUARTILE: f64 = 0.674_489_750_196_081_7;
 /// A pixel is noisy from so many standard deviations of the logarithm of the ordinary pixels' variances on:
@@ -388,12 +398,7 @@ impl Steady {
             spread,
             skewness: if skewness.is_finite() { skewness.max(0.0) } else { usual.skewness },
             kurtosis: if kurtosis.is_finite() { kurtosis.max(1.0) } else { usual.kurtosis },
-            // Few frames make one of many seem larger: by two and a half deviations of chi-square (Wilson and
-            // Hilferty 1931).
-            largest: all
-                .last()
-                .map_or(1.0, |v| v / (1.0 - a / 9.0 + 2.5 * (a / 9.0).sqrt()).powi(3))
-                .max(1.0),
+            largest: all.last().map_or(1.0, |v| of_largest(*v, a, n)).max(1.0),
             median: (quantile(0.5) / median_of_few).sqrt(),
             mean_dn2: mean,
             log_spread: if self.dof < TOLD { f64::NAN } else { 0.5 * log_variance.sqrt() },

@@ -61,5 +61,6 @@ mod serve;
 mod source;
 mod support;
 mod tiff_files;
+mod unlike_kinds;
 mod workbench;
 mod wrong_inputs;

@@ -34,6 +34,7 @@ fn campaign(sensor: &Sensor, number: u64) -> Measured {
         code_step_dn: 1.0,
         saturated: Vec::new(),
         carried_share: 0.0,
+        darks_are_lit: false,
     }
 }
 
@@ -193,6 +194,7 @@ fn cameras_are_recovered_within_stated_errors_zero_included() {
             code_step_dn: 1.0,
             saturated: Vec::new(),
             carried_share: 0.0,
+            darks_are_lit: false,
         };
         let zero = noise::zero(&measured);
         let offset = model.base.black_level_dn + f64::from(sensor.maps().offset_dn.mean().unwrap());

@@ -7,7 +7,7 @@ use crate::drift;
 pub struct GainDrift;
 
 const RATE: Parameter = drift::relative_rate("shape 0: change of the gain per second, relative");
-const EXCESS: Parameter = drift::relative_excess("shape 1: excess of the gain at the start, relative");
+const EXCESS: Parameter = drift::relative_excess("shape 1: excess of the gain at the start, relative", 0.5);
 
 impl Effect for GainDrift {
     fn id(&self) -> &'static str {

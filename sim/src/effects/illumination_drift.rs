@@ -1,13 +1,15 @@
-//! Illumination drift: the lamp slowly becomes brighter or darker.
+//! Illumination drift: the light slowly becomes brighter or darker.
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 use crate::drift;
 
-/// Light times 1 + rate * time, or 1 + rel * exp(-time / tau).
+/// Light times 1 + rate * time, 1 + rel * exp(-time / tau), or exp(rate * time).
 pub struct IlluminationDrift;
 
-const RATE: Parameter = drift::relative_rate("shape 0: change of the light per second, relative");
-const EXCESS: Parameter = drift::relative_excess("shape 1: excess of the light at the start, relative");
+const RATE: Parameter = drift::relative_rate("shapes 0 and 2: change of the light per second, relative");
+/// Where the lamp is switched on after the darks, the excess at the start of the campaign, where nothing is lit, is
+/// many times that at the first flat.
+const EXCESS: Parameter = drift::relative_excess("shape 1: excess of the light at the start, relative", 5.0);
 
 impl Effect for IlluminationDrift {
     fn id(&self) -> &'static str {
@@ -15,7 +17,7 @@ impl Effect for IlluminationDrift {
     }
 
     fn also_called(&self) -> &'static [&'static str] {
-        &["warm-up", "lamp drift"]
+        &["warm-up", "lamp drift", "daylight", "twilight"]
     }
 
     fn stage(&self) -> Stage {
@@ -23,13 +25,13 @@ impl Effect for IlluminationDrift {
     }
 
     fn parameters(&self) -> &'static [Parameter] {
-        &[drift::SHAPE, RATE, EXCESS, drift::TAU]
+        &[drift::SHAPE_OF_LIGHT, RATE, EXCESS, drift::TAU]
     }
 
     drift::in_time!();
 
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
-        drift::starts(&[1e-4], 0.01, seen)
+        drift::starts(&[1e-4], 0.01, seen).into_iter().chain([vec![2.0, 1e-4, 0.0, 1.0]]).collect()
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
@@ -42,8 +44,9 @@ impl Effect for IlluminationDrift {
 
     fn page(&self) -> Page {
         Page {
-            what: "The lamp warms up or ages during the campaign.",
-            equation: "shape 0: light(t) = light(0) (1 + rate t); shape 1: light(t) = light(late) (1 + rel exp(-t / tau))",
+            what: "The lamp warms up or ages during the campaign, or daylight fades.",
+            equation: "shape 0: light(t) = light(0) (1 + rate t); shape 1: light(t) = light(late) (1 + rel exp(-t / tau)); shape 2: \
+                       light(t) = light(0) exp(rate t)",
             signature: "the repeated reference level moves with time, in proportion to the light; darks stand still",
             look_alikes: "gain drift moves dark charge and noise too; offset drift moves darks and flats by the same DN",
             remedy: "let the lamp warm up; repeat a reference level and divide it out",
@@ -58,7 +61,8 @@ impl Effect for IlluminationDrift {
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
             let Some(info) = c.sets.get(frame.set).filter(|s| s.light.is_some()) else { continue };
             let light = *m - out.base.dark_e_per_s * info.exposure_s;
-            let more = drift::change(p, frame.time_s) * light;
+            // Light is never below none.
+            let more = drift::change(p, frame.time_s).max(-1.0) * light;
             *m += more;
             of_set[frame.set].0 += more;
             of_set[frame.set].1 += 1.0;

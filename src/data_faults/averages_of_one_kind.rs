@@ -1,0 +1,205 @@
+//! Flats that were all averaged before they were saved, beside darks that were not, or the reverse: no set stands
+//! out, but the two kinds have different noise.
+//!
+//! The mean of n frames has 1/n of their variance, and their rounding on top: flats and darks then lie on two
+//! photon-transfer lines (Healey and Kondepudy 1994, eqs. 35 and 43). Two witnesses tell them: the noise that the
+//! flats leave for the level of the darks, and the gain by the charge of the darks. The level of that charge may
+//! be taken off in the camera; what single hot pixels have more than others is not.
+
+use super::hot_charge::HotCharge;
+use super::set_view::SetView;
+use super::transfer::{MIN_VARIANCE_DN2, Transfer, above, pixel_error};
+use super::{Campaign, Check, DataFault, FaultKind};
+use crate::dataset::Kind;
+use crate::number::{six_digits, with_error};
+use crate::statistics::median::median;
+use crate::statistics::quantisation::QUANTISATION_DN2;
+
+/// Least number of flats that leave a noise for the darks.
+const MIN_FLATS: usize = 4;
+/// Least ratio of the noise of two kinds, or of the gains by them (a named choice): two frames make it 2.
+const MIN_RATIO: f64 = 1.6;
+/// Standard errors beyond which a ratio is told by one witness, and by another beside it (named choices).
+const MIN_SIGMAS: f64 = 5.0;
+const MIN_SIGMAS_BESIDE: f64 = 3.0;
+/// Relative difference of two gains by the charge of the darks up to which they agree (a named choice).
+const SAME_GAIN: f64 = 0.25;
+
+/// The check.
+pub struct AveragesOfOneKind;
+
+/// Value and standard error.
+type Measured = (f64, f64);
+
+/// What the darks of a campaign have and what its flats leave for them.
+struct Kinds {
+    /// Variance of each dark, and what the flats leave for its level, DN^2.
+    darks: Vec<(f64, Measured)>,
+    /// Gain by the flats, DN/e.
+    of_flats: f64,
+    /// Gain by the growth of level and noise between the darks, DN/e.
+    of_growth: Option<Measured>,
+    /// Gain by hot pixels of the darks, DN/e.
+    of_hot: Option<Measured>,
+}
+
+impl Kinds {
+    fn of(campaign: &Campaign<'_>, darks: &[usize]) -> Option<Self> {
+        let zero = campaign.zero()?;
+        let transfer = Transfer::by_pixels(campaign, &zero, darks)?;
+        let left = |i: &usize| {
+            let own_dn2 = campaign.sets[*i].variance_dn2().map_or(0.0, |v| v.0);
+            (own_dn2, transfer.expected_dn2(above(campaign, &zero, *i)))
+        };
+        let of_growth = growth(campaign, darks);
+        let of_hot = HotCharge::of_all(darks.iter().filter_map(|&i| campaign.sets[i].facts.hot_charge));
+        let all =
+            Self { darks: darks.iter().map(left).collect(), of_flats: transfer.slope(), of_growth, of_hot };
+        for (i, (own, (left, std))) in darks.iter().zip(&all.darks) {
+            tracing::debug!(
+                "set {}: variance {own:.3} DN^2, the flats leave {left:.3} +- {std:.3}",
+                campaign.sets[*i].number
+            );
+        }
+        tracing::debug!(
+            "gain by the flats {:.4}, by the growth of the darks {of_growth:?}, by hot pixels {of_hot:?}",
+            all.of_flats
+        );
+        (all.of_flats > 0.0).then_some(all)
+    }
+
+    /// Gain by the darks over that by the flats where level, noise and hot pixels agree on it.
+    fn ratio(&self) -> Option<Measured> {
+        let ((growth, growth_std), (hot, hot_std)) = self.of_growth.zip(self.of_hot)?;
+        let agree = (growth - hot).abs()
+            < SAME_GAIN * growth.max(hot) + MIN_SIGMAS_BESIDE * growth_std.hypot(hot_std);
+        // Hot pixels by themselves lie on the same side of the flats: their level is not taken off.
+        let beside = MIN_SIGMAS_BESIDE * hot_std < (hot - self.of_flats).abs()
+            && (hot > self.of_flats) == (growth > self.of_flats);
+        let weights = (growth_std.powi(-2), hot_std.powi(-2));
+        let weight = weights.0 + weights.1;
+        let mean = (growth * weights.0 + hot * weights.1) / weight;
+        (agree && beside).then_some((mean / self.of_flats, weight.powf(-0.5) / self.of_flats))
+    }
+
+    /// Standard deviations of a ratio from 1, with those of the noise that the flats leave for the darks.
+    fn sigmas(&self, (ratio, std): Measured) -> f64 {
+        let side = if ratio > 1.0 { 1.0 } else { -1.0 };
+        let of_noise = median(self.darks.iter().map(|(own, (left, std))| side * (own - left) / std));
+        (side * (ratio - 1.0) / std).hypot(of_noise.max(0.0))
+    }
+
+    /// Returns true if the charge of the darks tells the gain that the flats have.
+    fn gains_agree(&self) -> bool {
+        let is_same = |(gain, std): Measured| {
+            let off = (gain / self.of_flats).ln().abs();
+            off < 0.5 * MIN_RATIO.ln() && std < 0.5 * (MIN_RATIO - 1.0) * gain
+        };
+        self.of_hot.is_some_and(is_same) || self.of_growth.is_some_and(is_same)
+    }
+
+    /// Returns true if all darks have more noise than the flats leave.
+    fn darks_have_more(&self) -> bool {
+        self.darks.iter().all(|(own, (left, std))| {
+            *own > 2.0 * MIN_VARIANCE_DN2
+                && *own > MIN_RATIO * left.max(QUANTISATION_DN2)
+                && *own > left + MIN_SIGMAS * std
+        })
+    }
+
+    /// Returns true if all darks have less noise than the flats leave.
+    fn darks_have_less(&self) -> bool {
+        self.darks.iter().all(|(own, (left, std))| {
+            *left > 2.0 * MIN_VARIANCE_DN2 && MIN_RATIO * own < *left && *own < left - MIN_SIGMAS * std
+        })
+    }
+
+    /// Returns true if no dark has this much less (or more) noise than the flats leave.
+    fn allows(&self, darks_have_more: bool) -> bool {
+        self.darks.iter().all(|(own, (left, std))| {
+            let off = (own - left) / std;
+            if darks_have_more { off > -MIN_SIGMAS_BESIDE } else { off < MIN_SIGMAS_BESIDE }
+        })
+    }
+}
+
+/// Gain by the growth of level and noise from the dark of the lowest level to that of the highest.
+fn growth(campaign: &Campaign<'_>, darks: &[usize]) -> Option<Measured> {
+    let level = |i: &&usize| campaign.sets[**i].level_dn();
+    let low = darks.iter().min_by(|a, b| level(a).total_cmp(&level(b)))?;
+    let high = darks.iter().max_by(|a, b| level(a).total_cmp(&level(b)))?;
+    let noise = |i: usize| {
+        let (var_dn2, pairs) = campaign.sets[i].variance_dn2()?;
+        Some((var_dn2, var_dn2 * pixel_error(campaign, i, pairs)))
+    };
+    let ((low_dn2, low_std), (high_dn2, high_std)) = noise(*low).zip(noise(*high))?;
+    let (more_dn, more_dn2) = (level(&high) - level(&low), high_dn2 - low_dn2);
+    // The longest exposure has the highest level where charge makes it.
+    let is_longer = campaign.sets[*high].exposure_s > campaign.sets[*low].exposure_s;
+    let level_std = 2f64.sqrt() * campaign.dark_scatter_dn();
+    (is_longer && more_dn > MIN_SIGMAS * level_std).then(|| {
+        let std = low_std.hypot(high_std).hypot(more_dn2 / more_dn * level_std) / more_dn;
+        (more_dn2 / more_dn, std)
+    })
+}
+
+impl Check for AveragesOfOneKind {
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
+        if !campaign.is_of_one_part() {
+            return Vec::new();
+        }
+        let measured = |s: &SetView| !s.clipped && !s.is_cut_off() && s.variance_dn2().is_some();
+        let darks = campaign.places(|s| s.kind == Kind::Dark && measured(s));
+        let flats = campaign.places(|s| s.is_lit() && measured(s));
+        if darks.is_empty() || flats.len() < MIN_FLATS {
+            return Vec::new();
+        }
+        let Some(kinds) = Kinds::of(campaign, &darks) else { return Vec::new() };
+        let ratio = kinds.ratio();
+        let is_sure = ratio.is_some_and(|r| kinds.sigmas(r) > MIN_SIGMAS);
+        let of_flats = is_sure && ratio.is_some_and(|(r, _)| r > MIN_RATIO) && kinds.allows(true);
+        let of_darks = is_sure && ratio.is_some_and(|(r, _)| r * MIN_RATIO < 1.0) && kinds.allows(false);
+        // Noise alone tells it where the charge of the darks does not contradict.
+        let by_noise = !kinds.gains_agree();
+        let flats_are = of_flats || by_noise && kinds.darks_have_more();
+        let darks_are = !flats_are && (of_darks || by_noise && kinds.darks_have_less());
+        if !flats_are && !darks_are {
+            return Vec::new();
+        }
+        let own = median(kinds.darks.iter().map(|d| d.0));
+        let left = median(kinds.darks.iter().map(|d| d.1.0)).max(QUANTISATION_DN2);
+        let three = |value: f64| six_digits((1000.0 * value).round() / 1000.0);
+        let (number, witness) = match ratio.filter(|_| of_flats || of_darks) {
+            Some((r, std)) => (
+                if flats_are { r } else { r.recip() },
+                format!(
+                    "the charge of the darks has a gain of {} DN/e, and the flats have {} DN/e",
+                    with_error(r * kinds.of_flats, std * kinds.of_flats),
+                    three(kinds.of_flats)
+                ),
+            ),
+            _ => {
+                let share = (own - QUANTISATION_DN2) / (left - QUANTISATION_DN2).max(QUANTISATION_DN2);
+                (
+                    if flats_are { share } else { share.max(1e-3).recip() },
+                    format!(
+                        "the flats leave a variance of {} DN² for the level of the darks, and these have {} DN²",
+                        three(left),
+                        three(own)
+                    ),
+                )
+            }
+        };
+        let (averaged, others, sets, wrong) = if flats_are {
+            ("flats", "darks", flats, "gain and variances would be too small")
+        } else {
+            ("darks", "flats", darks, "their variance would be too small")
+        };
+        let text = format!(
+            "{}: {witness}: all {averaged} were averaged before they were saved, about {} frames each, and the {others} were not, or the darks are of other settings; {wrong} by that factor: take single frames of both",
+            campaign.named(&sets),
+            number.round().max(2.0)
+        );
+        vec![campaign.fault_of_sets(FaultKind::DependentFrames, &sets, text, true)]
+    }
+}

@@ -1,0 +1,78 @@
+//! A dark that has more charge than the line of the other darks leaves for its exposure: light fell on it, the
+//! sensor was warmer, or it was exposed longer than it says.
+//!
+//! Charge raises the level by A E and the variance by A^2 E (Healey and Kondepudy 1994, eq. 35): a black level
+//! that moved, and another gain, do not (`dark_settings`).
+
+use super::campaign::median_line;
+use super::set_view::SetView;
+use super::transfer::Transfer;
+use super::{Campaign, Check, DataFault, FaultKind};
+use crate::dataset::Kind;
+use crate::number::six_digits;
+
+/// Least number of other darks, each of an exposure of its own (a named choice): a sensor that warms up bends the
+/// line of all.
+const MIN_OTHERS: usize = 3;
+/// Least deviation over the largest of the others, least deviation in DN, and over the growth of the others where the
+/// longest exposure is the stray (named choices).
+const MIN_OVER_OTHERS: f64 = 20.0;
+const MIN_DN: f64 = 1.0;
+const MIN_OVER_GROWTH: f64 = 2.0;
+/// Usual scatter of a dark set's level, DN.
+const SET_SCATTER_DN: f64 = 0.1;
+/// Ratio of the noise to that of the charge, at least and at most (a named choice).
+const AS_CHARGE: std::ops::Range<f64> = 0.6..1.6;
+
+/// The check.
+pub struct StrayDarkCharge;
+
+impl Check for StrayDarkCharge {
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
+        let Some(zero) = campaign.zero().filter(|_| campaign.is_of_one_part()) else { return Vec::new() };
+        let told = |s: &SetView| s.variance_dn2().is_some() && !s.is_cut_off() && !s.clipped;
+        let mut darks = campaign.places(|s| s.kind == Kind::Dark && told(s) && s.is_of_one_level(&zero));
+        darks.sort_by(|a, b| campaign.sets[*a].exposure_s.total_cmp(&campaign.sets[*b].exposure_s));
+        let exposure_s = |i: usize| campaign.sets[i].exposure_s;
+        let are_single = darks.windows(2).all(|w| exposure_s(w[1]) > 1.05 * exposure_s(w[0]));
+        if darks.len() <= MIN_OTHERS || !are_single {
+            return Vec::new();
+        }
+        let Some(gain) = Transfer::of(campaign, &zero, &darks).map(|t| t.slope()).filter(|g| *g > 0.0) else {
+            return Vec::new();
+        };
+        let var_dn2 = |i: usize| campaign.sets[i].variance_dn2().map_or(f64::NAN, |v| v.0);
+        let scatter_dn = SET_SCATTER_DN.max(campaign.dark_scatter_dn());
+        let longest = darks.last().copied();
+        let stray = darks.iter().copied().find_map(|i| {
+            let others: Vec<usize> = darks.iter().copied().filter(|d| *d != i).collect();
+            let line = |of: &dyn Fn(usize) -> f64| {
+                median_line(&others.iter().map(|&d| (exposure_s(d), of(d))).collect::<Vec<_>>())
+            };
+            let level = |d: usize| campaign.sets[d].level_dn();
+            let ((dn, dn_per_s), (dn2, dn2_per_s)) = line(&level).zip(line(&var_dn2))?;
+            let off_dn = |d: usize| level(d) - dn - dn_per_s * exposure_s(d);
+            let most_of_others = others.iter().map(|&d| off_dn(d).abs()).fold(scatter_dn, f64::max);
+            let growth = others.last().map_or(0.0, |&d| level(d) - level(others[0])).abs();
+            let least = (MIN_OVER_OTHERS * most_of_others).max(MIN_DN).max(if Some(i) == longest {
+                MIN_OVER_GROWTH * growth
+            } else {
+                0.0
+            });
+            let more_dn2 = var_dn2(i) - dn2 - dn2_per_s * exposure_s(i);
+            let is_charge = AS_CHARGE.contains(&(more_dn2 / (gain * off_dn(i))));
+            // What a flat before it left behind is lag, and no slip.
+            let follows_light = i > 0 && campaign.sets[i - 1].is_lit();
+            (off_dn(i) > least && is_charge && !follows_light).then_some((i, off_dn(i)))
+        });
+        let Some((i, off_dn)) = stray else { return Vec::new() };
+        let text = format!(
+            "set {} ({}): its level is {} DN above the line of the other darks, and its noise is that of so much charge: light fell on it, the \
+             sensor was warmer, or it was exposed longer than it says",
+            campaign.sets[i].number,
+            campaign.file(i, 0),
+            six_digits((100.0 * off_dn).round() / 100.0)
+        );
+        vec![campaign.fault_of_sets(FaultKind::OtherSettings, &[i], text, true)]
+    }
+}

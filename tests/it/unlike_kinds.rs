@@ -1,0 +1,143 @@
+//! Darks and flats that do not belong together: averages of one kind, another black level, lost bits, light in one dark.
+
+use crate::import_cases::{Bench, Camera};
+use crate::support::radcam;
+use ndarray::Array2;
+use serde_json::Value;
+
+/// Gain of the camera, DN/e, its read noise, e, and that of one of its frames with rounding, DN^2.
+const GAIN: f64 = 0.5;
+const READ_E: f64 = 4.0;
+
+/// A camera with hot pixels, of 500 to 4000 e/s, and light of 100,000 e/s.
+struct Hot(Camera);
+
+impl Hot {
+    fn new(seed: u64) -> Self {
+        let mut camera = Camera::new(seed);
+        camera.size = 96;
+        Self(camera)
+    }
+
+    fn frame(&mut self, light_e: f64, exposure_s: f64) -> Array2<u16> {
+        let mut frame = self.0.frame(light_e, exposure_s);
+        for (k, hot_e_per_s) in [500.0, 1000.0, 2000.0, 4000.0].into_iter().enumerate() {
+            let hot = self.0.frame(light_e + hot_e_per_s * exposure_s, exposure_s);
+            (0..12).map(|i| (7 * i + 2 * k + 3, 5 * i + 11 * k + 2)).for_each(|at| frame[at] = hot[at]);
+        }
+        frame
+    }
+
+    /// Mean of so many frames.
+    fn mean(&mut self, of: usize, light_e: f64, exposure_s: f64) -> Array2<u16> {
+        let frames = (0..of).map(|_| self.frame(light_e, exposure_s).mapv(f64::from));
+        let sum = frames.reduce(|sum, frame| sum + frame).unwrap();
+        (sum / of as f64).mapv(|v| v.round() as u16)
+    }
+}
+
+/// A campaign of darks and flats at these exposures, ms, eight frames each, drawn by the function of light and
+/// exposure, e and s; imported. Its path.
+fn campaign(
+    bench: &Bench,
+    darks_ms: &[f64],
+    flats_ms: &[f64],
+    draw: &mut dyn FnMut(f64, f64) -> Array2<u16>,
+) -> String {
+    for (kind, exposures_ms) in [("dark", darks_ms), ("flat", flats_ms)] {
+        for ms in exposures_ms {
+            let light_e = if kind == "flat" { 100.0 * ms } else { 0.0 };
+            for i in 0..8 {
+                bench.tiff(&format!("in/{kind}_{ms}ms_{i}.tif"), &draw(light_e, ms / 1000.0));
+            }
+        }
+    }
+    bench.import("in", &["--pattern", "mono"]).0.root().to_str().unwrap().to_owned()
+}
+
+const FLATS_MS: [f64; 5] = [5.0, 10.0, 20.0, 30.0, 40.0];
+
+/// Flats that are means of two and of four frames beside single darks, and darks that are means of eight beside single
+/// flats, are named by the charge of the darks; single frames are not.
+#[test]
+fn averages_of_one_kind_are_named() {
+    for (flats, darks, seed) in [(1, 1, 273), (2, 1, 274), (4, 1, 275), (1, 8, 276)] {
+        let (bench, mut hot) = (Bench::new(), Hot::new(seed));
+        let mut draw = |light_e: f64, exposure_s: f64| {
+            hot.mean(if light_e > 0.0 { flats } else { darks }, light_e, exposure_s)
+        };
+        let path = campaign(&bench, &[10.0, 400.0], &FLATS_MS, &mut draw);
+        let output = radcam(&["noise", &path, "--json"]);
+        let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).replace('\n', " ");
+        let (averaged, of_flats) =
+            (said.contains("were averaged before they were saved"), said.contains("all flats were averaged"));
+        assert_eq!((averaged, of_flats), (flats * darks > 1, flats > 1), "{flats} {darks}: {said}");
+        assert_eq!(output.status.code(), Some(if flats > 1 { 2 } else { 0 }), "{said}");
+        if flats > 1 {
+            continue;
+        }
+        let gain = &serde_json::from_str::<Value>(&said).unwrap()["gain_dn_per_e"];
+        let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
+        assert!((value - GAIN).abs() < 4.0 * error, "{flats} {darks}: {value} +- {error}");
+    }
+}
+
+/// Darks of another black level, and darks that lost two bits, beside flats of which none is dim: named, and the gain is
+/// that of the flats.
+#[test]
+fn darks_of_another_black_level_are_named_by_bright_flats() {
+    for (lost, words, seed) in
+        [(false, "another black level than the flats", 277), (true, "lost their last bits", 278)]
+    {
+        let (bench, mut hot) = (Bench::new(), Hot::new(seed));
+        let mut draw = |light_e: f64, exposure_s: f64| {
+            let frame = hot.frame(light_e, exposure_s);
+            match (light_e > 0.0, lost) {
+                (true, false) => frame.mapv(|v| v + 60),
+                (false, true) => frame.mapv(|v| v / 4),
+                _ => frame,
+            }
+        };
+        let path = campaign(&bench, &[10.0, 20.0, 30.0], &[10.0, 20.0, 30.0, 40.0, 50.0], &mut draw);
+        let said: Value = serde_json::from_slice(&radcam(&["noise", &path, "--json"]).stdout).unwrap();
+        assert!(said["data_faults"].to_string().contains(words), "{words}: {}", said["data_faults"]);
+        let gain = &said["gain_dn_per_e"];
+        let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
+        assert!((value - GAIN).abs() < 4.0 * error, "{words}: {value} +- {error}");
+    }
+}
+
+/// Light that fell on one of five darks; it is left out, and the read noise is right.
+#[test]
+fn a_dark_with_light_in_it_is_left_out() {
+    let (bench, mut hot) = (Bench::new(), Hot::new(279));
+    let mut draw = |light_e: f64, exposure_s: f64| {
+        let stray_e = if light_e == 0.0 && exposure_s == 0.03 { 60.0 } else { 0.0 };
+        hot.frame(light_e + stray_e, exposure_s)
+    };
+    let path = campaign(&bench, &[10.0, 20.0, 30.0, 40.0, 50.0], &FLATS_MS, &mut draw);
+    let said: Value = serde_json::from_slice(&radcam(&["noise", &path, "--json"]).stdout).unwrap();
+    let text = said["data_faults"].to_string();
+    assert!(text.contains("above the line of the other darks"), "{text}");
+    assert_eq!(said["data_faults"].as_array().unwrap().len(), 1, "{text}");
+    let read = &said["read_noise_e"];
+    let (value, error) = (read["value"].as_f64().unwrap(), read["std_err"].as_f64().unwrap());
+    assert!((value - READ_E).abs() < 4.0 * error, "{value} +- {error}");
+}
+
+/// One dark exposure and one of light, two frames each, of twelve cameras: nothing is missing in any. A half of the
+/// frames without flats tells no gain, and is not asked what flats scatter by.
+#[test]
+fn two_frames_of_two_sets_raise_no_alarm() {
+    for seed in 280..292 {
+        let (bench, mut hot) = (Bench::new(), Hot::new(seed));
+        for i in 0..2 {
+            bench.tiff(&format!("in/dark_6ms_{i}.tif"), &hot.frame(0.0, 0.006));
+            bench.tiff(&format!("in/flat_6ms_{i}.tif"), &hot.frame(2400.0, 0.006));
+        }
+        let path = bench.import("in", &["--pattern", "mono"]).0.root().to_str().unwrap().to_owned();
+        let output = radcam(&["diagnose", &path]);
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success() && said.contains("agrees with the model"), "{seed}: {said}");
+    }
+}
