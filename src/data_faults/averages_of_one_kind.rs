@@ -31,12 +31,12 @@ pub struct AveragesOfOneKind;
 /// Value and standard error.
 type Measured = (f64, f64);
 
-/// What the darks of a campaign have and what its flats leave for them.
+/// Noise and gains of the darks of a campaign, and of its flats.
 struct Kinds {
     /// Variance of each dark, and what the flats leave for its level, DN^2.
     darks: Vec<(f64, Measured)>,
     /// Gain by the flats, DN/e.
-    of_flats: f64,
+    of_flats: Measured,
     /// Gain by the growth of level and noise between the darks, DN/e.
     of_growth: Option<Measured>,
     /// Gain by hot pixels of the darks, DN/e.
@@ -53,8 +53,12 @@ impl Kinds {
         };
         let of_growth = growth(campaign, darks);
         let of_hot = HotCharge::of_all(darks.iter().filter_map(|&i| campaign.sets[i].facts.hot_charge));
-        let all =
-            Self { darks: darks.iter().map(left).collect(), of_flats: transfer.slope(), of_growth, of_hot };
+        let of_flats = transfer.slope_with_error();
+        // Flats of about one level tell no gain.
+        if of_flats.0 <= MIN_SIGMAS * of_flats.1 {
+            return None;
+        }
+        let all = Self { darks: darks.iter().map(left).collect(), of_flats, of_growth, of_hot };
         for (i, (own, (left, std))) in darks.iter().zip(&all.darks) {
             tracing::debug!(
                 "set {}: variance {own:.3} DN^2, the flats leave {left:.3} +- {std:.3}",
@@ -62,10 +66,10 @@ impl Kinds {
             );
         }
         tracing::debug!(
-            "gain by the flats {:.4}, by the growth of the darks {of_growth:?}, by hot pixels {of_hot:?}",
+            "gain by the flats {:.4?}, by the growth of the darks {of_growth:?}, by hot pixels {of_hot:?}",
             all.of_flats
         );
-        (all.of_flats > 0.0).then_some(all)
+        Some(all)
     }
 
     /// Gain by the darks over that by the flats where level, noise and hot pixels agree on it.
@@ -74,12 +78,14 @@ impl Kinds {
         let agree = (growth - hot).abs()
             < SAME_GAIN * growth.max(hot) + MIN_SIGMAS_BESIDE * growth_std.hypot(hot_std);
         // Hot pixels by themselves lie on the same side of the flats: their level is not taken off.
-        let beside = MIN_SIGMAS_BESIDE * hot_std < (hot - self.of_flats).abs()
-            && (hot > self.of_flats) == (growth > self.of_flats);
+        let (flats, flats_std) = self.of_flats;
+        let beside = MIN_SIGMAS_BESIDE * hot_std.hypot(flats_std) < (hot - flats).abs()
+            && (hot > flats) == (growth > flats);
         let weights = (growth_std.powi(-2), hot_std.powi(-2));
         let weight = weights.0 + weights.1;
         let mean = (growth * weights.0 + hot * weights.1) / weight;
-        (agree && beside).then_some((mean / self.of_flats, weight.powf(-0.5) / self.of_flats))
+        let ratio = mean / flats;
+        (agree && beside).then_some((ratio, (weight.powf(-0.5) / flats).hypot(ratio * flats_std / flats)))
     }
 
     /// Standard deviations of a ratio from 1, with those of the noise that the flats leave for the darks.
@@ -92,19 +98,23 @@ impl Kinds {
     /// Returns true if the charge of the darks tells the gain that the flats have.
     fn gains_agree(&self) -> bool {
         let is_same = |(gain, std): Measured| {
-            let off = (gain / self.of_flats).ln().abs();
+            let off = (gain / self.of_flats.0).ln().abs();
             off < 0.5 * MIN_RATIO.ln() && std < 0.5 * (MIN_RATIO - 1.0) * gain
         };
         self.of_hot.is_some_and(is_same) || self.of_growth.is_some_and(is_same)
     }
 
-    /// Returns true if all darks have more noise than the flats leave.
+    /// Returns true if all darks have more noise than the flats leave, and about the same: what grows with their
+    /// exposure is charge, in the flats too, and its level may be taken off.
     fn darks_have_more(&self) -> bool {
-        self.darks.iter().all(|(own, (left, std))| {
-            *own > 2.0 * MIN_VARIANCE_DN2
-                && *own > MIN_RATIO * left.max(QUANTISATION_DN2)
-                && *own > left + MIN_SIGMAS * std
-        })
+        let least = self.darks.iter().map(|d| d.0).fold(f64::INFINITY, f64::min);
+        let are_alike = self.darks.iter().all(|d| d.0 < MIN_RATIO * least);
+        are_alike
+            && self.darks.iter().all(|(own, (left, std))| {
+                *own > 2.0 * MIN_VARIANCE_DN2
+                    && *own > MIN_RATIO * left.max(QUANTISATION_DN2)
+                    && *own > left + MIN_SIGMAS * std
+            })
     }
 
     /// Returns true if all darks have less noise than the flats leave.
@@ -114,7 +124,7 @@ impl Kinds {
         })
     }
 
-    /// Returns true if no dark has this much less (or more) noise than the flats leave.
+    /// Returns true if no dark has less (or more) noise than the flats leave, beyond errors.
     fn allows(&self, darks_have_more: bool) -> bool {
         self.darks.iter().all(|(own, (left, std))| {
             let off = (own - left) / std;
@@ -148,7 +158,9 @@ impl Check for AveragesOfOneKind {
         if !campaign.is_of_one_part() {
             return Vec::new();
         }
-        let measured = |s: &SetView| !s.clipped && !s.is_cut_off() && s.variance_dn2().is_some();
+        let measured = |s: &SetView| {
+            !s.clipped && !s.is_cut_off() && !campaign.is_rounded(s) && s.variance_dn2().is_some()
+        };
         let darks = campaign.places(|s| s.kind == Kind::Dark && measured(s));
         let flats = campaign.places(|s| s.is_lit() && measured(s));
         if darks.is_empty() || flats.len() < MIN_FLATS {
@@ -162,7 +174,12 @@ impl Check for AveragesOfOneKind {
         // Noise alone tells it where the charge of the darks does not contradict.
         let by_noise = !kinds.gains_agree();
         let flats_are = of_flats || by_noise && kinds.darks_have_more();
-        let darks_are = !flats_are && (of_darks || by_noise && kinds.darks_have_less());
+        // Flats of far longer exposures have a charge that the darks have not, and its level may be taken off.
+        let exposure_s = |i: &usize| campaign.sets[*i].exposure_s;
+        let shortest_s = flats.iter().map(exposure_s).fold(f64::INFINITY, f64::min);
+        let have_their_charge = darks.iter().any(|i| 2.0 * exposure_s(i) >= shortest_s);
+        let less = by_noise && have_their_charge && kinds.darks_have_less();
+        let darks_are = !flats_are && (of_darks || less);
         if !flats_are && !darks_are {
             return Vec::new();
         }
@@ -174,8 +191,8 @@ impl Check for AveragesOfOneKind {
                 if flats_are { r } else { r.recip() },
                 format!(
                     "the charge of the darks has a gain of {} DN/e, and the flats have {} DN/e",
-                    with_error(r * kinds.of_flats, std * kinds.of_flats),
-                    three(kinds.of_flats)
+                    with_error(r * kinds.of_flats.0, std * kinds.of_flats.0),
+                    with_error(kinds.of_flats.0, kinds.of_flats.1)
                 ),
             ),
             _ => {

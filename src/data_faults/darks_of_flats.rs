@@ -224,8 +224,8 @@ fn of_pattern(
     if (part - 1.0).abs() < MIN_SIGMAS * std {
         return None;
     }
-    // One dark of another charge (a warm sensor, a wrong label), or two, turn the line of all: what is of all darks
-    // is told without any of them too.
+    // One dark of another charge (a warm sensor, a wrong label), or two, turn the line of all: what is of all
+    // darks is told without any of them too.
     let is_told_without = |odd: &[usize]| {
         let others: Vec<usize> = darks.iter().copied().filter(|d| !odd.contains(d)).collect();
         let off = |(part, std): (f64, f64)| (part - 1.0).abs() >= MIN_SIGMAS * std;

@@ -84,19 +84,17 @@ impl HotPixels {
         let above: Vec<f64> = (0..self.places.len())
             .map(|k| frames.iter().map(|f| f64::from(f[k])).sum::<f64>() / n - self.level_dn)
             .collect();
-        let total: f64 = above.iter().sum();
         let mut squares = vec![0.0; above.len()];
         for frame in frames {
             let off = |k: usize| f64::from(frame[k]) - self.level_dn - above[k];
-            let drift = (0..above.len()).map(off).sum::<f64>() / total;
+            // The median passes over pixels that jump.
+            let drift = median((0..above.len()).filter(|&k| above[k] > 0.0).map(|k| off(k) / above[k]));
             squares.iter_mut().enumerate().for_each(|(k, s)| *s += (off(k) - drift * above[k]).powi(2));
         }
         // Median of chi^2 over its degrees of freedom.
         let dof = n - 1.0;
         let of_median = ChiSquared::new(dof).ok()?.inverse_cdf(0.5) / dof;
-        // Of a pixel the drift of all has taken its own share.
-        let own = |k: usize| (1.0 - above[k] / total).max(0.5);
-        let gain = |k: usize| (squares[k] / dof / of_median / own(k) - noise_dn2) / above[k];
+        let gain = |k: usize| (squares[k] / dof / of_median - noise_dn2) / above[k];
         let hot = || (0..above.len()).filter(|&k| above[k] > 0.0);
         let rough = median(hot().map(gain));
         let kept: Vec<usize> = hot().filter(|&k| above[k] * rough > MIN_OVER_OTHERS * noise_dn2).collect();
@@ -146,7 +144,9 @@ mod tests {
             let (mean, rms) = (sum / tell, (square / tell).sqrt());
             println!("{frames} frames, {hot} hot pixels: {tell} of {n}, mean {mean:.3}, rms {rms:.2}");
             assert!(tell > 0.9 * f64::from(n));
-            assert!((0.93..1.12).contains(&mean), "{mean}");
+            // A pixel that jumps counts as one of the noisier half: by 0.05 of a rank, which is the more the
+            // fewer frames.
+            assert!((0.93..1.2).contains(&mean), "{mean}");
             assert!((0.7..1.5).contains(&rms), "{rms}");
         }
     }

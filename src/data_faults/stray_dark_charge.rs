@@ -14,8 +14,8 @@ use crate::number::six_digits;
 /// Least number of other darks, each of an exposure of its own (a named choice): a sensor that warms up bends the
 /// line of all.
 const MIN_OTHERS: usize = 3;
-/// Least deviation over the largest of the others, least deviation in DN, and over the growth of the others where the
-/// longest exposure is the stray (named choices).
+/// Least deviation over the largest of the others, least deviation in DN, and over the growth of the others where
+/// the longest exposure is the stray (named choices).
 const MIN_OVER_OTHERS: f64 = 20.0;
 const MIN_DN: f64 = 1.0;
 const MIN_OVER_GROWTH: f64 = 2.0;
@@ -61,7 +61,7 @@ impl Check for StrayDarkCharge {
             });
             let more_dn2 = var_dn2(i) - dn2 - dn2_per_s * exposure_s(i);
             let is_charge = AS_CHARGE.contains(&(more_dn2 / (gain * off_dn(i))));
-            // What a flat before it left behind is lag, and no slip.
+            // Lag of a flat before it is no slip.
             let follows_light = i > 0 && campaign.sets[i - 1].is_lit();
             (off_dn(i) > least && is_charge && !follows_light).then_some((i, off_dn(i)))
         });

@@ -112,8 +112,16 @@ impl Transfer {
 
     /// Slope at the lowest levels: the system gain, DN/e.
     pub fn slope(&self) -> f64 {
-        let at = |level: f64| self.law.at(&factors(level));
-        (at(0.1) - at(0.0)) / (0.1 * self.most)
+        self.slope_with_error().0
+    }
+
+    /// Slope at the lowest levels and its standard error, DN/e.
+    pub fn slope_with_error(&self) -> (f64, f64) {
+        let [low, high] = [factors(0.0), factors(0.1)];
+        let own: Vec<f64> =
+            low.iter().zip(&high).map(|(low, high)| (high - low) / (0.1 * self.most)).collect();
+        let value = self.law.at(&own);
+        (value, self.law.std(&Point { factors: own, value, std: 0.0 }))
     }
 
     /// Variance expected at a level above the darks, DN^2, and its standard error: below the lowest level too.

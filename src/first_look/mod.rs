@@ -374,8 +374,8 @@ fn first_look(
 }
 
 /// Temporal variance of a dark over that of the quietest up to which the shot noise of its charge is small beside
-/// the read noise, and up to which it counts where frames are few; the frames beyond one each that are to tell single
-/// pixels (named choices).
+/// the read noise, and up to which it counts where frames are few; the frames beyond one each that are to tell
+/// single pixels (named choices).
 const LITTLE_CHARGE: [f64; 2] = [1.3, 3.0];
 const FRAMES_OF_PIXELS: usize = 6;
 

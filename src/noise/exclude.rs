@@ -106,14 +106,18 @@ pub(super) fn exclude_outliers(points: &mut [Point]) -> Option<String> {
     })
 }
 
-/// Returns true if the dimmest flat is among the levels that stand off, and lies on a line with the other flats: it
-/// is the darks that are off, in black level, gain or noise.
+/// Returns true if the dimmest flat is among the levels that stand off, and lies on a line with the other flats:
+/// it is the darks that are off, in black level, gain or noise.
 fn are_the_darks_off(points: &[Point], found: &[(usize, f64)]) -> bool {
     let is_found = |i: usize| found.iter().any(|f| f.0 == i);
     let flats = || {
         let known = points.iter().enumerate().filter(|(i, p)| p.excluded.is_none() || is_found(*i));
         known.filter(|(_, p)| p.kind == Kind::Flat)
     };
+    // Where single darks stand off as well, others do not.
+    if found.iter().any(|f| points[f.0].kind == Kind::Dark) {
+        return false;
+    }
     let dimmest = flats().min_by(|a, b| a.1.mean_dn.total_cmp(&b.1.mean_dn)).map(|(i, _)| i);
     if !dimmest.is_some_and(is_found) || flats().count() <= CURVE {
         return false;

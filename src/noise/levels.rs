@@ -266,8 +266,8 @@ pub fn zero(measured: &Measured) -> Zero {
         let shortest = points().min_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((_, shortest_dn, variance)) = shortest.filter(|_| measured.darks_are_lit && line.dof == 0)
         {
-            // Light that is in one of two darks alone makes another line: the zero lies between the shorter dark and
-            // that line, anywhere.
+            // Light that is in one of two darks alone makes another line: the zero lies between the shorter dark
+            // and that line, anywhere.
             let range = shortest_dn - line.intercept;
             return Zero {
                 dn: shortest_dn - 0.5 * range,

@@ -267,9 +267,10 @@ impl PixelNoise {
     }
 }
 
-/// Variance of the noisiest of n pixels over the mean, where its sample variance of 2 / a degrees of freedom is v times
-/// the mean. Few frames make one of many seem larger, by two and a half deviations of chi-square; a pixel far beyond
-/// what chance makes of the largest of n alike is as noisy as it looks, less that (Wilson and Hilferty 1931).
+/// Variance of the noisiest of n pixels over the mean, where its sample variance of 2 / a degrees of freedom is v
+/// times the mean. Few frames make one of many seem larger, by two and a half deviations of chi-square; a pixel
+/// far beyond what chance makes of the largest of n alike is as noisy as it looks, less that (Wilson and Hilferty
+/// 1931).
 fn of_largest(v: f64, a: f64, n: f64) -> f64 {
     let quantile = |z: f64| (1.0 - a / 9.0 + z * (a / 9.0).sqrt()).powi(3);
     // A normal number that one of n passes (Cramer 1946, 28.6, to first order).

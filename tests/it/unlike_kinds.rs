@@ -1,4 +1,5 @@
-//! Darks and flats that do not belong together: averages of one kind, another black level, lost bits, light in one dark.
+//! Darks and flats that do not belong together: averages of one kind, another black level, lost bits, light in
+//! one dark.
 
 use crate::import_cases::{Bench, Camera};
 use crate::support::radcam;
@@ -57,8 +58,8 @@ fn campaign(
 
 const FLATS_MS: [f64; 5] = [5.0, 10.0, 20.0, 30.0, 40.0];
 
-/// Flats that are means of two and of four frames beside single darks, and darks that are means of eight beside single
-/// flats, are named by the charge of the darks; single frames are not.
+/// Flats that are means of two and of four frames beside single darks, and darks that are means of eight beside
+/// single flats, are named by the charge of the darks; single frames are not.
 #[test]
 fn averages_of_one_kind_are_named() {
     for (flats, darks, seed) in [(1, 1, 273), (2, 1, 274), (4, 1, 275), (1, 8, 276)] {
@@ -82,8 +83,8 @@ fn averages_of_one_kind_are_named() {
     }
 }
 
-/// Darks of another black level, and darks that lost two bits, beside flats of which none is dim: named, and the gain is
-/// that of the flats.
+/// Darks of another black level, and darks that lost two bits, beside flats of which none is dim: named, and the
+/// gain is that of the flats.
 #[test]
 fn darks_of_another_black_level_are_named_by_bright_flats() {
     for (lost, words, seed) in
@@ -98,7 +99,7 @@ fn darks_of_another_black_level_are_named_by_bright_flats() {
                 _ => frame,
             }
         };
-        let path = campaign(&bench, &[10.0, 20.0, 30.0], &[10.0, 20.0, 30.0, 40.0, 50.0], &mut draw);
+        let path = campaign(&bench, &[10.0, 20.0, 30.0], &[5.0, 15.0, 25.0, 35.0, 50.0], &mut draw);
         let said: Value = serde_json::from_slice(&radcam(&["noise", &path, "--json"]).stdout).unwrap();
         assert!(said["data_faults"].to_string().contains(words), "{words}: {}", said["data_faults"]);
         let gain = &said["gain_dn_per_e"];
@@ -125,8 +126,8 @@ fn a_dark_with_light_in_it_is_left_out() {
     assert!((value - READ_E).abs() < 4.0 * error, "{value} +- {error}");
 }
 
-/// One dark exposure and one of light, two frames each, of twelve cameras: nothing is missing in any. A half of the
-/// frames without flats tells no gain, and is not asked what flats scatter by.
+/// One dark exposure and one of light, two frames each, of twelve cameras: nothing is missing in any. A half of
+/// the frames without flats tells no gain, and is not asked what flats scatter by.
 #[test]
 fn two_frames_of_two_sets_raise_no_alarm() {
     for seed in 280..292 {

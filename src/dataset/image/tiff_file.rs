@@ -305,7 +305,8 @@ fn read_page(decoder: &mut Tiff, frame: u64, buffer: &mut Buffer) -> Result<Opti
         other => return Err(ImageError::NotGrey(format!("a TIFF in colour ({other:?})"))),
     };
     let shape = (height as usize, width as usize);
-    // LinearizationTable (DNG 1.6, chapter 4): samples are places in it, often by a root, and no codes of the converter.
+    // LinearizationTable (DNG 1.6, chapter 4): samples are places in it, often by a root, and no codes of the
+    // converter.
     let table = decoder.find_tag_unsigned_vec::<u16>(Tag::Unknown(50_712))?;
     if table.is_some_and(|table| table.iter().enumerate().any(|(i, v)| usize::from(*v) != i)) {
         return Err(ImageError::NoFrames(
