@@ -465,7 +465,15 @@ fn what_is_no_frame_is_refused_by_its_reason() {
     let mut zipped = GzEncoder::new(Vec::new(), Compression::fast());
     zipped.write_all(&cube).unwrap();
     let zipped = zipped.finish().unwrap();
+    // Samples by the root of the codes, as some monochrome cameras write them.
+    let mut table = std::io::Cursor::new(Vec::new());
+    let mut encoder = TiffEncoder::new(&mut table).unwrap();
+    let mut rooted = encoder.new_image::<Gray16>(SIDE as u32, SIDE as u32).unwrap();
+    let squares: Vec<u16> = (0..256u32).map(|i| (i * i / 16) as u16).collect();
+    rooted.encoder().write_tag(Tag::Unknown(50_712), squares.as_slice()).unwrap();
+    rooted.write_data(&vec![90; SIDE * SIDE]).unwrap();
     for (name, bytes, part) in [
+        ("rooted.dng", table.into_inner(), "LinearizationTable"),
         ("colours.fits", cube.clone(), "three planes"),
         (
             "amplifiers.fits",

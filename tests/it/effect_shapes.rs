@@ -163,3 +163,15 @@ fn stripes_of_rows_in_the_dark_are_interference() {
     is_near(stripes, "cycles_per_px", 0.137);
     assert!(d.missing[1..].iter().all(|m| m.share < 0.01), "{:#?}", d.missing);
 }
+
+/// Daylight that fades by the same share each second, to a half over the flats. Before, it was flicker of a size
+/// that nothing determines.
+#[test]
+fn light_that_fades_is_a_drift() {
+    let model = unit(335);
+    let d = verdict(with(model.clone(), "illumination-drift", &[2.0, -0.002, 0.0, 1.0]), None);
+    let fades = first(&d, "illumination-drift", &model);
+    assert_eq!(fades.parameters["shape"].value, 2.0, "{fades:#?}");
+    is_near(fades, "rel_per_s", -0.002);
+    assert!(d.missing[1..].iter().all(|m| m.share < 0.01), "{:#?}", d.missing);
+}

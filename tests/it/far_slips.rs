@@ -49,8 +49,8 @@ fn a_label_of_another_order_is_named() {
     is_named(&campaign, "setting-label", &campaign.sets("flat", 2)[2..3], "its level belongs to");
 }
 
-/// A camera that does not expose shorter, or longer, than it can: the dark of such an exposure is not what it says
-/// either.
+/// A camera that does not expose shorter, or longer, than it can: the dark of such an exposure is not what it
+/// says either.
 #[test]
 fn exposures_beyond_a_limit_are_named() {
     let campaign = sweep(&[0.3, 0.3, 0.3, 0.5, 0.7, 0.9], &[0.1, 0.2, 0.3, 0.5, 0.7, 0.9], 4, 201);

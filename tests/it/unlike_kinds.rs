@@ -142,3 +142,41 @@ fn two_frames_of_two_sets_raise_no_alarm() {
         assert!(output.status.success() && said.contains("agrees with the model"), "{seed}: {said}");
     }
 }
+
+/// Six columns that stand at full scale in every frame saturate no set.
+#[test]
+fn stuck_columns_saturate_no_set() {
+    let (bench, mut hot) = (Bench::new(), Hot::new(292));
+    let mut draw = |light_e: f64, exposure_s: f64| {
+        let mut frame = hot.frame(light_e, exposure_s);
+        (40..46).for_each(|x| frame.column_mut(x).fill(4095));
+        frame
+    };
+    let path = campaign(&bench, &[10.0, 40.0], &FLATS_MS, &mut draw);
+    for verb in ["noise", "diagnose"] {
+        let output = radcam(&[verb, &path, "--json"]);
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert_eq!(output.status.code(), Some(0), "{verb}: {said}");
+        let gain = &serde_json::from_str::<Value>(&said).unwrap()["gain_dn_per_e"];
+        let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
+        assert!((value - GAIN).abs() < 4.0 * error, "{verb}: {value} +- {error}");
+    }
+}
+
+/// Three exposures of which none saturates: EMVA 1288 wants levels up to 70 % of saturation, which lies beyond
+/// all.
+#[test]
+fn levels_far_from_saturation_all_count() {
+    let (bench, mut hot) = (Bench::new(), Hot::new(293));
+    let exposures_ms = [10.0, 20.0, 30.0];
+    let path =
+        campaign(&bench, &exposures_ms, &exposures_ms, &mut |light, exposure| hot.frame(light, exposure));
+    let output = radcam(&["emva", &path, "--json"]);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    let json: Value = serde_json::from_str(&said).unwrap();
+    let gain = &json["quantities"]["K"];
+    let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
+    assert!((value - GAIN).abs() < 4.0 * error, "{value} +- {error}");
+    assert!(json["notes"].to_string().contains("fitted to all 3 levels"), "{}", json["notes"]);
+}
