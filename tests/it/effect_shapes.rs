@@ -169,9 +169,9 @@ fn stripes_of_rows_in_the_dark_are_interference() {
 #[test]
 fn light_that_fades_is_a_drift() {
     let model = unit(335);
-    let d = verdict(with(model.clone(), "illumination-drift", &[2.0, -0.002, 0.0, 1.0]), None);
+    let d = verdict(with(model.clone(), "illumination-drift", &[2.0, -0.04, 0.0, 1.0]), None);
     let fades = first(&d, "illumination-drift", &model);
     assert_eq!(fades.parameters["shape"].value, 2.0, "{fades:#?}");
-    is_near(fades, "rel_per_s", -0.002);
+    is_near(fades, "rel_per_s", -0.04);
     assert!(d.missing[1..].iter().all(|m| m.share < 0.01), "{:#?}", d.missing);
 }
