@@ -28,7 +28,13 @@ impl Statistic for Tap {
 
     fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {
         let (columns, rows) = (half.profiles(|s| &s.columns_dn), half.profiles(|s| &s.rows_dn));
-        let steps = [taps::middle(&columns), taps::middle(&rows), taps::odd(&columns), taps::odd(&rows)];
+        let kept = [&columns, &rows].map(|profiles| lines_with_pixels(profiles, half.zero_dn));
+        let steps = [
+            taps::middle(&columns, &kept[0]),
+            taps::middle(&rows, &kept[1]),
+            taps::odd(&columns, &kept[0]),
+            taps::odd(&rows, &kept[1]),
+        ];
         for (parts, step) in steps.into_iter().enumerate() {
             for (k, value) in step.into_iter().flatten().enumerate() {
                 // Their error is the sensor's pattern, which both halves have: together they know no more than one.
@@ -41,4 +47,14 @@ impl Statistic for Tap {
         let tap = view.prediction.taps.get(o.index / 2).copied().unwrap_or_default();
         Expected::plain(o, if o.index.is_multiple_of(2) { tap.0 } else { tap.1 }, o.measured.std_err)
     }
+}
+
+/// Places of the lines that have pixels: the mean of one without is that of the frame, in every profile.
+fn lines_with_pixels(profiles: &[(f64, &[f64])], zero_dn: f64) -> Vec<usize> {
+    let lines = profiles.first().map_or(0, |p| p.1.len());
+    let is_of_frame = |p: &(f64, &[f64]), x: usize| {
+        let mean_dn = p.0 + zero_dn;
+        (p.1[x] - mean_dn).abs() <= 1e-12 * mean_dn.abs().max(1.0)
+    };
+    (0..lines).filter(|x| profiles.iter().any(|p| !is_of_frame(p, *x))).collect()
 }

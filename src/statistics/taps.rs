@@ -24,21 +24,26 @@ fn line(profiles: &[(f64, &[f64])], of: impl Fn(&[f64]) -> f64) -> (f64, f64) {
     (slope, my - slope * mx)
 }
 
-/// The step between the middle lines, relative and in DN, of profiles (means of lines, DN) with their signals, DN; `None` for fewer
-/// than 64 lines.
-pub fn middle(profiles: &[(f64, &[f64])]) -> Option<[Value; 2]> {
-    let lines = profiles.first()?.1.len();
-    if lines < FEWEST {
+/// The step between the middle lines, relative and in DN, of profiles (means of lines, DN) with their signals, DN. `kept`: places of the lines
+/// that have pixels, rising. `None` for fewer than 64 of them, and where those in the middle have none.
+pub fn middle(profiles: &[(f64, &[f64])], kept: &[usize]) -> Option<[Value; 2]> {
+    let all = profiles.first()?.1.len();
+    let (lines, middle) = (kept.len(), kept.iter().filter(|x| **x < all / 2).count());
+    if lines < FEWEST || !(2 * REACH..=lines - 2 * REACH).contains(&middle) {
+        return None;
+    }
+    // Across a gap as wide as what is averaged the shading hides a step.
+    if kept[middle] - kept[middle - 1] > REACH {
         return None;
     }
     // A slope and a bend of the shading are taken off.
     let step = |profile: &[f64], x: usize| {
-        let part = |from: usize| profile[from..from + REACH].iter().sum::<f64>() / REACH as f64;
+        let part =
+            |from: usize| kept[from..from + REACH].iter().map(|x| profile[*x]).sum::<f64>() / REACH as f64;
         let (l2, l1, r1, r2) = (part(x - 2 * REACH), part(x - REACH), part(x), part(x + REACH));
         (r1 - l1) - 0.5 * ((r2 - r1) + (l1 - l2))
     };
     let at = |x: usize| line(profiles, |p| step(p, x));
-    let middle = lines / 2;
     let others: Vec<(f64, f64)> =
         (2 * REACH..=lines - 2 * REACH).filter(|x| x.abs_diff(middle) > 2 * REACH).map(at).collect();
     let here = at(middle);
@@ -63,13 +68,13 @@ fn of_few(lines: usize) -> f64 {
 }
 
 /// What odd lines have more than even ones, relative and in DN, as [`middle`].
-pub fn odd(profiles: &[(f64, &[f64])]) -> Option<[Value; 2]> {
-    let lines = profiles.first()?.1.len();
-    if lines < FEWEST {
+pub fn odd(profiles: &[(f64, &[f64])], kept: &[usize]) -> Option<[Value; 2]> {
+    let beside = kept.windows(3).filter(|w| w[1] % 2 == 1 && w[2] - w[0] == 2);
+    let all: Vec<(f64, f64)> =
+        beside.map(|w| line(profiles, |p| p[w[1]] - 0.5 * (p[w[0]] + p[w[2]]))).collect();
+    if 2 * all.len() + 2 < FEWEST {
         return None;
     }
-    let all: Vec<(f64, f64)> =
-        (1..lines - 1).step_by(2).map(|x| line(profiles, |p| p[x] - 0.5 * (p[x - 1] + p[x + 1]))).collect();
     let n = all.len() as f64;
     let of = |pick: &dyn Fn(&(f64, f64)) -> f64| {
         let mean = all.iter().map(pick).sum::<f64>() / n;
@@ -103,7 +108,8 @@ mod tests {
             let clean: Vec<Vec<f64>> = signals.iter().map(|s| profile(*s, &|_| 0.0)).collect();
             let view: Vec<(f64, &[f64])> =
                 signals.iter().zip(&clean).map(|(s, p)| (*s, p.as_slice())).collect();
-            let found = [middle(&view).unwrap(), odd(&view).unwrap()].concat();
+            let kept: Vec<usize> = (0..128).collect();
+            let found = [middle(&view, &kept).unwrap(), odd(&view, &kept).unwrap()].concat();
             squares.iter_mut().zip(&found).for_each(|(s, v)| *s += (v.value / v.std_err).powi(2));
             let wrong: Vec<Vec<f64>> = signals
                 .iter()
@@ -111,7 +117,7 @@ mod tests {
                 .collect();
             let view: Vec<(f64, &[f64])> =
                 signals.iter().zip(&wrong).map(|(s, p)| (*s, p.as_slice())).collect();
-            let odd = odd(&view).unwrap();
+            let odd = odd(&view, &kept).unwrap();
             for (found, truth) in odd.iter().zip([0.01, 2.0]) {
                 assert!((found.value - truth).abs() < 5.5 * found.std_err, "{found:?} {truth}");
             }
@@ -135,7 +141,7 @@ mod tests {
                 .map(|signal| (signal, pattern.iter().map(|k| signal * (1.0 + k)).collect()))
                 .to_vec();
             let view: Vec<(f64, &[f64])> = profiles.iter().map(|(s, p)| (*s, p.as_slice())).collect();
-            let [step, _] = middle(&view).unwrap();
+            let [step, _] = middle(&view, &(0..100).collect::<Vec<_>>()).unwrap();
             step.value.abs() > 2.576 * step.std_err
         });
         let far = far.count();
