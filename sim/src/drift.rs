@@ -1,6 +1,6 @@
 //! Change with time: a straight line, or one that settles, as what warms up does (the first time constant of
-//! a body's way to its surroundings: Newton's law of cooling). Four values: the shape, the change per second,
-//! the excess at the start, the time constant.
+//! a body's way to its surroundings: Newton's law of cooling). Light may change by the same share each second, as
+//! twilight does. Four values: the shape, the change per second, the excess at the start, the time constant.
 
 use crate::effects::{Parameter, Seen};
 
@@ -55,10 +55,12 @@ fn fades(p: &[f64]) -> bool {
 
 /// Change at a time.
 pub(crate) fn change(p: &[f64], time_s: f64) -> f64 {
-    match p {
-        _ if settles(p) => p[2] * libm::exp(-time_s / p[3].max(1e-9)),
-        _ if fades(p) => libm::expm1(p[1] * time_s),
-        _ => p[1] * time_s,
+    if settles(p) {
+        p[2] * libm::exp(-time_s / p[3].max(1e-9))
+    } else if fades(p) {
+        libm::expm1(p[1] * time_s)
+    } else {
+        p[1] * time_s
     }
 }
 
@@ -69,10 +71,12 @@ pub(crate) fn uses(p: &[f64], parameter: usize) -> bool {
 
 /// The shape in words.
 pub(crate) fn form(p: &[f64]) -> &'static str {
-    match p {
-        _ if settles(p) => "it settles",
-        _ if fades(p) => "by the same share each second",
-        _ => "straight in time",
+    if settles(p) {
+        "it settles"
+    } else if fades(p) {
+        "by the same share each second"
+    } else {
+        "straight in time"
     }
 }
 

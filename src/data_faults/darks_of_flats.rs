@@ -101,7 +101,7 @@ impl Check for DarksOfFlats {
         flats.retain(|_, sets| sets.len() > 1);
         let of_one_size = campaign.are_of_one_size(darks.iter().chain(flats.values().flatten()));
         // Carried light has the flats' pattern, and darks after dim flats carry some as well.
-        let carried = darks.iter().any(|&i| carries(&campaign.sets[i]));
+        let carried = with_level.iter().any(|&i| carries(&campaign.sets[i]));
         if with_level.is_empty() || flats.is_empty() || !of_one_size || carried {
             return Vec::new();
         }
@@ -228,8 +228,8 @@ fn of_pattern(
     // darks is told without any of them too.
     let is_told_without = |odd: &[usize]| {
         let others: Vec<usize> = darks.iter().copied().filter(|d| !odd.contains(d)).collect();
-        let off = |(part, std): (f64, f64)| (part - 1.0).abs() >= MIN_SIGMAS * std;
-        others.len() < 2 || part_of(&others).is_none_or(|(part, std, ..)| off((part, std)))
+        let is_off = |part: f64, std: f64| (part - 1.0).abs() >= MIN_SIGMAS * std;
+        others.len() < 2 || part_of(&others).is_none_or(|(part, std, ..)| is_off(part, std))
     };
     let mut pairs = darks.iter().enumerate().flat_map(|(k, a)| darks[..k].iter().map(move |b| [*a, *b]));
     let by_singles = darks.iter().all(|d| is_told_without(&[*d]));

@@ -1,7 +1,7 @@
 //! System gain by the charge of hot pixels of a dark: their shot noise A^2 E_DC over their level A E_DC (Healey
 //! and Kondepudy 1994, eq. 35). A level that the camera takes off all pixels alike is in neither.
 
-use crate::statistics::median::{MAD_OF_NORMAL, median};
+use crate::statistics::median::{ERROR_OVER_MEAN, MAD_OF_NORMAL, median};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
@@ -17,8 +17,6 @@ const PIXELS: std::ops::RangeInclusive<usize> = 10..=1024;
 const MAX_FRAMES: usize = 64;
 /// Least ratio of the noise of the charge to that of other pixels (a named choice).
 const MIN_OVER_OTHERS: f64 = 2.0;
-/// Relative error of the median of normal numbers over that of their mean (Kenney and Keeping 1962, section 8.6).
-const OF_MEDIAN: f64 = 1.25;
 
 /// Gain by the hot pixels of a dark.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -34,7 +32,7 @@ impl HotCharge {
     pub fn of_all(all: impl Iterator<Item = Self>) -> Option<(f64, f64)> {
         let (sum, dof) = all.fold((0.0, 0.0), |(sum, dof), h| (sum + h.dof * h.gain_dn_per_e, dof + h.dof));
         let gain = sum / dof;
-        (dof > 0.0).then(|| (gain, gain.abs() * OF_MEDIAN * (2.0 / dof).sqrt()))
+        (dof > 0.0).then(|| (gain, gain.abs() * ERROR_OVER_MEAN * (2.0 / dof).sqrt()))
     }
 }
 

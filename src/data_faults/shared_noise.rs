@@ -6,7 +6,7 @@ use super::campaign::median_line;
 use super::facts::{NEIGHBOURS_VAR, NEXT_VAR, Neighbours};
 use super::set_view::SetView;
 use crate::number::{Quantity, six_digits, with_unit};
-use crate::statistics::median::median;
+use crate::statistics::median::{ERROR_OVER_MEAN, median};
 
 /// Share of the noise from which on it is said: by as much the gain is too low (a named choice: twice the per
 /// cent that EMVA 1288 asks for); of frames, where a lamp that settles and a little lag look alike.
@@ -24,8 +24,6 @@ const LIT: [f64; 2] = [10.0, 3.0];
 const OF_PIXELS: std::ops::RangeInclusive<f64> = -1.0..=18.0;
 /// Most sets that are looked at: every pair of them is compared.
 const MOST_SETS: usize = 64;
-/// Error of a median over that of a mean of normal numbers (Kenney and Keeping 1962, section 8.6).
-const OF_MEDIAN: f64 = 1.25;
 /// Pixels or frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Between {
@@ -129,7 +127,7 @@ fn of_neighbours(
     let signal_dn = |set: &SetView| set.level_dn() - zero.as_ref().map_or(0.0, |z| z.at(set.exposure_s));
     let shared: Vec<(f64, f64)> = known().map(|set| (signal_dn(set), share(&set.facts.neighbours))).collect();
     let pixels: f64 = known().map(|set| set.facts.neighbours.pixels).sum();
-    let std_err = OF_MEDIAN * (variance / pixels).sqrt();
+    let std_err = ERROR_OVER_MEAN * (variance / pixels).sqrt();
     let middle = median(shared.iter().map(|p| p.1));
     let at_dark = median_line(&shared)?.0;
     // Error of the intercept of a line over that of the mean of its points (Bevington and Robinson 2003, section
@@ -155,6 +153,6 @@ fn of_frames(campaign: &Campaign<'_>, flats: &[usize]) -> Option<SharedNoise> {
     let rel = median(alike.iter().map(|a| a.0));
     // The error of a ratio of variances of successive frames and of those two apart.
     let samples: f64 = alike.iter().map(|a| a.1).sum();
-    let std_err = OF_MEDIAN * (4.0 / samples).sqrt();
+    let std_err = ERROR_OVER_MEAN * (4.0 / samples).sqrt();
     (rel > 0.0).then_some(SharedNoise { between: Between::Frames, rel, std_err })
 }

@@ -5,11 +5,12 @@
 //! that moved, and another gain, do not (`dark_settings`).
 
 use super::campaign::median_line;
+use super::law::{Law, Point};
 use super::set_view::SetView;
 use super::transfer::Transfer;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
-use crate::number::six_digits;
+use crate::number::with_error;
 
 /// Least number of other darks, each of an exposure of its own (a named choice): a sensor that warms up bends the
 /// line of all.
@@ -43,35 +44,45 @@ impl Check for StrayDarkCharge {
         };
         let var_dn2 = |i: usize| campaign.sets[i].variance_dn2().map_or(f64::NAN, |v| v.0);
         let scatter_dn = SET_SCATTER_DN.max(campaign.dark_scatter_dn());
-        let longest = darks.last().copied();
-        let stray = darks.iter().copied().find_map(|i| {
-            let others: Vec<usize> = darks.iter().copied().filter(|d| *d != i).collect();
-            let line = |of: &dyn Fn(usize) -> f64| {
-                median_line(&others.iter().map(|&d| (exposure_s(d), of(d))).collect::<Vec<_>>())
-            };
-            let level = |d: usize| campaign.sets[d].level_dn();
-            let ((dn, dn_per_s), (dn2, dn2_per_s)) = line(&level).zip(line(&var_dn2))?;
-            let off_dn = |d: usize| level(d) - dn - dn_per_s * exposure_s(d);
-            let most_of_others = others.iter().map(|&d| off_dn(d).abs()).fold(scatter_dn, f64::max);
-            let growth = others.last().map_or(0.0, |&d| level(d) - level(others[0])).abs();
-            let least = (MIN_OVER_OTHERS * most_of_others).max(MIN_DN).max(if Some(i) == longest {
-                MIN_OVER_GROWTH * growth
-            } else {
-                0.0
-            });
-            let more_dn2 = var_dn2(i) - dn2 - dn2_per_s * exposure_s(i);
-            let is_charge = AS_CHARGE.contains(&(more_dn2 / (gain * off_dn(i))));
-            // Lag of a flat before it is no slip.
-            let follows_light = i > 0 && campaign.sets[i - 1].is_lit();
-            (off_dn(i) > least && is_charge && !follows_light).then_some((i, off_dn(i)))
-        });
-        let Some((i, off_dn)) = stray else { return Vec::new() };
+        let level = |d: usize| campaign.sets[d].level_dn();
+        let longest_s = darks.last().map_or(0.0, |&d| exposure_s(d));
+        let point = |&d: &usize| {
+            let frames = campaign.sets[d].frames() as f64;
+            let std = SET_SCATTER_DN.hypot(campaign.dark_scatter_dn() / frames.sqrt());
+            Point { factors: vec![1.0, exposure_s(d) / longest_s], value: level(d), std }
+        };
+        let points: Vec<Point> = darks.iter().map(point).collect();
+        let Some(law) = Law::fit(&points, &[1e5, 1e5], 1) else { return Vec::new() };
+        let &[stray] = law.out.as_slice() else { return Vec::new() };
+        let i = darks[stray];
+        let off = |p: &Point| p.value - law.at(&p.factors);
+        let (off_dn, std_dn) = (off(&points[stray]), law.std(&points[stray]));
+        let others: Vec<usize> = darks.iter().copied().filter(|d| *d != i).collect();
+        let scatter_of_others = points
+            .iter()
+            .enumerate()
+            .filter(|(k, _)| *k != stray)
+            .map(|(_, p)| off(p).abs())
+            .fold(scatter_dn, f64::max);
+        // The longest exposure is extrapolated: dark current may grow by more than in proportion.
+        let growth_dn = others.last().map_or(0.0, |&d| level(d) - level(others[0])).abs();
+        let of_growth = if Some(i) == darks.last().copied() { MIN_OVER_GROWTH * growth_dn } else { 0.0 };
+        let noise: Vec<(f64, f64)> = others.iter().map(|&d| (exposure_s(d), var_dn2(d))).collect();
+        let Some((dn2, dn2_per_s)) = median_line(&noise) else { return Vec::new() };
+        let more_dn2 = var_dn2(i) - dn2 - dn2_per_s * exposure_s(i);
+        let is_charge = AS_CHARGE.contains(&(more_dn2 / (gain * off_dn)));
+        // Lag of a flat before it is no slip.
+        let follows_light = i > 0 && campaign.sets[i - 1].is_lit();
+        let least = (MIN_OVER_OTHERS * scatter_of_others).max(MIN_DN).max(of_growth);
+        if off_dn <= least || !is_charge || follows_light {
+            return Vec::new();
+        }
         let text = format!(
             "set {} ({}): its level is {} DN above the line of the other darks, and its noise is that of so much charge: light fell on it, the \
              sensor was warmer, or it was exposed longer than it says",
             campaign.sets[i].number,
             campaign.file(i, 0),
-            six_digits((100.0 * off_dn).round() / 100.0)
+            with_error(off_dn, std_dn)
         );
         vec![campaign.fault_of_sets(FaultKind::OtherSettings, &[i], text, true)]
     }

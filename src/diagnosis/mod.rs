@@ -230,8 +230,9 @@ pub fn diagnose(
     }
     let next = next_measurement(all, &parts, &missing);
     let mut alternatives = equally_good(&parts, &forms, &whole);
-    // `unknown` first puts all names in doubt: the values without them are as good.
-    if missing.first().is_some_and(|m| m.effect == "unknown") {
+    // `unknown` first puts all names in doubt, and so do darks that may be off: the values without them are as
+    // good.
+    if missing.first().is_some_and(|m| m.effect == "unknown" || m.by_the_darks_alone) {
         alternatives.push(&model);
     }
     alternatives.extend(given_up.iter().filter(|_| !parts.is_empty()));

@@ -191,9 +191,12 @@ fn sentences(
     } else {
         String::new()
     };
-    let tie = if top.by_the_darks_alone {
-        ", or its darks have another black level or gain than the flats (no flat lies below that level, and this campaign cannot tell which)".into()
-    } else if or.is_empty() {
+    let by_darks = if top.by_the_darks_alone {
+        ", or its darks have another black level or gain than the flats (no flat lies below that level, and this campaign cannot tell which)"
+    } else {
+        ""
+    };
+    let tie = if or.is_empty() {
         String::new()
     } else {
         format!(" or {} (this campaign cannot tell which)", or.join(" or "))
@@ -221,7 +224,8 @@ fn sentences(
     let more = more.map_or(String::new(), |more| format!(" Further remedies: {more}."));
     let meaning = meaning(top).map_or(String::new(), |text| format!(" ({text})"));
     let size = of_size(top);
-    let head = format!("The {subject} {shows} {}{size}{meaning}{tie}{close}: {costs}{remedy}", top.effect);
+    let head =
+        format!("The {subject} {shows} {}{size}{meaning}{tie}{by_darks}{close}: {costs}{remedy}", top.effect);
     let rest = format!("{partial}{also}{weak} {what}{more}");
     (format!("{}.", head.trim_end_matches('.')), rest.trim_start().into())
 }
@@ -280,7 +284,7 @@ impl Missing {
 
     /// Words before the cost where it is that of the costlier of two forms.
     fn at_worst(&self) -> &'static str {
-        if self.or_form.is_some() { "at worst " } else { "" }
+        if self.or_form.is_some() || self.by_the_darks_alone { "at worst " } else { "" }
     }
 }
 

@@ -141,8 +141,7 @@ pub(super) fn fitted_points(
         t.iter().filter(below).copied().collect()
     };
     let needed = if definitions == Definitions::Release4 { 3 } else { 1 };
-    // Where nothing saturates, saturation lies beyond the brightest: all levels are below it, by how much is not
-    // known.
+    // Saturation lies beyond the brightest level if none saturates: all are below it, by how much is not known.
     let is_beyond = t.iter().all(|p| p.signal_dn() <= most && p.flat.full_share < saturation::SHARE);
     let within = if definitions == Definitions::Release4 && is_beyond && within.len() < needed {
         t.iter().filter(|p| !(clipped && p.flat.zero_share > UNDERFLOW)).copied().collect()

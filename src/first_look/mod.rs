@@ -379,10 +379,10 @@ fn first_look(
 const LITTLE_CHARGE: [f64; 2] = [1.3, 3.0];
 const FRAMES_OF_PIXELS: usize = 6;
 
-/// Variance up to which darks have little charge, DN^2, or as much as frames enough have.
+/// Variance up to which darks tell the read noise of single pixels, DN^2.
 fn quiet_dark_dn2(dataset: &Dataset, looks: &[Look]) -> f64 {
     let dark = |(set, look): (&crate::dataset::Set, &Look)| {
-        let (_, var_dn2) = look.pair.filter(|_| look.dark.is_some() && !look.saturated)?;
+        let var_dn2 = look.var_dn2().filter(|_| look.dark.is_some() && !look.saturated)?;
         Some((var_dn2, set.rows.len().saturating_sub(1)))
     };
     let mut darks: Vec<(f64, usize)> =

@@ -114,7 +114,7 @@ fn are_the_darks_off(points: &[Point], found: &[(usize, f64)]) -> bool {
         let known = points.iter().enumerate().filter(|(i, p)| p.excluded.is_none() || is_found(*i));
         known.filter(|(_, p)| p.kind == Kind::Flat)
     };
-    // Where single darks stand off as well, others do not.
+    // A single dark that stands off as well is an outlier: the others lie on the line.
     if found.iter().any(|f| points[f.0].kind == Kind::Dark) {
         return false;
     }

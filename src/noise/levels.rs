@@ -272,7 +272,7 @@ pub fn zero(measured: &Measured) -> Zero {
             return Zero {
                 dn: shortest_dn - 0.5 * range,
                 std_err_dn: (range / 12f64.sqrt()).hypot(variance.sqrt()),
-                source: "between the shorter dark and the line of two darks of which one is lit",
+                source: "between the shorter of two darks with light in them and their line",
                 moved_dn: 0.0,
             };
         }

@@ -3,6 +3,9 @@
 /// Median of the absolute deviations of a normal distribution over its standard deviation.
 pub const MAD_OF_NORMAL: f64 = 0.6745;
 
+/// Error of the median of normal numbers over that of their mean (Kenney and Keeping 1962, section 8.6).
+pub const ERROR_OVER_MEAN: f64 = 1.25;
+
 /// Median of some values; NaN of none.
 pub fn median(values: impl Iterator<Item = f64>) -> f64 {
     median_of(&values.collect::<Vec<_>>(), &mut Vec::new())

@@ -24,8 +24,9 @@ fn line(profiles: &[(f64, &[f64])], of: impl Fn(&[f64]) -> f64) -> (f64, f64) {
     (slope, my - slope * mx)
 }
 
-/// The step between the middle lines, relative and in DN, of profiles (means of lines, DN) with their signals, DN. `kept`: places of the lines
-/// that have pixels, rising. `None` for fewer than 64 of them, and where those in the middle have none.
+/// The step between the middle lines, relative and in DN, of profiles (means of lines, DN) with their signals,
+/// DN. `kept`: places of the lines that have pixels, rising. `None` for fewer than 64 of them, and where those in
+/// the middle have none.
 pub fn middle(profiles: &[(f64, &[f64])], kept: &[usize]) -> Option<[Value; 2]> {
     let all = profiles.first()?.1.len();
     let (lines, middle) = (kept.len(), kept.iter().filter(|x| **x < all / 2).count());

@@ -143,7 +143,8 @@ fn two_frames_of_two_sets_raise_no_alarm() {
     }
 }
 
-/// Three columns of 96, beside the middle, that stand at full scale in every frame saturate no set, and make no step.
+/// Three columns of 96, beside the middle, that stand at full scale in every frame saturate no set, and make no
+/// step.
 #[test]
 fn stuck_columns_saturate_no_set() {
     let (bench, mut hot) = (Bench::new(), Hot::new(292));

@@ -7,8 +7,8 @@ use crate::drift;
 pub struct IlluminationDrift;
 
 const RATE: Parameter = drift::relative_rate("shapes 0 and 2: change of the light per second, relative");
-/// Where the lamp is switched on after the darks, the excess at the start of the campaign, where nothing is lit,
-/// is many times that at the first flat.
+/// Excess at the start of the campaign: many times that at the first flat if the lamp is switched on after the
+/// darks.
 const EXCESS: Parameter = drift::relative_excess("shape 1: excess of the light at the start, relative", 5.0);
 
 impl Effect for IlluminationDrift {
