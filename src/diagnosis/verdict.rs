@@ -4,7 +4,7 @@ use super::sensor::tells_gain;
 use super::{Cost, Missing, Remainder};
 use crate::agreement::Agreement;
 use crate::features::LeftOn;
-use crate::inference::{Comparison, Fitted};
+use crate::inference::{Comparison, Fitted, by_statistic};
 use crate::number::{Quantity, percent, with_unit};
 use radcam_sim::effects::{Parameter, Stage, find};
 use serde::{Deserialize, Serialize};
@@ -108,7 +108,8 @@ impl Verdict {
                     )
                 ),
                 _ => format!(
-                    "The camera agrees with the model to within the noise of this campaign. {}, {}.",
+                    "The camera {} {}, {}.",
+                    agrees(first),
                     told("Gain", whole.base.gain_dn_per_e, wider * whole.base_std_err[0], "DN/e"),
                     told("read noise", whole.base.read_noise_e, wider * whole.base_std_err[1], "e")
                 ),
@@ -142,6 +143,20 @@ impl Verdict {
             .collect();
         let (brief, rest) = sentences(top, &or, missing, remainder, whole);
         Self::Named { effect: top.effect.clone(), or, sentence: format!("{brief} {rest}"), brief }
+    }
+}
+
+/// Agreement with the model in words; where it is in doubt, with the statistic that deviates most.
+fn agrees(first: &Comparison) -> String {
+    let groups = by_statistic(&first.residuals);
+    let largest = groups.iter().min_by(|a, b| a.chance.total_cmp(&b.chance));
+    match largest.filter(|_| first.agreement == Agreement::Doubtful) {
+        Some(largest) => format!(
+            "may agree with the model: deviations as large come by chance less than once in twenty campaigns, the largest in {}; more \
+             frames tell.",
+            largest.name
+        ),
+        None => "agrees with the model to within the noise of this campaign.".into(),
     }
 }
 
@@ -353,7 +368,38 @@ fn capital(id: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::wrong_by;
+    use super::{agrees, wrong_by};
+    use crate::agreement::Agreement;
+    use crate::inference::{Comparison, Residual};
+
+    /// Agreement in doubt says which statistic deviates most; agreement does not.
+    #[test]
+    fn doubt_names_what_deviates() {
+        let residual = |name: &str, z: f64| Residual {
+            observable: name.into(),
+            set: None,
+            measured: z,
+            predicted: 0.0,
+            std_err: 1.0,
+            z,
+            independent_z: z,
+            level_dn: 0.0,
+            statistic: "mean".into(),
+            meaning: "".into(),
+            unit: "".into(),
+        };
+        let of = |agreement| Comparison {
+            error: 1.0,
+            p_value: 0.01,
+            consistent: true,
+            agreement,
+            residuals: vec![residual("mean", 0.3), residual("bend of the noise", 3.4)],
+            data_faults: Vec::new(),
+            not_looked_at: Vec::new(),
+        };
+        assert!(agrees(&of(Agreement::Doubtful)).contains("the largest in bend of the noise"));
+        assert!(!agrees(&of(Agreement::Holds)).contains("bend"));
+    }
 
     #[test]
     fn ratios_are_said_in_words() {

@@ -7,10 +7,10 @@ use super::fit::{Fitted, fit_half, halves};
 use super::free::Common;
 use super::iteration::FAR_SQUARE;
 use super::layout::{Layout, State};
-use super::settings;
 use super::slopes::Slopes;
 use super::system::System;
 use super::white::White;
+use super::{photon_transfer, settings};
 use crate::agreement::{Agreement, P_LIMIT};
 use crate::data_faults::DataFault;
 use crate::observables::{
@@ -92,8 +92,11 @@ fn compared(all: &Observations, model: &Fitted) -> Comparison {
     }
     let n = residuals.len() as f64;
     let error = (residuals.iter().map(|r| r.z * r.z).sum::<f64>() / n.max(1.0)).sqrt();
-    let tests = settings::tests(all, model, &levels(all, model.base.offset_dn));
-    let orders: Vec<Residual> = tests.into_iter().map(of_settings).collect();
+    let levels = levels(all, model.base.offset_dn);
+    let tests = settings::tests(all, model, &levels).into_iter().map(|t| of_all_sets(t, &mean::Mean));
+    let of_noise =
+        photon_transfer::tests(all, model, &levels).into_iter().map(|t| of_all_sets(t, &variance::Variance));
+    let orders: Vec<Residual> = tests.chain(of_noise).collect();
     // Of so few numbers the smallest chance times theirs and that of all others.
     let by_order = orders.iter().map(|r| two_sided(r.z)).fold(1.0, f64::min) * (orders.len() + 1) as f64;
     let p_value = p_value(&residuals).min(by_order);
@@ -109,8 +112,8 @@ fn compared(all: &Observations, model: &Fitted) -> Comparison {
     }
 }
 
-/// A test of the settings of all sets as a residual.
-fn of_settings(test: settings::Test) -> Residual {
+/// A test of all sets together as a residual of a statistic.
+fn of_all_sets(test: settings::Test, statistic: &dyn Statistic) -> Residual {
     Residual {
         observable: test.name,
         set: None,
@@ -120,8 +123,8 @@ fn of_settings(test: settings::Test) -> Residual {
         z: test.z,
         independent_z: test.z,
         level_dn: 0.0,
-        statistic: mean::Mean.id().into(),
-        meaning: mean::Mean.meaning(0).into(),
+        statistic: statistic.id().into(),
+        meaning: statistic.meaning(0).into(),
         unit: "".into(),
     }
 }
@@ -422,7 +425,7 @@ pub struct OfStatistic {
 
 /// Allowed excess of a statistic's standardised residuals over chance, since errors are predicted to some per cent and parameters
 /// were fitted: the sum of their squares by a quarter, their mean by a fifth of its deviation.
-const SLACK_OF_SQUARES: f64 = 1.25;
+pub(super) const SLACK_OF_SQUARES: f64 = 1.25;
 /// See [`SLACK_OF_SQUARES`].
 const SLACK_OF_MEAN: f64 = 1.2;
 

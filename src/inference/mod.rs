@@ -11,6 +11,7 @@ mod judge;
 mod layout;
 mod model;
 mod normal;
+mod photon_transfer;
 mod screen;
 mod settings;
 mod slopes;
@@ -24,8 +25,12 @@ pub use judge::{Comparison, OfStatistic, Residual, by_statistic, compare};
 pub(crate) use judge::{by, residuals_of};
 pub use model::{Effects, Given, as_given};
 pub use screen::{Scored, Screen};
-pub(crate) use settings::words as words_of_settings;
 #[cfg(test)]
 pub(crate) use settings::{AT_LONG_EXPOSURES, THAT_COME_BACK};
 pub(crate) use start::has_flats;
 pub use start::{reference_level, start};
+
+/// Deviation that a test of all sets together finds, in words, by its name.
+pub(crate) fn words_of_test(name: &str) -> Option<&'static str> {
+    settings::words(name).or_else(|| photon_transfer::words(name))
+}

@@ -62,7 +62,7 @@ pub(super) fn tests(all: &Observations, model: &Fitted, levels: &[f64]) -> Vec<T
 }
 
 /// As many standard deviations as have this chance.
-fn as_z(p_value: f64) -> f64 {
+pub(super) fn as_z(p_value: f64) -> f64 {
     std::f64::consts::SQRT_2 * erfc_inv(p_value.clamp(1e-300, 1.0))
 }
 

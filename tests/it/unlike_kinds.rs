@@ -4,6 +4,7 @@
 use crate::import_cases::{Bench, Camera};
 use crate::support::radcam;
 use ndarray::Array2;
+use radcam_sim::rng::{PixelRng, Stream};
 use serde_json::Value;
 
 /// Gain of the camera, DN/e, its read noise, e, and that of one of its frames with rounding, DN^2.
@@ -180,4 +181,23 @@ fn levels_far_from_saturation_all_count() {
     let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
     assert!((value - GAIN).abs() < 4.0 * error, "{value} +- {error}");
     assert!(json["notes"].to_string().contains("fitted to all 3 levels"), "{}", json["notes"]);
+}
+
+/// A sensor that changes from a quiet to a noisy amplifier between two levels lies on no line: the noise of the
+/// levels together tells it, where that of each alone is too little.
+#[test]
+fn noise_on_no_line_does_not_agree() {
+    for (noisy_dn, agrees, seed) in [(0.0, true, 294), (14.0, false, 295)] {
+        let (bench, mut hot) = (Bench::new(), Hot::new(seed));
+        let mut rng = PixelRng::new(seed, Stream::Effect, 0, 0, 0);
+        let mut draw = |light_e: f64, exposure_s: f64| {
+            let noisy_dn = if light_e > 400.0 { noisy_dn } else { 0.0 };
+            let mut noisy = |v: u16| (f64::from(v) + noisy_dn * rng.normal()).round().max(0.0) as u16;
+            hot.frame(light_e, exposure_s).mapv(&mut noisy)
+        };
+        let path = campaign(&bench, &[10.0, 20.0, 30.0], &FLATS_MS, &mut draw);
+        let said: Value = serde_json::from_slice(&radcam(&["diagnose", &path, "--json"]).stdout).unwrap();
+        assert_eq!(said["consistent"], agrees, "{}", said["verdict"]);
+        assert!(agrees || said["verdict"].to_string().contains("noise"), "{}", said["verdict"]);
+    }
 }
