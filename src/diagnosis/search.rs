@@ -1,6 +1,7 @@
 //! Searches over sets of effects: several lines are followed, what others take over is dropped again.
 
 use super::memo::{Memo, key, of_effects};
+use super::memory::is_memory;
 use super::part::BARE_MENTION;
 use super::starts::{Starts, finished, sorted};
 use super::{HOLDS, TIE};
@@ -209,8 +210,11 @@ impl Look<'_> {
             Some(Promising { gain: starts.gain()?, starts })
         };
         let lit = has_flats(self.all);
+        let has_memory = self.now.effects.iter().any(|(e, _)| e.has_memory());
+        let no_scatter = !has_memory && is_memory(self.all);
         let tells = |e: &&&'static dyn Effect| {
             e.needs() <= there
+                && !(no_scatter && e.shown_by().is_some())
                 && !(self.all.means_given && e.needs() == Needs::Means)
                 && (lit || e.shows_in_darks())
         };
@@ -484,6 +488,14 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
         let before = not.len();
         if added.clone().any(|i| is_of_one_set(all, &found.fitted, i)) {
             not.extend(effects::all().into_iter().filter(|e| e.has_memory()).map(|e| (e.id(), None)));
+        }
+        let effects_added = || found.fitted.effects[added.clone()].iter();
+        if effects_added().any(|(e, _)| e.shown_by().is_some())
+            && !found.fitted.effects.iter().any(|(e, _)| e.has_memory())
+            && is_memory(all)
+        {
+            let scatters = effects::all().into_iter().filter(|e| e.shown_by().is_some());
+            not.extend(scatters.map(|e| (e.id(), None)));
         }
         // Another form of it may be something.
         let banned = |i: usize| {

@@ -175,3 +175,23 @@ fn light_that_fades_is_a_drift() {
     is_near(fades, "rel_per_s", -0.04);
     assert!(d.missing[1..].iter().all(|m| m.share < 0.01), "{:#?}", d.missing);
 }
+
+/// Lag in sets of two frames, exposures in any order, and a lamp that warms up: each frame's deviation is that of
+/// the level before, and no flicker, though a flicker excuses it.
+#[test]
+fn lag_in_sets_of_two_frames_is_no_flicker() {
+    let exposures_ms = [8.0, 19.0, 14.0, 2.0, 19.0, 11.0, 17.0, 6.0, 4.0, 12.0, 9.0, 20.0, 16.0];
+    let set = |kind: &str, exposure_s: f64, light: f64| {
+        format!("[[set]]\nkind = \"{kind}\"\nframes = 2\nexposure_s = {exposure_s}\nillumination = {light}\n")
+    };
+    let flats = exposures_ms.iter().map(|ms| set("flat", ms / 1000.0, 1.0));
+    let darks = [2.0, 20.0, 2.0, 20.0].map(|ms: f64| set("dark", ms / 1000.0, 0.0));
+    let sets: String = flats.chain(darks).collect();
+    let plan = Plan::from_toml(&format!("format = \"radcam-plan/1\"\n{sets}")).unwrap();
+    let model = unit(296);
+    let lag = with(model.clone(), "image-lag", &[0.0, 0.02, 1.0, 0.0, 1.0, 0.0]);
+    let d = verdict(with(lag, "illumination-drift", &[0.0, -0.004, 0.0, 1.0]), Some(&plan));
+    let named = ["image-lag", "temporal-filter"];
+    assert!(named.contains(&d.missing[0].effect.as_str()), "{:#?}", d.missing);
+    assert!(d.missing.iter().all(|m| m.effect != "illumination-flicker"), "{:#?}", d.missing);
+}
