@@ -6,12 +6,12 @@ use crate::calibrate::file::Calibration;
 use crate::correct::{Codes, CorrectError, Corrector};
 use crate::dataset::tag::{CORRECTED, FrameTag, is_corrected};
 use crate::dataset::{CameraInfo, Dataset, MAX_EXPOSURE_S, image, write_whole};
-use crate::import::{facts, pixel_format, region_of};
+use crate::import::{BOTTOM_UP, Facts, ROW_ORDER, facts, pixel_format, region_of};
 use crate::number::{percent, six_digits};
 use crate::output::folder_of;
 use crate::statistics::code_step::{Occurring, Stretch};
 use anyhow::{Context, Result, bail};
-use ndarray::Array2;
+use ndarray::{Array2, Axis};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -376,7 +376,7 @@ impl Plain {
         let (mut now, said) = match FrameTag::read(path) {
             Some(tag) => (tag.camera, Some(tag.exposure_s)),
             None => {
-                let (facts, _) = facts(path)?;
+                let (mut facts, _) = facts(path)?;
                 if let Some(why) = facts.processed.as_ref().filter(|_| !force) {
                     bail!("{}: {why}; give the raw frame, or --force", path.display());
                 }
@@ -394,6 +394,9 @@ impl Plain {
                         pixels = region.of(&pixels).to_owned();
                     }
                 }
+                if facts.bottom_up.is_some() && !force {
+                    turn(&mut pixels, &mut facts, calibrated, path, notes)?;
+                }
                 let format = facts.mosaic.as_ref().map(|p| pixel_format(p, calibrated.bit_depth));
                 let camera = CameraInfo { pixel_format: format.unwrap_or_default(), ..facts.camera_info() };
                 (camera, facts.exposure_s)
@@ -405,11 +408,23 @@ impl Plain {
             let largest = pixels.iter().fold(0, |a, b| a | b);
             let up = largest.trailing_zeros();
             if largest > 255 && up >= 2 && !force {
-                return Err(CorrectError::Settings(format!(
-                    "all codes are multiples of {}: shifted up by {up} bits, as `radcam import` shifts them down",
-                    1u32 << up
-                )))
-                .with_context(named);
+                // Codes in the upper bits of what they are stored in; the noise of any frame fills single codes.
+                if u32::from(calibrated.bit_depth) + up != u32::from(stored) {
+                    return Err(CorrectError::Settings(format!(
+                        "all codes are multiples of {}: shifted up by {up} bits, and the {} bits of the calibration are {} fewer than the {stored} \
+                         of the file",
+                        1u32 << up,
+                        calibrated.bit_depth,
+                        stored.saturating_sub(calibrated.bit_depth)
+                    )))
+                    .with_context(named);
+                }
+                pixels.mapv_inplace(|code| code >> up);
+                notes.say(
+                    path,
+                    "shifted",
+                    format!("all codes are multiples of {}: shifted down by {up} bits", 1u32 << up),
+                );
             }
             let (most, full) = (pixels.iter().max().copied().unwrap_or(0), calibrated.full_scale_dn());
             if most > full && !force {
@@ -463,6 +478,40 @@ impl Plain {
             );
         }
         Ok(Self { pixels, exposure_s })
+    }
+}
+
+/// Turns the rows of a frame that run the other way than the calibration's, by what both headers state.
+///
+/// # Errors
+///
+/// That the rows run from the bottom to the top where the calibration does not state how its own do.
+fn turn(
+    pixels: &mut Array2<u16>,
+    facts: &mut Facts,
+    calibrated: &CameraInfo,
+    path: &Path,
+    notes: &mut Notes,
+) -> Result<()> {
+    let (own, known) = (facts.row_order(), calibrated.features.get(ROW_ORDER).and_then(|v| v.as_str()));
+    match (own, known) {
+        (Some(BOTTOM_UP), None) => Err(CorrectError::Settings(format!(
+            "states that its rows run from the bottom to the top ({ROW_ORDER}), and the calibration does not state how its own do; turn the frame, or \
+             --force takes the rows as they are"
+        )))
+        .with_context(|| path.display().to_string()),
+        (Some(own), Some(known)) if own != known => {
+            pixels.invert_axis(Axis(0));
+            *pixels = pixels.as_standard_layout().to_owned();
+            facts.bottom_up = facts.bottom_up.map(|up| !up);
+            notes.say(
+                path,
+                "turned",
+                format!("its rows are {own} and the calibration's are {known} ({ROW_ORDER}): turned"),
+            );
+            Ok(())
+        }
+        _ => Ok(()),
     }
 }
 

@@ -13,14 +13,26 @@ pub fn pixel_format(pattern: &str, bit_depth: u8) -> String {
     format!("Bayer{}{bit_depth}", pattern.get(..2).unwrap_or_default())
 }
 
+/// Feature that says in which order the rows of a frame are.
+pub const ROW_ORDER: &str = "ROWORDER";
+/// Its value for rows from the bottom to the top.
+pub const BOTTOM_UP: &str = "BOTTOM-UP";
+/// Its value for rows from the top to the bottom.
+pub const TOP_DOWN: &str = "TOP-DOWN";
+
 impl Facts {
+    /// Order of the rows, if it is stated.
+    pub fn row_order(&self) -> Option<&'static str> {
+        self.bottom_up.map(|up| if up { BOTTOM_UP } else { TOP_DOWN })
+    }
+
     /// The camera as names and headers state it; what they do not state is empty or absent.
     pub fn camera_info(&self) -> CameraInfo {
         let text = |t: &Option<String>| t.clone().unwrap_or_default();
         let mut features: BTreeMap<String, toml::Value> =
             self.differs.iter().map(|(name, value)| (name.clone(), feature_value(value))).collect();
-        if let Some(up) = self.bottom_up {
-            features.insert("ROWORDER".into(), if up { "BOTTOM-UP" } else { "TOP-DOWN" }.into());
+        if let Some(order) = self.row_order() {
+            features.insert(ROW_ORDER.into(), order.into());
         }
         self.camera.clone().unwrap_or_else(|| CameraInfo {
             vendor: text(&self.vendor),

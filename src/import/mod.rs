@@ -32,7 +32,7 @@ mod words;
 mod write;
 
 pub use crate::dataset::Region;
-pub use camera::{PATTERNS, pixel_format};
+pub use camera::{BOTTOM_UP, PATTERNS, ROW_ORDER, TOP_DOWN, pixel_format};
 pub use facts::Facts;
 pub use listing::{Listing, list};
 pub use map::{MAP_FORMAT, Map, MapSet};

@@ -1,5 +1,6 @@
 //! Files into sets.
 
+use super::camera::{BOTTOM_UP, ROW_ORDER, TOP_DOWN};
 use super::listing::PACKED;
 use super::map::{MAP_FORMAT, Map, MapSet, SAME_LIGHT};
 use super::{Facts, Found, ImportError, LIT, Region, depth_of, few, plausible, settings, stamps};
@@ -390,8 +391,8 @@ fn turns(found: &[Found], features: &mut BTreeMap<String, toml::Value>, notes: &
     if mixed {
         notes.push(format!("rows of {up} frames run from the bottom to the top (ROWORDER): they are turned"));
     }
-    let order = if down > 0 { "TOP-DOWN" } else { "BOTTOM-UP" };
-    features.insert("ROWORDER".into(), order.into());
+    let order = if down > 0 { TOP_DOWN } else { BOTTOM_UP };
+    features.insert(ROW_ORDER.into(), order.into());
     mixed
 }
 

@@ -353,6 +353,77 @@ fn stretched_frames_are_no_frames_of_the_calibration() {
     }
 }
 
+/// Codes in the upper bits of 16: files as `import` shifted them down are shifted down by `correct`, and said.
+#[test]
+fn codes_in_the_upper_bits_are_shifted_down() {
+    let (folder, mut camera) = (Folder::new(), Drawn::new(297, 20.0));
+    fs::create_dir(folder.path("in")).unwrap();
+    let mut take = |name: &str, ms: u32, light_e: f64| {
+        let image = camera.frame(light_e, f64::from(ms) / 1e3).mapv(|v| v << 4);
+        tiff(&folder.path(name), &image, "", None);
+    };
+    for i in 0..6 {
+        take(&format!("in/dark_10ms_{i}.tif"), 10, 0.0);
+        take(&format!("in/dark_4000ms_{i}.tif"), 4000, 0.0);
+        for ms in [10, 20, 30, 40] {
+            take(&format!("in/flat_{ms}ms_{i}.tif"), ms, 150.0 * f64::from(ms));
+        }
+    }
+    take("one_10ms.tif", 10, 1500.0);
+    folder.calibrate();
+    let (mean, said) = folder.correct("one_10ms.tif", &[]);
+    assert!((mean - 750.0).abs() < 3.0, "{mean}");
+    assert!(said.contains("all codes are multiples of 16: shifted down by 4 bits"), "{said}");
+}
+
+/// Rows from the bottom to the top against a calibration of rows from the top: turned and said. A calibration that
+/// does not state how its rows run is asked about.
+#[test]
+fn rows_that_run_the_other_way_are_turned() {
+    let brighter = |y: usize, _: usize| (if y < 32 { 1.4 } else { 1.0 }, 1.0);
+    for stated in [true, false] {
+        let (folder, mut camera) = (Folder::new(), Drawn::new(298, 20.0));
+        fs::create_dir(folder.path("in")).unwrap();
+        let mut take = |name: &str, kind: &str, ms: u32, light_e: f64, order: Option<&str>| {
+            let exposure_s = f64::from(ms) / 1e3;
+            let said = [format!("EXPTIME = {exposure_s}"), format!("IMAGETYP = '{kind}'")];
+            let order = order.map(|order| format!("ROWORDER = '{order}'"));
+            let cards: Vec<&str> = said.iter().map(String::as_str).chain(order.as_deref()).collect();
+            let mut image = camera.frame_of(light_e, exposure_s, brighter);
+            if order.as_deref().is_some_and(|order| order.contains("BOTTOM")) {
+                image.invert_axis(ndarray::Axis(0));
+            }
+            fits(&folder.path(name), &cards, &image);
+        };
+        let order = stated.then_some("TOP-DOWN");
+        for i in 0..6 {
+            take(&format!("in/d1_{i}.fits"), "Dark", 10, 0.0, order);
+            take(&format!("in/d2_{i}.fits"), "Dark", 4000, 0.0, order);
+            for ms in [10, 20, 30, 40] {
+                take(&format!("in/f{ms}_{i}.fits"), "Flat", ms, 100.0 * f64::from(ms), order);
+            }
+        }
+        take("up.fits", "Light", 10, 1000.0, Some("BOTTOM-UP"));
+        folder.calibrate();
+        if !stated {
+            let arguments =
+                ["correct", &folder.text("cal.tiff"), &folder.text("up.fits"), "-o", &folder.text("x.tiff")];
+            let said = refused(&arguments);
+            assert!(said.contains("ROWORDER") && said.contains("does not state"), "{said}");
+            continue;
+        }
+        let (_, said) = folder.correct("up.fits", &[]);
+        assert!(said.contains("are BOTTOM-UP and the calibration's are TOP-DOWN"), "{said}");
+        let mut decoder =
+            tiff::decoder::Decoder::new(fs::File::open(folder.path("out.tiff")).unwrap()).unwrap();
+        let tiff::decoder::DecodingResult::F32(values) = decoder.read_image().unwrap() else { panic!() };
+        let (upper, lower) = values.split_at(32 * 80);
+        let mean = |of: &[f32]| of.iter().map(|v| f64::from(*v)).sum::<f64>() / of.len() as f64;
+        // The smooth estimator leaves the light in: the brighter half is above, as in the calibration.
+        assert!(mean(upper) > 1.2 * mean(lower), "{} {}", mean(upper), mean(lower));
+    }
+}
+
 /// Overscan that a FITS header states is cut off by `import` and by `correct`; sections that are none are refused.
 #[test]
 fn overscan_of_fits_is_cut_off() {
