@@ -198,6 +198,8 @@ pub struct Calibrated {
     pub levels: usize,
     /// Flats that are no part of K, with the reason.
     pub left_out: Vec<String>,
+    /// True if K contains the card: nothing was moved between the configurations, or nothing shows that it was.
+    pub has_card: bool,
 }
 
 /// Dark reference and K from a dataset: darks at any exposures, and flats of three configurations or more at one exposure
@@ -253,6 +255,7 @@ pub fn of_dataset(
     let defects = defects::find(&means, &pattern.k, &light, gain);
     without_defects(&mut pattern, &defects, mosaic);
     let darks = means.iter().map(|d| d.frames).sum();
+    let has_card = estimator == Estimator::Smooth || worth::differ_by_noise_alone(&pattern, &flats.noise_dn2);
     worth::check(&pattern, &defects, &dark, flats.frames.iter().sum(), darks)?;
     let camera = &dataset.manifest().camera;
     let description = Description {
@@ -272,7 +275,14 @@ pub fn of_dataset(
     };
     let calibration = Calibration::new(description, dark, pattern, &defects);
     let data_faults = dataset.data_faults().to_vec();
-    Ok(Calibrated { calibration, defects, data_faults, levels: flats.levels, left_out: flats.left_out })
+    Ok(Calibrated {
+        calibration,
+        defects,
+        data_faults,
+        levels: flats.levels,
+        left_out: flats.left_out,
+        has_card,
+    })
 }
 
 /// Rounds in which pixels that the surfaces show to be dead are taken out of them.

@@ -115,7 +115,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     // A calibration campaign may have one level only; then it says nothing of the noise.
     let noise = noise::of_dataset(&dataset, &STOP, &mut |_, _| {}).ok();
     let provenance = format!("radcam {} from {}", env!("CARGO_PKG_VERSION"), arguments.dataset.display());
-    let Calibrated { calibration, mut defects, data_faults, levels, left_out } =
+    let Calibrated { calibration, mut defects, data_faults, levels, left_out, has_card } =
         after_faults(of_dataset(&dataset, estimator, noise.as_ref(), &provenance), dataset.data_faults())?;
     calibration.write(&arguments.output)?;
     let d = &calibration.description;
@@ -123,6 +123,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         let mut said = serde_json::to_value(d)?;
         said["data_faults"] = serde_json::to_value(&data_faults)?;
         said["left_out"] = serde_json::to_value(&left_out)?;
+        said["has_card"] = has_card.into();
         said["defect_counts"] = counts(&defects)
             .into_iter()
             .map(|(name, n)| (name.to_string(), serde_json::Value::from(n)))
@@ -173,6 +174,11 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     }
     if estimator == Estimator::Smooth {
         println!("  note: nothing was moved: K contains the card, and of the lamp what is not smooth");
+    } else if has_card {
+        println!(
+            "  note: the configurations differ by no more than the noise of their frames: card and lamp are even, or were not moved, and \
+             then K contains the card, and of the lamp what is not smooth; its error does not hold for that"
+        );
     }
     if calibration.dark.current_dn_per_s.is_none() {
         println!(

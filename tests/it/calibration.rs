@@ -1,5 +1,6 @@
 //! Sections V to VII through the program and the library: from a pilot to surfaces that are recognised.
 
+use crate::frame_headers::{Drawn, Folder};
 use crate::rewritten::Campaign;
 use crate::support::{expect, refused, small};
 use radcam::bench::{BenchState, Illuminator};
@@ -576,4 +577,35 @@ fn constant_noise_below_zero_makes_no_calibration() {
     noise.constant_noise_var_dn2.value = -noise.constant_noise_var_dn2.std_err;
     let made = radcam::calibrate::of_dataset(&dataset, Estimator::Smooth, Some(&noise), "").unwrap();
     assert_eq!(made.calibration.description.constant_noise_var_dn2, Some(0.0));
+}
+
+/// Six configurations of a card with stripes of 1.2 %: moved, the stripes are no part of K; left where it was, they are, and it is
+/// said. Nothing tells that from an even card.
+#[test]
+fn a_card_that_was_not_moved_is_said() {
+    for (moved, seed) in [(7.0, 299), (0.0, 300)] {
+        let (folder, mut camera) = (Folder::new(), Drawn::new(seed, 20.0));
+        std::fs::create_dir(folder.path("in")).unwrap();
+        let mut take = |kind: &str, configuration: u32, light_e: f64| {
+            for i in 0..6 {
+                let card = |_: usize, x: usize| {
+                    (1.0 + 0.012 * ((x as f64 + moved * f64::from(configuration)) / 3.0).sin(), 1.0)
+                };
+                let image = camera.frame_of(light_e, 0.01, card);
+                let name = format!("in/config{configuration}_{kind}_10ms_{i}.tif");
+                std::fs::write(folder.path(&name), radcam::dataset::image::tiff_bytes(&image, 12).unwrap())
+                    .unwrap();
+            }
+        };
+        (0..6).for_each(|configuration| take("flat", configuration, 7000.0));
+        take("dark", 0, 0.0);
+        let (data, cal) = (folder.text("d"), folder.text("cal.tiff"));
+        expect(0, &["import", &folder.text("in"), "-o", &data, "--yes"]);
+        let said: serde_json::Value =
+            serde_json::from_str(&expect(0, &["calibrate", &data, "-o", &cal, "--json"])).unwrap();
+        assert_eq!(said["n1"], 6, "{said}");
+        assert_eq!(said["has_card"], moved == 0.0, "{said}");
+        let said = expect(0, &["calibrate", &data, "-o", &folder.text("again.tiff")]);
+        assert_eq!(said.contains("K contains the card"), moved == 0.0, "{said}");
+    }
 }
