@@ -237,6 +237,8 @@ impl Check for SettingLabel {
             let charge_is_unknown = priors[OFFSET.0] > PRIORS[OFFSET.0];
             let one = steady_but_one(&points, charge_is_unknown, &|k| light(lit[k]));
             found = one.map_or(Vec::new(), |(law, k)| judged(&law, &[lit[k]], STEADY.1));
+            // Four flats are on a line by chance: of five the noise has to say the same.
+            found.retain(|f| points.len() > MIN_FLATS || f.1 == FaultKind::OtherSettings);
         }
         let mut unequal = Vec::new();
         let first_lit = campaign.places(SetView::is_lit).first().copied();
@@ -343,7 +345,7 @@ fn steady_but_one(
         ..p.clone()
     };
     let points: Vec<Point> = points.iter().map(of).collect();
-    let law = Law::fit(&points, &priors, 1).filter(|_| points.len() > MIN_FLATS)?;
+    let law = Law::fit(&points, &priors, 1).filter(|_| points.len() >= MIN_FLATS)?;
     if law.scale() > MAX_SCATTER_OF_STEADY {
         return None;
     }

@@ -1,5 +1,5 @@
-//! A dark that has more charge than the line of the other darks leaves for its exposure: light fell on it, the
-//! sensor was warmer, or it was exposed longer than it says.
+//! Darks that have more charge than the line of the other darks leaves for their exposure: light fell on them, the
+//! sensor was warmer, or they were exposed longer than they say.
 //!
 //! Charge raises the level by A E and the variance by A^2 E (Healey and Kondepudy 1994, eq. 35): a black level
 //! that moved, and another gain, do not (`dark_settings`).
@@ -44,46 +44,51 @@ impl Check for StrayDarkCharge {
         };
         let var_dn2 = |i: usize| campaign.sets[i].variance_dn2().map_or(f64::NAN, |v| v.0);
         let scatter_dn = SET_SCATTER_DN.max(campaign.dark_scatter_dn());
-        let level = |d: usize| campaign.sets[d].level_dn();
         let longest_s = darks.last().map_or(0.0, |&d| exposure_s(d));
         let point = |&d: &usize| {
             let frames = campaign.sets[d].frames() as f64;
             let std = SET_SCATTER_DN.hypot(campaign.dark_scatter_dn() / frames.sqrt());
-            Point { factors: vec![1.0, exposure_s(d) / longest_s], value: level(d), std }
+            Point { factors: vec![1.0, exposure_s(d) / longest_s], value: campaign.sets[d].level_dn(), std }
         };
         let points: Vec<Point> = darks.iter().map(point).collect();
-        let Some(law) = Law::fit(&points, &[1e5, 1e5], 1) else { return Vec::new() };
-        let &[stray] = law.out.as_slice() else { return Vec::new() };
-        let i = darks[stray];
-        let off = |p: &Point| p.value - law.at(&p.factors);
-        let (off_dn, std_dn) = (off(&points[stray]), law.std(&points[stray]));
-        let others: Vec<usize> = darks.iter().copied().filter(|d| *d != i).collect();
-        let scatter_of_others = points
-            .iter()
-            .enumerate()
-            .filter(|(k, _)| *k != stray)
-            .map(|(_, p)| off(p).abs())
-            .fold(scatter_dn, f64::max);
+        // Of darks in two halves nothing tells which are right.
+        let most = (darks.len() - MIN_OTHERS).min((darks.len() - 1) / 2);
+        let Some(law) = Law::fit(&points, &[1e5, 1e5], most) else { return Vec::new() };
+        let off = |k: &usize| points[*k].value - law.at(&points[*k].factors);
+        let (strays, others): (Vec<usize>, Vec<usize>) = (0..darks.len()).partition(|k| law.out.contains(k));
+        let scatter_of_others = others.iter().map(|k| off(k).abs()).fold(scatter_dn, f64::max);
+        let level = |k: usize| points[k].value;
         // The longest exposure is extrapolated: dark current may grow by more than in proportion.
-        let growth_dn = others.last().map_or(0.0, |&d| level(d) - level(others[0])).abs();
-        let of_growth = if Some(i) == darks.last().copied() { MIN_OVER_GROWTH * growth_dn } else { 0.0 };
-        let noise: Vec<(f64, f64)> = others.iter().map(|&d| (exposure_s(d), var_dn2(d))).collect();
+        let growth_dn = others.last().map_or(0.0, |&k| level(k) - level(others[0])).abs();
+        let of_growth = if strays.contains(&(darks.len() - 1)) { MIN_OVER_GROWTH * growth_dn } else { 0.0 };
+        let noise: Vec<(f64, f64)> =
+            others.iter().map(|&k| (exposure_s(darks[k]), var_dn2(darks[k]))).collect();
         let Some((dn2, dn2_per_s)) = median_line(&noise) else { return Vec::new() };
-        let more_dn2 = var_dn2(i) - dn2 - dn2_per_s * exposure_s(i);
-        let is_charge = AS_CHARGE.contains(&(more_dn2 / (gain * off_dn)));
-        // Lag of a flat before it is no slip.
-        let follows_light = i > 0 && campaign.sets[i - 1].is_lit();
-        let least = (MIN_OVER_OTHERS * scatter_of_others).max(MIN_DN).max(of_growth);
-        if off_dn <= least || !is_charge || follows_light {
+        let least_dn = (MIN_OVER_OTHERS * scatter_of_others).max(MIN_DN).max(of_growth);
+        let is_charged = |k: &usize| {
+            let more_dn2 = var_dn2(darks[*k]) - dn2 - dn2_per_s * exposure_s(darks[*k]);
+            // Lag of a flat before it is no slip.
+            let follows_light = darks[*k] > 0 && campaign.sets[darks[*k] - 1].is_lit();
+            off(k) > least_dn && AS_CHARGE.contains(&(more_dn2 / (gain * off(k)))) && !follows_light
+        };
+        if strays.is_empty() || !strays.iter().all(is_charged) {
             return Vec::new();
         }
+        let sets: Vec<usize> = strays.iter().map(|k| darks[*k]).collect();
+        let by_dn: Vec<String> = strays.iter().map(|k| with_error(off(k), law.std(&points[*k]))).collect();
+        let name = match sets[..] {
+            [one] => format!("set {} ({})", campaign.sets[one].number, campaign.file(one, 0)),
+            _ => campaign.named(&sets),
+        };
+        let [level, noise, on, was] = match sets.len() {
+            1 => ["its level is", "its noise is", "it", "it was"],
+            _ => ["their levels are", "their noise is", "them", "they were"],
+        };
         let text = format!(
-            "set {} ({}): its level is {} DN above the line of the other darks, and its noise is that of so much charge: light fell on it, the \
-             sensor was warmer, or it was exposed longer than it says",
-            campaign.sets[i].number,
-            campaign.file(i, 0),
-            with_error(off_dn, std_dn)
+            "{name}: {level} {} DN above the line of the other darks, and {noise} that of so much charge: light fell on {on}, the sensor was \
+             warmer, or {was} exposed longer than stated",
+            by_dn.join(" and ")
         );
-        vec![campaign.fault_of_sets(FaultKind::OtherSettings, &[i], text, true)]
+        vec![campaign.fault_of_sets(FaultKind::OtherSettings, &sets, text, true)]
     }
 }
