@@ -10,6 +10,9 @@ use std::collections::BTreeMap;
 const MAX_CLIPPED_SHARE: f64 = 1e-3;
 /// The same where other levels tell of the pixels that are clipped: glints on the card.
 const MAX_CLIPPED_SHARE_OF_MANY: f64 = 0.02;
+/// Share of the pixels up to which those that are bright in the dark are stuck ones, and say nothing of the light (a
+/// named choice, as for the look at the sets).
+const MAX_STUCK_SHARE: f64 = 0.05;
 /// Level below which a flat is not used beside brighter ones, over the brightest: its weight would be as small,
 /// and the error of its dark reference is not.
 const MIN_LEVEL: f64 = 0.05;
@@ -76,6 +79,15 @@ fn image(
     Ok(Image { signal_dn, level_dn, frames: moments.frames(), var_dn2, clipped })
 }
 
+/// Share of pixels at full scale by the light: those that are near it in the dark, DN, are stuck there.
+fn share_at_full(at_full: impl Iterator<Item = bool>, dark_dn: &Array2<f32>, full_dn: f64) -> f64 {
+    let of = dark_dn.len().max(1) as f64;
+    let is_stuck = |d: &f32| f64::from(*d) > 0.5 * full_dn;
+    let stuck = dark_dn.iter().filter(|d| is_stuck(d)).count() as f64 / of;
+    let by_light = |(at_full, dark): &(bool, &f32)| *at_full && (stuck > MAX_STUCK_SHARE || !is_stuck(dark));
+    at_full.zip(dark_dn).filter(by_light).count() as f64 / of
+}
+
 /// The flats of one exposure and light in all configurations.
 pub(super) fn of_level(
     dataset: &Dataset,
@@ -87,11 +99,8 @@ pub(super) fn of_level(
     let mut out = Flats { levels: 1, ..Flats::default() };
     for (&configuration, sets) in configurations {
         let image = image(dataset, sets, dark_dn, noise)?;
-        let at_full = Zip::from(&image.signal_dn)
-            .and(dark_dn)
-            .fold(0usize, |n, &s, &d| n + usize::from(f64::from(s + d) >= full - 1e-3))
-            as f64
-            / image.signal_dn.len() as f64;
+        let pixels = image.signal_dn.iter().zip(dark_dn);
+        let at_full = share_at_full(pixels.map(|(s, d)| f64::from(s + d) >= full - 1e-3), dark_dn, full);
         if at_full > MAX_CLIPPED_SHARE {
             return Err(CalibrateError::Saturated { configuration, percent: 100.0 * at_full });
         }
@@ -115,6 +124,7 @@ pub(super) fn of_all(dataset: &Dataset, dark: &DarkReference, noise: Noise) -> R
         }
     }
     let brightest = brightest_dn(dataset, dark)?;
+    let full = f64::from(dataset.manifest().camera.full_scale_dn());
     let mut out = Flats::default();
     let mut all_levels = std::collections::BTreeSet::new();
     let mut refused: Option<CalibrateError> = None;
@@ -137,7 +147,7 @@ pub(super) fn of_all(dataset: &Dataset, dark: &DarkReference, noise: Noise) -> R
                 Err(e) => return Err(e.into()),
             };
             let of = image(dataset, &sets, &dark_dn, noise)?;
-            let clipped = of.clipped.iter().filter(|c| **c).count() as f64 / of.clipped.len() as f64;
+            let clipped = share_at_full(of.clipped.iter().copied(), &dark_dn, full);
             if clipped > MAX_CLIPPED_SHARE_OF_MANY {
                 let percent = 100.0 * clipped;
                 out.left_out.push(format!("{name}: {percent:.2} % of the pixels are at full scale"));

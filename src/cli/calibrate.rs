@@ -11,6 +11,7 @@ use crate::dataset::Dataset;
 use crate::noise;
 use crate::number::six_digits;
 use anyhow::{Result, bail};
+use ndarray::Array2;
 use std::path::PathBuf;
 
 /// Defects named on the terminal.
@@ -50,11 +51,13 @@ fn counts(defects: &[Defect]) -> [(&'static str, usize); 4] {
         .map(|(flag, name)| (name, defects.iter().filter(|d| d.flags & flag != 0).count()))
 }
 
-/// Spread of K over the pixels without a defect.
-fn sd_of_sound(calibration: &Calibration) -> f64 {
-    let sound = calibration.k.iter().zip(&calibration.defects).filter(|(_, flags)| **flags == 0);
-    let off: Vec<f64> = sound.map(|(k, _)| (f64::from(*k) - 1.0).powi(2)).collect();
-    (off.iter().sum::<f64>() / off.len().max(1) as f64).sqrt()
+/// Mean and spread over the pixels without a defect.
+fn of_sound(calibration: &Calibration, values: &Array2<f32>) -> (f64, f64) {
+    let sound = || values.iter().zip(&calibration.defects).filter(|(_, flags)| **flags == 0);
+    let n = sound().count().max(1) as f64;
+    let mean = sound().map(|(v, _)| f64::from(*v)).sum::<f64>() / n;
+    let square: f64 = sound().map(|(v, _)| (f64::from(*v) - mean).powi(2)).sum();
+    (mean, (square / n).sqrt())
 }
 
 /// Columns and rows that are blind as a whole, in words.
@@ -132,22 +135,19 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         return Ok(Outcome::Agreement);
     }
     say_faults(&data_faults);
-    let sd = |x: &ndarray::Array2<f32>| f64::from(x.std(0.0));
     println!("{}: {} x {} px, {}", arguments.output.display(), d.camera.width, d.camera.height, d.estimator);
     let exposures = if levels > 1 { format!(" at {levels} levels") } else { String::new() };
     println!(
         "  K                {} configurations of {} frames{exposures}, standard deviation {:.5}",
         d.n1,
         d.n2,
-        sd_of_sound(&calibration)
+        of_sound(&calibration, &calibration.k).1
     );
     let error = calibration.k_std_err.mean().unwrap_or(f32::NAN);
     println!("  error of K       {error:.5} a pixel");
-    let level = &calibration.dark.level_dn;
-    let mean = level.mean().unwrap_or(f32::NAN);
+    let (mean, sd) = of_sound(&calibration, &calibration.dark.level_dn);
     println!(
-        "  dark reference   {mean:.3} DN, standard deviation {:.3} DN, at {} s",
-        sd(level),
+        "  dark reference   {mean:.3} DN, standard deviation {sd:.3} DN, at {} s",
         six_digits(d.dark_exposure_s)
     );
     let kinds: Vec<String> =

@@ -693,7 +693,7 @@ fn what_deviates(first: &Comparison, last: &Comparison, named: bool) -> Vec<Stri
 #[cfg(test)]
 mod tests {
     use super::{Cost, Missing, STATISTICS, Statistic, costliest_first};
-    use crate::inference::{AT_LONG_EXPOSURES, THAT_COME_BACK};
+    use crate::inference::{ALIKE_IN_SIGNAL, AT_LONG_EXPOSURES, STEP_IN_SIGNAL, THAT_COME_BACK};
     use radcam_sim::effects;
 
     /// A filter that makes the gain wrong stands before what has the larger share and costs nothing, with
@@ -735,7 +735,8 @@ mod tests {
         for effect in effects::all() {
             for name in effect.told_by() {
                 let is_name = |s: &&&dyn Statistic| s.id() == *name || (0..20).any(|k| s.name(k) == *name);
-                let of_settings = [AT_LONG_EXPOSURES, THAT_COME_BACK].contains(name);
+                let of_settings =
+                    [ALIKE_IN_SIGNAL, AT_LONG_EXPOSURES, STEP_IN_SIGNAL, THAT_COME_BACK].contains(name);
                 let known = of_settings || STATISTICS.iter().any(|s| is_name(&s));
                 assert!(known, "{}: no statistic \"{name}\"", effect.id());
             }

@@ -26,7 +26,7 @@ pub(crate) use judge::{by, residuals_of};
 pub use model::{Effects, Given, as_given};
 pub use screen::{Scored, Screen};
 #[cfg(test)]
-pub(crate) use settings::{AT_LONG_EXPOSURES, THAT_COME_BACK};
+pub(crate) use settings::{ALIKE_IN_SIGNAL, AT_LONG_EXPOSURES, STEP_IN_SIGNAL, THAT_COME_BACK};
 pub(crate) use start::has_flats;
 pub use start::{reference_level, start};
 

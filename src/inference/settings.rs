@@ -18,6 +18,11 @@ pub const THAT_COME_BACK: &str = "light settings that come back";
 /// See [`THAT_COME_BACK`].
 pub const AT_LONG_EXPOSURES: &str = "light settings at long exposures";
 
+/// Names of tests that tell a lamp's setting from a response with a step or a bend.
+pub const STEP_IN_SIGNAL: &str = "step of light settings, in the order of the signal";
+/// See [`STEP_IN_SIGNAL`].
+pub const ALIKE_IN_SIGNAL: &str = "succession of light settings, in the order of the signal";
+
 /// Deviation that a test of this name finds, in words.
 pub fn words(name: &str) -> Option<&'static str> {
     match name {
@@ -26,6 +31,14 @@ pub fn words(name: &str) -> Option<&'static str> {
         }
         AT_LONG_EXPOSURES => Some(
             "sets scatter less at long exposures, and errors of a lamp are as large at long exposures as at short ones",
+        ),
+        STEP_IN_SIGNAL => Some(
+            "up to one level all sets are off to one side, and beyond it to the other, as a response with a step puts them; errors of a lamp \
+             come in any order",
+        ),
+        ALIKE_IN_SIGNAL => Some(
+            "sets next to each other in the signal are off alike, as a response with a bend or a step puts them; errors of a lamp come in any \
+             order",
         ),
         _ => None,
     }

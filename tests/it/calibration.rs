@@ -609,3 +609,29 @@ fn a_card_that_was_not_moved_is_said() {
         assert_eq!(said.contains("K contains the card"), moved == 0.0, "{said}");
     }
 }
+
+/// Two of eighty columns stuck at full scale are defects, and no flats that are too bright.
+#[test]
+fn stuck_columns_do_not_stop_a_calibration() {
+    let (folder, mut camera) = (Folder::new(), Drawn::new(302, 20.0));
+    std::fs::create_dir(folder.path("in")).unwrap();
+    let mut take = |name: &str, light_e: f64| {
+        let mut image = camera.frame(light_e, 0.01);
+        [31, 57].into_iter().for_each(|x| image.column_mut(x).fill(4095));
+        std::fs::write(folder.path(name), radcam::dataset::image::tiff_bytes(&image, 12).unwrap()).unwrap();
+    };
+    for i in 0..8 {
+        (0..4).for_each(|c| take(&format!("in/config{c}_flat_10ms_{i}.tif"), 6000.0));
+        take(&format!("in/dark_10ms_{i}.tif"), 0.0);
+    }
+    let (data, cal) = (folder.text("d"), folder.text("cal.tiff"));
+    expect(0, &["import", &folder.text("in"), "-o", &data, "--yes"]);
+    let said: serde_json::Value =
+        serde_json::from_str(&expect(0, &["calibrate", &data, "-o", &cal, "--json"])).unwrap();
+    assert!(said["defects"].as_u64().unwrap() >= 128, "{said}");
+    let calibration = Calibration::read(&folder.path("cal.tiff")).unwrap();
+    assert!([31, 57].iter().all(|x| calibration.defects.column(*x).iter().all(|flags| *flags != 0)));
+    // The black level of 100 DN, without the stuck columns.
+    let said = expect(0, &["calibrate", &data, "-o", &folder.text("again.tiff")]);
+    assert!(said.contains("dark reference   100."), "{said}");
+}

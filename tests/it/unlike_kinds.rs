@@ -1,5 +1,5 @@
 //! Darks and flats that do not belong together: averages of one kind, another black level, lost bits, light in
-//! one dark.
+//! some darks; sensors of two amplifiers.
 
 use crate::import_cases::{Bench, Camera};
 use crate::support::radcam;
@@ -200,4 +200,53 @@ fn noise_on_no_line_does_not_agree() {
         assert_eq!(said["consistent"], agrees, "{}", said["verdict"]);
         assert!(agrees || said["verdict"].to_string().contains("noise"), "{}", said["verdict"]);
     }
+}
+
+/// A sensor that merges two amplifiers with gains 1.5 % apart has a step at the level where it changes over: no lamp
+/// is off by the same on one side of a level and by nothing on the other.
+#[test]
+fn a_step_of_the_response_is_no_lamp() {
+    let (bench, mut hot) = (Bench::new(), Hot::new(301));
+    let mut draw = |light_e: f64, exposure_s: f64| {
+        let merged = |v: u16| if v > 900 { (f64::from(v) * 0.985).round() as u16 } else { v };
+        hot.frame(light_e, exposure_s).mapv(merged)
+    };
+    let flats_ms = [4.0, 7.0, 10.0, 13.0, 20.0, 26.0, 32.0, 38.0, 44.0, 50.0, 56.0];
+    let path = campaign(&bench, &[10.0, 20.0, 30.0], &flats_ms, &mut draw);
+    let said: Value = serde_json::from_slice(&radcam(&["diagnose", &path, "--json"]).stdout).unwrap();
+    assert_eq!(said["missing"][0]["effect"], "unknown", "{}", said["missing"]);
+    assert!(said["verdict"].to_string().contains("a response with a step"), "{}", said["verdict"]);
+}
+
+/// Two darks of five that were warmer, with twenty times the dark charge: named together and left out.
+#[test]
+fn two_darks_with_more_charge_are_left_out() {
+    let (bench, mut hot) = (Bench::new(), Hot::new(303));
+    let mut draw = |light_e: f64, exposure_s: f64| {
+        let warm_e = if light_e == 0.0 && exposure_s > 0.035 { 4000.0 * exposure_s } else { 0.0 };
+        hot.frame(light_e + warm_e, exposure_s)
+    };
+    let path = campaign(&bench, &[10.0, 20.0, 30.0, 40.0, 50.0], &FLATS_MS, &mut draw);
+    let said: Value = serde_json::from_slice(&radcam(&["noise", &path, "--json"]).stdout).unwrap();
+    let faults = said["data_faults"].as_array().unwrap();
+    assert_eq!(faults.len(), 1, "{faults:?}");
+    assert_eq!(faults[0]["sets"].as_array().unwrap().len(), 2, "{faults:?}");
+    assert!(faults[0]["text"].as_str().unwrap().contains("the sensor was warmer"), "{faults:?}");
+}
+
+/// One of five flats with a black level 60 DN higher: its noise is that of its light.
+#[test]
+fn a_black_level_of_one_of_five_flats_is_named() {
+    let (bench, mut hot) = (Bench::new(), Hot::new(304));
+    let mut draw = |light_e: f64, exposure_s: f64| {
+        let black = if light_e == 2000.0 { 60 } else { 0 };
+        hot.frame(light_e, exposure_s).mapv(|v| v + black)
+    };
+    let path = campaign(&bench, &[10.0, 20.0, 30.0], &FLATS_MS, &mut draw);
+    let said: Value = serde_json::from_slice(&radcam(&["noise", &path, "--json"]).stdout).unwrap();
+    let faults = said["data_faults"].to_string();
+    assert!(faults.contains("higher than in the other sets"), "{faults}");
+    let gain = &said["gain_dn_per_e"];
+    let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
+    assert!((value - GAIN).abs() < 4.0 * error, "{value} +- {error}");
 }

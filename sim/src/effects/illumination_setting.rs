@@ -33,9 +33,15 @@ impl Effect for IlluminationSetting {
         true
     }
 
-    /// Errors of a lamp's setting are drawn anew each time, and are as large at long exposures as at short ones.
+    /// Errors of a lamp's setting are drawn anew each time, are as large at long exposures as at short ones, and
+    /// come in any order.
     fn told_by(&self) -> &'static [&'static str] {
-        &["light settings that come back", "light settings at long exposures"]
+        &[
+            "light settings that come back",
+            "light settings at long exposures",
+            "step of light settings, in the order of the signal",
+            "succession of light settings, in the order of the signal",
+        ]
     }
 
     fn example(&self, _: &Plain) -> Option<Vec<f64>> {
