@@ -10,8 +10,8 @@ use std::collections::BTreeMap;
 const MAX_CLIPPED_SHARE: f64 = 1e-3;
 /// The same where other levels tell of the pixels that are clipped: glints on the card.
 const MAX_CLIPPED_SHARE_OF_MANY: f64 = 0.02;
-/// Share of the pixels up to which those that are bright in the dark are stuck ones, and say nothing of the light (a
-/// named choice, as for the look at the sets).
+/// Share of the pixels up to which those that are bright in the dark are stuck ones, and say nothing of the light
+/// (a named choice, as for the look at the sets).
 const MAX_STUCK_SHARE: f64 = 0.05;
 /// Level below which a flat is not used beside brighter ones, over the brightest: its weight would be as small,
 /// and the error of its dark reference is not.

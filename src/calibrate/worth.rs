@@ -63,8 +63,8 @@ pub(super) fn check(
 /// between them, or card and lamp are even (a named choice: a card of less than half of the noise).
 const MOVED: f64 = 1.2;
 
-/// Returns true if configurations differ by no more than the noise of their frames, variances of the mean images in
-/// DN^2: nothing tells what is the camera's from what is the card's.
+/// Returns true if configurations differ by no more than the noise of their frames, variances of the mean images
+/// in DN^2: nothing tells what is the camera's from what is the card's.
 pub(super) fn differ_by_noise_alone(pattern: &FixedPattern, noise_dn2: &[f64]) -> bool {
     let noise = noise_dn2.iter().sum::<f64>() / noise_dn2.len().max(1) as f64 / pattern.level_dn.powi(2);
     tracing::debug!(

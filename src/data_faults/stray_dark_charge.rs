@@ -1,5 +1,5 @@
-//! Darks that have more charge than the line of the other darks leaves for their exposure: light fell on them, the
-//! sensor was warmer, or they were exposed longer than they say.
+//! Darks that have more charge than the line of the other darks leaves for their exposure: light fell on them,
+//! the sensor was warmer, or they were exposed longer than they say.
 //!
 //! Charge raises the level by A E and the variance by A^2 E (Healey and Kondepudy 1994, eq. 35): a black level
 //! that moved, and another gain, do not (`dark_settings`).

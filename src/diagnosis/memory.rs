@@ -10,7 +10,8 @@ const FOLLOWS: f64 = 0.8;
 /// of few steps says little).
 const BY_CHANCE: f64 = 1.0 / 300.0;
 
-/// Step of the level from the set before, and how far the first frame of the set lies on that side of the others, DN.
+/// Step of the level from the set before, and how far the first frame of the set lies on that side of the others,
+/// DN.
 type Step = (f64, f64);
 
 /// Returns true if most of the scatter of frames within their sets is what first frames have of the level before.

@@ -579,8 +579,8 @@ fn constant_noise_below_zero_makes_no_calibration() {
     assert_eq!(made.calibration.description.constant_noise_var_dn2, Some(0.0));
 }
 
-/// Six configurations of a card with stripes of 1.2 %: moved, the stripes are no part of K; left where it was, they are, and it is
-/// said. Nothing tells that from an even card.
+/// Six configurations of a card with stripes of 1.2 %: moved, the stripes are no part of K; left where it was,
+/// they are, and it is said. Nothing tells that from an even card.
 #[test]
 fn a_card_that_was_not_moved_is_said() {
     for (moved, seed) in [(7.0, 299), (0.0, 300)] {

@@ -376,8 +376,8 @@ fn codes_in_the_upper_bits_are_shifted_down() {
     assert!(said.contains("all codes are multiples of 16: shifted down by 4 bits"), "{said}");
 }
 
-/// Rows from the bottom to the top against a calibration of rows from the top: turned and said. A calibration that
-/// does not state how its rows run is asked about.
+/// Rows from the bottom to the top against a calibration of rows from the top: turned and said. A calibration
+/// that does not state how its rows run is asked about.
 #[test]
 fn rows_that_run_the_other_way_are_turned() {
     let brighter = |y: usize, _: usize| (if y < 32 { 1.4 } else { 1.0 }, 1.0);

@@ -202,8 +202,8 @@ fn noise_on_no_line_does_not_agree() {
     }
 }
 
-/// A sensor that merges two amplifiers with gains 1.5 % apart has a step at the level where it changes over: no lamp
-/// is off by the same on one side of a level and by nothing on the other.
+/// A sensor that merges two amplifiers with gains 1.5 % apart has a step at the level where it changes over: no
+/// lamp is off by the same on one side of a level and by nothing on the other.
 #[test]
 fn a_step_of_the_response_is_no_lamp() {
     let (bench, mut hot) = (Bench::new(), Hot::new(301));
