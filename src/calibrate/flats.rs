@@ -79,7 +79,8 @@ fn image(
     Ok(Image { signal_dn, level_dn, frames: moments.frames(), var_dn2, clipped })
 }
 
-/// Share of pixels at full scale by the light: those that are near it in the dark, DN, are stuck there.
+/// Returns the share of pixels at full scale by the light: those that are near it in the dark, DN, are stuck
+/// there.
 fn share_at_full(at_full: impl Iterator<Item = bool>, dark_dn: &Array2<f32>, full_dn: f64) -> f64 {
     let of = dark_dn.len().max(1) as f64;
     let is_stuck = |d: &f32| f64::from(*d) > 0.5 * full_dn;

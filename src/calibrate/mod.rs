@@ -198,7 +198,8 @@ pub struct Calibrated {
     pub levels: usize,
     /// Flats that are no part of K, with the reason.
     pub left_out: Vec<String>,
-    /// True if K contains the card: nothing was moved between the configurations, or nothing shows that it was.
+    /// True if K may contain the card: nothing was moved between the configurations, or nothing shows that it
+    /// was.
     pub has_card: bool,
 }
 
@@ -255,7 +256,9 @@ pub fn of_dataset(
     let defects = defects::find(&means, &pattern.k, &light, gain);
     without_defects(&mut pattern, &defects, mosaic);
     let darks = means.iter().map(|d| d.frames).sum();
-    let has_card = estimator == Estimator::Smooth || worth::differ_by_noise_alone(&pattern, &flats.noise_dn2);
+    // The noise of the planes of a mosaic is not that of all pixels.
+    let has_card = estimator == Estimator::Smooth
+        || (!mosaic && worth::differ_by_noise_alone(&pattern, &flats.noise_dn2));
     worth::check(&pattern, &defects, &dark, flats.frames.iter().sum(), darks)?;
     let camera = &dataset.manifest().camera;
     let description = Description {

@@ -51,7 +51,7 @@ fn counts(defects: &[Defect]) -> [(&'static str, usize); 4] {
         .map(|(flag, name)| (name, defects.iter().filter(|d| d.flags & flag != 0).count()))
 }
 
-/// Mean and spread over the pixels without a defect.
+/// Returns mean and spread over the pixels without a defect.
 fn of_sound(calibration: &Calibration, values: &Array2<f32>) -> (f64, f64) {
     let sound = || values.iter().zip(&calibration.defects).filter(|(_, flags)| **flags == 0);
     let n = sound().count().max(1) as f64;

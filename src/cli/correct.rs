@@ -232,7 +232,14 @@ fn free(jobs: &[Job], arguments: &Arguments) -> Result<()> {
 }
 
 fn check(calibration: &Calibration, now: &CameraInfo, force: bool) -> Result<()> {
-    let found = calibration.description.camera.differences(now);
+    let calibrated = &calibration.description.camera;
+    let mut found = calibrated.differences(now);
+    // Files that state nothing begin with the upper row, and nothing says that those of the calibration did.
+    if row_order_of(now) == Some(BOTTOM_UP) && row_order_of(calibrated).is_none() {
+        found.push(format!(
+            "its rows run from the bottom to the top ({ROW_ORDER}), and the calibration does not state how its own do"
+        ));
+    }
     let size = (now.height, now.width) != calibration.k.dim();
     if found.is_empty() || (force && !size) {
         return Ok(());
@@ -261,6 +268,12 @@ impl Notes {
     fn compare(&mut self, file: &Path, calibrated: &CameraInfo, now: &CameraInfo) {
         for text in unknown(calibrated, now) {
             self.say(file, &text.clone(), text);
+        }
+        if row_order_of(calibrated) == Some(BOTTOM_UP) && row_order_of(now).is_none() {
+            let text = format!(
+                "does not state how its rows run ({ROW_ORDER}): taken from the bottom to the top as those of the calibration"
+            );
+            self.say(file, "row order", text);
         }
         if let (Some(was), Some(is)) = (calibrated.temperature_c, now.temperature_c)
             && (is - was).abs() > FAR_C
@@ -394,9 +407,7 @@ impl Plain {
                         pixels = region.of(&pixels).to_owned();
                     }
                 }
-                if facts.bottom_up.is_some() && !force {
-                    turn(&mut pixels, &mut facts, calibrated, path, notes)?;
-                }
+                turn(&mut pixels, &mut facts, calibrated, path, notes)?;
                 let format = facts.mosaic.as_ref().map(|p| pixel_format(p, calibrated.bit_depth));
                 let camera = CameraInfo { pixel_format: format.unwrap_or_default(), ..facts.camera_info() };
                 (camera, facts.exposure_s)
@@ -407,12 +418,13 @@ impl Plain {
             let stored = image::stored_bits(path).with_context(named)?;
             let largest = pixels.iter().fold(0, |a, b| a | b);
             let up = largest.trailing_zeros();
-            if largest > 255 && up >= 2 && !force {
-                // Codes in the upper bits of what they are stored in; the noise of any frame fills single codes.
-                if u32::from(calibrated.bit_depth) + up != u32::from(stored) {
+            // Codes in the upper bits of what they are stored in; the noise of any frame fills single codes.
+            let is_upper = u32::from(calibrated.bit_depth) + up == u32::from(stored);
+            if largest > 255 && up >= 2 && (is_upper || !force) {
+                if !is_upper {
                     return Err(CorrectError::Settings(format!(
-                        "all codes are multiples of {}: shifted up by {up} bits, and the {} bits of the calibration are {} fewer than the {stored} \
-                         of the file",
+                        "all codes are multiples of {}: shifted up by {up} bits, and frames of the calibration's {} bits would be by {} in {stored} \
+                         bits; import such frames with others of theirs, or --force takes the codes as they are",
                         1u32 << up,
                         calibrated.bit_depth,
                         stored.saturating_sub(calibrated.bit_depth)
@@ -485,7 +497,7 @@ impl Plain {
 ///
 /// # Errors
 ///
-/// That the rows run from the bottom to the top where the calibration does not state how its own do.
+/// That the frame is a mosaic, whose pattern would be another.
 fn turn(
     pixels: &mut Array2<u16>,
     facts: &mut Facts,
@@ -493,26 +505,30 @@ fn turn(
     path: &Path,
     notes: &mut Notes,
 ) -> Result<()> {
-    let (own, known) = (facts.row_order(), calibrated.features.get(ROW_ORDER).and_then(|v| v.as_str()));
-    match (own, known) {
-        (Some(BOTTOM_UP), None) => Err(CorrectError::Settings(format!(
-            "states that its rows run from the bottom to the top ({ROW_ORDER}), and the calibration does not state how its own do; turn the frame, or \
-             --force takes the rows as they are"
+    let Some((own, known)) = facts.row_order().zip(row_order_of(calibrated)).filter(|(a, b)| a != b) else {
+        return Ok(());
+    };
+    if facts.mosaic.is_some() {
+        return Err(CorrectError::Settings(format!(
+            "its rows are {own} and the calibration's are {known} ({ROW_ORDER}), and turned its colour pattern would be another; write it in the \
+             order of the calibration"
         )))
-        .with_context(|| path.display().to_string()),
-        (Some(own), Some(known)) if own != known => {
-            pixels.invert_axis(Axis(0));
-            *pixels = pixels.as_standard_layout().to_owned();
-            facts.bottom_up = facts.bottom_up.map(|up| !up);
-            notes.say(
-                path,
-                "turned",
-                format!("its rows are {own} and the calibration's are {known} ({ROW_ORDER}): turned"),
-            );
-            Ok(())
-        }
-        _ => Ok(()),
+        .with_context(|| path.display().to_string());
     }
+    pixels.invert_axis(Axis(0));
+    *pixels = pixels.as_standard_layout().to_owned();
+    facts.bottom_up = facts.bottom_up.map(|up| !up);
+    notes.say(
+        path,
+        "turned",
+        format!("its rows are {own} and the calibration's are {known} ({ROW_ORDER}): turned"),
+    );
+    Ok(())
+}
+
+/// Returns the order of a camera's rows, if it is stated.
+fn row_order_of(camera: &CameraInfo) -> Option<&str> {
+    camera.features.get(ROW_ORDER).and_then(|order| order.as_str())
 }
 
 /// Step of codes that were stretched to more bits.

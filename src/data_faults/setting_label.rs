@@ -345,7 +345,7 @@ fn steady_but_one(
         ..p.clone()
     };
     let points: Vec<Point> = points.iter().map(of).collect();
-    let law = Law::fit(&points, &priors, 1).filter(|_| points.len() >= MIN_FLATS)?;
+    let law = Law::fit(&points, &priors, 1)?;
     if law.scale() > MAX_SCATTER_OF_STEADY {
         return None;
     }

@@ -20,6 +20,10 @@ const MIN_OTHERS: usize = 3;
 const MIN_OVER_OTHERS: f64 = 20.0;
 const MIN_DN: f64 = 1.0;
 const MIN_OVER_GROWTH: f64 = 2.0;
+/// Largest number of strays, and their largest exposure over the others' longest where there are several (named
+/// choices): dark charge may grow by more than in proportion.
+const MOST_STRAYS: usize = 2;
+const MAX_REACH: f64 = 3.0;
 /// Usual scatter of a dark set's level, DN.
 const SET_SCATTER_DN: f64 = 0.1;
 /// Ratio of the noise to that of the charge, at least and at most (a named choice).
@@ -52,7 +56,7 @@ impl Check for StrayDarkCharge {
         };
         let points: Vec<Point> = darks.iter().map(point).collect();
         // Of darks in two halves nothing tells which are right.
-        let most = (darks.len() - MIN_OTHERS).min((darks.len() - 1) / 2);
+        let most = (darks.len() - MIN_OTHERS).min((darks.len() - 1) / 2).min(MOST_STRAYS);
         let Some(law) = Law::fit(&points, &[1e5, 1e5], most) else { return Vec::new() };
         let off = |k: &usize| points[*k].value - law.at(&points[*k].factors);
         let (strays, others): (Vec<usize>, Vec<usize>) = (0..darks.len()).partition(|k| law.out.contains(k));
@@ -60,7 +64,10 @@ impl Check for StrayDarkCharge {
         let level = |k: usize| points[k].value;
         // The longest exposure is extrapolated: dark current may grow by more than in proportion.
         let growth_dn = others.last().map_or(0.0, |&k| level(k) - level(others[0])).abs();
-        let of_growth = if strays.contains(&(darks.len() - 1)) { MIN_OVER_GROWTH * growth_dn } else { 0.0 };
+        // Of several, three others are on a line by chance.
+        let is_extrapolated = strays.contains(&(darks.len() - 1)) || strays.len() > 1;
+        let of_growth = if is_extrapolated { MIN_OVER_GROWTH * growth_dn } else { 0.0 };
+        let reach_s = MAX_REACH * others.last().map_or(0.0, |&k| exposure_s(darks[k]));
         let noise: Vec<(f64, f64)> =
             others.iter().map(|&k| (exposure_s(darks[k]), var_dn2(darks[k]))).collect();
         let Some((dn2, dn2_per_s)) = median_line(&noise) else { return Vec::new() };
@@ -69,7 +76,11 @@ impl Check for StrayDarkCharge {
             let more_dn2 = var_dn2(darks[*k]) - dn2 - dn2_per_s * exposure_s(darks[*k]);
             // Lag of a flat before it is no slip.
             let follows_light = darks[*k] > 0 && campaign.sets[darks[*k] - 1].is_lit();
-            off(k) > least_dn && AS_CHARGE.contains(&(more_dn2 / (gain * off(k)))) && !follows_light
+            let is_near = strays.len() == 1 || exposure_s(darks[*k]) <= reach_s;
+            is_near
+                && off(k) > least_dn
+                && AS_CHARGE.contains(&(more_dn2 / (gain * off(k))))
+                && !follows_light
         };
         if strays.is_empty() || !strays.iter().all(is_charged) {
             return Vec::new();

@@ -30,7 +30,7 @@ use crate::dataset::Kind;
 use crate::features::LeftOn;
 use crate::inference::{
     Comparison, Effects, Fitted, Residual, by, compare, fit, fit_near, residuals_of, seen, start,
-    words_of_test,
+    words_of_settings,
 };
 use crate::number::Quantity;
 use crate::number::{chance, percent};
@@ -461,7 +461,7 @@ fn not_told(part: &Part, last: &Comparison, lit: &BTreeSet<u32>) -> Option<Strin
     if worst.chance * groups.len() as f64 >= HOLDS || !matters {
         return None;
     }
-    let said = match words_of_test(&worst.name) {
+    let said = match words_of_settings(&worst.name) {
         Some(words) => words.to_string(),
         None => format!("with it {} still deviates by more than chance gives", worst.name),
     };

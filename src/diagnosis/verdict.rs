@@ -146,7 +146,7 @@ impl Verdict {
     }
 }
 
-/// Agreement with the model in words; where it is in doubt, with the statistic that deviates most.
+/// Says how the camera agrees with the model; where that is in doubt, with the statistic that deviates most.
 fn agrees(first: &Comparison) -> String {
     let groups = by_statistic(&first.residuals);
     let largest = groups.iter().min_by(|a, b| a.chance.total_cmp(&b.chance));

@@ -21,7 +21,7 @@ pub const BOTTOM_UP: &str = "BOTTOM-UP";
 pub const TOP_DOWN: &str = "TOP-DOWN";
 
 impl Facts {
-    /// Order of the rows, if it is stated.
+    /// Returns the order of the rows, if it is stated.
     pub fn row_order(&self) -> Option<&'static str> {
         self.bottom_up.map(|up| if up { BOTTOM_UP } else { TOP_DOWN })
     }

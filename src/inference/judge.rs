@@ -427,7 +427,7 @@ pub struct OfStatistic {
 /// were fitted: the sum of their squares by a quarter, their mean by a fifth of its deviation.
 pub(super) const SLACK_OF_SQUARES: f64 = 1.25;
 /// See [`SLACK_OF_SQUARES`].
-const SLACK_OF_MEAN: f64 = 1.2;
+pub(super) const SLACK_OF_MEAN: f64 = 1.2;
 
 /// The residuals by statistic.
 pub fn by_statistic(residuals: &[Residual]) -> Vec<OfStatistic> {

@@ -25,12 +25,8 @@ pub use judge::{Comparison, OfStatistic, Residual, by_statistic, compare};
 pub(crate) use judge::{by, residuals_of};
 pub use model::{Effects, Given, as_given};
 pub use screen::{Scored, Screen};
+pub(crate) use settings::words as words_of_settings;
 #[cfg(test)]
 pub(crate) use settings::{ALIKE_IN_SIGNAL, AT_LONG_EXPOSURES, STEP_IN_SIGNAL, THAT_COME_BACK};
 pub(crate) use start::has_flats;
 pub use start::{reference_level, start};
-
-/// Deviation that a test of all sets together finds, in words, by its name.
-pub(crate) fn words_of_test(name: &str) -> Option<&'static str> {
-    settings::words(name).or_else(|| photon_transfer::words(name))
-}

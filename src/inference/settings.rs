@@ -163,6 +163,14 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
+    /// Effects ask for the tests of the order by these names.
+    #[test]
+    fn tests_of_the_order_have_their_names() {
+        let scores: Vec<Score> = (0..8).map(|k| (k, (k as f64).sin())).collect();
+        let names: Vec<String> = in_order(&scores, "the signal").into_iter().map(|t| t.name).collect();
+        assert_eq!(names, [ALIKE_IN_SIGNAL, STEP_IN_SIGNAL]);
+    }
+
     /// Of 1000 lamps whose 16 settings scatter alike at all exposures at most one is rejected at 3.3 standard errors
     /// (p 1e-3); of 100 exposures that are off by a time of their own nearly all are.
     #[test]
