@@ -4,7 +4,7 @@ use super::sensor::tells_gain;
 use super::{Cost, Missing, Remainder};
 use crate::agreement::Agreement;
 use crate::features::LeftOn;
-use crate::inference::{Comparison, Fitted, by_statistic};
+use crate::inference::{Comparison, Fitted};
 use crate::number::{Quantity, percent, with_unit};
 use radcam_sim::effects::{Parameter, Stage, find};
 use serde::{Deserialize, Serialize};
@@ -148,16 +148,14 @@ impl Verdict {
 
 /// Says how the camera agrees with the model; where that is in doubt, with the statistic that deviates most.
 fn agrees(first: &Comparison) -> String {
-    let groups = by_statistic(&first.residuals);
-    let largest = groups.iter().min_by(|a, b| a.chance.total_cmp(&b.chance));
-    match largest.filter(|_| first.agreement == Agreement::Doubtful) {
-        Some(largest) => format!(
-            "may agree with the model: deviations as large come by chance less than once in twenty campaigns, the largest in {}; more \
-             frames tell.",
-            largest.name
-        ),
-        None => "agrees with the model to within the noise of this campaign.".into(),
+    if first.agreement != Agreement::Doubtful {
+        return "agrees with the model to within the noise of this campaign.".into();
     }
+    let largest = first.largest.as_deref().unwrap_or("all statistics together");
+    format!(
+        "may agree with the model: deviations as large come by chance less than once in twenty campaigns, the largest in {largest}; more \
+         frames tell."
+    )
 }
 
 /// A value with its error; of one that is not known to half of itself, that.
@@ -370,30 +368,18 @@ fn capital(id: &str) -> String {
 mod tests {
     use super::{agrees, wrong_by};
     use crate::agreement::Agreement;
-    use crate::inference::{Comparison, Residual};
+    use crate::inference::Comparison;
 
     /// Agreement in doubt says which statistic deviates most; agreement does not.
     #[test]
     fn doubt_names_what_deviates() {
-        let residual = |name: &str, z: f64| Residual {
-            observable: name.into(),
-            set: None,
-            measured: z,
-            predicted: 0.0,
-            std_err: 1.0,
-            z,
-            independent_z: z,
-            level_dn: 0.0,
-            statistic: "mean".into(),
-            meaning: "".into(),
-            unit: "".into(),
-        };
         let of = |agreement| Comparison {
             error: 1.0,
             p_value: 0.01,
             consistent: true,
             agreement,
-            residuals: vec![residual("mean", 0.3), residual("bend of the noise", 3.4)],
+            largest: Some("bend of the noise".into()),
+            residuals: Vec::new(),
             data_faults: Vec::new(),
             not_looked_at: Vec::new(),
         };

@@ -68,6 +68,9 @@ pub struct Comparison {
     pub consistent: bool,
     /// The same, with doubt.
     pub agreement: Agreement,
+    /// Name of what has the smallest chance, in which `p_value` is that of several tests; none without residuals.
+    #[serde(default)]
+    pub largest: Option<String>,
     /// Every residual.
     pub residuals: Vec<Residual>,
     /// Faults of the data.
@@ -99,13 +102,20 @@ fn compared(all: &Observations, model: &Fitted) -> Comparison {
     let orders: Vec<Residual> = tests.chain(of_noise).collect();
     // Of so few numbers the smallest chance times theirs and that of all others.
     let by_order = orders.iter().map(|r| two_sided(r.z)).fold(1.0, f64::min) * (orders.len() + 1) as f64;
-    let p_value = p_value(&residuals).min(by_order);
+    let (p_value, largest) = match p_value(&residuals) {
+        (chance, _) if by_order < chance => (
+            by_order,
+            orders.iter().max_by(|a, b| a.z.abs().total_cmp(&b.z.abs())).map(|r| r.observable.clone()),
+        ),
+        of_residuals => of_residuals,
+    };
     residuals.extend(orders);
     Comparison {
         error,
         p_value,
         consistent: p_value >= P_LIMIT,
         agreement: Agreement::of(p_value),
+        largest,
         residuals,
         data_faults: all.data_faults.clone(),
         not_looked_at: all.missing.clone(),
@@ -460,19 +470,25 @@ fn two_sided(z: f64) -> f64 {
 }
 
 /// Chance of residuals as large as these: of their sum of squares, of the largest one, and of those of any one statistic, the smallest of
-/// them times their number.
-fn p_value(residuals: &[Residual]) -> f64 {
+/// them times their number; and the name of what has the smallest chance, of all together none.
+fn p_value(residuals: &[Residual]) -> (f64, Option<String>) {
     let n = residuals.len() as f64;
     if n < 1.0 {
-        return f64::NAN;
+        return (f64::NAN, None);
     }
     // Errors are known to some per cent and parameters are fitted: the squares scatter a little more than a chi-square.
     let squares: f64 = residuals.iter().map(|r| r.independent_z * r.independent_z).sum();
     let z = (squares - n * 1.05) / (2.0 * n * 1.3).sqrt();
     let whole = 0.5 * statrs::function::erf::erfc(z / std::f64::consts::SQRT_2);
-    let largest = residuals.iter().map(|r| r.independent_z.abs()).fold(0.0, f64::max);
-    let single = (n * two_sided(largest / 1.1)).min(1.0);
+    let largest = residuals.iter().max_by(|a, b| a.independent_z.abs().total_cmp(&b.independent_z.abs()));
+    let single = largest.map_or(1.0, |r| (n * two_sided(r.independent_z.abs() / 1.1)).min(1.0));
     let groups = by_statistic(residuals);
-    let group = groups.iter().map(|g| g.chance).fold(1.0, f64::min) * groups.len() as f64;
-    (3.0 * whole.min(single).min(group)).min(1.0)
+    let worst = groups.iter().min_by(|a, b| a.chance.total_cmp(&b.chance));
+    let group = worst.map_or(1.0, |g| g.chance) * groups.len() as f64;
+    let name = match worst {
+        Some(worst) if group <= single && group <= whole => Some(worst.name.clone()),
+        _ if single <= whole => largest.map(|r| r.observable.clone()),
+        _ => None,
+    };
+    ((3.0 * whole.min(single).min(group)).min(1.0), name)
 }
