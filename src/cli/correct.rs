@@ -497,7 +497,7 @@ impl Plain {
 ///
 /// # Errors
 ///
-/// That the frame is a mosaic, whose pattern would be another.
+/// A mosaic is refused: turned its pattern would be another.
 fn turn(
     pixels: &mut Array2<u16>,
     facts: &mut Facts,

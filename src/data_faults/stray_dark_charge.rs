@@ -55,7 +55,7 @@ impl Check for StrayDarkCharge {
             Point { factors: vec![1.0, exposure_s(d) / longest_s], value: campaign.sets[d].level_dn(), std }
         };
         let points: Vec<Point> = darks.iter().map(point).collect();
-        // Of darks in two halves nothing tells which are right.
+        // Two halves do not tell which is right.
         let most = (darks.len() - MIN_OTHERS).min((darks.len() - 1) / 2).min(MOST_STRAYS);
         let Some(law) = Law::fit(&points, &[1e5, 1e5], most) else { return Vec::new() };
         let off = |k: &usize| points[*k].value - law.at(&points[*k].factors);
@@ -64,7 +64,7 @@ impl Check for StrayDarkCharge {
         let level = |k: usize| points[k].value;
         // The longest exposure is extrapolated: dark current may grow by more than in proportion.
         let growth_dn = others.last().map_or(0.0, |&k| level(k) - level(others[0])).abs();
-        // Of several, three others are on a line by chance.
+        // Three others are on a line by chance where several are strays.
         let is_extrapolated = strays.contains(&(darks.len() - 1)) || strays.len() > 1;
         let of_growth = if is_extrapolated { MIN_OVER_GROWTH * growth_dn } else { 0.0 };
         let reach_s = MAX_REACH * others.last().map_or(0.0, |&k| exposure_s(darks[k]));

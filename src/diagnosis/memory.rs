@@ -82,9 +82,9 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Of 3000 campaigns of 8 and of 13 levels in any order, ascending, and of one level at most 1 % are taken
-    /// for memory where the light flickers by a part of itself, where a lamp starts dim beside it, and where it
-    /// drifts; of 13 in any order with lag of twenty times the flicker more than half are.
+    /// Flicker, a lamp that starts dim, and a drift are taken for memory in at most 1 % of 3000 campaigns of 8
+    /// and of 13 levels in any order, ascending, and at one level; lag of twenty times the flicker is in more
+    /// than half of 300 of 13 levels in any order.
     #[test]
     fn lag_is_told_from_flicker() {
         let taken = |n: usize, order: usize, campaigns: u32, [lag, flicker, dim]: [f64; 3]| {

@@ -210,11 +210,8 @@ impl Look<'_> {
             Some(Promising { gain: starts.gain()?, starts })
         };
         let lit = has_flats(self.all);
-        let has_memory = self.now.effects.iter().any(|(e, _)| e.has_memory());
-        let no_scatter = !has_memory && is_memory(self.all);
         let tells = |e: &&&'static dyn Effect| {
             e.needs() <= there
-                && !(no_scatter && e.shown_by().is_some())
                 && !(self.all.means_given && e.needs() == Needs::Means)
                 && (lit || e.shows_in_darks())
         };

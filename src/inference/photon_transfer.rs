@@ -1,4 +1,5 @@
-//! Tests of the noise over the level: what each set's own residual is too small to show, all of them together do.
+//! Tests of the noise over the level, sigma^2 = A mu + sigma_C^2 (Healey and Kondepudy 1994, eq. 41): residuals
+//! of single sets that are too small to show add up over all sets.
 
 use super::fit::{Fitted, halves};
 use super::judge::{SLACK_OF_MEAN, SLACK_OF_SQUARES};
@@ -92,3 +93,36 @@ fn squares(points: &[Point], fitted: f64) -> Option<Test> {
 /// Part of a column below which levels and darks do not tell it from the ones before (a named choice, far above
 /// rounding).
 const LEAST_LEFT: f64 = 1e-3;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    /// Sixteen sets from dark to 4000 DN whose residuals are normal and have a bend of this many standard errors
+    /// at the top.
+    fn points(seed: u64, bend: f64) -> Vec<Point> {
+        let at = |k: usize| {
+            let level_dn = 4000.0 * k as f64 / 15.0;
+            let x = level_dn / 4000.0;
+            let z = PixelRng::new(seed, Stream::Effect, 0, k as u32, 0).normal() + bend * x * (2.0 * x - 1.0);
+            Point { level_dn, std_err_dn2: 0.02 + 1e-3 * level_dn, z }
+        };
+        (0..16).map(at).collect()
+    }
+
+    /// Normal residuals have a bend of unit deviation before the slack, and squares beyond 2.6 standard errors
+    /// (chance 1 %) in no more than 1 %, over 4000 draws, five of their errors; a bend is found.
+    #[test]
+    fn tests_of_the_noise_have_their_chances() {
+        let n = 4000;
+        let bends = (0..n).map(|seed| bend(&points(seed, 0.0)).unwrap().z * SLACK_OF_MEAN);
+        let rms = (bends.map(|z| z * z).sum::<f64>() / n as f64).sqrt();
+        assert!((rms - 1.0).abs() < 5.0 / (2.0 * n as f64).sqrt(), "{rms}");
+        let far = (0..n).filter(|seed| squares(&points(*seed, 0.0), 0.0).unwrap().z > 2.576).count() as f64;
+        assert!(far < 40.0 + 5.0 * 40f64.sqrt(), "{far}");
+        let found = (0..100).filter(|seed| bend(&points(*seed, 30.0)).unwrap().z.abs() > 4.0).count();
+        assert!(found >= 95, "{found}");
+        assert!(bend(&points(0, 0.0)[..2]).is_none() && squares(&[], 2.0).is_none());
+    }
+}
