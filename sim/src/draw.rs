@@ -368,6 +368,8 @@ impl Sensor {
             seed: s.seed,
             full_scale_dn: s.full_scale_dn,
             offset_dn: s.black_level_dn,
+            gain_dn_per_e: s.gain_dn_per_e,
+            read_noise_dn: s.read_noise_dn,
             memory: &mut memory,
         };
         let run = |d: &mut Drawing<'_>, from: Stage, to: Stage| {

@@ -3,7 +3,7 @@
 
 use super::common::{item, say_faults, width, wrapped};
 use crate::agreement::P_LIMIT;
-use crate::diagnosis::{Diagnosis, Missing, Size, WEAK};
+use crate::diagnosis::{Diagnosis, Missing, Proposal, Size, WEAK};
 use crate::inference::Fitted;
 use crate::number::{Quantity, chance, percent, six_digits};
 use crate::report;
@@ -26,11 +26,14 @@ pub fn print(place: &Place<'_>, d: &Diagnosis) {
     println!("{}", wrapped(verdict, 2));
     if place.explain {
         d.missing.iter().for_each(explained);
+    } else if let Some(law) = d.proposal.as_ref().filter(|law| law.holds() && law.beside.is_empty()) {
+        instead_of_names(law, d);
     } else if let (Some(fitted), false) = (&d.fitted, d.missing.is_empty()) {
         table(d, fitted);
     }
     sensor(place, d);
     ladder(place, d);
+    d.proposal.iter().for_each(|p| law(place, p));
     if let Some(next) = &d.next_measurement {
         println!("\n{}", wrapped(&format!("next measurement: {next}"), 2));
         println!("    (as a plan for `radcam capture`: --next PLAN.toml)");
@@ -39,7 +42,7 @@ pub fn print(place: &Place<'_>, d: &Diagnosis) {
         println!("{}", item("  note: ", note, 4));
     }
     if let (false, Some(first)) = (place.explain, d.missing.first()) {
-        next_commands(place.datasets, first);
+        next_commands(place.datasets, first, d.proposal.is_some());
     }
 }
 
@@ -96,6 +99,21 @@ fn table(d: &Diagnosis, fitted: &Fitted) {
     }
 }
 
+/// The names that a law stands in place of.
+fn instead_of_names(law: &Proposal, d: &Diagnosis) {
+    let names: Vec<&str> =
+        d.missing.iter().map(|m| m.effect.as_str()).filter(|id| *id != "unknown").collect();
+    if !names.is_empty() {
+        let text = format!(
+            "in place of {}, which leave an error of {:.3} (the law: {:.3})",
+            names.join(", "),
+            d.error_after,
+            law.error_after
+        );
+        println!("\n{}", wrapped(&text, 2));
+    }
+}
+
 /// A share in few letters.
 fn share(share: f64) -> String {
     percent(share).replace("more than", ">").replace("less than", "<")
@@ -117,9 +135,17 @@ fn sensor(place: &Place<'_>, d: &Diagnosis) {
     let said = |q: &Option<Quantity>| {
         q.as_ref().map_or("not determined by this campaign".into(), ToString::to_string)
     };
-    let with = if d.missing.is_empty() { "" } else { " with these effects in the model" };
+    let by_law = d.proposal.as_ref().filter(|law| law.holds());
+    let with = match by_law {
+        Some(law) if law.beside.is_empty() => " with this law in the model",
+        Some(_) => " with this law and the effects beside it in the model",
+        None if d.missing.is_empty() => "",
+        None => " with these effects in the model",
+    };
     let biased = match d.missing.first() {
-        Some(first) if first.effect == "unknown" => " (what has no name may bias it by more than the errors)",
+        Some(first) if first.effect == "unknown" && by_law.is_none() => {
+            " (what has no name may bias it by more than the errors)"
+        }
         _ => "",
     };
     println!("\n  the linear sensor{with}, fitted to all statistics{biased}:");
@@ -164,6 +190,10 @@ fn ladder(place: &Place<'_>, d: &Diagnosis) {
         };
         println!("{}", format!("  {added:<34} {:>8.3}  {chance}{bar}", r.error).trim_end());
     }
+    if let Some(law) = &d.proposal {
+        let what = if law.beside.is_empty() { "starting model + the law" } else { "+ the law" };
+        println!("  {what:<34} {:>8.3}", law.error_after);
+    }
     let error = "error: RMS of (measured - predicted) / standard error on frames that the fit did not see; about 1 is agreement";
     println!("{}", wrapped(error, 2));
     if place.explain {
@@ -175,12 +205,35 @@ fn ladder(place: &Place<'_>, d: &Diagnosis) {
     }
 }
 
+/// A law for what has no name.
+fn law(place: &Place<'_>, p: &Proposal) {
+    println!("\n{}", wrapped("the law, as formulas of a custom effect:", 2));
+    for (target, formula) in &p.formulas {
+        println!("      {target:<9} + {formula}");
+    }
+    for (name, q) in &p.parameters {
+        println!("      {name:<9} = {q}");
+    }
+    if !p.beside.is_empty() {
+        println!("{}", item("    ", &format!("beside {}", p.beside.join(", ")), 4));
+    }
+    for cause in p.causes.iter().take(if place.explain { usize::MAX } else { 2 }) {
+        println!("{}", item("    points to ", cause, 6));
+    }
+}
+
 /// Commands that lead on from here.
-fn next_commands(datasets: &str, first: &Missing) {
+fn next_commands(datasets: &str, first: &Missing, has_law: bool) {
     let mut lines = vec![
         (format!("radcam diagnose {datasets} --explain"), "what shows it, and all values"),
         (format!("radcam diagnose {datasets} -o camera.toml"), "the model with what was found"),
     ];
+    if has_law {
+        lines.push((
+            format!("radcam model new camera.toml && radcam model add camera.toml --proposal {datasets}"),
+            "the model with the law",
+        ));
+    }
     if first.effect != "unknown" {
         lines.push((format!("radcam effects {}", first.effect), "what it is and what looks like it"));
     }

@@ -4,7 +4,7 @@ use super::Outcome;
 use super::common::{load_model, no_effect};
 use super::observe::{Datasets, observe};
 use crate::dataset::write_whole;
-use crate::diagnosis::searched;
+use crate::diagnosis::{diagnose, searched};
 use crate::inference::{Fitted, Given, compare, fit, start};
 use crate::number::{chance, six_digits, with_unit};
 use crate::observables::Observations;
@@ -37,15 +37,19 @@ enum Action {
         /// The model file
         model: PathBuf,
     },
-    /// Add an effect, with values where given; a fit finds the others
+    /// Add an effect, with values where given; a fit finds the others. Or the law that describes what has no name
     Add {
         /// The model file
         model: PathBuf,
         /// Identifier, as `radcam effects` lists them
-        effect: String,
+        #[arg(required_unless_present = "proposal", conflicts_with = "proposal")]
+        effect: Option<String>,
         /// Values, such as rel=0.01
         #[arg(value_parser = value)]
         values: Vec<(String, f64)>,
+        /// Diagnose this dataset, and add the law that it proposes, fitted, with the effects named beside it
+        #[arg(long, value_name = "DATASET")]
+        proposal: Option<PathBuf>,
     },
     /// Remove an effect
     Remove {
@@ -108,6 +112,21 @@ pub fn fitted_model(
     Ok(crate::model::with_fit(model, all, fitted, camera))
 }
 
+/// A model file with the law that a diagnosis of a dataset proposes, and what it names beside it.
+fn with_proposal(path: &Path, datasets: &Datasets) -> Result<Model> {
+    let known = crate::model::given(&read(path)?.effects)?;
+    let all = observe(datasets)?;
+    let diagnosis = diagnose(&all, None, searched(&all, &known), &mut |text| tracing::info!("{text}"));
+    let Some((law, fitted)) = diagnosis.proposal.as_ref().and_then(|p| Some((p, p.beside_it()?))) else {
+        bail!("no law is proposed for {}: {}", datasets.names(), diagnosis.verdict.sentence());
+    };
+    let mut model = fitted_model(&all, &fitted, Some(path), datasets)?;
+    let names: Vec<&str> = model.effects.iter().filter_map(|e| e.name.as_deref()).collect();
+    let law = law.effect(&names);
+    model.effects.push(law);
+    Ok(model)
+}
+
 fn show(path: &Path, model: &Model, json: bool) -> Result<()> {
     if json {
         println!("{}", serde_json::to_string_pretty(model)?);
@@ -151,15 +170,21 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             show(path, &model, arguments.json)?;
         }
         Action::Show { model: path } => show(path, &read(path)?, arguments.json)?,
-        Action::Add { model: path, effect, values } => {
+        Action::Add { model: path, proposal: Some(dataset), .. } => {
+            let model = with_proposal(path, &Datasets::of(dataset))?;
+            write(path, &model)?;
+            show(path, &model, arguments.json)?;
+        }
+        Action::Add { model: path, effect, values, .. } => {
             let mut model = read(path)?;
+            let effect = effect.as_deref().unwrap_or_default();
             if effects::find(effect).is_none() {
                 bail!("{}", no_effect(effect, effects::all().iter().map(|e| e.id())));
             }
-            if model.effects.iter().any(|e| e.id == *effect) {
+            if model.effects.iter().any(|e| e.id == effect) {
                 bail!("{} has {effect} already", path.display());
             }
-            let mut entry = EffectValues { id: effect.clone(), ..Default::default() };
+            let mut entry = EffectValues { id: effect.into(), ..Default::default() };
             // What is not given is found by a fit.
             entry.parameters.extend(values.iter().cloned());
             model.effects.push(entry);

@@ -168,6 +168,13 @@ pub(super) fn of_effect(all: &Observations, whole: &Fitted, id: &str) -> Cost {
     Cost { read_noise_rel: if known { cost.read_noise_rel } else { 0.0 }, ..cost }
 }
 
+/// Cost of leaving the last effects of a model out of account: `kept` stay.
+pub(super) fn of_last(all: &Observations, whole: &Fitted, kept: usize) -> Cost {
+    let rest: Effects = whole.effects[..kept].to_vec();
+    let both = Plain::of_model(all, whole, &whole.effects).zip(Plain::of_model(all, whole, &rest));
+    both.map_or_else(Cost::default, |(with, without)| with.against(&without))
+}
+
 /// Cost of the remainder: measured means and variances against those that the model expects.
 pub(super) fn of_remainder(all: &Observations, whole: &Fitted) -> Cost {
     let both =

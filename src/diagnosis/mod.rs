@@ -7,6 +7,7 @@ mod entry;
 mod memo;
 mod memory;
 mod part;
+mod proposal;
 mod search;
 mod sensor;
 mod share;
@@ -17,6 +18,7 @@ mod verdict;
 mod words;
 
 pub use cost::Cost;
+pub use proposal::{LAW, Proposal};
 pub use search::searched;
 pub use sensor::SensorValues;
 pub use share::Remainder;
@@ -39,11 +41,12 @@ use crate::observables::{NO_PATCH, NO_TIMES, Observations, STATISTICS, Setting, 
 use crate::plan::Plan;
 use cut::{CUT, CutOff, with_cut};
 use entry::{describe, reasons};
-use part::{OtherForm, Part, equally_good, left_out, other_forms, without_one};
+use memo::Memo;
+use part::{BARE_MENTION, OtherForm, Part, equally_good, left_out, other_forms, without_one};
 use radcam_sim::effects::{Seen, Take, takes};
 use radcam_sim::predict::{BaseParameters, Before};
 use rayon::prelude::*;
-use search::{Candidate, NEEDED, is_something, is_told, rivals, score, search, surely_there, without};
+use search::{Candidate, MANY, NEEDED, is_something, is_told, rivals, score, search, surely_there, without};
 use sensor::sensor;
 use serde::{Deserialize, Serialize};
 use share::{MATTERS, Place, place_of_unknown, remainder, shares};
@@ -135,8 +138,8 @@ pub struct Diagnosis {
     pub missing: Vec<Missing>,
     /// What is left with all names; null where that is within the noise.
     pub remainder: Option<Remainder>,
-    /// A law for what is left; null: none is proposed.
-    pub proposal: Option<serde_json::Value>,
+    /// A law for what has no name; null where all has one, or none is found.
+    pub proposal: Option<Proposal>,
     /// Gain, read noise and dark current with all effects in the model.
     #[serde(flatten)]
     pub sensor: SensorValues,
@@ -213,7 +216,15 @@ pub fn diagnose(
     ladder.extend(rungs(all, &model, &parts, &whole, &last));
     let remainder = remainder(all, &whole, [&first, &last], parts.is_empty());
     let forms = other_forms(all, &parts, &whole);
-    let mut missing = missing(all, &parts, &whole, &forms, [&first, &last], &ladder, remainder.as_ref());
+    let fails = remainder.is_some() || parts.iter().any(|p| p.better().is_some());
+    let weak_enough = score(all, &model) - score(all, &whole) < MANY;
+    let is_cut = parts.iter().any(|p| p.effect.id() == CUT);
+    let laws = (fails || !parts.is_empty() && weak_enough && !is_cut)
+        .then(|| proposal::in_place_of_names(all, &model))
+        .flatten();
+    let law = laws.as_ref().filter(|_| !parts.is_empty() && weak_enough && !is_cut);
+    let law = law.and_then(|laws| laws.better(all, &model, &whole));
+    let mut missing = missing(all, &parts, &whole, &forms, [&first, &last], &ladder, remainder.as_ref(), law);
     let dimmest_dn = dimmest_signal_dn(all, &whole);
     for m in &mut missing {
         m.by_the_darks_alone = m.parameters.get("knee_dn").is_some_and(|knee| knee.value < dimmest_dn);
@@ -229,7 +240,7 @@ pub fn diagnose(
     if !whole.effects.iter().any(|(effect, values)| effect.is_in_time(values)) {
         notes.retain(|note| note != NO_TIMES);
     }
-    let next = next_measurement(all, &parts, &missing);
+    let mut next = next_measurement(all, &parts, &missing);
     let mut alternatives = equally_good(&parts, &forms, &whole);
     // `unknown` first puts all names in doubt, and so do darks that may be off: the values without them are as
     // good.
@@ -237,11 +248,31 @@ pub fn diagnose(
         alternatives.push(&model);
     }
     alternatives.extend(given_up.iter().filter(|_| !parts.is_empty()));
-    let sensor = sensor(all, &whole, &alternatives, last.error);
-    notes.extend(sensor::range_of_gains(&whole, &alternatives, !forms.is_empty()));
+    let nameless = missing.iter().position(|m| m.effect == "unknown");
+    let proposal = nameless.and_then(|at| {
+        progress("looking for a law for what has no name");
+        let in_place = laws.filter(|_| at == 0);
+        proposal::propose(all, &model, &whole, in_place)
+    });
+    let of_law = proposal.as_ref().and_then(|law| law.next_measurement.clone());
+    if let (Some(measure), Some((about, _))) = (of_law, next.as_mut()) {
+        *about = measure;
+    }
+    // Where a law holds the values are those of the model with it.
+    let with_law = proposal.as_ref().filter(|p| p.holds()).and_then(|p| Some((p, p.fitted.as_ref()?)));
+    let sensor = match with_law {
+        Some((law, fitted)) => {
+            missing.iter_mut().filter(|m| m.effect == "unknown").for_each(|m| m.cost = law.cost);
+            sensor(all, fitted, &[], law.error_after).with_open_gain(law.gain_open_rel)
+        }
+        None => {
+            notes.extend(sensor::range_of_gains(&whole, &alternatives, !forms.is_empty()));
+            sensor(all, &whole, &alternatives, last.error)
+        }
+    };
     notes.extend(sensor::below_zero(&sensor));
     Diagnosis {
-        verdict: Verdict::of(&missing, remainder.as_ref(), &first, &whole, &all.left_on),
+        verdict: Verdict::of(&missing, remainder.as_ref(), &first, &whole, &all.left_on, proposal.as_ref()),
         consistent: missing.is_empty(),
         error_before: first.error,
         error_after: last.error,
@@ -250,7 +281,7 @@ pub fn diagnose(
         next_measurement: next.map(|n| n.0),
         missing,
         remainder,
-        proposal: None,
+        proposal,
         sensor,
         left_on: all.left_on.clone(),
         data_faults: all.data_faults.clone(),
@@ -293,6 +324,7 @@ fn missing(
     [first, last]: [&Comparison; 2],
     ladder: &[Rung],
     remainder: Option<&Remainder>,
+    law: Option<String>,
 ) -> Vec<Missing> {
     let seen = seen(all, &whole.base);
     let fitted = residuals_of(all, whole);
@@ -314,7 +346,7 @@ fn missing(
         entry.evidence.extend(values.and_then(|(e, values)| e.fits_as_well(values, &seen)));
     }
     let mut out = with_ties(parts, whole, named, &seen);
-    let first_in_doubt = parts.first().and_then(|p| doubt(all, p, whole, &seen, last));
+    let first_in_doubt = parts.first().and_then(|p| doubt(all, p, whole, &seen, last)).or(law);
     for part in parts.iter().skip(1) {
         let doubt = doubt(all, part, whole, &seen, last).or_else(|| part.better());
         let entry = out.iter_mut().find(|m| m.effect == part.effect.id());
@@ -530,6 +562,7 @@ fn parts(
     let mut parts: Vec<Part> = order.into_iter().filter_map(|i| slots[i].take()).collect();
     let alone = parts.len() == 1;
     for (k, part) in parts.iter_mut().enumerate() {
+        part.needed = if last.p_value >= DOUBT { NEEDED } else { BARE_MENTION };
         part.others = if alone {
             first.iter().filter(|c| c.effect.id() != part.effect.id()).cloned().collect()
         } else if k > 0 && (part.better().is_some() || last.p_value < HOLDS) {

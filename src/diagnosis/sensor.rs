@@ -34,6 +34,17 @@ pub struct SensorValues {
     pub dark_current_e_per_s: Option<Quantity>,
 }
 
+impl SensorValues {
+    /// The same where the gain may be off by a share of it, and what is in electrons with it.
+    pub(super) fn with_open_gain(mut self, rel: f64) -> Self {
+        let all = [&mut self.gain_dn_per_e, &mut self.read_noise_e, &mut self.dark_current_e_per_s];
+        for q in all.into_iter().flatten() {
+            q.std_err = q.std_err.hypot(rel * q.value);
+        }
+        self
+    }
+}
+
 /// Error of a value, relative, from which on the campaign does not determine it.
 pub(super) const NOT_DETERMINED: f64 = 0.3;
 

@@ -1,7 +1,7 @@
 //! What a diagnosis comes to: one type that every verb, the demo and the reports print.
 
 use super::sensor::tells_gain;
-use super::{Cost, Missing, Remainder};
+use super::{Cost, Missing, Proposal, Remainder};
 use crate::agreement::Agreement;
 use crate::features::LeftOn;
 use crate::inference::{Comparison, Fitted};
@@ -68,8 +68,9 @@ impl Verdict {
         first: &Comparison,
         whole: &Fitted,
         left_on: &[LeftOn],
+        proposal: Option<&Proposal>,
     ) -> Self {
-        let mut verdict = Self::of_campaign(missing, remainder, first, whole);
+        let mut verdict = Self::of_campaign(missing, remainder, first, whole, proposal);
         if !left_on.is_empty() {
             let names: Vec<String> = left_on.iter().map(ToString::to_string).collect();
             let on = format!("The camera's own {} was on while these frames were taken", names.join(", "));
@@ -91,6 +92,7 @@ impl Verdict {
         remainder: Option<&Remainder>,
         first: &Comparison,
         whole: &Fitted,
+        proposal: Option<&Proposal>,
     ) -> Self {
         let Some(top) = missing.first() else {
             let (agreement, wider) = (first.agreement, first.error.max(1.0));
@@ -127,12 +129,22 @@ impl Verdict {
                 (None, Some(most)) => format!(" What deviates most: {most}."),
                 (None, None) => String::new(),
             };
-            let cost = cost(&top.cost, whole).map_or_else(
-                || " What it does to system gain, read noise and linearity is not known.".into(),
-                |cost| format!(" An EMVA 1288 evaluation finds {cost}."),
-            );
-            let sentence =
-                format!("The camera shows something that is not in the catalogue. {near}{most}{cost}");
+            let cost = match cost(&top.cost, whole) {
+                Some(cost) => format!(" An EMVA 1288 evaluation finds {cost}."),
+                None if proposal.is_some_and(Proposal::holds) => {
+                    " It costs an EMVA 1288 evaluation nothing beyond its errors.".into()
+                }
+                None => " What it does to system gain, read noise and linearity is not known.".into(),
+            };
+            let sentence = match proposal {
+                Some(law) => format!(
+                    "The camera shows something that is not in the catalogue: {}. {near}{cost}",
+                    law.sentence()
+                ),
+                None => {
+                    format!("The camera shows something that is not in the catalogue. {near}{most}{cost}")
+                }
+            };
             return Self::Unknown { nearest: top.nearest.clone(), sentence };
         }
         let or: Vec<String> = missing

@@ -402,6 +402,7 @@ impl<'a> View<'a> {
             + of.ripple[y]
             + of.lines(dy, dx)
             + self.with_light * if (dy, dx) == (0, 0) { self.all.field.pixels } else { self.all.field.smooth }
+            + self.set().filter(|_| (dy, dx) == (1, -1)).map_or(0.0, |s| s.uphill)
             - self.of_mean
     }
 

@@ -1,6 +1,6 @@
 //! What is missing: each effect with what it is, how large, what shows it, and what to do.
 
-use crate::diagnosis::Missing;
+use crate::diagnosis::{Missing, Proposal};
 use crate::number::percent;
 use maud::{Markup, html};
 use radcam_sim::effects::find;
@@ -63,5 +63,38 @@ pub fn candidate(m: &Missing) -> Markup {
                 }
             }
         }
+    }
+}
+
+/// Law for what has no name: in words, as formulas, and what it points to.
+pub fn law(p: &Proposal) -> Markup {
+    html! {
+        section.effect {
+            h3 { "A law" " " span.note { (heading_of_law(p)) } }
+            p { (p.sentence()) "." }
+            table.stack {
+                thead { tr { th { "changes" } th.text { "by" } } }
+                @for (target, formula) in &p.formulas {
+                    tr { th scope="row" { code { (target) } } td.text { code { (formula) } } }
+                }
+            }
+            table.stack {
+                thead { tr { th { "parameter" } th.text { "value ± standard error" } } }
+                @for (name, q) in &p.parameters {
+                    tr { th scope="row" { code { (name) } } td.text.number { data value=(q.value) { (q.to_string()) } } }
+                }
+            }
+            @if !p.causes.is_empty() {
+                dl { dt { "Points to" } dd { ul { @for cause in &p.causes { li { (cause) } } } } }
+            }
+        }
+    }
+}
+
+fn heading_of_law(p: &Proposal) -> String {
+    if p.beside.is_empty() {
+        "beside the model as given".into()
+    } else {
+        format!("beside {}", p.beside.join(", "))
     }
 }

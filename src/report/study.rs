@@ -1,7 +1,7 @@
 //! The page of a campaign: the verdict first, then what decided, the ladder, what is missing, the residuals, the camera's curves and images, every
 //! quantity, and where all of it comes from.
 
-use super::candidates::candidate;
+use super::candidates::{candidate, law};
 use super::document;
 use super::ladder::ladder;
 use super::plot::figure;
@@ -53,6 +53,7 @@ pub fn html(s: &Study, kinds: &BTreeMap<u32, Kind>) -> String {
         }
         @if !j.missing.is_empty() {
             h2 #missing { "What the model lacks" }
+            @if let Some(p) = &j.proposal { (law(p)) }
             @for m in &j.missing { (candidate(m)) }
         }
         @if let Some(next) = &j.next_measurement { h2 #next { "Next measurement" } p { (next) } }

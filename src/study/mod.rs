@@ -13,7 +13,7 @@ pub use quantities::Reported;
 
 use crate::calibrate::file::Calibration;
 use crate::dataset::{CameraInfo, DataFault};
-use crate::diagnosis::{Diagnosis, Missing, Rung, Verdict};
+use crate::diagnosis::{Diagnosis, Missing, Proposal, Rung, Verdict};
 use crate::inference::{Comparison, Fitted};
 use crate::noise::NoiseReport;
 use crate::observables::{Observations, ObserveError};
@@ -32,6 +32,8 @@ pub struct Judgement {
     pub consistent: bool,
     /// What is missing, strongest first; none where nothing was looked for.
     pub missing: Vec<Missing>,
+    /// Law for what has no name.
+    pub proposal: Option<Proposal>,
     /// The ladder of errors, the model as given first.
     pub ladder: Vec<Rung>,
     /// The comparison of the model as given, and of the one with what was found, where there is one.
@@ -58,6 +60,7 @@ impl Judgement {
             ),
             consistent: comparison.consistent,
             missing: Vec::new(),
+            proposal: None,
             ladder: vec![Rung { added: None, error: comparison.error, p_value: comparison.p_value }],
             comparisons: vec![comparison.clone()],
             fitted: Some(fitted.clone()),
@@ -74,6 +77,7 @@ impl Judgement {
             sentence: d.verdict.sentence().into(),
             consistent: d.consistent,
             missing: d.missing.clone(),
+            proposal: d.proposal.clone(),
             ladder: d.ladder.clone(),
             comparisons: d.comparisons.clone(),
             fitted: d.fitted.clone(),
@@ -143,6 +147,7 @@ pub struct Numbers<'a> {
     error_after: f64,
     quantities: &'a BTreeMap<&'static str, Reported>,
     missing: &'a [Missing],
+    proposal: Option<&'a Proposal>,
     ladder: &'a [Rung],
     next_measurement: Option<&'a str>,
     provenance: &'a Provenance,
@@ -209,6 +214,7 @@ impl Study {
             error_after: error(j.comparisons.last()),
             quantities: &self.quantities,
             missing: &j.missing,
+            proposal: j.proposal.as_ref(),
             ladder: &j.ladder,
             next_measurement: j.next_measurement.as_deref(),
             provenance: &self.provenance,

@@ -1,6 +1,6 @@
 //! What the pages can do. Each has a verb that does the same.
 
-use super::desk::{Campaign, Found, Judged, entry_of, judge, read};
+use super::desk::{Campaign, Found, Judged, entries_of, judge, read};
 use super::live::{Order, is_incomplete, lock};
 use super::pages::{model, shell};
 use super::steps::{Entry, folder_of, own};
@@ -175,31 +175,31 @@ pub async fn add(State(shared): Desktop, Form(named): Form<Named>) -> Response {
     let asked = shared.clone();
     let id = named.effect.clone();
     // The search takes its time: the pages go on answering.
-    let entry = aside(move || {
+    let added = aside(move || {
         let (found, campaign, on) = {
             let desk = asked.desk();
             let found = match &desk.found {
-                Found::Done(d) => entry_of(d, &id),
+                Found::Done(d) => entries_of(d, &id),
                 _ => None,
             };
             let on: Vec<_> = desk.entries().into_iter().filter(|e| e.on).map(|e| e.effect).collect();
             (found, desk.campaign(), on)
         };
         match found {
-            Some(entry) => Ok(entry),
+            Some(entries) => Ok(entries),
             None => {
                 let campaign = campaign.ok_or("there is no campaign yet")?;
-                searched_for(&campaign, on, &id)
+                searched_for(&campaign, on, &id).map(|entry| vec![entry])
             }
         }
     })
     .await
     .and_then(|r| r);
     change(shared, move |desk| {
-        let entry = entry?;
+        let added = added?;
         let mut entries = desk.entries();
-        entries.retain(|e| e.name() != named.effect);
-        entries.push(entry);
+        entries.retain(|e| added.iter().all(|a| a.name() != e.name()));
+        entries.extend(added);
         desk.take(format!("+ {}", named.effect), entries)
     })
     .await

@@ -2,7 +2,7 @@
 
 use super::steps::{Entry, Step, Steps, folder_of};
 use crate::dataset::{Dataset, Kind};
-use crate::diagnosis::{Diagnosis, searched};
+use crate::diagnosis::{Diagnosis, LAW, searched};
 use crate::inference::{Comparison, Fitted, compare, fit, start};
 use crate::model::{given, with_fit};
 use crate::observables::Observations;
@@ -212,8 +212,17 @@ impl Desk {
     }
 }
 
-/// An effect that a search found, with its values, as an entry.
-pub fn entry_of(d: &Diagnosis, id: &str) -> Option<Entry> {
+/// Effect that a search found, as an entry of the model; the law with the effects beside it.
+pub fn entries_of(d: &Diagnosis, id: &str) -> Option<Vec<Entry>> {
+    if id == LAW {
+        let law = d.proposal.as_ref()?;
+        let beside = law.beside.iter().filter_map(|id| entry_of(d, id));
+        return Some(beside.chain([Entry { on: true, effect: law.effect(&[]) }]).collect());
+    }
+    entry_of(d, id).map(|entry| vec![entry])
+}
+
+fn entry_of(d: &Diagnosis, id: &str) -> Option<Entry> {
     let fitted = d.fitted.as_ref()?;
     let (effect, values) = fitted.effects.iter().find(|(e, _)| e.id() == id)?;
     let named = effect.parameters().iter().zip(values).map(|(p, v)| (p.name.to_string(), *v)).collect();

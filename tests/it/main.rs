@@ -38,6 +38,7 @@ mod import_names;
 mod investigate;
 mod judge;
 mod killed;
+mod laws;
 mod mixed_frames;
 mod models;
 mod monitor;

@@ -10,23 +10,47 @@
 //! units = { k = "DN/s" }
 //! ```
 //!
-//! Formulas give the change of `mean` (DN), `variance`, `cov_01`, `cov_10`, `cov_11`, `row`, `column`,
-//! `common` (DN^2), and of `parity_01`, `parity_10` (what a neighbour covariance from odd columns, rows has
-//! more than from even ones), in terms of the parameters and of mu (mean above the black level, DN), exposure
-//! (s) and illumination (relative to the bench's unit); when frames are drawn, `mean` and `variance` may also
-//! use row, column and parity (0 or 1).
+//! Formulas give the change of `mean` (DN), of `variance`, `row`, `column`, `common` (DN^2), of the covariance
+//! `cov_YX` of pixels Y rows and X columns apart (up to 3 of each; both diagonals alike), of `cov_1-1` (what the
+//! diagonal up to the right has beyond the other), and of `parity_01`, `parity_10` (what a neighbour covariance
+//! from odd columns, rows has more than from even ones). They are formulas of the parameters, of mu (mean above
+//! the black level, DN), noise (variance of a pixel without the effect, DN^2), exposure (s) and illumination
+//! (relative to the bench's unit). `mean` may also use time (s from the first frame) and odd (1 in every second
+//! frame, else 0); when frames are drawn, `mean` and `variance` may also use row, column and parity (0 or 1).
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+use crate::predict::{LAGS, SetPrediction};
 use crate::text::{echo, echo_message};
 use exmex::{Express, FlatEx};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{LazyLock, Mutex};
 
-/// What a formula may change.
-const TARGETS: [&str; 10] =
-    ["mean", "variance", "cov_01", "cov_10", "cov_11", "parity_01", "parity_10", "row", "column", "common"];
-/// What a formula may use beside its parameters.
-const VARIABLES: [&str; 6] = ["mu", "exposure", "illumination", "row", "column", "parity"];
+/// Statistics that a formula may change, beside covariances.
+const TARGETS: [&str; 8] =
+    ["mean", "variance", "row", "column", "common", "parity_01", "parity_10", "cov_1-1"];
+/// Variables of a formula beside its parameters.
+const VARIABLES: [&str; 9] =
+    ["mu", "exposure", "illumination", "row", "column", "parity", "time", "odd", "noise"];
+/// Places of the variables that differ from pixel to pixel.
+const OF_PIXELS: std::ops::Range<usize> = 3..6;
+/// Places of the variables that differ from frame to frame.
+const OF_FRAMES: std::ops::Range<usize> = 6..8;
+
+/// Values of all variables.
+type Variables = [f64; VARIABLES.len()];
+
+/// Rows and columns between the pixels whose covariance a target names.
+fn lag(target: &str) -> Option<(usize, usize)> {
+    let lag = target.strip_prefix("cov_")?;
+    let digit = |c: u8| (b'0'..b'0' + LAGS as u8).contains(&c).then(|| usize::from(c - b'0'));
+    let &[y, x] = lag.as_bytes() else { return None };
+    digit(y).zip(digit(x)).filter(|lag| *lag != (0, 0))
+}
+
+/// Names of all targets, in words.
+fn targets() -> String {
+    format!("{} and covariances such as cov_01 (up to 3 rows and columns apart)", TARGETS.join(", "))
+}
 
 /// Characters of a formula. The parser takes time with their square: the longest allowed takes some
 /// milliseconds, 10^6 took minutes.
@@ -64,7 +88,7 @@ struct Formula {
 }
 
 impl Formula {
-    fn eval(&self, p: &[f64], variables: &[f64; 6]) -> f64 {
+    fn eval(&self, p: &[f64], variables: &Variables) -> f64 {
         let values: Vec<f64> = self
             .places
             .iter()
@@ -78,14 +102,17 @@ impl Formula {
 
     /// Whether it is a number at ordinary levels, exposures and lights; where not, at which.
     fn sound(&self, p: &[f64]) -> Result<(), String> {
-        let values = |v: &[f64; 6]| -> Vec<f64> {
+        let values = |v: &Variables| -> Vec<f64> {
             let of = |place: &Result<usize, usize>| match place {
                 Ok(i) => p.get(*i).copied().unwrap_or(0.0),
                 Err(i) => v[*i],
             };
             self.places.iter().map(of).collect()
         };
-        for v in [[10.0, 0.01, 1.0, 3.0, 5.0, 0.0], [1000.0, 0.01, 0.5, 3.0, 5.0, 1.0]] {
+        for v in [
+            [10.0, 0.01, 1.0, 3.0, 5.0, 0.0, 0.0, 0.0, 4.0],
+            [1000.0, 0.01, 0.5, 3.0, 5.0, 1.0, 2.0, 1.0, 100.0],
+        ] {
             if !self.expression.eval(&values(&v)).is_ok_and(f64::is_finite) {
                 return Err(format!("mu = {} DN, exposure = {} s, illumination = {}", v[0], v[1], v[2]));
             }
@@ -98,12 +125,14 @@ impl Formula {
     }
 
     /// For every pixel of an image: where it depends on the level alone, from a table over the levels.
-    fn over(&self, p: &[f64], image: &ndarray::Array2<f64>, bare: &[f64; 6]) -> ndarray::Array2<f64> {
+    fn over(&self, p: &[f64], image: &ndarray::Array2<f64>, bare: &Variables) -> ndarray::Array2<f64> {
         let at = |level: f64, y: usize, x: usize| {
-            let place = [y as f64, x as f64, ((y + x) % 2) as f64];
-            self.eval(p, &[level, bare[1], bare[2], place[0], place[1], place[2]])
+            let mut variables = *bare;
+            variables[0] = level;
+            variables[OF_PIXELS].copy_from_slice(&[y as f64, x as f64, ((y + x) % 2) as f64]);
+            self.eval(p, &variables)
         };
-        if (3..6).any(|place| self.uses(place)) {
+        if OF_PIXELS.into_iter().any(|place| self.uses(place)) {
             return ndarray::Array2::from_shape_fn(image.dim(), |(y, x)| at(image[(y, x)], y, x));
         }
         if !self.uses(0) {
@@ -201,7 +230,7 @@ pub fn custom(described: Described<'_>) -> Result<&'static dyn Effect, String> {
 fn parsed(described: &Described<'_>) -> Result<BTreeMap<String, Formula>, String> {
     let Described { name, formulas, values, bounds, .. } = *described;
     if formulas.is_empty() {
-        return Err(format!("custom effect {name} has no formulas; it may change {}", TARGETS.join(", ")));
+        return Err(format!("custom effect {name} has no formulas; it may change {}", targets()));
     }
     let name = &*echo(name);
     if values.len() > MAX_PARAMETERS {
@@ -221,11 +250,11 @@ fn parsed(described: &Described<'_>) -> Result<BTreeMap<String, Formula>, String
     let names: Vec<&String> = values.keys().collect();
     let mut ready = BTreeMap::new();
     for (target, text) in formulas {
-        if !TARGETS.contains(&target.as_str()) {
+        if !TARGETS.contains(&target.as_str()) && lag(target).is_none() {
             return Err(format!(
                 "custom effect {name}: a formula cannot change {}, only {}",
                 echo(target),
-                TARGETS.join(", ")
+                targets()
             ));
         }
         must_be_short(text).map_err(|e| format!("custom effect {name}: {target} {e}"))?;
@@ -289,52 +318,60 @@ impl Effect for Custom {
         }
     }
 
+    fn is_in_time(&self, _: &[f64]) -> bool {
+        self.formulas.values().any(|formula| formula.uses(OF_FRAMES.start))
+    }
+
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         for (i, (s, info)) in out.sets.iter_mut().zip(&c.sets).enumerate() {
-            let variables = [s.signal, info.exposure_s, info.illumination, 0.0, 0.0, 0.0];
+            let (exposure_s, noise) = (info.exposure_s, s.covariance(0, 0));
+            let variables = [s.signal, exposure_s, info.illumination, 0.0, 0.0, 0.0, 0.0, 0.0, noise];
             let of = |target: &str| self.formulas.get(target).map_or(0.0, |f| f.eval(p, &variables));
-            let (variance, h, v, d) = (of("variance"), of("cov_01"), of("cov_10"), of("cov_11"));
-            s.read.add(|ky, kx| {
-                variance
-                    + 2.0 * h * libm::cos(kx)
-                    + 2.0 * v * libm::cos(ky)
-                    + 4.0 * d * libm::cos(kx) * libm::cos(ky)
-            });
+            if let Some(mean) = self.formulas.get("mean") {
+                self.shift(mean, p, (i, s), variables, c, &mut out.frame_signal);
+            }
+            s.read.add_white(of("variance"));
+            let lags = self.lags(p, &variables);
+            if !lags.is_empty() {
+                s.read.add(|ky, kx| lags.iter().map(|(lag, c)| power(*lag, *c, ky, kx)).sum());
+            }
             s.row.add(of("row"));
             s.column.add(of("column"));
             s.common += of("common");
             s.parity = (s.parity.0 + of("parity_01"), s.parity.1 + of("parity_10"));
-            let shift = of("mean");
-            s.signal += shift;
-            for (m, _) in out.frame_signal.iter_mut().zip(&c.frames).filter(|(_, f)| f.set == i) {
-                *m += shift;
-            }
+            s.uphill += of("cov_1-1");
         }
     }
 
-    /// What odd and even lines differ by is predicted only.
+    /// Covariances beside a variance are noise of their own, whose odd and even lines are alike; without one they
+    /// are what neighbours share of the noise that is there.
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
         let level = d.image.mean().unwrap_or(0.0);
-        let bare = [level, d.exposure_s, d.illumination, 0.0, 0.0, 0.0];
+        let odd = (d.frame % 2) as f64;
+        let noise = d.gain_dn_per_e * level.max(0.0) + d.read_noise_dn * d.read_noise_dn;
+        let bare = [level, d.exposure_s, d.illumination, 0.0, 0.0, 0.0, d.time_s, odd, noise];
         let of = |target: &str| self.formulas.get(target).map_or(0.0, |f| f.eval(p, &bare));
         let tag = |target: &str| format!("{} {target}", self.name);
         if let Some(mean) = self.formulas.get("mean") {
             let shift = mean.over(p, &d.image, &bare);
             d.image += &shift;
         }
+        let (lags, uphill) = (self.lags(p, &bare), of("cov_1-1"));
+        let parity = [of("parity_01"), of("parity_10")];
         if let Some(variance) = self.formulas.get("variance") {
-            let shared = [of("cov_01"), of("cov_10"), of("cov_11")];
             let rng = |y: usize, x: usize, columns: usize| {
                 d.random(&tag("variance"), d.frame, (y * columns + x) as u32).normal()
             };
             let columns = d.image.ncols();
             let noise = ndarray::Array2::from_shape_fn(d.image.dim(), |(y, x)| rng(y, x, columns));
-            if shared.iter().any(|c| *c != 0.0) {
-                d.image += &correlated(&noise, of("variance"), shared);
+            if !lags.is_empty() || uphill != 0.0 {
+                d.image += &correlated(&noise, of("variance"), &lags, uphill);
             } else {
                 let variance = variance.over(p, &d.image, &bare);
                 d.image += &(noise * variance.mapv(|v| libm::sqrt(v.max(0.0))));
             }
+        } else if !lags.is_empty() || uphill != 0.0 || parity != [0.0; 2] {
+            share(&mut d.image, noise.max(1e-9), &lags, uphill, parity);
         }
         for (target, axis) in [("row", 0), ("column", 1)] {
             let variance = of(target);
@@ -349,22 +386,111 @@ impl Effect for Custom {
     }
 }
 
-/// Noise of this variance and these covariances with the next column, the next row and along the diagonals,
-/// made of white noise by the filter whose power is theirs; where no noise has them the nearest that there
-/// is.
-fn correlated(white: &ndarray::Array2<f64>, variance: f64, [h, v, d]: [f64; 3]) -> ndarray::Array2<f64> {
+impl Custom {
+    /// Covariances that the formulas give, by rows and columns between the pixels, DN^2.
+    fn lags(&self, p: &[f64], variables: &Variables) -> Vec<((usize, usize), f64)> {
+        self.formulas.iter().filter_map(|(target, f)| Some((lag(target)?, f.eval(p, variables)))).collect()
+    }
+
+    /// Moves the mean of a set and its frames; the noise follows the slope.
+    fn shift(
+        &self,
+        mean: &Formula,
+        p: &[f64],
+        (set, s): (usize, &mut SetPrediction),
+        at: Variables,
+        c: &Campaign,
+        frames: &mut [f64],
+    ) {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (k, frame) in c.frames.iter().enumerate().filter(|(_, f)| f.set == set) {
+            let mut variables = at;
+            variables[OF_FRAMES].copy_from_slice(&[frame.time_s, (k % 2) as f64]);
+            let Some(m) = frames.get_mut(k) else { continue };
+            variables[0] = *m;
+            let shift = mean.eval(p, &variables);
+            *m += shift;
+            (sum, count) = (sum + shift, count + 1.0);
+        }
+        let near = SLOPE_STEP * s.signal.abs().max(1.0);
+        let beside = |by: f64| {
+            let mut variables = at;
+            variables[0] += by;
+            mean.eval(p, &variables)
+        };
+        let slope = 1.0 + (beside(near) - beside(-near)) / (2.0 * near);
+        s.signal += if count > 0.0 { sum / count } else { mean.eval(p, &at) };
+        if mean.uses(0) {
+            s.scale(slope * slope);
+        }
+    }
+}
+
+/// Step of the level over which the slope of a formula is taken, as a share of it.
+const SLOPE_STEP: f64 = 1e-3;
+
+/// Power of a covariance at a lag, alike along both diagonals, at a spatial frequency (Wiener-Khinchin).
+fn power((y, x): (usize, usize), covariance: f64, ky: f64, kx: f64) -> f64 {
+    let twice = |lag: usize| if lag == 0 { 1.0 } else { 2.0 };
+    twice(y) * twice(x) * covariance * libm::cos(y as f64 * ky) * libm::cos(x as f64 * kx)
+}
+
+/// Gives an image of independent noise of this variance these covariances, to first order in them: each pixel gets a
+/// part of others. `parity`: what neighbours from odd columns and rows share beyond those from even ones.
+fn share(
+    image: &mut ndarray::Array2<f64>,
+    variance: f64,
+    lags: &[((usize, usize), f64)],
+    uphill: f64,
+    parity: [f64; 2],
+) {
+    let mean = image.mean().unwrap_or(0.0);
+    let apart = image.mapv(|v| v - mean);
+    let mut add = |dy: usize, dx: isize, of: &dyn Fn(usize, usize) -> f64| {
+        let (rows, columns) = apart.dim();
+        for y in 0..rows.saturating_sub(dy) {
+            for x in 0..columns {
+                let Some(other) = x.checked_add_signed(dx).filter(|x| *x < columns) else { continue };
+                // Both get half, so that the product of the two has all.
+                let half = 0.5 * of(y, x) / variance;
+                image[(y, x)] += half * apart[(y + dy, other)];
+                image[(y + dy, other)] += half * apart[(y, x)];
+            }
+        }
+    };
+    for &((y, x), covariance) in lags {
+        add(y, x as isize, &|_, _| covariance);
+        if y > 0 && x > 0 {
+            add(y, -(x as isize), &|_, _| covariance);
+        }
+    }
+    add(1, -1, &|_, _| uphill);
+    let sign = |odd: usize| if odd % 2 == 1 { 0.5 } else { -0.5 };
+    add(0, 1, &|_, x| parity[0] * sign(x));
+    add(1, 0, &|y, _| parity[1] * sign(y));
+}
+
+/// Noise of this variance and these covariances, made of white noise by the filter whose power is theirs; where no
+/// noise has them the nearest that there is.
+fn correlated(
+    white: &ndarray::Array2<f64>,
+    variance: f64,
+    lags: &[((usize, usize), f64)],
+    uphill: f64,
+) -> ndarray::Array2<f64> {
     const REACH: i32 = 4;
     let power = |ky: f64, kx: f64| {
-        let (cy, cx) = (libm::cos(ky), libm::cos(kx));
-        (variance + 2.0 * h * cx + 2.0 * v * cy + 4.0 * d * cx * cy).max(0.0)
+        let lags: f64 = lags.iter().map(|(lag, c)| power(*lag, *c, ky, kx)).sum();
+        (variance + lags + 2.0 * uphill * libm::cos(ky - kx)).max(0.0)
     };
     // The filter's weights are the Fourier sum of the root of the power.
     const FINE: usize = 32;
     let angle = |i: usize| std::f64::consts::TAU * i as f64 / FINE as f64;
+    let roots: Vec<f64> =
+        (0..FINE * FINE).map(|i| libm::sqrt(power(angle(i / FINE), angle(i % FINE)))).collect();
     let weight = |dy: i32, dx: i32| {
         let of = |i: usize| {
-            let (ky, kx) = (angle(i / FINE), angle(i % FINE));
-            libm::sqrt(power(ky, kx)) * libm::cos(ky * f64::from(dy)) * libm::cos(kx * f64::from(dx))
+            roots[i] * libm::cos(angle(i / FINE) * f64::from(dy) + angle(i % FINE) * f64::from(dx))
         };
         (0..FINE * FINE).map(of).sum::<f64>() / (FINE * FINE) as f64
     };

@@ -166,6 +166,8 @@ mod tests {
                 seed: 31,
                 full_scale_dn: 4095.0,
                 offset_dn: 0.0,
+                gain_dn_per_e: 1.0,
+                read_noise_dn: 0.0,
                 memory: &mut memory,
             };
             IlluminationFlicker.draw(&p, &mut drawing);

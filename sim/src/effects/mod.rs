@@ -573,6 +573,10 @@ pub struct Drawing<'a> {
     pub full_scale_dn: f64,
     /// Black level at zero exposure, DN: from it the image counts before conversion.
     pub offset_dn: f64,
+    /// A, DN/e.
+    pub gain_dn_per_e: f64,
+    /// Read noise, root mean square over the pixels, DN.
+    pub read_noise_dn: f64,
     /// What an effect keeps from frame to frame, by its identifier.
     pub memory: &'a mut Memory,
 }

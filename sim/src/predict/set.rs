@@ -80,6 +80,8 @@ pub struct SetPrediction {
     pub growth: (f64, f64),
     /// Covariance with the next column from odd columns less that from even ones; with the next row alike.
     pub parity: (f64, f64),
+    /// Covariance along the diagonal up to the right beyond that along the other.
+    pub uphill: f64,
     /// Share of the codes around the level that occur.
     pub codes_used: f64,
     /// Step of the codes around the level, DN: of a table whose steps grow.
@@ -116,6 +118,7 @@ impl SetPrediction {
             lines: Vec::new(),
             growth: (0.0, 0.0),
             parity: (0.0, 0.0),
+            uphill: 0.0,
             codes_used: 1.0,
             step_dn: 1.0,
         }
@@ -146,6 +149,7 @@ impl SetPrediction {
         self.lines.iter_mut().for_each(|l| l.0 *= square);
         self.ripples.iter_mut().for_each(|r| r.0 *= square);
         self.parity = (self.parity.0 * square, self.parity.1 * square);
+        self.uphill *= square;
     }
 
     /// Filters the image.

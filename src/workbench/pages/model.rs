@@ -1,10 +1,10 @@
 //! The loop: how far the model is off, what shows it, what is missing, add it, and the error falls.
 
 use super::shell::{self, Part, alert};
-use crate::diagnosis::{Rung, Verdict};
+use crate::diagnosis::{LAW, Rung, Verdict};
 use crate::inference::Residual;
 use crate::number::{Quantity, chance, pretty, six_digits, with_error, with_unit};
-use crate::report::candidates::candidate;
+use crate::report::candidates::{candidate, law};
 use crate::report::heat;
 use crate::report::ladder::ladder;
 use crate::report::plot::wide;
@@ -138,6 +138,12 @@ fn missing(desk: &Desk, shared: &Shared) -> Markup {
         @if matches!(d.verdict, Verdict::Describes { .. }) { p { "Nothing: the model describes the campaign." } }
         @if !d.missing.is_empty() {
             @for plot in decisive(&Judgement::of_diagnosis(d)) { (wide(&plot)) }
+        }
+        @if let Some(p) = &d.proposal {
+            (law(p))
+            p.buttons {
+                button.first id="add-law" hx-post="/model/add" hx-vals=(vals(LAW)) hx-target="#main" hx-swap="outerHTML" { "Add the law to the model" }
+            }
         }
         @for m in &d.missing {
             (candidate(m))
