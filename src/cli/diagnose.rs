@@ -1,13 +1,14 @@
 //! `radcam diagnose`
 
 use super::Outcome;
-use super::common::can_be_written;
+use super::common::{can_be_written, no_effect};
 use super::findings::{Place, print};
 use super::model::{fitted_model, read_effects};
 use super::observe::{Datasets, observe};
 use crate::dataset::write_whole;
 use crate::diagnosis::{diagnose, searched};
-use anyhow::Result;
+use anyhow::{Result, bail};
+use radcam_sim::effects;
 use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
@@ -29,6 +30,9 @@ pub struct Arguments {
     /// Also print all parameters, the statistics that show each effect, and where it comes from
     #[arg(long)]
     explain: bool,
+    /// Effect that is not considered, because it is excluded by other means; may be given several times
+    #[arg(long, value_name = "EFFECT")]
+    without: Vec<String>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -36,6 +40,12 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     can_be_written([&arguments.report, &arguments.output, &arguments.next].into_iter().flatten())?;
+    for id in &arguments.without {
+        if effects::find(id).is_none() {
+            bail!("{}", no_effect(id, effects::all().iter().map(|e| e.id())));
+        }
+        effects::leave_out(id);
+    }
     let effects = read_effects(arguments.model.as_deref())?;
     let all = observe(&arguments.datasets)?;
     let diagnosis = diagnose(&all, None, searched(&all, &effects), &mut |text| tracing::info!("{text}"));

@@ -166,6 +166,28 @@ pub struct Diagnosis {
     pub comparisons: Vec<Comparison>,
 }
 
+impl Diagnosis {
+    /// The model that describes the campaign, with its comparison: with the law where that holds.
+    pub fn described(&self) -> (Option<&Fitted>, Option<&Comparison>) {
+        match self.proposal.as_ref().filter(|law| law.holds()) {
+            Some(law) => (law.fitted.as_ref(), law.comparison.as_ref()),
+            None => (self.fitted.as_ref(), self.comparisons.last()),
+        }
+    }
+
+    /// The ladder to that model.
+    pub fn ladder_with_law(&self) -> Vec<Rung> {
+        let mut ladder = self.ladder.clone();
+        if let Some(law) = self.proposal.as_ref().filter(|law| law.holds()) {
+            if law.beside.is_empty() {
+                ladder.truncate(1);
+            }
+            ladder.push(Rung { added: Some(LAW.into()), error: law.error_after, p_value: law.p_value });
+        }
+        ladder
+    }
+}
+
 /// Looks for what a model lacks. `base` and `effects` are the model as given; without a base the campaign's
 /// own is taken.
 pub fn diagnose(

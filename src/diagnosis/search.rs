@@ -216,7 +216,7 @@ impl Look<'_> {
                 && (lit || e.shows_in_darks())
         };
         let list: Vec<&'static dyn Effect> =
-            effects::all().iter().filter(|e| !ids.contains(&e.id())).filter(tells).copied().collect();
+            effects::considered().iter().filter(|e| !ids.contains(&e.id())).filter(tells).copied().collect();
         let mut found: Vec<Promising> = list.par_iter().filter_map(promising).collect();
         found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
         for p in found.iter().take(FITTED + 3) {

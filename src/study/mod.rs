@@ -73,14 +73,15 @@ impl Judgement {
 
     /// Of a diagnosis.
     pub fn of_diagnosis(d: &Diagnosis) -> Self {
+        let (fitted, comparison) = d.described();
         Self {
             sentence: d.verdict.sentence().into(),
             consistent: d.consistent,
             missing: d.missing.clone(),
             proposal: d.proposal.clone(),
-            ladder: d.ladder.clone(),
-            comparisons: d.comparisons.clone(),
-            fitted: d.fitted.clone(),
+            ladder: d.ladder_with_law(),
+            comparisons: d.comparisons.iter().take(1).chain(comparison).cloned().collect(),
+            fitted: fitted.cloned(),
             next_measurement: d.next_measurement.clone(),
             slips: d.data_faults.clone(),
             notes: d.notes.clone(),

@@ -8,7 +8,7 @@ format of the contract (dataset.toml, frames.csv, frames/*.tif) and the definiti
     cmos.py list
     cmos.py strength KIND SEED                    (what each statistic sees, without writing)
     cmos.py campaign --radcam PATH --out DIR --kinds clean|effects|pairs|triples|new|all|a,b+c,d
-                     --n N --first-seed S [--jobs 2] [--keep] [--layout L] [--strength 15]
+                     --n N --first-seed S [--jobs 2] [--keep] [--layout L] [--strength 15] [--without]
 
 KIND is "clean", the name of an effect or new shape (see `list`), several joined by "+", or
 "pair" / "triple" (compatible effects chosen by the seed).
@@ -1363,6 +1363,25 @@ def score(truth, doc):
     return cls, v, listed, notes
 
 
+def without(doc, folder, truth, args):
+    """The hidden effect taken out of the program's catalogue: what stands in its place?
+
+    -> "law": a law leaves an error within 0.03 of the effect's own; "short": a law leaves more; "name": another name
+    stands first; "nothing": nothing stands, or `unknown` without a law; "unseen": nor is the effect seen itself.
+    """
+    if truth["missing"][0] not in [m["effect"] for m in doc.get("missing") or []]:
+        return "unseen", []
+    run = subprocess.run(["nice", "-n", "10", args["radcam"], "diagnose", folder, "--json", "--without", truth["missing"][0]],
+                         capture_output=True, text=True, timeout=args["timeout"])
+    other = json.loads(run.stdout)
+    ids = [m.get("effect") for m in other.get("missing") or []]
+    law = other.get("proposal")
+    if law:
+        ids.insert(0, "%s (%.3f, own %.3f)" % (law["formulas"], law["error_after"], doc["error_after"]))
+        return ("law" if law["error_after"] <= doc["error_after"] + 0.03 else "short"), ids
+    return ("name" if ids and ids[0] != "unknown" else "nothing"), ids
+
+
 def one(job):
     kind, seed, args = job
     folder = os.path.join(args["out"], "%s-%d" % (kind.replace("+", "_"), seed))
@@ -1376,6 +1395,8 @@ def one(job):
         res.update(layout=truth["layout"], truth=truth, exit=run.returncode)
         if run.returncode not in (0, 1):
             res.update(cls="failure", verdict="failure", error=(run.stderr or run.stdout)[-300:])
+        elif args.get("without") and len(truth["missing"]) == 1:
+            res["cls"], res["verdict"], res["ids"] = "without", *without(json.loads(run.stdout), folder, truth, args)
         else:
             doc = json.loads(run.stdout)
             res["cls"], res["verdict"], res["listed"], res["notes"] = score(truth, doc)
@@ -1472,6 +1493,7 @@ def main():
     c.add_argument("--first-seed", type=int, default=1); c.add_argument("--jobs", type=int, default=2)
     c.add_argument("--keep", action="store_true"); c.add_argument("--layout", choices=LAYOUTS)
     c.add_argument("--strength", type=float, default=15.0); c.add_argument("--timeout", type=float, default=600)
+    c.add_argument("--without", action="store_true", help="take the hidden effect out of the catalogue")
     a = ap.parse_args()
     if a.verb == "draw":
         t = draw(a.kind, a.seed, a.folder, a.layout, a.strength)

@@ -696,6 +696,20 @@ pub fn all() -> Vec<&'static dyn Effect> {
     EFFECTS.iter().chain(own.iter()).copied().collect()
 }
 
+/// Effects that a search does not consider.
+static LEFT_OUT: std::sync::RwLock<Vec<String>> = std::sync::RwLock::new(Vec::new());
+
+/// Leaves an effect out of every search for as long as the program runs; models may name it still.
+pub fn leave_out(id: &str) {
+    LEFT_OUT.write().unwrap_or_else(std::sync::PoisonError::into_inner).push(id.into());
+}
+
+/// Every effect that a search considers, registered ones last.
+pub fn considered() -> Vec<&'static dyn Effect> {
+    let left_out = LEFT_OUT.read().unwrap_or_else(std::sync::PoisonError::into_inner);
+    all().into_iter().filter(|e| left_out.iter().all(|id| id != e.id())).collect()
+}
+
 /// An effect by its identifier.
 pub fn find(id: &str) -> Option<&'static dyn Effect> {
     all().into_iter().find(|e| e.id() == id)

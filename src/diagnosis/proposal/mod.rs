@@ -66,6 +66,9 @@ pub struct Proposal {
     /// The model with it: named effects first, then its laws.
     #[serde(skip)]
     pub(super) fitted: Option<Fitted>,
+    /// Comparison of that model.
+    #[serde(skip)]
+    pub(super) comparison: Option<Comparison>,
     /// Effects of that model before its laws.
     #[serde(skip)]
     effects: usize,
@@ -280,6 +283,7 @@ fn described(all: &Observations, found: Found, named: usize, [before, after]: [&
         cost: cost::of_last(all, fitted, first),
         gain_open_rel: mixed(all, fitted, &found.laws),
         effects: first,
+        comparison: Some(after.clone()),
         fitted: Some(found.fitted),
     }
 }
