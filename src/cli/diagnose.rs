@@ -3,7 +3,7 @@
 use super::Outcome;
 use super::common::{can_be_written, no_effect};
 use super::findings::{Place, print};
-use super::model::{fitted_model, read_effects};
+use super::model::{fitted_model, model_with_law, read_effects};
 use super::observe::{Datasets, observe};
 use crate::dataset::write_whole;
 use crate::diagnosis::{diagnose, searched};
@@ -53,7 +53,11 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         super::report::of_diagnosis(path, &arguments.datasets, &all, &diagnosis)?;
     }
     if let (Some(path), Some(fitted)) = (&arguments.output, &diagnosis.fitted) {
-        let model = fitted_model(&all, fitted, arguments.model.as_deref(), &arguments.datasets)?;
+        let given = arguments.model.as_deref();
+        let model = match diagnosis.proposal.as_ref().filter(|law| law.holds()) {
+            Some(law) => model_with_law(&all, law, given, &arguments.datasets)?,
+            None => fitted_model(&all, fitted, given, &arguments.datasets)?,
+        };
         write_whole(path, model.to_toml()?.as_bytes())?;
     }
     match (&arguments.next, &diagnosis.next_plan) {

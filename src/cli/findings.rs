@@ -42,7 +42,7 @@ pub fn print(place: &Place<'_>, d: &Diagnosis) {
         println!("{}", item("  note: ", note, 4));
     }
     if let (false, Some(first)) = (place.explain, d.missing.first()) {
-        next_commands(place.datasets, first, d.proposal.is_some());
+        next_commands(place.datasets, first, d.proposal.as_ref().is_some_and(Proposal::holds));
     }
 }
 
@@ -224,16 +224,11 @@ fn law(place: &Place<'_>, p: &Proposal) {
 
 /// Commands that lead on from here.
 fn next_commands(datasets: &str, first: &Missing, has_law: bool) {
+    let found = if has_law { "the model with the law" } else { "the model with what was found" };
     let mut lines = vec![
         (format!("radcam diagnose {datasets} --explain"), "what shows it, and all values"),
-        (format!("radcam diagnose {datasets} -o camera.toml"), "the model with what was found"),
+        (format!("radcam diagnose {datasets} -o camera.toml"), found),
     ];
-    if has_law {
-        lines.push((
-            format!("radcam model new camera.toml && radcam model add camera.toml --proposal {datasets}"),
-            "the model with the law",
-        ));
-    }
     if first.effect != "unknown" {
         lines.push((format!("radcam effects {}", first.effect), "what it is and what looks like it"));
     }

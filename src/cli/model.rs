@@ -2,9 +2,9 @@
 
 use super::Outcome;
 use super::common::{load_model, no_effect};
-use super::observe::{Datasets, observe};
+use super::observe::{Colour, Datasets, observe};
 use crate::dataset::write_whole;
-use crate::diagnosis::{diagnose, searched};
+use crate::diagnosis::{Proposal, diagnose, searched};
 use crate::inference::{Fitted, Given, compare, fit, start};
 use crate::number::{chance, six_digits, with_unit};
 use crate::observables::Observations;
@@ -47,9 +47,12 @@ enum Action {
         /// Values, such as rel=0.01
         #[arg(value_parser = value)]
         values: Vec<(String, f64)>,
-        /// Diagnose this dataset, and add the law that it proposes, fitted, with the effects named beside it
-        #[arg(long, value_name = "DATASET")]
-        proposal: Option<PathBuf>,
+        /// Diagnose these datasets of one camera, and add the law that is proposed, fitted, with the effects named
+        /// beside it
+        #[arg(long, value_name = "DATASET", num_args = 1..)]
+        proposal: Vec<PathBuf>,
+        #[command(flatten)]
+        colour: Colour,
     },
     /// Remove an effect
     Remove {
@@ -113,17 +116,28 @@ pub fn fitted_model(
 }
 
 /// A model file with the law that a diagnosis of a dataset proposes, and what it names beside it.
-fn with_proposal(path: &Path, datasets: &Datasets) -> Result<Model> {
+fn with_proposal(path: &Path, datasets: &Datasets) -> Result<(Model, Proposal)> {
     let known = crate::model::given(&read(path)?.effects)?;
     let all = observe(datasets)?;
     let diagnosis = diagnose(&all, None, searched(&all, &known), &mut |text| tracing::info!("{text}"));
-    let Some((law, fitted)) = diagnosis.proposal.as_ref().and_then(|p| Some((p, p.beside_it()?))) else {
+    let Some(law) = diagnosis.proposal else {
         bail!("no law is proposed for {}: {}", datasets.names(), diagnosis.verdict.sentence());
     };
-    let mut model = fitted_model(&all, &fitted, Some(path), datasets)?;
-    let names: Vec<&str> = model.effects.iter().filter_map(|e| e.name.as_deref()).collect();
-    let law = law.effect(&names);
-    model.effects.push(law);
+    Ok((model_with_law(&all, &law, Some(path), datasets)?, law))
+}
+
+/// A model file with a law, and what is named beside it.
+pub fn model_with_law(
+    all: &Observations,
+    law: &Proposal,
+    given: Option<&Path>,
+    datasets: &Datasets,
+) -> Result<Model> {
+    let fitted = law.beside_it().context("a law without its fit")?;
+    let mut model = fitted_model(all, &fitted, given, datasets)?;
+    let names: Vec<String> = model.effects.iter().filter_map(|e| e.name.clone()).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    model.effects.extend(law.laws(&names));
     Ok(model)
 }
 
@@ -170,10 +184,14 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             show(path, &model, arguments.json)?;
         }
         Action::Show { model: path } => show(path, &read(path)?, arguments.json)?,
-        Action::Add { model: path, proposal: Some(dataset), .. } => {
-            let model = with_proposal(path, &Datasets::of(dataset))?;
+        Action::Add { model: path, proposal, colour, .. } if !proposal.is_empty() => {
+            let datasets = Datasets { paths: proposal.clone(), colour: colour.clone() };
+            let (model, law) = with_proposal(path, &datasets)?;
             write(path, &model)?;
             show(path, &model, arguments.json)?;
+            if !arguments.json {
+                println!("{}, p {}", law.sentence(), chance(law.p_value));
+            }
         }
         Action::Add { model: path, effect, values, .. } => {
             let mut model = read(path)?;

@@ -160,19 +160,21 @@ impl Plain {
 
 /// Cost of leaving an effect of a model out of account.
 pub(super) fn of_effect(all: &Observations, whole: &Fitted, id: &str) -> Cost {
-    let rest: Effects = whole.effects.iter().filter(|(e, _)| e.id() != id).cloned().collect();
+    without(all, whole, whole.effects.iter().filter(|(e, _)| e.id() != id).cloned().collect())
+}
+
+/// Cost of leaving the last effects of a model out of account: `kept` stay.
+pub(super) fn of_last(all: &Observations, whole: &Fitted, kept: usize) -> Cost {
+    without(all, whole, whole.effects.iter().take(kept).cloned().collect())
+}
+
+/// Cost of leaving out of a model all but the effects `rest`.
+fn without(all: &Observations, whole: &Fitted, rest: Effects) -> Cost {
     let both = Plain::of_model(all, whole, &whole.effects).zip(Plain::of_model(all, whole, &rest));
     let cost = both.map_or_else(Cost::default, |(with, without)| with.against(&without));
     // Beside noise of single pixels that is next to none no share of it means anything.
     let known = whole.base_std_err[1] < NOT_DETERMINED * whole.base.read_noise_e;
     Cost { read_noise_rel: if known { cost.read_noise_rel } else { 0.0 }, ..cost }
-}
-
-/// Cost of leaving the last effects of a model out of account: `kept` stay.
-pub(super) fn of_last(all: &Observations, whole: &Fitted, kept: usize) -> Cost {
-    let rest: Effects = whole.effects[..kept].to_vec();
-    let both = Plain::of_model(all, whole, &whole.effects).zip(Plain::of_model(all, whole, &rest));
-    both.map_or_else(Cost::default, |(with, without)| with.against(&without))
 }
 
 /// Cost of the remainder: measured means and variances against those that the model expects.

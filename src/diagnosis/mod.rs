@@ -46,7 +46,7 @@ use part::{BARE_MENTION, OtherForm, Part, equally_good, left_out, other_forms, w
 use radcam_sim::effects::{Seen, Take, takes};
 use radcam_sim::predict::{BaseParameters, Before};
 use rayon::prelude::*;
-use search::{Candidate, MANY, NEEDED, is_something, is_told, rivals, score, search, surely_there, without};
+use search::{Candidate, NEEDED, is_something, is_told, rivals, score, search, surely_there, without};
 use sensor::sensor;
 use serde::{Deserialize, Serialize};
 use share::{MATTERS, Place, place_of_unknown, remainder, shares};
@@ -238,14 +238,14 @@ pub fn diagnose(
     ladder.extend(rungs(all, &model, &parts, &whole, &last));
     let remainder = remainder(all, &whole, [&first, &last], parts.is_empty());
     let forms = other_forms(all, &parts, &whole);
-    let fails = remainder.is_some() || parts.iter().any(|p| p.better().is_some());
-    let weak_enough = score(all, &model) - score(all, &whole) < MANY;
+    // Samples cut off at code 0 are evidence by themselves, and no law has them.
     let is_cut = parts.iter().any(|p| p.effect.id() == CUT);
-    let laws = (fails || !parts.is_empty() && weak_enough && !is_cut)
-        .then(|| proposal::in_place_of_names(all, &model))
-        .flatten();
-    let law = laws.as_ref().filter(|_| !parts.is_empty() && weak_enough && !is_cut);
-    let law = law.and_then(|laws| laws.better(all, &model, &whole));
+    let mut laws = None;
+    if !parts.is_empty() && !is_cut {
+        progress("comparing the names with laws");
+        laws = proposal::in_place_of_names(all, &model);
+    }
+    let law = laws.as_ref().and_then(|laws| laws.better(all, &model, &whole));
     let mut missing = missing(all, &parts, &whole, &forms, [&first, &last], &ladder, remainder.as_ref(), law);
     let dimmest_dn = dimmest_signal_dn(all, &whole);
     for m in &mut missing {
@@ -273,10 +273,13 @@ pub fn diagnose(
     let nameless = missing.iter().position(|m| m.effect == "unknown");
     let proposal = nameless.and_then(|at| {
         progress("looking for a law for what has no name");
-        let in_place = laws.filter(|_| at == 0);
+        if laws.is_none() && at == 0 {
+            laws = proposal::in_place_of_names(all, &model);
+        }
+        let in_place = laws.take().filter(|_| at == 0);
         proposal::propose(all, &model, &whole, in_place)
     });
-    let of_law = proposal.as_ref().and_then(|law| law.next_measurement.clone());
+    let of_law = proposal.as_ref().filter(|_| nameless == Some(0)).and_then(|p| p.next_measurement.clone());
     if let (Some(measure), Some((about, _))) = (of_law, next.as_mut()) {
         *about = measure;
     }
@@ -284,8 +287,10 @@ pub fn diagnose(
     let with_law = proposal.as_ref().filter(|p| p.holds()).and_then(|p| Some((p, p.fitted.as_ref()?)));
     let sensor = match with_law {
         Some((law, fitted)) => {
-            missing.iter_mut().filter(|m| m.effect == "unknown").for_each(|m| m.cost = law.cost);
-            sensor(all, fitted, &[], law.error_after).with_open_gain(law.gain_open_rel)
+            say_by_law(&mut missing, law);
+            // Names that hold as well have values of their own.
+            let names: &[&Fitted] = if last.p_value >= DOUBT { &[&whole] } else { &[] };
+            sensor(all, fitted, names, law.error_after).with_open_gain(law.gain_open_rel)
         }
         None => {
             notes.extend(sensor::range_of_gains(&whole, &alternatives, !forms.is_empty()));
@@ -310,6 +315,19 @@ pub fn diagnose(
         notes,
         fitted: Some(whole),
         comparisons: vec![first, last],
+    }
+}
+
+/// Gives `unknown`, where it stands first, the cost of a law that holds, and the whole misfit where the law stands in
+/// the place of all names.
+fn say_by_law(missing: &mut [Missing], law: &Proposal) {
+    let Some((unknown, names)) = missing.split_first_mut().filter(|(m, _)| m.effect == "unknown") else {
+        return;
+    };
+    unknown.cost = law.cost;
+    if law.beside.is_empty() {
+        unknown.share = 1.0;
+        names.iter_mut().for_each(|m| m.share = 0.0);
     }
 }
 

@@ -57,7 +57,7 @@ const WIDER: f64 = 1.5;
 const NEARLY: f64 = 0.9;
 /// Evidence from which on an effect is far beyond doubt, and the errors of its prediction matter more than its
 /// size (a named choice).
-pub(super) const MANY: f64 = 1e3;
+const MANY: f64 = 1e3;
 
 /// A candidate after its fit.
 #[derive(Clone)]

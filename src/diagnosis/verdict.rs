@@ -137,8 +137,15 @@ impl Verdict {
                 None => " What it does to system gain, read noise and linearity is not known.".into(),
             };
             let sentence = match proposal {
+                Some(law) if law.holds() => {
+                    let near = if law.beside.is_empty() { format!(" {near}") } else { String::new() };
+                    format!(
+                        "The camera shows something that is not in the catalogue: {}.{near}{cost}",
+                        law.sentence()
+                    )
+                }
                 Some(law) => format!(
-                    "The camera shows something that is not in the catalogue: {}. {near}{cost}",
+                    "The camera shows something that is not in the catalogue. {near}{most}{cost} A law comes near: {}.",
                     law.sentence()
                 ),
                 None => {

@@ -179,7 +179,11 @@ pub async fn add(State(shared): Desktop, Form(named): Form<Named>) -> Response {
         let (found, campaign, on) = {
             let desk = asked.desk();
             let found = match &desk.found {
-                Found::Done(d) => entries_of(d, &id),
+                Found::Done(d) => {
+                    let entries = desk.entries();
+                    let taken: Vec<&str> = entries.iter().map(Entry::name).collect();
+                    entries_of(d, &id, &taken)
+                }
                 _ => None,
             };
             let on: Vec<_> = desk.entries().into_iter().filter(|e| e.on).map(|e| e.effect).collect();

@@ -212,18 +212,20 @@ impl Desk {
     }
 }
 
-/// Effect that a search found, as an entry of the model; the law with the effects beside it.
-pub fn entries_of(d: &Diagnosis, id: &str) -> Option<Vec<Entry>> {
+/// Effect that a search found, as an entry of the model; the law with the effects beside it. `taken`: names that the
+/// model has.
+pub fn entries_of(d: &Diagnosis, id: &str, taken: &[&str]) -> Option<Vec<Entry>> {
     if id == LAW {
         let law = d.proposal.as_ref()?;
-        let beside = law.beside.iter().filter_map(|id| entry_of(d, id));
-        return Some(beside.chain([Entry { on: true, effect: law.effect(&[]) }]).collect());
+        let fitted = law.beside_it()?;
+        let beside = law.beside.iter().filter_map(|id| entry_of(&fitted, id));
+        let laws = law.laws(taken).into_iter().map(|effect| Entry { on: true, effect });
+        return Some(beside.chain(laws).collect());
     }
-    entry_of(d, id).map(|entry| vec![entry])
+    entry_of(d.fitted.as_ref()?, id).map(|entry| vec![entry])
 }
 
-fn entry_of(d: &Diagnosis, id: &str) -> Option<Entry> {
-    let fitted = d.fitted.as_ref()?;
+fn entry_of(fitted: &Fitted, id: &str) -> Option<Entry> {
     let (effect, values) = fitted.effects.iter().find(|(e, _)| e.id() == id)?;
     let named = effect.parameters().iter().zip(values).map(|(p, v)| (p.name.to_string(), *v)).collect();
     Some(Entry { on: true, effect: EffectValues { id: id.into(), parameters: named, ..Default::default() } })

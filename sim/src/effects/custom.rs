@@ -100,7 +100,7 @@ impl Formula {
         self.expression.eval(&values).ok().filter(|v| v.is_finite()).unwrap_or(0.0)
     }
 
-    /// Whether it is a number at ordinary levels, exposures and lights; where not, at which.
+    /// Checks that it is a number at ordinary levels, exposures and lights; where not, at which.
     fn sound(&self, p: &[f64]) -> Result<(), String> {
         let values = |v: &Variables| -> Vec<f64> {
             let of = |place: &Result<usize, usize>| match place {
@@ -319,7 +319,7 @@ impl Effect for Custom {
     }
 
     fn is_in_time(&self, _: &[f64]) -> bool {
-        self.formulas.values().any(|formula| formula.uses(OF_FRAMES.start))
+        self.formulas.values().any(|formula| OF_FRAMES.into_iter().any(|place| formula.uses(place)))
     }
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
@@ -344,7 +344,8 @@ impl Effect for Custom {
     }
 
     /// Covariances beside a variance are noise of their own, whose odd and even lines are alike; without one they
-    /// are what neighbours share of the noise that is there.
+    /// are what neighbours share of the noise that is there, to first order: up to a tenth of the variance. A
+    /// negative variance is predicted only.
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
         let level = d.image.mean().unwrap_or(0.0);
         let odd = (d.frame % 2) as f64;

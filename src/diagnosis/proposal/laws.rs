@@ -1,18 +1,21 @@
 //! The grammar of laws: what a law may change, and how it may grow.
 
-use radcam_sim::effects::{Described, Effect, Seen, custom};
+use radcam_sim::effects::{Described, Effect, custom};
+use std::sync::LazyLock;
 
 /// Statistic that a law changes, or several in a fixed ratio.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Target {
     /// Its name.
     pub name: &'static str,
-    /// It in words.
+    /// It in words, of a noise what stands behind that word.
     pub words: &'static str,
     /// Its kind.
     pub kind: Kind,
     /// Targets of a custom effect, and the part of the law that each has.
     pub parts: &'static [(&'static str, f64)],
+    /// True of noise that is added to that of pixels: its size is not negative.
+    pub adds: bool,
 }
 
 /// Kinds of targets: they differ in unit and in what their size is compared with.
@@ -39,91 +42,140 @@ impl Kind {
 pub const TARGETS: &[Target] = &[
     Target {
         name: "variance",
-        words: "noise of single pixels",
+        words: "of single pixels",
         kind: Kind::Pixels,
         parts: &[("variance", 1.0)],
+        adds: false,
     },
     Target {
         name: "cov_01",
-        words: "noise that a pixel shares with the next one in its row",
+        words: "that a pixel shares with the next one in its row",
         kind: Kind::Shared,
         parts: &[("cov_01", 1.0)],
+        adds: false,
     },
     Target {
         name: "cov_10",
-        words: "noise that a pixel shares with the next one in its column",
+        words: "that a pixel shares with the next one in its column",
         kind: Kind::Shared,
         parts: &[("cov_10", 1.0)],
+        adds: false,
     },
     Target {
         name: "cov_02",
-        words: "noise that pixels two columns apart share",
+        words: "that pixels two columns apart share",
         kind: Kind::Shared,
         parts: &[("cov_02", 1.0)],
+        adds: false,
     },
     Target {
         name: "cov_20",
-        words: "noise that pixels two rows apart share",
+        words: "that pixels two rows apart share",
         kind: Kind::Shared,
         parts: &[("cov_20", 1.0)],
+        adds: false,
     },
     Target {
         name: "cov_03",
-        words: "noise that pixels three columns apart share",
+        words: "that pixels three columns apart share",
         kind: Kind::Shared,
         parts: &[("cov_03", 1.0)],
+        adds: false,
     },
     Target {
         name: "cov_30",
-        words: "noise that pixels three rows apart share",
+        words: "that pixels three rows apart share",
         kind: Kind::Shared,
         parts: &[("cov_30", 1.0)],
+        adds: false,
     },
     Target {
         name: "cov_11",
-        words: "noise that diagonal neighbours share",
+        words: "that diagonal neighbours share",
         kind: Kind::Shared,
         parts: &[("cov_11", 1.0)],
+        adds: false,
     },
     Target {
         name: "cov_1-1",
-        words: "noise shared along the diagonal up to the right alone",
+        words: "shared along the diagonal up to the right alone",
         kind: Kind::Shared,
         parts: &[("cov_1-1", 1.0)],
+        adds: false,
+    },
+    Target {
+        name: "diagonal down",
+        words: "shared along the diagonal down to the right alone",
+        kind: Kind::Shared,
+        parts: &[("cov_11", 1.0), ("cov_1-1", -1.0)],
+        adds: false,
     },
     Target {
         name: "cov_12",
-        words: "noise that pixels one row and two columns apart share",
+        words: "that pixels one row and two columns apart share",
         kind: Kind::Shared,
         parts: &[("cov_12", 1.0)],
+        adds: false,
     },
     Target {
         name: "cov_21",
-        words: "noise that pixels two rows and one column apart share",
+        words: "that pixels two rows and one column apart share",
         kind: Kind::Shared,
         parts: &[("cov_21", 1.0)],
+        adds: false,
     },
     Target {
         name: "parity_01",
-        words: "noise that an odd column shares with the next one, beyond what an even one does",
+        words: "that an odd column shares with the next one, beyond what an even one does",
         kind: Kind::Shared,
         parts: &[("parity_01", 1.0)],
+        adds: false,
     },
     Target {
         name: "parity_10",
-        words: "noise that an odd row shares with the next one, beyond what an even one does",
+        words: "that an odd row shares with the next one, beyond what an even one does",
         kind: Kind::Shared,
         parts: &[("parity_10", 1.0)],
+        adds: false,
     },
     Target {
         name: "neighbours",
-        words: "noise that a pixel shares with all eight neighbours alike",
+        words: "that a pixel shares with all eight neighbours alike",
         kind: Kind::Shared,
         parts: &[("cov_01", 1.0), ("cov_10", 1.0), ("cov_11", 1.0)],
+        adds: false,
+    },
+    Target {
+        name: "even pairs of columns",
+        words: "that columns share in pairs, the even one first",
+        kind: Kind::Shared,
+        parts: &[("cov_01", 0.5), ("parity_01", -1.0)],
+        adds: true,
+    },
+    Target {
+        name: "odd pairs of columns",
+        words: "that columns share in pairs, the odd one first",
+        kind: Kind::Shared,
+        parts: &[("cov_01", 0.5), ("parity_01", 1.0)],
+        adds: true,
+    },
+    Target {
+        name: "even pairs of rows",
+        words: "that rows share in pairs, the even one first",
+        kind: Kind::Shared,
+        parts: &[("cov_10", 0.5), ("parity_10", -1.0)],
+        adds: true,
+    },
+    Target {
+        name: "odd pairs of rows",
+        words: "that rows share in pairs, the odd one first",
+        kind: Kind::Shared,
+        parts: &[("cov_10", 0.5), ("parity_10", 1.0)],
+        adds: true,
     },
     Target {
         name: "blocks",
-        words: "noise that blocks of two by two pixels share",
+        words: "that blocks of two by two pixels share",
         kind: Kind::Shared,
         parts: &[
             ("cov_01", 0.5),
@@ -132,32 +184,37 @@ pub const TARGETS: &[Target] = &[
             ("parity_01", -1.0),
             ("parity_10", -1.0),
         ],
+        adds: true,
     },
     Target {
         name: "shifted blocks",
-        words: "noise that blocks of two by two pixels share, one off the corner",
+        words: "that blocks of two by two pixels share, one off the corner",
         kind: Kind::Shared,
         parts: &[("cov_01", 0.5), ("cov_10", 0.5), ("cov_11", 0.25), ("parity_01", 1.0), ("parity_10", 1.0)],
+        adds: true,
     },
     Target {
         name: "row",
-        words: "noise common to the pixels of a row",
+        words: "common to the pixels of a row",
         kind: Kind::Lines,
         parts: &[("row", 1.0)],
+        adds: true,
     },
     Target {
         name: "column",
-        words: "noise common to the pixels of a column",
+        words: "common to the pixels of a column",
         kind: Kind::Lines,
         parts: &[("column", 1.0)],
+        adds: true,
     },
     Target {
         name: "common",
-        words: "scatter of the level from frame to frame",
+        words: "common to the pixels of a frame",
         kind: Kind::Lines,
         parts: &[("common", 1.0)],
+        adds: true,
     },
-    Target { name: "mean", words: "level", kind: Kind::Level, parts: &[("mean", 1.0)] },
+    Target { name: "mean", words: "level", kind: Kind::Level, parts: &[("mean", 1.0)], adds: false },
 ];
 
 /// Way in which a law grows. Levels are divided by 1000 DN, so that formulas read the same in every campaign and
@@ -172,11 +229,12 @@ pub struct Shape {
     pub growth: Growth,
     /// Unit of the size, beyond that of the target.
     per: &'static str,
-    /// Values of the parameters at which a search begins, in the order of their names.
-    starts: fn(&Seen) -> Vec<Vec<f64>>,
+    /// Values of the parameters at which a search begins, in the order of their names, from the signals of the
+    /// flats in ascending order, DN.
+    starts: fn(&[f64]) -> Vec<Vec<f64>>,
 }
 
-/// What a law grows with.
+/// Growth of a law.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Growth {
     /// Nothing: the same at every level, in darks too.
@@ -203,22 +261,33 @@ pub enum Growth {
     Odd,
 }
 
-fn one(_: &Seen) -> Vec<Vec<f64>> {
+fn one(_: &[f64]) -> Vec<Vec<f64>> {
     vec![vec![1.0]]
 }
 
-fn hundredth(_: &Seen) -> Vec<Vec<f64>> {
+fn hundredth(_: &[f64]) -> Vec<Vec<f64>> {
     vec![vec![0.01]]
 }
 
-/// A step in the middle of the range, and at other parts of it.
-fn steps(seen: &Seen) -> Vec<Vec<f64>> {
-    [0.5, 0.25, 0.75, 0.12, 0.37, 0.62, 0.88].map(|part| vec![1.0, part * seen.peak_dn.max(1.0)]).into()
+/// Powers between those that have a shape of their own.
+fn powers(_: &[f64]) -> Vec<Vec<f64>> {
+    [1.3, 1.7, 2.5, 3.5].map(|p| vec![1.0, p]).into()
+}
+
+/// Steps that are tried.
+const MOST_STEPS: usize = 12;
+
+/// A step between neighbouring levels. Its place is not fitted: nothing changes until it passes a level.
+fn steps(levels_dn: &[f64]) -> Vec<Vec<f64>> {
+    let between: Vec<f64> = levels_dn.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])).collect();
+    let every = between.len().div_ceil(MOST_STEPS).max(1);
+    between.into_iter().step_by(every).map(|m| vec![1.0, m]).collect()
 }
 
 /// Waves of a few periods over the range; sine and cosine of each.
-fn waves(seen: &Seen) -> Vec<Vec<f64>> {
-    let of = |periods: f64| [0.0, 1.57].map(|f| vec![f, 1.0, seen.peak_dn.max(1.0) / periods]);
+fn waves(levels_dn: &[f64]) -> Vec<Vec<f64>> {
+    let peak_dn = levels_dn.last().copied().unwrap_or(1.0).max(1.0);
+    let of = |periods: f64| [0.0, 1.57].map(|f| vec![f, 1.0, peak_dn / periods]);
     [1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0].into_iter().flat_map(of).collect()
 }
 
@@ -287,6 +356,13 @@ const OF_NOISE: &[Shape] = &[
         per: "",
         starts: steps,
     },
+    Shape {
+        formula: "k * (mu / 1000)^p",
+        words: "growing as the signal to the power p",
+        growth: Growth::Faster,
+        per: "",
+        starts: powers,
+    },
 ];
 
 /// Shapes of a level.
@@ -308,6 +384,13 @@ const OF_LEVEL: &[Shape] = &[
     Shape {
         formula: "k * (1 + signum(mu - m)) / 2",
         words: "off by a step at one level",
+        growth: Growth::Step,
+        per: "",
+        starts: steps,
+    },
+    Shape {
+        formula: "k * mu / 1000 * (1 + signum(mu - m)) / 2",
+        words: "off in proportion to the signal above one level",
         growth: Growth::Step,
         per: "",
         starts: steps,
@@ -363,13 +446,15 @@ pub struct Law {
 impl Law {
     /// It in a few words.
     pub fn in_short(&self) -> String {
-        let what = if self.target.kind == Kind::Level { "a level" } else { self.target.words };
-        format!("{what} {}", self.shape.words)
+        match self.target.kind {
+            Kind::Level => format!("a level that is {}", self.shape.words),
+            _ => format!("noise {}, {},", self.target.words, self.shape.words),
+        }
     }
 
-    /// Places where a search begins.
-    pub fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
-        (self.shape.starts)(seen)
+    /// Places where a search begins. `levels_dn`: signals of the flats in ascending order.
+    pub fn starts(&self, levels_dn: &[f64]) -> Vec<Vec<f64>> {
+        (self.shape.starts)(levels_dn)
     }
 }
 
@@ -378,11 +463,16 @@ fn parameters(formula: &str) -> impl Iterator<Item = &'static str> + '_ {
     // No other letter stands alone in a formula.
     let is_there =
         |name: &&str| formula.split(|c: char| !c.is_ascii_alphanumeric()).any(|word| word == *name);
-    ["f", "k", "m"].into_iter().filter(is_there)
+    ["f", "k", "m", "p"].into_iter().filter(is_there)
 }
 
 /// Every law of the grammar.
-pub fn all() -> Vec<Law> {
+pub fn all() -> &'static [Law] {
+    static ALL: LazyLock<Vec<Law>> = LazyLock::new(make);
+    &ALL
+}
+
+fn make() -> Vec<Law> {
     let of = |target: &'static Target| {
         let shapes = if target.kind == Kind::Level { OF_LEVEL } else { OF_NOISE };
         shapes
@@ -422,8 +512,15 @@ fn law(target: &'static Target, shape: &'static Shape) -> Option<Law> {
         _ => "1".into(),
     };
     let units = names.iter().map(|name| (owned(name), unit(name))).collect();
-    // A level at which something happens is a level of the campaign; a size is any.
-    let bounds = names.iter().filter(|n| **n == "m").map(|n| (owned(n), [1e-3, 1e6])).collect();
+    // Lines, frames and blocks have no noise in the model of which less could be there.
+    let least = if target.adds { 0.0 } else { -1e12 };
+    let bound = |name: &&str| match *name {
+        "k" => Some([least, 1e12]),
+        "m" => Some([1e-3, 1e6]),
+        "p" => Some([0.3, 6.0]),
+        _ => None,
+    };
+    let bounds = names.iter().filter_map(|name| Some((owned(name), bound(name)?))).collect();
     let name = format!("law {} = {}", target.name, shape.formula);
     let described =
         Described { name: &name, formulas: &formulas, values: &values, bounds: &bounds, units: &units };
@@ -437,16 +534,20 @@ mod tests {
     /// Each law is an effect whose parameters are those of its formula, and each start has a value for each.
     #[test]
     fn every_law_is_an_effect() {
-        let seen = Seen { peak_dn: 3000.0, ..Seen::default() };
+        let levels = [100.0, 1000.0, 3000.0];
         let laws = all();
-        let levels = TARGETS.iter().filter(|t| t.kind == Kind::Level).count();
+        let of_level = TARGETS.iter().filter(|t| t.kind == Kind::Level).count();
         let lines = TARGETS.iter().filter(|t| t.kind == Kind::Lines).count();
-        let noises = TARGETS.len() - levels;
-        assert_eq!(laws.len(), noises * OF_NOISE.len() - 3 - lines + levels * OF_LEVEL.len());
+        let noises = TARGETS.len() - of_level;
+        assert_eq!(laws.len(), noises * OF_NOISE.len() - 3 - lines + of_level * OF_LEVEL.len());
         for law in laws {
             let names: Vec<&str> = law.effect.parameters().iter().map(|p| p.name).collect();
             assert_eq!(names, parameters(law.shape.formula).collect::<Vec<_>>());
-            assert!(law.starts(&seen).iter().all(|start| start.len() == names.len()), "{}", law.effect.id());
+            assert!(
+                law.starts(&levels).iter().all(|start| start.len() == names.len()),
+                "{}",
+                law.effect.id()
+            );
         }
     }
 }

@@ -1,5 +1,5 @@
-//! A law for what has no name: formulas that describe it, found by the evidence that they bring, judged on frames
-//! that no fit saw.
+//! A law for what has no name: formulas that describe it, chosen by the evidence that they bring to all frames, and
+//! judged as any model is, on frames that its fit did not see.
 //!
 //! Structure is chosen by evidence with the price of every parameter and of the number of laws that were tried
 //! (Kass and Raftery 1995, J. Am. Stat. Assoc. 90, 773), one law after the other, as long as the campaign does
@@ -9,11 +9,12 @@ mod causes;
 mod laws;
 
 use super::search::{NEEDED, score};
+use super::share::MATTERS;
 use super::starts::{Starts, finished};
 use super::{Cost, HELPS, Memo, TIE, cost};
 use crate::agreement::{DOUBT, P_LIMIT};
-use crate::inference::{Comparison, Fitted, Screen, compare, seen};
-use crate::number::{Quantity, percent};
+use crate::inference::{Comparison, Fitted, Screen, compare};
+use crate::number::{Quantity, finite, percent};
 use crate::observables::Observations;
 use laws::{Growth, Kind, Law};
 use radcam_sim::EffectValues;
@@ -22,16 +23,18 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Laws in a proposal.
-const MOST: usize = 3;
-/// Laws that are fitted for a few rounds, of those that promise most, and of these to the end.
-const FITTED: [usize; 2] = [8, 3];
+/// Maximum number of laws in a proposal.
+const MAX_LAWS: usize = 3;
+/// Maximum number of laws that are fitted for a few rounds, of those that promise most, and of these to the end.
+const MAX_FITTED: [usize; 2] = [8, 3];
+/// Maximum error of a model beside which a law is looked for (a named choice: where nothing comes near, fits end
+/// far from where they began).
+const MAX_ERROR: f64 = 30.0;
 /// Evidence by which a law of another shape may fall short of the best and still be the simpler one: none are
 /// preferred beyond chance (Kass and Raftery 1995, section 3.2: not worth more than a bare mention).
 const ALIKE: f64 = 2.0;
-
-/// Share of the misfit that a law may leave and still be said where it is rejected (a named choice).
-const MOST_LEFT: f64 = 0.5;
+/// Maximum share of the misfit that a law may leave and still be said where it is rejected (a named choice).
+const MAX_LEFT: f64 = 0.5;
 
 /// Name of the effect that a proposal makes.
 pub const LAW: &str = "law";
@@ -47,10 +50,13 @@ pub struct Proposal {
     /// Named effects beside it; none where it stands in their place.
     pub beside: Vec<String>,
     /// Error without it, on frames that no fit saw.
+    #[serde(with = "finite")]
     pub error_before: f64,
     /// Error with it.
+    #[serde(with = "finite")]
     pub error_after: f64,
     /// Chance of what is left with it.
+    #[serde(with = "finite")]
     pub p_value: f64,
     /// Law in words.
     pub text: String,
@@ -62,6 +68,7 @@ pub struct Proposal {
     pub cost: Cost,
     /// Share of the gain by which it may be off where noise that pixels share comes from a filter that mixes
     /// them, and not from noise that is added.
+    #[serde(with = "finite")]
     pub gain_open_rel: f64,
     /// The model with it: named effects first, then its laws.
     #[serde(skip)]
@@ -72,28 +79,24 @@ pub struct Proposal {
     /// Effects of that model before its laws.
     #[serde(skip)]
     effects: usize,
+    /// Each law as an effect of a model file.
+    #[serde(skip)]
+    laws: Vec<EffectValues>,
 }
 
 impl Proposal {
-    /// It as an effect of a model file; `taken`: names that other effects of the file have.
-    pub fn effect(&self, taken: &[&str]) -> EffectValues {
+    /// Its laws as effects of a model file; `taken`: names that other effects of the file have.
+    pub fn laws(&self, taken: &[&str]) -> Vec<EffectValues> {
         let numbered = (2..).map(|number| format!("{LAW}-{number}"));
-        let name = std::iter::once(LAW.to_string()).chain(numbered).find(|n| !taken.contains(&n.as_str()));
-        let of = |value: fn(&Quantity) -> f64| -> BTreeMap<String, f64> {
-            self.parameters.iter().map(|(name, q)| (name.clone(), value(q))).collect()
-        };
-        EffectValues {
-            id: "custom".into(),
-            name,
-            parameters: of(|q| q.value),
-            formulas: self.formulas.clone(),
-            bounds: BTreeMap::new(),
-            units: self.parameters.iter().map(|(name, q)| (name.clone(), q.unit.to_string())).collect(),
-            std_err: of(|q| if q.std_err.is_finite() { q.std_err } else { 0.0 }),
-        }
+        let names = std::iter::once(LAW.to_string()).chain(numbered).filter(|n| !taken.contains(&n.as_str()));
+        self.laws
+            .iter()
+            .zip(names)
+            .map(|(law, name)| EffectValues { name: Some(name), ..law.clone() })
+            .collect()
     }
 
-    /// True where the campaign agrees with it.
+    /// Verifies that the campaign agrees with it.
     pub fn holds(&self) -> bool {
         self.p_value >= DOUBT
     }
@@ -108,9 +111,14 @@ impl Proposal {
 
     /// It with what it does to the error.
     pub fn sentence(&self) -> String {
-        let of_it = if self.p_value < P_LIMIT { ", which is a part of it" } else { "" };
+        let of_it = if self.p_value < P_LIMIT { ", which is not all of it" } else { "" };
         let (before, after) = (self.error_before, self.error_after);
-        format!("{}{of_it}; with this law the error falls from {before:.3} to {after:.3}", self.text)
+        let beside = if self.beside.is_empty() {
+            String::new()
+        } else {
+            format!(", beside {}", self.beside.join(", "))
+        };
+        format!("{}{beside}{of_it}; with this law the error falls from {before:.3} to {after:.3}", self.text)
     }
 }
 
@@ -125,24 +133,30 @@ pub(super) struct Found {
 
 impl Found {
     /// Sentence on laws that explain a campaign better than its names, where they do: by more evidence than a tie
-    /// has, and without being rejected where the names are not. `given`: the model without either.
+    /// has, and by more than a hundredth of what the names have, whose shapes are known no better; without being
+    /// rejected where the names are not, and without a larger error on frames that no fit saw. `given`: the model
+    /// without either.
     pub fn better(&self, all: &Observations, given: &Fitted, whole: &Fitted) -> Option<String> {
-        let names = whole.effects.len() - given.effects.len();
-        let of_names = score(all, given) - score(all, whole) - NEEDED * names as f64;
+        let of_names = score(all, given) - of_names(all, given, whole);
         let of_laws = score(all, given) - self.score;
         tracing::debug!("laws: evidence {of_laws:.1}, names {of_names:.1}");
-        let chance = |model: &Fitted| compare(all, model).p_value;
-        let holds = chance(&self.fitted) >= chance(whole).min(DOUBT);
-        (of_laws - of_names > TIE && holds).then(|| {
+        let (laws, names) = (compare(all, &self.fitted), compare(all, whole));
+        let holds = laws.p_value >= names.p_value.min(DOUBT) && laws.error < names.error + HELPS;
+        (of_laws - of_names > TIE.max(MATTERS * of_names) && holds).then(|| {
             let laws: Vec<String> = self.laws.iter().map(Law::in_short).collect();
-            format!("{} explains it better: evidence {of_laws:.0} and {of_names:.0}", laws.join(", with "))
+            format!("{} explains it better: evidence {of_laws:.0} and {of_names:.0}", laws.join(" with "))
         })
     }
 }
 
+/// Minus twice the logarithm of the evidence of named effects, with the price of each addition.
+fn of_names(all: &Observations, given: &Fitted, whole: &Fitted) -> f64 {
+    score(all, whole) + NEEDED * (whole.effects.len() - given.effects.len()) as f64
+}
+
 /// Laws beside the model as given, in place of all names.
 pub(super) fn in_place_of_names(all: &Observations, given: &Fitted) -> Option<Found> {
-    found(all, given, &laws::all())
+    found(all, given, laws::all())
 }
 
 /// Looks for a law. `given`: the model as given; `whole`: with the named effects; `in_place`: laws beside the
@@ -154,18 +168,21 @@ pub(super) fn propose(
     in_place: Option<Found>,
 ) -> Option<Proposal> {
     let is_named = whole.effects.len() > given.effects.len();
-    let beside = is_named.then(|| found(all, whole, &laws::all())).flatten();
-    let holds = |f: &Found| compare(all, &f.fitted).p_value >= DOUBT;
+    let beside = is_named.then(|| found(all, whole, laws::all())).flatten();
+    let names = of_names(all, given, whole) - score(all, whole);
+    let chance = |f: &Found| compare(all, &f.fitted).p_value;
     let from_given = match (&beside, &in_place) {
-        (Some(b), Some(p)) if holds(b) != holds(p) => holds(p),
-        (Some(b), Some(p)) => p.score <= b.score,
+        // Evidence decides, unless the better of the two is rejected and the other is not.
+        (Some(b), Some(p)) if chance(b) < P_LIMIT && chance(p) >= DOUBT => true,
+        (Some(b), Some(p)) if chance(p) < P_LIMIT && chance(b) >= DOUBT => false,
+        (Some(b), Some(p)) => p.score <= b.score + names,
         (b, _) => b.is_none(),
     };
     let (best, start) = if from_given { (in_place?, given) } else { (beside?, whole) };
     let (first, before, after) = (compare(all, given), compare(all, start), compare(all, &best.fitted));
     let misfit = |c: &Comparison| (c.error * c.error - 1.0).max(0.0);
-    // A law is worth nothing that is rejected and leaves most of the misfit.
-    let explains_most = misfit(&after) < MOST_LEFT * misfit(&before);
+    // A law that is rejected must explain most of the misfit.
+    let explains_most = misfit(&after) < MAX_LEFT * misfit(&before);
     if after.p_value < P_LIMIT && !explains_most {
         return None;
     }
@@ -177,11 +194,16 @@ pub(super) fn propose(
 
 /// Adds laws to a model one by one, as long as the evidence pays for them and the campaign does not agree.
 fn found(all: &Observations, model: &Fitted, laws: &[Law]) -> Option<Found> {
-    let price = 2.0 * (laws.len() as f64).ln();
+    if compare(all, model).error > MAX_ERROR {
+        return None;
+    }
+    let levels_dn = levels(all, model);
+    let number = |law: &Law| if law.shape.growth == Growth::Step { law.starts(&levels_dn).len() } else { 1 };
+    let price = |law: &Law| 2.0 * ((laws.len() * number(law).max(1)) as f64).ln();
     let (mut now, mut chosen): (Fitted, Vec<Law>) = (model.clone(), Vec::new());
-    while chosen.len() < MOST {
-        let Some((law, fitted)) = next(all, &now, laws, &chosen) else { break };
-        let evidence = score(all, &now) - score(all, &fitted) - price;
+    while chosen.len() < MAX_LAWS {
+        let Some((law, fitted)) = next(all, &now, laws, &chosen, &levels_dn) else { break };
+        let evidence = score(all, &now) - score(all, &fitted) - price(&law);
         tracing::debug!("{}: evidence {evidence:.1}", law.effect.id());
         if evidence < NEEDED {
             break;
@@ -192,26 +214,46 @@ fn found(all: &Observations, model: &Fitted, laws: &[Law]) -> Option<Found> {
             break;
         }
     }
-    let score = score(all, &now) + (price + NEEDED) * chosen.len() as f64;
+    let score = score(all, &now) + chosen.iter().map(|law| price(law) + NEEDED).sum::<f64>();
     (!chosen.is_empty()).then_some(Found { laws: chosen, fitted: now, score })
 }
 
-/// The best law beside those that a model has.
-fn next(all: &Observations, now: &Fitted, laws: &[Law], chosen: &[Law]) -> Option<(Law, Fitted)> {
-    let seen = seen(all, &now.base);
+/// Signals of the flats in ascending order, DN.
+fn levels(all: &Observations, model: &Fitted) -> Vec<f64> {
+    let prediction = model.predict(all);
+    let sets = prediction.sets.iter().zip(&all.campaign.sets);
+    let mut levels: Vec<f64> = sets.filter(|(_, info)| info.light.is_some()).map(|(s, _)| s.signal).collect();
+    levels.sort_by(f64::total_cmp);
+    levels
+}
+
+/// Size of a law: the parameter k of an effect of a model.
+fn size_of(fitted: &Fitted, at: usize) -> f64 {
+    let (effect, values) = &fitted.effects[at];
+    effect.parameters().iter().position(|p| p.name == "k").map_or(0.0, |k| values[k])
+}
+
+/// The best law beside those that a model has; none whose size cancels that of another of the same target.
+fn next(
+    all: &Observations,
+    now: &Fitted,
+    laws: &[Law],
+    chosen: &[Law],
+    levels_dn: &[f64],
+) -> Option<(Law, Fitted)> {
     let screen = Screen::new(all, now, NEEDED);
     let is_chosen = |law: &&Law| chosen.iter().any(|c| c.effect.id() == law.effect.id());
     let free: Vec<&Law> = laws.iter().filter(|law| !is_chosen(law)).collect();
     let mut promising: Vec<(f64, &Law, Starts)> = free
         .into_par_iter()
         .filter_map(|law| {
-            let starts = Starts::of(&screen, law.effect, &[], &law.starts(&seen));
+            let starts = Starts::of(&screen, law.effect, &[], &law.starts(levels_dn));
             let gain = starts.gain()?;
             (gain > NEEDED).then_some((gain, law, starts))
         })
         .collect();
     promising.sort_by(|a, b| b.0.total_cmp(&a.0));
-    promising.truncate(FITTED[0]);
+    promising.truncate(MAX_FITTED[0]);
     for (gain, law, _) in &promising {
         tracing::debug!("  screen {}: {gain:.1}", law.effect.id());
     }
@@ -221,13 +263,18 @@ fn next(all: &Observations, now: &Fitted, laws: &[Law], chosen: &[Law]) -> Optio
         .collect();
     let first = |tries: &[Fitted]| tries.first().map_or(f64::INFINITY, |t| score(all, t));
     brief.sort_by(|a, b| first(&a.1).total_cmp(&first(&b.1)));
-    brief.truncate(FITTED[1]);
+    brief.truncate(MAX_FITTED[1]);
     let memo = Memo::default();
     let mut done: Vec<(f64, Law, Fitted)> = brief
         .into_par_iter()
         .filter_map(|(law, tries)| {
             let fitted = finished(all, tries, &memo).into_iter().next()?;
-            Some((score(all, &fitted), *law, fitted))
+            let cancels = chosen.iter().enumerate().any(|(k, other)| {
+                let place = now.effects.len() - chosen.len() + k;
+                other.target == law.target
+                    && size_of(&fitted, place) * size_of(&fitted, now.effects.len()) < 0.0
+            });
+            (!cancels).then(|| (score(all, &fitted), *law, fitted))
         })
         .collect();
     done.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -245,7 +292,7 @@ fn described(all: &Observations, found: Found, named: usize, [before, after]: [&
     let fitted = &found.fitted;
     let first = fitted.effects.len() - found.laws.len();
     let (mut formulas, mut parameters) = (BTreeMap::<String, String>::new(), BTreeMap::new());
-    let mut words = Vec::new();
+    let (mut words, mut singles) = (Vec::new(), Vec::new());
     for (number, law) in found.laws.iter().enumerate() {
         let (effect, values) = &fitted.effects[first + number];
         let mut formula = law.shape.formula.to_string();
@@ -255,7 +302,10 @@ fn described(all: &Observations, found: Found, named: usize, [before, after]: [&
             let name =
                 if found.laws.len() == 1 { p.name.into() } else { format!("{}{}", p.name, number + 1) };
             formula = renamed(&formula, p.name, &name);
-            parameters.insert(name, Quantity { value: *value, std_err: *error, unit: p.unit.into() });
+            // The place of a step lies anywhere between two levels.
+            let is_open = law.shape.growth == Growth::Step && p.name == "m";
+            let std_err = if is_open { f64::NAN } else { *error };
+            parameters.insert(name, Quantity { value: *value, std_err, unit: p.unit.into() });
         }
         for (target, part) in law.target.parts {
             let formula = laws::part_of(*part, &formula);
@@ -265,11 +315,17 @@ fn described(all: &Observations, found: Found, named: usize, [before, after]: [&
                 .or_insert(formula);
         }
         words.push(in_words(all, fitted, first + number, law));
+        singles.push(as_effect(fitted, first + number, law));
     }
     let causes: Vec<_> = found.laws.iter().flat_map(|l| causes::of(l.target.name, l.shape.growth)).collect();
     let beside = fitted.effects[first - named..first].iter().map(|(e, _)| e.id().to_string()).collect();
-    let mut said: Vec<String> = causes.iter().map(|c| c.mechanism.to_string()).collect();
-    said.dedup();
+    let mut said: Vec<String> = Vec::new();
+    for cause in &causes {
+        let text = format!("{} [{}]", cause.mechanism, cause.source);
+        if !said.contains(&text) {
+            said.push(text);
+        }
+    }
     Proposal {
         formulas,
         parameters,
@@ -281,7 +337,8 @@ fn described(all: &Observations, found: Found, named: usize, [before, after]: [&
         causes: said,
         next_measurement: causes.first().map(|c| c.measure.to_string()),
         cost: cost::of_last(all, fitted, first),
-        gain_open_rel: mixed(all, fitted, &found.laws),
+        gain_open_rel: mixed(all, fitted, first, &found.laws),
+        laws: singles,
         effects: first,
         comparison: Some(after.clone()),
         fitted: Some(found.fitted),
@@ -304,63 +361,106 @@ fn renamed(formula: &str, from: &str, to: &str) -> String {
     out.trim_end().into()
 }
 
-/// A law as a sentence of physics, with its size at the brightest level, or in darks where it is largest there.
-fn in_words(all: &Observations, fitted: &Fitted, at: usize, law: &Law) -> String {
-    let with = fitted.predict(all);
-    let mut rest = fitted.clone();
-    rest.effects.remove(at);
-    let without = rest.predict(all);
-    let value = fitted.effects[at].1
-        [fitted.effects[at].0.parameters().iter().position(|p| p.name == "k").unwrap_or(0)];
-    let sign = if value < 0.0 { "less" } else { "more" };
-    let of = |set: usize| size(law.target.kind, law.target, [&with, &without], set);
-    let sets = (0..with.sets.len()).map(|set| (set, of(set)));
-    let largest = sets.max_by(|a, b| a.1.of_all.total_cmp(&b.1.of_all));
-    let size = largest.map_or(String::new(), |(set, size)| {
-        let level = (without.sets[set].signal).round() + 0.0;
-        match law.target.kind {
-            Kind::Level => format!("{:+.3} DN at {level:.0} DN, {} of it", size.dn, percent(size.of_all)),
-            Kind::Lines => format!("{:.3} DN at {level:.0} DN", size.dn),
-            _ => format!("{} of the noise variance at {level:.0} DN", percent(size.of_all)),
-        }
-    });
-    let words = match law.target.kind {
-        Kind::Level => format!("the {} is {}", law.target.words, law.shape.words),
-        _ => format!("{sign} {}, {}", law.target.words, law.shape.words),
+/// A law of a fit as an effect of a model file.
+fn as_effect(fitted: &Fitted, at: usize, law: &Law) -> EffectValues {
+    let (effect, values) = &fitted.effects[at];
+    let names = || effect.parameters().iter().map(|p| p.name.to_string());
+    let errors = names().zip(fitted.std_err[at].iter().copied());
+    let is_known = |(name, error): &(String, f64)| {
+        error.is_finite() && !(law.shape.growth == Growth::Step && name == "m")
     };
-    if size.is_empty() { words } else { format!("{words} ({size})") }
+    let of_target =
+        |(target, part): &(&str, f64)| ((*target).to_string(), laws::part_of(*part, law.shape.formula));
+    EffectValues {
+        id: "custom".into(),
+        parameters: names().zip(values.iter().copied()).collect(),
+        formulas: law.target.parts.iter().map(of_target).collect(),
+        bounds: effect.parameters().iter().map(|p| (p.name.to_string(), [p.min, p.max])).collect(),
+        units: effect.parameters().iter().map(|p| (p.name.to_string(), p.unit.to_string())).collect(),
+        std_err: errors.filter(is_known).collect(),
+        ..Default::default()
+    }
 }
 
-/// Sum of the covariances of all other pixels over the variance of one, at the brightest level, of laws that grow
-/// with signal or noise. A filter that keeps the mean leaves so much less of the variance (Moore, Ninkov and
-/// Forrest 2006, Opt. Eng. 45, 076402); noise that is added leaves it.
-fn mixed(all: &Observations, fitted: &Fitted, laws: &[Law]) -> f64 {
-    let grows = |law: &&Law| {
+/// A law as a sentence of physics, with its size where it is largest.
+fn in_words(all: &Observations, fitted: &Fitted, at: usize, law: &Law) -> String {
+    let (effect, values) = &fitted.effects[at];
+    let parameter = |name: &str| {
+        let k = effect.parameters().iter().position(|p| p.name == name)?;
+        Some(Quantity {
+            value: values[k],
+            std_err: fitted.std_err[at][k],
+            unit: effect.parameters()[k].unit.into(),
+        })
+    };
+    let (Some(size), words) = (parameter("k"), law.shape.words) else { return law.in_short() };
+    let place = match (law.shape.growth, parameter("m")) {
+        (Growth::Step, Some(m)) => format!(", at about {:.0} DN", m.value),
+        (Growth::Wave, Some(m)) => format!(", with a period of {:.0} DN", m.value),
+        _ => String::new(),
+    };
+    let place = parameter("p").map_or(place, |p| format!(", p = {p}"));
+    if law.target.kind == Kind::Level {
+        let at_level = if law.shape.formula.contains("1000") { " at 1000 DN" } else { "" };
+        return format!("the level is {words} ({size}{at_level}{place})");
+    }
+    let mut rest = fitted.clone();
+    rest.effects.remove(at);
+    let (with, without) = (fitted.predict(all), rest.predict(all));
+    let of = |set: usize| part_of_variance(law, [&with, &without], set);
+    let largest = (0..with.sets.len()).max_by(|a, b| of(*a).abs().total_cmp(&of(*b).abs())).unwrap_or(0);
+    let (level, share) = (without.sets[largest].signal.round() + 0.0, of(largest));
+    let is_less = size.value < 0.0;
+    match law.target.kind {
+        Kind::Lines => {
+            let sd = (share.abs() * without.sets[largest].covariance(0, 0)).sqrt();
+            format!(
+                "noise {}, its variance {words} (standard deviation {sd:.3} DN at {level:.0} DN{place})",
+                law.target.words
+            )
+        }
+        Kind::Shared if is_less => format!(
+            "noise of opposite sign {}, {words} ({} of the noise variance at {level:.0} DN{place})",
+            law.target.words,
+            percent(share.abs())
+        ),
+        _ => format!(
+            "{} noise {}, {words} ({} of the noise variance at {level:.0} DN{place})",
+            if is_less { "less" } else { "more" },
+            law.target.words,
+            percent(share.abs())
+        ),
+    }
+}
+
+/// Sum of the covariances that laws give a pixel with all others, over its variance, at the brightest level below
+/// saturation, of laws that grow with signal or noise. A filter that keeps the mean leaves so much less of the
+/// variance (Moore, Ninkov and Forrest 2006, Opt. Eng. 45, 076402); noise that is added leaves it. `kept`: effects
+/// of the model before its laws.
+fn mixed(all: &Observations, fitted: &Fitted, kept: usize, laws: &[Law]) -> f64 {
+    let grows = |law: &Law| {
         let shared = law.target.kind == Kind::Shared;
         shared && !matches!(law.shape.growth, Growth::Constant | Growth::Exposure)
     };
-    if !laws.iter().any(|law| grows(&law)) {
+    if !laws.iter().any(grows) {
         return 0.0;
     }
-    let prediction = fitted.predict(all);
-    let lit = prediction.sets.iter().zip(&all.campaign.sets).filter(|(_, info)| info.light.is_some());
-    let brightest = lit.map(|(s, _)| s).max_by(|a, b| a.signal.total_cmp(&b.signal));
-    let Some(s) = brightest else { return 0.0 };
-    let power = s.shot.of_mean() + s.read.of_mean() + 2.0 * s.uphill;
-    let variance = s.shot.lag(0, 0) + s.read.lag(0, 0);
-    (power / variance - 1.0).abs()
+    let mut rest = fitted.clone();
+    rest.effects.truncate(kept);
+    let (with, without) = (fitted.predict(all), rest.predict(all));
+    let variance = |s: &SetPrediction| s.shot.lag(0, 0) + s.read.lag(0, 0);
+    let others = |s: &SetPrediction| s.shot.of_mean() + s.read.of_mean() + 2.0 * s.uphill - variance(s);
+    let sets = with.sets.iter().zip(&without.sets).zip(&all.campaign.sets);
+    let lit = sets.filter(|((s, _), info)| info.light.is_some() && variance(s) > 0.0);
+    let brightest = lit.map(|(pair, _)| pair).max_by(|a, b| variance(a.0).total_cmp(&variance(b.0)));
+    let open = brightest.map_or(0.0, |(a, b)| ((others(a) - others(b)) / variance(a)).abs());
+    if open.is_finite() { open } else { 0.0 }
 }
 
-/// Size of a law in one set.
-struct InSet {
-    dn: f64,
-    of_all: f64,
-}
-
-fn size(kind: Kind, target: &laws::Target, [with, without]: [&Prediction; 2], set: usize) -> InSet {
+/// Share of a pixel's noise variance that a law of noise changes or shares in a set, with its sign.
+fn part_of_variance(law: &Law, [with, without]: [&Prediction; 2], set: usize) -> f64 {
     let (a, b): (&SetPrediction, &SetPrediction) = (&with.sets[set], &without.sets[set]);
-    let variance = b.covariance(0, 0).max(1e-12);
-    let target = target.parts.first().map_or("", |part| part.0);
+    let target = law.target.parts.first().map_or("", |part| part.0);
     let of = |s: &SetPrediction| match target {
         "variance" => s.covariance(0, 0),
         "row" => s.row.lag(0),
@@ -369,18 +469,13 @@ fn size(kind: Kind, target: &laws::Target, [with, without]: [&Prediction; 2], se
         "cov_1-1" => s.uphill,
         "parity_01" => s.parity.0,
         "parity_10" => s.parity.1,
-        "mean" => s.signal,
         _ => {
-            let digit = |at: usize| target.as_bytes().get(at).map_or(0, |c| i32::from(c - b'0'));
+            let digit = |at: usize| target.as_bytes().get(at).map_or(0, |c| i32::from(*c) - i32::from(b'0'));
             s.read.lag(digit(4), digit(5))
         }
     };
-    let off = of(a) - of(b);
-    match kind {
-        Kind::Level => InSet { dn: off, of_all: off.abs() / b.signal.abs().max(1.0) },
-        Kind::Lines => InSet { dn: off.abs().sqrt(), of_all: off.abs() / variance },
-        Kind::Pixels | Kind::Shared => InSet { dn: off.abs().sqrt(), of_all: off.abs() / variance },
-    }
+    let part = law.target.parts.first().map_or(1.0, |part| part.1.abs());
+    (of(a) - of(b)) / part / b.covariance(0, 0).max(1e-12)
 }
 
 #[cfg(test)]
