@@ -246,7 +246,8 @@ pub fn diagnose(
         laws = proposal::in_place_of_names(all, &model);
     }
     let law = laws.as_ref().and_then(|laws| laws.better(all, &model, &whole));
-    let mut missing = missing(all, &parts, &whole, &forms, [&first, &last], &ladder, remainder.as_ref(), law);
+    let mut missing =
+        missing(all, &parts, &whole, &forms, [&first, &last], &ladder, (remainder.as_ref(), law));
     let dimmest_dn = dimmest_signal_dn(all, &whole);
     for m in &mut missing {
         m.by_the_darks_alone = m.parameters.get("knee_dn").is_some_and(|knee| knee.value < dimmest_dn);
@@ -355,7 +356,8 @@ fn suspects(effect: &str, left_on: &[LeftOn]) -> Option<String> {
 }
 
 /// The entries of the answer, the largest share first, each with what ties with it; `unknown` first where
-/// names are the smaller part or wrong, and last where what is left matters.
+/// names are the smaller part or wrong, and last where what is left matters. `law`: what explains the campaign better
+/// than all names.
 fn missing(
     all: &Observations,
     parts: &[Part],
@@ -363,8 +365,7 @@ fn missing(
     forms: &[OtherForm],
     [first, last]: [&Comparison; 2],
     ladder: &[Rung],
-    remainder: Option<&Remainder>,
-    law: Option<String>,
+    (remainder, law): (Option<&Remainder>, Option<String>),
 ) -> Vec<Missing> {
     let seen = seen(all, &whole.base);
     let fitted = residuals_of(all, whole);
