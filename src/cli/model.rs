@@ -47,8 +47,8 @@ enum Action {
         /// Values, such as rel=0.01
         #[arg(value_parser = value)]
         values: Vec<(String, f64)>,
-        /// Diagnose these datasets of one camera, and add the law that is proposed, fitted, with the effects named
-        /// beside it
+        /// Diagnose these datasets of one camera, and add the law that is proposed, fitted, with the effects
+        /// named beside it
         #[arg(long, value_name = "DATASET", num_args = 1..)]
         proposal: Vec<PathBuf>,
         #[command(flatten)]

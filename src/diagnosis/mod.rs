@@ -284,7 +284,7 @@ pub fn diagnose(
     if let (Some(measure), Some((about, _))) = (of_law, next.as_mut()) {
         *about = measure;
     }
-    // Where a law holds the values are those of the model with it.
+    // Values are those of the model with a law that holds.
     let with_law = proposal.as_ref().filter(|p| p.holds()).and_then(|p| Some((p, p.fitted.as_ref()?)));
     let sensor = match with_law {
         Some((law, fitted)) => {
@@ -319,8 +319,8 @@ pub fn diagnose(
     }
 }
 
-/// Gives `unknown`, where it stands first, the cost of a law that holds, and the whole misfit where the law stands in
-/// the place of all names.
+/// Gives `unknown`, where it stands first, the cost of a law that holds, and the whole misfit where the law
+/// stands in the place of all names.
 fn say_by_law(missing: &mut [Missing], law: &Proposal) {
     let Some((unknown, names)) = missing.split_first_mut().filter(|(m, _)| m.effect == "unknown") else {
         return;
@@ -356,8 +356,8 @@ fn suspects(effect: &str, left_on: &[LeftOn]) -> Option<String> {
 }
 
 /// The entries of the answer, the largest share first, each with what ties with it; `unknown` first where
-/// names are the smaller part or wrong, and last where what is left matters. `law`: what explains the campaign better
-/// than all names.
+/// names are the smaller part or wrong, and last where what is left matters. `law`: what explains the campaign
+/// better than all names.
 fn missing(
     all: &Observations,
     parts: &[Part],

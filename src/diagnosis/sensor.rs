@@ -35,7 +35,7 @@ pub struct SensorValues {
 }
 
 impl SensorValues {
-    /// The same where the gain may be off by a share of it, and what is in electrons with it.
+    /// Widens the error of the gain by a share of it, and of what is in electrons with it.
     pub(super) fn with_open_gain(mut self, rel: f64) -> Self {
         let all = [&mut self.gain_dn_per_e, &mut self.read_noise_e, &mut self.dark_current_e_per_s];
         for q in all.into_iter().flatten() {

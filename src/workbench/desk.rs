@@ -212,8 +212,8 @@ impl Desk {
     }
 }
 
-/// Effect that a search found, as an entry of the model; the law with the effects beside it. `taken`: names that the
-/// model has.
+/// Effect that a search found, as an entry of the model; the law with the effects beside it. `taken`: names that
+/// the model has.
 pub fn entries_of(d: &Diagnosis, id: &str, taken: &[&str]) -> Option<Vec<Entry>> {
     if id == LAW {
         let law = d.proposal.as_ref()?;

@@ -1,5 +1,5 @@
-//! Laws for what has no name: found on frames of a generator that shares nothing with them, added to a model file by
-//! one command, drawn as they are predicted.
+//! Laws for what has no name: found on frames of a generator that shares nothing with them, added to a model file
+//! by one command, drawn as they are predicted.
 
 use crate::effects::{campaign, observe, unit};
 use crate::outside;
@@ -18,9 +18,9 @@ fn diagnosis_of(root: &Path, act: Act<'_>) -> serde_json::Value {
     serde_json::from_str(&expect(1, &["diagnose", root.to_str().unwrap(), "--json"])).unwrap()
 }
 
-/// Noise shared by blocks of two by two pixels, an echo of the line before last, and a gain that is another one for
-/// every sample: each law has the right statistic and growth, leaves an error of 1 and gives the gain of the camera
-/// within three standard errors; added to a model file by one command it describes the campaign.
+/// Noise shared by blocks of two by two pixels, an echo of the line before last, and a gain that is another one
+/// for every sample: each law has the right statistic and growth, leaves an error of 1 and gives the gain of the
+/// camera within three standard errors; added to a model file by one command it describes the campaign.
 #[test]
 fn what_has_no_name_gets_a_law() {
     use outside::{SIZE, normal};
@@ -63,7 +63,7 @@ fn what_has_no_name_gets_a_law() {
         let shown = expect(0, &["model", "add", &at("m.toml"), "--proposal", &root]);
         assert!(shown.contains(growth), "{name}: {shown}");
         expect(0, &["compare", &root, "--model", &at("m.toml")]);
-        // What was written is read again.
+        // The answer can be read again.
         let read: radcam::diagnosis::Diagnosis = serde_json::from_value(d.clone()).unwrap();
         assert_eq!(read.proposal.map(|p| p.formulas.len()), Some(targets.len()));
         // Drawn by the simulator, another campaign of the same camera agrees with its own model.
@@ -72,8 +72,8 @@ fn what_has_no_name_gets_a_law() {
     }
 }
 
-/// Two laws at once, of the noise of pixels and of rows two apart: each is an effect of its own in the model file,
-/// which agrees with what the simulator draws from it.
+/// Two laws at once, of the noise of pixels and of rows two apart: each is an effect of its own in the model
+/// file, which agrees with what the simulator draws from it.
 #[test]
 fn two_laws_are_two_effects() {
     use outside::{SIZE, normal};
@@ -113,8 +113,8 @@ fn a_camera_without_a_remainder_gets_no_law() {
 }
 
 /// Formulas of covariances at any lag, of one diagonal alone, and of frames (every second one, time) are drawn as
-/// they are predicted: fitted to its own campaign the size is what was drawn within four standard errors, the model
-/// agrees at one in a thousand, and the model without the formula does not.
+/// they are predicted: fitted to its own campaign the size is what was drawn within four standard errors, the
+/// model agrees at one in a thousand, and the model without the formula does not.
 #[test]
 fn formulas_are_drawn_as_they_are_predicted() {
     for (k, (target, formula, size)) in [

@@ -436,8 +436,8 @@ fn power((y, x): (usize, usize), covariance: f64, ky: f64, kx: f64) -> f64 {
     twice(y) * twice(x) * covariance * libm::cos(y as f64 * ky) * libm::cos(x as f64 * kx)
 }
 
-/// Gives an image of independent noise of this variance these covariances, to first order in them: each pixel gets a
-/// part of others. `parity`: what neighbours from odd columns and rows share beyond those from even ones.
+/// Gives an image of independent noise of this variance these covariances, to first order in them: each pixel
+/// gets a part of others. `parity`: what neighbours from odd columns and rows share beyond those from even ones.
 fn share(
     image: &mut ndarray::Array2<f64>,
     variance: f64,
@@ -471,8 +471,8 @@ fn share(
     add(1, 0, &|y, _| parity[1] * sign(y));
 }
 
-/// Noise of this variance and these covariances, made of white noise by the filter whose power is theirs; where no
-/// noise has them the nearest that there is.
+/// Noise of this variance and these covariances, made of white noise by the filter whose power is theirs; where
+/// no noise has them the nearest that there is.
 fn correlated(
     white: &ndarray::Array2<f64>,
     variance: f64,

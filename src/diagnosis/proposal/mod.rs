@@ -1,5 +1,5 @@
-//! A law for what has no name: formulas that describe it, chosen by the evidence that they bring to all frames, and
-//! judged as any model is, on frames that its fit did not see.
+//! A law for what has no name: formulas that describe it, chosen by the evidence that they bring to all frames,
+//! and judged as any model is, on frames that its fit did not see.
 //!
 //! Structure is chosen by evidence with the price of every parameter and of the number of laws that were tried
 //! (Kass and Raftery 1995, J. Am. Stat. Assoc. 90, 773), one law after the other, as long as the campaign does
@@ -279,7 +279,7 @@ fn next(
         .collect();
     done.sort_by(|a, b| a.0.total_cmp(&b.0));
     let best = done.first()?.0;
-    // Of laws that explain it as well the first of the grammar: simple shapes stand first.
+    // First of the grammar among those that explain it as well: simple shapes stand first.
     let place = |law: &Law| laws.iter().position(|l| l.effect.id() == law.effect.id());
     done.into_iter()
         .filter(|(score, ..)| score - best < ALIKE)
@@ -435,8 +435,8 @@ fn in_words(all: &Observations, fitted: &Fitted, at: usize, law: &Law) -> String
 
 /// Sum of the covariances that laws give a pixel with all others, over its variance, at the brightest level below
 /// saturation, of laws that grow with signal or noise. A filter that keeps the mean leaves so much less of the
-/// variance (Moore, Ninkov and Forrest 2006, Opt. Eng. 45, 076402); noise that is added leaves it. `kept`: effects
-/// of the model before its laws.
+/// variance (Moore, Ninkov and Forrest 2006, Opt. Eng. 45, 076402); noise that is added leaves it. `kept`:
+/// effects of the model before its laws.
 fn mixed(all: &Observations, fitted: &Fitted, kept: usize, laws: &[Law]) -> f64 {
     let grows = |law: &Law| {
         let shared = law.target.kind == Kind::Shared;
