@@ -241,7 +241,7 @@ pub fn diagnose(
     // Samples cut off at code 0 are evidence by themselves, and no law has them.
     let is_cut = parts.iter().any(|p| p.effect.id() == CUT);
     let mut laws = None;
-    if !parts.is_empty() && !is_cut {
+    if (1..=proposal::MAX_LAWS).contains(&parts.len()) && !is_cut {
         progress("comparing the names with laws");
         laws = proposal::in_place_of_names(all, &model);
     }

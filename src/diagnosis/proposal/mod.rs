@@ -23,8 +23,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Maximum number of laws in a proposal.
-const MAX_LAWS: usize = 3;
+/// Maximum number of laws in a proposal; they are no rivals of more names than that.
+pub(super) const MAX_LAWS: usize = 3;
 /// Maximum number of laws that are fitted for a few rounds, of those that promise most, and of these to the end.
 const MAX_FITTED: [usize; 2] = [8, 3];
 /// Maximum error of a model beside which a law is looked for (a named choice: where nothing comes near, fits end
