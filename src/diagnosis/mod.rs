@@ -23,7 +23,7 @@ pub use search::searched;
 pub use sensor::SensorValues;
 pub use share::Remainder;
 pub use verdict::Verdict;
-pub(crate) use verdict::{Size, WEAK};
+pub(crate) use verdict::{Size, WEAK, capital};
 pub use words::{Signature, signatures};
 
 use crate::agreement::DOUBT;
@@ -280,7 +280,8 @@ pub fn diagnose(
         let in_place = laws.take().filter(|_| at == 0);
         proposal::propose(all, &model, &whole, in_place)
     });
-    let of_law = proposal.as_ref().filter(|_| nameless == Some(0)).and_then(|p| p.next_measurement.clone());
+    let of_law = proposal.as_ref().filter(|p| nameless == Some(0) && p.holds());
+    let of_law = of_law.and_then(|p| p.next_measurement.clone());
     if let (Some(measure), Some((about, _))) = (of_law, next.as_mut()) {
         *about = measure;
     }

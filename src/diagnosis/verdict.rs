@@ -378,7 +378,8 @@ fn wrong_by(ratio: f64, decimals: usize) -> String {
     }
 }
 
-fn capital(id: &str) -> String {
+/// A text with a capital letter at its beginning.
+pub(crate) fn capital(id: &str) -> String {
     let mut letters = id.chars();
     letters.next().map_or(String::new(), |first| first.to_uppercase().collect::<String>() + letters.as_str())
 }

@@ -1,6 +1,6 @@
 //! What is missing: each effect with what it is, how large, what shows it, and what to do.
 
-use crate::diagnosis::{Missing, Proposal};
+use crate::diagnosis::{Missing, Proposal, capital};
 use crate::number::percent;
 use maud::{Markup, html};
 use radcam_sim::effects::find;
@@ -71,7 +71,7 @@ pub fn law(p: &Proposal) -> Markup {
     html! {
         section.effect {
             h3 { "A law" " " span.note { (heading_of_law(p)) } }
-            p { (p.sentence()) "." }
+            p { (capital(&p.sentence())) "." }
             table.stack {
                 thead { tr { th { "changes" } th.text { "by" } } }
                 @for (target, formula) in &p.formulas {

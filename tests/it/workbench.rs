@@ -39,14 +39,21 @@ impl Running {
 
     /// Status and text of an answer; of a name in `headers` that is Host, that is the host.
     fn ask(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> (u16, String) {
+        self.ask_with(method, path, headers, "")
+    }
+
+    /// The same with a form.
+    fn ask_with(&self, method: &str, path: &str, headers: &[(&str, &str)], form: &str) -> (u16, String) {
         let mut stream = TcpStream::connect(self.host.replace("0.0.0.0", "127.0.0.1")).unwrap();
         let host = headers.iter().find(|h| h.0 == "Host").map_or(&*self.host, |h| h.1);
-        let mut text =
-            format!("{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nContent-Length: 0\r\n");
+        let length = form.len();
+        let mut text = format!(
+            "{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nContent-Length: {length}\r\n"
+        );
         for (name, value) in headers.iter().filter(|h| h.0 != "Host") {
             text += &format!("{name}: {value}\r\n");
         }
-        stream.write_all(format!("{text}\r\n").as_bytes()).unwrap();
+        stream.write_all(format!("{text}\r\n{form}").as_bytes()).unwrap();
         let mut answer = Vec::new();
         stream.read_to_end(&mut answer).unwrap();
         let answer = String::from_utf8_lossy(&answer).into_owned();
@@ -56,6 +63,38 @@ impl Running {
     fn cookie(&self) -> String {
         format!("radcam-{}={}", self.host.rsplit_once(':').unwrap().1, self.token)
     }
+}
+
+/// What has no name is added to the model as a law by one button, and the error falls to 1.
+#[test]
+fn a_law_is_added_by_a_button() {
+    use crate::outside::{SIZE, campaign, normal};
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    campaign(&root, &|f, _, image| {
+        for ((y, x), v) in image.indexed_iter_mut() {
+            *v += normal((3 << 48) + (f << 20) + (y / 2 * SIZE + x / 2) as u64);
+        }
+    });
+    let w = Running::start(&[root.to_str().unwrap()]);
+    let (cookie, home) = (w.cookie(), format!("http://{}", w.host));
+    let me = [
+        ("Cookie", &*cookie),
+        ("Origin", &*home),
+        ("Content-Type", "application/x-www-form-urlencoded"),
+        ("HX-Request", "true"),
+    ];
+    let found = (0..600).any(|_| {
+        std::thread::sleep(std::time::Duration::from_millis(100));
+        w.ask("GET", "/", &me[..1]).1.contains("id=\"add-law\"")
+    });
+    assert!(found, "{}", w.ask("GET", "/", &me[..1]).1);
+    let (status, text) = w.ask_with("POST", "/model/add", &me, "effect=law");
+    assert!(status == 200 && text.contains("+ law"), "{status} {text}");
+    let steps = std::fs::read_to_string(root.join("workbench/steps.toml")).unwrap();
+    let errors: Vec<f64> =
+        steps.lines().filter_map(|line| line.strip_prefix("error = ")?.parse().ok()).collect();
+    assert!(errors[0] > 1.5 && errors.last().is_some_and(|e| *e < 1.1), "{steps}");
 }
 
 /// Without the token, from another page, under another name or by a path that leaves the dataset it refuses;

@@ -49,7 +49,7 @@ pub struct Proposal {
     pub parameters: BTreeMap<String, Quantity>,
     /// Named effects beside it; none where it stands in their place.
     pub beside: Vec<String>,
-    /// Error without it, on frames that no fit saw.
+    /// Error of the model with the effects beside it alone, on frames that no fit saw.
     #[serde(with = "finite")]
     pub error_before: f64,
     /// Error with it.
@@ -179,7 +179,7 @@ pub(super) fn propose(
         (b, _) => b.is_none(),
     };
     let (best, start) = if from_given { (in_place?, given) } else { (beside?, whole) };
-    let (first, before, after) = (compare(all, given), compare(all, start), compare(all, &best.fitted));
+    let (before, after) = (compare(all, start), compare(all, &best.fitted));
     let misfit = |c: &Comparison| (c.error * c.error - 1.0).max(0.0);
     // A law that is rejected must explain most of the misfit.
     let explains_most = misfit(&after) < MAX_LEFT * misfit(&before);
@@ -189,7 +189,7 @@ pub(super) fn propose(
     if after.error > before.error - HELPS && after.p_value <= before.p_value {
         return None;
     }
-    Some(described(all, best, start.effects.len() - given.effects.len(), [&first, &after]))
+    Some(described(all, best, start.effects.len() - given.effects.len(), [&before, &after]))
 }
 
 /// Adds laws to a model one by one, as long as the evidence pays for them and the campaign does not agree.
