@@ -290,9 +290,12 @@ pub fn diagnose(
     let sensor = match with_law {
         Some((law, fitted)) => {
             say_by_law(&mut missing, law);
-            // Names that hold as well have values of their own.
-            let names: &[&Fitted] = if last.p_value >= DOUBT { &[&whole] } else { &[] };
-            sensor(all, fitted, names, law.error_after).with_open_gain(law.gain_open_rel)
+            // Names that hold as well have values of their own; and several laws may follow what another one would
+            // say with another gain.
+            let mut others: Vec<&Fitted> = Vec::new();
+            others.extend((last.p_value >= DOUBT).then_some(&whole));
+            others.extend(law.has_several().then_some(&model));
+            sensor(all, fitted, &others, law.error_after).with_open_gain(law.gain_open_rel)
         }
         None => {
             notes.extend(sensor::range_of_gains(&whole, &alternatives, !forms.is_empty()));

@@ -101,6 +101,11 @@ impl Proposal {
         self.p_value >= DOUBT
     }
 
+    /// Verifies that it has more than one formula.
+    pub fn has_several(&self) -> bool {
+        self.laws.len() > 1
+    }
+
     /// Base and effects beside it, as fitted with it.
     pub fn beside_it(&self) -> Option<Fitted> {
         let mut fitted = self.fitted.clone()?;
