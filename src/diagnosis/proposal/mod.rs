@@ -30,6 +30,8 @@ const MAX_FITTED: [usize; 2] = [8, 3];
 /// Maximum error of a model beside which a law is looked for (a named choice: where nothing comes near, fits end
 /// far from where they began).
 const MAX_ERROR: f64 = 30.0;
+/// Maximum share of their noise that two pixels have in common by a law (a named choice).
+const MAX_SHARED: f64 = 0.5;
 /// Evidence by which a law of another shape may fall short of the best and still be the simpler one: none are
 /// preferred beyond chance (Kass and Raftery 1995, section 3.2: not worth more than a bare mention).
 const ALIKE: f64 = 2.0;
@@ -154,6 +156,20 @@ impl Found {
     }
 }
 
+impl Found {
+    /// Verifies that no pair of pixels shares more than half of their noise: fits go astray where little is measured.
+    fn is_possible(&self, all: &Observations) -> bool {
+        let first = self.fitted.effects.len() - self.laws.len();
+        self.laws.iter().enumerate().filter(|(_, law)| law.target.kind == Kind::Shared).all(|(k, law)| {
+            let mut rest = self.fitted.clone();
+            rest.effects.remove(first + k);
+            let (with, without) = (self.fitted.predict(all), rest.predict(all));
+            let share = |set: usize| part_of_variance(law, [&with, &without], set).abs();
+            (0..with.sets.len()).all(|set| share(set) <= MAX_SHARED)
+        })
+    }
+}
+
 /// Minus twice the logarithm of the evidence of named effects, with the price of each addition.
 fn of_names(all: &Observations, given: &Fitted, whole: &Fitted) -> f64 {
     score(all, whole) + NEEDED * (whole.effects.len() - given.effects.len()) as f64
@@ -199,7 +215,8 @@ pub(super) fn propose(
 
 /// Adds laws to a model one by one, as long as the evidence pays for them and the campaign does not agree.
 fn found(all: &Observations, model: &Fitted, laws: &[Law]) -> Option<Found> {
-    if compare(all, model).error > MAX_ERROR {
+    // A table has a few numbers for each level, and any of many laws follows them.
+    if all.is_table || compare(all, model).error > MAX_ERROR {
         return None;
     }
     let levels_dn = levels(all, model);
@@ -220,7 +237,9 @@ fn found(all: &Observations, model: &Fitted, laws: &[Law]) -> Option<Found> {
         }
     }
     let score = score(all, &now) + chosen.iter().map(|law| price(law) + NEEDED).sum::<f64>();
-    (!chosen.is_empty()).then_some(Found { laws: chosen, fitted: now, score })
+    (!chosen.is_empty())
+        .then_some(Found { laws: chosen, fitted: now, score })
+        .filter(|found| found.is_possible(all))
 }
 
 /// Signals of the flats in ascending order, DN.
