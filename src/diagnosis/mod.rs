@@ -42,7 +42,7 @@ use crate::plan::Plan;
 use cut::{CUT, CutOff, with_cut};
 use entry::{describe, reasons};
 use memo::Memo;
-use part::{BARE_MENTION, OtherForm, Part, equally_good, left_out, other_forms, without_one};
+use part::{OtherForm, Part, equally_good, left_out, other_forms, without_one};
 use radcam_sim::effects::{Seen, Take, takes};
 use radcam_sim::predict::{BaseParameters, Before};
 use rayon::prelude::*;
@@ -607,7 +607,6 @@ fn parts(
     let mut parts: Vec<Part> = order.into_iter().filter_map(|i| slots[i].take()).collect();
     let alone = parts.len() == 1;
     for (k, part) in parts.iter_mut().enumerate() {
-        part.needed = if last.p_value >= DOUBT { NEEDED } else { BARE_MENTION };
         part.others = if alone {
             first.iter().filter(|c| c.effect.id() != part.effect.id()).cloned().collect()
         } else if k > 0 && (part.better().is_some() || last.p_value < HOLDS) {

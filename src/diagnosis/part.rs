@@ -33,9 +33,6 @@ pub(super) struct Part {
     pub others: Vec<Candidate>,
     /// Evidence of the nameless model in place of the effect.
     pub nameless: f64,
-    /// Evidence by which the nameless model must be better to be said: the campaign agrees with all names, or it
-    /// does not.
-    pub needed: f64,
     /// Model without the effect.
     pub rest: Fitted,
     /// Residuals of the model without the effect.
@@ -64,7 +61,7 @@ impl Part {
 
     /// Sentence on the nameless model where it explains the part better than the effect does.
     pub fn better(&self) -> Option<String> {
-        (self.nameless > self.evidence + self.needed).then(|| {
+        (self.nameless > self.evidence + BARE_MENTION).then(|| {
             format!(
                 "a smooth function of the level that has no name explains it better than {} does: evidence {:.0} and {:.0}",
                 self.effect.id(),
@@ -102,7 +99,6 @@ pub(super) fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Ve
             dispersion,
             others: Vec::new(),
             nameless,
-            needed: BARE_MENTION,
             rest,
             without,
             hangs_on_one_return,
