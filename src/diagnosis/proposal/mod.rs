@@ -144,6 +144,11 @@ impl Found {
     /// rejected where the names are not, and without a larger error on frames that no fit saw. `given`: the model
     /// without either.
     pub fn better(&self, all: &Observations, given: &Fitted, whole: &Fitted) -> Option<String> {
+        // A bend of the response and a law of the level are one thing in two shapes.
+        let bends = whole.effects.iter().skip(given.effects.len()).any(|(e, _)| e.bends_means());
+        if bends && self.laws.iter().all(|law| law.target.kind == Kind::Level) {
+            return None;
+        }
         let of_names = score(all, given) - of_names(all, given, whole);
         let of_laws = score(all, given) - self.score;
         tracing::debug!("laws: evidence {of_laws:.1}, names {of_names:.1}");
