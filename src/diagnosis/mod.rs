@@ -166,28 +166,6 @@ pub struct Diagnosis {
     pub comparisons: Vec<Comparison>,
 }
 
-impl Diagnosis {
-    /// The model that describes the campaign, with its comparison: with the law where that holds.
-    pub fn described(&self) -> (Option<&Fitted>, Option<&Comparison>) {
-        match self.proposal.as_ref().filter(|law| law.holds()) {
-            Some(law) => (law.fitted.as_ref(), law.comparison.as_ref()),
-            None => (self.fitted.as_ref(), self.comparisons.last()),
-        }
-    }
-
-    /// The ladder to that model.
-    pub fn ladder_with_law(&self) -> Vec<Rung> {
-        let mut ladder = self.ladder.clone();
-        if let Some(law) = self.proposal.as_ref().filter(|law| law.holds()) {
-            if law.beside.is_empty() {
-                ladder.truncate(1);
-            }
-            ladder.push(Rung { added: Some(LAW.into()), error: law.error_after, p_value: law.p_value });
-        }
-        ladder
-    }
-}
-
 /// Looks for what a model lacks. `base` and `effects` are the model as given; without a base the campaign's
 /// own is taken.
 pub fn diagnose(
@@ -289,10 +267,10 @@ pub fn diagnose(
     let with_law = proposal.as_ref().filter(|p| p.holds()).and_then(|p| Some((p, p.fitted.as_ref()?)));
     let sensor = match with_law {
         Some((law, fitted)) => {
-            say_by_law(&mut missing, law);
-            // Names that hold as well have values of their own; and several laws may follow what another one would
-            // say with another gain.
-            let mut others: Vec<&Fitted> = Vec::new();
+            law.say_in(&mut missing);
+            // Names that hold as well have values of their own, names that stay have their ties, and several laws
+            // may follow what another one would say with another gain.
+            let mut others = if law.beside.is_empty() { Vec::new() } else { alternatives };
             others.extend((last.p_value >= DOUBT).then_some(&whole));
             others.extend(law.has_several().then_some(&model));
             sensor(all, fitted, &others, law.error_after).with_open_gain(law.gain_open_rel)
@@ -320,19 +298,6 @@ pub fn diagnose(
         notes,
         fitted: Some(whole),
         comparisons: vec![first, last],
-    }
-}
-
-/// Gives `unknown`, where it stands first, the cost of a law that holds, and the whole misfit where the law
-/// stands in the place of all names.
-fn say_by_law(missing: &mut [Missing], law: &Proposal) {
-    let Some((unknown, names)) = missing.split_first_mut().filter(|(m, _)| m.effect == "unknown") else {
-        return;
-    };
-    unknown.cost = law.cost;
-    if law.beside.is_empty() {
-        unknown.share = 1.0;
-        names.iter_mut().for_each(|m| m.share = 0.0);
     }
 }
 

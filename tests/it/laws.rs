@@ -58,6 +58,9 @@ fn what_has_no_name_gets_a_law() {
         assert!(error < 1.1 && law["p_value"].as_f64().unwrap() > 0.05, "{name}: {law}");
         let [gain, std_err] = ["value", "std_err"].map(|of| d["gain_dn_per_e"][of].as_f64().unwrap());
         assert!((gain - 0.25).abs() < 3.0 * std_err, "{name}: {gain} +- {std_err}");
+        // An echo of 0.04 from two rows above: a filter would have changed the variance by twice that.
+        let open = law["gain_open_rel"].as_f64().unwrap();
+        assert!(if name == "echo" { (0.06..0.1).contains(&open) } else { open < 0.3 }, "{name}: {open}");
         assert!(!law["causes"].as_array().unwrap().is_empty(), "{name}: {law}");
         expect(0, &["model", "new", &at("m.toml")]);
         let shown = expect(0, &["model", "add", &at("m.toml"), "--proposal", &root]);
@@ -99,6 +102,24 @@ fn two_laws_are_two_effects() {
     expect(0, &["compare", &at("c"), "--model", &at("m.toml")]);
     expect(0, &["simulate", &at("m.toml"), "--plan", "quick", "-o", &at("again")]);
     expect(0, &["compare", &at("again"), "--model", &at("m.toml")]);
+}
+
+/// An effect that is excluded by other means is not named; a name that there is not is refused.
+#[test]
+fn an_excluded_effect_is_not_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    let model = unit(320);
+    let values = radcam_sim::effects::example("row-noise", &model).unwrap();
+    campaign(crate::effects::with(model, "row-noise", &values), &root);
+    let root = root.to_str().unwrap();
+    let d: serde_json::Value =
+        serde_json::from_str(&expect(1, &["diagnose", root, "--json", "--without", "row-noise"])).unwrap();
+    let names: Vec<&str> =
+        d["missing"].as_array().unwrap().iter().filter_map(|m| m["effect"].as_str()).collect();
+    assert!(!names.contains(&"row-noise"), "{names:?}");
+    let said = refused(&["diagnose", root, "--without", "row-nois"]);
+    assert!(said.contains("row-noise"), "{said}");
 }
 
 /// Without anything nameless there is no law to add, and that is said.

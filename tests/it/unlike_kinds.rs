@@ -203,8 +203,8 @@ fn noise_on_no_line_does_not_agree() {
 }
 
 /// A sensor that merges two amplifiers with gains 1.5 % apart has a step at the level where it changes over: no
-/// lamp is off by the same on one side of a level and by nothing on the other. The law that is said is that step: 1.5 %
-/// of the code, which is up to a tenth more of the signal, since the black level is in the code.
+/// lamp is off by the same on one side of a level and by nothing on the other. The law that is said is that step:
+/// 1.5 % of the code, which is up to a tenth more of the signal, since the black level is in the code.
 #[test]
 fn a_step_of_the_response_is_no_lamp() {
     let (bench, mut hot) = (Bench::new(), Hot::new(301));

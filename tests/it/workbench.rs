@@ -42,7 +42,7 @@ impl Running {
         self.ask_with(method, path, headers, "")
     }
 
-    /// The same with a form.
+    /// Status and text of an answer to a form.
     fn ask_with(&self, method: &str, path: &str, headers: &[(&str, &str)], form: &str) -> (u16, String) {
         let mut stream = TcpStream::connect(self.host.replace("0.0.0.0", "127.0.0.1")).unwrap();
         let host = headers.iter().find(|h| h.0 == "Host").map_or(&*self.host, |h| h.1);
@@ -65,7 +65,7 @@ impl Running {
     }
 }
 
-/// What has no name is added to the model as a law by one button, and the error falls to 1.
+/// Law for what has no name: added to the model by one button, it takes the error to 1.
 #[test]
 fn a_law_is_added_by_a_button() {
     use crate::outside::{SIZE, campaign, normal};

@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 pub struct Target {
     /// Its name.
     pub name: &'static str,
-    /// It in words, of a noise what stands behind that word.
+    /// Name in words; of a noise what stands behind that word.
     pub words: &'static str,
     /// Its kind.
     pub kind: Kind,
@@ -439,12 +439,12 @@ pub struct Law {
     pub target: &'static Target,
     /// Way in which it grows.
     pub shape: &'static Shape,
-    /// It as an effect.
+    /// Effect that it makes.
     pub effect: &'static dyn Effect,
 }
 
 impl Law {
-    /// It in a few words.
+    /// Name in a few words.
     pub fn in_short(&self) -> String {
         match self.target.kind {
             Kind::Level => format!("a level that is {}", self.shape.words),

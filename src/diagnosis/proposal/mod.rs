@@ -7,6 +7,7 @@
 
 mod causes;
 mod laws;
+mod said;
 
 use super::search::{NEEDED, score};
 use super::share::MATTERS;
@@ -87,7 +88,7 @@ pub struct Proposal {
 }
 
 impl Proposal {
-    /// Its laws as effects of a model file; `taken`: names that other effects of the file have.
+    /// Laws as effects of a model file; `taken`: names that other effects of the file have.
     pub fn laws(&self, taken: &[&str]) -> Vec<EffectValues> {
         let numbered = (2..).map(|number| format!("{LAW}-{number}"));
         let names = std::iter::once(LAW.to_string()).chain(numbered).filter(|n| !taken.contains(&n.as_str()));
@@ -116,7 +117,7 @@ impl Proposal {
         Some(fitted)
     }
 
-    /// It with what it does to the error.
+    /// Sentence with the law and what it does to the error.
     pub fn sentence(&self) -> String {
         let of_it = if self.p_value < P_LIMIT { ", which is not all of it" } else { "" };
         let (before, after) = (self.error_before, self.error_after);
@@ -159,10 +160,9 @@ impl Found {
             format!("{} explains it better: evidence {of_laws:.0} and {of_names:.0}", laws.join(" with "))
         })
     }
-}
 
-impl Found {
-    /// Verifies that no pair of pixels shares more than half of their noise: fits go astray where little is measured.
+    /// Verifies that no pair of pixels shares more than half of their noise: fits go astray where little is
+    /// measured.
     fn is_possible(&self, all: &Observations) -> bool {
         let first = self.fitted.effects.len() - self.laws.len();
         self.laws.iter().enumerate().filter(|(_, law)| law.target.kind == Kind::Shared).all(|(k, law)| {
