@@ -62,13 +62,18 @@ impl Statistic for ColumnShape {
         };
         let flat = view.of_mean - s.row.of_mean() / rows as f64 - view.ripple_of_mean;
         let own = (s.shot.across_lag(0) + s.read.across_lag(0)) / rows as f64 + s.column.lag(0);
+        let fields = s.fields.columns_apart(lag, columns);
         let stripes = view.stripes(false, lag, own);
         let alone = own / (((columns - lag) as f64) * view.dof).sqrt();
         let single = in_quadrature(&[s.unsure_var, view.rough_lags]) / rows as f64;
         let lines: f64 = s.lines.iter().map(|l| l.0).sum();
-        let error = in_quadrature(&[alone, 0.3 * view.moving, stripes.variance, lines / rows as f64, single]);
+        let of_fields = view.field_error(fields);
+        let rest = lines / rows as f64;
+        let error = in_quadrature(&[alone, of_fields, 0.3 * view.moving, stripes.variance, rest, single]);
         let field = view.with_light * view.all.field.column_lags[o.index.min(super::LINE_LAGS.len() - 1)];
         let error = in_quadrature(&[error, FIELD * view.with_light * view.all.field.columns]);
-        Expected::plain(o, near - flat + stripes.covariance + field, error).with_common(stripes.common)
+        let shared = if of_fields.abs() > stripes.common.abs() { of_fields } else { stripes.common };
+        let value = near - flat + stripes.covariance + fields + field;
+        Expected::plain(o, value, error).with_common(shared)
     }
 }

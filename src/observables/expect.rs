@@ -176,12 +176,14 @@ struct Lags {
     ripple: [f64; LAGS],
     /// Columns from -3 on.
     lines: [[f64; 2 * LAGS - 1]; LAGS],
+    /// Of the field's shapes: by rows and by columns apart.
+    fields: [[f64; LAGS]; 2],
     /// Of the means of rows, times the pixels of one: of shot noise and of read noise.
     of_rows: [[f64; LAGS]; 2],
 }
 
 impl Lags {
-    fn of(s: &SetPrediction) -> Self {
+    fn of(s: &SetPrediction, (rows, columns): (usize, usize)) -> Self {
         let mut lines = [[0.0; 2 * LAGS - 1]; LAGS];
         for &(v, px, py) in &s.lines {
             for (dy, row) in lines.iter_mut().enumerate() {
@@ -197,6 +199,10 @@ impl Lags {
             column: std::array::from_fn(|d| s.column.lag(d as i32)),
             ripple: std::array::from_fn(|d| s.ripple(d as f64)),
             lines,
+            fields: [
+                std::array::from_fn(|d| s.fields.rows_apart(d, rows)),
+                std::array::from_fn(|d| s.fields.columns_apart(d, columns)),
+            ],
             of_rows: [&s.shot, &s.read].map(|noise| std::array::from_fn(|d| noise.along_lag(d))),
         }
     }
@@ -213,9 +219,15 @@ impl Lags {
         self.lines[near(dy)][(along + LAGS as i32 - 1).clamp(0, 2 * LAGS as i32 - 2) as usize]
     }
 
+    /// Of the field's shapes.
+    fn fields(&self, dy: i32, dx: i32) -> f64 {
+        self.fields[0][near(dy)] + self.fields[1][near(dx)]
+    }
+
     /// A pixel with itself.
     fn variance(&self) -> f64 {
-        self.shot[0][0] + self.read[0][0] + self.row[0] + self.column[0] + self.ripple[0] + self.lines(0, 0)
+        let lines = self.row[0] + self.column[0] + self.ripple[0] + self.lines(0, 0);
+        self.shot[0][0] + self.read[0][0] + lines + self.fields(0, 0)
     }
 }
 
@@ -401,6 +413,7 @@ impl<'a> View<'a> {
             + of.column[x]
             + of.ripple[y]
             + of.lines(dy, dx)
+            + of.fields(dy, dx)
             + self.with_light * if (dy, dx) == (0, 0) { self.all.field.pixels } else { self.all.field.smooth }
             + self.set().filter(|_| (dy, dx) == (1, -1)).map_or(0.0, |s| s.uphill)
             - self.of_mean
@@ -423,7 +436,13 @@ impl<'a> View<'a> {
         let shape = self.all.campaign.shape;
         let (rows, columns) =
             (of(self.lags.row[0], shape.0, dy == 0), of(self.lags.column[0], shape.1, dx == 0));
-        in_quadrature(&[rows, columns, self.ripple_error])
+        in_quadrature(&[rows, columns, self.ripple_error, self.field_error(self.lags.fields(dy, dx))])
+    }
+
+    /// Error that few frames leave of the variance of shapes that they take anew: its scatter is that of the
+    /// square of one number a frame.
+    pub fn field_error(&self, variance: f64) -> f64 {
+        variance * (2.0 / self.dof).sqrt()
     }
 
     /// Variance of the pixels' variances over the square of their mean, and raw second, third and fourth moment
@@ -471,12 +490,13 @@ impl<'a> View<'a> {
     }
 
     /// The error at a lag that all statistics of the same frames have in common: these show too much or too little of a ripple or a line.
-    /// With its sign; where there are both, the larger.
+    /// With its sign; where there are several, the largest.
     pub fn common(&self, dy: i32, dx: i32) -> f64 {
         let of = &self.lags.ripple;
         let ripple = if of[0] > 0.0 { self.ripple_error * of[near(dy)] / of[0] } else { 0.0 };
-        let line = self.lines(dy, dx);
-        if line.abs() > ripple.abs() { line } else { ripple }
+        let field = self.field_error(self.lags.fields(dy, dx));
+        let larger = |a: f64, b: f64| if b.abs() > a.abs() { b } else { a };
+        larger(larger(ripple, self.lines(dy, dx)), field)
     }
 
     /// A line has one phase a frame: what few frames show of it scatters (random walk of n phases), DN^2; with the sign of its covariance.
@@ -534,6 +554,7 @@ impl<'a> View<'a> {
         // Pixels that count of a line that has some.
         let width = o.pixels / count.max(1) as f64;
         let own = if rows { self.lags.row[0] + self.lags.ripple[0] } else { self.lags.column[0] };
+        let shapes = if rows { s.fields.of_rows() } else { s.fields.of_columns() };
         let of_lines = self.stripes(rows, 0, 0.0).variance;
         let (shot, read) = if rows { self.of_rows(0) } else { (s.shot.along(axis), s.read.along(axis)) };
         let pixels = (shot * self.left.0 + read * self.left.1) / width;
@@ -544,19 +565,19 @@ impl<'a> View<'a> {
             s.row.of_mean() / shape.0 as f64 + self.ripple_of_mean
         };
         let field = self.with_light * if rows { self.all.field.rows } else { self.all.field.columns };
-        let value = pixels + own + across + of_lines - self.of_mean + 0.3 * self.moving + field;
+        let value = pixels + own + across + of_lines + shapes - self.of_mean + 0.3 * self.moving + field;
         let dof = self.dof * (count as f64 - 1.0);
-        let ripple = if rows { self.ripple_error } else { 0.0 };
+        let ripple = if rows { self.ripple_error } else { 0.0 }.hypot(self.field_error(shapes));
         // Lines of unequal pixels scatter unequally.
         let unequal = 1.0 + self.unequal_spread() / width;
-        let own = value.abs().max(1e-9) * (2.0 * unequal / dof).sqrt();
+        let own = (value - shapes).abs().max(1e-9) * (2.0 * unequal / dof).sqrt();
         let single = in_quadrature(&[self.rough.1, s.unsure_var, s.unsure_own]) / width;
         Expected::plain(
             o,
             value,
             in_quadrature(&[own, self.walk() * of_lines, 0.3 * self.moving, single, ripple, FIELD * field]),
         )
-        .with_common(ripple.max(self.of_stripes(of_lines, value - of_lines, count)))
+        .with_common(ripple.max(self.of_stripes(of_lines, value - of_lines - shapes, count)))
     }
 
     /// Share of noise with these correlations that is left once the mean over the frames is taken off.
@@ -684,7 +705,7 @@ fn expectations_under(
         }
         if last.as_ref().is_none_or(|(k, _)| *k != key) {
             if let Some(s) = o.set.filter(|s| lags.0 != Some(*s)).and_then(|s| prediction.sets.get(s)) {
-                lags = (o.set, Lags::of(s));
+                lags = (o.set, Lags::of(s, all.campaign.shape));
             }
             last = Some((key, View::new(o, prediction, all, lags.1, whole)));
         }

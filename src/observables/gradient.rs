@@ -8,14 +8,12 @@ use super::expect::{FIELD, line_mean};
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
-use radcam_sim::predict::cosine_power;
+use radcam_sim::predict::{SHAPES, cosine_power};
 
 /// The scatter of the frames' shape.
 #[derive(Debug)]
 pub struct Gradient;
 
-/// Shapes along one axis.
-const SHAPES: usize = 2;
 /// Half turns of the cosine of each.
 pub(super) const HALF_TURNS: [u32; SHAPES] = [1, 2];
 /// Part of the variance of a moving level that may be unlike the field (a named choice).
@@ -94,7 +92,9 @@ impl Statistic for Gradient {
         let lit = view.at.is_some_and(|set| view.all.campaign.sets[set].light.is_some());
         let moved = if lit { view.moved * field } else { 0.0 };
         let light = view.with_light * field;
-        let value = pixels / o.pixels + lines + ripples + interference + light + moved;
+        let shapes = if of_rows { s.fields.down } else { s.fields.across };
+        let own = lines + ripples + interference + shapes[o.index % SHAPES];
+        let value = pixels / o.pixels + own + light + moved;
         let single = in_quadrature(&[s.unsure_var, s.unsure_own, view.rough.1]) / o.pixels;
         // Where the light's scatter is added to noise, a square scatters by both.
         Expected::of_few(o, value + 1e-9, view.dof).unsure(in_quadrature(&[

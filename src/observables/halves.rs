@@ -69,7 +69,9 @@ impl Statistic for Halves {
         let rest = if s.common > 0.0 { s.common - s.with_light } else { 0.0 };
         let shading = view.all.largest_spread.powi(2) * (rest.max(0.0) + view.moved) + 0.1 * field;
         let interference: f64 = s.lines.iter().map(|l| l.0).sum::<f64>() / (rows.min(columns) as f64);
-        Expected::of_few(o, own + lines + common + field, view.dof).unsure(shading + interference + common)
+        let shapes = s.fields.halves(o.index == 0, if o.index == 0 { rows } else { columns });
+        Expected::of_few(o, own + lines + common + shapes + field, view.dof)
+            .unsure(shading + interference + common)
     }
 }
 

@@ -47,7 +47,13 @@ impl Statistic for Leak {
         let step: f64 = view.prediction.taps.iter().map(|(_, offset)| offset.abs()).sum();
         let step = scene.map_or(0.0, |s| s.zero_scaled(clipped)) * step;
         // Nor are the rows of the patch and of the background under the same light where that ripples.
-        let ripple = view.prediction.sets.iter().map(|s| s.ripple(0.0)).fold(0.0, f64::max).sqrt();
+        let ripple = view
+            .prediction
+            .sets
+            .iter()
+            .map(|s| s.ripple(0.0) + s.fields.variance())
+            .fold(0.0, f64::max)
+            .sqrt();
         Expected::plain(o, leak, in_quadrature(&[o.measured.std_err, 0.01 * leak, unsure, step, ripple]))
     }
 }

@@ -52,7 +52,8 @@ impl Statistic for LineProfile {
             // Lines whose pixels are noisier than others scatter more: over all of them the mean hardly moves.
             let telegraph = s.unequal.max(0.0).sqrt() / pixels as f64 / (pixels as f64).sqrt();
             // A ripple whose phase moves slowly stays in the mean of a few frames.
-            let ripple = if o.index == 0 { s.ripple(0.0) } else { 0.0 };
+            let ripple =
+                if o.index == 0 { s.ripple(0.0) + s.fields.of_rows() } else { s.fields.of_columns() };
             unsure += USUAL_FRAMES * (s.uneven * s.uneven + telegraph + ripple) / noise;
         }
         let n = f64::max(n, 1.0);
@@ -82,7 +83,11 @@ fn of_summary(s: &Summary, zero_dn: f64, exposure_s: f64, axis: usize) -> Profil
 /// Variance of the means of lines, DN^2.
 fn of_line(s: &SetPrediction, axis: usize, pixels: usize) -> f64 {
     let own = (s.shot.along(1 - axis) + s.read.along(1 - axis)) / pixels as f64;
-    own + if axis == 0 { s.row.lag(0) + s.ripple(0.0) } else { s.column.lag(0) }
+    own + if axis == 0 {
+        s.row.lag(0) + s.ripple(0.0) + s.fields.of_rows()
+    } else {
+        s.column.lag(0) + s.fields.of_columns()
+    }
 }
 
 /// By how much the mean of so many frames scatters more than their scatter about it tells, for temporally correlated noise.

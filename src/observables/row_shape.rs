@@ -64,12 +64,14 @@ impl Statistic for RowShape {
         let own = (shot + read) / columns as f64 + s.row.lag(0);
         // A product of rows that have little in common scatters by half of the variance of a square.
         let ripple = view.ripple_error * (0.5 * (1.0 + common * common)).sqrt();
+        let fields = s.fields.rows_apart(lag, rows);
         let stripes = view.stripes(true, lag, own);
         let alone = own / (((rows - lag) as f64) * view.dof).sqrt();
         let single = in_quadrature(&[s.unsure_var, view.rough_lags]) / columns as f64;
         let error = in_quadrature(&[
             alone,
             ripple,
+            view.field_error(fields),
             0.3 * view.moving,
             stripes.std_err,
             lines / columns as f64,
@@ -77,9 +79,10 @@ impl Statistic for RowShape {
         ]);
         let field = view.with_light * view.all.field.row_lags[o.index.min(super::LINE_LAGS.len() - 1)];
         let error = in_quadrature(&[error, FIELD * view.with_light * view.all.field.rows]);
-        // A ripple and stripes have different common errors: the larger one is taken.
-        let of_ripple = view.ripple_error * common;
-        let shared = if of_ripple.abs() > stripes.common.abs() { of_ripple } else { stripes.common };
-        Expected::plain(o, near - flat + slow + stripes.covariance + field, error).with_common(shared)
+        // A ripple, stripes and fields have different common errors: the largest one is taken.
+        let larger = |a: f64, b: f64| if b.abs() > a.abs() { b } else { a };
+        let shared = larger(larger(stripes.common, view.ripple_error * common), view.field_error(fields));
+        let value = near - flat + slow + stripes.covariance + fields + field;
+        Expected::plain(o, value, error).with_common(shared)
     }
 }

@@ -47,14 +47,16 @@ impl Statistic for RowTails {
         let (ripple, white) = (s.ripple(0.0), (shot + read) / columns as f64 + s.row.lag(0));
         // Lines of interference are sines down the rows.
         let stripes = view.stripes(true, 0, 0.0).variance;
-        let all = (ripple + white + stripes).max(1e-12);
+        let fields = s.fields.of_rows();
+        let all = (ripple + white + stripes + fields).max(1e-12);
         // A slow wander gives fewer independent rows.
         let length = |r: &Ripple| match r {
             Ripple::Wander(next) => (1.0 + next) / (1.0 - next),
             Ripple::Sine(_) => 1.0,
         };
         let longest = s.ripples.iter().map(|(_, r)| length(r)).fold(1.0, f64::max);
-        let n = rows as f64 * view.dof / (1.0 + ripple / all * (longest - 1.0));
+        let alike = ripple / all * (longest - 1.0) + fields / all * (rows as f64 - 1.0);
+        let n = rows as f64 * view.dof / (1.0 + alike);
         // Of a sine it is 1.5, and of the difference of two 2.25: of a frame from the mean of those before it somewhere between.
         let of_light = s.ripples.iter().map(|(v, r)| if let Ripple::Sine(_) = r { *v } else { 0.0 });
         let sine = (of_light.sum::<f64>() + stripes) / all;
@@ -73,7 +75,14 @@ impl Statistic for RowTails {
         let rows_share = (s.row.lag(0) + ripple) / all;
         let hum = if o.measured.value < 3.0 { 1.5 * rows_share * rows_share } else { 0.0 };
         // Pixels that are noisier than the rest may lie in the same rows, as beside the edge of what is clipped: few rows then have the noise.
-        let unsure = hum + noisy + tails + 0.4 * sine * sine + 3.0 * shading + 3.0 * lines + 0.02;
+        let unsure = hum
+            + noisy
+            + tails
+            + 0.4 * sine * sine
+            + 3.0 * shading
+            + 3.0 * lines
+            + 1.5 * (fields / all).powi(2)
+            + 0.02;
         kurtosis(o.measured.value, n.max(16.0), unequal - 1.1 * sine * sine, unsure)
     }
 }

@@ -1,6 +1,7 @@
 //! Expected statistics of a whole campaign: what every model must say before it is compared with measurements.
 
 mod campaign;
+mod fields;
 mod set;
 
 use crate::normal::upper;
@@ -10,6 +11,7 @@ use campaign::before_rounding;
 pub use crate::normal::{NORMAL, PLACES};
 pub use crate::spectrum::{Filter, GRID, HALF, LAGS, LineNoise, Ripple, Spectrum, angle, cosine_power};
 pub use campaign::{Before, Campaign, FrameInfo, Ordinary, SetInfo};
+pub use fields::{Fields, SHAPES, shape_at};
 pub use set::{SetPrediction, TwoLevels};
 
 /// The paper's parameters as a campaign sees them.
@@ -217,7 +219,7 @@ impl Prediction {
                     power.scale(through);
                     power.add_white((1.0 - through) * own);
                 }
-                let lines: f64 = s.lines.iter().map(|l| l.0).sum();
+                let lines: f64 = s.lines.iter().map(|l| l.0).sum::<f64>() + s.fields.variance();
                 kept = (1.0 - through) * (s.row.lag(0) + s.column.lag(0) + s.ripple(0.0) + lines);
                 s.shared(through);
             }

@@ -1,6 +1,6 @@
 //! Expected moments of one set, and what effects and rounding do to them.
 
-use super::{Filter, LineNoise, OF_PLACES, PLACES, Ripple, Spectrum, off_a_line};
+use super::{Fields, Filter, LineNoise, OF_PLACES, PLACES, Ripple, Spectrum, off_a_line};
 use crate::clipping::Clipped;
 
 /// Pixels that jump between two levels.
@@ -36,6 +36,8 @@ pub struct SetPrediction {
     pub column: LineNoise,
     /// Slow changes from row to row within a frame: variance and spectrum.
     pub ripples: Vec<(f64, Ripple)>,
+    /// Shapes that the field of every frame takes anew.
+    pub fields: Fields,
     /// Variance common to the pixels of a frame.
     pub common: f64,
     /// The part of it that follows the light of each pixel: where the field is dark it is less.
@@ -97,6 +99,7 @@ impl SetPrediction {
             row: LineNoise::default(),
             column: LineNoise::default(),
             ripples: Vec::new(),
+            fields: Fields::default(),
             common: 0.0,
             with_light: 0.0,
             setting: 0.0,
@@ -144,6 +147,7 @@ impl SetPrediction {
     pub(super) fn shared(&mut self, square: f64) {
         self.row.scale(square);
         self.column.scale(square);
+        self.fields.scale(square);
         self.common *= square;
         self.with_light *= square;
         self.lines.iter_mut().for_each(|l| l.0 *= square);
@@ -159,6 +163,7 @@ impl SetPrediction {
         filter.apply(&mut self.read);
         filter.apply_to_rows(&mut self.row);
         filter.apply_to_columns(&mut self.column);
+        self.fields.scale(filter.of_mean());
         self.common *= filter.of_mean();
         self.with_light *= filter.of_mean();
         self.setting *= filter.of_mean();
@@ -258,6 +263,7 @@ impl SetPrediction {
     /// slope less than 1.
     pub(crate) fn cut_light(&mut self, above: f64) {
         let square = (1.0 - above) * (1.0 - above);
+        self.fields.scale(square);
         self.common *= square;
         self.with_light *= square;
         self.setting *= square;
@@ -282,6 +288,7 @@ impl SetPrediction {
             + self.row.lag(dy)
             + self.column.lag(dx)
             + self.ripple(f64::from(dy))
+            + self.fields.variance()
             + lines
     }
 
