@@ -263,18 +263,29 @@ impl Look<'_> {
         score(self.all, self.now) - score(self.all, fitted)
     }
 
-    /// Candidate that does no more than widen the error of the profiles of lines. No effect predicts these, and
-    /// wide errors fit anything.
+    /// Candidate that does no more than widen errors, which fits anything. No effect predicts profiles of lines:
+    /// what is gained there is of their errors. A bend of the response moves means: what it gains by residuals
+    /// that are as large as before and count less is of the rounding of its table. Scatter widens errors, and
+    /// rightly.
     fn only_excuses(&self, c: &Candidate) -> bool {
-        let id = LineProfile.id();
-        let of = |model: &Fitted| -> Vec<Residual> {
-            residuals_of(self.all, model).into_iter().filter(|r| r.statistic == id).collect()
-        };
-        let (now, with) = (of(self.now), of(&c.fitted));
-        let widened = now.iter().zip(&with).filter(|(a, b)| b.std_err > WIDER * a.std_err);
-        let gained: f64 =
-            widened.map(|(a, b)| a.z.powi(2) - b.z.powi(2) - 2.0 * (b.std_err / a.std_err).ln()).sum();
-        gained > 0.0 && c.evidence - gained < NEEDED
+        let (now, with) = (residuals_of(self.all, self.now), residuals_of(self.all, &c.fitted));
+        if now.len() != with.len() {
+            return false;
+        }
+        let profiles = LineProfile.id();
+        let all = c.effect.bends_means();
+        let pairs = now.iter().zip(&with).filter(|(_, b)| all || b.statistic == profiles);
+        let gained = pairs.filter(|(a, b)| b.std_err > WIDER * a.std_err).map(|(a, b)| {
+            let ratio = b.std_err / a.std_err;
+            let as_before = if b.statistic == profiles { a.z } else { b.z * ratio };
+            as_before.powi(2) - b.z.powi(2) - 2.0 * ratio.ln()
+        });
+        let gained: f64 = gained.sum();
+        if gained > 0.0 && c.evidence - gained < NEEDED {
+            tracing::debug!("{} only widens errors: {:.1} of {gained:.1}", c.effect.id(), c.evidence);
+            return true;
+        }
+        false
     }
 }
 
