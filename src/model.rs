@@ -1,11 +1,13 @@
-//! Model files as a comparison uses them: which effects one gives, and one with fitted values.
+//! Model files as a comparison uses them: which effects one gives, and one with fitted values; files of effects
+//! of a user's own.
 
 use crate::dataset::CameraInfo;
 use crate::inference::{Fitted, Given};
 use crate::observables::Observations;
 use radcam_sim::ModelError;
-use radcam_sim::effects::{Effect, find};
+use radcam_sim::effects::{Effect, OwnEffect, find};
 use radcam_sim::{EffectValues, Model};
+use std::path::{Path, PathBuf};
 
 /// The effects of a list, with what it gives of their values.
 ///
@@ -87,9 +89,51 @@ pub fn with_fit(mut model: Model, all: &Observations, fitted: &Fitted, camera: O
                 |v: &[f64]| e.parameters().iter().zip(v).map(|(p, v)| (p.name.to_string(), *v)).collect();
             let sound: Vec<f64> = errors.iter().map(|e| if e.is_finite() { *e } else { 0.0 }).collect();
             let known = model.effects.iter().find(|k| k.id == e.id() || k.name.as_deref() == Some(e.id()));
-            let known = known.cloned().unwrap_or(EffectValues { id: e.id().into(), ..Default::default() });
+            let known = known.cloned().or_else(|| e.written()).unwrap_or_else(|| EffectValues::new(e.id()));
             EffectValues { parameters: named(values), std_err: named(&sound), ..known }
         })
         .collect();
     model
+}
+
+/// Reads a file of an effect of a user's own.
+///
+/// # Errors
+///
+/// The file cannot be read, or which line, name, formula or bound cannot be understood.
+pub fn own_effect(path: &Path) -> Result<OwnEffect, ModelError> {
+    let in_file = |e: String| ModelError::Effect(format!("{}: {e}", path.display()));
+    let text = crate::input::settings(path).map_err(|e| in_file(e.to_string()))?;
+    OwnEffect::from_toml(&text).map_err(in_file)
+}
+
+/// Makes the effects of a folder known for as long as the program runs: models may name them, and a diagnosis
+/// tries them as well. Of the folder's files those are read whose names end in `.toml`, in the order of their
+/// names.
+///
+/// # Errors
+///
+/// The folder cannot be read, or a file of it is no effect, or another effect has its name.
+pub fn register_own_effects(folder: &Path) -> Result<Vec<String>, ModelError> {
+    if !folder.is_dir() {
+        return Err(ModelError::Effect(format!("there is no folder {}", folder.display())));
+    }
+    let of_folder = |e: std::io::Error| ModelError::Effect(format!("{}: {e}", folder.display()));
+    let entries = std::fs::read_dir(folder).map_err(of_folder)?;
+    let mut files: Vec<PathBuf> =
+        entries.map(|entry| entry.map(|e| e.path())).collect::<Result<_, _>>().map_err(of_folder)?;
+    // Side files of macOS begin with a dot.
+    let is_effect = |path: &PathBuf| {
+        let name = path.file_name().map(|n| n.to_string_lossy());
+        name.is_some_and(|n| n.ends_with(".toml") && !n.starts_with('.'))
+    };
+    files.retain(is_effect);
+    files.sort();
+    let mut names = Vec::new();
+    for path in files {
+        let own = own_effect(&path)?;
+        own.register().map_err(|e| ModelError::Effect(format!("{}: {e}", path.display())))?;
+        names.push(own.name);
+    }
+    Ok(names)
 }

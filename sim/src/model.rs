@@ -67,6 +67,18 @@ pub struct EffectValues {
 }
 
 impl EffectValues {
+    /// Entry of an effect of the catalogue without values; of one of the user's own with its formulas and the
+    /// values at which a search begins, so that the model is read without it.
+    pub fn new(id: &str) -> Self {
+        let written = effects::find(id).and_then(|effect| effect.written());
+        written.unwrap_or_else(|| Self { id: id.into(), ..Default::default() })
+    }
+
+    /// Name by which people call it: that of a custom effect, else the identifier.
+    pub fn called(&self) -> &str {
+        self.name.as_deref().unwrap_or(&self.id)
+    }
+
     /// The effect of this identifier, or the one that the formulas make.
     ///
     /// # Errors
@@ -89,6 +101,7 @@ impl EffectValues {
             values: &self.parameters,
             bounds: &self.bounds,
             units: &self.units,
+            page: None,
         }
     }
 

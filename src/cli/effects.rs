@@ -1,22 +1,147 @@
 //! `radcam effects`
 
 use super::Outcome;
-use super::common::{lines_of, no_effect};
-use crate::model::page;
+use super::common::{lines_of, may_be_written, no_effect};
+use super::observe::{Colour, Datasets, observe};
+use crate::dataset::write_whole;
+use crate::diagnosis::{diagnose, searched};
+use crate::model::{page, register_own_effects};
 use crate::number::pretty;
-use anyhow::{Result, bail};
-use radcam_sim::effects::{Effect, all, find};
+use anyhow::{Context, Result, bail};
+use radcam_sim::effects::{Effect, OwnEffect, UNBOUNDED, all, find};
+use std::path::{Path, PathBuf};
 
 #[derive(Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true)]
 pub struct Arguments {
     /// One effect; all of them in a list where not given
     id: Option<String>,
     /// Print JSON
     #[arg(long)]
     json: bool,
+    #[command(subcommand)]
+    action: Option<Action>,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Action {
+    /// Make an effect of your own of the law that describes a campaign: every later diagnosis knows it by name
+    New(New),
+}
+
+#[derive(Debug, clap::Args)]
+struct New {
+    /// Its name: small letters, digits and hyphens
+    name: String,
+    /// Dataset that shows it; several of one camera are taken together
+    #[arg(long, value_name = "DATASET", num_args = 1.., required = true)]
+    from: Vec<PathBuf>,
+    #[command(flatten)]
+    colour: Colour,
+    /// Effects that are known already; the paper's model alone where not given
+    #[arg(long, value_name = "M.toml|SENSOR")]
+    model: Option<PathBuf>,
+    /// File; NAME.toml in the folder of your own effects where not given
+    #[arg(short, long, value_name = "FILE.toml")]
+    output: Option<PathBuf>,
+    /// Also write a source of Rust that begins with it, for the catalogue or a program of your own
+    #[arg(long, value_name = "FILE.rs")]
+    rust: Option<PathBuf>,
+    /// Replace files that are there
+    #[arg(long)]
+    overwrite: bool,
+}
+
+/// Folder in which effects of the user's own are looked for by every command.
+fn folder() -> Option<PathBuf> {
+    let of = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
+    let settings = of("XDG_CONFIG_HOME").or_else(|| of("HOME").map(|home| home.join(".config")));
+    settings.map(|folder| folder.join("radcam").join("effects"))
+}
+
+/// Makes the user's own effects known: those of their folder, where there is one, and of the folders that are
+/// named.
+pub fn register_own(named: &[PathBuf]) -> Result<()> {
+    let usual = folder().filter(|folder| folder.is_dir());
+    for folder in usual.iter().chain(named) {
+        let names = register_own_effects(folder)?;
+        if !names.is_empty() {
+            tracing::info!("effects of {}: {}", folder.display(), names.join(", "));
+        }
+    }
+    Ok(())
+}
+
+/// Source of an effect in Rust, with a test: formulas to begin with, whose `predict` and `draw` give way to those
+/// of the mechanism once it is known.
+fn source_of(own: &OwnEffect) -> Result<String> {
+    let text = own.to_toml().map_err(anyhow::Error::msg)?;
+    // One mark more than any run of them in the text.
+    let runs = text.split(|c| c != '#').map(str::len);
+    let marks = "#".repeat(1 + runs.max().unwrap_or(0));
+    let words = own.name.split('-').filter(|word| !word.is_empty());
+    let camel: String = words.map(|word| word[..1].to_uppercase() + &word[1..]).collect();
+    let kind = if camel.starts_with(|c: char| c.is_ascii_digit()) { format!("Effect{camel}") } else { camel };
+    let about = lines_of(&format!("{}: {}.", own.name, own.page.signature), 106, 106);
+    let about: Vec<String> = about.iter().map(|line| format!("//! {line}")).collect();
+    Ok(include_str!("own_effect.rs.template")
+        .replace("{about}", &about.join("\n"))
+        .replace("{kind}", &kind)
+        .replace("{name}", &own.name)
+        .replace("{marks}", &marks)
+        .replace("{text}", &text))
+}
+
+fn new(of: &New) -> Result<()> {
+    // Before the frames are read, which takes time.
+    OwnEffect { name: of.name.clone(), ..Default::default() }.check_name().map_err(anyhow::Error::msg)?;
+    let is_own = |e: &&'static dyn Effect| e.written().is_some();
+    if let Some(known) = find(&of.name).filter(|known| !(of.overwrite && is_own(known))) {
+        bail!("there is an effect {} already: {}", of.name, known.page().what);
+    }
+    let output = match &of.output {
+        Some(path) => path.clone(),
+        None => {
+            let folder = folder().context("neither HOME nor XDG_CONFIG_HOME is set: name a file by -o")?;
+            std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+            folder.join(format!("{}.toml", of.name))
+        }
+    };
+    for path in std::iter::once(&output).chain(&of.rust) {
+        may_be_written(path, of.overwrite)?;
+    }
+    // The law is looked for as if the effect that it replaces were not known.
+    radcam_sim::effects::unregister(&of.name);
+    let datasets = Datasets { paths: of.from.clone(), colour: of.colour.clone() };
+    let effects = super::model::read_effects(of.model.as_deref())?;
+    let all = observe(&datasets)?;
+    let diagnosis = diagnose(&all, None, searched(&all, &effects), &mut |text| tracing::info!("{text}"));
+    let Some(law) = diagnosis.proposal else {
+        bail!("no law is proposed for {}: {}", datasets.names(), diagnosis.verdict.sentence());
+    };
+    let own = law.own_effect(&of.name, &datasets.names());
+    own.check().map_err(anyhow::Error::msg)?;
+    if let Some(path) = &of.rust {
+        write_whole(path, source_of(&own)?.as_bytes())?;
+    }
+    write_whole(&output, own.to_toml().map_err(anyhow::Error::msg)?.as_bytes())?;
+    println!("{}", law.sentence());
+    println!("  {} has it as the effect {}", output.display(), own.name);
+    if let Some(path) = &of.rust {
+        println!("  {} has it as a source of Rust", path.display());
+    }
+    let is_usual = folder().is_some_and(|folder| output.parent() == Some(folder.as_path()));
+    let folder = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let option = if is_usual { String::new() } else { format!(" --effects {}", folder.display()) };
+    println!("  known by name from now on:  radcam diagnose DATASET{option}");
+    Ok(())
 }
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
+    if let Some(Action::New(of)) = &arguments.action {
+        new(of)?;
+        return Ok(Outcome::Agreement);
+    }
     let Some(id) = &arguments.id else {
         if arguments.json {
             let pages: Vec<_> = all().iter().map(|e| page(*e)).collect();
@@ -62,6 +187,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         ("how to measure", of.measure),
         ("source", of.source),
     ] {
+        let text = if text.is_empty() { "not known" } else { text };
         // The forms of an equation each on lines of their own.
         let forms = text.split("; ").map(|form| lines_of(form, 80, 80));
         let parts: Vec<Vec<String>> =
@@ -74,6 +200,10 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     for p in e.parameters() {
         let range = match p.unit {
             "choice" => String::new(),
+            unit if p.max == UNBOUNDED => {
+                let least = if p.min == 0.0 { ", not negative" } else { "" };
+                format!(" ({}{least})", if unit == "1" { "a ratio".into() } else { pretty(unit) })
+            }
             unit => {
                 format!(" ({} to {}{}{})", p.min, p.max, if unit == "1" { "" } else { " " }, pretty(unit))
             }
@@ -115,4 +245,21 @@ fn of_base_model(word: &str) -> Option<String> {
     let lower = word.to_lowercase();
     let found = of.iter().find(|(words, _)| words.contains(&lower.as_str()))?;
     Some(format!("{word} is part of the base model, which every camera has, and no effect: {}.", found.1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A source is written as the one that the tests compile.
+    #[test]
+    fn a_source_is_that_which_is_compiled() {
+        let mut own = OwnEffect { name: "jitter-of-the-samples".into(), ..Default::default() };
+        own.formulas.insert("variance".into(), "k * (mu / 1000)^2".into());
+        own.parameters.insert("k".into(), 8.0);
+        own.units.insert("k".into(), "DN^2".into());
+        own.page.what = "The instant at which a sample is taken \"jitters\".".into();
+        own.page.signature = "more noise of single pixels, growing as the square of the signal".into();
+        assert_eq!(source_of(&own).unwrap(), include_str!("../../tests/it/jitter_of_the_samples.rs"));
+    }
 }

@@ -229,6 +229,10 @@ fn next_commands(datasets: &str, first: &Missing, has_law: bool) {
         (format!("radcam diagnose {datasets} --explain"), "what shows it, and all values"),
         (format!("radcam diagnose {datasets} -o camera.toml"), found),
     ];
+    if has_law {
+        let command = format!("radcam effects new NAME --from {datasets}");
+        lines.push((command, "a name of your own, by which it is known from now on"));
+    }
     if first.effect != "unknown" {
         lines.push((format!("radcam effects {}", first.effect), "what it is and what looks like it"));
     }

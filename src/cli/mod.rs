@@ -54,6 +54,10 @@ struct Arguments {
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
 
+    /// Folder with effects of your own, beside ~/.config/radcam/effects; may be given several times
+    #[arg(long = "effects", global = true, value_name = "DIR")]
+    own_effects: Vec<std::path::PathBuf>,
+
     #[command(subcommand)]
     verb: Verb,
 }
@@ -175,7 +179,8 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     };
     common::start_logging(arguments.verbose);
     common::catch_interrupts();
-    match arguments.verb.run() {
+    let outcome = effects::register_own(&arguments.own_effects).and_then(|()| arguments.verb.run());
+    match outcome {
         Ok(Outcome::Agreement) => 0,
         Ok(Outcome::Disagreement) => 1,
         Err(error) => {

@@ -199,10 +199,10 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             if effects::find(effect).is_none() {
                 bail!("{}", no_effect(effect, effects::all().iter().map(|e| e.id())));
             }
-            if model.effects.iter().any(|e| e.id == effect) {
+            if model.effects.iter().any(|e| e.called() == effect) {
                 bail!("{} has {effect} already", path.display());
             }
-            let mut entry = EffectValues { id: effect.into(), ..Default::default() };
+            let mut entry = EffectValues::new(effect);
             // What is not given is found by a fit.
             entry.parameters.extend(values.iter().cloned());
             model.effects.push(entry);
@@ -212,7 +212,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         Action::Remove { model: path, effect } => {
             let mut model = read(path)?;
             let before = model.effects.len();
-            model.effects.retain(|e| e.id != *effect);
+            model.effects.retain(|e| e.called() != effect);
             if model.effects.len() == before {
                 bail!("{} has no effect \"{effect}\"", path.display());
             }

@@ -327,7 +327,7 @@ fn meaning(m: &Missing) -> Option<String> {
         Some(other) => format!("\"{form}\" or \"{other}\", which this campaign does not tell apart"),
         None => form,
     });
-    let parts: Vec<String> = size.into_iter().chain(form).collect();
+    let parts: Vec<String> = size.into_iter().chain(form).filter(|part| !part.is_empty()).collect();
     (!parts.is_empty()).then(|| parts.join("; "))
 }
 

@@ -211,13 +211,13 @@ pub async fn add(State(shared): Desktop, Form(named): Form<Named>) -> Response {
 
 /// An effect of the catalogue whose values are searched for beside a model.
 fn searched_for(campaign: &Campaign, mut on: Vec<EffectValues>, id: &str) -> Result<Entry, String> {
-    on.retain(|e| e.id != id);
-    on.push(EffectValues { id: id.into(), ..Default::default() });
+    on.retain(|e| e.called() != id);
+    on.push(EffectValues::new(id));
     let known = given(&on).map_err(|e| e.to_string())?;
     let found = searched(&campaign.all, &known);
     let (effect, values) = found.last().ok_or("nothing was found")?;
     let named = effect.parameters().iter().zip(values).map(|(p, v)| (p.name.to_string(), *v)).collect();
-    Ok(Entry { on: true, effect: EffectValues { id: id.into(), parameters: named, ..Default::default() } })
+    Ok(Entry { on: true, effect: EffectValues { parameters: named, ..EffectValues::new(id) } })
 }
 
 /// Switches an effect of the model on or off.

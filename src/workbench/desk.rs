@@ -228,7 +228,7 @@ pub fn entries_of(d: &Diagnosis, id: &str, taken: &[&str]) -> Option<Vec<Entry>>
 fn entry_of(fitted: &Fitted, id: &str) -> Option<Entry> {
     let (effect, values) = fitted.effects.iter().find(|(e, _)| e.id() == id)?;
     let named = effect.parameters().iter().zip(values).map(|(p, v)| (p.name.to_string(), *v)).collect();
-    Some(Entry { on: true, effect: EffectValues { id: id.into(), parameters: named, ..Default::default() } })
+    Some(Entry { on: true, effect: EffectValues { parameters: named, ..EffectValues::new(id) } })
 }
 
 /// Opens a campaign and collects its statistics.

@@ -18,8 +18,9 @@ fn diagnosis_of(root: &Path, act: Act<'_>) -> serde_json::Value {
     serde_json::from_str(&expect(1, &["diagnose", root.to_str().unwrap(), "--json"])).unwrap()
 }
 
-/// Noise shared by blocks of two by two pixels, an echo of the line before last, and a gain that is another one
-/// for every sample: each law has the right statistic and growth, leaves an error of 1 and gives the gain of the
+/// Noise shared by blocks of two by two pixels, an echo of the line before last, a gain that is another one for
+/// every sample, and light that tilts from frame to frame: each law has the right statistic and growth, leaves an
+/// error of 1 and gives the gain of the
 /// camera within three standard errors; added to a model file by one command it describes the campaign.
 #[test]
 fn what_has_no_name_gets_a_law() {
@@ -40,7 +41,15 @@ fn what_has_no_name_gets_a_law() {
             *v += 0.003 * signal * normal((5 << 48) + (f << 20) + (y * SIZE + x) as u64);
         }
     };
+    // A straight tilt, not the cosine of the law.
+    let tilt: Act<'_> = &|f, signal, image| {
+        let of_frame = 0.0005 * signal * normal((6 << 48) + f);
+        for ((y, _), v) in image.indexed_iter_mut() {
+            *v += of_frame * (2.0 * y as f64 / (SIZE - 1) as f64 - 1.0);
+        }
+    };
     for (name, act, targets, growth) in [
+        ("tilt", tilt, vec!["gradient_y"], "k * (mu / 1000)^2"),
         ("blocks", blocks, vec!["cov_01", "cov_10", "cov_11", "parity_01", "parity_10"], "k"),
         ("echo", echo, vec!["cov_20"], "k * noise"),
         ("gains", gains, vec!["variance"], "k * (mu / 1000)^2"),
@@ -146,6 +155,10 @@ fn formulas_are_drawn_as_they_are_predicted() {
         ("mean", "k * odd * mu / 1000", 4.0),
         ("mean", "k * time", 0.5),
         ("mean", "k * (mu / 1000)^2", 10.0),
+        ("gradient_y", "k * (mu / 1000)^2", 1.0),
+        ("gradient_x", "k", 0.1),
+        ("curvature_y", "k", 0.1),
+        ("curvature_x", "k * (mu / 1000)^2", 1.0),
     ]
     .into_iter()
     .enumerate()

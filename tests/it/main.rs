@@ -36,6 +36,7 @@ mod import_files;
 mod import_levels;
 mod import_names;
 mod investigate;
+mod jitter_of_the_samples;
 mod judge;
 mod killed;
 mod laws;
@@ -50,6 +51,7 @@ mod noise;
 #[cfg(feature = "aravis")]
 mod outages;
 mod outside;
+mod own_effects;
 mod predictions;
 mod program;
 mod real;

@@ -443,12 +443,19 @@ fn unregister(id: &str) -> PyResult<()> {
     Err(PyValueError::new_err(format!("no effect {id:?} was registered in this process")))
 }
 
+/// Makes the effects of a folder's files known to all verbs in this process: their names.
+#[pyfunction]
+fn load_effects(folder: std::path::PathBuf) -> PyResult<Vec<String>> {
+    radcam::model::register_own_effects(&folder).map_err(|e| PyValueError::new_err(e.to_string()))
+}
+
 pub fn add(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<SetPrediction>()?;
     m.add_class::<Prediction>()?;
     m.add_class::<Campaign>()?;
     m.add_class::<Drawn>()?;
     m.add_class::<PlainCamera>()?;
+    m.add_function(wrap_pyfunction!(load_effects, m)?)?;
     m.add_function(wrap_pyfunction!(register, m)?)?;
     m.add_function(wrap_pyfunction!(unregister, m)?)
 }

@@ -337,10 +337,12 @@ fn check_model(text: &str) -> PyResult<String> {
 #[pyfunction]
 fn add_to_model(text: &str, effect: &str, parameters: BTreeMap<String, f64>) -> PyResult<String> {
     let mut model = radcam_sim::Model::from_toml(text).map_err(Raised::raised)?;
-    if model.effects.iter().any(|e| e.id == effect) {
+    if model.effects.iter().any(|e| e.called() == effect) {
         return Err(ModelError::new_err(format!("the model has {effect} already")));
     }
-    model.effects.push(radcam_sim::EffectValues { id: effect.into(), parameters, ..Default::default() });
+    let mut entry = radcam_sim::EffectValues::new(effect);
+    entry.parameters.extend(parameters);
+    model.effects.push(entry);
     model.check().map_err(Raised::raised)?;
     model.to_toml().map_err(Raised::raised)
 }
@@ -350,7 +352,7 @@ fn add_to_model(text: &str, effect: &str, parameters: BTreeMap<String, f64>) -> 
 fn remove_from_model(text: &str, effect: &str) -> PyResult<String> {
     let mut model = radcam_sim::Model::from_toml(text).map_err(Raised::raised)?;
     let before = model.effects.len();
-    model.effects.retain(|e| e.id != effect);
+    model.effects.retain(|e| e.called() != effect);
     if model.effects.len() == before {
         return Err(ModelError::new_err(format!("the model has no effect \"{effect}\"")));
     }

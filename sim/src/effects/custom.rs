@@ -10,7 +10,9 @@
 //! units = { k = "DN/s" }
 //! ```
 //!
-//! Formulas give the change of `mean` (DN), of `variance`, `row`, `column`, `common` (DN^2), of the covariance
+//! Formulas give the change of `mean` (DN), of `variance`, `row`, `column`, `common` (DN^2), of the gradient and
+//! the curvature of frames down the rows and across the columns (`gradient_y`, `gradient_x`, `curvature_y`,
+//! `curvature_x`, DN^2, mean over the pixels), of the covariance
 //! `cov_YX` of pixels Y rows and X columns apart (up to 3 of each; both diagonals alike), of `cov_1-1` (what the
 //! diagonal up to the right has beyond the other), and of `parity_01`, `parity_10` (what a neighbour covariance
 //! from odd columns, rows has more than from even ones). They are formulas of the parameters, of mu (mean above
@@ -18,16 +20,32 @@
 //! (relative to the bench's unit). `mean` may also use time (s from the first frame) and odd (1 in every second
 //! frame, else 0); when frames are drawn, `mean` and `variance` may also use row, column and parity (0 or 1).
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
-use crate::predict::{LAGS, SetPrediction};
+use super::own::page_of;
+use super::{Campaign, Drawing, Effect, OwnPage, Page, Parameter, Plain, Prediction, Stage};
+use crate::EffectValues;
+use crate::predict::{LAGS, SHAPES, SetPrediction, shape_at};
 use crate::text::{echo, echo_message};
 use exmex::{Express, FlatEx};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{LazyLock, Mutex};
 
 /// Statistics that a formula may change, beside covariances.
-const TARGETS: [&str; 8] =
-    ["mean", "variance", "row", "column", "common", "parity_01", "parity_10", "cov_1-1"];
+const TARGETS: [&str; 12] = [
+    "mean",
+    "variance",
+    "row",
+    "column",
+    "common",
+    "parity_01",
+    "parity_10",
+    "cov_1-1",
+    "gradient_y",
+    "gradient_x",
+    "curvature_y",
+    "curvature_x",
+];
+/// Targets of the field's shapes, down the rows and across the columns.
+const OF_FIELD: [[&str; SHAPES]; 2] = [["gradient_y", "curvature_y"], ["gradient_x", "curvature_x"]];
 /// Variables of a formula beside its parameters.
 const VARIABLES: [&str; 9] =
     ["mu", "exposure", "illumination", "row", "column", "parity", "time", "odd", "noise"];
@@ -51,6 +69,9 @@ fn lag(target: &str) -> Option<(usize, usize)> {
 fn targets() -> String {
     format!("{} and covariances such as cov_01 (up to 3 rows and columns apart)", TARGETS.join(", "))
 }
+
+/// End of the range of a parameter without bounds.
+pub const UNBOUNDED: f64 = 1e12;
 
 /// Characters of a formula. The parser takes time with their square: the longest allowed takes some
 /// milliseconds, 10^6 took minutes.
@@ -156,6 +177,8 @@ pub struct Custom {
     name: &'static str,
     parameters: &'static [Parameter],
     formulas: BTreeMap<String, Formula>,
+    written: EffectValues,
+    page: Page,
 }
 
 /// Description of an effect of formulas, as a model file has it.
@@ -171,12 +194,14 @@ pub struct Described<'a> {
     pub bounds: &'a BTreeMap<String, [f64; 2]>,
     /// Units of parameters.
     pub units: &'a BTreeMap<String, String>,
+    /// Page, where there is one.
+    pub page: Option<&'a OwnPage>,
 }
 
 impl Described<'_> {
     /// Lowest and highest value of a parameter.
     pub fn bounds_of(&self, parameter: &str) -> [f64; 2] {
-        self.bounds.get(parameter).copied().unwrap_or([-1e12, 1e12])
+        self.bounds.get(parameter).copied().unwrap_or([-UNBOUNDED, UNBOUNDED])
     }
 
     /// Checks formulas and bounds; nothing is kept.
@@ -221,6 +246,8 @@ pub fn custom(described: Described<'_>) -> Result<&'static dyn Effect, String> {
         name: keep(described.name),
         parameters: Box::leak(parameters.into_boxed_slice()),
         formulas,
+        written: Custom::written_as(&described),
+        page: page_of(&described),
     }));
     kept.insert(key, effect);
     Ok(effect)
@@ -306,16 +333,11 @@ impl Effect for Custom {
     }
 
     fn page(&self) -> Page {
-        Page {
-            what: "An effect of the user's own, written as formulas in the model file.",
-            equation: "see the model file",
-            signature: "see the model file",
-            look_alikes: "not known",
-            remedy: "not known",
-            measure: "the statistic that its formula changes, at more levels",
-            sets: takes::PAIRS,
-            source: "the user",
-        }
+        self.page
+    }
+
+    fn written(&self) -> Option<EffectValues> {
+        Some(self.written.clone())
     }
 
     fn is_in_time(&self, _: &[f64]) -> bool {
@@ -338,6 +360,14 @@ impl Effect for Custom {
             s.row.add(of("row"));
             s.column.add(of("column"));
             s.common += of("common");
+            for (variances, targets) in [&mut s.fields.down, &mut s.fields.across].into_iter().zip(OF_FIELD) {
+                for (variance, target) in variances.iter_mut().zip(targets) {
+                    let own = of(target);
+                    *variance += own;
+                    // The square of a cosine has the variance 1/2 over the pixels.
+                    s.unequal += 0.5 * own * own;
+                }
+            }
             s.parity = (s.parity.0 + of("parity_01"), s.parity.1 + of("parity_10"));
             s.uphill += of("cov_1-1");
         }
@@ -380,6 +410,19 @@ impl Effect for Custom {
                 d.add_to_lines(&tag(target), axis, libm::sqrt(variance));
             }
         }
+        for (axis, targets) in OF_FIELD.into_iter().enumerate() {
+            for (shape, target) in targets.into_iter().enumerate() {
+                let variance = of(target);
+                if variance > 0.0 {
+                    let size = libm::sqrt(variance) * d.random(&tag(target), d.frame, 0).normal();
+                    let lines = d.image.len_of(ndarray::Axis(axis));
+                    for line in 0..lines {
+                        let moved = size * shape_at(shape, line, lines);
+                        d.image.index_axis_mut(ndarray::Axis(axis), line).mapv_inplace(|v| v + moved);
+                    }
+                }
+            }
+        }
         let common = of("common");
         if common > 0.0 {
             d.image += libm::sqrt(common) * d.random(&tag("common"), d.frame, 0).normal();
@@ -388,12 +431,26 @@ impl Effect for Custom {
 }
 
 impl Custom {
+    /// Entry of a model file.
+    pub(super) fn written_as(described: &Described<'_>) -> EffectValues {
+        EffectValues {
+            id: "custom".into(),
+            name: Some(described.name.into()),
+            parameters: described.values.clone(),
+            formulas: described.formulas.clone(),
+            bounds: described.bounds.clone(),
+            units: described.units.clone(),
+            ..Default::default()
+        }
+    }
+
     /// Covariances that the formulas give, by rows and columns between the pixels, DN^2.
     fn lags(&self, p: &[f64], variables: &Variables) -> Vec<((usize, usize), f64)> {
         self.formulas.iter().filter_map(|(target, f)| Some((lag(target)?, f.eval(p, variables)))).collect()
     }
 
-    /// Moves the mean of a set and its frames; the noise follows the slope.
+    /// Moves the mean of a set and its frames; the noise follows the slope, which may be another one in each
+    /// frame.
     fn shift(
         &self,
         mean: &Formula,
@@ -404,25 +461,31 @@ impl Custom {
         frames: &mut [f64],
     ) {
         let (mut sum, mut count) = (0.0, 0.0);
+        let near = SLOPE_STEP * s.signal.abs().max(1.0);
+        // Square of the slope at a frame.
+        let square = |at: &Variables| {
+            let beside = |by: f64| {
+                let mut variables = *at;
+                variables[0] += by;
+                mean.eval(p, &variables)
+            };
+            (1.0 + (beside(near) - beside(-near)) / (2.0 * near)).powi(2)
+        };
+        let mut squares = 0.0;
         for (k, frame) in c.frames.iter().enumerate().filter(|(_, f)| f.set == set) {
             let mut variables = at;
             variables[OF_FRAMES].copy_from_slice(&[frame.time_s, (k % 2) as f64]);
             let Some(m) = frames.get_mut(k) else { continue };
             variables[0] = *m;
+            squares += square(&variables);
             let shift = mean.eval(p, &variables);
             *m += shift;
             (sum, count) = (sum + shift, count + 1.0);
         }
-        let near = SLOPE_STEP * s.signal.abs().max(1.0);
-        let beside = |by: f64| {
-            let mut variables = at;
-            variables[0] += by;
-            mean.eval(p, &variables)
-        };
-        let slope = 1.0 + (beside(near) - beside(-near)) / (2.0 * near);
+        let squares = if count > 0.0 { squares / count } else { square(&at) };
         s.signal += if count > 0.0 { sum / count } else { mean.eval(p, &at) };
         if mean.uses(0) {
-            s.scale(slope * slope);
+            s.scale(squares);
         }
     }
 }
@@ -517,8 +580,14 @@ mod tests {
         let formulas = BTreeMap::from([("variance".to_string(), "k * mu".to_string())]);
         let values = BTreeMap::from([("k".to_string(), 0.25)]);
         let (bounds, units) = (BTreeMap::new(), BTreeMap::new());
-        let of =
-            |name| Described { name, formulas: &formulas, values: &values, bounds: &bounds, units: &units };
+        let of = |name| Described {
+            name,
+            formulas: &formulas,
+            values: &values,
+            bounds: &bounds,
+            units: &units,
+            page: None,
+        };
         let place = |effect: &'static dyn Effect| std::ptr::from_ref(effect).cast::<()>();
         let first = custom(of("kept once")).unwrap();
         assert!(of("kept once").check().is_ok());

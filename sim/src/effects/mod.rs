@@ -415,6 +415,10 @@ pub trait Effect: Sync + Send {
     }
     /// Its parameters.
     fn parameters(&self) -> &'static [Parameter];
+    /// Entry of a model file that can be read without it, where formulas make it.
+    fn written(&self) -> Option<crate::EffectValues> {
+        None
+    }
     /// Whether a fit leaves the sign of the parameters as it finds it: where positive and negative are two ways of the same thing, and
     /// the statistics have a kink between them. Every combination of signs is tried.
     fn keeps_sign(&self) -> bool {
@@ -614,8 +618,11 @@ pub fn shifted(image: &ndarray::Array2<f64>, dy: i32, dx: i32) -> ndarray::Array
 
 mod chain;
 mod custom;
+mod own;
 pub use chain::{Chain, predict};
-pub use custom::{Described, custom};
+use custom::Custom;
+pub use custom::{Described, UNBOUNDED, custom};
+pub use own::{OwnEffect, OwnPage};
 
 macro_rules! effects {
     ($($module:ident::$name:ident)*) => {

@@ -1,6 +1,6 @@
 //! The grammar of laws: what a law may change, and how it may grow.
 
-use radcam_sim::effects::{Described, Effect, custom};
+use radcam_sim::effects::{Described, Effect, UNBOUNDED, custom};
 use std::sync::LazyLock;
 
 /// Statistic that a law changes, or several in a fixed ratio.
@@ -25,7 +25,7 @@ pub enum Kind {
     Pixels,
     /// Noise that pixels of a frame share in pairs, DN².
     Shared,
-    /// Noise of whole lines or frames, DN².
+    /// Noise of whole lines, frames or fields, DN².
     Lines,
     /// Level, DN.
     Level,
@@ -212,6 +212,48 @@ pub const TARGETS: &[Target] = &[
         words: "common to the pixels of a frame",
         kind: Kind::Lines,
         parts: &[("common", 1.0)],
+        adds: true,
+    },
+    Target {
+        name: "gradient down",
+        words: "of a field that tilts down the rows, anew in each frame",
+        kind: Kind::Lines,
+        parts: &[("gradient_y", 1.0)],
+        adds: true,
+    },
+    Target {
+        name: "gradient across",
+        words: "of a field that tilts across the columns, anew in each frame",
+        kind: Kind::Lines,
+        parts: &[("gradient_x", 1.0)],
+        adds: true,
+    },
+    Target {
+        name: "gradients",
+        words: "of a field that tilts to any side, anew in each frame",
+        kind: Kind::Lines,
+        parts: &[("gradient_y", 1.0), ("gradient_x", 1.0)],
+        adds: true,
+    },
+    Target {
+        name: "curvature down",
+        words: "of a field that bends down the rows, anew in each frame",
+        kind: Kind::Lines,
+        parts: &[("curvature_y", 1.0)],
+        adds: true,
+    },
+    Target {
+        name: "curvature across",
+        words: "of a field that bends across the columns, anew in each frame",
+        kind: Kind::Lines,
+        parts: &[("curvature_x", 1.0)],
+        adds: true,
+    },
+    Target {
+        name: "bulge",
+        words: "of a field that bulges, anew in each frame: its middle against its corners",
+        kind: Kind::Lines,
+        parts: &[("curvature_y", 1.0), ("curvature_x", 1.0)],
         adds: true,
     },
     Target { name: "mean", words: "level", kind: Kind::Level, parts: &[("mean", 1.0)], adds: false },
@@ -513,17 +555,23 @@ fn law(target: &'static Target, shape: &'static Shape) -> Option<Law> {
     };
     let units = names.iter().map(|name| (owned(name), unit(name))).collect();
     // Lines, frames and blocks have no noise in the model of which less could be there.
-    let least = if target.adds { 0.0 } else { -1e12 };
+    let least = if target.adds { 0.0 } else { -UNBOUNDED };
     let bound = |name: &&str| match *name {
-        "k" => Some([least, 1e12]),
+        "k" => Some([least, UNBOUNDED]),
         "m" => Some([1e-3, 1e6]),
         "p" => Some([0.3, 6.0]),
         _ => None,
     };
     let bounds = names.iter().filter_map(|name| Some((owned(name), bound(name)?))).collect();
     let name = format!("law {} = {}", target.name, shape.formula);
-    let described =
-        Described { name: &name, formulas: &formulas, values: &values, bounds: &bounds, units: &units };
+    let described = Described {
+        name: &name,
+        formulas: &formulas,
+        values: &values,
+        bounds: &bounds,
+        units: &units,
+        page: None,
+    };
     Some(Law { target, shape, effect: custom(described).ok()? })
 }
 

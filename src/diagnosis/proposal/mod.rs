@@ -7,6 +7,7 @@
 
 mod causes;
 mod laws;
+mod own;
 mod said;
 
 use super::search::{NEEDED, score};
@@ -495,6 +496,10 @@ fn part_of_variance(law: &Law, [with, without]: [&Prediction; 2], set: usize) ->
         "row" => s.row.lag(0),
         "column" => s.column.lag(0),
         "common" => s.common,
+        "gradient_y" => s.fields.down[0],
+        "gradient_x" => s.fields.across[0],
+        "curvature_y" => s.fields.down[1],
+        "curvature_x" => s.fields.across[1],
         "cov_1-1" => s.uphill,
         "parity_01" => s.parity.0,
         "parity_10" => s.parity.1,

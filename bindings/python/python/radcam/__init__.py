@@ -44,7 +44,7 @@ from radcam._radcam import (
     Sensor,
     __version__,
 )
-from radcam.effects import Effect, Page, Parameter, register, unregister
+from radcam.effects import Effect, Page, Parameter, load_effects, register, unregister
 from radcam.results import (
     Comparison,
     Diagnosis,
@@ -53,17 +53,18 @@ from radcam.results import (
     Missing,
     NoiseLevel,
     NoiseReport,
+    Proposal,
     Quantity,
-    Residual,
     Remainder,
+    Residual,
     Rung,
 )
 
 __all__ = [
     "HAS_ARAVIS", "CalibrateError", "Calibration", "Camera", "CameraError", "CaptureError", "Comparison", "CorrectError", "Corrector", "Dataset",
     "DatasetError", "Diagnosis", "Effect", "EmvaError", "Evaluation", "Frames", "FrameStatistics", "Missing", "Model", "ModelError", "Moments",
-    "NoiseError", "NoiseLevel", "NoiseReport", "ObserveError", "Page", "Parameter", "Plane", "PlanError", "Quantity", "RadcamError", "Remainder", "Residual", "Rung",
-    "Sensor", "Set", "__version__", "calibrate", "cameras", "capture", "compare", "diagnose", "effects_known", "emva", "merge", "moments",
+    "NoiseError", "NoiseLevel", "NoiseReport", "ObserveError", "Page", "Parameter", "Plane", "PlanError", "Proposal", "Quantity", "RadcamError", "Remainder",
+    "Residual", "Rung", "Sensor", "Set", "__version__", "calibrate", "cameras", "capture", "compare", "diagnose", "effects_known", "emva", "load_effects", "merge", "moments",
     "noise", "reduce", "register", "simulate", "statistics", "unregister",
 ]  # fmt: skip
 

@@ -9,7 +9,7 @@ __all__ = [
     "CalibrateError", "Calibration", "Camera", "CameraError", "Campaign", "CaptureError", "CorrectError", "Corrector", "Dataset",
     "DatasetError", "Drawn", "EmvaError", "Frames", "HAS_ARAVIS", "ModelError", "Moments", "NoiseError", "ObserveError", "PlainCamera",
     "PlanError", "Prediction", "RadcamError", "Sensor", "SetPrediction", "__version__", "add_to_model", "calibrate", "cameras", "capture",
-    "catalogue", "check_model", "compare", "diagnose", "emva", "fit_model", "load_model", "main", "may_be_written", "noise", "reduce", "register",
+    "catalogue", "check_model", "compare", "diagnose", "emva", "fit_model", "load_effects", "load_model", "main", "may_be_written", "noise", "reduce", "register",
     "remove_from_model", "statistics", "unregister",
 ]
 
@@ -88,6 +88,7 @@ def register(
     sets: str,
 ) -> None: ...
 def unregister(id: str) -> None: ...
+def load_effects(folder: str) -> list[str]: ...
 
 @final
 class Dataset:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from os import PathLike, fspath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from radcam import _radcam
 from radcam._radcam import Campaign, Drawn, PlainCamera, Prediction, SetPrediction
 
-__all__ = ["Campaign", "Drawn", "Effect", "Page", "Parameter", "PlainCamera", "Prediction", "SetPrediction", "register", "unregister"]
+__all__ = ["Campaign", "Drawn", "Effect", "Page", "Parameter", "PlainCamera", "Prediction", "SetPrediction", "load_effects", "register", "unregister"]
 
 
 @dataclass(frozen=True)
@@ -86,3 +87,11 @@ def register(effect: Effect) -> None:
 def unregister(effect: Effect | str) -> None:
     """Takes an effect of one's own out again, by itself or by its `id`. Raises ValueError where there is none."""
     _radcam.unregister(effect if isinstance(effect, str) else effect.id)
+
+
+def load_effects(folder: str | PathLike[str]) -> list[str]:
+    """Makes the effects of a folder's files (*.toml, as `radcam effects new` writes them) known, in this process; their names.
+
+    Raises ValueError where a file is no effect, or another effect has its name.
+    """
+    return _radcam.load_effects(fspath(folder))

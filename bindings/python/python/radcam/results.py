@@ -260,6 +260,32 @@ class Remainder:
 
 
 @dataclass(frozen=True)
+class Proposal:
+    """A law for what no effect of the catalogue explains: `radcam effects new` makes an effect of it, `radcam model add --proposal` adds it."""
+
+    #: Formula of each statistic that it changes, as a custom effect has them.
+    formulas: dict[str, str]
+    parameters: dict[str, Quantity]
+    #: Named effects beside it; none where it stands in their place.
+    beside: list[str]
+    error_before: float
+    error_after: float
+    p_value: float
+    text: str
+    causes: list[str]
+    next_measurement: str | None
+    #: Relative errors of gain, read noise and linearity where it is left out of account.
+    cost: dict[str, float | None]
+    #: Share of the gain by which it may be off where a filter mixes pixels that share noise.
+    gain_open_rel: float
+
+    @classmethod
+    def of(cls, d: dict[str, Any]) -> Proposal:
+        parameters = {name: Quantity.of(q) for name, q in d["parameters"].items()}
+        return cls(**{**d, "parameters": parameters})
+
+
+@dataclass(frozen=True)
 class Rung:
     """A rung of the ladder: the error once `added` (None: the starting model) was added."""
 
@@ -289,6 +315,8 @@ class Diagnosis(Result):
     dark_current_e_per_s: Quantity | None = None
     #: The measurement that would tell the closest candidates apart, as a plan that `capture` takes.
     next_plan: str | None = None
+    #: None where the catalogue explains what was measured.
+    proposal: Proposal | None = None
 
     @classmethod
     def of(cls, d: dict[str, Any]) -> Diagnosis:
@@ -308,6 +336,7 @@ class Diagnosis(Result):
             d["gain_dn_per_e"] and Quantity.of(d["gain_dn_per_e"]),
             d["read_noise_e"] and Quantity.of(d["read_noise_e"]),
             d["dark_current_e_per_s"] and Quantity.of(d["dark_current_e_per_s"]),
+            proposal=d["proposal"] and Proposal.of(d["proposal"]),
         )  # fmt: skip
 
     def with_plan(self, plan: str | None) -> Diagnosis:

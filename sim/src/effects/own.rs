@@ -1,0 +1,184 @@
+//! Effects of a user's own in files: formulas with a name and a page, which join the catalogue.
+
+use super::{Custom, Described, Effect, Page, custom, find, register, takes};
+use crate::text::echo;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Characters of a name.
+const MAX_NAME_CHARACTERS: usize = 60;
+
+/// Effect of a user's own: formulas, as a custom effect of a model file has them, with a name and a page.
+///
+/// ```
+/// use radcam_sim::effects::{OwnEffect, considered};
+///
+/// let own = OwnEffect::from_toml(
+///     r#"
+///     name = "jitter-of-the-samples"
+///     formulas = { variance = "k * (mu / 1000)^2" }
+///     parameters = { k = 8.0 }
+///     [page]
+///     what = "The instant at which a sample is taken jitters."
+///     "#,
+/// )?;
+/// own.register()?;
+/// assert!(considered().iter().any(|e| e.id() == "jitter-of-the-samples"));
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OwnEffect {
+    /// Identifier: small letters, digits and hyphens.
+    pub name: String,
+    /// Formula for each target.
+    pub formulas: BTreeMap<String, String>,
+    /// Parameters, with the values at which a search begins.
+    #[serde(default)]
+    pub parameters: BTreeMap<String, f64>,
+    /// Lowest and highest value of a parameter.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub bounds: BTreeMap<String, [f64; 2]>,
+    /// Units of parameters.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub units: BTreeMap<String, String>,
+    /// Page of the effect.
+    #[serde(default)]
+    pub page: OwnPage,
+}
+
+/// Page of an effect of a user's own; what is empty is said not to be known.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct OwnPage {
+    /// Cause, in a sentence or two.
+    pub what: String,
+    /// Statistic that moves, and how.
+    pub signature: String,
+    /// Ways to tell it from what looks like it.
+    pub look_alikes: String,
+    /// Remedies, the first one first, separated by semicolons.
+    pub remedy: String,
+    /// Measurement that separates it from its look-alikes.
+    pub measure: String,
+    /// Place where it is described.
+    pub source: String,
+}
+
+impl OwnEffect {
+    /// Reads a file of an effect.
+    ///
+    /// # Errors
+    ///
+    /// Which line, name, formula or bound cannot be understood.
+    pub fn from_toml(text: &str) -> Result<Self, String> {
+        let own: Self = toml::from_str(text)
+            .map_err(|e| crate::text::echo_message(&e.to_string()).trim_end().to_string())?;
+        own.check()?;
+        Ok(own)
+    }
+
+    /// The effect as a file.
+    ///
+    /// # Errors
+    ///
+    /// A number that TOML does not have.
+    pub fn to_toml(&self) -> Result<String, String> {
+        toml::to_string(self).map_err(|e| e.to_string())
+    }
+
+    /// Checks name, formulas, values and bounds; nothing is kept.
+    ///
+    /// # Errors
+    ///
+    /// Which of them cannot be understood.
+    pub fn check(&self) -> Result<(), String> {
+        self.check_name()?;
+        let described = self.described();
+        described.check()?;
+        for (name, value) in &self.parameters {
+            let [min, max] = described.bounds_of(name);
+            if !(min..=max).contains(value) {
+                return Err(format!("parameter {} = {value} is not within {min} to {max}", echo(name)));
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks the name alone.
+    ///
+    /// # Errors
+    ///
+    /// What a name is made of.
+    pub fn check_name(&self) -> Result<(), String> {
+        let is_of_name = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
+        let fits = (1..=MAX_NAME_CHARACTERS).contains(&self.name.chars().count());
+        if !fits || !self.name.chars().all(is_of_name) || self.name.starts_with('-') {
+            return Err(format!(
+                "name = \"{}\": a name has up to {MAX_NAME_CHARACTERS} small letters, digits and hyphens",
+                echo(&self.name)
+            ));
+        }
+        Ok(())
+    }
+
+    /// The effect. It is kept until the program ends.
+    ///
+    /// # Errors
+    ///
+    /// As [`check`](Self::check).
+    pub fn effect(&self) -> Result<&'static dyn Effect, String> {
+        self.check()?;
+        custom(self.described())
+    }
+
+    /// Makes it known for as long as the program runs, as [`register`] does.
+    ///
+    /// # Errors
+    ///
+    /// As [`check`](Self::check), or another effect has its name.
+    pub fn register(&self) -> Result<(), String> {
+        let effect = self.effect()?;
+        // The same file may lie in two folders.
+        if find(&self.name).is_some_and(|known| known.written().is_some_and(|w| w == self.written())) {
+            return Ok(());
+        }
+        register(effect)
+    }
+
+    fn described(&self) -> Described<'_> {
+        Described {
+            name: &self.name,
+            formulas: &self.formulas,
+            values: &self.parameters,
+            bounds: &self.bounds,
+            units: &self.units,
+            page: Some(&self.page),
+        }
+    }
+
+    fn written(&self) -> crate::EffectValues {
+        Custom::written_as(&self.described())
+    }
+}
+
+/// Page of an effect of formulas.
+pub(super) fn page_of(described: &Described<'_>) -> Page {
+    let keep = |text: &str| -> &'static str { Box::leak(text.to_string().into_boxed_str()) };
+    let or = |text: Option<&String>, otherwise: &'static str| match text.filter(|t| !t.trim().is_empty()) {
+        Some(text) => keep(text.trim()),
+        None => otherwise,
+    };
+    let of = described.page;
+    let equation: Vec<String> = described.formulas.iter().map(|(t, f)| format!("{t} + {f}")).collect();
+    Page {
+        what: or(of.map(|p| &p.what), "An effect of the user's own, written as formulas."),
+        equation: keep(&equation.join("; ")),
+        signature: or(of.map(|p| &p.signature), "the statistics that its formulas change"),
+        look_alikes: or(of.map(|p| &p.look_alikes), ""),
+        remedy: or(of.map(|p| &p.remedy), ""),
+        measure: or(of.map(|p| &p.measure), "the statistic that its formula changes, at more levels"),
+        sets: takes::PAIRS,
+        source: or(of.map(|p| &p.source), "the user"),
+    }
+}
