@@ -202,7 +202,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             "choice" => String::new(),
             unit if p.max == UNBOUNDED => {
                 let least = if p.min == 0.0 { ", not negative" } else { "" };
-                format!(" ({}{least})", if unit == "1" { "a ratio".into() } else { pretty(unit) })
+                format!(" ({}{least})", if unit == "1" { "a ratio" } else { pretty(unit) })
             }
             unit => {
                 format!(" ({} to {}{}{})", p.min, p.max, if unit == "1" { "" } else { " " }, pretty(unit))

@@ -176,7 +176,7 @@ struct Lags {
     ripple: [f64; LAGS],
     /// Columns from -3 on.
     lines: [[f64; 2 * LAGS - 1]; LAGS],
-    /// Of the field's shapes: by rows and by columns apart.
+    /// Covariances of the field's shapes, by rows and by columns apart.
     fields: [[f64; LAGS]; 2],
     /// Of the means of rows, times the pixels of one: of shot noise and of read noise.
     of_rows: [[f64; LAGS]; 2],
@@ -219,7 +219,7 @@ impl Lags {
         self.lines[near(dy)][(along + LAGS as i32 - 1).clamp(0, 2 * LAGS as i32 - 2) as usize]
     }
 
-    /// Of the field's shapes.
+    /// Covariance of the field's shapes.
     fn fields(&self, dy: i32, dx: i32) -> f64 {
         self.fields[0][near(dy)] + self.fields[1][near(dx)]
     }

@@ -330,7 +330,7 @@ impl Peak {
         of_lines.chain(of_rows).map(|(variance, ripple)| variance * of_one(ripple)).sum()
     }
 
-    /// The same of the field's shapes, from what each of variance 1 has.
+    /// Power of the field's shapes there, DN^2, from what each of variance 1 has.
     fn field_dn2(&self, s: &SetPrediction, of_shapes: &[f64; SHAPES]) -> f64 {
         let shapes = if self.axis == Axis::Rows { s.fields.down } else { s.fields.across };
         shapes.iter().zip(of_shapes).map(|(variance, power)| variance * power).sum()

@@ -109,7 +109,7 @@ impl OwnEffect {
     ///
     /// # Errors
     ///
-    /// What a name is made of.
+    /// A name with other characters, or too many.
     pub fn check_name(&self) -> Result<(), String> {
         let is_of_name = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
         let fits = (1..=MAX_NAME_CHARACTERS).contains(&self.name.chars().count());
