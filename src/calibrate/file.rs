@@ -95,11 +95,25 @@ const CURRENT: &str = "dark_current_dn_per_s";
 const DEFECTS: &str = "defects";
 
 impl Description {
+    /// True where K contains the light of the flats: a correction takes off lens shading, lamp and card as well.
+    pub fn is_flat_field(&self) -> bool {
+        self.estimator.starts_with(super::flat_field::NAME)
+    }
+
     /// Error of K that the dark reference leaves: its own over the level at which K was measured.
     pub fn dark_error_of_k(&self) -> f64 {
         match (self.dark_std_err_dn, self.k_level_dn) {
             (Some(error), Some(level)) => error / level,
             _ => 0.0,
+        }
+    }
+
+    /// Kind of correction that it makes, in words.
+    pub fn correction(&self) -> &'static str {
+        if self.is_flat_field() {
+            "flat-field: the light of the flats is taken off"
+        } else {
+            "by the pixels' own response: the light stays"
         }
     }
 

@@ -4,6 +4,7 @@ mod colour;
 pub mod dark;
 pub mod defects;
 pub mod file;
+mod flat_field;
 mod flats;
 pub mod joint;
 pub mod pattern;
@@ -38,6 +39,16 @@ pub enum Estimator {
     /// One configuration is enough: its light as a smooth surface. K then contains the card and all of the lamp that the
     /// surface does not follow ([`joint::smooth`]).
     Smooth,
+    /// The light of the flats stays in K, so that corrected flats are even: lens shading, lamp and card are taken
+    /// off with the fixed pattern. One configuration is enough.
+    FlatField,
+}
+
+impl Estimator {
+    /// True where flats of one configuration are enough, all of which are used.
+    fn takes_all(self) -> bool {
+        matches!(self, Self::Smooth | Self::FlatField)
+    }
 }
 
 /// Why a dataset gives no calibration.
@@ -204,11 +215,12 @@ pub struct Calibrated {
 }
 
 /// Dark reference and K from a dataset: darks at any exposures, and flats of three configurations or more at one exposure
-/// and light (one is enough for [`Estimator::Smooth`]). Frames are read one at a time: memory holds one mean image for each
+/// and light (one is enough for [`Estimator::Smooth`] and [`Estimator::FlatField`]). Frames are read one at a
+/// time: memory holds one mean image for each
 /// configuration, however many frames went into it.
 ///
 /// Of flats with several exposures the one with the most configurations is taken, of equal ones the longest;
-/// [`Estimator::Smooth`] takes all flats. Pixels that are dead or get no light are flagged and have K = 1; a K
+/// [`Estimator::Smooth`] and [`Estimator::FlatField`] take all flats. Pixels that are dead or get no light are flagged and have K = 1; a K
 /// whose error exceeds what it corrects is refused.
 ///
 /// # Errors
@@ -225,7 +237,7 @@ pub fn of_dataset(
         return Err(CalibrateError::NoFlats);
     };
     // Before anything is read.
-    if configurations.len() < 3 && estimator != Estimator::Smooth {
+    if configurations.len() < 3 && !estimator.takes_all() {
         return Err(PatternError::TooFew(configurations.len()).into());
     }
     let means = dark_means(dataset)?;
@@ -237,9 +249,10 @@ pub fn of_dataset(
     }
     let line = noise.map(|n| (n.gain_dn_per_e.value, n.constant_noise_var_dn2.value));
     let line = line.filter(|(a, c)| a.is_finite() && c.is_finite());
-    let flats = match estimator {
-        Estimator::Smooth => flats::of_all(dataset, &dark, line)?,
-        _ => flats::of_level(dataset, &configurations, &level, line)?,
+    let flats = if estimator.takes_all() {
+        flats::of_all(dataset, &dark, line)?
+    } else {
+        flats::of_level(dataset, &configurations, &level, line)?
     };
     let mosaic = dataset.manifest().camera.is_mosaic();
     let (mut pattern, light) = if mosaic {
@@ -257,9 +270,12 @@ pub fn of_dataset(
     without_defects(&mut pattern, &defects, mosaic);
     let darks = means.iter().map(|d| d.frames).sum();
     // The noise of the planes of a mosaic is not that of all pixels.
-    let has_card = estimator == Estimator::Smooth
-        || (!mosaic && worth::differ_by_noise_alone(&pattern, &flats.noise_dn2));
+    let has_card =
+        estimator.takes_all() || (!mosaic && worth::differ_by_noise_alone(&pattern, &flats.noise_dn2));
     worth::check(&pattern, &defects, &dark, flats.frames.iter().sum(), darks)?;
+    if estimator == Estimator::FlatField {
+        flat_field::with_light(&mut pattern, &flats.images, &defects, mosaic);
+    }
     let camera = &dataset.manifest().camera;
     let description = Description {
         gain_dn_per_e: gain,
@@ -313,7 +329,7 @@ fn estimate(
         Estimator::Joint => joint::joint_of(images, sound),
         Estimator::Paper(o) if sound.iter().all(|s| *s) => pattern::paper(images, o),
         Estimator::Paper(o) => pattern::paper_of(&joint::filled(images, sound), o, sound),
-        Estimator::Smooth => joint::smooth_of(images, noise_dn2, sound),
+        Estimator::Smooth | Estimator::FlatField => joint::smooth_of(images, noise_dn2, sound),
     };
     let mut pattern = once(&sound)?;
     for _ in 0..ROUNDS {
@@ -356,6 +372,9 @@ fn name_of(estimator: Estimator, mosaic: bool) -> String {
         Estimator::Paper(o) => format!("paper: window {}, p {}, start {:?}", o.window, o.p, o.start),
         Estimator::Smooth => {
             "smooth: one configuration; K contains the card and the lamp's fine structure".to_string()
+        }
+        Estimator::FlatField => {
+            format!("{}: K contains the light of the flats (lens shading, lamp, card)", flat_field::NAME)
         }
     };
     name + if mosaic { "; each plane of the colour mosaic by itself" } else { "" }

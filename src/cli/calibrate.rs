@@ -28,6 +28,10 @@ pub struct Arguments {
     /// and K then contains the card and the lamp's fine structure
     #[arg(long, default_value = "joint", value_parser = ["joint", "paper", "smooth"])]
     estimator: String,
+    /// Flat-field correction: (I - D) / (F - D) times its mean. Lens shading, lamp and card are taken off with
+    /// the fixed pattern; flats of one position are enough
+    #[arg(long, conflicts_with = "estimator")]
+    flat_field: bool,
     /// paper: side of the window, pixels, an odd number [default: 9]
     #[arg(long, value_parser = window)]
     window: Option<usize>,
@@ -95,13 +99,12 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     may_be_written(&arguments.output, arguments.overwrite)?;
     let of_paper = arguments.window.is_some() || arguments.p.is_some() || arguments.start_at_mean;
     if of_paper && arguments.estimator != "paper" {
-        bail!(
-            "--window, --p and --start-at-mean belong to --estimator paper, and it is {}",
-            arguments.estimator
-        );
+        let other = if arguments.flat_field { "--flat-field" } else { &arguments.estimator };
+        bail!("--window, --p and --start-at-mean belong to --estimator paper, and it is {other}");
     }
     let start = if arguments.start_at_mean { Start::Mean } else { Start::Median };
     let estimator = match &*arguments.estimator {
+        _ if arguments.flat_field => Estimator::FlatField,
         "paper" => Estimator::Paper(Options {
             window: arguments.window.unwrap_or(9),
             p: arguments.p.unwrap_or(1.5),
@@ -172,7 +175,11 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     for left_out in &left_out {
         println!("  note: not used: {left_out}");
     }
-    if estimator == Estimator::Smooth {
+    if estimator == Estimator::FlatField {
+        println!(
+            "  note: corrected frames are even where the flats are: the light of the flats, lens shading and card included, is in K"
+        );
+    } else if estimator == Estimator::Smooth {
         println!("  note: nothing was moved: K contains the card, and of the lamp what is not smooth");
     } else if has_card {
         println!(

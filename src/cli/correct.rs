@@ -99,7 +99,8 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         let answer = serde_json::json!({ "output": arguments.output, "frames": done, "value": scale, "notes": notes.texts() });
         println!("{}", serde_json::to_string_pretty(&answer)?);
     } else {
-        println!("{}: {done} frames corrected ({scale})", arguments.output.display());
+        let how = calibration.description.correction();
+        println!("{}: {done} frames corrected, {how} ({scale})", arguments.output.display());
     }
     Ok(Outcome::Agreement)
 }

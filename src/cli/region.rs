@@ -61,6 +61,13 @@ const FNV_PRIME: u64 = 0x100_0000_01b3;
 impl RegionArguments {
     pub fn read(&self) -> Result<Seen> {
         let calibration = Calibration::read(&self.calibration)?;
+        if calibration.description.is_flat_field() {
+            bail!(
+                "{} is a flat-field correction: the card of its flats is in K and would be taken for the surface; `radcam calibrate` without \
+                 --flat-field makes a K of the pixels alone",
+                self.calibration.display()
+            );
+        }
         let mut first: Option<(f64, Corrector)> = None;
         let mut sum = Array2::<f32>::zeros(calibration.k.dim());
         let mut digest = 0;

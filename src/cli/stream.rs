@@ -111,8 +111,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             }
         };
         println!(
-            "{identity}: frames of {} s corrected, {} code(s) per DN, {} at 0 DN{where_to}; Ctrl-C ends",
+            "{identity}: frames of {} s corrected, {}; {} code(s) per DN, {} at 0 DN{where_to}; Ctrl-C ends",
             crate::number::six_digits(settings.exposure_s),
+            calibration.description.correction(),
             codes.scale,
             codes.offset
         );

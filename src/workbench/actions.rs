@@ -3,7 +3,7 @@
 use super::desk::{Campaign, Found, Judged, entries_of, judge, read};
 use super::live::{Order, is_incomplete, lock};
 use super::pages::{model, shell};
-use super::steps::{Entry, folder_of, own};
+use super::steps::{CALIBRATION, Entry, FLAT_FIELD, folder_of, own};
 use super::{Job, Shared, aside};
 use crate::calibrate::{Estimator, of_dataset};
 use crate::capture::PLAN_FILE;
@@ -540,9 +540,19 @@ pub async fn read_runs(State(shared): Desktop) -> Markup {
     shell::status(&shared)
 }
 
+/// Kind of calibration that is asked for.
+#[derive(Debug, serde::Deserialize)]
+pub struct Kind {
+    /// The light of the flats stays in K.
+    #[serde(default)]
+    flat_field: bool,
+}
+
 /// Makes a calibration file beside the steps.
-pub async fn calibrate(State(shared): Desktop) -> Markup {
-    let begun = start(&shared, "calibrating", |shared, job| {
+pub async fn calibrate(State(shared): Desktop, Form(kind): Form<Kind>) -> Markup {
+    let (estimator, name) =
+        if kind.flat_field { (Estimator::FlatField, FLAT_FIELD) } else { (Estimator::Joint, CALIBRATION) };
+    let begun = start(&shared, "calibrating", move |shared, job| {
         let campaign = shared.desk().campaign().ok_or("there is no campaign yet")?;
         let dataset = campaign.dataset().ok_or("a table has no frames to calibrate with")?;
         let noise = match crate::noise::of_dataset(dataset, &job.stop, &mut |done, of| job.step(done, of)) {
@@ -550,14 +560,13 @@ pub async fn calibrate(State(shared): Desktop) -> Markup {
             other => other.ok(),
         };
         let provenance = format!("radcam {} from {}", env!("CARGO_PKG_VERSION"), campaign.path.display());
-        let made =
-            of_dataset(dataset, Estimator::Joint, noise.as_ref(), &provenance).map_err(|e| e.to_string())?;
+        let made = of_dataset(dataset, estimator, noise.as_ref(), &provenance).map_err(|e| e.to_string())?;
         if job.is_stopped() {
             return Err(CANCELLED.into());
         }
         let folder = folder_of(&campaign.path);
         crate::output::folder(&folder).map_err(|e| format!("{}: {e}", folder.display()))?;
-        made.calibration.write(&folder.join("cal.tiff")).map_err(|e| e.to_string())
+        made.calibration.write(&folder.join(name)).map_err(|e| e.to_string())
     });
     if let Err(e) = begun {
         shared.desk().error = Some(e);

@@ -61,6 +61,10 @@ impl Default for Steps {
     }
 }
 
+/// Calibration by the pixels' own response, and flat-field correction, in that folder.
+pub const CALIBRATION: &str = "cal.tiff";
+pub const FLAT_FIELD: &str = "flat-field.tiff";
+
 /// The folder of what the workbench keeps about a dataset: inside a folder, beside a file.
 pub fn folder_of(dataset: &Path) -> PathBuf {
     if dataset.is_file() { dataset.with_extension("workbench") } else { dataset.join("workbench") }

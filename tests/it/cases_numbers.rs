@@ -166,7 +166,7 @@ impl Bench {
     }
 }
 
-fn floats(path: &Path) -> Array2<f32> {
+pub fn floats(path: &Path) -> Array2<f32> {
     let bytes = fs::read(path).unwrap();
     let mut decoder = tiff::decoder::Decoder::new(std::io::Cursor::new(bytes)).unwrap();
     let (width, height) = decoder.dimensions().unwrap();

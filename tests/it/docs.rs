@@ -82,7 +82,8 @@ fn the_commands_of_the_readme_run() {
         }
         let line = if line.contains("import FOLDER") { line + " --yes" } else { line };
         if line.starts_with("radcam correct") {
-            fs::copy(root.join("calibration/frames/00008.tiff"), root.join("frames/one.tiff")).unwrap();
+            let folder = ["calibration", "campaign"].map(|f| root.join(f)).into_iter().find(|f| f.exists());
+            fs::copy(folder.unwrap().join("frames/00008.tiff"), root.join("frames/one.tiff")).unwrap();
         }
         if line.contains("--plan bench.toml") {
             fs::copy(
@@ -115,6 +116,8 @@ fn the_commands_of_the_readme_run() {
         "diagnose",
         "cameras",
         "investigate",
+        "calibrate",
+        "correct",
         "plan-calibration",
         "capture",
         "calibrate",

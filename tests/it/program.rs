@@ -286,7 +286,7 @@ fn a_camera_is_calibrated_and_its_frames_corrected() {
     assert!((rms / stated - 1.0).abs() < 0.1, "K is off by {rms}, stated {stated}");
 
     let out = expect(0, &["correct", &at("cal.tiff"), &at("c"), "-o", &at("flat")]);
-    assert!(out.contains("168 frames corrected"), "{out}");
+    assert!(out.contains("168 frames corrected, by the pixels"), "{out}");
     let frame = at("c/frames/00030.tiff");
     expect(0, &["correct", &at("cal.tiff"), &frame, "-o", &at("one.tiff"), "--codes", "8,256"]);
     assert!(fs::metadata(at("one.tiff")).unwrap().len() > 96 * 80 * 2);

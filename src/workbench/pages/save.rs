@@ -2,7 +2,7 @@
 
 use super::shell::{self, Part};
 use crate::workbench::Shared;
-use crate::workbench::steps::folder_of;
+use crate::workbench::steps::{CALIBRATION, FLAT_FIELD, folder_of};
 use axum::extract::{Query, State};
 use maud::{Markup, html};
 use std::sync::Arc;
@@ -19,7 +19,7 @@ fn body(shared: &Shared) -> Markup {
     };
     let folder = folder_of(&campaign.path);
     let (data, model) = (campaign.path.display(), folder.join("model.toml"));
-    let cal = folder.join("cal.tiff");
+    let (cal, flat) = (folder.join(CALIBRATION), folder.join(FLAT_FIELD));
     html! {
         h1 { "Save" }
         p { "Every step is kept in " code { (folder.display()) } " as it is made." }
@@ -33,5 +33,8 @@ fn body(shared: &Shared) -> Markup {
         p { button hx-post="/save/calibration" hx-target="#status" hx-swap="outerHTML" { "Calibrate" } " dark reference, fixed pattern and defects, for radcam correct" }
         @if cal.exists() { p role="status" { code { (cal.display()) } " is written." } }
         (shell::command(&format!("radcam calibrate {data} -o {}", cal.display())))
+        p { button hx-post="/save/calibration" hx-vals=r#"{"flat_field": true}"# hx-target="#status" hx-swap="outerHTML" { "Flat-field correction" } " the light of the flats as well: lens shading, lamp and card" }
+        @if flat.exists() { p role="status" { code { (flat.display()) } " is written." } }
+        (shell::command(&format!("radcam calibrate {data} --flat-field -o {}", flat.display())))
     }
 }

@@ -151,8 +151,8 @@ def calibrate(
 ) -> Calibration:
     """Makes a calibration file of a campaign: dark reference, fixed pattern K, defects (Section V).
 
-    `estimator`: "joint" (each light a smooth surface), "paper" (each light the mean over a window) or "smooth" (one configuration is enough, and K
-    then contains the card).
+    `estimator`: "joint" (each light a smooth surface), "paper" (each light the mean over a window), "smooth" (one configuration is enough, and K
+    then contains the card) or "flat-field" (K contains the light of the flats: corrected frames are even where the flats are).
     """
     with _told(progress, "reading") as tell:
         _radcam.calibrate(fspath(path), fspath(output), estimator, overwrite, tell)

@@ -1,0 +1,94 @@
+//! Flat-field correction: the light of the flats in K, so that what was even before the camera is even behind it.
+//!
+//! A frame I becomes (I - D) / (F - D) times the mean of F - D (Janesick 2001, ch. 4), which is eq. (51) of
+//! Healey and Kondepudy with K = (F - D) / mean (F - D): lens shading, lamp and card are in it with the response
+//! of the pixels.
+
+use super::defects::Defect;
+use super::pattern::FixedPattern;
+use ndarray::{Array2, Zip, s};
+
+/// Begin of the name of such a K in a calibration file.
+pub(super) const NAME: &str = "flat-field";
+
+/// Puts the light of the flats, mean images above the dark reference, into a K that is free of what is smooth of
+/// it; of a mosaic in each plane, whose mean over the sound pixels is 1. The error of a pixel keeps its share.
+/// Pixels without a response keep K = 1.
+pub(super) fn with_light(
+    pattern: &mut FixedPattern,
+    images: &[Array2<f32>],
+    defects: &[Defect],
+    mosaic: bool,
+) {
+    let mut flags = Array2::<u8>::zeros(pattern.k.dim());
+    defects.iter().for_each(|d| flags[(d.y, d.x)] = d.flags);
+    let period = if mosaic { 2 } else { 1 };
+    for (y, x) in (0..period).flat_map(|y| (0..period).map(move |x| (y, x))) {
+        let plane = s![y..;period, x..;period];
+        let flags = flags.slice(plane);
+        let mut map = Array2::<f32>::zeros(flags.dim());
+        for image in images.iter().map(|image| image.slice(plane)) {
+            let sound = image.iter().zip(&flags).filter(|(_, f)| **f == 0).map(|(v, _)| f64::from(*v));
+            let (n, sum) = sound.fold((0.0, 0.0), |(n, sum), v| (n + 1.0, sum + v));
+            if n > 0.0 && sum > 0.0 {
+                let per_mean = (n / sum / images.len() as f64) as f32;
+                map.scaled_add(per_mean, &image);
+            }
+        }
+        let (mut k, mut std_err) = (pattern.k.slice_mut(plane), pattern.std_err.slice_mut(plane));
+        Zip::from(&mut k).and(&mut std_err).and(&map).and(&flags).for_each(|k, e, &light, &f| {
+            if f & super::defects::NO_RESPONSE == 0 && light > 0.0 {
+                (*k, *e) = (light, *e / *k * light);
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibrate::defects::{DEAD, HOT};
+
+    /// Light that falls by half over the picture and is twice as strong in one colour, with pixels of their own
+    /// response: K is their product, with a mean of 1 over the sound pixels of each colour; a dead pixel keeps
+    /// K = 1, a hot one has its response.
+    #[test]
+    fn light_and_response_stand_in_k() {
+        let own = |y: usize, x: usize| 1.0 + 0.01 * ((7 * y + 3 * x) % 5) as f32;
+        let light = |y: usize, x: usize| 800.0 * (1.0 - 0.05 * y as f32) * if x % 2 == 1 { 2.0 } else { 1.0 };
+        let image = Array2::from_shape_fn((8, 8), |(y, x)| own(y, x) * light(y, x));
+        let mut pattern = FixedPattern {
+            k: Array2::from_shape_fn((8, 8), |(y, x)| own(y, x)),
+            std_err: Array2::from_elem((8, 8), 0.002),
+            kept: Array2::ones((8, 8)),
+            pooled_sd: 0.0,
+            mean_before: 1.0,
+            level_dn: 1000.0,
+        };
+        pattern.k[(2, 3)] = 1.0;
+        let defect = |y, x, flags| Defect { y, x, flags, dark_excess_dn: 0.0, k: 1.0, variance_ratio: 1.0 };
+        let defects = [defect(2, 3, DEAD), defect(5, 5, HOT)];
+        let images = [image.clone(), image.mapv(|v| 0.5 * v)];
+        with_light(&mut pattern, &images, &defects, true);
+        assert_eq!(pattern.k[(2, 3)], 1.0);
+        for (y, x) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+            let sound: Vec<(usize, usize)> = (y..8)
+                .step_by(2)
+                .flat_map(|row| (x..8).step_by(2).map(move |column| (row, column)))
+                .filter(|at| *at != (2, 3) && *at != (5, 5))
+                .collect();
+            let mean = |of: &dyn Fn((usize, usize)) -> f32| {
+                sound.iter().map(|at| f64::from(of(*at))).sum::<f64>() / sound.len() as f64
+            };
+            assert!((mean(&|at| pattern.k[at]) - 1.0).abs() < 1e-5);
+            let of_image = mean(&|at| image[at]);
+            for at in sound {
+                let expected = f64::from(image[at]) / of_image;
+                assert!((f64::from(pattern.k[at]) - expected).abs() < 1e-5, "{at:?}");
+                let share = f64::from(pattern.std_err[at]) / expected;
+                assert!((share - 0.002 / f64::from(own(at.0, at.1))).abs() < 1e-6, "{at:?}");
+            }
+        }
+        assert!(pattern.k[(5, 5)] != own(5, 5));
+    }
+}
