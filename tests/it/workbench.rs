@@ -65,17 +65,22 @@ impl Running {
     }
 }
 
-/// Law for what has no name: added to the model by one button, it takes the error to 1.
-#[test]
-fn a_law_is_added_by_a_button() {
+/// A camera whose blocks of two by two pixels share noise, which is in no catalogue.
+fn blocks(root: &Path) {
     use crate::outside::{SIZE, campaign, normal};
-    let dir = tempfile::tempdir().unwrap();
-    let root = dir.path().join("c");
-    campaign(&root, &|f, _, image| {
+    campaign(root, &|f, _, image| {
         for ((y, x), v) in image.indexed_iter_mut() {
             *v += normal((3 << 48) + (f << 20) + (y / 2 * SIZE + x / 2) as u64);
         }
     });
+}
+
+/// Law for what has no name: added to the model by one button, it takes the error to 1.
+#[test]
+fn a_law_is_added_by_a_button() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    blocks(&root);
     let w = Running::start(&[root.to_str().unwrap()]);
     let (cookie, home) = (w.cookie(), format!("http://{}", w.host));
     let me = [
@@ -260,6 +265,21 @@ fn the_whole_story_in_a_browser() {
     assert!(seen["tried"].as_str().unwrap().contains("without it"), "{}", seen["tried"]);
 }
 
+/// What has no name is said with a law; its button adds it, and the error falls to the noise.
+#[test]
+fn a_law_is_added_in_a_browser() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    blocks(&root);
+    let Some(seen) = browser(&["law", &radcam_path(), root.to_str().unwrap()]) else { return };
+    assert_eq!(seen["heading"], "The camera shows an effect without a name");
+    let sentence = seen["sentence"].as_str().unwrap();
+    assert!(sentence.contains("blocks of two by two pixels"), "{sentence}");
+    let error = |name: &str| seen[name].as_f64().unwrap();
+    assert!(error("error_before") > 1.5 && error("error_after") < 1.1, "{seen}");
+    assert_eq!(seen["rungs"], 2);
+}
+
 /// A dataset that cannot be read says why, with file and line.
 #[test]
 fn a_bad_dataset_shows_its_error() {
@@ -397,6 +417,12 @@ fn a_tie_is_broken_from_the_page() {
     w.send("/save/calibration", "");
     let status = w.wait("/status", "role=\"alert\"");
     assert!(status.contains("configurations"), "{status}");
+    // Flats of one place are enough for a flat-field correction.
+    w.send("/save/calibration", "flat_field=true");
+    let page = w.wait("/save", "flat-field.tiff</code> is written");
+    assert!(page.contains("--flat-field"), "{page}");
+    let made = radcam::calibrate::file::Calibration::read(&folder.join("workbench/flat-field.tiff")).unwrap();
+    assert!(made.description.is_flat_field());
 }
 
 /// What stands between two texts.

@@ -2,6 +2,7 @@
 
     workbench.py story RADCAM DATASET [PICTURES]   a campaign: open, evidence, add, error falls, undo, own effect, two tabs, restart, save
     workbench.py camera RADCAM CAMERA FOLDER [PICTURES]   a camera: live picture, settings, cancel, capture, verdict
+    workbench.py law RADCAM DATASET [PICTURES]     what has no name: the law, added by its button, and the error falls
     workbench.py broken RADCAM DATASET             what a dataset that cannot be read says
     workbench.py history RADCAM STORE [PICTURES]   what a monitor kept
     workbench.py pages FILE.html...                reports: no request, no violation, nothing wider than the window
@@ -260,6 +261,25 @@ def camera(radcam, name, folder, pictures=None):
     print(json.dumps(b.result(**seen)))
 
 
+def law(radcam, dataset, pictures=None):
+    b = Browser(pictures)
+    seen = {}
+    error = lambda: float(b.value("#error data") or "nan")  # noqa: E731
+    heading = lambda: b.text("h1") or ""  # noqa: E731
+    with Workbench(radcam, "workbench", dataset) as w:
+        b.driver.get(w.url)
+        b.wait("the law", lambda: b.all("#add-law"))
+        seen["heading"], seen["sentence"], seen["error_before"] = heading(), b.text("p.verdict"), error()
+        b.look("9-no-name")
+        b.click("#add-law")
+        b.wait("the error falls", lambda: error() < 1.1)
+        b.wait("it is searched again", lambda: heading() == "The model describes the camera")
+        seen["error_after"], seen["rungs"] = error(), len(b.all(".rung:not(.axis)"))
+        b.look("10-law")
+        w.end(b)
+    print(json.dumps(b.result(**seen)))
+
+
 def broken(radcam, dataset):
     b = Browser()
     with Workbench(radcam, "workbench", dataset) as w:
@@ -289,4 +309,4 @@ def pages(*files):
 
 
 if __name__ == "__main__":
-    {"story": story, "camera": camera, "broken": broken, "history": history, "pages": pages}[sys.argv[1]](*sys.argv[2:])
+    {"story": story, "camera": camera, "law": law, "broken": broken, "history": history, "pages": pages}[sys.argv[1]](*sys.argv[2:])

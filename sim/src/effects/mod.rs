@@ -620,8 +620,7 @@ mod chain;
 mod custom;
 mod own;
 pub use chain::{Chain, predict};
-use custom::Custom;
-pub use custom::{Described, UNBOUNDED, custom};
+pub use custom::{Described, TARGETS, UNBOUNDED, custom};
 pub use own::{OwnEffect, OwnPage};
 
 macro_rules! effects {

@@ -312,25 +312,16 @@ pub fn tried(before: f64, judged: &Judged) -> Markup {
 }
 
 fn own() -> Markup {
-    let targets = [
-        "mean",
-        "variance",
-        "cov_01",
-        "cov_10",
-        "cov_11",
-        "parity_01",
-        "parity_10",
-        "row",
-        "column",
-        "common",
-    ];
+    let neighbours = ["cov_01", "cov_10", "cov_11", "cov_02", "cov_20"];
+    let targets = effects::TARGETS.into_iter().chain(neighbours);
     html! { section.own-room aria-label="An effect of your own" {
         h2 { "An effect of your own" }
         p.note {
             "A formula gives the change of a statistic (mean in DN, the others in DN²) in terms of mu (mean above the black level, DN), exposure (s), "
             "illumination and the parameters. cov_01 is the covariance with the next pixel of the row, cov_10 of the column, cov_11 across the corner; "
-            "row, column and common are variances that a row, a column or a frame shares; parity_01 and parity_10 are what odd columns or rows have "
-            "more than even ones. The same formulas stand in model files and in simulated cameras."
+            "row, column and common are variances that a row, a column or a frame shares; gradient and curvature those of a field that tilts or bends "
+            "anew in each frame, down the rows (y) or across the columns (x); parity_01 and parity_10 are what odd columns or rows have more than "
+            "even ones. The same formulas stand in model files and in simulated cameras."
         }
         form.own hx-post="/model/try" hx-target="#tried" hx-swap="innerHTML" {
             label { "Name" input name="name" value="extra-variance" required; }
