@@ -89,7 +89,9 @@ pub fn with_fit(mut model: Model, all: &Observations, fitted: &Fitted, camera: O
                 |v: &[f64]| e.parameters().iter().zip(v).map(|(p, v)| (p.name.to_string(), *v)).collect();
             let sound: Vec<f64> = errors.iter().map(|e| if e.is_finite() { *e } else { 0.0 }).collect();
             let known = model.effects.iter().find(|k| k.id == e.id() || k.name.as_deref() == Some(e.id()));
-            let known = known.cloned().or_else(|| e.written()).unwrap_or_else(|| EffectValues::new(e.id()));
+            // An effect of formulas is written with them, so that the model is read without its file.
+            let known = known.filter(|k| !k.formulas.is_empty()).cloned();
+            let known = known.or_else(|| e.written()).unwrap_or_else(|| EffectValues::new(e.id()));
             EffectValues { parameters: named(values), std_err: named(&sound), ..known }
         })
         .collect();
@@ -108,15 +110,40 @@ pub fn own_effect(path: &Path) -> Result<OwnEffect, ModelError> {
 }
 
 /// Makes the effects of a folder known for as long as the program runs: models may name them, and a diagnosis
-/// tries them as well. Of the folder's files those are read whose names end in `.toml`, in the order of their
-/// names.
+/// tries them as well. Of the folder's files those are read whose names end in `.toml`.
 ///
 /// # Errors
 ///
 /// The folder cannot be read, or a file of it is no effect, or another effect has its name.
 pub fn register_own_effects(folder: &Path) -> Result<Vec<String>, ModelError> {
+    own_files(folder)?.iter().map(|path| register_own_effect(path)).collect()
+}
+
+/// Makes the effect of a file known for as long as the program runs: its name.
+///
+/// # Errors
+///
+/// The file is no effect, or another effect has its name.
+pub fn register_own_effect(path: &Path) -> Result<String, ModelError> {
+    let own = own_effect(path)?;
+    let taken = |e: String| {
+        ModelError::Effect(format!(
+            "{}: {e}; give this one another name, or move the file away",
+            path.display()
+        ))
+    };
+    own.register().map_err(taken)?;
+    Ok(own.name)
+}
+
+/// Files of a folder that are effects by their names, in the order of these.
+///
+/// # Errors
+///
+/// The folder cannot be read.
+pub fn own_files(folder: &Path) -> Result<Vec<PathBuf>, ModelError> {
     if !folder.is_dir() {
-        return Err(ModelError::Effect(format!("there is no folder {}", folder.display())));
+        return Err(ModelError::Effect(format!("there is no file or folder {}", folder.display())));
     }
     let of_folder = |e: std::io::Error| ModelError::Effect(format!("{}: {e}", folder.display()));
     let entries = std::fs::read_dir(folder).map_err(of_folder)?;
@@ -129,11 +156,5 @@ pub fn register_own_effects(folder: &Path) -> Result<Vec<String>, ModelError> {
     };
     files.retain(is_effect);
     files.sort();
-    let mut names = Vec::new();
-    for path in files {
-        let own = own_effect(&path)?;
-        own.register().map_err(|e| ModelError::Effect(format!("{}: {e}", path.display())))?;
-        names.push(own.name);
-    }
-    Ok(names)
+    Ok(files)
 }

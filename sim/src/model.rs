@@ -79,6 +79,12 @@ impl EffectValues {
         self.name.as_deref().unwrap_or(&self.id)
     }
 
+    /// True of two entries of one effect: formulas may have the name of an effect of the catalogue, and are
+    /// another.
+    pub fn is_same(&self, other: &Self) -> bool {
+        self.id == other.id && self.called() == other.called()
+    }
+
     /// The effect of this identifier, or the one that the formulas make.
     ///
     /// # Errors
@@ -89,7 +95,10 @@ impl EffectValues {
             return effects::custom(self.described()).map_err(ModelError::Effect);
         }
         effects::find(&self.id).ok_or_else(|| {
-            ModelError::Effect(format!("no effect \"{}\"; `radcam effects` lists them", echo(&self.id)))
+            ModelError::Effect(format!(
+                "no effect \"{}\"; `radcam effects` lists them, and --effects DIR adds those of a folder",
+                echo(&self.id)
+            ))
         })
     }
 
@@ -327,6 +336,21 @@ fn within(field: &str, value: f64, (min, max): (f64, f64), unit: &str) -> Result
 }
 
 impl Model {
+    /// Removes an effect by its identifier, or an effect of formulas by its name; `custom` is the only one of
+    /// formulas. `false`: there is none, or more than one is meant.
+    pub fn remove(&mut self, effect: &str) -> bool {
+        let is_meant =
+            |by_id: bool| move |e: &EffectValues| if by_id { e.id == effect } else { e.called() == effect };
+        let by_id = is_meant(true);
+        let by_id = self.effects.iter().any(by_id);
+        let is_meant = is_meant(by_id);
+        let count = self.effects.iter().filter(|e| is_meant(e)).count();
+        if count == 1 {
+            self.effects.retain(|e| !is_meant(e));
+        }
+        count == 1
+    }
+
     /// Reads and checks a model.
     ///
     /// ```

@@ -1,15 +1,15 @@
 //! `radcam effects`
 
 use super::Outcome;
-use super::common::{lines_of, may_be_written, no_effect};
+use super::common::{lines_of, may_be_written, no_effect, quoted};
 use super::observe::{Colour, Datasets, observe};
 use crate::dataset::write_whole;
 use crate::diagnosis::{diagnose, searched};
-use crate::model::{page, register_own_effects};
+use crate::model::{own_files, page, register_own_effect};
 use crate::number::pretty;
 use anyhow::{Context, Result, bail};
 use radcam_sim::effects::{Effect, OwnEffect, UNBOUNDED, all, find};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
 #[command(args_conflicts_with_subcommands = true)]
@@ -54,19 +54,26 @@ struct New {
 
 /// Folder in which effects of the user's own are looked for by every command.
 fn folder() -> Option<PathBuf> {
-    let of = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
+    // A relative path is to be ignored (XDG Base Directory Specification 0.8).
+    let of = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let settings = of("XDG_CONFIG_HOME").or_else(|| of("HOME").map(|home| home.join(".config")));
     settings.map(|folder| folder.join("radcam").join("effects"))
 }
 
-/// Makes the user's own effects known: those of their folder, where there is one, and of the folders that are
-/// named.
+/// Makes the user's own effects known: those of their folder, where a file that is none is said and passed over,
+/// and those of the files and folders that are named.
 pub fn register_own(named: &[PathBuf]) -> Result<()> {
-    let usual = folder().filter(|folder| folder.is_dir());
-    for folder in usual.iter().chain(named) {
-        let names = register_own_effects(folder)?;
-        if !names.is_empty() {
-            tracing::info!("effects of {}: {}", folder.display(), names.join(", "));
+    if let Some(folder) = folder().filter(|folder| folder.is_dir()) {
+        for path in own_files(&folder)? {
+            if let Err(e) = register_own_effect(&path) {
+                tracing::warn!("not an effect of your own: {e}");
+            }
+        }
+    }
+    for path in named {
+        let files = if path.is_file() { vec![path.clone()] } else { own_files(path)? };
+        for file in files {
+            register_own_effect(&file)?;
         }
     }
     Ok(())
@@ -81,7 +88,13 @@ fn source_of(own: &OwnEffect) -> Result<String> {
     let marks = "#".repeat(1 + runs.max().unwrap_or(0));
     let words = own.name.split('-').filter(|word| !word.is_empty());
     let camel: String = words.map(|word| word[..1].to_uppercase() + &word[1..]).collect();
-    let kind = if camel.starts_with(|c: char| c.is_ascii_digit()) { format!("Effect{camel}") } else { camel };
+    // No name of a type that the source uses, and none that begins with a digit.
+    let kind = match format!("{camel}Effect") {
+        kind if kind == "OwnEffect" || kind.starts_with(|c: char| c.is_ascii_digit()) => {
+            format!("Effect{camel}")
+        }
+        kind => kind,
+    };
     let about = lines_of(&format!("{}: {}.", own.name, own.page.signature), 106, 106);
     let about: Vec<String> = about.iter().map(|line| format!("//! {line}")).collect();
     Ok(include_str!("own_effect.rs.template")
@@ -97,7 +110,8 @@ fn new(of: &New) -> Result<()> {
     OwnEffect { name: of.name.clone(), ..Default::default() }.check_name().map_err(anyhow::Error::msg)?;
     let is_own = |e: &&'static dyn Effect| e.written().is_some();
     if let Some(known) = find(&of.name).filter(|known| !(of.overwrite && is_own(known))) {
-        bail!("there is an effect {} already: {}", of.name, known.page().what);
+        let replace = if is_own(&known) { "; --overwrite replaces it" } else { "; choose another name" };
+        bail!("there is an effect {} already{replace}", of.name);
     }
     let output = match &of.output {
         Some(path) => path.clone(),
@@ -107,6 +121,13 @@ fn new(of: &New) -> Result<()> {
             folder.join(format!("{}.toml", of.name))
         }
     };
+    let is_read = output.file_name().is_some_and(|name| {
+        let name = name.to_string_lossy();
+        name.ends_with(".toml") && !name.starts_with('.')
+    });
+    if !is_read {
+        bail!("{}: an effect is read from a file whose name ends in .toml", output.display());
+    }
     for path in std::iter::once(&output).chain(&of.rust) {
         may_be_written(path, of.overwrite)?;
     }
@@ -121,18 +142,21 @@ fn new(of: &New) -> Result<()> {
     };
     let own = law.own_effect(&of.name, &datasets.names());
     own.check().map_err(anyhow::Error::msg)?;
+    write_whole(&output, own.to_toml().map_err(anyhow::Error::msg)?.as_bytes())?;
     if let Some(path) = &of.rust {
         write_whole(path, source_of(&own)?.as_bytes())?;
     }
-    write_whole(&output, own.to_toml().map_err(anyhow::Error::msg)?.as_bytes())?;
     println!("{}", law.sentence());
     println!("  {} has it as the effect {}", output.display(), own.name);
     if let Some(path) = &of.rust {
         println!("  {} has it as a source of Rust", path.display());
     }
     let is_usual = folder().is_some_and(|folder| output.parent() == Some(folder.as_path()));
-    let folder = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let option = if is_usual { String::new() } else { format!(" --effects {}", folder.display()) };
+    let option = if is_usual {
+        String::new()
+    } else {
+        format!(" --effects {}", quoted(&output.display().to_string()))
+    };
     println!("  known by name from now on:  radcam diagnose DATASET{option}");
     Ok(())
 }

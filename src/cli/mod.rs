@@ -54,8 +54,8 @@ struct Arguments {
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
 
-    /// Folder with effects of your own, beside ~/.config/radcam/effects; may be given several times
-    #[arg(long = "effects", global = true, value_name = "DIR")]
+    /// Folder or file of effects of your own, beside ~/.config/radcam/effects; may be given several times
+    #[arg(long = "effects", global = true, value_name = "DIR|FILE")]
     own_effects: Vec<std::path::PathBuf>,
 
     #[command(subcommand)]

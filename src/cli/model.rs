@@ -141,6 +141,11 @@ pub fn model_with_law(
     Ok(model)
 }
 
+/// Names, or that there are none.
+fn listed(names: &[&str]) -> String {
+    if names.is_empty() { "none".into() } else { names.join(", ") }
+}
+
 fn show(path: &Path, model: &Model, json: bool) -> Result<()> {
     if json {
         println!("{}", serde_json::to_string_pretty(model)?);
@@ -199,10 +204,10 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             if effects::find(effect).is_none() {
                 bail!("{}", no_effect(effect, effects::all().iter().map(|e| e.id())));
             }
-            if model.effects.iter().any(|e| e.called() == effect) {
+            let mut entry = EffectValues::new(effect);
+            if model.effects.iter().any(|e| e.is_same(&entry)) {
                 bail!("{} has {effect} already", path.display());
             }
-            let mut entry = EffectValues::new(effect);
             // What is not given is found by a fit.
             entry.parameters.extend(values.iter().cloned());
             model.effects.push(entry);
@@ -211,10 +216,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         }
         Action::Remove { model: path, effect } => {
             let mut model = read(path)?;
-            let before = model.effects.len();
-            model.effects.retain(|e| e.called() != effect);
-            if model.effects.len() == before {
-                bail!("{} has no effect \"{effect}\"", path.display());
+            if !model.remove(effect) {
+                let names: Vec<&str> = model.effects.iter().map(EffectValues::called).collect();
+                bail!("{} has no effect \"{effect}\": it has {}", path.display(), listed(&names));
             }
             write(path, &model)?;
             show(path, &model, arguments.json)?;

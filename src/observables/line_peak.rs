@@ -275,7 +275,7 @@ impl Peak {
             let power = self.beyond_dn2(s, view.all.campaign.shape, &mut known);
             let field = self.field_dn2(s, &of_shapes);
             // One number a frame has the scatter of its square, and products with the noise.
-            let of_field = 2.0 * field * field / p.dof() + (SHAPE * field).powi(2);
+            let of_field = 2.0 * field * field / p.dof() + (FIELD_SHAPE_ERROR_REL * field).powi(2);
             let with_noise = 4.0 * field.abs() * p.noise_dn2 / p.dof();
             sum += p.weight;
             value += p.weight * (power + field);
@@ -338,7 +338,7 @@ impl Peak {
 }
 
 /// Part of the power of a field that its shape leaves open: it is no cosine (a named choice).
-const SHAPE: f64 = 0.3;
+const FIELD_SHAPE_ERROR_REL: f64 = 0.3;
 
 /// Power that a shape of the field of variance 1 has at a frequency, in the spectrum of so many lines: that of a
 /// cosine which begins and ends with the lines, by two kernels of Dirichlet.

@@ -90,6 +90,8 @@ impl Statistic for Unequal {
                 of_lines(&s.row, rows),
                 of_lines(&s.column, columns),
                 sines_scatter,
+                // Few frames show the square of a field as it comes, and pixels share it.
+                2.0 * s.fields.squares() / square / view.n.sqrt(),
                 // Bands of a wander are few.
                 0.3 * alike,
                 // Rounding changes the correlation of frames; that is not predicted.

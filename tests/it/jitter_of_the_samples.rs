@@ -29,8 +29,8 @@ measure = ""
 source = ""
 "#;
 
-/// See the page.
-pub struct JitterOfTheSamples;
+/// The effect; its page says what it is.
+pub struct JitterOfTheSamplesEffect;
 
 static FORMULAS: LazyLock<Result<&'static dyn Effect, String>> =
     LazyLock::new(|| OwnEffect::from_toml(WRITTEN)?.effect());
@@ -43,7 +43,7 @@ fn formulas() -> &'static dyn Effect {
     }
 }
 
-impl Effect for JitterOfTheSamples {
+impl Effect for JitterOfTheSamplesEffect {
     fn id(&self) -> &'static str {
         "jitter-of-the-samples"
     }
@@ -85,8 +85,8 @@ mod tests {
     #[test]
     fn it_is_what_was_measured() {
         let own = OwnEffect::from_toml(WRITTEN).expect("formulas");
-        assert_eq!(own.name, JitterOfTheSamples.id());
-        for p in JitterOfTheSamples.parameters() {
+        assert_eq!(own.name, JitterOfTheSamplesEffect.id());
+        for p in JitterOfTheSamplesEffect.parameters() {
             assert!((p.min..=p.max).contains(&p.starts[0]), "{}", p.name);
         }
     }

@@ -84,6 +84,25 @@ fn what_has_no_name_gets_a_law() {
     }
 }
 
+/// A strong tilt, of some per cent of the noise: it has the law of one, and is neither bands of light nor
+/// interference, which come near.
+#[test]
+fn a_strong_tilt_is_no_band() {
+    use outside::{SIZE, normal};
+    for (seed, size) in [(7, 0.002), (8, 0.004)] {
+        let act: Act<'_> = &|f, signal, image| {
+            let of_frame = size * signal * normal((seed << 48) + f);
+            for ((y, _), v) in image.indexed_iter_mut() {
+                *v += of_frame * (2.0 * y as f64 / (SIZE - 1) as f64 - 1.0);
+            }
+        };
+        let dir = tempfile::tempdir().unwrap();
+        let d = diagnosis_of(&dir.path().join("c"), act);
+        assert_eq!(d["missing"][0]["effect"], "unknown", "{size}: {}", d["missing"][0]["effect"]);
+        assert!(d["proposal"]["formulas"]["gradient_y"].is_string(), "{size}: {}", d["proposal"]);
+    }
+}
+
 /// Two laws at once, of the noise of pixels and of rows two apart: each is an effect of its own in the model
 /// file, which agrees with what the simulator draws from it.
 #[test]

@@ -21,6 +21,7 @@ mod eight_bits;
 mod emva;
 mod far_slips;
 mod few_darks;
+mod flat_field;
 mod flicker;
 mod frame_headers;
 mod fuzz;

@@ -1,6 +1,6 @@
 //! Effects of a user's own in files: a law becomes one by one command, and the next diagnosis knows it by name.
 
-use crate::jitter_of_the_samples::JitterOfTheSamples;
+use crate::jitter_of_the_samples::JitterOfTheSamplesEffect;
 use crate::outside::{self, SIZE, normal};
 use crate::support::{expect, program, refused};
 use radcam_sim::effects::Effect;
@@ -38,7 +38,7 @@ fn a_law_becomes_an_effect_that_is_known_by_name() {
     let said = refs(&new(&["--rust", &at("jitter.rs")]));
     assert!(said.contains("square of the signal") && said.contains("--effects"), "{said}");
     let source = std::fs::read_to_string(at("jitter.rs")).unwrap();
-    assert!(source.contains("pub struct JitterOfTheSamples;"), "{source}");
+    assert!(source.contains("pub struct JitterOfTheSamplesEffect;"), "{source}");
 
     let page = expect(0, &["effects", "jitter-of-the-samples", "--effects", &at("own")]);
     assert!(page.contains("variance + k * (mu / 1000)^2") && page.contains("law found by radcam"), "{page}");
@@ -65,6 +65,12 @@ fn a_law_becomes_an_effect_that_is_known_by_name() {
     std::fs::rename(at("own"), settings.join("effects")).unwrap();
     let list = program().arg("effects").env("XDG_CONFIG_HOME", dir.path().join("settings")).output().unwrap();
     assert!(String::from_utf8_lossy(&list.stdout).contains("jitter-of-the-samples"));
+    // A file of it that is no effect is said and passed over: it keeps nobody from working.
+    std::fs::write(settings.join("effects/broken.toml"), "name = 1").unwrap();
+    let list = program().arg("effects").env("XDG_CONFIG_HOME", dir.path().join("settings")).output().unwrap();
+    let [out, err] = [&list.stdout, &list.stderr].map(|text| String::from_utf8_lossy(text).into_owned());
+    assert!(list.status.success() && out.contains("jitter-of-the-samples"), "{out}");
+    assert!(err.contains("broken.toml"), "{err}");
 }
 
 /// Each file that is no effect is refused with its name and what is wrong with it, a folder that is absent too.
@@ -82,6 +88,8 @@ fn files_that_are_no_effect_are_refused_by_name() {
         (&format!("name = \"row-noise\"\n{sound}"), "already"),
         (&format!("name = \"a\"\n{sound}bounds = {{ k = [2.0, 3.0] }}"), "not within 2 to 3"),
         (&format!("name = \"a\"\n{sound}[page]\nwhy = \"?\""), "why"),
+        (&format!("name = \"custom\"\n{sound}"), "another name"),
+        (&format!("name = \"a\"\n{sound}units = {{ g = \"DN\" }}"), "no parameter"),
     ] {
         std::fs::write(&path, text).unwrap();
         let refusal = refused(&["effects", "--effects", folder]);
@@ -92,9 +100,11 @@ fn files_that_are_no_effect_are_refused_by_name() {
     std::fs::write(dir.path().join("._e.toml"), "no TOML").unwrap();
     std::fs::write(dir.path().join("notes.txt"), "no TOML").unwrap();
     assert!(expect(0, &["effects", "--effects", folder]).contains("noise-of-rows"));
-    assert!(refused(&["effects", "--effects", &format!("{folder}/none")]).contains("no folder"));
+    assert!(refused(&["effects", "--effects", &format!("{folder}/none")]).contains("no file or folder"));
     // A name is looked at before anything is read or written.
-    for (name, said) in [("../up", "small letters"), ("row-noise", "already")] {
+    for (name, said) in
+        [("../up", "small letters"), ("row-noise", "another name"), ("custom", "another name")]
+    {
         let refusal =
             refused(&["effects", "new", name, "--from", "nowhere", "-o", &format!("{folder}/n.toml")]);
         assert!(refusal.contains(said), "{refusal}");
@@ -104,9 +114,38 @@ fn files_that_are_no_effect_are_refused_by_name() {
 /// An effect of a source that `effects new --rust` writes is what its formulas say.
 #[test]
 fn a_written_source_is_an_effect() {
-    let effect = JitterOfTheSamples;
+    let effect = JitterOfTheSamplesEffect;
     assert_eq!(effect.id(), "jitter-of-the-samples");
     assert_eq!(effect.page().equation, "variance + k * (mu / 1000)^2");
     assert_eq!(effect.parameters().len(), 1);
     assert!(effect.written().is_none(), "a model names it, and has no formulas");
+}
+
+/// Effects of formulas are added and removed by their names, and are other effects than those of the catalogue of
+/// the same name.
+#[test]
+fn effects_of_formulas_are_removed_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("m.toml");
+    let m = path.to_str().unwrap();
+    expect(0, &["model", "new", m]);
+    let mut text = std::fs::read_to_string(&path).unwrap();
+    for name in ["row-noise", "other"] {
+        text += &format!("\n[[effect]]\nid = \"custom\"\nname = \"{name}\"\nformulas = {{ row = \"k\" }}\n");
+        text += "parameters = { k = 1.0 }\n";
+    }
+    std::fs::write(&path, text).unwrap();
+    expect(0, &["model", "add", m, "row-noise"]);
+    let names = || -> Vec<(String, Option<String>)> {
+        let model = radcam_sim::Model::from_toml(&std::fs::read_to_string(&path).unwrap()).unwrap();
+        model.effects.into_iter().map(|e| (e.id, e.name)).collect()
+    };
+    let of = |id: &str, name: Option<&str>| (id.to_string(), name.map(String::from));
+    expect(0, &["model", "remove", m, "row-noise"]);
+    assert_eq!(names(), [of("custom", Some("row-noise")), of("custom", Some("other"))]);
+    assert!(refused(&["model", "remove", m, "custom"]).contains("row-noise, other"));
+    expect(0, &["model", "remove", m, "row-noise"]);
+    assert_eq!(names(), [of("custom", Some("other"))]);
+    expect(0, &["model", "remove", m, "custom"]);
+    assert!(names().is_empty());
 }

@@ -191,8 +191,11 @@ fn calibrate(
         "joint" => Estimator::Joint,
         "paper" => Estimator::Paper(Paper::default()),
         "smooth" => Estimator::Smooth,
+        "flat-field" => Estimator::FlatField,
         other => {
-            let message = format!("estimator is {other:?}; there are \"joint\", \"paper\" and \"smooth\"");
+            let message = format!(
+                "estimator is {other:?}; there are \"joint\", \"paper\", \"smooth\" and \"flat-field\""
+            );
             return Err(pyo3::exceptions::PyValueError::new_err(message));
         }
     };
@@ -337,10 +340,10 @@ fn check_model(text: &str) -> PyResult<String> {
 #[pyfunction]
 fn add_to_model(text: &str, effect: &str, parameters: BTreeMap<String, f64>) -> PyResult<String> {
     let mut model = radcam_sim::Model::from_toml(text).map_err(Raised::raised)?;
-    if model.effects.iter().any(|e| e.called() == effect) {
+    let mut entry = radcam_sim::EffectValues::new(effect);
+    if model.effects.iter().any(|e| e.is_same(&entry)) {
         return Err(ModelError::new_err(format!("the model has {effect} already")));
     }
-    let mut entry = radcam_sim::EffectValues::new(effect);
     entry.parameters.extend(parameters);
     model.effects.push(entry);
     model.check().map_err(Raised::raised)?;
@@ -351,9 +354,7 @@ fn add_to_model(text: &str, effect: &str, parameters: BTreeMap<String, f64>) -> 
 #[pyfunction]
 fn remove_from_model(text: &str, effect: &str) -> PyResult<String> {
     let mut model = radcam_sim::Model::from_toml(text).map_err(Raised::raised)?;
-    let before = model.effects.len();
-    model.effects.retain(|e| e.called() != effect);
-    if model.effects.len() == before {
+    if !model.remove(effect) {
         return Err(ModelError::new_err(format!("the model has no effect \"{effect}\"")));
     }
     model.to_toml().map_err(Raised::raised)

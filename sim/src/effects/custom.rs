@@ -30,7 +30,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::{LazyLock, Mutex};
 
 /// Statistics that a formula may change, beside covariances.
-const TARGETS: [&str; 12] = [
+pub const TARGETS: [&str; 12] = [
     "mean",
     "variance",
     "row",
@@ -45,7 +45,7 @@ const TARGETS: [&str; 12] = [
     "curvature_x",
 ];
 /// Targets of the field's shapes, down the rows and across the columns.
-const OF_FIELD: [[&str; SHAPES]; 2] = [["gradient_y", "curvature_y"], ["gradient_x", "curvature_x"]];
+const FIELD_TARGETS: [[&str; SHAPES]; 2] = [["gradient_y", "curvature_y"], ["gradient_x", "curvature_x"]];
 /// Variables of a formula beside its parameters.
 const VARIABLES: [&str; 9] =
     ["mu", "exposure", "illumination", "row", "column", "parity", "time", "odd", "noise"];
@@ -360,7 +360,9 @@ impl Effect for Custom {
             s.row.add(of("row"));
             s.column.add(of("column"));
             s.common += of("common");
-            for (variances, targets) in [&mut s.fields.down, &mut s.fields.across].into_iter().zip(OF_FIELD) {
+            for (variances, targets) in
+                [&mut s.fields.down, &mut s.fields.across].into_iter().zip(FIELD_TARGETS)
+            {
                 for (variance, target) in variances.iter_mut().zip(targets) {
                     let own = of(target);
                     *variance += own;
@@ -410,7 +412,7 @@ impl Effect for Custom {
                 d.add_to_lines(&tag(target), axis, libm::sqrt(variance));
             }
         }
-        for (axis, targets) in OF_FIELD.into_iter().enumerate() {
+        for (axis, targets) in FIELD_TARGETS.into_iter().enumerate() {
             for (shape, target) in targets.into_iter().enumerate() {
                 let variance = of(target);
                 if variance > 0.0 {
@@ -432,7 +434,7 @@ impl Effect for Custom {
 
 impl Custom {
     /// Entry of a model file.
-    pub(super) fn written_as(described: &Described<'_>) -> EffectValues {
+    fn written_as(described: &Described<'_>) -> EffectValues {
         EffectValues {
             id: "custom".into(),
             name: Some(described.name.into()),

@@ -1,9 +1,12 @@
 //! Effects of a user's own in files: formulas with a name and a page, which join the catalogue.
 
-use super::{Custom, Described, Effect, Page, custom, find, register, takes};
+use super::{Described, Effect, Page, custom, find, register, takes};
 use crate::text::echo;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+
+/// Words that stand in the place of an effect's name: in a model file, in a verdict, and on the command line.
+const NO_NAMES: [&str; 5] = ["custom", "unknown", "law", "new", "help"];
 
 /// Characters of a name.
 const MAX_NAME_CHARACTERS: usize = 60;
@@ -96,6 +99,10 @@ impl OwnEffect {
         self.check_name()?;
         let described = self.described();
         described.check()?;
+        let known = |name: &&String| self.parameters.contains_key(*name);
+        if let Some(name) = self.bounds.keys().chain(self.units.keys()).find(|name| !known(name)) {
+            return Err(format!("bounds or units of {}, which is no parameter", echo(name)));
+        }
         for (name, value) in &self.parameters {
             let [min, max] = described.bounds_of(name);
             if !(min..=max).contains(value) {
@@ -112,6 +119,12 @@ impl OwnEffect {
     /// A name with other characters, or too many.
     pub fn check_name(&self) -> Result<(), String> {
         let is_of_name = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
+        if NO_NAMES.contains(&&*self.name) {
+            return Err(format!(
+                "name = \"{}\": this word has a meaning of its own; choose another name",
+                self.name
+            ));
+        }
         let fits = (1..=MAX_NAME_CHARACTERS).contains(&self.name.chars().count());
         if !fits || !self.name.chars().all(is_of_name) || self.name.starts_with('-') {
             return Err(format!(
@@ -139,8 +152,9 @@ impl OwnEffect {
     /// As [`check`](Self::check), or another effect has its name.
     pub fn register(&self) -> Result<(), String> {
         let effect = self.effect()?;
-        // The same file may lie in two folders.
-        if find(&self.name).is_some_and(|known| known.written().is_some_and(|w| w == self.written())) {
+        // The same effect may lie in two folders, found at another strength; the first is kept.
+        let formulas = |known: &'static dyn Effect| known.written().map(|w| w.formulas);
+        if find(&self.name).and_then(formulas).is_some_and(|known| known == self.formulas) {
             return Ok(());
         }
         register(effect)
@@ -155,10 +169,6 @@ impl OwnEffect {
             units: &self.units,
             page: Some(&self.page),
         }
-    }
-
-    fn written(&self) -> crate::EffectValues {
-        Custom::written_as(&self.described())
     }
 }
 

@@ -25,6 +25,11 @@ impl Fields {
         self.of_rows() + self.of_columns()
     }
 
+    /// Sum of their squares, DN^4: the mean over pairs of pixels of the square of their covariance.
+    pub fn squares(&self) -> f64 {
+        self.down.iter().chain(&self.across).map(|v| v * v).sum()
+    }
+
     /// Part of it that the means of rows have, DN^2.
     pub fn of_rows(&self) -> f64 {
         self.down.iter().sum()

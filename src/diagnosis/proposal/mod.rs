@@ -142,9 +142,9 @@ pub(super) struct Found {
 
 impl Found {
     /// Sentence on laws that explain a campaign better than its names, where they do: by more evidence than a tie
-    /// has, and by more than a hundredth of what the names have, whose shapes are known no better; without being
-    /// rejected where the names are not, and without a larger error on frames that no fit saw. `given`: the model
-    /// without either.
+    /// has; by more than a hundredth of what the names have, whose shapes are known no better, unless the names
+    /// are rejected and the laws hold; without being rejected where the names are not, and without a larger error
+    /// on frames that no fit saw. `given`: the model without either.
     pub fn better(&self, all: &Observations, given: &Fitted, whole: &Fitted) -> Option<String> {
         // A bend of the response and a law of the level are one thing in two shapes.
         let bends = whole.effects.iter().skip(given.effects.len()).any(|(e, _)| e.bends_means());
@@ -156,7 +156,10 @@ impl Found {
         tracing::debug!("laws: evidence {of_laws:.1}, names {of_names:.1}");
         let (laws, names) = (compare(all, &self.fitted), compare(all, whole));
         let holds = laws.p_value >= names.p_value.min(DOUBT) && laws.error < names.error + HELPS;
-        (of_laws - of_names > TIE.max(MATTERS * of_names) && holds).then(|| {
+        let alone_holds = laws.p_value >= DOUBT && names.p_value < P_LIMIT;
+        tracing::debug!("laws: p {:.1e}, names p {:.1e}", laws.p_value, names.p_value);
+        let needed = if alone_holds { TIE } else { TIE.max(MATTERS * of_names) };
+        (of_laws - of_names > needed && holds).then(|| {
             let laws: Vec<String> = self.laws.iter().map(Law::in_short).collect();
             format!("{} explains it better: evidence {of_laws:.0} and {of_names:.0}", laws.join(" with "))
         })
