@@ -272,10 +272,11 @@ pub fn of_dataset(
     // The noise of the planes of a mosaic is not that of all pixels.
     let has_card =
         estimator.takes_all() || (!mosaic && worth::differ_by_noise_alone(&pattern, &flats.noise_dn2));
-    worth::check(&pattern, &defects, &dark, flats.frames.iter().sum(), darks)?;
+    // A flat-field correction takes off the shading as well: that is worth some noise.
     if estimator == Estimator::FlatField {
         flat_field::with_light(&mut pattern, &flats.images, &defects, mosaic);
     }
+    worth::check(&pattern, &defects, &dark, flats.frames.iter().sum(), darks)?;
     let camera = &dataset.manifest().camera;
     let description = Description {
         gain_dn_per_e: gain,

@@ -141,8 +141,9 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     println!("{}: {} x {} px, {}", arguments.output.display(), d.camera.width, d.camera.height, d.estimator);
     let exposures = if levels > 1 { format!(" at {levels} levels") } else { String::new() };
     println!(
-        "  K                {} configurations of {} frames{exposures}, standard deviation {:.5}",
+        "  K                {} configuration{} of {} frames{exposures}, standard deviation {:.5}",
         d.n1,
+        if d.n1 == 1 { "" } else { "s" },
         d.n2,
         of_sound(&calibration, &calibration.k).1
     );

@@ -25,7 +25,7 @@ pub struct Arguments {
 
 #[derive(Debug, clap::Subcommand)]
 enum Action {
-    /// Make an effect of your own of the law that describes a campaign: every later diagnosis knows it by name
+    /// Turn the law that describes a campaign into an effect of your own, which every later diagnosis knows by name
     New(New),
 }
 

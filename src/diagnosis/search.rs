@@ -269,7 +269,8 @@ impl Look<'_> {
     /// rightly.
     fn only_excuses(&self, c: &Candidate) -> bool {
         let (now, with) = (residuals_of(self.all, self.now), residuals_of(self.all, &c.fitted));
-        if now.len() != with.len() {
+        let of = |r: &Residual| (r.statistic.clone(), r.set);
+        if now.len() != with.len() || now.iter().zip(&with).any(|(a, b)| of(a) != of(b)) {
             return false;
         }
         let profiles = LineProfile.id();

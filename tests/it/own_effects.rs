@@ -118,6 +118,26 @@ fn a_written_source_is_an_effect() {
     assert_eq!(effect.id(), "jitter-of-the-samples");
     assert_eq!(effect.page().equation, "variance + k * (mu / 1000)^2");
     assert_eq!(effect.parameters().len(), 1);
+    assert_eq!(effect.parameters()[0].starts, [8.0]);
+    // It predicts what its formulas draw: with it the model agrees with their campaign (one chance in a thousand to
+    // be refused), without it not.
+    let dir = tempfile::tempdir().unwrap();
+    let mut model = crate::effects::unit(331);
+    model.effects.push(radcam_sim::EffectValues {
+        id: "custom".into(),
+        name: Some("formulas".into()),
+        formulas: [("variance".to_string(), "k * (mu / 1000)^2".to_string())].into(),
+        parameters: [("k".to_string(), 8.0)].into(),
+        ..Default::default()
+    });
+    crate::effects::campaign(model, &dir.path().join("c"));
+    let all = crate::effects::observe(&dir.path().join("c"));
+    let chance = |effects: radcam::inference::Effects| {
+        let fitted = radcam::inference::fit(&all, &radcam::inference::start(&all), &effects);
+        radcam::inference::compare(&all, &fitted).p_value
+    };
+    assert!(chance(vec![(&JitterOfTheSamplesEffect, vec![8.0])]) > 1e-3);
+    assert!(chance(Vec::new()) < 1e-3);
     assert!(effect.written().is_none(), "a model names it, and has no formulas");
 }
 
