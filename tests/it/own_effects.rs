@@ -119,8 +119,8 @@ fn a_written_source_is_an_effect() {
     assert_eq!(effect.page().equation, "variance + k * (mu / 1000)^2");
     assert_eq!(effect.parameters().len(), 1);
     assert_eq!(effect.parameters()[0].starts, [8.0]);
-    // It predicts what its formulas draw: with it the model agrees with their campaign (one chance in a thousand to
-    // be refused), without it not.
+    // It predicts what its formulas draw: with it the model agrees with their campaign (one chance in a thousand
+    // to be refused), without it not.
     let dir = tempfile::tempdir().unwrap();
     let mut model = crate::effects::unit(331);
     model.effects.push(radcam_sim::EffectValues {
