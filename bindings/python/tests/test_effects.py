@@ -81,32 +81,6 @@ def test_it_is_found(drawn: list[Path]) -> None:
     assert "row-gain-of-python" in [e["id"] for e in radcam.effects_known()]
 
 
-def test_what_has_no_name_has_a_law_and_then_a_name(tmp_path: Path) -> None:
-    """A law of a model file is proposed; the same formula in a file of a folder is known by name."""
-    law = {"formulas": 'variance = "k * (mu / 1000)^2"', "parameters": "k = 9.0"}
-    entry = "".join(f"[effect.{key}]\n{value}\n" for key, value in law.items())
-    model = radcam.Model.load("cmos12").text + '\n[[effect]]\nid = "custom"\nname = "jitter"\n' + entry
-    (tmp_path / "model.toml").write_text(model)
-    radcam.simulate(tmp_path / "model.toml", tmp_path / "campaign", region=(0, 0, 96, 64), seed=31)
-    found = radcam.diagnose(tmp_path / "campaign")
-    assert found.effects[0] == "unknown", found.verdict
-    assert found.proposal is not None
-    assert found.proposal.formulas == {"variance": "k * (mu / 1000)^2"}
-    assert abs(found.proposal.parameters["k"].value - 9) < 4 * found.proposal.parameters["k"].std_err
-    own = tmp_path / "own"
-    own.mkdir()
-    (own / "jitter.toml").write_text('name = "jitter-in-a-file"\n' + entry.replace("[effect.", "["))
-    assert radcam.load_effects(own) == ["jitter-in-a-file"]
-    try:
-        named = radcam.diagnose(tmp_path / "campaign")
-        assert (named.effects, named.proposal) == (["jitter-in-a-file"], None), named.verdict
-        (own / "jitter.toml").write_text("name = 1")
-        with pytest.raises(ValueError, match="jitter.toml"):
-            radcam.load_effects(own)
-    finally:
-        radcam.unregister("jitter-in-a-file")
-
-
 def test_faults_of_an_effect_are_raised(drawn: list[Path], tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="already"):
         radcam.register(RowGain())
