@@ -136,6 +136,13 @@ pub fn register_own_effect(path: &Path) -> Result<String, ModelError> {
     Ok(own.name)
 }
 
+/// Verifies that a file is an effect by its name: it ends in `.toml`, and is no side file of macOS, which begins
+/// with a dot.
+pub fn is_own_file(path: &Path) -> bool {
+    let name = path.file_name().map(|n| n.to_string_lossy());
+    name.is_some_and(|n| n.ends_with(".toml") && !n.starts_with('.'))
+}
+
 /// Files of a folder that are effects by their names, in the order of these.
 ///
 /// # Errors
@@ -149,12 +156,7 @@ pub fn own_files(folder: &Path) -> Result<Vec<PathBuf>, ModelError> {
     let entries = std::fs::read_dir(folder).map_err(of_folder)?;
     let mut files: Vec<PathBuf> =
         entries.map(|entry| entry.map(|e| e.path())).collect::<Result<_, _>>().map_err(of_folder)?;
-    // Side files of macOS begin with a dot.
-    let is_effect = |path: &PathBuf| {
-        let name = path.file_name().map(|n| n.to_string_lossy());
-        name.is_some_and(|n| n.ends_with(".toml") && !n.starts_with('.'))
-    };
-    files.retain(is_effect);
+    files.retain(|path| is_own_file(path));
     files.sort();
     Ok(files)
 }

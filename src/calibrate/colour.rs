@@ -7,6 +7,12 @@ use ndarray::{Array2, s};
 /// First row and column of each plane.
 const PLACES: [(usize, usize); 4] = [(0, 0), (0, 1), (1, 0), (1, 1)];
 
+/// First row, first column and period of each plane; a sensor without a mosaic is one.
+pub(super) fn places(mosaic: bool) -> impl Iterator<Item = (usize, usize, usize)> {
+    let (planes, period) = if mosaic { (PLACES.len(), 2) } else { (1, 1) };
+    PLACES.into_iter().take(planes).map(move |(y, x)| (y, x, period))
+}
+
 /// The images of each plane, at half the size.
 pub(super) fn planes(images: &[Array2<f32>]) -> [Vec<Array2<f32>>; 4] {
     PLACES.map(|(y, x)| images.iter().map(|image| image.slice(s![y..;2, x..;2]).to_owned()).collect())

@@ -1,8 +1,8 @@
 //! Flat-field correction: the light of the flats in K, so that what was even before the camera is even behind it.
 //!
-//! A frame I becomes (I - D) / (F - D) times the mean of F - D (Janesick 2001, ch. 4), which is eq. (51) of
-//! Healey and Kondepudy with K = (F - D) / mean (F - D): lens shading, lamp and card are in it with the response
-//! of the pixels.
+//! A frame I becomes (I - D) / (F - D) times the mean of F - D (Seibert, Boone and Lindfors 1998, Proc. SPIE
+//! 3336, 348), which is eq. (51) of Healey and Kondepudy with K = (F - D) / mean (F - D): lens shading, lamp and
+//! card are in it with the response of the pixels.
 
 use super::defects::Defect;
 use super::pattern::FixedPattern;
@@ -20,10 +20,8 @@ pub(super) fn with_light(
     defects: &[Defect],
     mosaic: bool,
 ) {
-    let mut flags = Array2::<u8>::zeros(pattern.k.dim());
-    defects.iter().for_each(|d| flags[(d.y, d.x)] = d.flags);
-    let period = if mosaic { 2 } else { 1 };
-    for (y, x) in (0..period).flat_map(|y| (0..period).map(move |x| (y, x))) {
+    let flags = super::flags_of(defects, pattern.k.dim());
+    for (y, x, period) in super::colour::places(mosaic) {
         let plane = s![y..;period, x..;period];
         let flags = flags.slice(plane);
         let mut map = Array2::<f32>::zeros(flags.dim());

@@ -220,8 +220,8 @@ pub struct Calibrated {
 /// configuration, however many frames went into it.
 ///
 /// Of flats with several exposures the one with the most configurations is taken, of equal ones the longest;
-/// [`Estimator::Smooth`] and [`Estimator::FlatField`] take all flats. Pixels that are dead or get no light are flagged and have K = 1; a K
-/// whose error exceeds what it corrects is refused.
+/// [`Estimator::Smooth`] and [`Estimator::FlatField`] take all flats. Pixels that are dead or get no light are
+/// flagged and have K = 1; a K whose error exceeds what it corrects is refused.
 ///
 /// # Errors
 ///
@@ -381,15 +381,20 @@ fn name_of(estimator: Estimator, mosaic: bool) -> String {
     name + if mosaic { "; each plane of the colour mosaic by itself" } else { "" }
 }
 
+/// Map of the flags of defects.
+fn flags_of(defects: &[Defect], shape: (usize, usize)) -> Array2<u8> {
+    let mut flags = Array2::zeros(shape);
+    defects.iter().for_each(|d| flags[(d.y, d.x)] = d.flags);
+    flags
+}
+
 /// K = 1 for pixels whose response is not known, and a mean of 1 over those without a defect; of a mosaic in each
 /// plane.
 fn without_defects(pattern: &mut FixedPattern, defects: &[Defect], mosaic: bool) {
-    let mut flags = Array2::<u8>::zeros(pattern.k.dim());
-    defects.iter().for_each(|d| flags[(d.y, d.x)] = d.flags);
-    let period = if mosaic { 2 } else { 1 };
+    let flags = flags_of(defects, pattern.k.dim());
     let errors = pattern.std_err.iter().zip(&flags).filter(|(_, f)| **f == 0).map(|(e, _)| f64::from(*e));
     let usual = crate::statistics::median::median(errors) as f32;
-    for (y, x) in (0..period).flat_map(|y| (0..period).map(move |x| (y, x))) {
+    for (y, x, period) in colour::places(mosaic) {
         let plane = s![y..;period, x..;period];
         let flags = flags.slice(plane);
         let mut k = pattern.k.slice_mut(plane);

@@ -5,7 +5,7 @@ use super::common::{lines_of, may_be_written, no_effect, quoted};
 use super::observe::{Colour, Datasets, observe};
 use crate::dataset::write_whole;
 use crate::diagnosis::{diagnose, searched};
-use crate::model::{own_files, page, register_own_effect};
+use crate::model::{is_own_file, own_files, page, register_own_effect};
 use crate::number::pretty;
 use anyhow::{Context, Result, bail};
 use radcam_sim::effects::{Effect, OwnEffect, UNBOUNDED, all, find};
@@ -122,11 +122,7 @@ fn new(of: &New) -> Result<()> {
             folder.join(format!("{}.toml", of.name))
         }
     };
-    let is_read = output.file_name().is_some_and(|name| {
-        let name = name.to_string_lossy();
-        name.ends_with(".toml") && !name.starts_with('.')
-    });
-    if !is_read {
+    if !is_own_file(&output) {
         bail!("{}: an effect is read from a file whose name ends in .toml", output.display());
     }
     for path in std::iter::once(&output).chain(&of.rust) {

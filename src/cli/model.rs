@@ -162,7 +162,7 @@ fn show(path: &Path, model: &Model, json: bool) -> Result<()> {
         println!("  no effects: the paper's model");
     }
     for e in &model.effects {
-        println!("  {}", e.name.as_deref().unwrap_or(&e.id));
+        println!("  {}", e.called());
         e.formulas.iter().for_each(|(what, formula)| println!("    {what:<24} + {formula}"));
         let of_effect = effects::find(&e.id).map_or(&[][..], |e| e.parameters());
         for (name, value) in &e.parameters {

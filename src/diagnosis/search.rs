@@ -269,8 +269,8 @@ impl Look<'_> {
     /// rightly.
     fn only_excuses(&self, c: &Candidate) -> bool {
         let (now, with) = (residuals_of(self.all, self.now), residuals_of(self.all, &c.fitted));
-        let of = |r: &Residual| (r.statistic.clone(), r.set);
-        if now.len() != with.len() || now.iter().zip(&with).any(|(a, b)| of(a) != of(b)) {
+        let differ = |(a, b): (&Residual, &Residual)| a.set != b.set || a.statistic != b.statistic;
+        if now.len() != with.len() || now.iter().zip(&with).any(differ) {
             return false;
         }
         let profiles = LineProfile.id();

@@ -1,7 +1,7 @@
 //! Covariance of the means of columns some way apart, DN^2: whether columns that scatter do so one by one, in
 //! stripes, or with a field that changes its shape.
 
-use super::expect::FIELD;
+use super::expect::{FIELD, larger};
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature, line_shape};
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
@@ -72,8 +72,7 @@ impl Statistic for ColumnShape {
         let error = in_quadrature(&[alone, of_fields, 0.3 * view.moving, stripes.variance, rest, single]);
         let field = view.with_light * view.all.field.column_lags[o.index.min(super::LINE_LAGS.len() - 1)];
         let error = in_quadrature(&[error, FIELD * view.with_light * view.all.field.columns]);
-        let shared = if of_fields.abs() > stripes.common.abs() { of_fields } else { stripes.common };
         let value = near - flat + stripes.covariance + fields + field;
-        Expected::plain(o, value, error).with_common(shared)
+        Expected::plain(o, value, error).with_common(larger(stripes.common, of_fields))
     }
 }

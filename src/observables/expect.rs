@@ -231,6 +231,11 @@ impl Lags {
     }
 }
 
+/// The larger of two errors, with its sign: of those that statistics of the same frames share one is kept.
+pub(super) fn larger(a: f64, b: f64) -> f64 {
+    if b.abs() > a.abs() { b } else { a }
+}
+
 /// Place of a lag in a table of them.
 fn near(lag: i32) -> usize {
     (lag.unsigned_abs() as usize).min(LAGS - 1)
@@ -495,7 +500,6 @@ impl<'a> View<'a> {
         let of = &self.lags.ripple;
         let ripple = if of[0] > 0.0 { self.ripple_error * of[near(dy)] / of[0] } else { 0.0 };
         let field = self.field_error(self.lags.fields(dy, dx));
-        let larger = |a: f64, b: f64| if b.abs() > a.abs() { b } else { a };
         larger(larger(ripple, self.lines(dy, dx)), field)
     }
 

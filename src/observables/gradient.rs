@@ -8,7 +8,7 @@ use super::expect::{FIELD, line_mean};
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
-use radcam_sim::predict::{SHAPES, cosine_power};
+use radcam_sim::predict::{SHAPES, cosine, cosine_power};
 
 /// The scatter of the frames' shape.
 #[derive(Debug)]
@@ -21,10 +21,8 @@ const UNLIKE: f64 = 0.3;
 
 /// Mean product of values of lines with the cosine of so many half turns, of mean square 1.
 pub(super) fn product(lines: impl ExactSizeIterator<Item = f64>, halves: u32) -> f64 {
-    let n = lines.len().max(1) as f64;
-    let turn = std::f64::consts::PI * f64::from(halves) / n;
-    let shape = |y: usize| std::f64::consts::SQRT_2 * (turn * (y as f64 + 0.5)).cos();
-    lines.enumerate().map(|(y, v)| v * shape(y)).sum::<f64>() / n
+    let n = lines.len().max(1);
+    lines.enumerate().map(|(y, v)| v * cosine(halves, y, n)).sum::<f64>() / n as f64
 }
 
 impl Statistic for Gradient {

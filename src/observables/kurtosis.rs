@@ -87,9 +87,8 @@ impl Statistic for Kurtosis {
         let (rows, columns) = view.all.campaign.shape;
         let lines = rho(s.row.lag(0) + s.ripple(0.0)) * columns as f64 + rho(s.column.lag(0)) * rows as f64;
         let waves = s.lines.iter().map(|l| rho(l.0)).sum::<f64>() * o.pixels;
-        // One number a frame: few frames show the square of a field, and its fourth power, as they come (moments
-        // of normal numbers: 105 - 9 for the fourth power, root 96 over n frames, times 3/2 of the shape's own).
-        let of_fields = FEW * s.fields.squares() / square / view.n.sqrt();
+        let (fewer, of_fields) = of_field(view.dof);
+        let share = s.fields.squares() / square;
         let later: f64 = s.shot_memory.iter().chain(&s.read_memory).map(|r| 2.0 * r.powi(4)).sum();
         let alike = (neighbours + lines + waves) * (1.0 + later);
         let dof = o.pixels * view.dof;
@@ -106,7 +105,7 @@ impl Statistic for Kurtosis {
         let rest = 6.0 * (view.rough.1.hypot(view.moving) / variance);
         Expected::plain(
             o,
-            3.0 * dof / (dof + 2.0) + own / square + in_time,
+            3.0 * dof / (dof + 2.0) + own / square + in_time + share * fewer,
             in_quadrature(&[
                 ((24.0 * alike.max(1.0) + unlike) / dof).sqrt(),
                 single,
@@ -115,21 +114,49 @@ impl Statistic for Kurtosis {
                 0.01,
                 0.1 * in_time,
                 rest,
-                of_fields,
+                share * of_fields,
             ]),
         )
         .with_tails(single.hypot((unlike / dof).sqrt()))
     }
 }
 
-/// Scatter of the kurtosis by a field of one frame, over the square of its share of the noise: root 96 times 3/2.
-const FEW: f64 = 14.7;
+/// Excess of the kurtosis by a shape that every frame takes anew, over the square of its share of the noise: what
+/// n independent frames have less of it than many, and its scatter. With A2 and A4 the mean square and fourth
+/// power of n normal numbers, and 1/2 the variance of the square of a cosine, it is 3/2 A4 - 3 A2^2, whose mean
+/// is 3/2 - 6 / n and whose variance is 72 / n for many (moments of normal numbers: 1, 3, 15, 105), three times
+/// that for one.
+fn of_field(n: f64) -> (f64, f64) {
+    (-6.0 / n, (72.0 * (1.0 + 2.0 / n) / n).sqrt())
+}
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use ndarray::Array2;
     use radcam_sim::rng::{PixelRng, Stream};
+
+    /// Mean of the excess over 20 000 draws of few normal numbers: within five standard errors. Its scatter is no
+    /// more than is said, and at few frames no less than two fifths of it.
+    #[test]
+    fn few_frames_show_a_field_as_they_come() {
+        for n in [1u32, 3, 7, 15] {
+            let excess = |draw: u32| {
+                let mut rng = PixelRng::new(5, Stream::Effect, u64::from(n), draw, 0);
+                let squares: Vec<f64> = (0..n).map(|_| rng.normal().powi(2)).collect();
+                let mean =
+                    |of: &dyn Fn(f64) -> f64| squares.iter().map(|s| of(*s)).sum::<f64>() / f64::from(n);
+                1.5 * mean(&|s| s * s) - 3.0 * mean(&|s| s).powi(2)
+            };
+            let all: Vec<f64> = (0..20_000).map(excess).collect();
+            let mean = all.iter().sum::<f64>() / all.len() as f64;
+            let sd = (all.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / all.len() as f64).sqrt();
+            let (less, said) = of_field(f64::from(n));
+            assert!((mean - 1.5 - less).abs() < 5.0 * sd / (all.len() as f64).sqrt(), "{n}: {mean}");
+            // The fourth power of one number has heavy tails: its scatter is known to a tenth.
+            assert!((0.4..1.1).contains(&(sd / said)), "{n}: {sd}, said {said}");
+        }
+    }
 
     /// Of 400 lists of four frames of normal numbers, as deviations from the mean of those before: the mean and the variance of the kurtosis
     /// within five standard errors of 3 n / (n + 2) and 24 / n, n the degrees of freedom of all pixels.

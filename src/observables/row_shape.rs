@@ -1,6 +1,6 @@
 //! Covariance of the means of rows some way apart, DN^2: whether rows that scatter do so one by one or in bands.
 
-use super::expect::FIELD;
+use super::expect::{FIELD, larger};
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature, line_shape};
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
@@ -80,7 +80,6 @@ impl Statistic for RowShape {
         let field = view.with_light * view.all.field.row_lags[o.index.min(super::LINE_LAGS.len() - 1)];
         let error = in_quadrature(&[error, FIELD * view.with_light * view.all.field.rows]);
         // A ripple, stripes and fields have different common errors: the largest one is taken.
-        let larger = |a: f64, b: f64| if b.abs() > a.abs() { b } else { a };
         let shared = larger(larger(stripes.common, view.ripple_error * common), view.field_error(fields));
         let value = near - flat + slow + stripes.covariance + fields + field;
         Expected::plain(o, value, error).with_common(shared)

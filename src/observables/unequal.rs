@@ -90,8 +90,7 @@ impl Statistic for Unequal {
                 of_lines(&s.row, rows),
                 of_lines(&s.column, columns),
                 sines_scatter,
-                // Few frames show the square of a field as it comes, and pixels share it.
-                2.0 * s.fields.squares() / square / view.n.sqrt(),
+                s.fields.squares() / square * of_field(view.dof),
                 // Bands of a wander are few.
                 0.3 * alike,
                 // Rounding changes the correlation of frames; that is not predicted.
@@ -148,6 +147,13 @@ fn tail(largest: f64, dof: f64, pixels: f64) -> f64 {
 fn scatter_of_lines(share: f64, dof: f64, lines: f64) -> f64 {
     let a = 2.0 / dof;
     share * share * a * (2.0 / (lines * (1.0 + a))).sqrt()
+}
+
+/// Scatter of the spread of pixel variances by a shape that n independent frames take anew, over the square of
+/// its share of the noise: that of 1/2 A2^2, A2 the mean square of n normal numbers (moments of chi-squared: n (n
+/// + 2) (n + 4) (n + 6) less n^2 (n + 2)^2, over n^4).
+fn of_field(n: f64) -> f64 {
+    0.5 * (8.0 * (n + 2.0) * (n + 3.0) / n.powi(3)).sqrt()
 }
 
 #[cfg(test)]

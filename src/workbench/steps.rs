@@ -21,7 +21,7 @@ pub struct Entry {
 impl Entry {
     /// Its identifier, or the name of one's own effect.
     pub fn name(&self) -> &str {
-        self.effect.name.as_deref().unwrap_or(&self.effect.id)
+        self.effect.called()
     }
 }
 

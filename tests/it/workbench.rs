@@ -265,7 +265,7 @@ fn the_whole_story_in_a_browser() {
     assert!(seen["tried"].as_str().unwrap().contains("without it"), "{}", seen["tried"]);
 }
 
-/// What has no name is said with a law; its button adds it, and the error falls to the noise.
+/// A law is said for what has no name; its button adds it, and the error falls to the noise.
 #[test]
 fn a_law_is_added_in_a_browser() {
     let dir = tempfile::tempdir().unwrap();

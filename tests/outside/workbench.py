@@ -56,6 +56,12 @@ class Browser:
     def value(self, selector):
         return self.driver.execute_script("return document.querySelector(arguments[0])?.value", selector)
 
+    def error(self):
+        return float(self.value("#error data") or "nan")
+
+    def heading(self):
+        return self.text("h1") or ""
+
     def wait(self, what, condition, seconds=60):
         end = time.time() + seconds
         while time.time() < end:
@@ -161,8 +167,7 @@ class Workbench:
 def story(radcam, dataset, pictures=None):
     b = Browser(pictures)
     seen = {}
-    error = lambda: float(b.value("#error data") or "nan")  # noqa: E731
-    heading = lambda: b.text("h1") or ""  # noqa: E731
+    error, heading = b.error, b.heading
     with Workbench(radcam, "workbench", dataset) as w:
         b.driver.get(w.url)
         seen["address"] = b.driver.current_url
@@ -264,8 +269,7 @@ def camera(radcam, name, folder, pictures=None):
 def law(radcam, dataset, pictures=None):
     b = Browser(pictures)
     seen = {}
-    error = lambda: float(b.value("#error data") or "nan")  # noqa: E731
-    heading = lambda: b.text("h1") or ""  # noqa: E731
+    error, heading = b.error, b.heading
     with Workbench(radcam, "workbench", dataset) as w:
         b.driver.get(w.url)
         b.wait("the law", lambda: b.all("#add-law"))

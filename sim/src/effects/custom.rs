@@ -23,7 +23,7 @@
 use super::own::page_of;
 use super::{Campaign, Drawing, Effect, OwnPage, Page, Parameter, Plain, Prediction, Stage};
 use crate::EffectValues;
-use crate::predict::{LAGS, SHAPES, SetPrediction, shape_at};
+use crate::predict::{LAGS, SHAPES, SetPrediction, cosine};
 use crate::text::{echo, echo_message};
 use exmex::{Express, FlatEx};
 use std::collections::{BTreeMap, HashMap};
@@ -419,7 +419,7 @@ impl Effect for Custom {
                     let size = libm::sqrt(variance) * d.random(&tag(target), d.frame, 0).normal();
                     let lines = d.image.len_of(ndarray::Axis(axis));
                     for line in 0..lines {
-                        let moved = size * shape_at(shape, line, lines);
+                        let moved = size * cosine(shape as u32 + 1, line, lines);
                         d.image.index_axis_mut(ndarray::Axis(axis), line).mapv_inplace(|v| v + moved);
                     }
                 }

@@ -152,7 +152,7 @@ impl OwnEffect {
     /// As [`check`](Self::check), or another effect has its name.
     pub fn register(&self) -> Result<(), String> {
         let effect = self.effect()?;
-        // The same effect may lie in two folders, found at another strength; the first is kept.
+        // An effect may lie in two folders, found at another strength; the first is kept.
         let formulas = |known: &'static dyn Effect| known.written().map(|w| w.formulas);
         if find(&self.name).and_then(formulas).is_some_and(|known| known == self.formulas) {
             return Ok(());

@@ -73,9 +73,9 @@ fn apart_by(variances: &[f64; SHAPES], apart: usize, lines: usize) -> f64 {
     variances.iter().enumerate().filter(|(_, v)| **v != 0.0).map(|(k, v)| v * of(k + 1)).sum()
 }
 
-/// Shape of a gradient (0) or a curvature (1) at a line of so many, of mean square 1 over all of them.
-pub fn shape_at(shape: usize, line: usize, lines: usize) -> f64 {
-    let turn = std::f64::consts::PI * (shape + 1) as f64 / lines as f64;
+/// Cosine of so many half turns over all lines, at one of them; of mean square 1.
+pub fn cosine(halves: u32, line: usize, lines: usize) -> f64 {
+    let turn = std::f64::consts::PI * f64::from(halves) / lines as f64;
     std::f64::consts::SQRT_2 * libm::cos(turn * (line as f64 + 0.5))
 }
 
@@ -83,14 +83,24 @@ pub fn shape_at(shape: usize, line: usize, lines: usize) -> f64 {
 mod tests {
     use super::*;
 
-    /// Covariances and halves are those of the shapes themselves.
+    /// Covariances, halves and powers are those of the shapes themselves.
     #[test]
     fn formulas_are_those_of_the_shapes() {
         let lines = 48;
         for shape in 0..SHAPES {
             let mut fields = Fields::default();
             fields.down[shape] = 1.0;
-            let at: Vec<f64> = (0..lines).map(|y| shape_at(shape, y, lines)).collect();
+            let halves = shape as u32 + 1;
+            let at: Vec<f64> = (0..lines).map(|y| cosine(halves, y, lines)).collect();
+            for cycles in [0.0, 0.01, 0.013, 0.2] {
+                let turn = std::f64::consts::TAU * cycles;
+                let sum = |of: fn(f64) -> f64| {
+                    at.iter().enumerate().map(|(y, v)| v * of(turn * y as f64)).sum::<f64>() / lines as f64
+                };
+                let power = sum(f64::cos).powi(2) + sum(f64::sin).powi(2);
+                let known = crate::spectrum::cosine_power(halves, lines as f64, turn);
+                assert!((known - power).abs() < 1e-12, "{shape} {cycles}");
+            }
             for apart in [0, 1, 3, 16] {
                 let pairs = (0..lines - apart).map(|y| at[y] * at[y + apart]).sum::<f64>();
                 let mean = pairs / (lines - apart) as f64;

@@ -11,7 +11,7 @@ use campaign::before_rounding;
 pub use crate::normal::{NORMAL, PLACES};
 pub use crate::spectrum::{Filter, GRID, HALF, LAGS, LineNoise, Ripple, Spectrum, angle, cosine_power};
 pub use campaign::{Before, Campaign, FrameInfo, Ordinary, SetInfo};
-pub use fields::{Fields, SHAPES, shape_at};
+pub use fields::{Fields, SHAPES, cosine};
 pub use set::{SetPrediction, TwoLevels};
 
 /// The paper's parameters as a campaign sees them.

@@ -308,8 +308,8 @@ impl SetPrediction {
         self.ripples.iter().map(|(v, r)| v * r.with_mean(to as f64, rows as f64)).sum()
     }
 
-    /// Mean over pairs of pixels of the square of the covariance that normal noise of lines and bands gives
-    /// them, DN^4.
+    /// Mean over pairs of pixels of the square of the covariance that normal noise of lines, bands and fields
+    /// gives them, DN^4.
     pub fn shared_squares(&self, rows: usize, columns: usize) -> f64 {
         let height = rows as f64;
         let wander = |(v, ripple): &(f64, Ripple)| match *ripple {
@@ -317,6 +317,7 @@ impl SetPrediction {
             Ripple::Wander(next) => v * v * Ripple::Wander(next * next).with_mean(height, height),
         };
         self.ripples.iter().map(wander).sum::<f64>()
+            + self.fields.squares()
             + self.row.lag(0).powi(2) / height
             + self.column.lag(0).powi(2) / columns as f64
     }
