@@ -1,5 +1,5 @@
-//! Another gain in a part of the flats: in those that were taken later, or in the brighter ones. The level
-//! jumps by a factor, and the slope of the variance over the level by the same one (Healey and Kondepudy
+//! Another gain in a part of the flats: in those that were taken later, in the brighter ones, or here and there.
+//! The level jumps by a factor, and the slope of the variance over the level by the same one (Healey and Kondepudy
 //! 1994, eq. 35: sigma_N^2 = A^2 (I + E_DC) + sigma_C^2). A bend does not jump, a lamp does not touch the
 //! slope.
 
@@ -77,7 +77,9 @@ struct Part {
 }
 
 impl Part {
-    fn of(points: &[Point], dark_dn2: f64) -> Option<Self> {
+    /// `from_zero`: the levels lie on a line through that without light, and the variances on one through that of
+    /// darks.
+    fn of(points: &[Point], dark_dn2: f64, from_zero: bool) -> Option<Self> {
         let has_range = |of: &dyn Fn(&Point) -> f64, ratio: f64| {
             let (least, most) =
                 points.iter().map(of).fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(v), b.max(v)));
@@ -85,12 +87,12 @@ impl Part {
         };
         let levels: Vec<(f64, f64, f64)> =
             points.iter().map(|p| (p.light, p.level_dn, p.level_std.powi(2))).collect();
-        let response = line(&levels, (!has_range(&|p| p.light, MIN_RANGE.0)).then_some(0.0))?;
+        let response = line(&levels, (from_zero || !has_range(&|p| p.light, MIN_RANGE.0)).then_some(0.0))?;
         // Signal: the level above that without light, which a gain on the codes moves too.
         let signal = |p: &Point| p.level_dn - response.intercept;
         let noises: Vec<(f64, f64, f64)> =
             points.iter().map(|p| (signal(p), p.variance_dn2, p.variance_std.powi(2))).collect();
-        let free = points.len() > MIN_OF_PART && has_range(&signal, MIN_RANGE.1);
+        let free = !from_zero && points.len() > MIN_OF_PART && has_range(&signal, MIN_RANGE.1);
         let noise = line(&noises, (!free).then_some(dark_dn2))?;
         (response.slope > 0.0 && noise.slope > 0.0).then_some(Self { response, noise })
     }
@@ -110,13 +112,13 @@ struct Step {
 
 impl Step {
     /// A cut of the flats in two; `None` where level and noise do not say one gain.
-    fn of(first: &[Point], second: &[Point], dark_dn2: f64) -> Option<Self> {
+    fn of(first: &[Point], second: &[Point], dark_dn2: f64, from_zero: bool) -> Option<Self> {
         let ratio = |a: &Line, b: &Line| {
             let rel = |line: &Line| line.var_slope.sqrt() / line.slope;
             ((b.slope / a.slope).ln(), rel(a).hypot(rel(b)))
         };
         let parts = |dark_one_dn2: f64, dark_two_dn2: f64| {
-            Part::of(first, dark_one_dn2).zip(Part::of(second, dark_two_dn2))
+            Part::of(first, dark_one_dn2, from_zero).zip(Part::of(second, dark_two_dn2, from_zero))
         };
         let plain = parts(dark_dn2, dark_dn2)?;
         let level = ratio(&plain.0.response, &plain.1.response);
@@ -182,10 +184,14 @@ impl Check for GainStep {
         let mut by_light = in_time.clone();
         by_light.sort_by(|a, b| a.light.total_cmp(&b.light));
         // Noise that falls with the level has no line.
-        let whole_chi2 = Part::of(&in_time, dark_dn2).map_or(f64::INFINITY, |whole| whole.chi2());
-        let cuts = [by_light, in_time].into_iter().flat_map(|points| {
+        let whole_chi2 = Part::of(&in_time, dark_dn2, false).map_or(f64::INFINITY, |whole| whole.chi2());
+        // Gains that come and go: those whose level is high for their light.
+        let mut by_response = by_light.clone();
+        by_response.sort_by(|a, b| (a.level_dn / a.light).total_cmp(&(b.level_dn / b.light)));
+        let orders = [(by_light, false), (in_time, false), (by_response, true)];
+        let cuts = orders.into_iter().flat_map(|(points, from_zero)| {
             (MIN_OF_PART..=points.len() - MIN_OF_PART)
-                .filter_map(|at| Step::of(&points[..at], &points[at..], dark_dn2))
+                .filter_map(|at| Step::of(&points[..at], &points[at..], dark_dn2, from_zero))
                 .collect::<Vec<_>>()
         });
         let Some(step) = cuts.min_by(|a, b| a.chi2.total_cmp(&b.chi2)) else { return Vec::new() };

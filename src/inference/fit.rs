@@ -309,6 +309,7 @@ pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
         ripples: all.ripples.fitting,
         flicker_hz: std::array::from_fn(|k| all.flickers.likely_hz.get(k).copied()),
         flickers: all.flickers.fitting,
+        exposure_steps: super::exposure_steps::likely(all, base),
         steady_dn4: all.steady_dn4.map(|v| (v.value, v.std_err)),
         darkest_dn: all.darkest_dn.map(|code| code - base.offset_dn),
         darkest_code: all.darkest_dn,

@@ -4,6 +4,7 @@
 //! arrowhead and cost grows with the number of sets (Bjorck 1996, Numerical Methods for Least Squares Problems, 6.3).
 
 mod direction;
+mod exposure_steps;
 mod fit;
 mod free;
 mod iteration;

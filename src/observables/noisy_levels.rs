@@ -25,7 +25,10 @@ const SPLIT: f64 = 0.6;
 /// Pixels whose jumps are this part of their variance and more are all among the noisiest (a named choice).
 const CHOSEN: f64 = 1.3;
 /// Noise of less than a step makes two codes of a level, which look like two levels.
-const TWO_CODES: f64 = 0.75;
+const TWO_CODES: f64 = 1.0;
+/// Variance of a level between two codes whose noise is far less than a code, in codes squared: more than that is
+/// noise.
+const BETWEEN_CODES: f64 = 0.25;
 /// Noisy pixels have so many times the noise of others (sCMOS data sheets: up to some times the median).
 const NOISY: f64 = 3.0;
 /// Value of noise of which a part is cut off, at most some tenths (a named choice).
@@ -99,7 +102,7 @@ impl Statistic for NoisyLevels {
         let off = TWO_LEVELS * of(jumping / o.pixels, jump.variance, rest);
         let step = view.prediction.code_step_dn.max(s.step_dn);
         // Selected pixels cover more than two codes, but with coarse steps they may cover two steps only.
-        let own = (noise.max(LEAST_DN2) / (step * step) - 1.0 / 12.0).max(0.0);
+        let own = (noise.max(LEAST_DN2) / (step * step) - BETWEEN_CODES).max(0.0);
         let rounding = TWO_CODES * (-std::f64::consts::PI.powi(2) * own).exp()
             + (ROUNDING * step * step / noise.max(1e-6)).min(1.0);
         // Wide codes split the noise of the pixels around them.

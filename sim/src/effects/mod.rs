@@ -123,6 +123,8 @@ pub struct Seen {
     pub flicker_hz: [Option<f64>; 3],
     /// Slowest and fastest ripple that fit this scatter within three standard errors.
     pub flickers: Option<[FittingRipple; 2]>,
+    /// Steps of the exposure that the levels of the flats follow, the best of each shape.
+    pub exposure_steps: [Option<ExposureStep>; 3],
     /// Codes for each one that occurs, about the levels.
     pub code_step_dn: Option<f64>,
     /// Distance of the codes that occur, where all lie on one line of steps; 1 where they do not.
@@ -181,6 +183,17 @@ pub struct FittingRipple {
     pub hz: f64,
     /// Amplitude at this frequency, relative to the light.
     pub rel: f64,
+}
+
+/// Step of the exposure that the levels of a campaign's flats follow.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ExposureStep {
+    /// 1: exposures are cut to whole steps, 2: to the nearest, 3: up.
+    pub shape: f64,
+    /// The step, s: the middle of those that give every exposure the same number of steps.
+    pub step_s: f64,
+    /// Its standard error, s.
+    pub std_err_s: f64,
 }
 
 impl Seen {
@@ -620,6 +633,7 @@ mod chain;
 mod custom;
 mod own;
 pub use chain::{Chain, predict};
+pub use exposure_offset::whole_steps;
 pub use custom::{Described, TARGETS, UNBOUNDED, custom};
 pub use own::{OwnEffect, OwnPage};
 

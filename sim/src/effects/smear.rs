@@ -56,7 +56,7 @@ impl Effect for Smear {
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         out.smear_s += p[0];
-        longer(p[0], c, out);
+        longer(|_| p[0], c, out);
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
@@ -66,10 +66,10 @@ impl Effect for Smear {
     }
 }
 
-/// Light for some more time in every frame.
-pub(super) fn longer(by_s: f64, c: &Campaign, out: &mut Prediction) {
+/// Light for some more time in every frame, `by_s` at its exposure (s).
+pub(super) fn longer(by_s: impl Fn(f64) -> f64, c: &Campaign, out: &mut Prediction) {
     let base = out.base.clone();
-    let extra = |set: usize| by_s * c.sets.get(set).map_or(0.0, |s| base.rate_e_per_s(s));
+    let extra = |set: usize| c.sets.get(set).map_or(0.0, |s| by_s(s.exposure_s) * base.rate_e_per_s(s));
     for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
         *m += extra(frame.set);
     }

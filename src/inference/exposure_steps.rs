@@ -1,0 +1,284 @@
+//! Whole steps of the exposure that the levels of the flats follow: where a search for them begins.
+//!
+//! Under a light that stays a level tells how many steps its exposure had, and the scale of the steps goes with
+//! the light: a step is known between the two at which any exposure has one step more or less.
+
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
+use std::f64::consts::PI;
+
+use radcam_sim::effects::{ExposureStep, whole_steps};
+
+use radcam_sim::predict::BaseParameters;
+use crate::observables::{Observations, mean};
+
+/// Different exposures at one light below which a staircase says nothing: two of them take the light and the
+/// step (a named choice).
+const MIN_EXPOSURES: usize = 5;
+
+/// Evidence asked beyond the price of the choice among all steps that are tried: twice the logarithm of a ratio
+/// of 150 (Kass and Raftery 1995, J. Am. Stat. Assoc. 90, 773: very strong).
+const EVIDENCE: f64 = 10.0;
+
+/// Squared deviations above the least up to which a step fits as well: three standard errors.
+const AS_WELL: f64 = 9.0;
+
+/// Shapes of whole steps: cut, rounded, rounded up.
+const SHAPES: [f64; 3] = [1.0, 2.0, 3.0];
+
+/// Steps that are tried at most, of each shape.
+const MOST: f64 = 10_000.0;
+
+/// Errors of a lamp that is not set anew, relative, that are tried.
+const LAMPS: [f64; 4] = [3e-5, 1e-4, 3e-4, 1e-3];
+
+/// Error of a level at least, DN: how exactly means are kept.
+const KEPT_DN: f64 = 0.002;
+
+/// Level of a set.
+#[derive(Clone, Copy)]
+struct Level {
+    exposure_s: f64,
+    /// Its lamp level, at which the light stays, and the light relative to that; `None`: a dark.
+    light: Option<(usize, f64)>,
+    /// Above black level and dark charge, DN.
+    signal_dn: f64,
+    /// One over its squared error.
+    weight: f64,
+}
+
+/// Levels in proportion to exposures, above one offset: what is left of the black level's error.
+struct Line {
+    offset_dn: f64,
+    /// Of each light.
+    rates_dn_per_s: Vec<f64>,
+}
+
+impl Line {
+    /// By weighted least squares, where exposures are `of` a level.
+    fn through(levels: &[Level], of: impl Fn(&Level) -> f64) -> Self {
+        let lights = levels.iter().filter_map(|l| Some(l.light?.0)).max().map_or(0, |l| l + 1);
+        // Of each light the weighted sums of x, x x and x y; of all the sums of 1 and y.
+        let mut sums = vec![[0.0; 3]; lights];
+        let (mut ones, mut ys) = (0.0, 0.0);
+        for l in levels {
+            ones += l.weight;
+            ys += l.weight * l.signal_dn;
+            if let Some((light, ratio)) = l.light {
+                let x = ratio * of(l);
+                sums[light][0] += l.weight * x;
+                sums[light][1] += l.weight * x * x;
+                sums[light][2] += l.weight * x * l.signal_dn;
+            }
+        }
+        let lit = || sums.iter().filter(|s| s[1] > 0.0);
+        let own = ones - lit().map(|[x, xx, _]| x * x / xx).sum::<f64>();
+        let rest = ys - lit().map(|[x, xx, xy]| x * xy / xx).sum::<f64>();
+        let offset_dn = if own > 1e-9 * ones { rest / own } else { 0.0 };
+        let rate = |[x, xx, xy]: &[f64; 3]| if *xx > 0.0 { (xy - offset_dn * x) / xx } else { 0.0 };
+        Self { offset_dn, rates_dn_per_s: sums.iter().map(rate).collect() }
+    }
+
+    /// Measured less expected, DN.
+    fn deviation_dn(&self, l: &Level, exposure_s: f64) -> f64 {
+        let rate = l.light.map_or(0.0, |(light, ratio)| self.rates_dn_per_s[light] * ratio);
+        l.signal_dn - self.offset_dn - rate * exposure_s
+    }
+}
+
+/// The steps of each shape that describe the levels far better than a constant time does, the best ones.
+pub(super) fn likely(all: &Observations, base: &BaseParameters) -> [Option<ExposureStep>; 3] {
+    let levels = levels(all, base);
+    let lit = || levels.iter().filter(|l| l.light.is_some());
+    let mut exposures: Vec<f64> = lit().map(|l| l.exposure_s).collect();
+    exposures.sort_by(f64::total_cmp);
+    exposures.dedup_by(|a, b| (*a - *b).abs() <= 1e-6 * *b);
+    let Some(&longest) = exposures.last().filter(|_| exposures.len() >= MIN_EXPOSURES) else {
+        return [None; 3];
+    };
+    let constant = left_by_a_constant(&levels);
+    // The least step that shows: two standard errors of the level that tells a time best.
+    let rate = |l: &Level| l.signal_dn / l.exposure_s;
+    let least = lit().map(|l| 2.0 / (rate(l) * l.weight.sqrt())).fold(f64::INFINITY, f64::min);
+    if constant < EVIDENCE || !(least > 0.0 && least < longest) {
+        return [None; 3];
+    }
+    // Steps at which the longest exposure has a third of a step more are another trial.
+    let least = least.max(3.0 * longest / MOST);
+    let number = 3.0 * longest / least;
+    let enough = constant.min(left_by_settings(&levels))
+        - 2.0 * (SHAPES.len() as f64 * number).ln()
+        - EVIDENCE;
+    let mut tried = Vec::new();
+    for rel in LAMPS {
+        let (levels, wider) = widened(&levels, rel);
+        if wider > enough {
+            break;
+        }
+        for shape in SHAPES {
+            let mut step_s = longest;
+            while step_s > least {
+                let left = wider + left_by_steps(&levels, shape, step_s);
+                if left < enough {
+                    tried.push((left, between(&exposures, shape, step_s)));
+                }
+                step_s -= (step_s / longest) * step_s / 3.0;
+            }
+        }
+    }
+    let best = tried.iter().map(|(left, _)| *left).fold(f64::INFINITY, f64::min);
+    tried.retain(|(left, _)| *left < best + AS_WELL);
+    tracing::debug!("  steps of the exposure: {constant:.1} -> {best:.1}, asked {enough:.1}: {tried:?}");
+    SHAPES.map(|shape| {
+        let own = tried.iter().filter(|(_, s)| s.shape == shape).min_by(|a, b| a.0.total_cmp(&b.0))?.1;
+        // A third of the distance to the farthest that fits within three standard errors.
+        let far = tried.iter().map(|(_, s)| (s.step_s - own.step_s).abs() / 3.0).fold(0.0, f64::max);
+        Some(ExposureStep { std_err_s: own.std_err_s.max(far), ..own })
+    })
+}
+
+/// Levels of the sets.
+fn levels(all: &Observations, base: &BaseParameters) -> Vec<Level> {
+    let gain = base.gain_dn_per_e;
+    let of = |o: &crate::observables::Observable| {
+        let set = all.campaign.sets.get(o.set?)?;
+        let dark_dn = base.offset_dn + gain * base.dark_e_per_s * set.exposure_s;
+        let signal_dn = o.measured.value - dark_dn;
+        let frames = (o.frames.1 - o.frames.0).max(1) as f64;
+        let noise_dn2 = gain * (signal_dn.max(0.0) + gain * base.read_noise_e.powi(2));
+        let scatter_dn2 = (noise_dn2 / o.pixels.max(1.0)).max(o.frame_means.1) / frames;
+        // The largest error of a mean that is rounded to codes (Widrow and Kollar 2008, ch. 4), over root two.
+        let unrounded_dn2 = noise_dn2 + set.spread_dn.powi(2);
+        let rounding_dn = (-2.0 * PI.powi(2) * unrounded_dn2).exp() / (PI * 2.0_f64.sqrt());
+        let var_dn2 = scatter_dn2 + KEPT_DN.powi(2) + rounding_dn.powi(2);
+        let light = set.light.map(|light| (light, set.light_ratio));
+        let level = Level { exposure_s: set.exposure_s, light, signal_dn, weight: var_dn2.recip() };
+        (light.is_none() || set.exposure_s > 0.0 && signal_dn > 0.0).then_some((o.set?, level))
+    };
+    let mut sets: BTreeMap<usize, Level> = BTreeMap::new();
+    for (set, level) in all.of(&mean::Mean).filter_map(of) {
+        match sets.entry(set) {
+            Entry::Vacant(free) => {
+                free.insert(level);
+            }
+            Entry::Occupied(mut has) => {
+                let both = has.get_mut();
+                let weight = both.weight + level.weight;
+                both.signal_dn =
+                    (both.weight * both.signal_dn + level.weight * level.signal_dn) / weight;
+                both.weight = weight;
+            }
+        }
+    }
+    sets.into_values().collect()
+}
+
+/// Levels whose light has an error, relative, too, and the sum of the logarithms of the variances over those
+/// without it.
+fn widened(levels: &[Level], rel: f64) -> (Vec<Level>, f64) {
+    let by = |l: &Level| 1.0 + if l.light.is_some() { l.weight * (rel * l.signal_dn).powi(2) } else { 0.0 };
+    let wide = levels.iter().map(|l| Level { weight: l.weight / by(l), ..*l }).collect();
+    (wide, levels.iter().map(|l| by(l).ln()).sum())
+}
+
+/// Sum of the squared deviations, in standard errors, from levels in proportion to exposures `of` a level.
+fn left(levels: &[Level], of: impl Fn(&Level) -> f64) -> f64 {
+    let line = Line::through(levels, &of);
+    levels.iter().map(|l| l.weight * line.deviation_dn(l, of(l)).powi(2)).sum()
+}
+
+/// The same where each set has a light of its own, with the scatter that is likeliest: twice the negative
+/// logarithm of the likelihood, over that of levels without an error.
+fn left_by_settings(levels: &[Level]) -> f64 {
+    let line = Line::through(levels, |l| l.exposure_s);
+    let at = |rel: f64| -> f64 {
+        let (levels, wider) = widened(levels, rel);
+        wider + levels.iter().map(|l| l.weight * line.deviation_dn(l, l.exposure_s).powi(2)).sum::<f64>()
+    };
+    (0..SCATTERS).map(|k| at(1e-5 * 1.25_f64.powi(k))).fold(at(0.0), f64::min)
+}
+
+/// Scatters of the settings that are tried, each a quarter larger than the one before: to 0.6.
+const SCATTERS: i32 = 50;
+
+fn left_by_steps(levels: &[Level], shape: f64, step_s: f64) -> f64 {
+    left(levels, |l| whole_steps(shape, step_s, l.exposure_s) * step_s)
+}
+
+/// The same with a constant time beside the exposures: the best one, by the least of a parabola through three.
+fn left_by_a_constant(levels: &[Level]) -> f64 {
+    let lit = levels.iter().filter(|l| l.light.is_some());
+    let shortest = lit.map(|l| l.exposure_s).fold(f64::INFINITY, f64::min);
+    let at = |t0_s: f64| left(levels, |l| l.exposure_s + t0_s);
+    let mut t0_s = 0.0;
+    let mut span = 0.5 * shortest;
+    for _ in 0..ROUNDS {
+        let (below, here, above) = (at(t0_s - span), at(t0_s), at(t0_s + span));
+        let bend = below - 2.0 * here + above;
+        if bend > 0.0 {
+            t0_s += (0.5 * (below - above) / bend).clamp(-1.0, 1.0) * span;
+        }
+        span *= 0.3;
+    }
+    at(t0_s).min(at(0.0))
+}
+
+/// Rounds in which the constant time is found.
+const ROUNDS: usize = 8;
+
+/// The middle of the steps that give every exposure the same number of steps, and the standard deviation of even
+/// chances among them.
+fn between(exposures: &[f64], shape: f64, step_s: f64) -> ExposureStep {
+    let added = 0.5 * (shape - 1.0);
+    let (mut low, mut high) = (0.0_f64, f64::INFINITY);
+    for t in exposures {
+        let n = whole_steps(shape, step_s, *t);
+        low = low.max(t / (n + 1.0 - added));
+        if n - added > 0.0 && n > 1.0 {
+            high = high.min(t / (n - added));
+        }
+    }
+    // A longest exposure of one step alone says only how long a step is at least.
+    if !high.is_finite() || high <= low {
+        return ExposureStep { shape, step_s, std_err_s: 0.0 };
+    }
+    ExposureStep { shape, step_s: 0.5 * (low + high), std_err_s: (high - low) / 12.0_f64.sqrt() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Levels of twelve exposures from `shortest` to `longest` with an error of `rel`, by a camera of these steps.
+    fn levels(of: impl Fn(f64) -> f64, rel: f64, seed: u64) -> Vec<Level> {
+        let mut random = radcam_sim::rng::PixelRng::new(seed, radcam_sim::rng::Stream::Effect, 0, 0, 0);
+        (0..12)
+            .map(|i| {
+                let exposure_s = 1e-4 * 1.7_f64.powi(i);
+                let signal_dn = 4e5 * of(exposure_s);
+                let error = rel * signal_dn;
+                let signal_dn = signal_dn + error * random.normal();
+                Level { exposure_s, light: Some((0, 1.0)), signal_dn, weight: error.powi(-2) }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_constant_time_is_taken_off() {
+        // Chi-square of nine degrees of freedom, mean of 100: 9 +- 0.42; five sigma.
+        let all: f64 = (0..100).map(|s| left_by_a_constant(&levels(|t| t + 2e-5, 1e-3, s))).sum();
+        assert!((all / 100.0 - 9.0).abs() < 2.1, "{}", all / 100.0);
+    }
+
+    #[test]
+    fn steps_lie_between_those_of_another_number() {
+        let exposures = [1e-4, 2.5e-4, 9.9e-4, 3.21e-3];
+        for (shape, step_s) in [(1.0, 3.2e-5), (2.0, 3.2e-5), (3.0, 3.2e-5), (1.0, 1e-5)] {
+            let found = between(&exposures, shape, step_s);
+            assert!((found.step_s - step_s).abs() < 2.0 * found.std_err_s + 1e-9, "{found:?}");
+            for t in exposures {
+                assert_eq!(whole_steps(shape, step_s, t), whole_steps(shape, found.step_s, t));
+            }
+        }
+    }
+}
