@@ -6,7 +6,7 @@ use super::set_view::SetView;
 use super::{DataFault, FaultKind};
 use crate::dataset::{Dataset, FrameRow, Kind, PassedOver};
 use crate::statistics::median::{MAD_OF_NORMAL, median};
-use crate::statistics::quantisation::SMALLEST_DARK_DN2;
+use crate::statistics::quantisation::{QUIET_DN2, SMALLEST_DARK_DN2};
 use std::collections::BTreeMap;
 
 /// Rounding to whole codes alone moves the mean of a quiet frame by some hundredths, DN.
@@ -391,12 +391,13 @@ impl<'a> Campaign<'a> {
         out
     }
 
-    /// Returns true if codes of a coarse converter hide the noise of a set: variance and fixed pattern are those
-    /// of rounding (EMVA 1288 release 4, appendix C.4, in steps of the converter).
+    /// Returns true if codes hide the noise of a set: of a coarse converter variance and fixed pattern are those
+    /// of rounding (EMVA 1288 release 4, appendix C.4, in steps of the converter), of others less is left than
+    /// rounding adds.
     pub fn is_rounded(&self, set: &SetView) -> bool {
         let step = self.code_step_dn;
-        step > MIN_COARSE_STEP_DN
-            && set.variance_dn2().is_some_and(|v| v.0 < SMALLEST_DARK_DN2 * step.powi(2))
+        let least_dn2 = if step > MIN_COARSE_STEP_DN { SMALLEST_DARK_DN2 * step.powi(2) } else { QUIET_DN2 };
+        set.variance_dn2().is_some_and(|v| v.0 < least_dn2)
     }
 
     /// Returns true if the patterns of all these sets have one size.

@@ -283,7 +283,7 @@ pub fn diagnose(
     notes.extend(sensor::below_zero(&sensor));
     Diagnosis {
         verdict: Verdict::of(&missing, remainder.as_ref(), &first, &whole, &all.left_on, proposal.as_ref()),
-        consistent: missing.is_empty(),
+        consistent: missing.is_empty() && !all.flats_left_out,
         error_before: first.error,
         error_after: last.error,
         ladder,

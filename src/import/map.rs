@@ -1,6 +1,6 @@
 //! How files become sets: the map that the user confirms, completes or writes.
 
-use super::{ImportError, ReadOptions, Scale, camera};
+use super::{ImportError, ReadOptions, Scale, camera, plausible};
 use crate::dataset::{CameraInfo, Kind};
 use crate::input::echo;
 use crate::number::ranges;
@@ -248,7 +248,16 @@ impl Map {
                 _ => None,
             }
         };
-        self.sets.iter().enumerate().filter_map(without).collect()
+        let mut out: Vec<String> = self.sets.iter().enumerate().filter_map(without).collect();
+        // Levels contradict exposures that were filled in, too.
+        let lit =
+            self.sets.iter().enumerate().filter(|(_, s)| s.kind == Kind::Flat && s.illumination.is_none());
+        let flats = lit.filter_map(|(k, s)| Some((k, s.exposure_s?, s.mean_dn?))).collect();
+        if let Some((k, text)) = plausible::falling_levels(flats, lowest).filter(|_| out.is_empty()) {
+            let (key, why) = text.split_once(':').unwrap_or(("exposure", &text));
+            out.push(format!("{key} of set {k} ({}):{why}", self.sets[k].kind));
+        }
+        out
     }
 }
 

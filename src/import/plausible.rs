@@ -16,15 +16,9 @@ const MIN_BITS: u32 = 4;
 /// Digits of a number in a name that may be a camera's serial number.
 const SERIAL_DIGITS: std::ops::RangeInclusive<usize> = 7..=10;
 
-/// Questions exposures that darken: `1_80s` is 1/80 s, or `2.000 us` are two thousand.
-pub fn falling_levels(sets: &mut [Growing], lowest_dn: f64) {
-    // Place, exposure and signal of each.
-    let mut flats: Vec<(usize, f64, f64)> = sets
-        .iter()
-        .enumerate()
-        .filter(|(_, s)| s.set.kind == Kind::Flat && s.set.illumination.is_none())
-        .filter_map(|(k, s)| Some((k, s.set.exposure_s?, s.mean_dn - lowest_dn)))
-        .collect();
+/// Flats of which the longer are the darker: the longest one, and that in words. `flats`: place, exposure (s)
+/// and mean (DN) of those that state no light.
+pub fn falling_levels(mut flats: Vec<(usize, f64, f64)>, lowest_dn: f64) -> Option<(usize, String)> {
     flats.sort_by(|a, b| a.1.total_cmp(&b.1));
     // Each against the next one that is clearly longer.
     let (mut rises, mut falls, mut next) = (0, 0, 0);
@@ -34,20 +28,49 @@ pub fn falling_levels(sets: &mut [Growing], lowest_dn: f64) {
             next += 1;
         }
         let Some(b) = flats.get(next) else { break };
-        rises += usize::from(b.2 > BRIGHTER * a.2);
-        falls += usize::from(a.2 > BRIGHTER * b.2);
+        let (a_dn, b_dn) = (a.2 - lowest_dn, b.2 - lowest_dn);
+        rises += usize::from(b_dn > BRIGHTER * a_dn);
+        falls += usize::from(a_dn > BRIGHTER * b_dn);
     }
-    if let [shortest, .., longest] = *flats.as_slice()
-        && falls > 2 * rises
-    {
-        sets[longest.0].set.doubts.push(format!(
+    let [shortest, .., longest] = *flats.as_slice() else { return None };
+    (falls > 2 * rises).then(|| {
+        let text = format!(
             "exposure: flats of {} s have {:.0} DN and those of {} s {:.0} DN: the longer, the darker. Either they are read wrongly \
              (1_80s as 80 s for 1/80 s), or the light differs (then give illumination)",
             six_digits(shortest.1),
-            shortest.2 + lowest_dn,
+            shortest.2,
             six_digits(longest.1),
-            longest.2 + lowest_dn
-        ));
+            longest.2
+        );
+        (longest.0, text)
+    })
+}
+
+/// Questions exposures that darken: `1_80s` is 1/80 s, or `2.000 us` are two thousand. Each that a name of that
+/// form tells is asked.
+pub fn exposures_that_darken(sets: &mut [Growing], found: &[Found], lowest_dn: f64) {
+    let flats =
+        sets.iter().enumerate().filter(|(_, s)| s.set.kind == Kind::Flat && s.set.illumination.is_none());
+    let flats = flats.filter_map(|(k, s)| Some((k, s.set.exposure_s?, s.mean_dn))).collect();
+    let Some((longest, text)) = falling_levels(flats, lowest_dn) else { return };
+    sets[longest].set.doubts.push(text);
+    for set in sets.iter_mut().enumerate().filter(|(k, _)| *k != longest).map(|(_, set)| set) {
+        let number = set.set.exposure_s.map(six_digits).unwrap_or_default();
+        let is_fraction = |file: &String| {
+            ["1_", "1-"].iter().any(|one| {
+                let whole = format!("{one}{number}");
+                file.match_indices(&whole).any(|(at, _)| {
+                    let digit = |c: Option<char>| c.is_some_and(|c| c.is_ascii_digit());
+                    !digit(file[..at].chars().next_back()) && !digit(file[at + whole.len()..].chars().next())
+                })
+            })
+        };
+        let first = set.frames.first().and_then(|f| found.get(*f)).map(|f| f.path.display().to_string());
+        if !number.is_empty() && first.as_ref().is_some_and(is_fraction) {
+            set.set.doubts.push(format!(
+                "exposure: the longer, the darker (set {longest}): 1/{number} s here, or {number} s?"
+            ));
+        }
     }
 }
 

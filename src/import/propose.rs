@@ -101,7 +101,7 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
         set.mean_dn = mean(found, &set.frames);
     }
     let mut sets = joined(sets, found, lowest);
-    plausible::falling_levels(&mut sets, lowest);
+    plausible::exposures_that_darken(&mut sets, found, lowest);
     plausible::decimals_in_two(&mut sets, found, lowest);
     plausible::off_the_light(&mut sets, lowest);
     plausible::lit_and_dark(&mut sets, lowest);

@@ -9,8 +9,8 @@ use std::f64::consts::PI;
 
 use radcam_sim::effects::{ExposureStep, whole_steps};
 
-use radcam_sim::predict::BaseParameters;
 use crate::observables::{Observations, mean};
+use radcam_sim::predict::BaseParameters;
 
 /// Different exposures at one light below which a staircase says nothing: two of them take the light and the
 /// step (a named choice).
@@ -106,9 +106,8 @@ pub(super) fn likely(all: &Observations, base: &BaseParameters) -> [Option<Expos
     // Steps at which the longest exposure has a third of a step more are another trial.
     let least = least.max(3.0 * longest / MOST);
     let number = 3.0 * longest / least;
-    let enough = constant.min(left_by_settings(&levels))
-        - 2.0 * (SHAPES.len() as f64 * number).ln()
-        - EVIDENCE;
+    let enough =
+        constant.min(left_by_settings(&levels)) - 2.0 * (SHAPES.len() as f64 * number).ln() - EVIDENCE;
     let mut tried = Vec::new();
     for rel in LAMPS {
         let (levels, wider) = widened(&levels, rel);
@@ -164,8 +163,7 @@ fn levels(all: &Observations, base: &BaseParameters) -> Vec<Level> {
             Entry::Occupied(mut has) => {
                 let both = has.get_mut();
                 let weight = both.weight + level.weight;
-                both.signal_dn =
-                    (both.weight * both.signal_dn + level.weight * level.signal_dn) / weight;
+                both.signal_dn = (both.weight * both.signal_dn + level.weight * level.signal_dn) / weight;
                 both.weight = weight;
             }
         }
@@ -190,9 +188,9 @@ fn left(levels: &[Level], of: impl Fn(&Level) -> f64) -> f64 {
 /// The same where each set has a light of its own, with the scatter that is likeliest: twice the negative
 /// logarithm of the likelihood, over that of levels without an error.
 fn left_by_settings(levels: &[Level]) -> f64 {
-    let line = Line::through(levels, |l| l.exposure_s);
     let at = |rel: f64| -> f64 {
         let (levels, wider) = widened(levels, rel);
+        let line = Line::through(&levels, |l| l.exposure_s);
         wider + levels.iter().map(|l| l.weight * line.deviation_dn(l, l.exposure_s).powi(2)).sum::<f64>()
     };
     (0..SCATTERS).map(|k| at(1e-5 * 1.25_f64.powi(k))).fold(at(0.0), f64::min)

@@ -15,7 +15,7 @@ use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
 use crate::statistics::pass::Summary;
-use crate::statistics::quantisation::SMALLEST_DARK_DN2;
+use crate::statistics::quantisation::{QUIET_DN2, SMALLEST_DARK_DN2};
 use crate::statistics::steady::PixelNoise;
 use radcam_sim::predict::{Before, Campaign, FrameInfo, NORMAL, Ordinary, SetInfo};
 use std::sync::atomic::AtomicBool;
@@ -180,6 +180,11 @@ pub fn of_dataset(
              tells the gain"
                 .into(),
         );
+    }
+    let stated_flat = |i: usize| dataset.settings(&sets[i]).kind == Kind::Flat;
+    let flats_left_out = no_flats && (0..sets.len()).any(|i| passed(i).is_some() && stated_flat(i));
+    if flats_left_out {
+        missing.push("all flats are left out for a slip: what agrees are the darks alone".into());
     }
     spreads(&mut infos, &chunks, &settings, zero_dn);
     // A level at which the range has ended, or that is not as stated, has a light of its own.
@@ -358,6 +363,7 @@ pub fn of_dataset(
         means_given: false,
         missing,
         data_faults: dataset.data_faults().to_vec(),
+        flats_left_out,
         left_on: camera.left_on(),
         light_rel_std,
         dark_spread_dn2,
@@ -493,10 +499,6 @@ fn of_chunks(chunks: &[Chunk], sets: &[Set]) -> Vec<Observable> {
 
 /// Maximum number of sets listed by number in a note.
 const LISTED: usize = 8;
-
-/// Temporal variance below which rounding hides the noise, DN^2 (a named choice): 0.27 DN of normal noise
-/// about the middle of a code reaches it.
-const QUIET_DN2: f64 = 0.06;
 
 /// True where rounding hides the noise of a chunk: see [`QUIET_DN2`].
 pub(super) fn is_quiet(summary: &Summary) -> bool {

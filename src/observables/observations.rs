@@ -72,6 +72,8 @@ pub struct Observations {
     pub missing: Vec<String>,
     /// Faults of the data.
     pub data_faults: Vec<DataFault>,
+    /// True if there were flats and a fault left out all of them.
+    pub flats_left_out: bool,
     /// Features of the camera that changed pixel values.
     pub left_on: Vec<LeftOn>,
     /// Known relative error of the light levels.

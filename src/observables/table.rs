@@ -189,6 +189,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         means_given: !exposures,
         missing,
         data_faults: Vec::new(),
+        flats_left_out: false,
         left_on: Vec::new(),
         light_rel_std: None,
         setting: None,

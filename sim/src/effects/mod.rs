@@ -633,8 +633,8 @@ mod chain;
 mod custom;
 mod own;
 pub use chain::{Chain, predict};
-pub use exposure_offset::whole_steps;
 pub use custom::{Described, TARGETS, UNBOUNDED, custom};
+pub use exposure_offset::whole_steps;
 pub use own::{OwnEffect, OwnPage};
 
 macro_rules! effects {
