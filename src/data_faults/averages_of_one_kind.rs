@@ -186,12 +186,9 @@ impl Check for AveragesOfOneKind {
         let own = median(kinds.darks.iter().map(|d| d.0));
         let left = median(kinds.darks.iter().map(|d| d.1.0)).max(QUANTISATION_DN2);
         let three = |value: f64| six_digits((1000.0 * value).round() / 1000.0);
-        // Other gains of the darks would be these: of charge the ratio of the slopes, of other noise that of the
-        // deviations.
-        let (number, gain, witness) = match ratio.filter(|_| of_flats || of_darks) {
+        let (number, witness) = match ratio.filter(|_| of_flats || of_darks) {
             Some((r, std)) => (
                 if flats_are { r } else { r.recip() },
-                r,
                 format!(
                     "the charge of the darks has a gain of {} DN/e, and the flats have {} DN/e",
                     with_error(r * kinds.of_flats.0, std * kinds.of_flats.0),
@@ -202,7 +199,6 @@ impl Check for AveragesOfOneKind {
                 let share = (own - QUANTISATION_DN2) / (left - QUANTISATION_DN2).max(QUANTISATION_DN2);
                 (
                     if flats_are { share } else { share.max(1e-3).recip() },
-                    share.max(0.0).sqrt(),
                     format!(
                         "the flats leave a variance of {} DN² for the level of the darks, and these have {} DN²",
                         three(left),
@@ -217,9 +213,8 @@ impl Check for AveragesOfOneKind {
             ("darks", "flats", darks, "their variance would be too small")
         };
         let text = format!(
-            "{}: {witness}: the darks have another gain, about {} times that of the flats, or other settings, or all {averaged} were averaged before they were saved, about {} frames each, and the {others} were not; {wrong} by that factor: take single frames of both at the same settings",
+            "{}: {witness}: the darks have another gain or other settings than the flats, or all {averaged} were averaged before they were saved, about {} frames each, and the {others} were not; {wrong} by that factor: take single frames of both at the same settings",
             campaign.named(&sets),
-            six_digits((10.0 * gain).round() / 10.0),
             number.round().max(2.0)
         );
         vec![campaign.fault_of_sets(FaultKind::DependentFrames, &sets, text, true)]

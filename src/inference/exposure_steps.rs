@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::f64::consts::PI;
 
-use radcam_sim::effects::{ExposureStep, whole_steps};
+use radcam_sim::effects::{ExposureStep, steps_of_a_number, whole_steps};
 
 use crate::observables::{Observations, mean};
 use radcam_sim::predict::BaseParameters;
@@ -88,7 +88,10 @@ impl Line {
 
 /// The steps of each shape that describe the levels far better than a constant time does, the best ones.
 pub(super) fn likely(all: &Observations, base: &BaseParameters) -> [Option<ExposureStep>; 3] {
-    let levels = levels(all, base);
+    *all.exposure_steps.get_or_init(|| of_levels(&levels(all, base)))
+}
+
+fn of_levels(levels: &[Level]) -> [Option<ExposureStep>; 3] {
     let lit = || levels.iter().filter(|l| l.light.is_some());
     let mut exposures: Vec<f64> = lit().map(|l| l.exposure_s).collect();
     exposures.sort_by(f64::total_cmp);
@@ -96,7 +99,7 @@ pub(super) fn likely(all: &Observations, base: &BaseParameters) -> [Option<Expos
     let Some(&longest) = exposures.last().filter(|_| exposures.len() >= MIN_EXPOSURES) else {
         return [None; 3];
     };
-    let constant = left_by_a_constant(&levels);
+    let constant = left_by_a_constant(levels);
     // The least step that shows: two standard errors of the level that tells a time best.
     let rate = |l: &Level| l.signal_dn / l.exposure_s;
     let least = lit().map(|l| 2.0 / (rate(l) * l.weight.sqrt())).fold(f64::INFINITY, f64::min);
@@ -107,10 +110,10 @@ pub(super) fn likely(all: &Observations, base: &BaseParameters) -> [Option<Expos
     let least = least.max(3.0 * longest / MOST);
     let number = 3.0 * longest / least;
     let enough =
-        constant.min(left_by_settings(&levels)) - 2.0 * (SHAPES.len() as f64 * number).ln() - EVIDENCE;
+        constant.min(left_by_settings(levels)) - 2.0 * (SHAPES.len() as f64 * number).ln() - EVIDENCE;
     let mut tried = Vec::new();
     for rel in LAMPS {
-        let (levels, wider) = widened(&levels, rel);
+        let (levels, wider) = widened(levels, rel);
         if wider > enough {
             break;
         }
@@ -127,11 +130,13 @@ pub(super) fn likely(all: &Observations, base: &BaseParameters) -> [Option<Expos
     }
     let best = tried.iter().map(|(left, _)| *left).fold(f64::INFINITY, f64::min);
     tried.retain(|(left, _)| *left < best + AS_WELL);
-    tracing::debug!("  steps of the exposure: {constant:.1} -> {best:.1}, asked {enough:.1}: {tried:?}");
+    tracing::debug!("  steps of the exposure: {constant:.1} -> {best:.1}, asked {enough:.1}");
     SHAPES.map(|shape| {
         let own = tried.iter().filter(|(_, s)| s.shape == shape).min_by(|a, b| a.0.total_cmp(&b.0))?.1;
-        // A third of the distance to the farthest that fits within three standard errors.
-        let far = tried.iter().map(|(_, s)| (s.step_s - own.step_s).abs() / 3.0).fold(0.0, f64::max);
+        // The distance to each other one, over the standard errors by which it fits worse.
+        let away =
+            |(left, s): &(f64, ExposureStep)| (s.step_s - own.step_s).abs() / (left - best).max(1.0).sqrt();
+        let far = tried.iter().map(away).fold(0.0, f64::max);
         Some(ExposureStep { std_err_s: own.std_err_s.max(far), ..own })
     })
 }
@@ -227,14 +232,10 @@ const ROUNDS: usize = 8;
 /// The middle of the steps that give every exposure the same number of steps, and the standard deviation of even
 /// chances among them.
 fn between(exposures: &[f64], shape: f64, step_s: f64) -> ExposureStep {
-    let added = 0.5 * (shape - 1.0);
     let (mut low, mut high) = (0.0_f64, f64::INFINITY);
     for t in exposures {
-        let n = whole_steps(shape, step_s, *t);
-        low = low.max(t / (n + 1.0 - added));
-        if n - added > 0.0 && n > 1.0 {
-            high = high.min(t / (n - added));
-        }
+        let (shortest, longest) = steps_of_a_number(shape, whole_steps(shape, step_s, *t), *t);
+        (low, high) = (low.max(shortest), high.min(longest));
     }
     // A longest exposure of one step alone says only how long a step is at least.
     if !high.is_finite() || high <= low {
@@ -266,6 +267,29 @@ mod tests {
         // Chi-square of nine degrees of freedom, mean of 100: 9 +- 0.42; five sigma.
         let all: f64 = (0..100).map(|s| left_by_a_constant(&levels(|t| t + 2e-5, 1e-3, s))).sum();
         assert!((all / 100.0 - 9.0).abs() < 2.1, "{}", all / 100.0);
+    }
+
+    /// Of ten campaigns each: lamps that do not come back have no steps, and steps are found with their shape.
+    #[test]
+    fn steps_are_told_from_settings() {
+        for seed in 0..10 {
+            assert_eq!(of_levels(&levels(|t| t, 1e-3, seed)), [None; 3], "{seed}");
+            let mut random = radcam_sim::rng::PixelRng::new(seed, radcam_sim::rng::Stream::Effect, 1, 0, 0);
+            let lamps: Vec<f64> = (0..12).map(|_| 1.0 + 0.01 * random.normal()).collect();
+            let scattered: Vec<Level> = levels(|t| t, 1e-3, seed)
+                .into_iter()
+                .zip(&lamps)
+                .map(|(l, lamp)| Level { signal_dn: l.signal_dn * lamp, ..l })
+                .collect();
+            assert_eq!(of_levels(&scattered), [None; 3], "{seed}");
+            for (k, shape) in SHAPES.into_iter().enumerate() {
+                let step_s = 3e-5 * (1.0 + 0.01 * seed as f64);
+                let steps = |t: f64| whole_steps(shape, step_s, t) * step_s;
+                let found = of_levels(&levels(steps, 1e-3, seed))[k];
+                let found = found.unwrap_or_else(|| panic!("{shape} {seed}"));
+                assert!((found.step_s - step_s).abs() < 3.0 * found.std_err_s, "{found:?} {step_s}");
+            }
+        }
     }
 
     #[test]

@@ -364,6 +364,7 @@ pub fn of_dataset(
         missing,
         data_faults: dataset.data_faults().to_vec(),
         flats_left_out,
+        exposure_steps: Default::default(),
         left_on: camera.left_on(),
         light_rel_std,
         dark_spread_dn2,

@@ -74,6 +74,9 @@ pub struct Observations {
     pub data_faults: Vec<DataFault>,
     /// True if there were flats and a fault left out all of them.
     pub flats_left_out: bool,
+    /// Steps of the exposure that the levels follow, once they were looked for: by gain and dark current of the
+    /// first fit, on which they hang little.
+    pub exposure_steps: std::sync::OnceLock<[Option<radcam_sim::effects::ExposureStep>; 3]>,
     /// Features of the camera that changed pixel values.
     pub left_on: Vec<LeftOn>,
     /// Known relative error of the light levels.

@@ -190,6 +190,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         missing,
         data_faults: Vec::new(),
         flats_left_out: false,
+        exposure_steps: Default::default(),
         left_on: Vec::new(),
         light_rel_std: None,
         setting: None,

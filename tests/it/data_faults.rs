@@ -148,6 +148,35 @@ fn told(plan: &str, slip: Slip, seed: u32) {
     }
 }
 
+/// Another gain of single flats here and there: these are named, with the ratio within three stated errors, and
+/// the gain is that of the others.
+#[test]
+fn another_gain_of_flats_here_and_there_is_named() {
+    for (plan, seed, ratio) in [("standard", 341, 1.1), ("standard", 342, 1.5), ("emva1288", 343, 1.2)] {
+        let campaign = Campaign::new("cmos12", plan, seed);
+        let level = |set: u32| campaign.frame(campaign.of(set)[0]).mapv(f64::from).mean().unwrap();
+        let mut flats = campaign.sets("flat", 2);
+        flats.retain(|f| level(*f) * ratio < 3600.0);
+        flats.sort_by(|a, b| level(*a).total_cmp(&level(*b)));
+        let wrong: Vec<u32> = (0..flats.len()).filter(|k| k % 4 == 2).map(|k| flats[k]).collect();
+        wrong.iter().flat_map(|f| campaign.of(*f)).for_each(|row| campaign.scale(row, ratio, BLACK_DN));
+        let said = campaign.said("noise");
+        let faults = said["data_faults"].as_array().unwrap();
+        let text = faults[0]["text"].as_str().unwrap();
+        assert!(faults.len() == 1 && text.contains("another gain than the other flats"), "{faults:?}");
+        let mut numbers =
+            text.split("flats, ").nth(1).unwrap().split([' ', '±']).filter_map(|w| w.parse::<f64>().ok());
+        let (named, error) = (numbers.next().unwrap(), numbers.next().unwrap());
+        assert!((named - ratio).abs() < 3.0 * error && error < 0.1 * ratio, "{ratio}: {text}");
+        let mut sets = wrong.clone();
+        sets.sort_unstable();
+        assert_eq!(faults[0]["sets"], serde_json::json!(sets), "{faults:?}");
+        let gain = &said["gain_dn_per_e"];
+        let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
+        assert!((value - 0.38).abs() < 4.0 * error, "{plan} {ratio}: {value} +- {error}");
+    }
+}
+
 /// Another gain of the brighter flats, in the camera about the black level or on the codes with the black
 /// level in them: all of these flats are named, the true ratio lies within three stated errors, and the gain
 /// is that of the others. A curve with a knee at the same place is no other gain.

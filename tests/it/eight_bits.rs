@@ -53,6 +53,27 @@ fn eight_of_twelve_bits_are_a_linear_sensor_that_hides_its_noise() {
     }
 }
 
+/// A black level where a code ends: nearly all pixels of the darks have two codes, and none jumps. Two black levels
+/// in the middle of a code, where darks have one code only: no frames were averaged.
+#[test]
+fn two_codes_of_a_level_are_no_telegraph_noise() {
+    for (black_dn, seed) in [(64.0, 344), (64.0, 345), (66.0, 346), (72.0, 347), (72.0, 348)] {
+        let dir = tempfile::tempdir().unwrap();
+        let (model, root) = (dir.path().join("m.toml"), dir.path().join("c"));
+        let mut camera = radcam_sim::sensors::load("cmos12").unwrap();
+        camera.base.black_level_dn = black_dn;
+        std::fs::write(&model, camera.to_toml().unwrap()).unwrap();
+        let (model, at) = (model.to_str().unwrap(), root.to_str().unwrap());
+        let seed = seed.to_string();
+        expect(0, &["simulate", model, "--region", "0,0,160,128", "--seed", &seed, "-o", at]);
+        cut(&root);
+        let said: serde_json::Value = serde_json::from_str(&expect(0, &["diagnose", at, "--json"])).unwrap();
+        for list in ["missing", "data_faults"] {
+            assert_eq!(said[list], serde_json::json!([]), "{black_dn} {seed}");
+        }
+    }
+}
+
 /// Darks of many pairs with 0.37 codes of noise: rounding does to all their variances the same, and to the
 /// covariances of lines what chance does: the mean square of their residuals is 1 within four standard errors.
 #[test]

@@ -18,12 +18,27 @@ fn campaign(bench: &Bench, folder: &str, sets: &[(&str, f64, f64)]) {
 fn exposures_that_darken_are_asked() {
     let bench = Bench::new();
     let of = |n: u32| (f64::from(400_000 / n), 1.0 / f64::from(n));
-    let flats = [80, 160, 320, 640].map(|n| (format!("flat_1_{n}s"), of(n)));
-    let darks = [80, 640].map(|n| (format!("dark_1_{n}s"), (0.0, of(n).1)));
+    let flats = [80, 160, 320, 640, 1280].map(|n| (format!("flat_1_{n}s"), of(n)));
+    let darks = [80, 1280].map(|n| (format!("dark_1_{n}s"), (0.0, of(n).1)));
     let all: Vec<(&str, f64, f64)> = darks.iter().chain(&flats).map(|(n, (e, s))| (&**n, *e, *s)).collect();
     campaign(&bench, "slash", &all);
     let said = bench.refused("slash");
-    assert!(said.contains("exposure of set 5") && said.contains("the longer, the darker"), "{said}");
+    assert!(said.contains("exposure of set 6") && said.contains("the longer, the darker"), "{said}");
+    // Each set is asked; exposures of which only one was corrected are refused again.
+    let path = bench.text("to0.map.toml");
+    let map = std::fs::read_to_string(&path).unwrap();
+    assert_eq!(map.matches("doubts = ").count(), 7, "{map}");
+    let settled: String =
+        map.lines().filter(|l| !l.starts_with("doubts")).fold(String::new(), |s, l| s + l + "\n");
+    let to = bench.text("settled");
+    std::fs::write(&path, settled.replacen("exposure_s = 1280.0\n", "exposure_s = 0.00078125\n", 2)).unwrap();
+    let said = crate::support::refused(&["import", "--map", &path, "-o", &to]);
+    assert!(said.contains("the longer, the darker"), "{said}");
+    let of = |n: u32| (format!("exposure_s = {n}.0\n"), format!("exposure_s = {}\n", 1.0 / f64::from(n)));
+    let whole =
+        [80, 160, 320, 640, 1280].map(of).iter().fold(settled, |map, (old, new)| map.replace(old, new));
+    std::fs::write(&path, whole).unwrap();
+    crate::support::expect(0, &["import", "--map", &path, "-o", &to]);
     // Counters in front of exposures: no question.
     campaign(
         &bench,

@@ -12,12 +12,23 @@ const WHOLE: [(f64, f64); 3] = [(1.0, 0.0), (2.0, 0.5), (3.0, 1.0)];
 /// (a named choice).
 const ROUNDING: f64 = 0.01;
 
+/// Part of a step that is added before the rest is cut off.
+fn added(shape: f64) -> f64 {
+    let added = WHOLE.iter().find(|(s, _)| *s == shape).map_or(0.0, |(_, added)| *added);
+    if added < 1.0 { added + ROUNDING } else { added - ROUNDING }
+}
+
 /// Number of whole steps that a camera exposes for a commanded exposure: at least one. `shape` 1: cut to whole
 /// steps, 2: to the nearest, 3: up.
 pub fn whole_steps(shape: f64, step_s: f64, exposure_s: f64) -> f64 {
-    let added = WHOLE.iter().find(|(s, _)| *s == shape).map_or(0.0, |(_, added)| *added);
-    let rounding = if added < 1.0 { ROUNDING } else { -ROUNDING };
-    (exposure_s / step_s + added + rounding).floor().max(1.0)
+    (exposure_s / step_s + added(shape)).floor().max(1.0)
+}
+
+/// Shortest and longest step, s, with which an exposure has so many steps ([`whole_steps`]).
+pub fn steps_of_a_number(shape: f64, number: f64, exposure_s: f64) -> (f64, f64) {
+    let most = number - added(shape);
+    let longest = if number > 1.0 && most > 0.0 { exposure_s / most } else { f64::INFINITY };
+    (exposure_s / (number + 1.0 - added(shape)), longest)
 }
 
 /// Light for longer than commanded, s.
@@ -94,12 +105,7 @@ impl Effect for ExposureOffset {
     }
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {
-        match p[0] {
-            1.0 => Some("exposures cut to whole steps"),
-            2.0 => Some("exposures rounded to whole steps"),
-            3.0 => Some("exposures rounded up to whole steps"),
-            _ => None,
-        }
+        (p[0] >= 1.0).then_some("exposures in whole steps")
     }
 
     /// Constant times, and the steps that the levels of the flats follow.
@@ -122,6 +128,18 @@ impl Effect for ExposureOffset {
 
     fn needs(&self) -> Needs {
         Needs::Means
+    }
+
+    /// Light that is not known leaves open how a number of steps came about.
+    fn fits_as_well(&self, p: &[f64], seen: &Seen) -> Option<String> {
+        let other = seen.exposure_steps.iter().flatten().find(|s| p[0] >= 1.0 && s.shape != p[0])?;
+        let words = |shape: f64| ["cut to", "rounded to", "rounded up to"][shape as usize - 1];
+        Some(format!(
+            "exposures {} whole steps; {} those of {:.5e} s fits as well, and short exposures in unequal steps tell",
+            words(p[0]),
+            words(other.shape),
+            other.step_s
+        ))
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {

@@ -634,7 +634,7 @@ mod custom;
 mod own;
 pub use chain::{Chain, predict};
 pub use custom::{Described, TARGETS, UNBOUNDED, custom};
-pub use exposure_offset::whole_steps;
+pub use exposure_offset::{steps_of_a_number, whole_steps};
 pub use own::{OwnEffect, OwnPage};
 
 macro_rules! effects {
