@@ -1,7 +1,7 @@
 //! Another gain in a part of the flats: in those that were taken later, in the brighter ones, or here and there.
-//! The level jumps by a factor, and the slope of the variance over the level by the same one (Healey and Kondepudy
-//! 1994, eq. 35: sigma_N^2 = A^2 (I + E_DC) + sigma_C^2). A bend does not jump, a lamp does not touch the
-//! slope.
+//! The level jumps by a factor, and the slope of the variance over the level by the same one (Healey and
+//! Kondepudy 1994, eq. 35: sigma_N^2 = A^2 (I + E_DC) + sigma_C^2). A bend does not jump, a lamp does not touch
+//! the slope.
 
 use super::transfer::MODEL_ERROR;
 use super::{Campaign, Check, DataFault, FaultKind};

@@ -50,12 +50,12 @@ struct Level {
 /// Levels in proportion to exposures, above one offset: what is left of the black level's error.
 struct Line {
     offset_dn: f64,
-    /// Of each light.
+    /// Rate of each light.
     rates_dn_per_s: Vec<f64>,
 }
 
 impl Line {
-    /// By weighted least squares, where exposures are `of` a level.
+    /// Fits one by weighted least squares, where exposures are `of` a level.
     fn through(levels: &[Level], of: impl Fn(&Level) -> f64) -> Self {
         let lights = levels.iter().filter_map(|l| Some(l.light?.0)).max().map_or(0, |l| l + 1);
         // Of each light the weighted sums of x, x x and x y; of all the sums of 1 and y.
@@ -86,7 +86,7 @@ impl Line {
     }
 }
 
-/// The steps of each shape that describe the levels far better than a constant time does, the best ones.
+/// Best step of each shape that describes the levels far better than a constant time or settings of their own do.
 pub(super) fn likely(all: &Observations, base: &BaseParameters) -> [Option<ExposureStep>; 3] {
     *all.exposure_steps.get_or_init(|| of_levels(&levels(all, base)))
 }
@@ -190,7 +190,7 @@ fn left(levels: &[Level], of: impl Fn(&Level) -> f64) -> f64 {
     levels.iter().map(|l| l.weight * line.deviation_dn(l, of(l)).powi(2)).sum()
 }
 
-/// The same where each set has a light of its own, with the scatter that is likeliest: twice the negative
+/// Deviance where each set has a light of its own, with the scatter that is likeliest: twice the negative
 /// logarithm of the likelihood, over that of levels without an error.
 fn left_by_settings(levels: &[Level]) -> f64 {
     let at = |rel: f64| -> f64 {
@@ -208,7 +208,8 @@ fn left_by_steps(levels: &[Level], shape: f64, step_s: f64) -> f64 {
     left(levels, |l| whole_steps(shape, step_s, l.exposure_s) * step_s)
 }
 
-/// The same with a constant time beside the exposures: the best one, by the least of a parabola through three.
+/// Sum of the squared deviations with the best constant time beside the exposures, by the least of a parabola
+/// through three.
 fn left_by_a_constant(levels: &[Level]) -> f64 {
     let lit = levels.iter().filter(|l| l.light.is_some());
     let shortest = lit.map(|l| l.exposure_s).fold(f64::INFINITY, f64::min);
@@ -248,7 +249,7 @@ fn between(exposures: &[f64], shape: f64, step_s: f64) -> ExposureStep {
 mod tests {
     use super::*;
 
-    /// Levels of twelve exposures from `shortest` to `longest` with an error of `rel`, by a camera of these steps.
+    /// Levels of twelve exposures with an error of `rel`, by a camera that exposes for `of` them.
     fn levels(of: impl Fn(f64) -> f64, rel: f64, seed: u64) -> Vec<Level> {
         let mut random = radcam_sim::rng::PixelRng::new(seed, radcam_sim::rng::Stream::Effect, 0, 0, 0);
         (0..12)
@@ -269,7 +270,7 @@ mod tests {
         assert!((all / 100.0 - 9.0).abs() < 2.1, "{}", all / 100.0);
     }
 
-    /// Of ten campaigns each: lamps that do not come back have no steps, and steps are found with their shape.
+    /// Ten campaigns each: lamps that do not come back have no steps, and steps are found with their shape.
     #[test]
     fn steps_are_told_from_settings() {
         for seed in 0..10 {

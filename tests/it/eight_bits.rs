@@ -53,8 +53,8 @@ fn eight_of_twelve_bits_are_a_linear_sensor_that_hides_its_noise() {
     }
 }
 
-/// A black level where a code ends: nearly all pixels of the darks have two codes, and none jumps. Two black levels
-/// in the middle of a code, where darks have one code only: no frames were averaged.
+/// A black level where a code ends: nearly all pixels of the darks have two codes, and none jumps. Two black
+/// levels in the middle of a code, where darks have one code only: no frames were averaged.
 #[test]
 fn two_codes_of_a_level_are_no_telegraph_noise() {
     for (black_dn, seed) in [(64.0, 344), (64.0, 345), (66.0, 346), (72.0, 347), (72.0, 348)] {
