@@ -164,6 +164,7 @@ checks! {
     dark_settings::DarkSettings
     darks_of_flats::DarksOfFlats
     averages_of_one_kind::AveragesOfOneKind
+    other_field::OtherField
     automatic::Automatic
     exposure_limit::ExposureLimit
     setting_label::SettingLabel

@@ -148,6 +148,42 @@ fn told(plan: &str, slip: Slip, seed: u32) {
     }
 }
 
+/// Two flats with a tenth less light in a corner are named and left out; a curve of the response under a shaded
+/// field is no other field.
+#[test]
+fn another_field_of_light_is_named() {
+    let campaign = Campaign::new("cmos12", "standard", 352);
+    let level = |set: u32| campaign.frame(campaign.of(set)[0]).mapv(f64::from).mean().unwrap();
+    let mut flats = campaign.sets("flat", 2);
+    flats.retain(|f| (600.0..3600.0).contains(&level(*f)));
+    let mut wrong = [flats[1], flats[flats.len() - 2]];
+    wrong.sort_unstable();
+    for row in wrong.iter().flat_map(|set| campaign.of(*set)) {
+        let mut frame = campaign.frame(row);
+        let (rows, columns) = frame.dim();
+        let mut corner = frame.slice_mut(ndarray::s![..rows / 3, ..columns / 3]);
+        corner.mapv_inplace(|v| (BLACK_DN + 0.9 * (f64::from(v) - BLACK_DN)).round() as u16);
+        campaign.put(row, &frame);
+    }
+    let said = campaign.said("noise");
+    let faults = said["data_faults"].as_array().unwrap();
+    assert_eq!(faults.len(), 1, "{faults:?}");
+    assert_eq!(faults[0]["sets"], serde_json::json!(wrong), "{faults:?}");
+    let text = faults[0]["text"].as_str().unwrap();
+    assert!(faults[0]["kind"] == "unequal-light" && text.contains("falls on other places"), "{text}");
+    // Five per cent less at full scale.
+    let campaign = Campaign::new("cmos12", "standard", 353);
+    let all: Vec<usize> = campaign.sets("flat", 2).iter().flat_map(|set| campaign.of(*set)).collect();
+    for row in all {
+        let bent = |v: u16| {
+            let v = f64::from(v) - BLACK_DN;
+            (BLACK_DN + v * (1.0 - 0.05 * v / 4095.0)).round() as u16
+        };
+        campaign.put(row, &campaign.frame(row).mapv(bent));
+    }
+    assert_eq!(campaign.said("noise")["data_faults"], serde_json::json!([]));
+}
+
 /// Another gain of single flats here and there: these are named, with the ratio within three stated errors, and
 /// the gain is that of the others.
 #[test]
