@@ -1,7 +1,7 @@
 //! Flats under another field of light: the lamp moved, dust or the lens did, a cap covers a part. Over the mean of
-//! its frame every place has the same light in all flats of one position (Healey and Kondepudy 1994, eq. 22:
-//! I(a) is that of the card, up to a factor). What depends on the level alone, a bend or a full well, goes with the light
-//! of the place, and is taken off.
+//! its frame every place has the same light in all flats of one position (Healey and Kondepudy 1994, eq. 22: I(a)
+//! is that of the card, up to a factor). What depends on the level alone, a bend or a full well, goes with the
+//! light of the place, and is taken off.
 
 use super::campaign::Zero;
 use super::{Campaign, Check, DataFault, FaultKind};
@@ -165,7 +165,8 @@ fn cells_of_darks(campaign: &Campaign<'_>, exposure_s: f64, cells: usize) -> (Ve
 mod tests {
     use super::*;
 
-    /// A field whose cells fall from 1.2 to 0.8, one of five bent by the level, and one with two cells covered by 3 %.
+    /// A field whose cells fall from 1.2 to 0.8: one of five is bent by the level, another has two cells that are
+    /// covered by 4 %.
     #[test]
     fn a_bend_is_no_other_field() {
         let plain: Vec<f64> = (0..64).map(|c| 1.2 - 0.4 * f64::from(c) / 63.0).collect();
@@ -175,10 +176,10 @@ mod tests {
         fields.push(of(4, bent));
         assert!(changed(&fields).is_none());
         let mut covered = plain.clone();
-        covered[20..22].iter_mut().for_each(|v| *v *= 0.97);
+        covered[20..22].iter_mut().for_each(|v| *v *= 0.96);
         fields.push(of(5, covered));
         let (sets, most) = changed(&fields).unwrap();
         assert_eq!(sets, [5]);
-        assert!((0.025..0.031).contains(&most), "{most}");
+        assert!((0.035..0.041).contains(&most), "{most}");
     }
 }
