@@ -9,7 +9,7 @@ use std::f64::consts::PI;
 
 use radcam_sim::effects::{ExposureStep, steps_of_a_number, whole_steps};
 
-use crate::observables::{Observations, mean};
+use crate::observables::{Observations, gaps, mean};
 use radcam_sim::predict::BaseParameters;
 
 /// Different exposures at one light below which a staircase says nothing: two of them take the light and the
@@ -25,6 +25,9 @@ const AS_WELL: f64 = 9.0;
 
 /// Shapes of whole steps: cut, rounded, rounded up.
 const SHAPES: [f64; 3] = [1.0, 2.0, 3.0];
+
+/// Share of single codes that never occur from which on codes were multiplied (a named choice).
+const LEFT_OUT: f64 = 1e-3;
 
 /// Steps that are tried at most, of each shape.
 const MOST: f64 = 10_000.0;
@@ -88,7 +91,10 @@ impl Line {
 
 /// Best step of each shape that describes the levels far better than a constant time or settings of their own do.
 pub(super) fn likely(all: &Observations, base: &BaseParameters) -> [Option<ExposureStep>; 3] {
-    *all.exposure_steps.get_or_init(|| of_levels(&levels(all, base)))
+    // Codes that are multiplied put every level off by its own part of a code.
+    let is_multiplied = || all.of(&gaps::Gaps).any(|o| o.index == 0 && o.measured.value > LEFT_OUT);
+    let find = || if is_multiplied() { [None; 3] } else { of_levels(&levels(all, base)) };
+    *all.exposure_steps.get_or_init(find)
 }
 
 fn of_levels(levels: &[Level]) -> [Option<ExposureStep>; 3] {
@@ -109,8 +115,9 @@ fn of_levels(levels: &[Level]) -> [Option<ExposureStep>; 3] {
     // Steps at which the longest exposure has a third of a step more are another trial.
     let least = least.max(3.0 * longest / MOST);
     let number = 3.0 * longest / least;
-    let enough =
-        constant.min(left_by_settings(levels)) - 2.0 * (SHAPES.len() as f64 * number).ln() - EVIDENCE;
+    let enough = constant.min(left_by_settings(levels)).min(left_by_times(levels))
+        - 2.0 * (SHAPES.len() as f64 * number).ln()
+        - EVIDENCE;
     let mut tried = Vec::new();
     for rel in LAMPS {
         let (levels, wider) = widened(levels, rel);
@@ -179,7 +186,12 @@ fn levels(all: &Observations, base: &BaseParameters) -> Vec<Level> {
 /// Levels whose light has an error, relative, too, and the sum of the logarithms of the variances over those
 /// without it.
 fn widened(levels: &[Level], rel: f64) -> (Vec<Level>, f64) {
-    let by = |l: &Level| 1.0 + if l.light.is_some() { l.weight * (rel * l.signal_dn).powi(2) } else { 0.0 };
+    widened_by(levels, |l| rel * l.signal_dn)
+}
+
+/// Levels that have another error, DN, too, where they are lit.
+fn widened_by(levels: &[Level], error_dn: impl Fn(&Level) -> f64) -> (Vec<Level>, f64) {
+    let by = |l: &Level| 1.0 + if l.light.is_some() { l.weight * error_dn(l).powi(2) } else { 0.0 };
     let wide = levels.iter().map(|l| Level { weight: l.weight / by(l), ..*l }).collect();
     (wide, levels.iter().map(|l| by(l).ln()).sum())
 }
@@ -193,15 +205,25 @@ fn left(levels: &[Level], of: impl Fn(&Level) -> f64) -> f64 {
 /// Deviance where each set has a light of its own, with the scatter that is likeliest: twice the negative
 /// logarithm of the likelihood, over that of levels without an error.
 fn left_by_settings(levels: &[Level]) -> f64 {
-    let at = |rel: f64| -> f64 {
-        let (levels, wider) = widened(levels, rel);
-        let line = Line::through(&levels, |l| l.exposure_s);
-        wider + levels.iter().map(|l| l.weight * line.deviation_dn(l, l.exposure_s).powi(2)).sum::<f64>()
-    };
+    let at = |rel: f64| with_an_error(levels, |l| rel * l.signal_dn);
     (0..SCATTERS).map(|k| at(1e-5 * 1.25_f64.powi(k))).fold(at(0.0), f64::min)
 }
 
-/// Scatters of the settings that are tried, each a quarter larger than the one before: to 0.6.
+/// Deviance where each set has an exposure of its own, with the scatter that is likeliest: what a few dim levels
+/// do, as near black, are no steps.
+fn left_by_times(levels: &[Level]) -> f64 {
+    let longest_s = levels.iter().map(|l| l.exposure_s).fold(0.0, f64::max);
+    let at = |time_s: f64| with_an_error(levels, |l| time_s * l.signal_dn / l.exposure_s);
+    (0..SCATTERS).map(|k| at(1e-5 * longest_s * 1.25_f64.powi(k))).fold(at(0.0), f64::min)
+}
+
+fn with_an_error(levels: &[Level], error_dn: impl Fn(&Level) -> f64) -> f64 {
+    let (levels, wider) = widened_by(levels, error_dn);
+    let line = Line::through(&levels, |l| l.exposure_s);
+    wider + levels.iter().map(|l| l.weight * line.deviation_dn(l, l.exposure_s).powi(2)).sum::<f64>()
+}
+
+/// Scatters of settings and times that are tried, each a quarter larger than the one before: to 0.6.
 const SCATTERS: i32 = 50;
 
 fn left_by_steps(levels: &[Level], shape: f64, step_s: f64) -> f64 {
@@ -283,6 +305,9 @@ mod tests {
                 .map(|(l, lamp)| Level { signal_dn: l.signal_dn * lamp, ..l })
                 .collect();
             assert_eq!(of_levels(&scattered), [None; 3], "{seed}");
+            // The two dimmest levels are off, as near black.
+            let toe = levels(|t| t + 3e-6 * (-(t / 1.5e-4)).exp(), 1e-3, seed);
+            assert_eq!(of_levels(&toe), [None; 3], "{seed}");
             for (k, shape) in SHAPES.into_iter().enumerate() {
                 let step_s = 3e-5 * (1.0 + 0.01 * seed as f64);
                 let steps = |t: f64| whole_steps(shape, step_s, t) * step_s;
