@@ -1,5 +1,5 @@
-//! Flats under another field of light: the lamp moved, dust or the lens did, a cap covers a part. Over the mean of
-//! its frame every place has the same light in all flats of one position (Healey and Kondepudy 1994, eq. 22: I(a)
+//! Flats under another field of light: the lamp moved, dust or the lens did, a cap covers a part. Over the mean
+//! of its frame every place has the same light in all flats of one position (Healey and Kondepudy 1994, eq. 22: I(a)
 //! is that of the card, up to a factor). What depends on the level alone, a bend or a full well, goes with the
 //! light of the place, and is taken off.
 
@@ -13,7 +13,7 @@ use crate::statistics::median::median;
 const MIN_FLATS: usize = 4;
 const MIN_STAY: usize = 3;
 /// Least change of the light, relative, in the two cells that change most, and in standard errors (named choices:
-/// lamps that stay change their field by some tenths of a per cent, and a shot of dust covers a cell or two).
+/// the field of a lamp that stays changes by some tenths of a per cent).
 const MIN_CHANGE: f64 = 0.03;
 const MIN_SIGMAS: f64 = 8.0;
 /// Share of the flats up to which they are left out: of more nobody knows which field is the right one.

@@ -46,8 +46,8 @@ pub fn falling_levels(mut flats: Vec<(usize, f64, f64)>, lowest_dn: f64) -> Opti
     })
 }
 
-/// Questions exposures that darken: `1_80s` is 1/80 s, or `2.000 us` are two thousand. Each that a name of that
-/// form tells is asked.
+/// Questions exposures that darken: `1_80s` is 1/80 s, or `2.000 us` are two thousand. Asks for every set with a
+/// name of the form `1_80s`.
 pub fn exposures_that_darken(sets: &mut [Growing], found: &[Found], lowest_dn: f64) {
     let flats =
         sets.iter().enumerate().filter(|(_, s)| s.set.kind == Kind::Flat && s.set.illumination.is_none());

@@ -61,7 +61,7 @@ impl Line {
     /// Fits one by weighted least squares, where exposures are `of` a level.
     fn through(levels: &[Level], of: impl Fn(&Level) -> f64) -> Self {
         let lights = levels.iter().filter_map(|l| Some(l.light?.0)).max().map_or(0, |l| l + 1);
-        // Of each light the weighted sums of x, x x and x y; of all the sums of 1 and y.
+        // Weighted sums of each light (x, x x, x y) and of all levels (1, y).
         let mut sums = vec![[0.0; 3]; lights];
         let (mut ones, mut ys) = (0.0, 0.0);
         for l in levels {
@@ -129,7 +129,7 @@ fn of_levels(levels: &[Level]) -> [Option<ExposureStep>; 3] {
             while step_s > least {
                 let left = wider + left_by_steps(&levels, shape, step_s);
                 if left < enough {
-                    tried.push((left, between(&exposures, shape, step_s)));
+                    tried.extend(between(&exposures, shape, step_s).map(|step| (left, step)));
                 }
                 step_s -= (step_s / longest) * step_s / 3.0;
             }
@@ -252,19 +252,19 @@ fn left_by_a_constant(levels: &[Level]) -> f64 {
 /// Rounds in which the constant time is found.
 const ROUNDS: usize = 8;
 
-/// The middle of the steps that give every exposure the same number of steps, and the standard deviation of even
-/// chances among them.
-fn between(exposures: &[f64], shape: f64, step_s: f64) -> ExposureStep {
+/// Middle of the steps that give every exposure the same number of steps, and the standard deviation of a uniform
+/// distribution over them; `None` where no exposure has two steps, so that none is too long.
+fn between(exposures: &[f64], shape: f64, step_s: f64) -> Option<ExposureStep> {
     let (mut low, mut high) = (0.0_f64, f64::INFINITY);
     for t in exposures {
         let (shortest, longest) = steps_of_a_number(shape, whole_steps(shape, step_s, *t), *t);
         (low, high) = (low.max(shortest), high.min(longest));
     }
-    // A longest exposure of one step alone says only how long a step is at least.
-    if !high.is_finite() || high <= low {
-        return ExposureStep { shape, step_s, std_err_s: 0.0 };
-    }
-    ExposureStep { shape, step_s: 0.5 * (low + high), std_err_s: (high - low) / 12.0_f64.sqrt() }
+    high.is_finite().then(|| ExposureStep {
+        shape,
+        step_s: 0.5 * (low + high),
+        std_err_s: (high - low) / 12.0_f64.sqrt(),
+    })
 }
 
 #[cfg(test)]
@@ -322,11 +322,12 @@ mod tests {
     fn steps_lie_between_those_of_another_number() {
         let exposures = [1e-4, 2.5e-4, 9.9e-4, 3.21e-3];
         for (shape, step_s) in [(1.0, 3.2e-5), (2.0, 3.2e-5), (3.0, 3.2e-5), (1.0, 1e-5)] {
-            let found = between(&exposures, shape, step_s);
+            let found = between(&exposures, shape, step_s).unwrap();
             assert!((found.step_s - step_s).abs() < 2.0 * found.std_err_s + 1e-9, "{found:?}");
             for t in exposures {
                 assert_eq!(whole_steps(shape, step_s, t), whole_steps(shape, found.step_s, t));
             }
         }
+        assert_eq!(between(&exposures, 1.0, 4e-3), None);
     }
 }

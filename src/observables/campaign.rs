@@ -184,7 +184,7 @@ pub fn of_dataset(
     let stated_flat = |i: usize| dataset.settings(&sets[i]).kind == Kind::Flat;
     let flats_left_out = no_flats && (0..sets.len()).any(|i| passed(i).is_some() && stated_flat(i));
     if flats_left_out {
-        missing.push("all flats are left out for a slip: what agrees are the darks alone".into());
+        missing.push("slips leave out all flats: the verdict is on the darks alone".into());
     }
     spreads(&mut infos, &chunks, &settings, zero_dn);
     // A level at which the range has ended, or that is not as stated, has a light of its own.

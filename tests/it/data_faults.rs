@@ -184,6 +184,16 @@ fn another_field_of_light_is_named() {
     assert_eq!(campaign.said("noise")["data_faults"], serde_json::json!([]));
 }
 
+/// The only fault says another gain than the other flats have, with the ratio within three of its errors.
+fn has_another_gain(faults: &[serde_json::Value], ratio: f64) {
+    let text = faults[0]["text"].as_str().unwrap();
+    assert!(faults.len() == 1 && text.contains("another gain than the other flats"), "{faults:?}");
+    let mut numbers =
+        text.split("flats, ").nth(1).unwrap().split([' ', '±']).filter_map(|w| w.parse::<f64>().ok());
+    let (named, error) = (numbers.next().unwrap(), numbers.next().unwrap());
+    assert!((named - ratio).abs() < 3.0 * error && error < 0.1 * ratio, "{ratio}: {text}");
+}
+
 /// Another gain of single flats here and there: these are named, with the ratio within three stated errors, and
 /// the gain is that of the others.
 #[test]
@@ -198,12 +208,7 @@ fn another_gain_of_flats_here_and_there_is_named() {
         wrong.iter().flat_map(|f| campaign.of(*f)).for_each(|row| campaign.scale(row, ratio, BLACK_DN));
         let said = campaign.said("noise");
         let faults = said["data_faults"].as_array().unwrap();
-        let text = faults[0]["text"].as_str().unwrap();
-        assert!(faults.len() == 1 && text.contains("another gain than the other flats"), "{faults:?}");
-        let mut numbers =
-            text.split("flats, ").nth(1).unwrap().split([' ', '±']).filter_map(|w| w.parse::<f64>().ok());
-        let (named, error) = (numbers.next().unwrap(), numbers.next().unwrap());
-        assert!((named - ratio).abs() < 3.0 * error && error < 0.1 * ratio, "{ratio}: {text}");
+        has_another_gain(faults, ratio);
         let mut sets = wrong.clone();
         sets.sort_unstable();
         assert_eq!(faults[0]["sets"], serde_json::json!(sets), "{faults:?}");
@@ -234,12 +239,7 @@ fn another_gain_of_the_brighter_flats_is_named() {
         bright.iter().flat_map(|f| campaign.of(*f)).for_each(|row| campaign.scale(row, ratio, about));
         let said = campaign.said("noise");
         let faults = said["data_faults"].as_array().unwrap();
-        let text = faults[0]["text"].as_str().unwrap();
-        assert!(faults.len() == 1 && text.contains("another gain than the other flats"), "{faults:?}");
-        let mut numbers =
-            text.split("flats, ").nth(1).unwrap().split([' ', '±']).filter_map(|w| w.parse::<f64>().ok());
-        let (named, error) = (numbers.next().unwrap(), numbers.next().unwrap());
-        assert!((named - ratio).abs() < 3.0 * error && error < 0.1 * ratio, "{ratio}: {text}");
+        has_another_gain(faults, ratio);
         let sets = faults[0]["sets"].as_array().unwrap();
         assert!(bright.iter().all(|f| sets.contains(&(*f).into())), "{faults:?}, {bright:?}");
         let gain = &said["gain_dn_per_e"];

@@ -355,17 +355,18 @@ fn a_filter_of_whole_codes_is_named_after_bright_frames() {
     named(32, 0.0344);
 }
 
-/// Exposures in whole steps are named, with their kind or where two give every exposure the same number of steps
-/// with both, and the step lies within three standard errors.
+/// Exposures in whole steps are named; the kind is right, or said as one of two that fit alike, and the step lies within three standard errors.
 #[test]
 fn whole_steps_of_the_exposure_are_named() {
-    for (shape, step_s, words, seed) in
-        [(1.0, 2.1e-4, "cut to", 349), (2.0, 1.3e-4, "rounded to", 350), (3.0, 7.7e-5, "rounded up to", 351)]
-    {
+    for (shape, step_s, words, seed) in [
+        (1.0, 2.1e-4, "cutting exposures", 349),
+        (2.0, 1.3e-4, "rounding exposures", 350),
+        (3.0, 7.7e-5, "rounding up exposures", 351),
+    ] {
         let d = look(with(unit(seed), "exposure-offset", &[shape, 0.0, step_s])).1;
         let first = &d.missing[0];
         assert_eq!(first.effect, "exposure-offset", "{shape}: {:?}", d.missing);
-        // Where two kinds give every exposure the same number of steps the verdict says both.
+        // The evidence says both kinds where they give every exposure the same number of steps.
         assert_eq!(first.form.as_deref(), Some("exposures in whole steps"));
         assert!(
             first.parameters["shape"].value == shape || first.evidence.join(" ").contains(words),

@@ -5,8 +5,10 @@ use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction
 /// effective = commanded + t0, or a whole number of steps, for light.
 pub struct ExposureOffset;
 
-/// Shapes of whole steps: the parameter `shape`, and the part of a step that is added before the rest is cut off.
-const WHOLE: [(f64, f64); 3] = [(1.0, 0.0), (2.0, 0.5), (3.0, 1.0)];
+/// Shapes of whole steps: the parameter `shape`, the part of a step that is added before the rest is cut off, and
+/// the name.
+const WHOLE: [(f64, f64, &str); 3] =
+    [(1.0, 0.0, "cutting"), (2.0, 0.5, "rounding"), (3.0, 1.0, "rounding up")];
 
 /// Part of a step by which an exposure may lie on the wrong side of a whole number: rounding of what is stated
 /// (a named choice).
@@ -14,7 +16,7 @@ const ROUNDING: f64 = 0.01;
 
 /// Part of a step that is added before the rest is cut off.
 fn added(shape: f64) -> f64 {
-    let added = WHOLE.iter().find(|(s, _)| *s == shape).map_or(0.0, |(_, added)| *added);
+    let added = WHOLE.iter().find(|w| w.0 == shape).map_or(0.0, |w| w.1);
     if added < 1.0 { added + ROUNDING } else { added - ROUNDING }
 }
 
@@ -130,15 +132,15 @@ impl Effect for ExposureOffset {
         Needs::Means
     }
 
-    /// Light that is not known leaves open how a number of steps came about.
     fn fits_as_well(&self, p: &[f64], seen: &Seen) -> Option<String> {
         let other = seen.exposure_steps.iter().flatten().find(|s| p[0] >= 1.0 && s.shape != p[0])?;
-        let words = |shape: f64| ["cut to", "rounded to", "rounded up to"][shape as usize - 1];
+        let name = |shape: f64| WHOLE.iter().find(|w| w.0 == shape).map(|w| w.2);
         Some(format!(
-            "exposures {} whole steps; {} those of {:.5e} s fits as well, and short exposures in unequal steps tell",
-            words(p[0]),
-            words(other.shape),
-            other.step_s
+            "{} exposures to steps of {:.5e} s fits as well as {} them to steps of {:.5e} s: short exposures in unequal steps tell which",
+            name(other.shape)?,
+            other.step_s,
+            name(p[0])?,
+            p[STEP]
         ))
     }
 
@@ -157,7 +159,7 @@ impl Effect for ExposureOffset {
             look_alikes: "smear does the same on flats, but on a scene only in the columns through what is bright; a toe of the response near black takes the same from every light; lamp settings that do not come back \
                           scatter in proportion to the light",
             remedy: "write the exposure that the camera reads back into the files; add t0 to every exposure; vary the light at a fixed exposure",
-            measure: "a still scene with a bright patch at a long and at a short exposure",
+            measure: "a still scene with a bright patch at a long and at a short exposure; of whole steps: flats at short exposures in unequal steps",
             sets: takes::SCENES,
             source: "EMVA 1288 release 4, section 6 (linearity by exposure time)",
         }
