@@ -50,6 +50,9 @@ pub struct SetFacts {
     /// earlier versions.
     #[serde(default)]
     pub cells_dn2: Vec<f64>,
+    /// Share of the samples that are even codes; 0 in files of earlier versions.
+    #[serde(default)]
+    pub even_share: f64,
     /// Variance over the pixels of the first frame, DN^2.
     pub spread_dn2: f64,
     /// Distance of the codes that occur in the first frame, DN: 1 unless the camera counts in coarser steps.
@@ -172,7 +175,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     let mut third: Option<Arc<Array2<u16>>> = None;
     // Sums over all frames, and over frames without lost parts.
     let (mut middle_of_all, mut middle_of_whole) = (Middle::default(), Middle::default());
-    let mut clipped = 0usize;
+    let (mut clipped, mut odd) = (0usize, 0u64);
     let mut occurring = Occurring::default();
     let mut cells = CellVariances::default();
     let mut hot = (dataset.settings(set).kind == Kind::Dark).then(HotPixels::default);
@@ -199,6 +202,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
             let sent = sent.as_slice().unwrap_or(&[]);
             out.digests.push(digest(sent));
             out.zeros.push(Zeros::of(sent));
+            odd += sent.iter().map(|v| u64::from(v & 1)).sum::<u64>();
             clipped += sent.iter().filter(|v| **v >= full).count();
             old_data.add(sent, sent_before.as_ref().and_then(|b| b.as_slice()), full);
             sent_before = Some(shared);
@@ -236,7 +240,9 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     out.cells_dn2 = cells.finish();
     out.old_data = old_data.finish();
     out.code_step_dn = step_of(&occurring);
-    out.clipped = clipped as f64 / (out.pixels * set.rows.len() as f64).max(1.0);
+    let samples = (out.pixels * set.rows.len() as f64).max(1.0);
+    out.even_share = 1.0 - odd as f64 / samples;
+    out.clipped = clipped as f64 / samples;
     let middle = if middle_of_whole.frames > 0 { middle_of_whole } else { middle_of_all };
     out.middle_columns = middle.sum.ncols();
     out.middle_dn = middle.sum.iter().map(|v| v / middle.frames.max(1) as f32).collect();

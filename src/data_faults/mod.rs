@@ -151,6 +151,7 @@ checks! {
     frames_of_two_levels::FramesOfTwoLevels
     moving_field::MovingField
     fewer_bits::FewerBits
+    rounded_means::RoundedMeans
     gain_step::GainStep
     repeats_of_two_gains::RepeatsOfTwoGains
     kind_label::KindLabel

@@ -46,6 +46,11 @@ impl DataFault {
     pub fn is_leak(&self) -> bool {
         self.kind == FaultKind::KindLabel && !self.left_out
     }
+
+    /// Returns true if all frames are means of several: no set is left that has the gain of the camera.
+    pub fn is_of_means(&self) -> bool {
+        self.kind == FaultKind::DependentFrames && !self.left_out
+    }
 }
 
 impl std::fmt::Display for DataFault {

@@ -1,7 +1,7 @@
 //! Levels and files against names: questions where they contradict each other.
 
 use super::propose::Growing;
-use super::{Found, few};
+use super::{Found, few, same_exposure};
 use crate::dataset::Kind;
 use crate::number::{ranges, seconds, six_digits};
 use std::collections::BTreeMap;
@@ -217,8 +217,8 @@ pub fn normalized(sets: &mut [Growing], found: &[Found]) {
 /// Numbers of pixels of binning 2 x 2 to 4 x 4: as many values have their mean.
 const BINNED: [u32; 3] = [4, 9, 16];
 
-/// Questions values that are multiples of 1/N: means of N frames are no raw frames. Means of N pixels are; they are
-/// assumed, and said, for the N of binning.
+/// Questions values that are multiples of 1/N: means of N frames are no raw frames. Means of N pixels are; they
+/// are assumed, and said, for the N of binning.
 pub fn means_of_several(sets: &mut [Growing], found: &[Found]) {
     let Some(n) = found.first().and_then(|f| f.in_a_mean) else { return };
     let Some(first) = sets.first_mut() else { return };
@@ -265,6 +265,45 @@ pub fn longer_than_the_period(sets: &mut [Growing], found: &[Found]) {
         six_digits(exposure_s),
         six_digits((100.0 * period_s).round() / 100.0)
     ));
+}
+
+/// Questions darks whose exposures are all a thousand or a million times those of the flats, or as small a part
+/// of them: one of the two units is wrong. One program writes both headers in one unit, so those are not asked;
+/// neither is a single dark beside flats of several exposures.
+pub fn darks_in_another_unit(sets: &mut [Growing], found: &[Found]) {
+    let exposures = |kind: Kind| -> Vec<(usize, f64)> {
+        let of = |(k, s): (usize, &Growing)| Some((k, s.set.exposure_s.filter(|t| *t > 0.0)?));
+        let mut all: Vec<(usize, f64)> =
+            sets.iter().enumerate().filter(|(_, s)| s.set.kind == kind).filter_map(of).collect();
+        all.sort_by(|a, b| a.1.total_cmp(&b.1));
+        all.dedup_by(|a, b| same_exposure(a.1, b.1));
+        all
+    };
+    let (darks, flats) = (exposures(Kind::Dark), exposures(Kind::Flat));
+    let is_of_flats = |exposure_s: f64| flats.iter().any(|f| same_exposure(f.1, exposure_s));
+    let factor = [1e3, 1e6, 1e-3, 1e-6].into_iter().find(|by| darks.iter().all(|d| is_of_flats(d.1 / by)));
+    let (Some(factor), Some(dark), Some(flat)) = (factor, darks.first(), flats.first()) else { return };
+    let source = |set: usize| {
+        let frame = sets[set].frames.first().map(|k| &found[*k].facts);
+        frame.and_then(|facts| facts.from.get("exposure_s")).cloned().unwrap_or_default()
+    };
+    let is_header = |source: &str| !["name", "folder"].iter().any(|word| source.contains(word));
+    let (of_dark, of_flat) = (source(dark.0), source(flat.0));
+    if darks.len() < 2 && flats.len() > 1 || is_header(&of_dark) && is_header(&of_flat) {
+        return;
+    }
+    let text = format!(
+        "exposure: all darks are {} the flats, {} s ({of_dark}) to {} s ({of_flat}): milliseconds in the one and seconds in the other? \
+         Dark current would be wrong by as much. State exposure_s",
+        if factor > 1.0 {
+            format!("{} times as long as", six_digits(factor))
+        } else {
+            format!("shorter by {} than", six_digits(1.0 / factor))
+        },
+        six_digits(dark.1),
+        six_digits(dark.1 / factor)
+    );
+    sets[dark.0].set.doubts.push(text);
 }
 
 /// Smallest level below that of all darks, DN and relative to it, at which flats are questioned: a black

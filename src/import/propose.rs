@@ -113,6 +113,7 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
     plausible::normalized(&mut sets, found);
     plausible::means_of_several(&mut sets, found);
     plausible::longer_than_the_period(&mut sets, found);
+    plausible::darks_in_another_unit(&mut sets, found);
     plausible::flats_below_darks(&mut sets);
     plausible::serial_numbers(&mut sets, found);
     lit_darks(&mut sets, LIT * f64::from((1u32 << bit_depth) - 1));

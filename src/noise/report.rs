@@ -169,12 +169,13 @@ impl NoiseReport {
         self.offset_source != NO_ZERO && constant.value < -BEYOND_CHANCE * constant.std_err
     }
 
-    /// Returns true if nothing speaks clearly against the line, pixels and frames are independent, and
-    /// flats are brighter than darks.
+    /// Returns true if nothing speaks clearly against the line, pixels and frames are independent, flats are
+    /// brighter than darks, and frames are no means of several.
     pub fn consistent(&self) -> bool {
         self.agreement() != Agreement::Fails
             && self.shared_noise_rel.as_ref().is_none_or(|shared| shared.value.abs() < MAX_SHARED)
             && self.gain_dn_per_e.value > 0.0
             && !self.levels.iter().any(LevelReport::is_below_the_darks)
+            && !self.data_faults.iter().any(DataFault::is_of_means)
     }
 }

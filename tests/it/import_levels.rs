@@ -48,6 +48,23 @@ fn exposures_that_darken_are_asked() {
     assert_eq!(sets(&bench.import("counted", &[]).0).len(), 3);
 }
 
+/// Darks whose names have another unit than those of the flats.
+#[test]
+fn darks_in_another_unit_are_asked() {
+    let bench = Bench::new();
+    let flats = [("flat_2ms", 400.0, 0.002), ("flat_5ms", 1000.0, 0.005), ("flat_10ms", 2000.0, 0.01)];
+    for (folder, darks) in [("s", ["dark_2s", "dark_10s"]), ("us", ["dark_2us", "dark_10us"])] {
+        let all: Vec<_> = darks.into_iter().map(|d| (d, 0.0, 0.002)).chain(flats).collect();
+        campaign(&bench, folder, &all);
+        let said = bench.refused(folder);
+        assert!(said.contains("in the one and") && said.contains("0.002 s"), "{said}");
+    }
+    // Long darks of exposures of their own are those of a dark current.
+    let darks = [("dark_2ms", 0.0, 0.002), ("dark_2s", 0.0, 2.0), ("dark_10s", 0.0, 10.0)];
+    campaign(&bench, "long", &darks.into_iter().chain(flats).collect::<Vec<_>>());
+    assert_eq!(sets(&bench.import("long", &[]).0).len(), 6);
+}
+
 /// Two thousand microseconds, or two.
 #[test]
 fn thousandths_of_microseconds_are_asked() {

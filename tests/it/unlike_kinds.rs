@@ -87,6 +87,28 @@ fn averages_of_one_kind_are_named() {
     }
 }
 
+/// Means of so many frames each, darks and flats, rounded to even as numpy does: named, and the gain is no
+/// result. Single frames and means of three have no such trace.
+#[test]
+fn means_of_all_frames_are_named() {
+    for (of, seed) in [(1u32, 354), (2, 355), (3, 356), (4, 357), (8, 358)] {
+        let (bench, mut hot) = (Bench::new(), Hot::new(seed));
+        let mut draw = |light_e: f64, exposure_s: f64| {
+            let frames = (0..of).map(|_| hot.frame(light_e, exposure_s).mapv(f64::from));
+            let sum = frames.reduce(|sum, frame| sum + frame).unwrap();
+            (sum / f64::from(of)).mapv(|v| v.round_ties_even() as u16)
+        };
+        let path = campaign(&bench, &[10.0, 40.0], &FLATS_MS, &mut draw);
+        let output = radcam(&["noise", &path, "--json"]);
+        let said: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let text = said["data_faults"].to_string();
+        assert_eq!(text.contains(&format!("as in means of {of} frames")), of % 2 == 0, "{of}: {text}");
+        assert_eq!(output.status.code(), Some(i32::from(of % 2 == 0)), "{of}: {text}");
+        let gain = said["gain_dn_per_e"]["value"].as_f64().unwrap();
+        assert!((gain * f64::from(of) / GAIN - 1.0).abs() < 0.05, "{of}: {gain}");
+    }
+}
+
 /// Darks of another black level, and darks that lost two bits, beside flats of which none is dim: named, and the
 /// gain is that of the flats.
 #[test]

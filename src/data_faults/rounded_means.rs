@@ -1,0 +1,94 @@
+//! Means of N frames that were rounded to whole codes: half-way values go to even codes (IEEE 754, as numpy's
+//! `round` and OpenCV do), so that (N + 1) / 2N of the samples of all sets are even where N is even.
+//!
+//! One mean in N lies half-way between two codes, and one half of those would have gone to odd ones. Codes
+//! themselves are as often even as odd where they spread over several.
+
+use super::set_view::SetView;
+use super::{Campaign, Check, DataFault, FaultKind};
+use crate::dataset::Kind;
+use crate::number::six_digits;
+
+/// Numbers of frames looked for. The lowest bit of a converter may have the trace of larger ones.
+const FRAMES: [u32; 5] = [2, 4, 6, 8, 10];
+/// Variance of the samples of a frame from which on codes are as often even as odd, DN^2: of normal samples of
+/// that variance v even codes have 0.5 +- exp(-pi^2 v / 2).
+const MIN_SPREAD_DN2: f64 = 3.0;
+/// Variance over time from which on a pixel has another code in the next frame, DN^2 (a named choice): frames of
+/// less repeat their pixels.
+const MIN_NEW_DN2: f64 = 1.0;
+/// Distance of the codes that occur below which none is missing: multiplied codes have a trace of their own.
+const MAX_STEP_DN: f64 = 1.1;
+/// Least number of sets that tell.
+const MIN_SETS: usize = 3;
+/// Largest standard error of the excess, of the excess: one of any size is that of N by chance seven times as
+/// often (named choice).
+const MAX_REL_ERROR: f64 = 0.02;
+/// Standard errors within which the excess is that of N.
+const SIGMAS: f64 = 3.0;
+
+/// The check.
+pub struct RoundedMeans;
+
+impl Check for RoundedMeans {
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
+        let tells = |s: &SetView| {
+            matches!(s.kind, Kind::Dark | Kind::Flat)
+                && !s.clipped
+                && !s.is_cut_off()
+                && s.facts.even_share > 0.0
+                && s.facts.spread_dn2 >= MIN_SPREAD_DN2
+                && s.facts.step_dn < MAX_STEP_DN
+                && s.facts.code_step_dn == 1.0
+        };
+        let sets = campaign.places(tells);
+        let of = |i: &usize| {
+            let set = &campaign.sets[*i];
+            let is_new = set.variance_dn2().is_some_and(|v| v.0 > MIN_NEW_DN2);
+            let frames = if is_new { set.frames() as f64 } else { 1.0 };
+            (set.facts.even_share - 0.5, set.facts.pixels * frames)
+        };
+        let excess: Vec<(f64, f64)> = sets.iter().map(of).collect();
+        let Some(n) = frames_in_a_mean(&excess) else { return Vec::new() };
+        let text = format!(
+            "{}: {} % of the samples are even codes, as in means of {n} frames that were rounded (numpy, OpenCV): system gain of such means is {n} times \
+             too low. Import the frames that they were made of. In raw frames the lowest bit of the converter does this, off by 1/{n} DN",
+            campaign.named(&sets),
+            six_digits((1000.0 * (0.5 + 0.5 / f64::from(n))).round() / 10.0)
+        );
+        vec![campaign.fault_of_sets(FaultKind::DependentFrames, &sets, text, false)]
+    }
+}
+
+/// Finds the number of frames in a mean whose trace all sets have. `excess`: share of even codes above a half,
+/// and samples.
+fn frames_in_a_mean(excess: &[(f64, f64)]) -> Option<u32> {
+    if excess.len() < MIN_SETS {
+        return None;
+    }
+    let n = excess.len() as f64;
+    let mean = excess.iter().map(|e| e.0).sum::<f64>() / n;
+    let scatter = excess.iter().map(|e| (e.0 - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    let of_chance = excess.iter().map(|e| 0.25 / e.1).sum::<f64>() / n;
+    let std_err = (scatter.max(of_chance) / n).sqrt();
+    FRAMES.into_iter().find(|frames| {
+        let own = 0.5 / f64::from(*frames);
+        (mean - own).abs() < SIGMAS * std_err && std_err < MAX_REL_ERROR * own
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The trace of means is that of their number, in every set; any other share is none.
+    #[test]
+    fn the_number_of_frames_is_found() {
+        let of = |shares: [f64; 3]| frames_in_a_mean(&shares.map(|s| (s - 0.5, 1e6)));
+        assert_eq!(of([0.7501, 0.7499, 0.7502]), Some(2));
+        assert_eq!(of([0.5624, 0.5626, 0.5625]), Some(8));
+        assert_eq!(of([0.51, 0.5101, 0.5099]), None);
+        assert_eq!(of([0.75, 0.5, 0.75]), None);
+        assert_eq!(frames_in_a_mean(&[(0.25, 1e6); 2]), None);
+    }
+}
