@@ -1,12 +1,13 @@
 //! Radiometric camera calibration and noise estimation for machine vision.
 //!
-//! The system of Healey and Kondepudy, "Radiometric CCD Camera Calibration and Noise Estimation", IEEE PAMI 16(3),
-//! 1994: the camera model (in [`radcam_sim`]), noise from pairs of flats ([`noise`], Section IV), on any camera behind
-//! one trait ([`camera`]) and on any dataset folder ([`dataset`]).
+//! The system of Healey and Kondepudy, "Radiometric CCD Camera Calibration and Noise Estimation", IEEE PAMI
+//! 16(3), 1994: the camera model (in [`radcam_sim`]), noise from pairs of flats ([`noise`], Section IV), on any
+//! camera behind one trait ([`camera`]) and on any dataset folder ([`dataset`]).
 //!
 //! `radcam-sim` says what should be seen, this crate says what was seen, and the difference is the product.
 //!
-//! From a camera to its gain and to the effect that its model lacks; `aravis:192.168.1.5` in place of `sim:cmos12` is a real camera:
+//! From a camera to its gain and to the effect that its model lacks; `aravis:192.168.1.5` in place of
+//! `sim:cmos12` is a real camera:
 //!
 //! ```
 //! use radcam::prelude::*;
@@ -51,59 +52,36 @@
 //! # }
 //! ```
 //!
-//! Results ([`NoiseReport`](noise::NoiseReport), [`Diagnosis`](diagnosis::Diagnosis), ...) serialise to the JSON of the program and back.
+//! Results ([`NoiseReport`](noise::NoiseReport), [`Diagnosis`](diagnosis::Diagnosis), ...) serialise to the JSON
+//! of the program and back.
 
-pub mod agreement;
-pub mod bench;
-pub mod budget;
-pub mod calibrate;
-pub mod camera;
-pub mod capture;
+// Rooms in the order of the data: each uses only those before it (tests/it/rooms.rs).
+mod base;
+mod cameras;
+mod campaign;
+mod comparison;
 #[cfg(feature = "cli")]
-pub mod cli;
-
-pub mod correct;
-pub mod data_faults;
-pub mod dataset;
-pub mod diagnosis;
-pub mod emva;
-pub mod features;
-mod first_look;
-pub mod fit;
-pub mod flat_field;
-pub mod frame;
-#[cfg(feature = "cli")]
-mod http;
-pub mod import;
-pub mod inference;
-pub mod input;
-pub mod investigate;
-pub mod light;
-pub mod model;
-pub mod monitor;
-pub mod noise;
-pub mod number;
-pub mod observables;
-mod output;
-pub mod pixel_format;
-pub mod plan;
-pub mod plot;
-pub mod reduction;
-pub mod report;
-pub mod reproduce;
-pub mod scene_variation;
-#[cfg(feature = "cli")]
-mod secret;
-#[cfg(feature = "aravis")]
-pub mod serve;
-pub mod source;
+mod program;
+mod radiometry;
+mod results;
 pub mod statistics;
-pub mod stream;
-pub mod study;
-pub mod surfaces;
-pub mod upload;
+
 #[cfg(feature = "cli")]
-pub mod workbench;
+pub(crate) use base::http;
+pub(crate) use base::output;
+#[cfg(feature = "cli")]
+pub(crate) use base::secret;
+pub use base::{agreement, features, fit, frame, input, light, number, pixel_format, plot};
+#[cfg(feature = "aravis")]
+pub use cameras::serve;
+pub use cameras::{bench, camera, capture, monitor, stream, upload};
+pub(crate) use campaign::first_look;
+pub use campaign::{data_faults, dataset, import, plan};
+pub use comparison::{diagnosis, inference, model, observables};
+#[cfg(feature = "cli")]
+pub use program::{cli, workbench};
+pub use radiometry::{budget, calibrate, correct, emva, flat_field, noise, scene_variation, surfaces};
+pub use results::{investigate, reduction, report, reproduce, source, study};
 
 pub use ndarray;
 pub use radcam_sim as sim;

@@ -148,6 +148,46 @@ fn told(plan: &str, slip: Slip, seed: u32) {
     }
 }
 
+/// A time stamp of eight digits in the upper rows of every frame, white on what is there, or on black: its rows
+/// are left out, gain and verdict are those of the camera, and no correction is made of the rest.
+#[test]
+fn rows_with_text_are_left_out() {
+    for (plan, on_black, seed) in [("standard", true, 359), ("emva1288", false, 360)] {
+        let campaign = Campaign::new("cmos12", plan, seed);
+        for row in 0..campaign.rows.len() {
+            let mut codes = campaign.frame(row);
+            for digit in 0..8u32 {
+                let shape = (row as u32 * 137 + 1000) / 10u32.pow(7 - digit) % 10;
+                for (y, x) in (0..7u32).flat_map(|y| (0..5u32).map(move |x| (y, x))) {
+                    let is_white = PixelRng::new(shape.into(), Stream::Effect, 0, y, x).uniform() < 0.5;
+                    let at = [2 + y as usize, (2 + 6 * digit + x) as usize];
+                    codes[at] = if is_white {
+                        4095
+                    } else if on_black {
+                        0
+                    } else {
+                        codes[at]
+                    };
+                }
+            }
+            campaign.put(row, &codes);
+        }
+        let said = campaign.said("diagnose");
+        let faults = said["data_faults"].to_string();
+        assert!(faults.contains("rows 2 to 8 hold text"), "{plan}: {faults}");
+        assert_eq!(said["data_faults"].as_array().unwrap().len(), 1, "{plan}: {faults}");
+        assert_eq!(said["missing"], serde_json::json!([]), "{plan}");
+        let noise = campaign.said("noise");
+        assert_eq!(noise["data_faults"], said["data_faults"]);
+        let gain = &noise["gain_dn_per_e"];
+        let (value, error) = (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap());
+        assert!((value - 0.38).abs() < 4.0 * error, "{plan}: {value} +- {error}");
+        let to = campaign.path() + ".cal";
+        let refused = crate::support::refused(&["calibrate", &campaign.path(), "--flat-field", "-o", &to]);
+        assert!(refused.contains("every pixel") && refused.contains("overlay"), "{refused}");
+    }
+}
+
 /// Two flats with a tenth less light in a corner are named and left out; a curve of the response under a shaded
 /// field is no other field.
 #[test]

@@ -192,8 +192,8 @@ fn configurations_in_names_are_read() {
     assert_eq!(found[1..].iter().map(|f| f.1).collect::<Vec<_>>(), [1, 2, 3, 4]);
 }
 
-/// Frames of the sky or of a lamp's spectrum, stated as such beside darks and flats, are neither: they are left out
-/// and said. Where nothing else is called flat they are the flats.
+/// Frames of the sky or of a lamp's spectrum, stated as such beside darks and flats, are neither: they are left
+/// out and said. Where nothing else is called flat they are the flats.
 #[test]
 fn light_frames_beside_flats_are_left_out() {
     let bench = Bench::new();

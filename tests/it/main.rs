@@ -59,6 +59,7 @@ mod real;
 mod reduction;
 mod report;
 mod rewritten;
+mod rooms;
 mod sensors;
 #[cfg(feature = "aravis")]
 mod serve;

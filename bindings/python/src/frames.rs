@@ -9,7 +9,8 @@ use radcam::statistics::moments::Moments as Sums;
 use radcam::statistics::pass::Pass;
 use std::path::PathBuf;
 
-/// Refuses what does not lie row by row without gaps. An array in Fortran's order would be taken for its transpose: numpy's slices take both.
+/// Refuses what does not lie row by row without gaps. An array in Fortran's order would be taken for its
+/// transpose: numpy's slices take both.
 pub fn in_rows<T: numpy::Element>(array: &Bound<'_, PyArray2<T>>) -> PyResult<()> {
     if array.is_c_contiguous() {
         return Ok(());
@@ -17,7 +18,8 @@ pub fn in_rows<T: numpy::Element>(array: &Bound<'_, PyArray2<T>>) -> PyResult<()
     Err(PyValueError::new_err("the array is not contiguous row by row: numpy.ascontiguousarray makes it so"))
 }
 
-/// A frame as codes of 16 bits, row by row: the array itself where it is that, and otherwise a copy of an array of unsigned codes of up to 16 bits.
+/// A frame as codes of 16 bits, row by row: the array itself where it is that, and otherwise a copy of an array
+/// of unsigned codes of up to 16 bits.
 pub fn codes_of<'py>(frame: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<u16>>> {
     let py = frame.py();
     if frame.hasattr("mask")? {
@@ -53,7 +55,7 @@ pub struct Dataset(radcam::dataset::Dataset);
 impl Dataset {
     #[new]
     fn new(path: PathBuf) -> PyResult<Self> {
-        Ok(Self(radcam::dataset::Dataset::open(&path).map_err(Raised::raised)?))
+        Ok(Self(radcam::reduction::open(&path).map_err(Raised::raised)?))
     }
 
     /// (rows, columns).
@@ -88,7 +90,8 @@ impl Dataset {
     }
 }
 
-/// Sums of the codes of every pixel and of their squares: whole numbers, so that any split of the frames gives the same bits.
+/// Sums of the codes of every pixel and of their squares: whole numbers, so that any split of the frames gives
+/// the same bits.
 #[pyclass(module = "radcam")]
 pub struct Moments {
     sums: Sums,
@@ -193,7 +196,8 @@ fn codes<'a>(
     Ok(dn)
 }
 
-/// All statistics of the noise of frames that come from an iterator, in memory that does not grow with them: JSON.
+/// All statistics of the noise of frames that come from an iterator, in memory that does not grow with them:
+/// JSON.
 #[pyfunction]
 #[pyo3(signature = (frames, bit_depth=16))]
 fn statistics(py: Python<'_>, frames: &Bound<'_, PyAny>, bit_depth: u8) -> PyResult<Option<String>> {

@@ -91,7 +91,7 @@ fn open(paths: &[PathBuf], plane: Option<[u8; 2]>) -> PyResult<Source> {
 
 /// A dataset, or one colour of it.
 fn dataset(path: &Path, plane: Option<[u8; 2]>) -> PyResult<Dataset> {
-    let dataset = Dataset::open(path).map_err(Raised::raised)?;
+    let dataset = reduction::open(path).map_err(Raised::raised)?;
     plane.map_or(Ok(dataset.clone()), |plane| dataset.plane(plane)).map_err(Raised::raised)
 }
 
@@ -200,7 +200,7 @@ fn calibrate(
         }
     };
     run(py, progress.as_ref(), move |w| {
-        let dataset = Dataset::open(&path).map_err(Raised::raised)?;
+        let dataset = reduction::open(&path).map_err(Raised::raised)?;
         let dataset = radcam::data_faults::examined(&dataset, &w.stop).map_err(Raised::raised)?;
         let noise = radcam::noise::of_dataset(&dataset, &w.stop, &mut |done, of| w.step(done, of)).ok();
         let from = format!("radcam {} from {}", env!("CARGO_PKG_VERSION"), path.display());
@@ -225,7 +225,8 @@ fn plan(name: &str) -> PyResult<Plan> {
     Plan::from_toml(&text).map_err(Raised::raised)
 }
 
-/// Captures a plan with a camera or, where `model` is given, a simulated one of it with `seed`; `resume` goes on with one that was ended.
+/// Captures a plan with a camera or, where `model` is given, a simulated one of it with `seed`; `resume` goes on
+/// with one that was ended.
 #[pyfunction]
 #[pyo3(signature = (camera, output, plan_name="standard", region=None, full_exposure_s=None, model=None, seed=None, resume=false, progress=None))]
 #[allow(clippy::too_many_arguments)] // as many as the verb has

@@ -1,0 +1,183 @@
+//! A look at the data before any physics: slips of the hand, named with their sets and left out.
+//!
+//! Every verb that reads a campaign goes through [`examined`]: what is left out is left out everywhere, and
+//! said everywhere in the same words.
+//!
+//! # To add a check
+//!
+//! Write one file here with a type that implements `Check`, and put both names on the list at the end of this
+//! file. Checks run in that order, and each sees the campaign without what those before it left out.
+//!
+//! No check knows a model of the sensor. Sets are held against the others of their campaign: levels against a
+//! smooth law of exposure times light, variances against a smooth law of the level. Whatever acts on all sets
+//! alike bends those laws and is for `diagnose` to name; a slip is what one set does, or few.
+
+mod campaign;
+mod facts;
+mod hot_charge;
+mod law;
+mod orientation;
+mod overlay;
+mod patterns;
+mod set_view;
+mod shared_noise;
+mod stray_level;
+mod transfer;
+
+pub(crate) use crate::dataset::SharedNoise;
+pub use crate::dataset::{DataFault, FaultKind};
+use campaign::Campaign;
+pub(crate) use facts::SetFacts;
+
+use crate::dataset::{Dataset, DatasetError, Examination, Key, Kind, StruckSamples};
+use crate::statistics::outliers::are_rays;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Looks for one kind of slip.
+trait Check: Sync {
+    /// Finds faults, and marks in the campaign the sets and frames that it leaves out.
+    fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault>;
+}
+
+/// Reasons for an examination without a result.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExamineError {
+    /// The dataset.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// The user asked for the end.
+    #[error("interrupted")]
+    Interrupted,
+}
+
+/// The dataset without what is wrong with it; [`Dataset::data_faults`] then says what that was. One that was
+/// examined stays as it is.
+///
+/// ```
+/// # let folder = tempfile::tempdir()?;
+/// # let path = folder.path().join("campaign");
+/// # let mut camera = radcam::camera::open("sim:cmos12")?;
+/// # let mut plan = radcam::plan::Plan::quick();
+/// # plan.camera.region = Some([0, 0, 64, 64]);
+/// # let mut bench = radcam::bench::of(&mut *camera, &plan);
+/// # radcam::capture::Capture::new(&mut *camera, &mut *bench).run(&plan, &path)?;
+/// use radcam::{data_faults, dataset::Dataset};
+/// let stop = std::sync::atomic::AtomicBool::new(false);
+/// let dataset = data_faults::examined(&Dataset::open(&path)?, &stop)?;
+/// assert!(dataset.data_faults().is_empty()); // nothing was wrong
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+///
+/// Which frame cannot be read, or that it was stopped.
+pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, ExamineError> {
+    if dataset.is_examined() {
+        return Ok(dataset.clone());
+    }
+    let mut facts = facts_of(dataset, stop)?;
+    let mut faults = Vec::new();
+    let part = overlay::without_text(dataset, &facts).map(|(part, fault)| {
+        faults.push(fault);
+        part
+    });
+    if let Some(part) = &part {
+        facts = facts_of(part, stop)?;
+    }
+    let dataset = part.as_ref().unwrap_or(dataset);
+    let struck = StruckSamples::of(&facts);
+    let mut campaign = Campaign::new(dataset, facts);
+    for check in CHECKS {
+        faults.extend(check.find(&mut campaign));
+    }
+    let passed_over = campaign.passed_over(&faults);
+    let shared_noise = shared_noise::shared_noise(&campaign);
+    let examination = Examination {
+        code_step_dn: campaign.code_step_dn,
+        struck,
+        carried_share: campaign.carried_share,
+        shared_noise,
+        flats_are_dark_subtracted: campaign.flats_are_dark_subtracted,
+    };
+    Ok(dataset.without(&campaign.rows_left_out(), passed_over, faults, examination))
+}
+
+impl StruckSamples {
+    /// Counts them over all sets. Samples in the same pixels again and again are no rays but noisy pixels.
+    fn of(facts: &[SetFacts]) -> Self {
+        let pixels: Vec<usize> =
+            facts.iter().flat_map(|f| f.struck_pixels.iter().map(|pixel| *pixel as usize)).collect();
+        let samples = facts.iter().map(|f| f.pixels * f.means_dn.len() as f64).sum();
+        let frame = facts.iter().map(|f| f.pixels).fold(0.0, f64::max);
+        let are_rays = are_rays(&pixels, samples, frame);
+        Self { number: if are_rays { pixels.len() as u64 } else { 0 }, are_rays }
+    }
+}
+
+/// Computes the statistics of every set, or takes them from a file of statistics.
+pub(crate) fn facts_of(dataset: &Dataset, stop: &AtomicBool) -> Result<Vec<SetFacts>, ExamineError> {
+    // Memory follows what is there: a frame must confirm the size that a header claims.
+    if let Some(row) = dataset.rows().first().filter(|_| dataset.reduced().is_none()) {
+        dataset.read(row)?;
+    }
+    let of_set = |set: &crate::dataset::Set| {
+        if stop.load(Ordering::Relaxed) {
+            return Err(ExamineError::Interrupted);
+        }
+        let kept = dataset.reduced().and_then(|r| r.get::<SetFacts>(&Key::first(dataset, set, usize::MAX)));
+        if let Some(known) = kept {
+            return Ok(known.clone());
+        }
+        match dataset.settings(set).kind {
+            Kind::Dark | Kind::Flat => facts::of_set(dataset, set, stop),
+            Kind::Scene | Kind::Target => Ok(SetFacts::default()),
+        }
+    };
+    dataset.sets().par_iter().map(of_set).collect()
+}
+
+macro_rules! checks {
+    ($($module:ident::$name:ident)*) => {
+        $(mod $module;)*
+        /// Every check, in the order in which they run.
+        static CHECKS: &[&dyn Check] = &[$(&$module::$name),*];
+    };
+}
+
+checks! {
+    stretched_contrast::StretchedContrast
+    lost_parts::LostParts
+    lit_dark_frame::LitDarkFrame
+    dim_firsts::DimFirsts
+    stale_frame::StaleFrame
+    copied_frames::CopiedFrames
+    mean_among_frames::MeanAmongFrames
+    old_data::OldDataInFrames
+    odd_frame::OddFrame
+    frames_of_two_levels::FramesOfTwoLevels
+    moving_field::MovingField
+    fewer_bits::FewerBits
+    rounded_means::RoundedMeans
+    gain_step::GainStep
+    repeats_of_two_gains::RepeatsOfTwoGains
+    kind_label::KindLabel
+    light_in_darks::LightInDarks
+    unequal_light::UnequalLight
+    other_orientation::OtherOrientation
+    other_pattern::OtherPattern
+    subtracted_darks::SubtractedDarks
+    stray_dark_charge::StrayDarkCharge
+    dark_labels::DarkLabels
+    dark_settings::DarkSettings
+    darks_of_flats::DarksOfFlats
+    averages_of_one_kind::AveragesOfOneKind
+    other_field::OtherField
+    automatic::Automatic
+    exposure_limit::ExposureLimit
+    setting_label::SettingLabel
+    equal_darks::EqualDarks
+    dependent_frames::DependentFrames
+    shading_corrected::ShadingCorrected
+}

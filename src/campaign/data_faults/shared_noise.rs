@@ -1,0 +1,98 @@
+//! Noise that neighbours or successive frames share in all flats: variance that is measured pixel by pixel,
+//! or about the mean of the frames, lacks it, and the gain comes out too low.
+
+use super::Campaign;
+use super::campaign::median_line;
+use super::facts::{NEIGHBOURS_VAR, NEXT_VAR, Neighbours};
+use super::set_view::SetView;
+use crate::dataset::{Between, SharedNoise};
+use crate::statistics::median::{ERROR_OVER_MEAN, median};
+
+/// Share of the noise from which on it is said: by as much the gain is too low (a named choice: twice the per
+/// cent that EMVA 1288 asks for); of frames, where a lamp that settles and a little lag look alike.
+const LEAST: f64 = 0.02;
+const LEAST_OF_FRAMES: f64 = 0.05;
+/// Least significance, standard deviations.
+const SIGMAS: f64 = 5.0;
+/// Variance of a flat over that of the quietest set from which on the noise of reading is a tenth of it at
+/// most (a named choice): what neighbours share of that may be more or less. Where no flat has as much, those
+/// that have the second, and the share is less certain by what the noise of reading may have of it.
+const LIT: [f64; 2] = [10.0, 3.0];
+/// Most sets that are looked at: every pair of them is compared.
+const MOST_SETS: usize = 64;
+/// The larger one of both, in flats in which light makes the noise; `None` where there is nothing.
+pub(super) fn shared_noise(campaign: &Campaign<'_>) -> Option<SharedNoise> {
+    let variance = |i: usize| campaign.sets[i].variance_dn2().map(|v| v.0);
+    let sets = campaign.places(|s| !s.clipped).into_iter();
+    let quiet = sets.filter_map(variance).fold(f64::INFINITY, f64::min);
+    let flats = campaign.places(|s| s.is_lit() && !s.clipped);
+    let of_light = |least: f64| -> Vec<usize> {
+        let is_lit = |i: &usize| variance(*i).is_some_and(|v| v > least * quiet);
+        flats.iter().copied().filter(is_lit).collect()
+    };
+    let sure = of_light(LIT[0]);
+    let flats = if sure.is_empty() { of_light(LIT[1]) } else { sure };
+    let of_reading = quiet / median(flats.iter().filter_map(|i| variance(*i)));
+    let every = flats.len().div_ceil(MOST_SETS).max(1);
+    let flats: Vec<usize> = flats.into_iter().step_by(every).collect();
+    let is_told = |s: &SharedNoise| {
+        let least = if s.between == Between::Frames { LEAST_OF_FRAMES } else { LEAST };
+        s.rel.abs() > least.max(SIGMAS * s.std_err)
+    };
+    let less_certain =
+        |s: SharedNoise| SharedNoise { std_err: s.std_err.hypot(0.5 * of_reading * s.rel), ..s };
+    // Few frames tell what the next pixels share, and not all that neighbours do.
+    let told = |found: Option<SharedNoise>| found.map(less_certain).filter(is_told);
+    let of_all = told(of_neighbours(campaign, &flats, |n| n.share, NEIGHBOURS_VAR));
+    let of_next = || told(of_neighbours(campaign, &flats, |n| n.of_next, NEXT_VAR));
+    let all = [of_all.or_else(of_next), told(of_frames(campaign, &flats))];
+    all.into_iter().flatten().max_by(|a, b| a.rel.abs().total_cmp(&b.rel.abs()))
+}
+
+/// Noise that neighbours share at no light: what grows with the level (the brighter-fatter effect) bends the
+/// photon transfer, and leaves the gain at its dark end.
+fn of_neighbours(
+    campaign: &Campaign<'_>,
+    flats: &[usize],
+    share: impl Fn(&Neighbours) -> f64,
+    variance: f64,
+) -> Option<SharedNoise> {
+    let zero = campaign.zero();
+    // Pairs behind the first two frames of sets of four and more, and of frames that are left.
+    let of_kept = |set: &&SetView| {
+        let firsts = if set.kept.len() < 4 { 0 } else { 2 };
+        set.facts.neighbours.pixels > 0.0 && set.kept[firsts..].iter().all(|kept| *kept)
+    };
+    let known = || flats.iter().map(|&i| &campaign.sets[i]).filter(of_kept);
+    let signal_dn = |set: &SetView| set.level_dn() - zero.as_ref().map_or(0.0, |z| z.at(set.exposure_s));
+    let shared: Vec<(f64, f64)> = known().map(|set| (signal_dn(set), share(&set.facts.neighbours))).collect();
+    let pixels: f64 = known().map(|set| set.facts.neighbours.pixels).sum();
+    let std_err = ERROR_OVER_MEAN * (variance / pixels).sqrt();
+    let middle = median(shared.iter().map(|p| p.1));
+    let at_dark = median_line(&shared)?.0;
+    // Error of the intercept of a line over that of the mean of its points (Bevington and Robinson 2003, section
+    // 6.4): flats of about one level tell no intercept.
+    let n = shared.len() as f64;
+    let mean = shared.iter().map(|p| p.0).sum::<f64>() / n;
+    let square = shared.iter().map(|p| (p.0 - mean).powi(2)).sum::<f64>() / n;
+    let of_intercept = std_err * (1.0 + mean * mean / square).sqrt();
+    let grows = (middle - at_dark).abs() > 2.0 * of_intercept;
+    let (rel, std_err) = if grows { (at_dark, of_intercept) } else { (middle, std_err) };
+    Some(SharedNoise { between: Between::Neighbours, rel, std_err })
+}
+
+/// Noise that successive frames share.
+fn of_frames(campaign: &Campaign<'_>, flats: &[usize]) -> Option<SharedNoise> {
+    let own = |&i: &usize| {
+        let set = &campaign.sets[i];
+        let dependence = set.dependence().filter(|d| *d > 0.0 && !set.wanders())?;
+        let triples = set.frames().saturating_sub(2).max(1) as f64;
+        Some((1.0 / dependence - 1.0, set.facts.pixels * triples))
+    };
+    let alike: Vec<(f64, f64)> = flats.iter().filter_map(own).collect();
+    let rel = median(alike.iter().map(|a| a.0));
+    // The error of a ratio of variances of successive frames and of those two apart.
+    let samples: f64 = alike.iter().map(|a| a.1).sum();
+    let std_err = ERROR_OVER_MEAN * (4.0 / samples).sqrt();
+    (rel > 0.0).then_some(SharedNoise { between: Between::Frames, rel, std_err })
+}

@@ -1,0 +1,12 @@
+//! Results for people: sources of any kind, studies over light and exposure, reports.
+//!
+//! In: a dataset folder, statistics of parts of a campaign ([`reduction`]), an EMVA 1288 descriptor or a table, opened
+//! by [`source`]. Out: noise, diagnosis and report of it; [`investigate`] goes from a camera to a verdict by itself.
+//! Begin with [`source::Source`].
+
+pub mod investigate;
+pub mod reduction;
+pub mod report;
+pub mod reproduce;
+pub mod source;
+pub mod study;
